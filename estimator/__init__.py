@@ -1,0 +1,17 @@
+"""Bayesian estimation of parameters from residual vectors. Knows nothing of FMI, plants or controllers."""
+
+from .contract import Estimate as Estimate
+from .contract import Estimator as Estimator
+from .contract import Rescoring as Rescoring
+from .methods import METHODS as METHODS
+from .methods import make_estimator as make_estimator
+from .paper import PaperBO as PaperBO
+from .paper import PaperSettings as PaperSettings
+from .space import Parameter as Parameter
+from .space import ParameterSpace as ParameterSpace
+from .target import TargetSettings as TargetSettings
+from .target import TargetVector as TargetVector
+from .telemetry import DerivativeResidual as DerivativeResidual
+from .telemetry import ResidualWindow as ResidualWindow
+from .telemetry import Sample as Sample
+from .telemetry import chi2_quantile as chi2_quantile

@@ -1,0 +1,58 @@
+"""What every estimator is and returns."""
+
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+from .space import Vector
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Values of the parameters, how well they are known, and why these were taken."""
+
+    theta: Vector
+    """Values (d,), in each parameter's unit; always inside the bounds."""
+    std: Vector
+    """Standard deviations (d,), in the same units; as wide as the bounds where the data say nothing."""
+    is_identifiable: tuple[bool, ...]
+    """Whether the data fix each parameter (d,); where not, theta holds its value from the start."""
+    cost: float
+    """Objective of the incumbent: sum of squared residuals (`target`), noisy norm (`paper`)."""
+    n_evaluations: int
+    """Evaluations told since the last restart."""
+    reason: str
+    """Why this value was taken, for the record."""
+
+
+class Estimator(Protocol):
+    """Asks for candidates, is told their residuals, and says what it believes. Lower residuals are better."""
+
+    def restart(self, start: Vector) -> None:
+        """Begin an episode at theta (d,): the value to fall back on. Earlier knowledge may be kept."""
+        ...
+
+    def ask(self) -> Vector:
+        """The next candidate theta (d,)."""
+        ...
+
+    def tell(self, theta: Vector, residual: Vector) -> None:
+        """The residual (D,) of a candidate. A non-finite one marks a candidate that failed."""
+        ...
+
+    def estimate(self) -> Estimate:
+        """The present belief. Raises RuntimeError before any candidate has succeeded."""
+        ...
+
+
+@runtime_checkable
+class Rescoring(Protocol):
+    """An estimator whose stored candidates can be judged anew when the data have changed."""
+
+    @property
+    def candidates(self) -> Vector:
+        """Stored candidates (n, d), in the parameters' units."""
+        ...
+
+    def rescore(self, residuals: Vector) -> None:
+        """Replace what was told of the stored candidates by residuals (n, D); D may have changed."""
+        ...

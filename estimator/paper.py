@@ -1,0 +1,105 @@
+"""The paper's estimator: Bayesian optimisation of one noisy norm. Kept faithful, as the comparison."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import qmc
+
+from .acquisition import Acquisition, expected_improvement, lower_confidence_bound, probability_of_improvement
+from .contract import Estimate
+from .space import ParameterSpace, Vector
+from .surrogate import ScalarSurrogate
+
+
+@dataclass(frozen=True)
+class PaperSettings:
+    """Settings of `PaperBO`, as in Khan and Chatterjee (2020) where they are printed."""
+
+    noise: float = 3.2e-3
+    """Standard deviation of the noise added to the norm at each evaluation, in the residual's unit."""
+    acquisition: Acquisition = "ei"
+    """Expected improvement, probability of improvement or lower confidence bound."""
+    n_initial: int = 5
+    """Random candidates that begin an episode."""
+    n_pool: int = 512
+    """Candidates among which the acquisition is maximised."""
+
+
+class PaperBO:
+    """One GP (Matern-5/2, a lengthscale a dimension) for |residual| + noise, refitted at every evaluation.
+
+    Each episode starts from nothing, and what was told stays as it was told, whatever the plant does meanwhile.
+    Khan and Chatterjee (2020), algorithm 1. Residuals are in physical units.
+    """
+
+    is_whitened = False
+
+    def __init__(
+        self, space: ParameterSpace, start: Vector, rng: np.random.Generator, settings: PaperSettings | None = None
+    ) -> None:
+        self._space, self._rng, self._settings = space, rng, settings or PaperSettings()
+        self._sobol = qmc.Sobol(len(space), rng=rng)
+        self.restart(start)
+
+    def restart(self, start: Vector) -> None:
+        """Begin an episode from nothing. The paper does not use the start; it is what failure falls back on."""
+        d = len(self._space)
+        self._start = np.asarray(start, dtype=float)
+        self._queue = list(self._rng.random((self._settings.n_initial, d)))
+        self._places, self._norms = np.empty((0, d)), np.empty(0)
+        self._n_evaluations = 0
+        self._spread = np.ones(d)
+
+    def ask(self) -> Vector:
+        """The random design first, then the maximiser of the acquisition function."""
+        if self._queue or not len(self._places):
+            return self._space.from_unit(self._queue.pop(0) if self._queue else self._rng.random(len(self._space)))
+        surrogate = ScalarSurrogate(self._places, self._norms)
+        best = self._places[int(np.argmin(self._norms))]
+        local = best + 0.05 * self._rng.standard_normal((64, len(best)))
+        pool = np.clip(np.vstack([self._sobol.random(self._settings.n_pool), local]), 0.0, 1.0)
+        mean, variance = surrogate.predict(pool)
+        weights = probability_of_improvement(mean, variance, float(self._norms.min()))
+        self._spread = _weighted_std(pool, weights)
+        return self._space.from_unit(pool[int(np.argmax(self._score(mean, variance, weights)))])
+
+    def tell(self, theta: Vector, residual: Vector) -> None:
+        """The residual (D,) of a candidate: its norm is stored, with noise. A non-finite one is left out."""
+        self._n_evaluations += 1
+        norm = float(np.linalg.norm(residual)) + self._settings.noise * float(self._rng.standard_normal())
+        if np.isfinite(norm):
+            self._places = np.vstack([self._places, self._space.to_unit(theta)])
+            self._norms = np.append(self._norms, norm)
+
+    def estimate(self) -> Estimate:
+        """The candidate of least noisy norm; its spread is that of the places that may be better."""
+        if not len(self._places):
+            raise RuntimeError("no candidate has succeeded yet: tell the residual of one first.")
+        best = int(np.argmin(self._norms))
+        theta = self._space.from_unit(self._places[best])
+        return Estimate(
+            theta=theta,
+            std=self._spread * self._space.slope(theta),
+            is_identifiable=(True,) * len(theta),
+            cost=float(self._norms[best]),
+            n_evaluations=self._n_evaluations,
+            reason="incumbent",
+        )
+
+    def _score(self, mean: Vector, variance: Vector, improvement_probability: Vector) -> Vector:
+        match self._settings.acquisition:
+            case "ei":
+                return expected_improvement(mean, variance, float(self._norms.min()))
+            case "pi":
+                return improvement_probability
+            case "lcb":
+                return lower_confidence_bound(mean, variance)
+
+
+def _weighted_std(places: Vector, weights: Vector) -> Vector:
+    """Standard deviation (d,) of places (n, d) under weights (n,); one, the whole cube, where all vanish."""
+    total = float(np.sum(weights))
+    if total <= 0.0:
+        return np.ones(places.shape[1])
+    mean = weights @ places / total
+    return np.sqrt(weights @ (places - mean) ** 2 / total)

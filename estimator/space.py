@@ -1,0 +1,114 @@
+"""The parameters to estimate: bounds, units, scale, and the map to the unit cube in which estimators search."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from math import isfinite
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Scale = Literal["linear", "log"]
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One physical parameter and the interval in which its value is sought."""
+
+    name: str
+    """As the model's keyword argument and the FMU's variable."""
+    lower: float
+    """Lower bound, in `unit`."""
+    upper: float
+    """Upper bound, in `unit`."""
+    unit: str = "1"
+    """FMI unit string."""
+    scale: Scale = "linear"
+    """`log` where the value's order of magnitude is unknown: masses, inertias, stiffnesses."""
+
+    def __post_init__(self) -> None:
+        if not (isfinite(self.lower) and isfinite(self.upper) and self.lower < self.upper):
+            raise ValueError(
+                f"Parameter '{self.name}' must have finite lower < upper, got [{self.lower}, {self.upper}] {self.unit}."
+            )
+        if self.scale not in get_args(Scale):
+            raise ValueError(f"Parameter '{self.name}' must have scale 'linear' or 'log', got '{self.scale}'.")
+        if self.scale == "log" and self.lower <= 0.0:
+            raise ValueError(
+                f"Parameter '{self.name}' must have lower > 0 on a log scale, got {self.lower} {self.unit}."
+            )
+
+
+@dataclass(frozen=True)
+class ParameterSpace:
+    """An ordered set of parameters; theta (d,) holds their values, z (d,) their places in the unit cube."""
+
+    parameters: tuple[Parameter, ...]
+    """At least one, with different names."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "parameters", tuple(self.parameters))
+        if not self.parameters:
+            raise ValueError("A ParameterSpace must have at least one parameter.")
+        repeated = sorted({n for n in self.names if self.names.count(n) > 1})
+        if repeated:
+            raise ValueError(f"Parameter names must differ, got '{repeated[0]}' twice.")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The parameters' names, in order."""
+        return tuple(p.name for p in self.parameters)
+
+    @cached_property
+    def _is_log(self) -> NDArray[np.bool_]:
+        return np.array([p.scale == "log" for p in self.parameters])
+
+    @cached_property
+    def _lower(self) -> Vector:
+        return np.array([p.lower for p in self.parameters])
+
+    @cached_property
+    def _upper(self) -> Vector:
+        return np.array([p.upper for p in self.parameters])
+
+    @cached_property
+    def _origin(self) -> Vector:
+        return _scaled(self._lower, self._is_log)
+
+    @cached_property
+    def _width(self) -> Vector:
+        return _scaled(self._upper, self._is_log) - self._origin
+
+    def __len__(self) -> int:
+        return len(self.parameters)
+
+    def __iter__(self) -> Iterator[Parameter]:
+        return iter(self.parameters)
+
+    def to_unit(self, theta: ArrayLike) -> Vector:
+        """Place in the unit cube of values (..., d); values outside the bounds go to the nearest bound."""
+        clipped = np.clip(np.asarray(theta, dtype=float), self._lower, self._upper)
+        return (_scaled(clipped, self._is_log) - self._origin) / self._width
+
+    def from_unit(self, z: ArrayLike) -> Vector:
+        """Values of places (..., d) in the unit cube; never outside the bounds."""
+        raw = self._origin + self._width * np.asarray(z, dtype=float)
+        return np.clip(np.where(self._is_log, np.exp(np.where(self._is_log, raw, 0.0)), raw), self._lower, self._upper)
+
+    def slope(self, theta: ArrayLike) -> Vector:
+        """d theta / d z at theta (d,): what a step in the unit cube is worth in each parameter's unit."""
+        return self._width * np.where(self._is_log, np.asarray(theta, dtype=float), 1.0)
+
+    def named(self, theta: ArrayLike) -> dict[str, float]:
+        """theta (d,) by name."""
+        return dict(zip(self.names, np.asarray(theta, dtype=float).tolist(), strict=True))
+
+    def vector(self, values: Mapping[str, float]) -> Vector:
+        """theta (d,) of named values. Raises KeyError for a missing name."""
+        return np.array([values[name] for name in self.names], dtype=float)
+
+
+def _scaled(theta: Vector, is_log: NDArray[np.bool_]) -> Vector:
+    return np.where(is_log, np.log(np.where(is_log, theta, 1.0)), theta)

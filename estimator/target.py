@@ -1,0 +1,197 @@
+"""Target-vector Bayesian optimisation: a GP for the residual vector, minimising its squared norm."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import qmc
+
+from .acquisition import log_target_vector_improvement
+from .contract import Estimate
+from .identifiability import information
+from .space import ParameterSpace, Vector
+from .surrogate import Posterior, VectorSurrogate
+
+_LOCAL_RADII = (0.2, 0.05, 0.01, 0.002)
+"""Of the unit cube: standard deviations of the candidates drawn round the incumbent."""
+
+
+@dataclass(frozen=True)
+class TargetSettings:
+    """Settings of `TargetVector`; the defaults suit two to ten parameters."""
+
+    n_initial: int = 8
+    """Quasi-random candidates beside the start. They stay for good, to see a jump from afar."""
+    n_kept: int = 12
+    """Best candidates that outlive an episode."""
+    n_outputs: int = 10
+    """Most principal components of the residual that get a GP."""
+    significance: float = 3.0
+    """Standard deviations by which the data must ask for a change, direction by direction; else it is held."""
+    identifiable_below: float = 0.05
+    """A parameter counts as identifiable when its standard deviation is below this share of the scaled bounds."""
+
+
+class TargetVector:
+    """Models the residual vector, not its norm, so that a small residual is not hidden by a large one.
+
+    The residuals of n candidates (n, D) are projected on their principal components; each gets a GP of the common
+    lengthscales, and the next candidate maximises the expected improvement of the sum of squares. On a smooth
+    residual the posterior mean is followed like Gauss-Newton's model, on any other it explores.
+
+    Uhrenholt and Jensen (2019), "Efficient Bayesian optimization for target vector estimation";
+    Astudillo and Frazier (2019), "Bayesian optimization of composite functions".
+    Residuals are in standard deviations of their noise.
+    """
+
+    is_whitened = True
+
+    def __init__(
+        self, space: ParameterSpace, start: Vector, rng: np.random.Generator, settings: TargetSettings | None = None
+    ) -> None:
+        self._space, self._rng, self._settings = space, rng, settings or TargetSettings()
+        d = len(space)
+        sobol = qmc.Sobol(d, rng=rng)
+        self._initial = sobol.random(self._settings.n_initial)
+        self._global = sobol.random(128)
+        self._surrogate = VectorSurrogate(d)
+        self._theta = np.empty((0, d))
+        self._residuals: Vector | None = None
+        self._model_now: _Model | None = None
+        self._asks_since_fit = 0
+        self.restart(start)
+
+    @property
+    def candidates(self) -> Vector:
+        """Stored candidates (n, d), in the parameters' units."""
+        return self._theta
+
+    def restart(self, start: Vector) -> None:
+        """Begin an episode at theta (d,): keep the initial design, the best candidates and what GPs have learnt."""
+        self._start = self._space.to_unit(start)
+        self._n_evaluations = 0
+        if self._residuals is None:
+            self._queue = [self._start, *self._initial]
+            return
+        first = min(self._settings.n_initial + 1, len(self._theta))
+        best = np.argsort(self._costs()[first:], kind="stable")[: self._settings.n_kept] + first
+        kept = np.concatenate([np.arange(first), np.sort(best)])
+        self._theta, self._residuals = self._theta[kept], self._residuals[kept]
+        self._queue = [self._start]
+        self._model_now = None
+
+    def ask(self) -> Vector:
+        """The initial design first, then the candidate of largest expected improvement."""
+        if self._queue:
+            return self._space.from_unit(self._queue.pop(0))
+        self._asks_since_fit += 1
+        if self._asks_since_fit >= max(2, len(self._theta) // 5):
+            model = self._model()
+            self._surrogate.fit(model.Z, model.Y)
+            self._model_now, self._asks_since_fit = None, 0
+        model = self._model()
+        costs = np.sum(model.Y * model.Y, axis=1)
+        best = int(np.argmin(costs))
+        pool = self._pool(model.posterior, model.Z[best])
+        gain = log_target_vector_improvement(*model.posterior.predict(pool), max(float(costs[best]), 1e-12))
+        return self._space.from_unit(pool[int(np.argmax(gain))])
+
+    def tell(self, theta: Vector, residual: Vector) -> None:
+        """The residual (D,) of a candidate. A non-finite one counts as an evaluation and leaves no other trace."""
+        self._n_evaluations += 1
+        if not np.all(np.isfinite(residual)):
+            return
+        told = np.atleast_2d(np.asarray(residual, dtype=float))
+        self._theta = np.vstack([self._theta, theta])
+        self._residuals = told if self._residuals is None else np.vstack([self._residuals, told])
+        self._model_now = None
+
+    def rescore(self, residuals: Vector) -> None:
+        """Replace what was told of the stored candidates by residuals (n, D); failed candidates are dropped."""
+        finite = np.all(np.isfinite(residuals), axis=1)
+        self._theta, self._residuals = self._theta[finite], residuals[finite]
+        if not len(self._theta):
+            self._residuals = None
+        self._model_now = None
+
+    def estimate(self) -> Estimate:
+        """The best candidate, with the directions that the data do not see held at the episode's start."""
+        costs = self._costs()
+        best = int(np.argmin(costs))
+        z = self._space.to_unit(self._theta[best])
+        sight = information(self._model().posterior.jacobian(z))
+        misfit = max(1.0, np.sqrt(costs[best] / max(self._told().shape[1] - len(z), 1)))
+        change = z - self._start
+        moved = sight.significant(change, self._settings.significance * misfit)
+        theta = self._space.from_unit(np.clip(self._start + moved @ change, 0.0, 1.0))
+        std = np.minimum(sight.std() * misfit, 1.0)
+        n_held = len(z) - round(float(np.trace(moved)))
+        return Estimate(
+            theta=theta,
+            std=std * self._space.slope(theta),
+            is_identifiable=tuple(bool(s <= self._settings.identifiable_below) for s in std),
+            cost=float(costs[best]),
+            n_evaluations=self._n_evaluations,
+            reason=f"incumbent, {n_held} of {len(z)} directions held" if n_held else "incumbent",
+        )
+
+    def _told(self) -> Vector:
+        if self._residuals is None:
+            raise RuntimeError("no candidate has succeeded yet: tell the residual of one first.")
+        return self._residuals
+
+    def _costs(self) -> Vector:
+        return np.sum(self._told() ** 2, axis=1)
+
+    def _model(self) -> "_Model":
+        if self._model_now is None:
+            Z = self._space.to_unit(self._theta)
+            Y = principal_components(self._told(), self._settings.n_outputs)
+            self._model_now = _Model(Z, Y, self._surrogate.condition(Z, Y))
+        return self._model_now
+
+    def _pool(self, posterior: Posterior, best: Vector) -> Vector:
+        """Candidates to choose from: all over the cube, round the incumbent, and round the mean's minimiser."""
+        d = len(best)
+        minimiser = least_squares_of_mean(posterior, best)
+        local = [best + radius * self._rng.standard_normal((16, d)) for radius in _LOCAL_RADII]
+        near = [minimiser + radius * self._rng.standard_normal((8, d)) for radius in (0.003, 0.0005)]
+        return np.clip(np.vstack([self._global, *local, minimiser, *near]), 0.0, 1.0)
+
+
+class _Model(NamedTuple):
+    """The surrogate of what has been told so far."""
+
+    Z: Vector
+    Y: Vector
+    posterior: Posterior
+
+
+def principal_components(residuals: Vector, n_outputs: int) -> Vector:
+    """Residuals (n, D) in their principal axes (n, k), k <= n_outputs; |row|^2 keeps its value but for noise.
+
+    Uncentred, so that zero stays zero. Axes that hold less than one standard deviation a candidate are noise.
+    """
+    U, s, _ = np.linalg.svd(residuals, full_matrices=False)
+    k = int(np.clip(np.sum(s > np.sqrt(len(residuals))), 1, n_outputs))
+    return U[:, :k] * s[:k]
+
+
+def least_squares_of_mean(posterior: Posterior, z: Vector, n_iterations: int = 8) -> Vector:
+    """A minimiser of |posterior mean|^2 in the unit cube, by damped Gauss-Newton steps from z (d,).
+
+    Levenberg (1944), Marquardt (1963).
+    """
+    damping = 1e-3
+    r = posterior.predict(z[None])[0][0]
+    for _ in range(n_iterations):
+        J = posterior.jacobian(z)
+        H = J.T @ J
+        D = np.diag(H) + 1e-9 * np.trace(H) + 1e-12
+        trial = np.clip(z - np.linalg.solve(H + damping * np.diag(D), J.T @ r), 0.0, 1.0)
+        r_trial = posterior.predict(trial[None])[0][0]
+        if r_trial @ r_trial < r @ r:
+            z, r, damping = trial, r_trial, max(damping / 10.0, 1e-9)
+        else:
+            damping *= 10.0
+    return z

@@ -1,0 +1,129 @@
+"""What was sampled from the plant, and the residuals of a model on a sliding window of it."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from scipy.stats import chi2
+
+from .space import ParameterSpace, Vector
+
+Model = Callable[..., Sequence[float]]
+"""xdot (n,) = model(x, u, **parameters): state (n,), input (p,), parameters by name; SI units."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """State, input and derivatives at one time."""
+
+    t: float
+    """Time [s]."""
+    x: tuple[float, ...]
+    """State (n,), in the model's order."""
+    u: tuple[float, ...]
+    """Input (p,) that was held up to t."""
+    xdot: tuple[float, ...]
+    """Sampled derivatives (c,), a number a channel."""
+
+
+@dataclass(frozen=True)
+class DerivativeResidual:
+    """Sampled minus modelled derivatives, in standard deviations of the noise.
+
+    r_i = (xdot_i - f_i(x, u; theta)) / sigma_i.  Khan and Chatterjee (2020), section III, before the norm is taken.
+    """
+
+    model: Model
+    """f(x, u, **theta)."""
+    space: ParameterSpace
+    """Names the parameters that the model is called with."""
+    channels: tuple[int, ...]
+    """Places in xdot of the sampled derivatives (c,)."""
+    noise: tuple[float, ...]
+    """sigma (c,), the standard deviation of each sampled derivative; ones leave the residual in physical units."""
+
+    def __call__(self, theta: Vector, sample: Sample) -> Vector:
+        """r (c,) of one sample. Whatever the model raises passes through."""
+        modelled = self.model(sample.x, sample.u, **self.space.named(theta))
+        return np.array([
+            (y - modelled[i]) / s for y, i, s in zip(sample.xdot, self.channels, self.noise, strict=True)
+        ])  # fmt: skip
+
+
+class ResidualWindow:
+    """The newest samples' residuals for any candidate; each channel remembers as far back as its data agree.
+
+    A residual is computed once for each candidate and sample: a new sample costs one model call for each stored
+    candidate, a new candidate one for each sample of the window.
+    """
+
+    def __init__(self, residual: Callable[[Vector, Sample], Vector], n_channels: int, max_length: int = 10) -> None:
+        if max_length < 1:
+            raise ValueError(f"max_length must be at least 1 sample, got {max_length}.")
+        self._residual = residual
+        self._max_length = max_length
+        self._samples: list[Sample] = []
+        self._lengths = [0] * n_channels
+        self._is_explained = [True] * n_channels
+        self._rows: dict[bytes, list[Vector]] = {}
+
+    @property
+    def lengths(self) -> tuple[int, ...]:
+        """Number of samples in use, a channel."""
+        return tuple(self._lengths)
+
+    def append(self, sample: Sample) -> None:
+        """Take one sample more, and drop the oldest where the window is full."""
+        self._samples.append(sample)
+        self._lengths = [min(n + 1, self._max_length) for n in self._lengths]
+        excess = len(self._samples) - max(self._lengths)
+        if excess:
+            del self._samples[:excess]
+            for rows in self._rows.values():
+                del rows[:excess]
+
+    def clear(self) -> None:
+        """Forget every sample, as at a jump of the parameters."""
+        self._samples.clear()
+        self._rows.clear()
+        self._lengths = [0] * len(self._lengths)
+
+    def residual(self, theta: Vector) -> Vector:
+        """Residuals of one candidate over the window (D,), channel by channel, each from old to new."""
+        rows = self._rows.setdefault(theta.tobytes(), [])
+        rows.extend(self._residual(theta, sample) for sample in self._samples[len(rows) :])
+        table = np.array(rows)
+        return np.concatenate([table[len(rows) - n :, c] for c, n in enumerate(self._lengths)])
+
+    def residuals(self, candidates: Iterable[Vector]) -> Vector:
+        """Residuals of many candidates (n, D); rows kept for others are dropped."""
+        thetas = list(candidates)
+        kept = {theta.tobytes() for theta in thetas}
+        self._rows = {key: rows for key, rows in self._rows.items() if key in kept}
+        return np.array([self.residual(theta) for theta in thetas])
+
+    def explain(self, theta: Vector, patient: bool = True, false_alarm: float = 1e-4) -> None:
+        """Restart, at the newest sample, each channel that stopped agreeing with the incumbent theta.
+
+        A channel is explained while its sum of squared residuals passes a chi-square test of level false_alarm.
+        One that was explained and is no more has seen a jump, or a drift: its past misleads. So a drifting
+        parameter is followed by the newest sample, while channels that see constant ones average. One that was not
+        explained yet waits for a better incumbent; without patience it restarts too.
+        """
+        first = 0
+        residual = self.residual(theta)
+        for c, n in enumerate(self._lengths):
+            mine = residual[first : first + n]
+            first += n
+            is_explained = float(mine @ mine) <= chi2_quantile(1.0 - false_alarm, n)
+            if not is_explained and n > 1 and (self._is_explained[c] or not patient):
+                self._lengths[c] = 1
+                is_explained = float(mine[-1] ** 2) <= chi2_quantile(1.0 - false_alarm, 1)
+            self._is_explained[c] = is_explained
+
+
+@cache
+def chi2_quantile(probability: float, degrees: int) -> float:
+    """Quantile of the chi-square distribution, remembered: SciPy takes 100 us a call."""
+    return float(chi2.ppf(probability, degrees))

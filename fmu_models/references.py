@@ -1,0 +1,46 @@
+"""Reference trajectories with their time derivatives."""
+
+from math import atan2, cos, pi, sin
+from typing import Literal
+
+from .quadrotor import Trajectory
+from .so3 import Vector3
+
+Yaw = Literal["paper", "smooth"]
+
+
+def step(t: float, initial: float, final: float, step_time: float) -> float:
+    """`initial` before `step_time` [s], `final` from then on."""
+    return final if t >= step_time else initial
+
+
+def sinusoid(t: float, amplitude: float, omega: float) -> tuple[float, float, float, float, float]:
+    """amplitude sin(omega t) with its first four time derivatives;  t [s], omega [rad/s]."""
+    s, c = amplitude * sin(omega * t), amplitude * cos(omega * t)
+    return (s, omega * c, -(omega**2) * s, -(omega**3) * c, omega**4 * s)
+
+
+def sinusoid_trajectory(t: float, amplitudes: Vector3, omega: float, yaw: Yaw = "paper") -> Trajectory:
+    """r_d = (a1 sin 2wt, a2 sin wt, a3 sin wt) with yaw psi_d = atan2(y_d, x_d), and their derivatives.
+
+    The yaw is undefined where x_d = y_d = 0 and jumps by pi there; its smooth branch is atan2(a2, 2 a1 cos wt).
+    `yaw="paper"` follows the atan2, with the limit from the right at such a point; `"smooth"` stays on the branch.
+    The derivatives are those of the smooth branch for both. Needs a2 > 0.
+
+    t [s];  amplitudes [m];  omega: w [rad/s]. Khan and Chatterjee (2020), section IV-B.
+    """
+    a1, a2, a3 = amplitudes
+    x = sinusoid(t, a1, 2.0 * omega)
+    y = sinusoid(t, a2, omega)
+    z = sinusoid(t, a3, omega)
+    # psi = atan2(a2, p), so psi_dot = -a2 p_dot / (p^2 + a2^2).
+    p, p_dot = 2.0 * a1 * cos(omega * t), -2.0 * a1 * omega * sin(omega * t)
+    p_ddot = -(omega**2) * p
+    n = p * p + a2 * a2
+    psi = atan2(a2, p)
+    psi_dot = -a2 * p_dot / n
+    psi_ddot = -a2 * p_ddot / n + 2.0 * a2 * p * p_dot**2 / n**2
+    if yaw == "paper" and (sin(omega * t) or cos(omega * t)) < 0.0:
+        psi -= pi
+    r, v, a, j, s = zip(x, y, z)
+    return Trajectory(r, v, a, j, s, psi, psi_dot, psi_ddot)

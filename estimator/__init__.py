@@ -9,9 +9,11 @@ from .paper import PaperBO as PaperBO
 from .paper import PaperSettings as PaperSettings
 from .space import Parameter as Parameter
 from .space import ParameterSpace as ParameterSpace
+from .space import Vector as Vector
 from .target import TargetSettings as TargetSettings
 from .target import TargetVector as TargetVector
 from .telemetry import DerivativeResidual as DerivativeResidual
+from .telemetry import Model as Model
 from .telemetry import ResidualWindow as ResidualWindow
 from .telemetry import Sample as Sample
 from .telemetry import chi2_quantile as chi2_quantile

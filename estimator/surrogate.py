@@ -106,7 +106,7 @@ class Posterior:
     """Mean and variance of k outputs given n observations; frozen once built."""
 
     def __init__(self, Z: Vector, Y: Vector, lengthscales: Vector) -> None:
-        self._Z, self._lengthscales = Z, lengthscales
+        self._places, self._lengthscales = Z, lengthscales
         C = correlation(Z, Z, lengthscales)
         noise = NOISE
         self._cholesky, failed = _factor(C, noise)
@@ -119,16 +119,16 @@ class Posterior:
 
     def predict(self, Q: Vector) -> tuple[Vector, Vector]:
         """Noiseless mean (m, k) and variance (m, k) at places Q (m, d)."""
-        C = correlation(Q, self._Z, self._lengthscales)
+        C = correlation(Q, self._places, self._lengthscales)
         w, _ = _trtrs(self._cholesky, C.T, lower=1)
         unit = np.maximum(1.0 - np.sum(w * w, axis=0), 1e-12)
         return C @ self._alpha, unit[:, None] * self.variances
 
-    def jacobian(self, z: Vector) -> Vector:
-        """Slope of the mean at z (d,): (k, d)."""
-        difference = (z - self._Z) / self._lengthscales**2
-        c = correlation(z[None], self._Z, self._lengthscales)[0]
-        return -self._alpha.T @ (c[:, None] * difference)
+    def mean_and_jacobian(self, z: Vector) -> tuple[Vector, Vector]:
+        """Mean (k,) at z (d,) and its slope (k, d)."""
+        scaled = (z - self._places) / self._lengthscales
+        c = np.exp(-0.5 * (scaled * scaled).sum(axis=1))
+        return c @ self._alpha, -self._alpha.T @ (c[:, None] * scaled / self._lengthscales)
 
 
 class ScalarSurrogate:

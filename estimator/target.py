@@ -119,7 +119,7 @@ class TargetVector:
         costs = self._costs()
         best = int(np.argmin(costs))
         z = self._space.to_unit(self._theta[best])
-        sight = information(self._model().posterior.jacobian(z))
+        sight = information(self._model().posterior.mean_and_jacobian(z)[1])
         misfit = max(1.0, np.sqrt(costs[best] / max(self._told().shape[1] - len(z), 1)))
         change = z - self._start
         moved = sight.significant(change, self._settings.significance * misfit)
@@ -183,15 +183,15 @@ def least_squares_of_mean(posterior: Posterior, z: Vector, n_iterations: int = 8
     Levenberg (1944), Marquardt (1963).
     """
     damping = 1e-3
-    r = posterior.predict(z[None])[0][0]
+    r, J = posterior.mean_and_jacobian(z)
     for _ in range(n_iterations):
-        J = posterior.jacobian(z)
         H = J.T @ J
-        D = np.diag(H) + 1e-9 * np.trace(H) + 1e-12
-        trial = np.clip(z - np.linalg.solve(H + damping * np.diag(D), J.T @ r), 0.0, 1.0)
-        r_trial = posterior.predict(trial[None])[0][0]
+        scale = H.diagonal() + 1e-9 * H.trace() + 1e-12
+        step = np.linalg.solve(H + np.diag(damping * scale), J.T @ r)
+        trial = np.minimum(np.maximum(z - step, 0.0), 1.0)
+        r_trial, J_trial = posterior.mean_and_jacobian(trial)
         if r_trial @ r_trial < r @ r:
-            z, r, damping = trial, r_trial, max(damping / 10.0, 1e-9)
+            z, r, J, damping = trial, r_trial, J_trial, max(damping / 10.0, 1e-9)
         else:
             damping *= 10.0
     return z

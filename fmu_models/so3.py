@@ -87,16 +87,14 @@ def unit_derivatives(a: Vector3, a_dot: Vector3, a_ddot: Vector3) -> tuple[Vecto
     return q, q_dot, q_ddot
 
 
-def nearest_rotation(m: Matrix3) -> Matrix3:
-    """One Newton step from a nearly orthogonal M to its orthogonal polar factor, M (3 I - M^T M)/2.
+def orthonormalized(m: Matrix3) -> Matrix3:
+    """The rotation that Gram and Schmidt make of the columns of M, from the first.
 
-    The error in orthogonality squares, so one step takes the 1e-8 that an integrator leaves to rounding.
-    Higham (1986), "Computing the polar decomposition - with applications", eq. 3.4 with the inverse expanded.
+    What an integrator leaves, M = R (I + O(1e-12)), goes back to a rotation; and so does any M of rank three, so that
+    a tumble too fast for the step stays a tumble. Raises ZeroDivisionError where the first two columns are parallel.
     """
-    s = product(transpose(m), m)
-    half = (
-        1.5 - 0.5 * s[0], -0.5 * s[1], -0.5 * s[2],
-        -0.5 * s[3], 1.5 - 0.5 * s[4], -0.5 * s[5],
-        -0.5 * s[6], -0.5 * s[7], 1.5 - 0.5 * s[8],
-    )  # fmt: skip
-    return product(m, half)
+    a1, a2 = (m[0], m[3], m[6]), (m[1], m[4], m[7])
+    b1 = scale(1.0 / sqrt(dot(a1, a1)), a1)
+    b2 = subtract(a2, scale(dot(b1, a2), b1))
+    b2 = scale(1.0 / sqrt(dot(b2, b2)), b2)
+    return columns(b1, b2, cross(b1, b2))

@@ -1,0 +1,36 @@
+"""Co-simulation of FMUs whose controller is re-tuned while it runs."""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .errors import CosimError as CosimError
+    from .errors import ModelDescriptionError as ModelDescriptionError
+    from .errors import ScenarioError as ScenarioError
+    from .errors import SlaveError as SlaveError
+    from .errors import WiringError as WiringError
+    from .result import Run as Run
+    from .scenario import Scenario as Scenario
+    from .simulation import run as run
+    from .slave import Slave as Slave
+    from .slave import open_slave as open_slave
+
+_HOMES = {
+    "CosimError": "errors",
+    "ModelDescriptionError": "errors",
+    "ScenarioError": "errors",
+    "SlaveError": "errors",
+    "WiringError": "errors",
+    "Run": "result",
+    "run": "simulation",
+    "Scenario": "scenario",
+    "Slave": "slave",
+    "open_slave": "slave",
+}
+
+
+def __getattr__(name: str) -> object:
+    # Loaded on first use: an FMU's process imports cosim.worker and needs neither GPy nor pydantic.
+    if name not in _HOMES:
+        raise AttributeError(f"module 'cosim' has no attribute '{name}'")
+    return getattr(import_module(f".{_HOMES[name]}", __name__), name)

@@ -1,0 +1,75 @@
+"""What can go wrong between us and the world, always told in one line."""
+
+from collections.abc import Callable
+
+_LONGEST_REASON = 400  # characters; an FMU may log a whole page
+
+AFTER_THE_CALL = "{call} {reason}"
+"""plant: do_step at t = 1.250 s returned discard"""
+COLON = "{call}: {reason}"
+"""plant: get at t = 0.020 s: output 'y' is nan"""
+IN_THE_CALL = "{reason} in {call}"
+"""plant: the FMU's process ended with exit code 0 in do_step at t = 0.050 s"""
+
+_FORMS = (AFTER_THE_CALL, COLON, IN_THE_CALL)
+
+
+class CosimError(Exception):
+    """A co-simulation cannot go on, through no fault of the calling code."""
+
+
+class ModelDescriptionError(CosimError):
+    """A file is not a usable FMI 2.0 co-simulation FMU."""
+
+
+class WiringError(CosimError):
+    """Variables are joined or set that the FMUs do not have or do not allow."""
+
+
+class ScenarioError(CosimError):
+    """A scenario file is not understood."""
+
+
+class SlaveError(CosimError):
+    """A running FMU failed."""
+
+    instance: str
+    """Name of the instance, such as 'plant'."""
+    function: str
+    """The FMI function without its prefix, such as 'do_step'."""
+    time: float | None
+    """Communication point [s]; None before the experiment has a time."""
+    reason: str
+    """What happened, in one line."""
+
+    def __init__(
+        self, instance: str, function: str, time: float | None, reason: str, form: str = AFTER_THE_CALL
+    ) -> None:
+        """form places call and reason in the message, one of the three above.
+
+        Raises ValueError for any other form: it would be a format string of unknown origin.
+        """
+        if form not in _FORMS:
+            raise ValueError(f"form must be one of {_FORMS}, got {form!r}.")
+        self.instance = instance
+        self.function = function
+        self.time = time
+        self.reason = one_line(reason)
+        self.form = form
+        call = function if time is None else f"{function} at t = {seconds(time)} s"
+        super().__init__(f"{instance}: " + form.format(call=call, reason=self.reason))
+
+    def __reduce__(self) -> tuple[Callable[..., "SlaveError"], tuple[object, ...]]:
+        return SlaveError, (self.instance, self.function, self.time, self.reason, self.form)
+
+
+def one_line(text: str) -> str:
+    """text without line breaks or control characters, cut to a readable length."""
+    line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
+    return line if len(line) <= _LONGEST_REASON else line[: _LONGEST_REASON - 3] + "..."
+
+
+def seconds(time: float) -> str:
+    """time [s] to the millisecond, or with as many digits as it needs."""
+    text = f"{time:.3f}"
+    return text if abs(float(text) - time) <= 1e-9 else f"{time:.9g}"

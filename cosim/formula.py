@@ -1,0 +1,67 @@
+"""Formulas in t, as a scenario writes a plant's change: `0.2*exp(-0.2*t)*sin(1.5*t) + m0 if t <= 3 else 1.85`.
+
+Python's expression syntax with floats, arithmetic, comparisons, conditionals and the functions below; nothing else
+can be named. Compiled once: a call takes 1 us, a general evaluator's 30.
+"""
+
+import ast
+import math
+from collections.abc import Callable, Mapping
+from difflib import get_close_matches
+from typing import Any, cast
+
+FUNCTIONS: dict[str, Any] = {
+    name: getattr(math, name)
+    for name in ("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "exp", "log", "sqrt", "floor", "ceil", "tanh")
+} | {"abs": abs, "min": min, "max": max}
+CONSTANTS: dict[str, float] = {"pi": math.pi, "e": math.e}
+
+_NODES = (
+    ast.Expression, ast.Constant, ast.Name, ast.Load, ast.Call, ast.IfExp,
+    ast.BinOp, ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.Mod, ast.UnaryOp, ast.USub, ast.UAdd, ast.Not,
+    ast.Compare, ast.Lt, ast.LtE, ast.Gt, ast.GtE, ast.Eq, ast.NotEq, ast.BoolOp, ast.And, ast.Or,
+)  # fmt: skip
+
+
+def compile_formula(text: str, definitions: Mapping[str, Callable[[float], float]]) -> Callable[[float], float]:
+    """The function of t [s] that the formula says. definitions: further functions of t that it may name.
+
+    Raises ValueError, in one line, for anything but a formula. The function raises ArithmeticError or ValueError where
+    the formula has no value.
+    """
+    text = " ".join(text.split())
+    try:
+        tree = ast.parse(text, mode="eval")
+        for node in ast.walk(tree):
+            _check(node, text, definitions)
+            if isinstance(node, ast.Constant):
+                node.value = float(cast(float, node.value))  # so that a power overflows instead of growing
+        code = compile(tree, "<formula>", "eval")
+    except (SyntaxError, RecursionError, MemoryError, OverflowError) as e:
+        raise ValueError(f"'{text[:80]}' is not a formula: {getattr(e, 'msg', type(e).__name__)}.") from e
+    used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)} & set(definitions)
+    constants: dict[str, Any] = {"__builtins__": {}} | FUNCTIONS | CONSTANTS
+    inner = {name: definitions[name] for name in sorted(used)}
+
+    def evaluate(t: float) -> float:
+        value = eval(code, constants, {"t": t} | {name: f(t) for name, f in inner.items()})
+        if isinstance(value, complex):
+            raise ValueError(f"'{text}' is complex at t = {t:g} s.")
+        return float(value)
+
+    return evaluate
+
+
+def _check(node: ast.AST, text: str, definitions: Mapping[str, Callable[[float], float]]) -> None:
+    """Raises ValueError unless the node may stand in a formula."""
+    if not isinstance(node, _NODES):
+        raise ValueError(f"'{text}' has {type(node).__name__}; a formula has numbers, t, arithmetic and functions.")
+    if isinstance(node, ast.Constant) and type(node.value) not in (int, float):
+        raise ValueError(f"'{text}' has {node.value!r}; a formula's constants are numbers.")
+    if isinstance(node, ast.Call) and (not isinstance(node.func, ast.Name) or node.func.id not in FUNCTIONS):
+        raise ValueError(f"'{text}' calls {ast.unparse(node.func)}; the functions are {', '.join(sorted(FUNCTIONS))}.")
+    if isinstance(node, ast.Name):
+        known = {"t", *FUNCTIONS, *CONSTANTS, *definitions}
+        if node.id not in known:
+            close = get_close_matches(node.id, known, n=1)
+            raise ValueError(f"'{text}' has '{node.id}'" + (f"; did you mean '{close[0]}'?" if close else "."))

@@ -1,0 +1,92 @@
+"""The master: which FMU steps when, and which output goes to which input. Knows nothing of tuning.
+
+At each communication point the groups step one after another, the FMUs of a group at the same time. An input takes
+the newest value of its source: of this point where the source's group has stepped already, else of the step before.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from .errors import WiringError
+
+Value = float | int | bool | str
+
+
+class Steppable(Protocol):
+    """What the master needs of a slave; `cosim.slave.Slave` has it."""
+
+    def bind(self, inputs: Sequence[str], tunables: Sequence[str], outputs: Sequence[str]) -> None: ...
+    def initialize(self, start: Mapping[str, Value], start_time: float, stop_time: float | None) -> None: ...
+    def get(self) -> Sequence[float]: ...
+    def begin_step(self, inputs: Sequence[float], t: float, h: float, tunables: Sequence[float] | None) -> None: ...
+    def end_step(self) -> Sequence[float]: ...
+
+
+@dataclass(frozen=True)
+class Wiring:
+    """How one FMU takes part."""
+
+    sources: Mapping[str, str]
+    """Input = `component.output`."""
+    tunables: tuple[str, ...]
+    """Tunable parameters that are written while it runs."""
+    outputs: tuple[str, ...]
+    """Variables read at every communication point."""
+    start: Mapping[str, Value]
+    """Start values."""
+
+
+class Master:
+    """Steps the FMUs. `values` holds the newest value of every output, in the order of `names`."""
+
+    def __init__(
+        self, slaves: Mapping[str, Steppable], wiring: Mapping[str, Wiring], groups: Sequence[Sequence[str]]
+    ) -> None:
+        self._slaves, self._wiring, self._groups = slaves, wiring, groups
+        self.names = tuple(f"{name}.{output}" for name, w in wiring.items() for output in w.outputs)
+        self.values = [0.0] * len(self.names)
+        self.inputs: dict[str, list[float]] = {}
+        """What each FMU's connected inputs were set to in its last step, in the order of its sources."""
+        place = {name: i for i, name in enumerate(self.names)}
+        for name, w in wiring.items():
+            unknown = next((source for source in w.sources.values() if source not in place), None)
+            if unknown:
+                raise WiringError(f"{name}: no output '{unknown}' to take an input from.")
+        self._sources = {name: [place[source] for source in w.sources.values()] for name, w in wiring.items()}
+        self._first = {name: place[f"{name}.{w.outputs[0]}"] if w.outputs else 0 for name, w in wiring.items()}
+
+    def initialize(self, start_time: float, stop_time: float) -> None:
+        """Bind and initialise every FMU, and read its outputs at start_time [s]. Raises WiringError, SlaveError."""
+        for name, slave in self._slaves.items():
+            w = self._wiring[name]
+            slave.bind(tuple(w.sources), w.tunables, w.outputs)
+        for name, slave in self._slaves.items():
+            slave.initialize(self._wiring[name].start, start_time, stop_time)
+        for name, slave in self._slaves.items():
+            self._take(name, slave.get())
+
+    def begin(self, t: float, h: float, tunables: Mapping[str, Sequence[float]]) -> None:
+        """Step every group but the last from t [s] by h [s]; then `values` all belong to t.
+
+        tunables: values for those FMUs whose parameters change now, in the order of their wiring. Raises SlaveError.
+        """
+        for group in self._groups[:-1]:
+            self._step(group, t, h, tunables)
+
+    def finish(self, t: float, h: float, tunables: Mapping[str, Sequence[float]]) -> None:
+        """Step the last group; then its `values` belong to t + h. Raises SlaveError."""
+        self._step(self._groups[-1], t, h, tunables)
+
+    def _step(self, group: Sequence[str], t: float, h: float, tunables: Mapping[str, Sequence[float]]) -> None:
+        values = self.values
+        for name in group:
+            inputs = [values[i] for i in self._sources[name]]
+            self.inputs[name] = inputs
+            self._slaves[name].begin_step(inputs, t, h, tunables.get(name))
+        for name in group:
+            self._take(name, self._slaves[name].end_step())
+
+    def _take(self, name: str, outputs: Sequence[float]) -> None:
+        first = self._first[name]
+        self.values[first : first + len(outputs)] = outputs

@@ -1,0 +1,162 @@
+"""Algorithm 1 of the paper: watch the tracking error, estimate, write back. Knows no FMU.
+
+Khan and Chatterjee (2020), section III-C and algorithm 1.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from time import perf_counter
+from typing import Any, Literal, Protocol, cast
+
+import numpy as np
+
+from estimator import Estimate, Estimator, Rescoring, ResidualWindow, Sample, Vector, chi2_quantile
+
+
+class Trigger(Protocol):
+    """Decides whether an idle loop begins an episode."""
+
+    def __call__(self, sample: Sample, tracking_error: float, theta: Vector) -> str | None:
+        """The reason to begin, or None. tracking_error: norm over the tracked outputs; theta: what is in force."""
+        ...
+
+
+@dataclass(frozen=True)
+class TrackingTrigger:
+    """The paper's: the tracking error reaches a threshold."""
+
+    threshold: float
+    """tau_e, in the norm of the tracked outputs' unit."""
+
+    def __call__(self, sample: Sample, tracking_error: float, theta: Vector) -> str | None:
+        """A reason where tracking_error >= threshold."""
+        if tracking_error < self.threshold:
+            return None
+        return f"tracking error {tracking_error:.4g} reached {self.threshold:g}"
+
+
+@dataclass(frozen=True)
+class InnovationTrigger:
+    """The newest sample contradicts the parameters in force: sees a jump within one sample.
+
+    The normalised innovation squared |r|^2 of the whitened residual exceeds its chi-square quantile.
+    Bar-Shalom, Li, Kirubarajan (2001), section 5.4.
+    """
+
+    residual: Callable[[Vector, Sample], Vector]
+    """Whitened residual (c,) of one sample."""
+    false_alarm: float
+    """Probability of firing on one sample where nothing has changed."""
+
+    def __call__(self, sample: Sample, tracking_error: float, theta: Vector) -> str | None:
+        """A reason where |r|^2 exceeds the quantile."""
+        r = self.residual(theta, sample)
+        squared, limit = float(r @ r), chi2_quantile(1.0 - self.false_alarm, len(r))
+        if squared <= limit:
+            return None
+        return f"normalised innovation squared {squared:.4g} exceeds {limit:.4g}"
+
+
+@dataclass(frozen=True)
+class Event:
+    """One thing that happened, for the record."""
+
+    t: float
+    """Communication point [s]."""
+    kind: Literal["trigger", "candidate", "write", "end"]
+    """What it was."""
+    detail: dict[str, Any] = field(default_factory=dict[str, Any])
+    """JSON values."""
+
+
+@dataclass(frozen=True)
+class Reconfiguration:
+    """What one communication point led to."""
+
+    write: Vector | None = None
+    """theta (d,) for the controller, or None to leave it."""
+    estimate: Estimate | None = None
+    """The belief behind it."""
+    events: tuple[Event, ...] = ()
+    """In order."""
+    latencies: tuple[float, ...] = ()
+    """Wall time of each evaluation [s]: ask, score, tell, any refit; the first carries the re-scoring."""
+
+
+@dataclass(frozen=True)
+class Budget:
+    """How much is evaluated, and what of it reaches the controller. Counts, never the clock."""
+
+    evaluations: int = 30
+    """N, evaluations an episode."""
+    evaluations_per_step: int = 1
+    """Evaluations a macro step."""
+    commit: Literal["incumbent", "candidate"] = "incumbent"
+    """Whether the best so far or each candidate is written."""
+
+
+class Retuner:
+    """The loop: idle until triggered, then an episode of evaluations, writing as it goes. Holds the run's belief."""
+
+    def __init__(
+        self, estimator: Estimator, window: ResidualWindow, trigger: Trigger, budget: Budget, start: Vector
+    ) -> None:
+        self._estimator, self._window, self._trigger, self._budget = estimator, window, trigger, budget
+        self._theta = start
+        self._remaining = 0
+        self.n_evaluations = 0
+        self.n_episodes = 0
+
+    def step(self, t: float, sample: Sample | None, tracking_error: float) -> Reconfiguration:
+        """Take one communication point's sample, where there is one; returns what to write, and why."""
+        if sample is None:
+            return Reconfiguration()
+        self._window.append(sample)
+        events: list[Event] = []
+        if not self._remaining:
+            reason = self._trigger(sample, tracking_error, self._theta)
+            if reason is None:
+                return Reconfiguration()
+            self._begin()
+            events.append(Event(t, "trigger", {"reason": reason, "episode": self.n_episodes}))
+        latencies: list[float] = []
+        candidate = self._theta
+        for candidate, cost, seconds in self._evaluate():
+            latencies.append(seconds)
+            events.append(Event(t, "candidate", {"theta": candidate.tolist(), "cost": cost}))
+        estimate = self._estimator.estimate()
+        if isinstance(self._estimator, Rescoring):
+            self._window.explain(estimate.theta)
+        if self._remaining == 0:
+            events.append(Event(t, "end", {"episode": self.n_episodes, "cost": estimate.cost}))
+        is_candidate = self._budget.commit == "candidate" and self._remaining > 0
+        theta = candidate if is_candidate else estimate.theta
+        write = None if np.array_equal(theta, self._theta) else theta
+        if write is not None:
+            why = "candidate" if is_candidate else estimate.reason
+            events.append(Event(t, "write", {"theta": theta.tolist(), "std": estimate.std.tolist(), "reason": why}))
+        self._theta = theta
+        return Reconfiguration(write, estimate, tuple(events), tuple(latencies))
+
+    def _begin(self) -> None:
+        self.n_episodes += 1
+        self._remaining = self._budget.evaluations
+        self._estimator.restart(self._theta)
+        self._window.explain(self._theta, patient=False)
+
+    def _evaluate(self) -> Iterator[tuple[Vector, float, float]]:
+        """Evaluate this step's candidates: (theta, |residual|^2, wall time [s]) of each."""
+        begun = perf_counter()
+        if isinstance(self._estimator, Rescoring):
+            rescoring = cast(Rescoring, self._estimator)
+            if len(rescoring.candidates):
+                rescoring.rescore(self._window.residuals(rescoring.candidates))
+        for _ in range(min(self._budget.evaluations_per_step, self._remaining)):
+            theta = self._estimator.ask()
+            residual = self._window.residual(theta)
+            self._estimator.tell(theta, residual)
+            self._remaining -= 1
+            self.n_evaluations += 1
+            now = perf_counter()
+            yield theta, float(residual @ residual), now - begun
+            begun = now

@@ -1,0 +1,102 @@
+"""From a scenario's names to wired FMUs: which variables are set and read, and in which groups the FMUs step."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from .errors import WiringError
+from .library import find_fmu
+from .master import Wiring
+from .names import did_you_mean
+from .scenario import Scenario
+from .slave import Slave
+
+
+@dataclass(frozen=True)
+class Plant:
+    """The component whose derivatives are sampled, as the estimator's model sees it."""
+
+    name: str
+    """Instance name."""
+    states: tuple[str, ...]
+    """Its states, in the order of the model description: the model's x."""
+    channels: tuple[int, ...]
+    """Places in x of the states whose derivatives are sampled."""
+
+
+def fmu_paths(scenario: Scenario) -> dict[str, Path]:
+    """File of each component's FMU, built where need be. Raises ScenarioError."""
+    return {name: find_fmu(c.fmu, scenario.folder) for name, c in scenario.components.items()}
+
+
+def wire(scenario: Scenario, slaves: Mapping[str, Slave]) -> tuple[dict[str, Wiring], list[list[str]]]:
+    """Each component's part in the co-simulation, and the groups in which they step.
+
+    Sequential coupling: first those whose parameters are re-tuned, the controllers, then all others.
+    """
+    sources: dict[str, dict[str, str]] = {name: {} for name in slaves}
+    for target, source in scenario.connections.items():
+        component, _, variable = target.partition(".")
+        sources[component][variable] = source
+    tunables: dict[str, list[str]] = {name: [] for name in slaves}
+    for reference in [*scenario.changes, *(p.writes for p in scenario.estimation.parameters)]:
+        component, _, variable = reference.partition(".")
+        tunables[component].append(variable)
+    outputs = {name: _outputs(slave) for name, slave in slaves.items()}
+    read = [*scenario.connections.values(), *scenario.tracking, *scenario.tracking.values()]
+    for reference in [*read, *scenario.sampling.derivatives, *scenario.sampling.states]:
+        component, _, variable = reference.partition(".")
+        if variable not in outputs[component]:
+            known = outputs[component]
+            raise WiringError(f"'{reference}' is no output of {component}{did_you_mean(variable, known)}.")
+    wiring = {
+        name: Wiring(sources[name], tuple(tunables[name]), outputs[name], scenario.components[name].start)
+        for name in slaves
+    }
+    return wiring, _groups(scenario, list(slaves))
+
+
+def plant_of(scenario: Scenario, slave: Slave) -> Plant:
+    """The plant's states and sampled channels. Raises WiringError where a derivative has no state."""
+    variables = slave.description.modelVariables
+    state_of = {v.name: v.derivative.name for v in variables if v.derivative is not None}
+    states = tuple(v.name for v in variables if v.name in set(state_of.values()))
+    channels: list[int] = []
+    for reference in scenario.sampling.derivatives:
+        name = reference.partition(".")[2]
+        if name not in state_of:
+            raise WiringError(f"'{reference}' is not declared as a state's derivative{did_you_mean(name, state_of)}.")
+        channels.append(states.index(state_of[name]))
+    return Plant(slave.name, states, tuple(channels))
+
+
+def start_value(scenario: Scenario, slaves: Mapping[str, Slave], reference: str) -> float:
+    """Value that a variable has before the first step: the scenario's, else the FMU's. Raises WiringError."""
+    component, _, variable = reference.partition(".")
+    start: Any = scenario.components[component].start.get(variable)
+    if start is None:
+        found = {v.name: v.start for v in slaves[component].description.modelVariables}
+        if variable not in found:
+            raise WiringError(f"no variable '{variable}' in {component}{did_you_mean(variable, found)}.")
+        start = found[variable]
+    if start is None:
+        raise WiringError(f"'{reference}' has no start value; give it one under components.{component}.start.")
+    return float(start)
+
+
+def input_defaults(slave: Slave) -> dict[str, float]:
+    """Start value of each of an FMU's inputs, in the order of the model description; 0 where it gives none."""
+    variables = slave.description.modelVariables
+    return {v.name: float(v.start or 0.0) for v in variables if v.causality == "input"}
+
+
+def _outputs(slave: Slave) -> tuple[str, ...]:
+    return tuple(v.name for v in slave.description.modelVariables if v.causality == "output" and v.type != "String")
+
+
+def _groups(scenario: Scenario, names: Sequence[str]) -> list[list[str]]:
+    controllers = {p.writes.partition(".")[0] for p in scenario.estimation.parameters}
+    if scenario.scenario.coupling == "parallel" or len(controllers) == len(names):
+        return [list(names)]
+    return [[n for n in names if n in controllers], [n for n in names if n not in controllers]]

@@ -1,0 +1,201 @@
+"""A variable table, and the FMI 2.0 model description made from it. Standard library only."""
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+from xml.etree.ElementTree import Element, SubElement
+
+Causality = Literal["parameter", "input", "output"]
+Variability = Literal["fixed", "tunable", "discrete", "continuous"]
+Initial = Literal["exact", "calculated"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variable:
+    """One row of a variable table: an FMI scalar variable, Boolean where its start is one, otherwise Real."""
+
+    name: str
+    """FMI name, structured naming convention."""
+    unit: str | None
+    """Unit such as "kg.m2" or "rad/s", "1" if dimensionless; None for a Boolean."""
+    description: str
+    """One line for the user."""
+    causality: Causality
+    """What it is for its surroundings."""
+    variability: Variability
+    """When it may change."""
+    initial: Initial | None = None
+    """How its initial value comes about; None for inputs, where FMI allows no such attribute."""
+    start: float | bool | None = None
+    """Start value [unit]; None exactly where `initial` is "calculated"."""
+    min: float | None = None
+    """Smallest allowed value [unit]."""
+    max: float | None = None
+    """Largest allowed value [unit]."""
+    nominal: float | None = None
+    """Typical size [unit]."""
+    derivative: str | None = None
+    """Name of the state whose time derivative this is."""
+    dependencies: tuple[str, ...] = ()
+    """Names of the parameters, inputs and states that a calculated value, or a state's derivative, depends on."""
+
+    def __post_init__(self) -> None:
+        lower = float("-inf") if self.min is None else self.min
+        upper = float("inf") if self.max is None else self.max
+        if (self.start is None) != (self.initial == "calculated"):
+            raise ValueError(f"Variable {self.name!r} must have a start or be calculated, got start={self.start}.")
+        if not lower <= (lower if self.start is None else self.start) <= upper:
+            raise ValueError(
+                f"Variable {self.name!r} must have min <= start <= max, got {lower}, {self.start}, {upper}."
+            )
+        if self.unit is not None:
+            base_unit(self.unit)
+
+    @property
+    def type(self) -> Literal["Real", "Boolean"]:
+        """FMI type."""
+        return "Boolean" if isinstance(self.start, bool) else "Real"
+
+
+def parameter(
+    name: str, unit: str | None, start: float | bool, description: str, *,
+    variability: Literal["fixed", "tunable"] = "tunable",
+    min: float | None = None, max: float | None = None, nominal: float | None = None,
+) -> Variable:  # fmt: skip
+    """A parameter; tunable unless told otherwise."""
+    return Variable(
+        name=name, unit=unit, description=description, causality="parameter", variability=variability,
+        initial="exact", start=start, min=min, max=max, nominal=nominal,
+    )  # fmt: skip
+
+
+def input_variable(name: str, unit: str, start: float, description: str, *, nominal: float | None = None) -> Variable:
+    """A continuous input."""
+    return Variable(
+        name=name, unit=unit, description=description, causality="input", variability="continuous",
+        start=start, nominal=nominal,
+    )  # fmt: skip
+
+
+def state(
+    name: str, unit: str, start: float, description: str, *, depends: Iterable[str], nominal: float | None = None
+) -> Variable:
+    """A continuous state, an output with a start; `depends` names what its time *derivative* depends on."""
+    return Variable(
+        name=name, unit=unit, description=description, causality="output", variability="continuous",
+        initial="exact", start=start, nominal=nominal, dependencies=tuple(depends),
+    )  # fmt: skip
+
+
+def output(
+    name: str, unit: str, description: str, *, depends: Iterable[str], nominal: float | None = None,
+    derivative: str | None = None, variability: Literal["discrete", "continuous"] = "continuous",
+) -> Variable:  # fmt: skip
+    """A calculated output, and the names of what it depends on."""
+    return Variable(
+        name=name, unit=unit, description=description, causality="output", variability=variability,
+        initial="calculated", nominal=nominal, derivative=derivative, dependencies=tuple(depends),
+    )  # fmt: skip
+
+
+_BASE_UNITS: Mapping[str, Mapping[str, int]] = {
+    "1": {}, "kg": {"kg": 1}, "m": {"m": 1}, "s": {"s": 1}, "rad": {"rad": 1}, "N": {"kg": 1, "m": 1, "s": -2},
+}  # fmt: skip
+
+
+def base_unit(unit: str) -> dict[str, int]:
+    """Exponents of the SI base units in an FMI unit string: "N.m/rad" -> kg 1, m 2, s -2, rad -1.
+
+    Factors are joined with dots; everything after the only slash divides. Raises ValueError for other text.
+    """
+    exponents: Counter[str] = Counter()
+    numerator, slash, denominator = unit.partition("/")
+    for sign, factors in ((1, numerator), (-1, denominator if slash else "1")):
+        for factor in factors.split("."):
+            match = re.fullmatch(r"(1|[A-Za-z]+)(\d*)", factor)
+            if match is None or match[1] not in _BASE_UNITS:
+                raise ValueError(f"unit {unit!r} must be made of {', '.join(_BASE_UNITS)}, got {factor!r}.")
+            for base, exponent in _BASE_UNITS[match[1]].items():
+                exponents[base] += sign * exponent * int(match[2] or 1)
+    return {base: exponents[base] for base in ("kg", "m", "s", "rad") if exponents[base]}
+
+
+def per_second(unit: str) -> str:
+    """The unit of a time derivative: "m" -> "m/s" -> "m/s2"."""
+    stem, slash, power = unit.partition("/s")
+    return f"{stem}/s{int(power or 1) + 1}" if slash else f"{unit}/s"
+
+
+def model_description(
+    attributes: Mapping[str, str],
+    capabilities: Mapping[str, str],
+    log_categories: Mapping[str, str],
+    default_experiment: Mapping[str, str],
+    variables: Sequence[Variable],
+    has_feedthrough: bool,
+) -> Element:
+    """The `fmiModelDescription` of a co-simulation FMU whose value references are the positions in `variables`.
+
+    `has_feedthrough`: an output depends directly on the inputs among its dependencies. Otherwise the model holds
+    its inputs over a step, and `dependencies` speak of the initial values only. FMI 2.0.4, sections 2.2 and 4.3.
+    """
+    root = Element("fmiModelDescription", {"fmiVersion": "2.0", **attributes})
+    SubElement(root, "CoSimulation", capabilities)
+    units = SubElement(root, "UnitDefinitions")
+    for unit in sorted({v.unit for v in variables if v.unit is not None}):
+        exponents = {base: str(exponent) for base, exponent in base_unit(unit).items()}
+        SubElement(SubElement(units, "Unit", name=unit), "BaseUnit", exponents)
+    categories = SubElement(root, "LogCategories")
+    for name, text in log_categories.items():
+        SubElement(categories, "Category", name=name, description=text)
+    SubElement(root, "DefaultExperiment", default_experiment)
+    index = {v.name: i for i, v in enumerate(variables, 1)}
+    table = SubElement(root, "ModelVariables")
+    for v in variables:
+        table.append(_scalar_variable(v, index))
+    root.append(_model_structure(variables, index, has_feedthrough))
+    return root
+
+
+def _scalar_variable(v: Variable, index: Mapping[str, int]) -> Element:
+    attributes = {"name": v.name, "valueReference": str(index[v.name] - 1), "description": v.description}
+    attributes |= {"causality": v.causality, "variability": v.variability}
+    if v.initial is not None:
+        attributes["initial"] = v.initial
+    element = Element("ScalarVariable", attributes)
+    if v.type == "Boolean":
+        SubElement(element, "Boolean", start=str(v.start).lower())
+        return element
+    real = {"unit": str(v.unit)}
+    for name in ("min", "max", "nominal", "start"):
+        if (value := getattr(v, name)) is not None:
+            real[name] = repr(float(value))
+    if v.derivative is not None:
+        real["derivative"] = str(index[v.derivative])
+    SubElement(element, "Real", real)
+    return element
+
+
+def _model_structure(variables: Sequence[Variable], index: Mapping[str, int], has_feedthrough: bool) -> Element:
+    by_name = {v.name: v for v in variables}
+    structure = Element("ModelStructure")
+
+    def unknowns(section: str, members: list[Variable], known: set[str]) -> None:
+        if not members:
+            return
+        parent = SubElement(structure, section)
+        for v in members:
+            names = v.dependencies if v.initial == "calculated" else ()
+            depends = sorted(index[name] for name in names if name in known)
+            kinds = " ".join(["dependent"] * len(depends))
+            dependencies = {"dependencies": " ".join(map(str, depends)), "dependenciesKind": kinds}
+            SubElement(parent, "Unknown", {"index": str(index[v.name]), **dependencies})
+
+    inputs = {v.name for v in variables if v.causality == "input"}
+    states = {v.derivative for v in variables if v.derivative is not None}
+    unknowns("Outputs", [v for v in variables if v.causality == "output"], inputs if has_feedthrough else set())
+    unknowns("Derivatives", [v for v in variables if v.derivative is not None], states)
+    unknowns("InitialUnknowns", [v for v in variables if v.initial == "calculated"], set(by_name))
+    return structure

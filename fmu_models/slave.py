@@ -1,0 +1,245 @@
+"""From a variable table to an FMI 2.0 co-simulation slave; `blocks` has the kinds of model that build on it.
+
+Life cycle:
+1. set parameters, inputs and states; `setup_experiment`, `exit_initialization_mode`;
+2. at each communication point: set inputs and tunable parameters, `do_step`, get outputs.
+A set marks the outputs stale, and the next get computes them all once.
+"""
+
+import json
+import sys
+import traceback
+from collections.abc import Callable
+from ctypes import py_object, pythonapi
+from functools import wraps
+from math import isfinite
+from typing import Any, ClassVar, TypeVar
+from uuid import NAMESPACE_DNS, uuid5
+from xml.etree.ElementTree import Element
+
+from pythonfmu import DefaultExperiment, Fmi2Slave
+from pythonfmu import __version__ as pythonfmu_version
+from pythonfmu.enums import Fmi2Status
+
+from .description import Variable, model_description
+
+NAMESPACE = uuid5(NAMESPACE_DNS, "fmu-retune")
+_Method = TypeVar("_Method", bound=Callable[..., Any])
+
+
+def _logged(method: _Method) -> _Method:
+    """The method, with the traceback of whatever it raises sent to the FMI logger."""
+
+    @wraps(method)
+    def call(self: "Slave", *arguments: Any) -> Any:
+        try:
+            return method(self, *arguments)
+        except BaseException as error:
+            self._report(error)
+            raise
+
+    return call  # type: ignore[return-value]
+
+
+def _retain(*objects: object) -> None:
+    """Take one reference to each object and never give it back: pythonfmu's loader drops some that it has not got."""
+    for obj in objects:
+        pythonapi.Py_IncRef(py_object(obj))
+
+
+class Slave(Fmi2Slave):
+    """Variables live in a flat list whose index is the value reference: parameters, inputs, then outputs."""
+
+    table: ClassVar[tuple[Variable, ...]] = ()
+    """What the model declares, in any order within parameters, inputs and outputs."""
+    default_experiment: ClassVar[DefaultExperiment] = DefaultExperiment(0.0, 10.0, 0.01)
+    """Start, stop and step [s]."""
+    has_feedthrough: ClassVar[bool] = True
+    """An output depends directly on inputs."""
+    variables: ClassVar[tuple[Variable, ...]] = ()
+    """The complete table; a position is a value reference."""
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        if cls.__module__ in sys.modules:
+            # At every load the loader runs the script once more, then drops a reference to its namespace.
+            _retain(vars(sys.modules[cls.__module__]))
+        cls.variables = cls._complete(cls.table)
+        n_parameters, n_inputs = (sum(v.causality == c for v in cls.variables) for c in ("parameter", "input"))
+        n_exact = sum(v.initial != "calculated" for v in cls.variables)
+        cls._parameters, cls._inputs = slice(0, n_parameters), slice(n_parameters, n_parameters + n_inputs)
+        cls._states, cls._outputs = slice(n_parameters + n_inputs, n_exact), slice(n_exact, None)
+        cls._given = slice(0, n_exact)  # what is set from outside: parameters, inputs, states
+        is_later = [v.causality == "input" or v.variability == "tunable" for v in cls.variables]
+        cls._booleans = frozenset(i for i, v in enumerate(cls.variables) if v.type == "Boolean")
+        cls._settable = {False: frozenset(range(n_exact)), True: frozenset(i for i, b in enumerate(is_later) if b)}
+
+    @classmethod
+    def _complete(cls, table: tuple[Variable, ...]) -> tuple[Variable, ...]:
+        order = ("parameter", "input", "output")
+        return tuple(sorted(table, key=lambda v: order.index(v.causality)))
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(**kwargs)
+        self.guid = uuid5(NAMESPACE, self.modelName)
+        self.description = (type(self).__doc__ or "").splitlines()[0]
+        self._values: list[float] = [0.0 if v.start is None else v.start for v in self.variables]
+        self._time = 0.0
+        self._is_stale = self._is_unchecked = True
+        self._enter(is_initialized=False)
+        self._is_hosted = "logger" in kwargs
+
+    # -- what a kind of model defines -------------------------------------------------------------------------
+
+    def _refresh(self) -> None:
+        """Compute every calculated output from parameters, inputs and states."""
+        raise NotImplementedError
+
+    def _advance(self, step_size: float) -> None:
+        """Move from one communication point to the next; `_time` is the new one."""
+
+    # -- FMI calls --------------------------------------------------------------------------------------------
+
+    @_logged
+    def setup_experiment(
+        self, start_time: float, stop_time: float | None = None, tolerance: float | None = None
+    ) -> None:
+        """Start at `start_time` [s]."""
+        self._time, self._is_stale = start_time, True
+
+    @_logged
+    def exit_initialization_mode(self) -> None:
+        """Freeze what only initialisation may set, and compute the initial outputs."""
+        self._update()
+        self._enter(is_initialized=True)
+
+    @_logged
+    def do_step(self, current_time: float, step_size: float) -> bool:
+        """Hold the inputs and go on to `current_time + step_size` [s]."""
+        if not step_size > 0.0:
+            raise ValueError(f"{self.modelName}: step_size must be positive, got {step_size} s.")
+        if self._is_unchecked:
+            self._check()
+        self._time = current_time + step_size
+        self._advance(step_size)
+        return True
+
+    @_logged
+    def get_real(self, vrs: list[int]) -> list[float]:
+        """Values of these variables."""
+        if self._booleans and not self._booleans.isdisjoint(vrs):
+            raise ValueError(f"{self.modelName}: a Boolean must not be read as Real.")
+        if self._is_stale:
+            self._update()
+        values = self._values
+        return [values[vr] for vr in vrs]
+
+    @_logged
+    def set_real(self, vrs: list[int], values: list[float]) -> None:
+        """Set inputs, tunable parameters and, before the end of initialisation, everything with a start."""
+        if not self._settable_reals.issuperset(vrs):
+            self._refuse(vrs, self._settable_reals, "Real")
+        own = self._values
+        for vr, value in zip(vrs, values):
+            own[vr] = value
+        self._is_stale = self._is_unchecked = True
+
+    @_logged
+    def get_boolean(self, vrs: list[int]) -> list[bool]:
+        """Values of these Boolean parameters."""
+        if not self._booleans.issuperset(vrs):
+            raise ValueError(f"{self.modelName}: a Real must not be read as Boolean.")
+        return [bool(self._values[vr]) for vr in vrs]
+
+    @_logged
+    def set_boolean(self, vrs: list[int], values: list[bool]) -> None:
+        """Set these Boolean parameters."""
+        settable = self._settable[self._is_initialized] & self._booleans
+        if not settable.issuperset(vrs):
+            self._refuse(vrs, settable, "Boolean")
+        for vr, value in zip(vrs, values):
+            self._values[vr] = bool(value)
+        self._is_stale = True
+
+    @_logged
+    def _get_fmu_state(self) -> bytes:
+        """Everything that the future depends on, as JSON: numbers survive it bit for bit."""
+        state = {"model": self.modelName, "time": self._time, "is_initialized": self._is_initialized}
+        return json.dumps(state | {"values": self._values}).encode()
+
+    @_logged
+    def _set_fmu_state(self, state: bytes) -> None:
+        saved = json.loads(state)
+        if saved["model"] != self.modelName or len(saved["values"]) != len(self._values):
+            raise ValueError(f"{self.modelName}: the FMU state must be one of its own, got one of {saved['model']}.")
+        self._values, self._time = saved["values"], saved["time"]
+        self._enter(saved["is_initialized"])
+        self._is_stale = self._is_unchecked = True
+
+    # An FMU state is its own serialisation, so the loader's two class-level calls cannot fail.
+    @staticmethod
+    def _fmu_state_to_bytes(state: bytes) -> bytes:
+        return state
+
+    @staticmethod
+    def _fmu_state_from_bytes(state: bytes) -> bytes:
+        return state
+
+    def to_xml(self, model_options: dict[str, str] | None = None) -> Element:
+        """The model description; the same table gives the same element."""
+        times = type(self).default_experiment  # pythonfmu sets an empty one on the instance
+        capabilities = {
+            "modelIdentifier": self.modelName, "needsExecutionTool": "false",
+            "canHandleVariableCommunicationStepSize": "true", "canBeInstantiatedOnlyOncePerProcess": "false",
+            "canNotUseMemoryManagementFunctions": "true",
+            "canGetAndSetFMUstate": "true", "canSerializeFMUstate": "true",
+        }  # fmt: skip
+        return model_description(
+            {
+                "modelName": self.modelName, "guid": str(self.guid), "description": self.description,
+                "author": "The fmu-retune authors", "license": "MIT",
+                "generationTool": f"PythonFMU {pythonfmu_version}", "variableNamingConvention": "structured",
+            },
+            capabilities | (model_options or {}),
+            self.log_categories,
+            {"startTime": repr(times.start_time), "stopTime": repr(times.stop_time), "stepSize": repr(times.step_size)},
+            self.variables,
+            self.has_feedthrough,
+        )  # fmt: skip
+
+    def log(self, msg: str, status: Fmi2Status = Fmi2Status.ok, category: str | None = None, debug: Any = None) -> None:
+        """Send a message to the FMI logger, where it is a printf format: a per cent sign is doubled."""
+        super().log(msg.replace("%", "%%"), status, category, debug)
+
+    # -- inside -----------------------------------------------------------------------------------------------
+
+    def _enter(self, is_initialized: bool) -> None:
+        self._is_initialized = is_initialized
+        self._settable_reals = self._settable[is_initialized] - self._booleans
+
+    def _update(self) -> None:
+        if self._is_unchecked:
+            self._check()
+        self._refresh()
+        self._is_stale = False
+
+    def _check(self) -> None:
+        if not isfinite(sum(self._values[self._given])):
+            for v, value in zip(self.variables, self._values[self._given]):
+                if not isfinite(value):
+                    raise ValueError(f"{self.modelName}: {v.name} must be finite, got {value}.")
+        self._is_unchecked = False
+
+    def _refuse(self, vrs: list[int], settable: frozenset[int], kind: str) -> None:
+        for vr in vrs:
+            if vr not in settable:
+                name = self.variables[vr].name if 0 <= vr < len(self.variables) else f"value reference {vr}"
+                when = "after" if self._is_initialized else "before the end of"
+                raise ValueError(f"{self.modelName}: {name} must not be set as {kind} {when} initialisation.")
+
+    def _report(self, error: BaseException) -> None:
+        self.log("".join(traceback.format_exception(error)), Fmi2Status.error)
+        if self._is_hosted:
+            # The loader drops its references at every exception, and again at the end. It also logs repr(error).
+            _retain(self, type(self), self.log_queue)
+            error.args = tuple(a.replace("%", "%%") if isinstance(a, str) else a for a in error.args)

@@ -1,0 +1,233 @@
+"""A running FMU may do what it likes: the answer is one line that names instance, call and time, and nothing stays."""
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+from cosim.errors import SlaveError
+from cosim.slave import Slave, open_slave
+
+pytestmark = [
+    pytest.mark.fmu,
+    pytest.mark.skipif(sys.platform != "linux", reason="looks for what is left in /proc"),
+]
+ROOT = Path(__file__).parents[2]
+H = 0.01  # s
+
+
+def run(slave: Slave, how: str, where: str, n_steps: int = 4) -> list[tuple[float, ...]]:
+    slave.bind(inputs=["u"], outputs=["y"])
+    slave.initialize({"how": how, "where": where})
+    return [slave.step([float(k)], t=k * H, h=H) for k in range(n_steps)]
+
+
+def fault_of(slave: Slave, how: str, where: str) -> SlaveError:
+    with slave, pytest.raises(SlaveError) as caught:
+        run(slave, how, where)
+    with pytest.raises(RuntimeError, match="must not be called after"):
+        slave.get()
+    return caught.value
+
+
+FAULTS = [
+    ("raise", "do_step", 0.02, r"plant: do_step at t = 0.020 s returned fatal: ValueError\('boom\\nsecond line'\)"),
+    ("raise", "get", 0.03, r"plant: get_real at t = 0.030 s returned fatal: ValueError\('boom\\nsecond line'\)"),
+    ("raise", "set", 0.03, r"plant: set_real at t = 0.030 s returned fatal: ValueError\('boom\\nsecond line'\)"),
+    ("raise", "enter_init", 0.0, r"plant: enter_initialization_mode at t = 0.000 s returned fatal: ValueError.*"),
+    ("raise", "exit_init", 0.0, r"plant: exit_initialization_mode at t = 0.000 s returned fatal: ValueError.*"),
+    ("return False", "do_step", 0.02, r"plant: do_step at t = 0.020 s returned discard"),
+    ("nan", "", 0.03, r"plant: get at t = 0.030 s: output 'y' is nan"),
+    ("loop", "do_step", 0.02, r"plant: do_step at t = 0.020 s did not return within 1 s"),
+    ("sleep in C", "do_step", 0.02, r"plant: do_step at t = 0.020 s did not return within 1 s"),
+    ("loop", "exit_init", 0.0, r"plant: initialize at t = 0.000 s did not return within 1 s"),
+    ("exit 0", "do_step", 0.02, r"plant: the FMU's process ended with exit code 0 in do_step at t = 0.020 s"),
+    ("exit 3", "exit_init", 0.0, r"plant: the FMU's process ended with exit code 3 in initialize at t = 0.000 s"),
+    ("segfault", "do_step", 0.02, r"plant: the FMU's process was ended by SIGSEGV in do_step at t = 0.020 s"),
+    ("child", "do_step", 0.02, r"plant: the FMU's process ended with exit code 0 in do_step at t = 0.020 s"),
+    ("garbage", "do_step", 0.02, r"plant: do_step at t = 0.020 s: the FMU's process gave an answer of the wrong form"),
+]
+
+
+@pytest.mark.parametrize(
+    ("how", "where", "time", "message"), FAULTS, ids=[f"{how} in {where or 'get'}" for how, where, _, _ in FAULTS]
+)
+def test_a_fault_is_one_line_and_leaves_nothing(faulty, how, where, time, message):
+    fault = fault_of(open_slave(faulty, "plant", timeout=1.0 if how in ("loop", "sleep in C") else 20.0), how, where)
+    assert re.fullmatch(message, str(fault))
+    assert (fault.instance, fault.time) == ("plant", pytest.approx(time))
+
+
+@pytest.mark.parametrize(
+    ("how", "message"),
+    [
+        ("raise", r"instantiate failed: ValueError\('boom\\nsecond line'\)"),
+        ("loop", "instantiate did not return within 1 s"),
+        ("exit 0", "the FMU's process ended with exit code 0 in instantiate"),
+        ("segfault", "the FMU's process was ended by SIGSEGV in instantiate"),
+    ],
+    ids=["raise", "loop", "exit", "segfault"],
+)
+def test_an_fmu_that_fails_while_it_is_instantiated_is_told_in_the_first_call(faulty, how, message):
+    timeout = 1.0 if how == "loop" else 20.0
+    with open_slave(faulty, f"instantiate: {how}", timeout=timeout) as slave, pytest.raises(SlaveError) as caught:
+        slave.bind(outputs=["y"])
+    assert re.fullmatch(f"instantiate: {how}: {message}", str(caught.value))
+
+
+@pytest.mark.parametrize(
+    ("how", "where", "message"),
+    [
+        ("return False", "do_step", "plant: do_step at t = 0.020 s returned discard"),
+        ("nan", "", "plant: get at t = 0.030 s: output 'y' is nan"),
+    ],
+    ids=["discard", "nan"],
+)
+def test_without_a_process_of_its_own_a_status_is_told_in_the_same_words(faulty, how, where, message):
+    # The other faults would end or damage the interpreter that runs this test.
+    assert str(fault_of(open_slave(faulty, "plant", isolation="none"), how, where)) == message
+
+
+def test_the_fault_of_one_fmu_does_not_touch_the_others(faulty):
+    with open_slave(faulty, "good") as good, open_slave(faulty, "bad") as bad:
+        for slave, how in ((good, ""), (bad, "segfault")):
+            slave.bind(inputs=["u"], outputs=["y"])
+            slave.initialize({"how": how, "where": "do_step" if how else ""})
+        for k in range(2):
+            good.begin_step([k], k * H, H)
+            bad.begin_step([k], k * H, H)
+            assert (good.end_step(), bad.end_step()) == ((k,), (k,))
+        good.begin_step([7.0], 2 * H, H)
+        bad.begin_step([7.0], 2 * H, H)
+        with pytest.raises(SlaveError, match=r"^bad: .*SIGSEGV"):
+            bad.end_step()
+        assert good.end_step() == (7.0,)
+
+
+@pytest.mark.parametrize("isolation", ["process", "none"])
+def test_percent_signs_in_log_messages_are_only_text(faulty, isolation):
+    with open_slave(faulty, "plant", isolation=isolation) as slave:
+        assert run(slave, "log", "") == [(0.0,), (1.0,), (2.0,), (3.0,)]
+
+
+def test_what_an_fmu_prints_goes_to_standard_error(faulty, capfd):
+    with open_slave(faulty, "plant") as slave:
+        run(slave, "print", "do_step")
+    printed = capfd.readouterr()
+    assert printed.out == ""
+    assert "hello from inside" in printed.err
+    assert "and from below" in printed.err
+
+
+@pytest.mark.parametrize("how", ["raise", "loop", "exit 3"])
+def test_a_fault_while_terminating_is_a_warning(faulty, caplog, how):
+    slave = open_slave(faulty, "plant")
+    run(slave, how, "terminate")
+    slave.close()
+    slave.close()
+    (record,) = caplog.records
+    assert re.match("plant: .*(terminate|close) at t = 0.040 s", record.getMessage())
+
+
+def test_ctrl_c_is_for_the_program_not_for_its_fmus(faulty, processes):
+    children_of, _, _ = processes
+    before = children_of(os.getpid())
+    with open_slave(faulty, "plant") as slave:
+        run(slave, "", "")
+        (worker,) = children_of(os.getpid()) - before
+        assert os.getpgid(worker) != os.getpgid(0)  # a terminal sends the signal to a process group
+        os.kill(worker, signal.SIGINT)
+        assert slave.step([5.0], 0.04, H) == (5.0,)
+
+
+def test_an_fmu_that_is_killed_from_outside_is_seen_in_the_next_call(faulty, processes):
+    children_of, is_running, becomes_true = processes
+    before = children_of(os.getpid())
+    with open_slave(faulty, "plant") as slave:
+        run(slave, "", "")
+        (worker,) = children_of(os.getpid()) - before
+        os.kill(worker, signal.SIGKILL)
+        assert becomes_true(lambda: not is_running(worker))
+        with pytest.raises(
+            SlaveError, match=r"^plant: the FMU's process was ended by SIGKILL in do_step at t = 0.040 s$"
+        ):
+            slave.step([5.0], 0.04, H)
+
+
+def test_an_interrupted_step_is_closed_at_once(faulty):
+    slave = open_slave(faulty, "plant", timeout=3600.0)
+    run(slave, "loop", "do_step", n_steps=2)
+    slave.begin_step([1.0], 2 * H, H)  # never returns
+    slave.close()
+
+
+PROGRAM = """
+    import sys, tempfile
+    from pathlib import Path
+    tempfile.tempdir = sys.argv[2]
+    from cosim.slave import open_slave
+    slave = open_slave(Path(sys.argv[1]), "plant", timeout=3600.0)
+    slave.bind(inputs=["u"], outputs=["y"])
+    slave.initialize({"how": sys.argv[3], "where": "do_step" if sys.argv[3] else ""})
+    for k in range(2):
+        slave.step([0.0], k * 0.01, 0.01)
+    print("ready", flush=True)
+"""
+
+
+def test_the_process_imports_the_cosim_of_the_program_and_nothing_from_its_folder(faulty, temporary, tmp_path):
+    """Also when it is importable only because the program has extended sys.path."""
+    elsewhere, folder = tmp_path / "elsewhere", tmp_path / "folder"
+    shutil.copytree(ROOT / "cosim", elsewhere / "cosim", ignore=shutil.ignore_patterns("__pycache__"))
+    folder.mkdir()
+    (folder / "struct.py").write_text("raise SystemExit('a module of the working directory was imported')")
+    words = f"import sys; sys.path.insert(0, {str(elsewhere)!r})\n" + textwrap.dedent(PROGRAM)
+    program = subprocess.run(
+        [sys.executable, "-P", "-c", words + "slave.step([0.0], 0.02, 0.01)", faulty, temporary, "name"],
+        cwd=folder,
+        capture_output=True,
+        check=False,
+        text=True,
+    )
+    assert (program.returncode, program.stdout) == (0, "ready\n")
+    assert f"cosim is {elsewhere / 'cosim'}" in program.stderr
+
+
+def start_program(faulty: Path, temporary: Path, how: str, last_words: str) -> subprocess.Popen:
+    """A program that runs an FMU, up to its line 'ready'; then it executes last_words."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(PROGRAM) + last_words, faulty, temporary, how],
+        stdout=subprocess.PIPE,
+        cwd=ROOT,
+    )
+    assert process.stdout.readline() == b"ready\n"
+    return process
+
+
+@pytest.mark.parametrize("how", ["", "loop", "sleep in C"], ids=["idle", "looping", "waiting in C"])
+def test_no_fmu_outlives_a_program_that_is_killed(faulty, temporary, processes, how):
+    children_of, is_running, becomes_true = processes
+    words = "import time; slave.begin_step([0.0], 0.02, 0.01) if sys.argv[3] else None; time.sleep(3600)"
+    with start_program(faulty, temporary, how, words) as program:
+        (worker,) = children_of(program.pid)
+        program.kill()
+    assert becomes_true(lambda: not is_running(worker))
+    assert becomes_true(lambda: not list(temporary.iterdir()))
+
+
+@pytest.mark.parametrize("words", ["", "raise SystemExit(3)", "1 / 0"], ids=["end", "exit", "exception"])
+def test_a_program_that_forgets_to_close_leaves_nothing(faulty, temporary, words):
+    program = start_program(faulty, temporary, "", f"import sys; sys.stderr = open('/dev/null', 'w')\n{words}")
+    program.communicate(timeout=60)
+    assert list(temporary.iterdir()) == []
+
+
+def test_standard_output_of_a_program_is_its_own(faulty, temporary):
+    with start_program(faulty, temporary, "print", "slave.step([0.0], 0.02, 0.01); print('result')") as program:
+        assert program.stdout.read() == b"result\n"

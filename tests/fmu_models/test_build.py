@@ -1,0 +1,129 @@
+"""Sources to FMUs."""
+
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+from hashlib import sha256
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+import fmu_models
+from fmu_models import build
+
+PACKAGE = Path(fmu_models.__file__).parent
+BUILD_ALL = "import sys; from fmu_models import build; build.build_all(sys.argv[1])"
+
+
+def in_a_process(code, *arguments, root=PACKAGE.parent, **environment):
+    """Standard output of `code` in a new interpreter that finds fmu_models in `root`."""
+    variables = {**os.environ, "PYTHONPATH": str(root), **environment}
+    command = [sys.executable, "-P", "-c", code, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=True, env=variables).stdout
+
+
+def digests(directory):
+    return {path.name: sha256(path.read_bytes()).hexdigest() for path in sorted(directory.iterdir())}
+
+
+def guid_of(fmu):
+    with zipfile.ZipFile(fmu) as archive:
+        return ElementTree.fromstring(archive.read("modelDescription.xml")).get("guid")
+
+
+def copy_of_the_package(directory):
+    shutil.copytree(PACKAGE, directory / "fmu_models", ignore=shutil.ignore_patterns("__pycache__"))
+    return directory
+
+
+def test_two_processes_in_two_directories_build_the_same_bytes(tmp_path):
+    for name, seed in (("a", "1"), ("somewhere/else", "2")):
+        in_a_process(BUILD_ALL, tmp_path / name, PYTHONHASHSEED=seed, TZ="Asia/Tokyo" if seed == "2" else "UTC")
+    assert digests(tmp_path / "a") == digests(tmp_path / "somewhere" / "else")
+    assert set(digests(tmp_path / "a")) == {f"{name}.fmu" for name in build.NAMES}
+
+
+def test_the_guid_is_known_before_the_build(tmp_path):
+    paths = build.build_all(tmp_path)
+    assert list(paths) == list(build.NAMES)
+    assert {name: guid_of(path) for name, path in paths.items()} == {name: build.guid(name) for name in build.NAMES}
+    assert len({build.guid(name) for name in build.NAMES}) == len(build.NAMES)
+
+
+def test_the_guid_follows_the_sources(tmp_path):
+    root = copy_of_the_package(tmp_path)
+    code = "from fmu_models import build; print(build.guid('Pendulum'))"
+    assert in_a_process(code, root=root).strip() == build.guid("Pendulum")
+    with (root / "fmu_models" / "ode.py").open("a") as file:
+        file.write("# changed\n")
+    assert in_a_process(code, root=root).strip() != build.guid("Pendulum")
+
+
+def test_an_installed_package_is_not_written_to(tmp_path):
+    root = copy_of_the_package(tmp_path / "site")
+    before = digests(root / "fmu_models")
+    for path in (root / "fmu_models", root):
+        path.chmod(0o555)
+    in_a_process(BUILD_ALL, tmp_path / "out", root=root, PYTHONDONTWRITEBYTECODE="1")
+    assert digests(root / "fmu_models") == before
+    assert digests(tmp_path / "out") == digests_of_a_build(tmp_path / "again")
+
+
+def digests_of_a_build(directory):
+    build.build_all(directory)
+    return digests(directory)
+
+
+def test_builds_at_the_same_time_leave_whole_files_and_nothing_else(tmp_path):
+    command = [sys.executable, "-P", "-c", BUILD_ALL, str(tmp_path / "out")]
+    variables = {**os.environ, "PYTHONPATH": str(PACKAGE.parent)}
+    builders = [subprocess.Popen(command, env=variables) for _ in range(4)]
+    assert [builder.wait() for builder in builders] == [0] * 4
+    assert digests(tmp_path / "out") == digests_of_a_build(tmp_path / "alone")
+
+
+def test_a_failed_build_leaves_the_old_file_and_no_other(tmp_path, monkeypatch):
+    path = build.build("Pendulum", tmp_path)
+    before = path.read_bytes()
+    monkeypatch.setattr(build.os, "replace", lambda *_: (_ for _ in ()).throw(OSError("no space")))
+    with pytest.raises(OSError, match="no space"):
+        build.build("Pendulum", tmp_path)
+    assert [p.name for p in tmp_path.iterdir()] == ["Pendulum.fmu"]
+    assert path.read_bytes() == before
+
+
+def test_the_imports_of_the_caller_are_left_as_they_were(tmp_path):
+    path, modules = list(sys.path), set(sys.modules)
+    build.build("QuadrotorController", tmp_path)
+    assert sys.path == path
+    assert not {name for name in set(sys.modules) - modules if name.endswith("_fmu")}
+
+
+def test_a_module_that_has_a_script_s_name_is_neither_used_nor_lost(tmp_path, monkeypatch):
+    stranger = type(sys)("pendulum_fmu")
+    monkeypatch.setitem(sys.modules, "pendulum_fmu", stranger)
+    assert guid_of(build.build("Pendulum", tmp_path)) == build.guid("Pendulum")
+    assert sys.modules["pendulum_fmu"] is stranger
+
+
+def test_an_fmu_holds_the_whole_package_and_no_trace_of_its_build(tmp_path):
+    with zipfile.ZipFile(build.build("Quadrotor", tmp_path)) as archive:
+        entries = archive.infolist()
+        script = archive.read("resources/slavemodule.txt")
+    names = [entry.filename for entry in entries]
+    assert names == sorted(set(names))
+    assert {entry.date_time for entry in entries} == {(1980, 1, 1, 0, 0, 0)}
+    assert not [name for name in names if "__pycache__" in name or name.endswith(".pyc")]
+    assert {f"resources/fmu_models/{path.name}" for path in PACKAGE.glob("*.py")} <= set(names)
+    assert script == b"quadrotor_fmu"
+    assert {"binaries/linux64/Quadrotor.so", "binaries/win64/Quadrotor.dll", "resources/quadrotor_fmu.py"} <= set(names)
+
+
+@pytest.mark.parametrize("function", [build.guid, lambda name: build.build(name, "nowhere")], ids=["guid", "build"])
+def test_an_unknown_name_is_refused(function):
+    with pytest.raises(ValueError, match=r"name must be one of Pendulum, .*, got 'Pendulun'"):
+        function("Pendulun")
+    assert not Path("nowhere").exists()

@@ -1,0 +1,295 @@
+"""The FMI slave by itself: small models, no FMU."""
+
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from pythonfmu.enums import Fmi2Status
+
+from fmu_models.blocks import Controller, Plant, Reference
+from fmu_models.build import NAMES
+from fmu_models.description import base_unit, input_variable, output, parameter, per_second, state
+
+
+class Tank(Plant):
+    """Level that follows an inflow."""
+
+    table = (
+        parameter("area", "m2", 2.0, "Cross-section", min=0.1),
+        input_variable("q", "m3/s", 1.0, "Inflow"),
+        state("h", "m", 0.25, "Level", depends=("area", "q"), nominal=3.0),
+    )
+    n_calls = 0
+
+    @staticmethod
+    def derivative(x, u, area):
+        """h_dot = q / area."""
+        Tank.n_calls += 1
+        return (u[0] / area,)
+
+
+class Product(Controller):
+    """A product that counts how often it is computed."""
+
+    table = (
+        parameter("k", "1", 3.0, "Factor"),
+        input_variable("e", "1", 2.0, "Input"),
+        output("y", "1", "k e", depends=("k", "e")),
+        output("z", "1", "e", depends=("e",)),
+    )
+    n_calls = 0
+
+    def outputs(self, inputs, parameters):
+        """k e and e."""
+        self.n_calls += 1
+        if inputs[0] < 0.0:
+            raise ValueError("must not be 100 % wrong: %s %n")
+        return (parameters[0] * inputs[0], inputs[0])
+
+
+class Clock(Reference):
+    """Time, or minus time."""
+
+    table = (
+        parameter("is_backward", None, False, "Count down", variability="fixed"),
+        output("t", "s", "Time", depends=("is_backward",)),
+    )
+
+    def outputs(self, time, parameters):
+        """Plus or minus the time."""
+        return (-time if parameters[0] else time,)
+
+
+def reference_of(model, name):
+    return [v.name for v in model.variables].index(name)
+
+
+def get(slave, *names):
+    return slave.get_real([reference_of(slave, name) for name in names])
+
+
+def put(slave, **values):
+    slave.set_real([reference_of(slave, name) for name in values], list(values.values()))
+
+
+def initialized(model, start_time=0.0, **values):
+    slave = model(instance_name="one")
+    slave.setup_experiment(start_time)
+    put(slave, **values)
+    slave.exit_initialization_mode()
+    return slave
+
+
+@pytest.mark.parametrize(
+    ("unit", "exponents"),
+    [
+        ("1", {}),
+        ("rad/s2", {"rad": 1, "s": -2}),
+        ("kg.m2", {"kg": 1, "m": 2}),
+        ("N.m", {"kg": 1, "m": 2, "s": -2}),
+        ("N.m.s/rad", {"kg": 1, "m": 2, "s": -1, "rad": -1}),
+        ("N.s2/m", {"kg": 1}),
+        ("1/s", {"s": -1}),
+    ],
+)
+def test_a_unit_is_the_product_of_its_base_units(unit, exponents):
+    assert base_unit(unit) == exponents
+
+
+@pytest.mark.parametrize("unit", ["furlong", "kg*m", "m^2", "", "m//s"])
+def test_an_unknown_unit_is_refused(unit):
+    with pytest.raises(ValueError, match="must be made of"):
+        base_unit(unit)
+
+
+@pytest.mark.parametrize(("unit", "rate"), [("m", "m/s"), ("rad/s", "rad/s2"), ("m/s2", "m/s3"), ("1", "1/s")])
+def test_a_time_derivative_has_one_more_second_below(unit, rate):
+    assert per_second(unit) == rate
+
+
+@pytest.mark.parametrize("bounds", [{"min": 2.0}, {"max": 0.5}, {"min": math.nan}], ids=str)
+def test_a_start_outside_its_bounds_is_refused(bounds):
+    with pytest.raises(ValueError, match="min <= start <= max"):
+        parameter("a", "m", 1.0, "text", **bounds)
+
+
+def test_the_description_says_what_the_table_says():
+    xml = Tank(instance_name="one").to_xml()
+    variables = {v.get("name"): v for v in xml.iter("ScalarVariable")}
+    assert list(variables) == ["area", "max_step", "q", "h", "der(h)", "q_held"]
+    assert variables["area"][0].attrib == {"unit": "m2", "min": "0.1", "start": "2.0"}
+    assert variables["h"][0].attrib == {"unit": "m", "nominal": "3.0", "start": "0.25"}
+    assert variables["der(h)"][0].attrib == {"unit": "m/s", "derivative": "4"}
+    assert variables["q_held"].attrib["initial"] == "calculated"
+    assert xml.find("UnitDefinitions/Unit[@name='m3/s']/BaseUnit").attrib == {"m": "3", "s": "-1"}
+    structure = {tag: [u.attrib for u in xml.find(f"ModelStructure/{tag}")] for tag in ("Outputs", "InitialUnknowns")}
+    assert [u["dependencies"] for u in structure["Outputs"]] == ["", "", ""]
+    assert [(u["index"], u["dependencies"]) for u in structure["InitialUnknowns"]] == [("5", "1 3"), ("6", "3")]
+
+
+def test_start_values_keep_every_bit():
+    class Third(Reference):
+        """A third."""
+
+        table = (parameter("a", "1", 1.0 / 3.0, "A third"),)
+
+    (real,) = Third(instance_name="one").to_xml().iter("Real")
+    assert float(real.get("start")) == 1.0 / 3.0
+
+
+def test_outputs_are_computed_once_after_a_set():
+    slave = initialized(Product)
+    slave.n_calls = 0
+    put(slave, e=5.0)
+    assert (get(slave, "y"), get(slave, "z"), get(slave, "y", "z")) == ([15.0], [5.0], [15.0, 5.0])
+    assert slave.n_calls == 1
+    assert slave.do_step(0.0, 0.1) is True
+    assert slave.n_calls == 1
+
+
+def test_a_memoryless_output_follows_its_inputs_with_and_without_a_step():
+    slave = initialized(Product, e=1.0)
+    assert get(slave, "y") == [3.0]
+    put(slave, e=2.0)
+    slave.do_step(0.0, 0.1)
+    assert get(slave, "y") == [6.0]
+    put(slave, k=10.0)
+    assert get(slave, "y") == [20.0]
+
+
+def test_a_plant_holds_its_input_over_the_step():
+    slave = Tank(instance_name="one")
+    put(slave, q=4.0, max_step=1.0)
+    assert get(slave, "q_held", "der(h)") == [4.0, 2.0]
+    slave.exit_initialization_mode()
+    put(slave, q=6.0)
+    assert get(slave, "h", "q_held", "der(h)") == [0.25, 4.0, 2.0]
+    slave.do_step(0.0, 0.5)
+    assert get(slave, "h", "q_held", "der(h)") == [1.75, 6.0, 3.0]
+    put(slave, q=-8.0)
+    assert get(slave, "h", "q_held", "der(h)") == [1.75, 6.0, 3.0]
+    put(slave, area=1.0)
+    assert get(slave, "q_held", "der(h)") == [6.0, 6.0]
+
+
+@pytest.mark.parametrize(("max_step", "n_steps"), [(0.005, 2), (0.01, 1), (1.0, 1), (0.003, 4)])
+def test_max_step_sets_the_number_of_integration_steps(max_step, n_steps):
+    slave = initialized(Tank, max_step=max_step)
+    Tank.n_calls = 0
+    slave.do_step(0.0, 0.01)
+    assert Tank.n_calls == 4 * n_steps
+
+
+def test_a_reference_is_valid_from_the_start_time_on():
+    slave = Clock(instance_name="one")
+    slave.setup_experiment(7.0, None, None)
+    assert get(slave, "t") == [7.0]
+    slave.exit_initialization_mode()
+    slave.do_step(7.0, 0.5)
+    assert get(slave, "t") == [7.5]
+
+
+def test_a_boolean_is_set_and_read_as_boolean_only():
+    slave = Clock(instance_name="one")
+    slave.setup_experiment(2.0)
+    slave.set_boolean([0], [True])
+    assert slave.get_boolean([0]) == [True]
+    assert get(slave, "t") == [-2.0]
+    with pytest.raises(ValueError, match="must not be read as Real"):
+        slave.get_real([0])
+    with pytest.raises(ValueError, match="must not be read as Boolean"):
+        slave.get_boolean([1])
+    with pytest.raises(ValueError, match="is_backward must not be set as Real"):
+        slave.set_real([0], [1.0])
+    slave.exit_initialization_mode()
+    with pytest.raises(ValueError, match="after initialisation"):
+        slave.set_boolean([0], [False])
+
+
+@pytest.mark.parametrize("name", ["h", "max_step", "der(h)", "q_held"])
+def test_what_is_not_an_input_or_tunable_is_refused_after_initialisation(name):
+    slave = initialized(Tank)
+    with pytest.raises(ValueError, match="must not be set as Real after initialisation"):
+        put(slave, **{name: 0.1})
+
+
+def test_a_calculated_output_is_never_set():
+    with pytest.raises(ValueError, match="must not be set as Real before the end of initialisation"):
+        put(Product(instance_name="one"), y=0.1)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf], ids=str)
+@pytest.mark.parametrize("name", ["q", "area"])
+def test_a_value_that_is_not_finite_is_named(name, value):
+    slave = initialized(Tank)
+    put(slave, **{name: value})
+    with pytest.raises(ValueError, match=f"Tank: {name} must be finite, got {value}"):
+        slave.do_step(0.0, 0.01)
+
+
+def test_finite_values_whose_sum_overflows_are_accepted():
+    slave = initialized(Product, e=1.7e308, k=1.7e308)
+    slave.do_step(0.0, 0.1)
+    assert get(slave, "z") == [1.7e308]
+
+
+@pytest.mark.parametrize("step_size", [0.0, -0.01, math.nan], ids=str)
+def test_a_step_must_be_positive(step_size):
+    with pytest.raises(ValueError, match="step_size must be positive"):
+        initialized(Tank).do_step(0.0, step_size)
+
+
+def test_an_error_is_logged_with_its_traceback_and_escaped_per_cent_signs():
+    slave = initialized(Product)
+    put(slave, e=-1.0)
+    with pytest.raises(ValueError, match=r"100 % wrong: %s %n$"):
+        slave.do_step(0.0, 0.1)
+    (message,) = slave._get_log_queue()
+    assert message.status == Fmi2Status.error
+    assert message.category == "logStatusError"
+    assert "Traceback" in message.msg
+    assert "in outputs" in message.msg
+    assert "100 %% wrong: %%s %%n" in message.msg
+
+
+def test_a_state_restores_the_values_and_the_mode():
+    slave = initialized(Tank, q=4.0)
+    slave.do_step(0.0, 0.01)
+    saved = slave._get_fmu_state()
+    outputs = get(slave, "h", "q_held", "der(h)")
+    put(slave, q=5.0, area=3.0)
+    slave.do_step(0.01, 0.01)
+    other = Tank(instance_name="other")
+    for restored in (slave, other):
+        restored._set_fmu_state(Tank._fmu_state_from_bytes(Tank._fmu_state_to_bytes(saved)))
+        assert get(restored, "h", "q_held", "der(h)", "q", "area") == [*outputs, 4.0, 2.0]
+        with pytest.raises(ValueError, match="after initialisation"):
+            put(restored, h=1.0)
+
+
+def test_a_state_of_another_model_is_refused():
+    with pytest.raises(ValueError, match="must be one of its own, got one of Product"):
+        Tank(instance_name="one")._set_fmu_state(Product(instance_name="two")._get_fmu_state())
+
+
+def test_only_the_standard_library_and_pythonfmu_are_imported():
+    root = Path(__file__).parents[2]
+    code = """
+import json, sys
+sys.path.insert(0, sys.argv[1])
+from pathlib import Path
+import pythonfmu
+before = set(sys.modules)
+for path in sorted(Path(sys.argv[1], "fmu_models").glob("*.py")):
+    __import__("fmu_models" if path.stem == "__init__" else f"fmu_models.{path.stem}")
+print(json.dumps(sorted({name.split(".")[0] for name in set(sys.modules) - before} - sys.stdlib_module_names)))
+"""
+    done = subprocess.run([sys.executable, "-P", "-c", code, str(root)], capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout) == ["fmu_models"]
+
+
+def test_there_are_six_models():
+    assert len(NAMES) == len(set(NAMES)) == 6

@@ -53,7 +53,7 @@ class MessageLog:
     the format and never arguments, so that a "%s" in it would read random memory: its texts are taken as they are.
     """
 
-    _open: "dict[int, MessageLog]" = {}  # noqa: RUF012  the logger callback finds the log of an instance here
+    _open: "dict[int, MessageLog]" = {}
 
     def __init__(self, has_plain_text: bool) -> None:
         self.text = ""

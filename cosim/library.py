@@ -1,14 +1,17 @@
 """The FMUs that come with the package: built once, kept in the user's cache under their guid."""
 
 import os
+import shutil
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from platformdirs import user_cache_path
 
-from fmu_models.build import NAMES, build, guid
+from fmu_models.build import NAMES, build, build_all, guid
 
 from .errors import ScenarioError
 from .names import did_you_mean
+from .record import FolderError
 
 
 def find_fmu(fmu: str, folder: Path) -> Path:
@@ -21,7 +24,7 @@ def find_fmu(fmu: str, folder: Path) -> Path:
     path = folder / fmu
     if not path.is_file():
         known = f"; built-in FMUs are {', '.join(NAMES)}" if path.suffix != ".fmu" else ""
-        raise ScenarioError(f"no FMU '{fmu}': {path} is not a file{did_you_mean(fmu, NAMES) or known}.")
+        raise ScenarioError(f"no FMU '{fmu}': {path} is not a file{did_you_mean(fmu, NAMES) or known}")
     return path
 
 
@@ -36,3 +39,32 @@ def _cached(name: str) -> Path:
         return build(name, folder)
     except OSError as e:
         raise ScenarioError(f"cannot build {name}.fmu in {folder}: {e.strerror or e}; set FMU_RETUNE_CACHE.") from e
+
+
+def build_into(folder: Path, is_forced: bool) -> list[tuple[Path, str]]:
+    """Build every FMU into a folder of the user's; what became of each: built, unchanged or replaced.
+
+    Raises FolderError before anything is written where a different file is in the way and is_forced is not set, or
+    where the folder cannot be written.
+    """
+    try:
+        with TemporaryDirectory(prefix="fmu-retune-") as staging:
+            built = build_all(staging)
+            targets = {name: folder / path.name for name, path in built.items()}
+            states = {name: _state(path, targets[name]) for name, path in built.items()}
+            in_the_way = next((targets[name] for name, state in states.items() if state == "replaced"), None)
+            if in_the_way and not is_forced:
+                raise FolderError(f"{in_the_way} exists and differs; give --force or another --out.")
+            folder.mkdir(parents=True, exist_ok=True)
+            for name, path in built.items():
+                if states[name] != "unchanged":
+                    shutil.copyfile(path, targets[name])
+    except OSError as e:
+        raise FolderError(f"cannot build into {folder}: {e.strerror or e}.") from e
+    return [(targets[name], states[name]) for name in built]
+
+
+def _state(built: Path, target: Path) -> str:
+    if not target.exists():
+        return "built"
+    return "unchanged" if target.is_file() and target.read_bytes() == built.read_bytes() else "replaced"

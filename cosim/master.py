@@ -46,8 +46,8 @@ class Master:
         self._slaves, self._wiring, self._groups = slaves, wiring, groups
         self.names = tuple(f"{name}.{output}" for name, w in wiring.items() for output in w.outputs)
         self.values = [0.0] * len(self.names)
-        self.inputs: dict[str, list[float]] = {}
-        """What each FMU's connected inputs were set to in its last step, in the order of its sources."""
+        self.inputs: dict[str, dict[str, float]] = {}
+        """What each FMU's connected inputs were set to in its last step, by name."""
         place = {name: i for i, name in enumerate(self.names)}
         for name, w in wiring.items():
             unknown = next((source for source in w.sources.values() if source not in place), None)
@@ -82,7 +82,7 @@ class Master:
         values = self.values
         for name in group:
             inputs = [values[i] for i in self._sources[name]]
-            self.inputs[name] = inputs
+            self.inputs[name] = dict(zip(self._wiring[name].sources, inputs, strict=True))
             self._slaves[name].begin_step(inputs, t, h, tunables.get(name))
         for name in group:
             self._take(name, self._slaves[name].end_step())

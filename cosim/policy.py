@@ -3,6 +3,7 @@
 import importlib
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
@@ -13,7 +14,8 @@ from estimator import METHODS, DerivativeResidual, Model, ResidualWindow, Sample
 from .errors import ScenarioError
 from .names import did_you_mean
 from .reconfigure import Budget, InnovationTrigger, Reconfiguration, Retuner, TrackingTrigger, Trigger
-from .scenario import Innovation, Scenario
+from .scenario import Scenario
+from .schema import Innovation
 from .system import Plant
 
 ESTIMATORS = (*METHODS, "none", "true")
@@ -65,25 +67,24 @@ def make_policy(
     scenario: Scenario,
     estimator: str,
     plant: Plant,
-    start: Vector,
+    theta: Vector,
     truth: Callable[[float], Vector],
-    seed: np.random.Generator,
+    first: Sample,
+    rng: np.random.Generator,
 ) -> Policy:
-    """The policy of that name; start (d,): what the controller holds. Raises ScenarioError for an unknown name."""
+    """The policy of that name; theta (d,): what the controller holds; first: a sample to try the model on.
+
+    Raises ScenarioError for an unknown name, or a model that cannot be loaded or called.
+    """
+    check_estimator(estimator)
     if estimator == "none":
         return LeaveAlone()
     if estimator == "true":
         return TellTruth(truth)
-    check_estimator(estimator)
     settings, method = scenario.estimation, METHODS[estimator]
-    model, space = _load_model(settings.model, scenario.folder), settings.space
-    sigma = tuple(n.noise for n in scenario.sampling.derivatives.values())
-    whitened = DerivativeResidual(model, space, plant.channels, sigma)
-    judged = (
-        whitened
-        if method.estimator.is_whitened
-        else DerivativeResidual(model, space, plant.channels, (1.0,) * len(sigma))
-    )
+    whitened = _residual(scenario, plant, first, theta)
+    is_whitened = method.estimator.is_whitened
+    judged = whitened if is_whitened else replace(whitened, noise=(1.0,) * len(whitened.noise))
     loop = settings.loop(estimator)
     trigger: Trigger = (
         InnovationTrigger(whitened, loop.trigger.false_alarm)
@@ -91,19 +92,33 @@ def make_policy(
         else TrackingTrigger(loop.trigger.threshold)
     )
     return Retuner(
-        make_estimator(estimator, space, start, seed, settings.settings(estimator)),
-        ResidualWindow(judged, len(sigma), loop.window),
+        make_estimator(estimator, settings.space, theta, rng, settings.settings(estimator)),
+        ResidualWindow(judged, len(whitened.noise), loop.window),
         trigger,
         Budget(loop.budget, loop.evaluations_per_step, loop.commit),
-        start,
+        theta,
     )
+
+
+def _residual(scenario: Scenario, plant: Plant, first: Sample, theta: Vector) -> DerivativeResidual:
+    """The whitened residual of the scenario's model, tried once. Raises ScenarioError."""
+    settings = scenario.estimation
+    model = _load_model(settings.model, scenario.folder)
+    sigma = tuple(n.noise for n in scenario.sampling.derivatives.values())
+    residual = DerivativeResidual(model, settings.space, plant.channels, sigma)
+    try:
+        residual(theta, first)
+    except Exception as e:  # whatever a user's function raises
+        call = f"{settings.model}(x ({len(first.x)},), u ({len(first.u)},), {', '.join(settings.space.names)})"
+        raise ScenarioError(f"estimation.model: {call} failed: {type(e).__name__}: {e}.") from e
+    return residual
 
 
 def check_estimator(name: str) -> None:
     """Raises ScenarioError for a name that is none of `ESTIMATORS`."""
     if name not in ESTIMATORS:
-        known = f"; the estimators are {', '.join(ESTIMATORS)}"
-        raise ScenarioError(f"no estimator '{name}'{did_you_mean(name, ESTIMATORS) or known}.")
+        known = f"; the estimators are {', '.join(ESTIMATORS)}."
+        raise ScenarioError(f"no estimator '{name}'{did_you_mean(name, ESTIMATORS) or known}")
 
 
 def _load_model(reference: str, folder: Path) -> Model:

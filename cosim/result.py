@@ -62,10 +62,8 @@ class Run:
 
     @property
     def true_parameters(self) -> dict[str, Series]:
-        """The plant's values of the same (n,), NaN where the scenario does not change and so not record them."""
-        nothing = np.full(len(self.time), np.nan)
-        names = {p.name: self.scenario.true_reference(p) for p in self.scenario.estimation.parameters}
-        return {name: self.series.get(reference, nothing) for name, reference in names.items()}
+        """The plant's values of the same (n,), by parameter name."""
+        return {p.name: self.series[self.scenario.true_reference(p)] for p in self.scenario.estimation.parameters}
 
     @property
     def errors(self) -> dict[str, Series]:

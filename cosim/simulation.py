@@ -7,8 +7,9 @@ It is legal FMI 2.0, which forbids get after set without a doStep (section 4.2.4
 controller's output after its step is the control law at x_k.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from functools import partial
 from math import hypot
 from pathlib import Path
 from time import perf_counter
@@ -16,17 +17,16 @@ from time import perf_counter
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from estimator import Sample, Vector
-
-from .errors import SlaveError
+from .errors import SlaveError, WiringError
 from .master import Master
-from .policy import Policy, make_policy
+from .policy import LeaveAlone, Policy, check_estimator, make_policy
 from .reconfigure import Reconfiguration
 from .record import Recorder
 from .result import Run, Status, begin_folder, end_folder
+from .sampling import Sampler
 from .scenario import Scenario
-from .slave import open_slave
-from .system import Plant, fmu_paths, input_defaults, plant_of, start_value, wire
+from .slave import Slave, open_slave
+from .system import check_parameters, fmu_paths, plant_of, start_value, true_parameters, wire
 
 Progress = Callable[[float, Mapping[str, float]], None]
 """Called at each communication point with the time [s] and what the controller holds, by parameter name."""
@@ -43,8 +43,10 @@ def run(
 
     The same seed gives the same run, bit for bit, on one machine. With `out`, an existing empty folder, everything is
     recorded there. A fault of an FMU ends the run with status `faulted`: the rows so far are kept.
-    Raises ValueError for an unknown estimator; ScenarioError, ModelDescriptionError, WiringError before any step.
+    Raises ScenarioError, ModelDescriptionError or WiringError before any step; KeyboardInterrupt when interrupted,
+    the rows so far recorded.
     """
+    check_estimator(estimator)
     paths = fmu_paths(scenario)
     with threadpool_limits(1), ExitStack() as stack:  # the number of BLAS threads changes bits
         begun = perf_counter()
@@ -53,25 +55,17 @@ def run(
             name: stack.enter_context(open_slave(path, name, isolation=settings.isolation, timeout=settings.timeout))
             for name, path in paths.items()
         }
-        wiring, groups = wire(scenario, slaves)
-        plant = plant_of(scenario, slaves[scenario.plant])
-        theta = np.array([start_value(scenario, slaves, p.writes) for p in scenario.estimation.parameters])
-        truth = _true_parameters(scenario, lambda reference: start_value(scenario, slaves, reference))
-        noise, search = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
-        policy = make_policy(scenario, estimator, plant, theta, truth, search)
-        loop = _Loop(
-            scenario, Master(slaves, wiring, groups), plant, policy, theta, noise,
-            input_defaults(slaves[plant.name]), tuple(wiring[plant.name].sources),
-        )  # fmt: skip
+        loop = _Loop(scenario, slaves, estimator, seed)
+        fault = loop.initialize()
         if out is not None:
             begin_folder(out, scenario, estimator, seed, paths)
         recorder = Recorder(out, loop.columns)
-        status, error = loop.execute(recorder, progress)
+        status, error = ("faulted", fault) if fault else loop.execute(recorder, progress)
         wall = perf_counter() - begun
+    policy, latencies = loop.policy, tuple(loop.latencies)
     result = Run(
-        scenario=scenario, estimator=estimator, seed=seed, series=recorder.close(), status=status, error=error,
-        n_evaluations=policy.n_evaluations, n_episodes=policy.n_episodes, latencies=tuple(loop.latencies), wall=wall,
-        folder=out,
+        scenario, estimator, seed, recorder.close(), status, error, policy.n_evaluations, policy.n_episodes, latencies,
+        wall, out,
     )  # fmt: skip
     if out is not None:
         end_folder(result, out)
@@ -81,47 +75,52 @@ def run(
 
 
 class _Loop:
-    """One run in progress."""
+    """One run in progress: the FMUs by way of the master, and what the controller holds."""
 
-    def __init__(
-        self, scenario: Scenario, master: Master, plant: Plant, policy: Policy, theta: Vector,
-        noise: np.random.Generator, input_defaults: Mapping[str, float], connected: Sequence[str],
-    ) -> None:  # fmt: skip
-        self._scenario, self._master, self._plant, self._policy = scenario, master, plant, policy
-        self._theta, self._noise = theta, noise
-        self._input_defaults, self._connected = input_defaults, connected
-        self._changes = scenario.change_functions()
-        self._writes = [p.writes for p in scenario.estimation.parameters]
-        self._names = [p.name for p in scenario.estimation.parameters]
-        self._written: dict[str, list[float]] = {}
-        place = {name: i for i, name in enumerate(master.names)}
-        self._tracked = [(place[a], place[b]) for a, b in scenario.tracking.items()]
-        self._sampled = [place[name] for name in scenario.sampling.derivatives]
-        self._x = [place[f"{plant.name}.{name}"] for name in plant.states]
-        states = scenario.sampling.states
-        self._sigma = np.array(
-            [n.noise for n in scenario.sampling.derivatives.values()]
-            + [states[s].noise if s in states else 0.0 for s in (f"{plant.name}.{name}" for name in plant.states)]
-        )
+    def __init__(self, scenario: Scenario, slaves: Mapping[str, Slave], estimator: str, seed: int) -> None:
+        """Raises ScenarioError, WiringError."""
+        plant = plant_of(scenario, slaves[scenario.plant])
+        check_parameters(scenario, slaves)
+        wiring, groups = wire(scenario, slaves)
+        noise, search = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
+        self._scenario = scenario
+        self._master = Master(slaves, wiring, groups)
+        self._sampler = Sampler(scenario, plant, self._master.names, noise)
+        self._theta = np.array([start_value(scenario, slaves, p.writes) for p in scenario.estimation.parameters])
+        self._truth = true_parameters(scenario, slaves)
+        self.policy: Policy = LeaveAlone()
+        self._make_policy = partial(make_policy, scenario, estimator, plant, self._theta, self._true_theta, rng=search)
         self.latencies: list[tuple[float, ...]] = []
-        self.columns = (
-            "time", *master.names, *self._changes, *self._writes,
-            *(f"sampled.{name}" for name in scenario.sampling.derivatives),
-        )  # fmt: skip
+        self._writes = [p.writes for p in scenario.estimation.parameters]
+        self._written: dict[str, list[float]] = {}
+        place = {name: i for i, name in enumerate(self._master.names)}
+        self._tracked = [(place[a], place[b]) for a, b in scenario.tracking.items()]
+        self.columns = ("time", *self._master.names, *self._truth, *self._writes, *self._sampler.columns)
+
+    def initialize(self) -> str | None:
+        """Bring the FMUs to the start; why one failed, or None. Raises WiringError, ScenarioError."""
+        settings = self._scenario.scenario
+        try:
+            self._master.initialize(settings.start_time, settings.stop_time)
+        except SlaveError as fault:
+            if fault.function == "set":  # refused before it reached the FMU
+                raise WiringError(f"{fault}.") from fault
+            return str(fault)
+        self.policy = self._make_policy(self._sampler.exact(settings.start_time, self._master.values))
+        return None
 
     def execute(self, recorder: Recorder, progress: Progress | None) -> tuple[Status, str | None]:
         """Step to the end; returns how it ended and, for a fault, why."""
         settings = self._scenario.scenario
+        names = self._scenario.estimation.space.names
         t = settings.start_time
         try:
-            self._master.initialize(settings.start_time, settings.stop_time)
             for k in range(settings.n_steps + 1):
                 t = settings.time(k)
-                is_last = k == settings.n_steps
-                if self._exchange(t, is_first=k == 0, is_last=is_last, recorder=recorder):
+                if self._exchange(k, t, recorder):
                     return "diverged", None
                 if progress is not None:
-                    progress(t, dict(zip(self._names, self._theta.tolist(), strict=True)))
+                    progress(t, dict(zip(names, self._theta.tolist(), strict=True)))
         except SlaveError as fault:
             recorder.event(t, "fault", {"reason": str(fault)})
             return "faulted", str(fault)
@@ -130,32 +129,22 @@ class _Loop:
             return "interrupted", None
         return "done", None
 
-    def _exchange(self, t: float, is_first: bool, is_last: bool, recorder: Recorder) -> bool:
-        """One communication point; returns whether the run has diverged there."""
-        h, master = self._scenario.scenario.macro_step, self._master
-        values = master.values
-        errors = [values[a] - values[b] for a, b in self._tracked]
+    def _exchange(self, k: int, t: float, recorder: Recorder) -> bool:
+        """Communication point k at t [s]; returns whether the run has diverged there."""
+        settings, master = self._scenario.scenario, self._master
+        errors = [master.values[a] - master.values[b] for a, b in self._tracked]
         has_diverged = not all(abs(e) <= self._scenario.limits.divergence for e in errors)
-        noise = self._sigma * self._noise.standard_normal(len(self._sigma))  # at every point, used or not
-        sample = self._sample(t, noise)
-        self._take(self._policy.step(t, None if is_first else sample, hypot(*errors)), recorder)
-        tunables = self._tunables(t)
-        is_stepping = not (is_last or has_diverged)
+        sample = self._sampler.take(t, master.values, master.inputs.get(self._scenario.plant, {}))
+        self._take(self.policy.step(t, sample if k else None, hypot(*errors)), recorder)
+        truth = {reference: f(t) for reference, f in self._truth.items()}
+        is_stepping = k < settings.n_steps and not has_diverged
+        tunables = self._tunables(truth)
         if is_stepping:
-            master.begin(t, h, tunables)
-        changed = [f(t) for f in self._changes.values()]
-        recorder.row([t, *master.values, *changed, *self._theta.tolist(), *sample.xdot])
+            master.begin(t, settings.macro_step, tunables)
+        recorder.row([t, *master.values, *truth.values(), *self._theta.tolist(), *sample.xdot])
         if is_stepping:
-            master.finish(t, h, tunables)
+            master.finish(t, settings.macro_step, tunables)
         return has_diverged
-
-    def _sample(self, t: float, noise: Vector) -> Sample:
-        values, n = self._master.values, len(self._sampled)
-        xdot = [values[i] + e for i, e in zip(self._sampled, noise[:n].tolist(), strict=True)]
-        x = [values[i] + e for i, e in zip(self._x, noise[n:].tolist(), strict=True)]
-        held = dict(zip(self._connected, self._master.inputs.get(self._plant.name, []), strict=False))
-        u = tuple(held.get(name, default) for name, default in self._input_defaults.items())
-        return Sample(t, tuple(x), u, tuple(xdot))
 
     def _take(self, decision: Reconfiguration, recorder: Recorder) -> None:
         for event in decision.events:
@@ -165,27 +154,16 @@ class _Loop:
         if decision.write is not None:
             self._theta = decision.write
 
-    def _tunables(self, t: float) -> dict[str, list[float]]:
+    def _tunables(self, truth: Mapping[str, float]) -> dict[str, list[float]]:
         """Values of the tunable parameters of those FMUs where one has changed, in the order of the wiring."""
         now: dict[str, list[float]] = {}
-        values = [f(t) for f in self._changes.values()] + self._theta.tolist()
-        for reference, value in zip([*self._changes, *self._writes], values, strict=True):
+        values = {name: truth[name] for name in self._scenario.changes}
+        for reference, value in [*values.items(), *zip(self._writes, self._theta.tolist(), strict=True)]:
             now.setdefault(reference.partition(".")[0], []).append(value)
         changed = {name: v for name, v in now.items() if self._written.get(name) != v}
         self._written |= changed
         return changed
 
-
-def _true_parameters(scenario: Scenario, start: Callable[[str], float]) -> Callable[[float], Vector]:
-    """The plant's true values of the estimated parameters, as a function of t [s]."""
-    changes = scenario.change_functions()
-    constants: dict[str, float] = {}
-    references = [scenario.true_reference(p) for p in scenario.estimation.parameters]
-    for reference in references:
-        if reference not in changes:
-            constants[reference] = start(reference)
-
-    def truth(t: float) -> Vector:
-        return np.array([changes[r](t) if r in changes else constants[r] for r in references])
-
-    return truth
+    def _true_theta(self, t: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+        references = (self._scenario.true_reference(p) for p in self._scenario.estimation.parameters)
+        return np.array([self._truth[reference](t) for reference in references])

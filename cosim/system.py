@@ -1,7 +1,8 @@
 """From a scenario's names to wired FMUs: which variables are set and read, and in which groups the FMUs step."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,8 @@ class Plant:
     """Instance name."""
     states: tuple[str, ...]
     """Its states, in the order of the model description: the model's x."""
+    inputs: Mapping[str, float]
+    """Its inputs with their start values, in the order of the model description: the model's u."""
     channels: tuple[int, ...]
     """Places in x of the states whose derivatives are sampled."""
 
@@ -49,7 +52,7 @@ def wire(scenario: Scenario, slaves: Mapping[str, Slave]) -> tuple[dict[str, Wir
         component, _, variable = reference.partition(".")
         if variable not in outputs[component]:
             known = outputs[component]
-            raise WiringError(f"'{reference}' is no output of {component}{did_you_mean(variable, known)}.")
+            raise WiringError(f"'{reference}' is no output of {component}{did_you_mean(variable, known) or '.'}")
     wiring = {
         name: Wiring(sources[name], tuple(tunables[name]), outputs[name], scenario.components[name].start)
         for name in slaves
@@ -58,7 +61,7 @@ def wire(scenario: Scenario, slaves: Mapping[str, Slave]) -> tuple[dict[str, Wir
 
 
 def plant_of(scenario: Scenario, slave: Slave) -> Plant:
-    """The plant's states and sampled channels. Raises WiringError where a derivative has no state."""
+    """The plant's states, inputs and sampled channels. Raises WiringError where a derivative has no state."""
     variables = slave.description.modelVariables
     state_of = {v.name: v.derivative.name for v in variables if v.derivative is not None}
     states = tuple(v.name for v in variables if v.name in set(state_of.values()))
@@ -66,9 +69,12 @@ def plant_of(scenario: Scenario, slave: Slave) -> Plant:
     for reference in scenario.sampling.derivatives:
         name = reference.partition(".")[2]
         if name not in state_of:
-            raise WiringError(f"'{reference}' is not declared as a state's derivative{did_you_mean(name, state_of)}.")
+            raise WiringError(
+                f"'{reference}' is not declared as a state's derivative{did_you_mean(name, state_of) or '.'}"
+            )
         channels.append(states.index(state_of[name]))
-    return Plant(slave.name, states, tuple(channels))
+    inputs = {v.name: float(v.start or 0.0) for v in variables if v.causality == "input"}
+    return Plant(slave.name, states, inputs, tuple(channels))
 
 
 def start_value(scenario: Scenario, slaves: Mapping[str, Slave], reference: str) -> float:
@@ -78,17 +84,41 @@ def start_value(scenario: Scenario, slaves: Mapping[str, Slave], reference: str)
     if start is None:
         found = {v.name: v.start for v in slaves[component].description.modelVariables}
         if variable not in found:
-            raise WiringError(f"no variable '{variable}' in {component}{did_you_mean(variable, found)}.")
+            raise WiringError(f"no variable '{variable}' in {component}{did_you_mean(variable, found) or '.'}")
         start = found[variable]
     if start is None:
         raise WiringError(f"'{reference}' has no start value; give it one under components.{component}.start.")
     return float(start)
 
 
-def input_defaults(slave: Slave) -> dict[str, float]:
-    """Start value of each of an FMU's inputs, in the order of the model description; 0 where it gives none."""
-    variables = slave.description.modelVariables
-    return {v.name: float(v.start or 0.0) for v in variables if v.causality == "input"}
+def check_parameters(scenario: Scenario, slaves: Mapping[str, Slave]) -> None:
+    """Raises WiringError where an estimate could be written that the controller does not accept."""
+    for parameter in scenario.estimation.parameters:
+        component, _, name = parameter.writes.partition(".")
+        found = {v.name: v for v in slaves[component].description.modelVariables}
+        if name not in found:
+            raise WiringError(f"no variable '{name}' in {component}{did_you_mean(name, found) or '.'}")
+        unit = found[name].unit or "1"
+        if unit != parameter.unit:
+            raise WiringError(f"'{parameter.writes}' has the unit {unit}, but '{parameter.name}' {parameter.unit}.")
+        low, high = (float(x) if x is not None else None for x in (found[name].min, found[name].max))
+        if (low is not None and parameter.lower < low) or (high is not None and parameter.upper > high):
+            bounds = f"[{parameter.lower:g}, {parameter.upper:g}] {unit}"
+            raise WiringError(f"'{parameter.writes}' takes {low} to {high} {unit}; '{parameter.name}' has {bounds}.")
+
+
+def true_parameters(scenario: Scenario, slaves: Mapping[str, Slave]) -> dict[str, Callable[[float], float]]:
+    """What the plant's changed and estimated parameters are, as functions of t [s]. Raises WiringError."""
+    truth = scenario.change_functions()
+    for parameter in scenario.estimation.parameters:
+        reference = scenario.true_reference(parameter)
+        if reference not in truth:
+            truth[reference] = partial(_constant, start_value(scenario, slaves, reference))
+    return truth
+
+
+def _constant(value: float, t: float) -> float:
+    return value
 
 
 def _outputs(slave: Slave) -> tuple[str, ...]:

@@ -44,8 +44,11 @@ class DerivativeResidual:
     """sigma (c,), the standard deviation of each sampled derivative; ones leave the residual in physical units."""
 
     def __call__(self, theta: Vector, sample: Sample) -> Vector:
-        """r (c,) of one sample. Whatever the model raises passes through."""
-        modelled = self.model(sample.x, sample.u, **self.space.named(theta))
+        """r (c,) of one sample; NaN where the model has no value there. Other exceptions of the model pass through."""
+        try:
+            modelled = self.model(sample.x, sample.u, **self.space.named(theta))
+        except ArithmeticError:
+            return np.full(len(self.channels), np.nan)
         return np.array([
             (y - modelled[i]) / s for y, i, s in zip(sample.xdot, self.channels, self.noise, strict=True)
         ])  # fmt: skip

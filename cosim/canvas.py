@@ -105,10 +105,12 @@ def tidy(axes: Axes) -> None:
 def label(name: str, unit: str | None = None) -> str:
     """Axis label of a variable: `J_x`, `kg.m2` becomes J with an index and [kg m²]."""
     short = name if len(name) <= 28 else f"{name[:14]}…{name[-13:]}"
-    text = symbol(name) or short.replace("$", r"\$")
-    if unit is None or unit in ("", "1"):
-        return text
-    return f"{text} [{_unit_text(unit)}]"
+    return with_unit(symbol(name) or short.replace("$", r"\$"), unit)
+
+
+def with_unit(text: str, unit: str | None) -> str:
+    """The text and, where there is one, the FMI unit as it is printed."""
+    return text if unit in (None, "", "1") else f"{text} [{_unit_text(unit)}]"
 
 
 def symbol(name: str) -> str | None:

@@ -83,7 +83,7 @@ def _build(options: argparse.Namespace) -> int:
 def _run(options: argparse.Namespace) -> int:
     from .policy import check_estimator
     from .record import new_run_folder, to_json
-    from .report import report
+    from .report import ending, report
     from .scenario import Scenario
 
     scenario = Scenario.load(options.scenario, dict(options.overrides))
@@ -95,7 +95,10 @@ def _run(options: argparse.Namespace) -> int:
 
         draw_run(result, baselines)
     print(to_json(result.summary()) if options.json else report(result, baselines))
-    return DONE if result.status == "done" else UNFINISHED
+    if why := ending(result):
+        print(f"retune: {why}", file=sys.stderr)
+        return UNFINISHED
+    return DONE
 
 
 def _simulate(scenario: "Scenario", options: argparse.Namespace, folder: Path) -> tuple["Run", Mapping[str, "Run"]]:

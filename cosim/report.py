@@ -20,7 +20,7 @@ def report(run: Run, baselines: Mapping[str, Run]) -> str:
         _errors([*baselines.values(), run]),
         _parameters(run),
         _latency(run),
-        _ending(run),
+        [f"run folder {run.folder}"] if run.folder else [],
     ]
     return "\n\n".join("\n".join(block) for block in blocks if block)
 
@@ -63,9 +63,13 @@ def _latency(run: Run) -> list[str]:
     ]
 
 
-def _ending(run: Run) -> list[str]:
-    lines = [] if run.status == "done" else [f"{run.status}: {run.error or 'a tracked error passed limits.divergence'}"]
-    return [*lines, f"run folder {run.folder}"] if run.folder else lines
+def ending(run: Run) -> str | None:
+    """Why the run did not finish, and where its rows are, in one line; None where it did."""
+    if run.status == "done":
+        return None
+    reason = run.error or f"{run.status} at t = {run.time[-1]:.3f} s: a tracked error passed limits.divergence"
+    until = f"up to {run.time[-1]:.3f} s " if len(run.time) else ""
+    return f"{reason}; rows {until}are in {run.folder}." if run.folder else f"{reason}."
 
 
 def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:

@@ -11,8 +11,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from .record import MANIFEST, RESULT, SERIES, sha256, write_csv, write_json
+from .record import MANIFEST, RESULT, sha256, write_csv, write_json, write_text
 from .scenario import Scenario
+from .ssv import ParameterValue, to_ssv
 
 Status = Literal["done", "diverged", "faulted", "interrupted"]
 Series = NDArray[np.float64]
@@ -143,12 +144,15 @@ def begin_folder(folder: Path, scenario: Scenario, estimator: str, seed: int, fm
 
 
 def end_folder(run: Run, folder: Path) -> None:
-    """Write result and CSV of a finished run, and close its manifest with the hashes."""
+    """Write result, estimates and CSV of a finished run, and close its manifest with the hashes."""
     write_json(folder / RESULT, run.summary())
+    if len(run.time):
+        held = run.parameters_at(float(run.time[-1]))
+        values = [ParameterValue(p["name"], p["estimated"]) for p in held]
+        write_text(folder / "estimates.ssv", to_ssv(run.scenario.scenario.name, values))
     write_csv(folder / "series.csv", run.series)
     manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-    files = (SERIES, "events.jsonl", "series.csv", RESULT)
-    hashes = {name: sha256(folder / name) for name in files}
+    hashes = {path.name: sha256(path) for path in sorted(folder.iterdir()) if path.is_file() and path.name != MANIFEST}
     write_json(folder / MANIFEST, manifest | {"status": run.status, "sha256": hashes})
 
 

@@ -183,15 +183,15 @@ def least_squares_of_mean(posterior: Posterior, z: Vector, n_iterations: int = 8
     Levenberg (1944), Marquardt (1963).
     """
     damping = 1e-3
-    r, J = posterior.mean_and_jacobian(z)
+    r, slope = posterior.mean_and_jacobian(z)
     for _ in range(n_iterations):
-        H = J.T @ J
+        H = slope.T @ slope
         scale = H.diagonal() + 1e-9 * H.trace() + 1e-12
-        step = np.linalg.solve(H + np.diag(damping * scale), J.T @ r)
+        step = np.linalg.solve(H + np.diag(damping * scale), slope.T @ r)
         trial = np.minimum(np.maximum(z - step, 0.0), 1.0)
-        r_trial, J_trial = posterior.mean_and_jacobian(trial)
+        r_trial, slope_trial = posterior.mean_and_jacobian(trial)
         if r_trial @ r_trial < r @ r:
-            z, r, J, damping = trial, r_trial, J_trial, max(damping / 10.0, 1e-9)
+            z, r, slope, damping = trial, r_trial, slope_trial, max(damping / 10.0, 1e-9)
         else:
             damping *= 10.0
     return z

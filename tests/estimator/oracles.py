@@ -1,0 +1,436 @@
+"""Comparisons of the estimator's formulas with independent truths: `check_...(module)` raises AssertionError.
+
+The truths are quadrature, Monte Carlo, SciPy's distributions, GPy, finite differences, and the textbook's formula with
+a linear solve in fifty decimal digits. A check takes the module, so that it can also be shown a mutant.
+"""
+
+from decimal import Decimal, localcontext
+from functools import cache
+from types import SimpleNamespace
+
+import GPy
+import numpy as np
+from numpy.testing import assert_allclose
+from scipy.integrate import quad
+from scipy.optimize import brentq
+from scipy.stats import lognorm, ncx2, norm
+
+# --- acquisition ---------------------------------------------------------------------------------------------------
+
+EI_CASES = [
+    # mean, standard deviation, incumbent
+    (0.0, 1.0, 0.0),
+    (0.3, 0.5, 1.1),
+    (2.0, 0.7, 1.0),
+    (-4.0, 3.0, -5.0),
+    (1e3, 20.0, 960.0),
+    (5e-4, 1e-4, 3e-4),
+]
+TAIL_CASES = [(4.0, 0.5, 0.0), (10.0, 0.4, 0.0), (0.0, 1.0, 9.0)]
+"""8 and 25 standard deviations on the wrong side of the incumbent, 9 on the right one."""
+
+
+def _columns(cases):
+    mean, std, incumbent = np.array(cases).T
+    return zip(mean[:, None], std[:, None] ** 2, incumbent, cases, strict=True)
+
+
+def check_expected_improvement_against_quadrature(acquisition):
+    """In standard deviations the integrand is smooth over a range of order one: quad is good to 1e-12."""
+    for mean, variance, incumbent, (mu, sigma, b) in _columns(EI_CASES + TAIL_CASES):
+        d = (b - mu) / sigma
+        peak = max(-d, 0.0)  # the density's largest value where there is an improvement, taken out of the integral
+        integral, _ = quad(lambda y, d=d, p=peak: y * np.exp(0.5 * p * p - 0.5 * (y - d) ** 2), 0.0, max(d, 0.0) + 12.0,
+                           epsabs=0.0, epsrel=1e-12, limit=200)  # fmt: skip
+        truth = sigma * integral * np.exp(-0.5 * peak * peak) / np.sqrt(2.0 * np.pi)
+        # At d = -25 two products cancel but for 1/d^2 of them: 1e-16 * 625, and exp(-d^2/2) loses as much.
+        assert_allclose(acquisition.expected_improvement(mean, variance, incumbent), truth, rtol=1e-11)
+
+
+def check_expected_improvement_against_monte_carlo(acquisition):
+    draws = np.random.default_rng(1).standard_normal(1_000_000)
+    for mean, variance, incumbent, (mu, sigma, b) in _columns(EI_CASES):
+        gains = np.maximum(b - (mu + sigma * draws), 0.0)
+        # Five standard errors of the draws: a wrong formula is off by tens.
+        atol = 5.0 * gains.std() / np.sqrt(len(draws))
+        assert_allclose(
+            acquisition.expected_improvement(mean, variance, incumbent), gains.mean(), rtol=0.0, atol=atol
+        )
+
+
+def check_probability_of_improvement_against_quadrature(acquisition):
+    for mean, variance, incumbent, (mu, sigma, b) in _columns(EI_CASES + TAIL_CASES):
+        d = (b - mu) / sigma
+        peak = min(d, 0.0)
+        integral, _ = quad(lambda t, p=peak: np.exp(0.5 * p * p - 0.5 * t * t), min(d, 0.0) - 12.0, d, epsrel=1e-12)
+        truth = integral * np.exp(-0.5 * peak * peak) / np.sqrt(2.0 * np.pi)
+        assert_allclose(acquisition.probability_of_improvement(mean, variance, incumbent), truth, rtol=1e-10)
+
+
+def check_lower_confidence_bound_is_a_quantile(acquisition):
+    """The bound is exceeded with the probability that kappa standard deviations have."""
+    for mean, variance, _, (mu, sigma, _) in _columns(EI_CASES):
+        for kappa in (0.5, 2.0, 3.0):
+            quantile = norm.ppf(norm.cdf(-kappa), mu, sigma)
+            assert_allclose(-acquisition.lower_confidence_bound(mean, variance, kappa), quantile, rtol=1e-12)
+
+
+def _sum_of_squares(mean, std):
+    """Mean and variance of sum h_j^2, h_j ~ N(mean_j, std_j^2): h_j^2 / std_j^2 is noncentral chi-square."""
+    m, v = ncx2.stats(1, (mean / std) ** 2, moments="mv")
+    return float(np.sum(m * std**2)), float(np.sum(v * std**4))
+
+
+def _log_normal_with(mean, variance):
+    """SciPy's log-normal of these moments, its shape found by solving for the variance."""
+
+    def surplus(s):
+        return np.log(lognorm.var(s) / lognorm.mean(s) ** 2) - np.log(variance / mean**2)
+
+    s = brentq(surplus, 1e-6, 3.0, xtol=1e-15, rtol=1e-14)
+    return lognorm(s, scale=mean / lognorm.mean(s))
+
+
+def _log_improvement(distribution, b):
+    """log E[max(b - S, 0)] = log of the integral of the distribution function up to b, far into the tail."""
+    at_b = float(distribution.logcdf(b))
+    integral, _ = quad(lambda u: np.exp(u + distribution.logcdf(b * np.exp(u)) - at_b), -40.0, 0.0,
+                       points=(-3.0, -1.0, -0.3, -0.1, -0.03, -0.01), epsabs=0.0, epsrel=1e-11, limit=400)  # fmt: skip
+    return np.log(b) + at_b + np.log(integral)
+
+
+VECTOR_CASES = [
+    # means and standard deviations of the channels
+    ((1.0, -0.5), (0.2, 0.1)),
+    ((0.3, 0.1, -0.2), (0.5, 0.05, 1.0)),
+    ((0.0, 0.0), (1.0, 0.3)),
+    ((20.0, -3.0, 1.0, 0.5), (2.0, 1.0, 0.2, 0.01)),
+]
+
+
+def check_target_vector_improvement_is_that_of_the_matched_log_normal(acquisition):
+    for mean, std in VECTOR_CASES:
+        mean, std = np.array(mean), np.array(std)
+        matched = _log_normal_with(*_sum_of_squares(mean, std))
+        for probability in (1e-4, 0.01, 0.1, 0.5, 0.9, 0.9999):
+            b = float(matched.ppf(probability))
+            got = acquisition.log_target_vector_improvement(mean[None], std[None] ** 2, b)
+            # Where P = 1e-4 the improvement is 1e-6 of the products it is the difference of; SciPy's moments give 1e-9.
+            assert_allclose(got, _log_improvement(matched, b), rtol=0.0, atol=1e-7)
+
+
+def check_target_vector_improvement_far_in_the_tail(acquisition):
+    """Where d < -15 and s < 0.5, the first term is too large by 2/d^2 + s/|d| < 3.5 %, and by less further out."""
+    for mean, std in (((1.0, -0.5), (0.2, 0.1)), ((1.0, 1.0, -2.0), (0.01, 0.02, 0.02)), ((3.0,), (1e-4,))):
+        mean, std = np.array(mean), np.array(std)
+        matched = _log_normal_with(*_sum_of_squares(mean, std))
+        s = matched.args[0]
+        for depth in (15.0, 40.0, 200.0):
+            b = float(matched.median() * np.exp(-depth * s))
+            got = acquisition.log_target_vector_improvement(mean[None], std[None] ** 2, b)
+            bound = 2.0 / depth**2 + s / depth
+            assert_allclose(got, _log_improvement(matched, b), rtol=0.0, atol=1.2 * bound + 1e-6)
+
+
+def check_target_vector_improvement_of_a_hopeless_incumbent(acquisition):
+    """Where every outcome is an improvement, its expectation is b minus the mean of the sum of squares, exactly."""
+    draws = np.random.default_rng(3).standard_normal((200_000, 4))
+    for mean, std in VECTOR_CASES:
+        mean, std = np.array(mean), np.array(std)
+        S = np.sum((mean + std * draws[:, : len(mean)]) ** 2, axis=1)
+        b = 3.0 * float(S.max())
+        got = np.exp(acquisition.log_target_vector_improvement(mean[None], std[None] ** 2, b))
+        # Five standard errors, and 1e-3 of b for the log-normal's heavier upper tail.
+        assert_allclose(got, b - S.mean(), rtol=1e-3, atol=5.0 * S.std() / np.sqrt(len(S)))
+
+
+def check_target_vector_improvement_of_small_variances(acquisition):
+    """Where every channel is known to a thousandth, the sum of squares is normal, and its improvement known."""
+    for mean in ((1.0,), (1.0, -0.5), (3.0, 2.0, -5.0)):
+        mean = np.array(mean)
+        std = 1e-3 * np.abs(mean) * np.arange(1, len(mean) + 1) / len(mean)
+        sigma = np.linalg.norm(2.0 * mean * std)
+        for d in (-2.0, 0.0, 1.5):
+            b = float(mean @ mean + d * sigma)
+            integral, _ = quad(lambda y, d=d: y * norm.pdf(d - y), 0.0, max(d, 0.0) + 12.0, epsrel=1e-12)
+            got = np.exp(acquisition.log_target_vector_improvement(mean[None], std[None] ** 2, b))
+            # Skewness is of order std/mean = 1e-3; with the d^2 of the tail, 1 %.
+            assert_allclose(got, sigma * integral, rtol=0.01)
+
+
+# --- surrogate -----------------------------------------------------------------------------------------------------
+
+NOISE = 1e-8
+PRIOR = (0.0, 0.7)
+SIZES = {
+    # n, d, k, lengthscale: conditions of C + 1e-8 I from 4e2 to 4e6, where 1e-16 of rounding leaves 1e-10
+    "5-points-1d": (5, 1, 1, 0.2),
+    "9-points-2d": (9, 2, 2, 0.4),
+    "15-points-4d": (15, 4, 3, 2.0),
+    "25-points-4d": (25, 4, 3, 1.5),
+}
+
+
+@cache
+def case(name):
+    """Places, outputs and lengthscales; outputs of 1e3 and more, so that q NOISE is far above GPy's 1e-8."""
+    n, d, k, lengthscale = SIZES[name]
+    rng = np.random.default_rng(n)
+    Z, W = rng.random((n, d)), rng.normal(size=(d, k))
+    Y = (np.sin(2.0 * Z @ W) + 0.3 * (Z @ W) ** 2 + Z[:, :1]) * 10.0 ** rng.uniform(3.0, 5.0, k)
+    lengthscales = lengthscale * np.exp(rng.uniform(-0.2, 0.2, d))
+    return SimpleNamespace(
+        Z=Z,
+        Y=Y,
+        lengthscales=lengthscales,
+        squares=((Z[:, None] - Z[None]) ** 2).transpose(2, 0, 1).copy(),
+        Q=np.vstack([rng.random((8, d)), Z[:1], 0.5 * (Z[:1] + Z[1:2]), np.full((1, d), 1.5)]),
+    )
+
+
+def gpy_at_its_optimal_variance(Z, y, lengthscales):
+    """GPy's regression of one output with a noise NOISE times the signal, the variance where its slope is nil.
+
+    GPy's exact inference adds 1e-8 to the diagonal by itself.
+    """
+    kernel = GPy.kern.RBF(Z.shape[1], variance=1.0, lengthscale=lengthscales, ARD=True)
+    model = GPy.models.GPRegression(Z.copy(), y[:, None].copy(), kernel)
+
+    def slope(log_variance):
+        variance = np.exp(log_variance)
+        model.kern.variance = variance
+        model.Gaussian_noise.variance = variance * NOISE - 1e-8
+        return variance * float(model.kern.variance.gradient[0] + NOISE * model.Gaussian_noise.variance.gradient[0])
+
+    guess = np.log(np.mean(y * y))
+    slope(brentq(slope, guess - 12.0, guess + 12.0, xtol=1e-14, rtol=1e-14))
+    return model
+
+
+@cache
+def gpy_models(name):
+    c = case(name)
+    return [gpy_at_its_optimal_variance(c.Z, y, c.lengthscales) for y in c.Y.T]
+
+
+def _value(surrogate, c, log_lengthscales, prior=PRIOR):
+    return surrogate.negative_log_posterior(log_lengthscales, c.Y, c.squares, *prior)
+
+
+def check_posterior_density_against_gpy(surrogate):
+    for name in SIZES:
+        c = case(name)
+        prior = GPy.priors.LogGaussian(*PRIOR)
+        truth = -sum(m.log_likelihood() for m in gpy_models(name)) - float(np.sum(prior.lnpdf(c.lengthscales)))
+        assert_allclose(_value(surrogate, c, np.log(c.lengthscales))[0], truth, rtol=1e-10)
+
+
+def check_gradient_against_gpy(surrogate):
+    """At the variance's optimum its own slope is nil, so the slope in the lengthscales is the partial one."""
+    for name in SIZES:
+        c = case(name)
+        prior = GPy.priors.LogGaussian(*PRIOR)
+        slope = -sum(m.kern.lengthscale.gradient for m in gpy_models(name)) - prior.lnpdf_grad(c.lengthscales)
+        truth = slope * c.lengthscales
+        got = _value(surrogate, c, np.log(c.lengthscales))[1]
+        assert_allclose(got, truth, rtol=0.0, atol=1e-10 * np.abs(truth).max())
+
+
+def check_gradient_against_differences(surrogate):
+    """Differences of fourth order with a step of 2e-3: truncation 1e-10, rounding 1e-12 of the value over the step."""
+    for name in SIZES:
+        c = case(name)
+        at = np.log(c.lengthscales)
+        for prior in (PRIOR, (0.4, 0.2)):
+            truth = differences(lambda p, c=c, prior=prior: _value(surrogate, c, p, prior)[0], at, 2e-3)
+            got = _value(surrogate, c, at, prior)[1]
+            assert_allclose(got, truth, rtol=0.0, atol=1e-7 * np.abs(truth).max())
+
+
+def check_prior_against_gpy(surrogate):
+    """Two priors apart, the likelihood drops out."""
+    c = case("9-points-2d")
+    for log_lengthscales in (np.array([0.3, -0.7]), np.array([-1.2, 1.1])):
+        lengthscales = np.exp(log_lengthscales)
+        one, other = (0.0, 0.7), (0.5, 0.3)
+        (a, da), (b, db) = (_value(surrogate, c, log_lengthscales, prior) for prior in (one, other))
+        p, q = GPy.priors.LogGaussian(*one), GPy.priors.LogGaussian(*other)
+        # The likelihoods of both, of order 1e2 and slopes of 1e3, cancel to 1e-10.
+        assert_allclose(b - a, np.sum(p.lnpdf(lengthscales) - q.lnpdf(lengthscales)), rtol=1e-9)
+        truth = (p.lnpdf_grad(lengthscales) - q.lnpdf_grad(lengthscales)) * lengthscales
+        assert_allclose(db - da, truth, rtol=1e-8)
+
+
+def check_variances_are_gpys_optima(surrogate):
+    for name in SIZES:
+        c = case(name)
+        truth = [float(m.kern.variance[0]) for m in gpy_models(name)]
+        assert_allclose(surrogate.Posterior(c.Z, c.Y, c.lengthscales).variances, truth, rtol=1e-9)
+
+
+def check_prediction_against_gpy(surrogate):
+    for name in SIZES:
+        c = case(name)
+        posterior = surrogate.Posterior(c.Z, c.Y, c.lengthscales)
+        mean, variance = posterior.predict(c.Q)
+        for j, model in enumerate(gpy_models(name)):
+            q = float(model.kern.variance[0])
+            m, v = model.predict_noiseless(c.Q)
+            assert_allclose(mean[:, j], m[:, 0], rtol=0.0, atol=1e-10 * np.sqrt(q))
+            assert_allclose(variance[:, j], v[:, 0], rtol=0.0, atol=1e-10 * q)
+
+
+@cache
+def textbook_posterior(name):
+    """K^-1 y and c^T K^-1 c by Gauss' elimination in fifty digits; Rasmussen and Williams (2006), eqs 2.25, 2.26."""
+    c = case(name)
+    n, k = c.Y.shape
+    with localcontext() as context:
+        context.prec = 50
+
+        def exact(table):
+            return [[Decimal(float(x)) for x in row] for row in np.atleast_2d(table)]
+
+        Z, Q, Y, lengthscales = exact(c.Z), exact(c.Q), exact(c.Y), exact(c.lengthscales)[0]
+
+        def correlation(a, b):
+            scaled = ((x - y) / l for x, y, l in zip(a, b, lengthscales, strict=True))
+            return (-sum(x * x for x in scaled) / 2).exp()
+
+        across = [[correlation(z, place) for place in Q] for z in Z]
+        rows = [[correlation(a, b) + (Decimal(NOISE) if a is b else 0) for b in Z] + Y[i] + across[i]
+                for i, a in enumerate(Z)]  # fmt: skip
+        for i in range(n):
+            rows[i] = [x / rows[i][i] for x in rows[i]]
+            for j in range(n):
+                if j != i:
+                    rows[j] = [x - rows[j][i] * y for x, y in zip(rows[j], rows[i], strict=True)]
+        alpha = [row[n : n + k] for row in rows]
+        solved = [row[n + k :] for row in rows]
+
+        def products(a, b):
+            return [sum(x * y for x, y in zip(u, v, strict=True)) for u, v in zip(zip(*a), zip(*b))]
+
+        signal = np.array([float(q / n) for q in products(Y, alpha)])
+        unit = np.array([float(1 - p) for p in products(across, solved)])
+        mean = np.array([
+            [float(sum(a[p] * b[j] for a, b in zip(across, alpha))) for j in range(k)] for p in range(len(Q))
+        ])  # fmt: skip
+    return mean, unit[:, None] * signal, signal
+
+
+def check_prediction_against_the_textbook(surrogate):
+    for name in SIZES:
+        c = case(name)
+        mean, variance, signal = textbook_posterior(name)
+        posterior = surrogate.Posterior(c.Z, c.Y, c.lengthscales)
+        got_mean, got_variance = posterior.predict(c.Q)
+        assert_allclose(posterior.variances, signal, rtol=1e-10)
+        assert_allclose(got_mean / np.sqrt(signal), mean / np.sqrt(signal), rtol=0.0, atol=1e-10)
+        assert_allclose(got_variance / signal, variance / signal, rtol=0.0, atol=1e-10)
+
+
+def check_jacobian_against_gpy(surrogate):
+    for name in SIZES:
+        c = case(name)
+        posterior = surrogate.Posterior(c.Z, c.Y, c.lengthscales)
+        for j, model in enumerate(gpy_models(name)):
+            truth, _ = model.predict_jacobian(c.Q)
+            got = np.array([posterior.mean_and_jacobian(z)[1][j] for z in c.Q])
+            assert_allclose(got, truth[:, :, 0], rtol=0.0, atol=1e-10 * np.abs(truth).max())
+
+
+def check_jacobian_against_differences(surrogate):
+    """Of the mean that `predict` gives; fourth order, step 1e-3 of the cube."""
+    for name in SIZES:
+        c = case(name)
+        posterior = surrogate.Posterior(c.Z, c.Y, c.lengthscales)
+        for z in c.Q[:4]:
+            truth = differences(lambda p, posterior=posterior: posterior.predict(p[None])[0][0], z, 1e-3)
+            mean, got = posterior.mean_and_jacobian(z)
+            assert_allclose(mean, posterior.predict(z[None])[0][0], rtol=0.0, atol=1e-10 * np.abs(c.Y).max())
+            scale = np.abs(truth).max(axis=1, keepdims=True)
+            assert_allclose(got / scale, truth / scale, rtol=0.0, atol=2e-6)
+
+
+def differences(f, at, h):
+    """Central differences of fourth order (..., d) of f at (d,)."""
+    columns = []
+    for e in h * np.eye(len(at)):
+        columns.append((8.0 * (f(at + e) - f(at - e)) - (f(at + 2.0 * e) - f(at - 2.0 * e))) / (12.0 * h))
+    return np.stack(columns, axis=-1)
+
+
+def textbook_matern(Z, y, Q, variance, lengthscales, noise):
+    """Mean and variance of a Matern-5/2 regression of y centred and scaled to one, by explicit inverse."""
+
+    def covariance(A, B):
+        s = np.sqrt(5.0) * np.linalg.norm((A[:, None] - B[None]) / lengthscales, axis=2)
+        return variance * (1.0 + s + s**2 / 3.0) * np.exp(-s)
+
+    inverse = np.linalg.inv(covariance(Z, Z) + noise * np.eye(len(Z)))
+    across = covariance(Q, Z)
+    mean = y.mean() + y.std() * across @ inverse @ ((y - y.mean()) / y.std())
+    return mean, y.std() ** 2 * (variance - np.einsum("ij,jk,ik->i", across, inverse, across))
+
+
+# --- identifiability -----------------------------------------------------------------------------------------------
+
+
+def check_std_against_the_covariance_of_least_squares(identifiability):
+    """Of a linear model with unit noise: the roots of diag (X^T X)^-1."""
+    rng = np.random.default_rng(0)
+    for n, d in ((3, 1), (8, 2), (30, 4)):
+        X = 20.0 * rng.normal(size=(n, d)) * 10.0 ** rng.uniform(0.0, 1.0, d)
+        truth = np.sqrt(np.diag(np.linalg.inv(X.T @ X)))
+        assert_allclose(identifiability.information(X).std(), truth, rtol=1e-9)
+
+
+def check_std_against_refits_of_noisy_data(identifiability):
+    rng = np.random.default_rng(1)
+    X = 10.0 * rng.normal(size=(6, 2))
+    fits = np.linalg.lstsq(X, rng.standard_normal((6, 40_000)), rcond=None)[0]
+    # The standard deviation of 40 000 draws has a relative error of 1/sqrt(80 000) = 0.35 %: five of those.
+    assert_allclose(identifiability.information(X).std(), fits.std(axis=1), rtol=0.018)
+
+
+def check_std_of_what_is_not_seen_is_the_whole_cube(identifiability):
+    # The sum of two is measured, never their difference: sqrt(1/2)/1e-12 and more, cut at the bounds.
+    assert_allclose(identifiability.information(np.array([[50.0, 50.0]])).std(), [1.0, 1.0])
+    # A parameter of its own, and one that does nothing.
+    assert_allclose(identifiability.information(np.array([[40.0, 0.0], [30.0, 0.0]])).std(), [0.02, 1.0])
+    assert_allclose(identifiability.information(np.zeros((3, 2))).std(), [1.0, 1.0])
+    # Weak but real: half the cube.
+    assert_allclose(identifiability.information(np.diag([2.0, 0.5])).std(), [0.5, 1.0])
+
+
+def check_significant_directions_by_hand(identifiability):
+    straight = identifiability.information(np.diag([10.0, 1.0]))
+    # (1, 1) is 10 standard deviations along the first axis and one along the second.
+    assert_allclose(straight.significant(np.array([1.0, 1.0]), 3.0), np.diag([1.0, 0.0]), atol=1e-15)
+    assert_allclose(straight.significant(np.array([1.0, -4.0]), 3.0), np.eye(2), atol=1e-15)
+    assert_allclose(straight.significant(np.array([0.2, 0.2]), 3.0), np.zeros((2, 2)), atol=1e-15)
+    assert_allclose(straight.significant(np.array([0.2, 0.2]), 1.0), np.diag([1.0, 0.0]), atol=1e-15)
+    # Only the sum is seen: the projector averages, along (1, 1)/sqrt(2).
+    oblique = identifiability.information(np.array([[10.0, 10.0]]))
+    assert_allclose(oblique.significant(np.array([1.0, 0.0]), 3.0), np.full((2, 2), 0.5), atol=1e-14)
+    assert_allclose(oblique.significant(np.array([1.0, -1.0]), 3.0), np.zeros((2, 2)), atol=1e-14)
+
+
+def check_significant_is_a_projector_that_loses_little(identifiability):
+    rng = np.random.default_rng(2)
+    for n, d in ((2, 4), (6, 3), (12, 4)):
+        for _ in range(20):
+            J = rng.normal(size=(n, d)) * 10.0 ** rng.uniform(-1.0, 2.0, d)
+            change = rng.uniform(-1.0, 1.0, d)
+            sight = identifiability.information(J)
+            P = sight.significant(change, 3.0)
+            assert_allclose(P @ P, P, atol=1e-12)
+            assert_allclose(P.T, P, atol=1e-12)
+            # Each direction kept back would have moved the residual by at most three standard deviations ...
+            lost = float(np.linalg.norm(J @ (change - P @ change)))
+            assert_allclose(max(lost - 3.0 * np.sqrt(d), 0.0), 0.0, atol=1e-9)
+            # ... and each one let through moves it by more, at right angles to the others.
+            moved = float(np.linalg.norm(J @ P @ change))
+            assert_allclose(max(3.0 * np.sqrt(np.trace(P)) - moved, 0.0), 0.0, atol=1e-9)
+            assert_allclose(moved**2 + lost**2, np.sum((J @ change) ** 2), rtol=1e-9)

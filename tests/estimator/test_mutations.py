@@ -1,0 +1,152 @@
+"""Each oracle rejects wrong formulas: the source of a module with one slip in it, and the check that must see it.
+
+A check that passes on a mutant cannot bite. Every check of oracles.py is here at least once.
+"""
+
+import sys
+from importlib.resources import files
+from types import ModuleType
+
+import pytest
+
+
+@pytest.fixture
+def mutant(monkeypatch):
+    """The module `estimator.name` from its source with the one `old` replaced by `new`, or unchanged where empty."""
+
+    def load(name, old, new):
+        source = files("estimator").joinpath(f"{name}.py").read_text(encoding="utf-8")
+        assert not old or source.count(old) == 1, f"{old!r} must be in {name}.py once, got {source.count(old)}"
+        module = ModuleType(f"estimator.{name}_mutant")
+        module.__package__ = "estimator"
+        monkeypatch.setitem(sys.modules, module.__name__, module)  # dataclasses look their module up there
+        exec(compile(source.replace(old, new) if old else source, f"mutant of {name}.py", "exec"), module.__dict__)
+        return module
+
+    return load
+
+
+EI_QUAD = "check_expected_improvement_against_quadrature"
+EI_DRAWS = "check_expected_improvement_against_monte_carlo"
+PI_QUAD = "check_probability_of_improvement_against_quadrature"
+LCB = "check_lower_confidence_bound_is_a_quantile"
+LOG_NORMAL = "check_target_vector_improvement_is_that_of_the_matched_log_normal"
+TAIL = "check_target_vector_improvement_far_in_the_tail"
+HOPELESS = "check_target_vector_improvement_of_a_hopeless_incumbent"
+SMALL = "check_target_vector_improvement_of_small_variances"
+DENSITY = "check_posterior_density_against_gpy"
+GRADIENT = "check_gradient_against_gpy"
+DIFFERENCES = "check_gradient_against_differences"
+PRIOR = "check_prior_against_gpy"
+VARIANCES = "check_variances_are_gpys_optima"
+PREDICTION = "check_prediction_against_gpy"
+TEXTBOOK = "check_prediction_against_the_textbook"
+JACOBIAN = "check_jacobian_against_gpy"
+JACOBIAN_DIFFERENCES = "check_jacobian_against_differences"
+STD = "check_std_against_the_covariance_of_least_squares"
+REFITS = "check_std_against_refits_of_noisy_data"
+UNSEEN = "check_std_of_what_is_not_seen_is_the_whole_cube"
+BY_HAND = "check_significant_directions_by_hand"
+PROJECTOR = "check_significant_is_a_projector_that_loses_little"
+
+EI = (EI_QUAD, EI_DRAWS)
+BOTH = (PREDICTION, TEXTBOOK)
+SLOPES = (JACOBIAN, JACOBIAN_DIFFERENCES)
+
+MUTANTS = [
+    # id, module, old, new, the checks that must reject it
+    ("ei-density-sign", "acquisition", "ndtr(d) + sigma * np.exp", "ndtr(d) - sigma * np.exp", EI),
+    ("ei-density-without-half", "acquisition", "np.exp(-0.5 * d * d)", "np.exp(-d * d)", EI),
+    ("ei-density-norm", "acquisition", "np.sqrt(2.0 * np.pi)", "np.sqrt(np.pi)", EI),
+    ("ei-of-the-larger", "acquisition", "d = (incumbent - mu) / sigma", "d = (mu - incumbent) / sigma", EI),
+    ("ei-without-density", "acquisition", "sigma * np.exp(", "0.0 * np.exp(", EI),
+    ("ei-variance-for-std", "acquisition", "np.sqrt(np.asarray(variance, dtype=float))\n    d",
+     "np.asarray(variance, dtype=float)\n    d", EI),
+    ("pi-variance-for-std", "acquisition", "/ np.sqrt(np.asarray(variance, dtype=float)))",
+     "/ np.asarray(variance, dtype=float))", (PI_QUAD,)),
+    ("pi-of-the-larger", "acquisition", "ndtr((incumbent - np.asarray(mean", "ndtr(-(incumbent - np.asarray(mean",
+     (PI_QUAD,)),
+    ("lcb-upper", "acquisition", "return kappa * np.sqrt", "return -kappa * np.sqrt", (LCB,)),
+    ("lcb-variance-for-std", "acquisition", "kappa * np.sqrt(np.asarray(variance, dtype=float))",
+     "kappa * np.asarray(variance, dtype=float)", (LCB,)),
+    ("sum-mean-without-variance", "acquisition", "M = np.sum(mu * mu + v,", "M = np.sum(mu * mu,",
+     (LOG_NORMAL, HOPELESS)),
+    ("sum-variance-of-one-square", "acquisition", "np.sum(2.0 * v * v +", "np.sum(1.0 * v * v +", (LOG_NORMAL,)),
+    ("sum-variance-cross-term", "acquisition", "4.0 * mu * mu * v", "2.0 * mu * mu * v", (LOG_NORMAL, SMALL, TAIL)),
+    ("shape-of-the-mean", "acquisition", "V / (M * M)", "V / M", (LOG_NORMAL, SMALL, TAIL)),
+    ("location-sign", "acquisition", "/ s + 0.5 * s", "/ s - 0.5 * s", (LOG_NORMAL,)),
+    ("partial-mean-unshifted", "acquisition", "M * ndtr(d - s)", "M * ndtr(d)", (LOG_NORMAL, SMALL)),
+    ("partial-mean-shifted-up", "acquisition", "M * ndtr(d - s)", "M * ndtr(d + s)", (LOG_NORMAL, SMALL)),
+    ("tail-without-incumbent", "acquisition", "tail = np.log(incumbent) + log_ndtr(d)", "tail = log_ndtr(d)", (TAIL,)),
+    ("tail-without-slope", "acquisition", "np.log(s / np.maximum(np.abs(d), s))", "0.0", (TAIL,)),
+    ("noise-twice", "surrogate", "NOISE: Final = 1e-8", "NOISE: Final = 2e-8", (DENSITY, GRADIENT, *BOTH)),
+    ("concentrated-degrees", "surrogate", "q = np.sum(Y * alpha, axis=0) / n\n",
+     "q = np.sum(Y * alpha, axis=0) / (n - 1)\n", (DENSITY, GRADIENT, DIFFERENCES)),
+    ("determinant-once", "surrogate", "k * np.sum(np.log(np.diag(L)))", "np.sum(np.log(np.diag(L)))",
+     (DENSITY, DIFFERENCES)),
+    ("determinant-half", "surrogate", "k * np.sum(np.log(np.diag(L)))", "0.5 * k * np.sum(np.log(np.diag(L)))",
+     (DENSITY, DIFFERENCES)),
+    ("variances-without-half", "surrogate", "0.5 * n * np.sum(np.log(q))", "n * np.sum(np.log(q))",
+     (DENSITY, DIFFERENCES)),
+    ("constant-without-exponent", "surrogate", "(1.0 + np.log(2.0 * np.pi))", "np.log(2.0 * np.pi)", (DENSITY,)),
+    ("gradient-without-half", "surrogate", "G = 0.5 * (k * inverse", "G = 1.0 * (k * inverse",
+     (GRADIENT, DIFFERENCES)),
+    ("gradient-of-one-output", "surrogate", "(k * inverse -", "(inverse -", (GRADIENT, DIFFERENCES)),
+    ("gradient-without-variances", "surrogate", "(alpha / q) @ alpha.T", "alpha @ alpha.T", (GRADIENT, DIFFERENCES)),
+    ("gradient-in-the-plain-lengthscale", "surrogate", "np.tensordot(squares, G, 2) * inverse_squares",
+     "np.tensordot(squares, G, 2) * inverse_squares**1.5", (GRADIENT, DIFFERENCES)),
+    ("inverse-of-one-triangle", "surrogate", "np.tril(lower) + np.tril(lower, -1).T", "np.tril(lower)",
+     (GRADIENT, DIFFERENCES)),
+    ("lengthscale-unsquared", "surrogate", "np.exp(-2.0 * log_lengthscales)", "np.exp(-1.0 * log_lengthscales)",
+     (DENSITY, GRADIENT)),
+    ("prior-normal-in-the-logarithm", "surrogate", "0.5 * z * z + log_lengthscales + np.log", "0.5 * z * z + np.log",
+     (DENSITY, DIFFERENCES)),
+    ("prior-norm", "surrogate", "np.log(prior_std * np.sqrt(2.0 * np.pi))", "np.log(np.sqrt(2.0 * np.pi))",
+     (DENSITY, PRIOR)),
+    ("prior-without-half", "surrogate", "np.sum(0.5 * z * z +", "np.sum(z * z +", (DENSITY, DIFFERENCES, PRIOR)),
+    ("prior-slope-unscaled", "surrogate", "gradient + z / prior_std + 1.0", "gradient + z + 1.0",
+     (GRADIENT, DIFFERENCES, PRIOR)),
+    ("prior-slope-without-one", "surrogate", "z / prior_std + 1.0", "z / prior_std", (GRADIENT, DIFFERENCES)),
+    ("correlation-without-half", "surrogate", "np.exp(-0.5 * np.maximum(squares, 0.0))",
+     "np.exp(-np.maximum(squares, 0.0))", (VARIANCES, *BOTH)),
+    ("correlation-without-cross-factor", "surrogate", "- 2.0 * a @ b.T", "- a @ b.T", (VARIANCES, *BOTH)),
+    ("signal-of-n-minus-one", "surrogate", "np.sum(Y * self._alpha, axis=0) / len(Z)",
+     "np.sum(Y * self._alpha, axis=0) / (len(Z) - 1)", (VARIANCES, *BOTH)),
+    ("variance-of-the-prior", "surrogate", "1.0 - np.sum(w * w, axis=0)", "1.0 - 0.0 * np.sum(w * w, axis=0)", BOTH),
+    ("variance-first-power", "surrogate", "1.0 - np.sum(w * w, axis=0)", "1.0 - np.sum(np.abs(w), axis=0)", BOTH),
+    ("slope-sign", "surrogate", "-self._alpha.T @", "self._alpha.T @", SLOPES),
+    ("slope-in-lengthscales", "surrogate", "scaled / self._lengthscales)", "scaled)", SLOPES),
+    ("slope-of-another-kernel", "surrogate", "c = np.exp(-0.5 * (scaled", "c = np.exp(-1.0 * (scaled", SLOPES),
+    ("std-of-the-singular-values", "identifiability", "np.maximum(self.singular_values, 1e-12)[:, None])",
+     "(1.0 / np.maximum(self.singular_values, 1e-12))[:, None])", (STD, REFITS)),
+    ("std-is-a-variance", "identifiability", "np.minimum(np.sqrt(variance), 1.0)", "np.minimum(variance, 1.0)",
+     (STD, REFITS, UNSEEN)),
+    ("std-along-the-rows", "identifiability", "** 2, axis=0)", "** 2, axis=1)", (STD, REFITS)),
+    ("std-beyond-the-bounds", "identifiability", "np.minimum(np.sqrt(variance), 1.0)", "np.sqrt(variance)", (UNSEEN,)),
+    ("std-of-the-best-direction", "identifiability", "np.sum((self.directions", "np.min((self.directions", (STD, REFITS)),
+    ("change-unweighted", "identifiability", "self.singular_values * np.abs(", "np.abs(", (BY_HAND, PROJECTOR)),
+    ("change-of-one-sign", "identifiability", "np.abs(self.directions @ change)", "(self.directions @ change)",
+     (PROJECTOR,)),
+    ("held-for-moved", "identifiability", "> n_std]", "<= n_std]", (BY_HAND, PROJECTOR)),
+    ("threshold-unused", "identifiability", "> n_std]", "> 0.0]", (BY_HAND, PROJECTOR)),
+    ("projector-on-columns", "identifiability", "np.abs(self.directions @ change)",
+     "np.abs(self.directions.T @ change)", (PROJECTOR,)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "check"),
+    [pytest.param(*m[1:4], check, id=f"{m[0]}-{check.removeprefix('check_')}") for m in MUTANTS for check in m[4]],
+)
+def test_a_wrong_formula_is_rejected(oracles, mutant, name, old, new, check):
+    with pytest.raises(AssertionError, match="Not equal to tolerance"):
+        getattr(oracles, check)(mutant(name, old, new))
+
+
+@pytest.mark.parametrize(("name", "check"), sorted({(m[1], check) for m in MUTANTS for check in m[4]}))
+def test_the_unchanged_source_passes(oracles, mutant, name, check):
+    getattr(oracles, check)(mutant(name, "", ""))
+
+
+def test_every_check_has_a_mutant(oracles):
+    assert {name for name in vars(oracles) if name.startswith("check_")} == {c for m in MUTANTS for c in m[4]}

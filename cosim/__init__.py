@@ -30,7 +30,7 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> object:
-    # Loaded on first use: an FMU's process imports cosim.worker and needs neither GPy nor pydantic.
+    # Loaded on first use: an FMU's process imports cosim.child and needs neither GPy nor pydantic.
     if name not in _HOMES:
         raise AttributeError(f"module 'cosim' has no attribute '{name}'")
     return getattr(import_module(f".{_HOMES[name]}", __name__), name)

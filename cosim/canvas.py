@@ -3,10 +3,10 @@
 import os
 import re
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -32,6 +32,7 @@ VERMILION: Final = "#D55E00"
 PURPLE: Final = "#CC79A7"
 
 _DPI: Final = 120
+_STEPS: Final = (1, 2, 2.5, 5, 10)
 _GREEK: Final = frozenset(
     [
         "alpha",
@@ -102,6 +103,14 @@ def tidy(axes: Axes) -> None:
     axes.tick_params(labelsize=9)
 
 
+def top_legend(figure: Figure, handles: Mapping[str, Any], n_columns: int) -> None:
+    """A legend by text above all axes, where it covers no data."""
+    figure.legend(
+        handles.values(), handles.keys(), loc="outside upper center", ncols=n_columns, frameon=False, fontsize=9,
+        columnspacing=1.3, handlelength=1.6, handletextpad=0.5,
+    )  # fmt: skip
+
+
 def label(name: str, unit: str | None = None) -> str:
     """Axis label of a variable: `J_x`, `kg.m2` becomes J with an index and [kg m²]."""
     short = name if len(name) <= 28 else f"{name[:14]}…{name[-13:]}"
@@ -129,9 +138,9 @@ def _unit_text(unit: str) -> str:
 
 
 def value_range(series: Sequence[ArrayLike], percentile: float = 0.0) -> Limits | None:
-    """Smallest and largest finite value, or the percentiles that far from both ends; None where there is none."""
+    """Smallest and largest value, or the percentiles that far from both ends; None where none is below 1e100."""
     flat = np.concatenate([np.ravel(np.asarray(s, dtype=float)) for s in series]) if series else np.empty(0)
-    finite = flat[np.isfinite(flat)]
+    finite = flat[np.abs(flat) < 1e100]  # NaN is not
     if not len(finite):
         return None
     low, high = np.percentile(finite, [percentile, 100.0 - percentile])
@@ -153,7 +162,7 @@ def set_linear(axes: Axes, limits: Limits, margin: float = 0.06) -> Limits:
     width = high - low or 0.1 * abs(high) or 1.0
     shown = (low - margin * width, high + margin * width)
     axes.set_ylim(*shown)
-    axes.yaxis.set_major_locator(MaxNLocator(5))
+    axes.yaxis.set_major_locator(MaxNLocator(5, steps=_STEPS))
     return shown
 
 
@@ -174,11 +183,11 @@ def set_log(axes: Axes, which: Literal["x", "y"], limits: Limits, margin: float 
 def _log_ticks(low: float, high: float) -> Sequence[float]:
     """Between three and about eight ticks: decades, or 1-2-5, or round steps inside a decade."""
     exponents = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
-    for digits, least in (((1.0,), 4), ((1.0, 2.0, 5.0), 3)):
+    for digits in ((1.0,), (1.0, 2.0, 5.0)):
         ticks = [d * 10.0**k for k in exponents for d in digits if low <= d * 10.0**k <= high]
-        if len(ticks) >= least:
+        if len(ticks) >= 3:
             return ticks[:: -(-len(ticks) // 8)]
-    return [t for t in MaxNLocator(5).tick_values(low, high) if low <= t <= high]
+    return [t for t in MaxNLocator(5, steps=_STEPS).tick_values(low, high) if low <= t <= high]
 
 
 def _tick_text(value: float, _: int | None) -> str:

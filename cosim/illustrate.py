@@ -14,18 +14,21 @@ from estimator.acquisition import expected_improvement
 from estimator.space import Vector
 from estimator.surrogate import ScalarSurrogate
 
-from .canvas import BLACK, BLUE, GREEN, GREY, PURPLE, SKY, VERMILION, YELLOW, new_figure, save_png, tidy
+from .canvas import BLACK, BLUE, GREEN, GREY, PURPLE, SKY, VERMILION, YELLOW, new_figure, save_png, tidy, top_legend
 
 NOISE: Final = 0.02
 """Standard deviation of the noise on each observation."""
 N_INITIAL: Final = 3
 """Random observations that begin, one in each third of the interval."""
+LENGTHSCALE_BOUNDS: Final = (0.1, 0.5)
+"""Of the surrogate's Matern kernel, on the unit interval."""
+LENGTHSCALE_START: Final = 0.2
 _GRID: Final = np.linspace(0.0, 1.0, 501)
 
 
 def unknown(x: Vector) -> Vector:
-    """The function to minimise on [0, 1]: two local minima and a global one."""
-    return np.sin(13.0 * x) * 0.6 + 1.5 * (x - 0.75) ** 2
+    """The function to minimise on [0, 1]: a global minimum at 0.242 and a local one at 0.868."""
+    return np.cos(10.0 * x + 0.6) + 1.2 * (x - 0.3)
 
 
 @dataclass(frozen=True)
@@ -97,8 +100,7 @@ def illustrate(path: Path, seed: int = 0, n_evaluations: int = 8) -> Path:
     grid[0, 0].set_ylabel("objective")
     grid[1, 0].set_ylabel("EI")
     handles = [pair for axes in grid[:, 0] for pair in zip(*axes.get_legend_handles_labels(), strict=True)]
-    unique = {text: handle for handle, text in handles}
-    figure.legend(unique.values(), unique.keys(), loc="outside upper center", ncols=4, frameon=False, fontsize=9)
+    top_legend(figure, {text: handle for handle, text in handles}, n_columns=7)
     return save_png(figure, path)
 
 
@@ -128,6 +130,12 @@ def _draw_acquisition(axes: Axes, stage: Stage) -> None:
 
 
 def _stage(x: Vector, y: Vector) -> Stage:
-    mean, variance = ScalarSurrogate(x[:, None], y).predict(_GRID[:, None])
+    surrogate = ScalarSurrogate(x[:, None], y, max_iterations=0)
+    # From so few observations the likelihood alone would take all for noise.
+    surrogate.model.kern.lengthscale.constrain_bounded(*LENGTHSCALE_BOUNDS, warning=False)
+    surrogate.model.kern.lengthscale[:] = LENGTHSCALE_START
+    surrogate.model.Gaussian_noise.variance.constrain_fixed(NOISE**2 / float(np.var(y)), warning=False)
+    surrogate.model.optimize("lbfgsb", max_iters=50)
+    mean, variance = surrogate.predict(_GRID[:, None])
     improvement = expected_improvement(mean, variance, float(y.min()))
     return Stage(x, y, mean, np.sqrt(variance), improvement)

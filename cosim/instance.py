@@ -5,33 +5,19 @@ FMI 3.0 instance is a second class with the same methods.
 """
 
 import ctypes
-import math
 import os
-import struct
 from collections.abc import Sequence
-from ctypes import byref, c_double, c_int, c_size_t, c_uint, c_void_p
-from typing import Any, Final, NamedTuple, TypeAlias
+from ctypes import c_double, c_int, c_size_t, c_void_p
+from typing import Any, Final, NamedTuple
 
-import fmpy
 from fmpy import fmi1, fmi2
 
-from .errors import SlaveError, one_line
+from .block import Block, Value, Variable, blocks_of
+from .errors import SlaveError
+from .fmu_log import MessageLog
 
 STATUS: Final = ("ok", "warning", "discard", "error", "fatal", "pending")
 _WARNING: Final = 1
-_UNFILLED: Final = -(2**31)  # what an Integer or Boolean that a get left alone reads as; reported as NaN
-
-Value: TypeAlias = float | int | bool | str
-
-
-class Variable(NamedTuple):
-    """A scalar variable of a model description, as far as calls need it."""
-
-    name: str
-    type: str
-    """'Real', 'Integer', 'Boolean' or 'String'; an enumeration is an Integer."""
-    reference: int
-    """The value reference."""
 
 
 class Identity(NamedTuple):
@@ -44,104 +30,6 @@ class Identity(NamedTuple):
     instance_name: str
     has_plain_log: bool
     """Log texts are not formats with arguments; see MessageLog."""
-
-
-class MessageLog:
-    """The FMU's gravest log message, and of equals the newest, since the last clear.
-
-    FMI's logger is variadic; FMPy's native proxy formats the message. PythonFMU however passes the model's own text as
-    the format and never arguments, so that a "%s" in it would read random memory: its texts are taken as they are.
-    """
-
-    _open: "dict[int, MessageLog]" = {}
-
-    def __init__(self, has_plain_text: bool) -> None:
-        self.text = ""
-        self._status = -1
-        self._has_plain_text = has_plain_text
-        self._open[id(self)] = self
-        self.callbacks = fmi2.fmi2CallbackFunctions()
-        self.callbacks.logger = _LOGGER
-        self.callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(fmpy.calloc)
-        self.callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(fmpy.free)
-        self.callbacks.componentEnvironment = id(self)
-        if not has_plain_text:
-            from fmpy.logging import addLoggerProxy
-
-            addLoggerProxy(byref(self.callbacks))
-
-    def add(self, status: int, message: bytes) -> None:
-        if status >= self._status:
-            text = message.decode("utf-8", "replace")
-            self.text = text.replace("%%", "%") if self._has_plain_text else text
-            self._status = status
-
-    def clear(self) -> None:
-        self.text, self._status = "", -1
-
-    def close(self) -> None:
-        self._open.pop(id(self), None)
-
-    def reason(self) -> str:
-        """The message in one line: of a Python traceback its last line, of a PythonFMU exception the exception."""
-        lines = [line.strip() for line in self.text.splitlines() if line.strip()]
-        if any(line.startswith("Traceback (most recent call last)") for line in lines):
-            lines = lines[-1:]
-        elif len(lines) > 1 and lines[0].startswith("Fatal py exception encountered"):
-            lines = lines[1:]
-        return one_line(" ".join(lines))
-
-
-def _receive_message(environment: int | None, instance: bytes, status: int, category: bytes, message: bytes) -> None:
-    log = MessageLog._open.get(environment or 0)  # pyright: ignore[reportPrivateUsage]
-    if log is not None:
-        log.add(status, message or b"")
-    else:  # the proxy is one for the whole process: an FMU that somebody else runs through FMPy
-        fmi1.printLogMessage(c_void_p(environment), instance, status, category, message)
-
-
-_LOGGER: Final = fmi2.fmi2CallbackLoggerTYPE(_receive_message)
-
-
-class Block:
-    """The variables of one type among those that are set or got together, in arrays that live as long as the FMU."""
-
-    def __init__(self, kind: str, variables: Sequence[Variable], positions: Sequence[int]) -> None:
-        self.getter, self.setter = f"get_{kind.lower()}", f"set_{kind.lower()}"
-        self.is_real = kind == "Real"
-        self.positions = tuple(positions)
-        references = [variables[i][2] for i in positions]
-        self._references = (c_uint * len(positions))(*references)
-        self._values: Any = ((c_double if self.is_real else c_int) * len(positions))()
-        self._pack = struct.Struct(f"{len(positions)}{'d' if self.is_real else 'i'}")
-        self._memory = memoryview(self._values).cast("B")
-        self._unfilled = self._pack.pack(*([math.nan if self.is_real else _UNFILLED] * len(positions)))
-        self.arguments = (ctypes.addressof(self._references), len(positions), ctypes.addressof(self._values))
-
-    def fill(self, values: Sequence[float]) -> None:
-        """Put into the array what belongs to this block among all the values that are set together."""
-        if not self.is_real:
-            values = [int(values[i]) for i in self.positions]
-        elif len(values) != len(self.positions):
-            values = [values[i] for i in self.positions]
-        self._pack.pack_into(self._values, 0, *values)
-
-    def clear(self) -> None:
-        """Mark every value as not filled."""
-        self._memory[:] = self._unfilled
-
-    def read(self) -> tuple[float, ...]:
-        """The array's values; NaN where a get has filled nothing."""
-        values = self._pack.unpack(self._memory)
-        return values if self.is_real else tuple(math.nan if v == _UNFILLED else float(v) for v in values)
-
-
-def blocks_of(variables: Sequence[Variable]) -> list[Block]:
-    """variables grouped by type, each group in its order."""
-    positions: dict[str, list[int]] = {}
-    for i, variable in enumerate(variables):
-        positions.setdefault(variable[1], []).append(i)
-    return [Block(kind, variables, of_kind) for kind, of_kind in positions.items()]
 
 
 class Instance:
@@ -164,20 +52,7 @@ class Instance:
         self._inputs: list[Block] = []
         self._tunables: list[Block] = []
         self._outputs: list[Block] = []
-        directory = os.getcwd()
-        try:
-            self._fmu = fmi2.FMU2Slave(
-                guid=identity.guid,
-                modelIdentifier=identity.model_identifier,
-                unzipDirectory=identity.folder,
-                instanceName=identity.instance_name,
-            )
-            self._fmu.instantiate(callbacks=self._log.callbacks, loggingOn=True)
-        except Exception as error:  # FMPy raises nothing more special
-            self._log.close()
-            raise SlaveError(self.name, "instantiate", None, f"failed: {self._log.reason() or error}") from error
-        finally:
-            os.chdir(directory)  # FMPy stays in the FMU's folder when loading fails
+        self._fmu = self._load(identity)
         self._component = ctypes.cast(self._fmu.component, c_void_p)
         self._do_step = self._raw("fmi2DoStep", c_void_p, c_double, c_double, c_int)
         self._exchange = {
@@ -250,6 +125,23 @@ class Instance:
             self._checked("terminate", self._fmu.terminate)
         self._fmu.freeInstance()
         self._log.close()
+
+    def _load(self, identity: Identity) -> fmi2.FMU2Slave:
+        directory = os.getcwd()
+        try:
+            fmu = fmi2.FMU2Slave(
+                guid=identity.guid,
+                modelIdentifier=identity.model_identifier,
+                unzipDirectory=identity.folder,
+                instanceName=identity.instance_name,
+            )
+            fmu.instantiate(callbacks=self._log.callbacks, loggingOn=True)
+        except Exception as error:  # FMPy raises nothing more special
+            self._log.close()
+            raise SlaveError(self.name, "instantiate", None, f"failed: {self._log.reason() or error}") from error
+        finally:
+            os.chdir(directory)  # FMPy stays in the FMU's folder when loading fails
+        return fmu
 
     def _set(self, blocks: Sequence[Block], values: Sequence[float]) -> None:
         for block in blocks:

@@ -103,7 +103,7 @@ def make_policy(
 def _residual(scenario: Scenario, plant: Plant, first: Sample, theta: Vector) -> DerivativeResidual:
     """The whitened residual of the scenario's model, tried once. Raises ScenarioError."""
     settings = scenario.estimation
-    model = _load_model(settings.model, scenario.folder)
+    model = load_model(settings.model, scenario.folder)
     sigma = tuple(n.noise for n in scenario.sampling.derivatives.values())
     residual = DerivativeResidual(model, settings.space, plant.channels, sigma)
     try:
@@ -121,7 +121,7 @@ def check_estimator(name: str) -> None:
         raise ScenarioError(f"no estimator '{name}'{did_you_mean(name, ESTIMATORS) or known}")
 
 
-def _load_model(reference: str, folder: Path) -> Model:
+def load_model(reference: str, folder: Path) -> Model:
     """The function that `module:function` names; modules beside the scenario are found too."""
     module_name, _, function = reference.partition(":")
     sys.path.insert(0, str(folder))

@@ -7,13 +7,14 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from estimator import DerivativeResidual, Sample, Vector
 
-from .canvas import BLACK, GREEN, ORANGE, VERMILION, Series, label, new_figure, set_log
+from .canvas import BLUE, GREEN, VERMILION, Series, label, new_figure, set_log, top_legend
 from .errors import CosimError
 from .library import find_fmu
-from .policy import _load_model  # pyright: ignore[reportPrivateUsage]
+from .policy import load_model  # pyright: ignore[reportPrivateUsage]
 from .result import Run
 from .slave import read_description
 
@@ -87,12 +88,12 @@ def _at(columns: Sequence[Series | None], k: int) -> tuple[float, ...]:
     return tuple(float(c[k]) for c in columns if c is not None)
 
 
-def _surface(run: Run, samples: Sequence[Sample], channels: tuple[int, ...]) -> tuple[Vector, Vector, Vector]:
+def response_surface(run: Run, samples: Sequence[Sample], channels: tuple[int, ...]) -> tuple[Vector, Vector, Vector]:
     """Values of both parameters and log10 of the residual's root mean square (n, n), in standard deviations."""
     scenario = run.scenario
     space = scenario.estimation.space
     noise = tuple(n.noise for n in scenario.sampling.derivatives.values())
-    residual = DerivativeResidual(_load_model(scenario.estimation.model, scenario.folder), space, channels, noise)
+    residual = DerivativeResidual(load_model(scenario.estimation.model, scenario.folder), space, channels, noise)
     z = np.linspace(0.0, 1.0, _N_GRID)
     thetas = space.from_unit(np.stack(np.meshgrid(z, z), axis=-1))
     mean_square = np.full((_N_GRID, _N_GRID), np.nan)
@@ -106,25 +107,28 @@ def _surface(run: Run, samples: Sequence[Sample], channels: tuple[int, ...]) -> 
 
 
 def _draw(run: Run, samples: Sequence[Sample], channels: tuple[int, ...], episode: Sequence[Event]) -> Figure | None:
-    first, second, level = _surface(run, samples, channels)
+    first, second, level = response_surface(run, samples, channels)
     if np.sum(np.isfinite(level)) < 2 or np.nanmax(level) - np.nanmin(level) < 1e-9:
         return None
     figure = new_figure(6.6, 5.4)
     axes = figure.subplots()
-    filled = axes.contourf(first, second, np.ma.masked_invalid(level), levels=14, cmap="Greys_r", alpha=0.75)
+    steps = MaxNLocator(12, steps=(1, 2, 5, 10)).tick_values(np.nanmin(level), np.nanmax(level))
+    filled = axes.contourf(first, second, np.ma.masked_invalid(level), levels=list(steps), cmap="Greys", alpha=0.6)
     figure.colorbar(filled, ax=axes, label=r"$\log_{10}$ rms residual [standard deviations of the noise]")
     _scale(axes, run)
     candidates = [c for e in episode if e.get("kind") == "candidate" and _is_finite(c := e.get("theta"))]
     if candidates:
         x, y = np.array(candidates, dtype=float).T
         dots = axes.scatter(
-            x, y, c=np.arange(1, len(x) + 1), cmap="plasma", s=36, edgecolors="white", linewidths=0.6, zorder=3,
+            x, y, c=np.arange(1, len(x) + 1), cmap="plasma", s=32, edgecolors="black", linewidths=0.5, zorder=3,
             label="candidates", clip_on=False,
         )  # fmt: skip
-        figure.colorbar(dots, ax=axes, label="evaluation", location="bottom", aspect=40, shrink=0.8)
+        figure.colorbar(
+            dots, ax=axes, label="evaluation", location="bottom", aspect=40, shrink=0.8, ticks=MaxNLocator(integer=True)
+        )
     for text, theta, style in _marks(run, episode):
-        axes.plot(*theta, linestyle="", label=text, zorder=4, clip_on=False, **style)
-    figure.legend(loc="outside upper center", ncols=4, frameon=False, fontsize=9)
+        axes.plot(*theta, linestyle="", label=text, clip_on=False, **style)
+    top_legend(figure, {text: h for h, text in zip(*axes.get_legend_handles_labels(), strict=True)}, n_columns=4)
     axes.set_title(f"samples of t = {samples[0].t:.4g} to {samples[-1].t:.4g} s", fontsize=9)
     return figure
 
@@ -146,11 +150,11 @@ def _marks(run: Run, episode: Sequence[Event]) -> Iterator[tuple[str, list[float
     """Text, place and style of where the episode began, where it ended and where it should have."""
     begin, end = (int(np.searchsorted(run.time, float(e["t"]) - 1e-9)) for e in (episode[0], episode[-1]))
     end = min(end, len(run.time) - 1)
-    hollow = {"markerfacecolor": "none", "markeredgewidth": 2.0}
+    hollow = {"markerfacecolor": "none", "markeredgewidth": 2.0, "zorder": 4}
     marks = [
-        ("start", run.estimates, max(begin - 1, 0), {"marker": "s", "markersize": 10, "color": VERMILION} | hollow),
-        ("truth", run.true_parameters, end, {"marker": "*", "markersize": 19, "color": GREEN, "markeredgecolor": BLACK}),
-        ("estimate", run.estimates, end, {"marker": "o", "markersize": 13, "color": ORANGE} | hollow),
+        ("start", run.estimates, max(begin - 1, 0), {"marker": "s", "markersize": 11, "color": BLUE} | hollow),
+        ("truth", run.true_parameters, end, {"marker": "*", "markersize": 22, "color": GREEN, "zorder": 2.5}),
+        ("estimate", run.estimates, end, {"marker": "o", "markersize": 15, "color": VERMILION} | hollow),
     ]  # fmt: skip
     for text, values, k, style in marks:
         theta = [float(series[k]) for series in values.values()]

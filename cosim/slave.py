@@ -7,32 +7,28 @@ with open_slave(Path("Pendulum.fmu"), "plant") as plant:
     phi, phi_dot = plant.step([0.0], t=0.0, h=0.01)
 """
 
-import difflib
 import logging
 import math
 import os
 import shutil
-import sys
 import tempfile
 import weakref
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, Literal, Protocol, Self, SupportsFloat
+from typing import Any, Literal, Self
 
-import fmpy
-from fmpy.model_description import CoSimulation, ModelDescription, ModelVariable
+from fmpy.model_description import ModelDescription
 
-from .errors import COLON, ModelDescriptionError, SlaveError, WiringError, one_line
-from .instance import Identity, Instance, Value, Variable
+from .archive import co_simulation, read_description, unpack
+from .block import PYTHON_TYPE, Value
+from .errors import COLON, SlaveError, WiringError
+from .home import Home, SameProcess
+from .instance import Identity
+from .ports import Catalogue, Ports
 from .worker import Worker
 
 Isolation = Literal["process", "none"]
 
-_LARGEST: Final = sys.float_info.max
-_DEFAULT_RANGE: Final = {"Real": (-_LARGEST, _LARGEST), "Integer": (-(2.0**31) + 1, 2.0**31 - 1), "Boolean": (0.0, 1.0)}
-_PYTHON_TYPE: Final[dict[str, type]] = {"Real": float, "Integer": int, "Boolean": bool, "String": str}
 _log = logging.getLogger(__name__)
 
 
@@ -55,7 +51,7 @@ def open_slave(fmu: Path, instance_name: str, *, isolation: Isolation = "process
         unpack(fmu, folder)
         identity = Identity(
             folder,
-            str(_interface(description).modelIdentifier),
+            str(co_simulation(description).modelIdentifier),
             str(description.guid),
             instance_name,
             "pythonfmu" in (description.generationTool or "").lower(),
@@ -65,111 +61,6 @@ def open_slave(fmu: Path, instance_name: str, *, isolation: Isolation = "process
         shutil.rmtree(folder, ignore_errors=True)
         raise
     return Slave(fmu, instance_name, description, home, folder)
-
-
-def read_description(fmu: Path) -> ModelDescription:
-    """The model description of an FMU that this machine can co-simulate. Raises ModelDescriptionError."""
-    try:
-        with open(fmu, "rb") as file:  # given a path, FMPy leaves the file open when the XML is damaged
-            description = fmpy.read_model_description(file)
-            platforms: list[str] = fmpy.supported_platforms(file)
-    except OSError as error:
-        raise ModelDescriptionError(f"{fmu} cannot be read: {error.strerror or error}") from error
-    except Exception as error:  # FMPy raises what the zip, XML and validation code happens to raise
-        raise ModelDescriptionError(f"{fmu} is not a usable FMU: {one_line(_text_of(error))}") from error
-    interface = description.coSimulation
-    if description.fmiVersion != "2.0" or interface is None:
-        kind = "co-simulation" if interface is not None else "model-exchange"
-        raise ModelDescriptionError(f"{fmu} is an FMI {description.fmiVersion} {kind} FMU, not FMI 2.0 co-simulation.")
-    if not str(interface.modelIdentifier).isidentifier():  # it becomes a file name
-        raise ModelDescriptionError(f"{fmu} has the model identifier {interface.modelIdentifier!r}, not a C name.")
-    if fmpy.platform not in platforms:
-        offer = f"only for {', '.join(platforms)}" if platforms else "nor for any other platform"
-        raise ModelDescriptionError(f"{fmu} has no binary for {fmpy.platform}, {offer}.")
-    return description
-
-
-def unpack(fmu: Path, folder: str) -> None:
-    """Extract an FMU into folder. Raises ModelDescriptionError, for names that lead out of folder before any write."""
-    try:
-        with zipfile.ZipFile(fmu) as archive:
-            for name in archive.namelist():
-                if name.startswith("/") or ".." in name.split("/") or "\\" in name or ":" in name:
-                    raise ModelDescriptionError(f"{fmu} holds a file that would be put outside its folder: {name!r}")
-            archive.extractall(folder)
-    except (zipfile.BadZipFile, zlib.error, OSError, RuntimeError, ValueError) as error:
-        raise ModelDescriptionError(f"{fmu} cannot be unpacked: {one_line(_text_of(error))}") from error
-
-
-def _interface(description: ModelDescription) -> CoSimulation:
-    """The co-simulation part of a description that read_description has let through."""
-    assert description.coSimulation is not None
-    return description.coSimulation
-
-
-def _text_of(error: Exception) -> str:
-    return str(error.args[0] if isinstance(error, KeyError) else error) or type(error).__name__
-
-
-class Home(Protocol):
-    """Where an Instance lives: a Worker or SameProcess."""
-
-    def bind(self, inputs: Sequence[Variable], tunables: Sequence[Variable], outputs: Sequence[Variable]) -> None: ...
-    def call(self, function: str, t: float | None, *arguments: object) -> Any: ...
-    def begin_step(self, t: float, h: float, inputs: Sequence[float], tunables: Sequence[float] | None) -> None: ...
-    def end_step(self, t: float) -> tuple[float, ...]: ...
-    def close(self, t: float | None, is_polite: bool) -> None: ...
-
-
-class SameProcess:
-    """An Instance in this process: a call that hangs is waited for, and a crash ends this process."""
-
-    def __init__(self, identity: Identity) -> None:
-        self._instance = Instance(identity)
-        self.bind = self._instance.bind
-
-    def call(self, function: str, t: float | None, *arguments: object) -> Any:
-        return getattr(self._instance, function)(*arguments)
-
-    def begin_step(self, t: float, h: float, inputs: Sequence[float], tunables: Sequence[float] | None) -> None:
-        self._step = (t, h, tuple(inputs), None if tunables is None else tuple(tunables))
-
-    def end_step(self, t: float) -> tuple[float, ...]:
-        return self._instance.step(*self._step)
-
-    def close(self, t: float | None, is_polite: bool) -> None:
-        if is_polite:
-            self._instance.close()
-
-
-class Ports:
-    """Variables whose values cross together: their names, and the values they may have."""
-
-    def __init__(self, role: str, variables: Sequence[ModelVariable]) -> None:
-        self.variables = [Variable(v.name, _type_of(v), v.valueReference) for v in variables]
-        self._role = role
-        self._units = [_attribute(v, "unit") or "" for v in variables]
-        self._ranges = [_range_of(v) for v in variables]
-        self._whole = [i for i, v in enumerate(self.variables) if v.type != "Real"]
-
-    def problem(self, values: Sequence[float]) -> str | None:
-        """What is wrong with the first value that is not finite, outside [min, max] or not of its type, or None."""
-        for value, (low, high) in zip(values, self._ranges, strict=True):
-            if not low <= value <= high:  # NaN is in no range
-                return self._describe(values)
-        for i in self._whole:
-            if values[i] != int(values[i]):
-                return f"{self._role} {self.variables[i].name!r} must be a whole number, got {values[i]:g}"
-        return None
-
-    def _describe(self, values: Sequence[float]) -> str:
-        for variable, unit, value, (low, high) in zip(self.variables, self._units, values, self._ranges, strict=True):
-            if not math.isfinite(value):
-                return f"{self._role} {variable.name!r} is {value:g}"
-            if not low <= value <= high:
-                span = f"[{_bound(low)}, {_bound(high)}] {unit}".rstrip()
-                return f"{self._role} {variable.name!r} must be within {span}, got {value:.9g}"
-        raise AssertionError("called for values that are all right")
 
 
 class Slave:
@@ -184,7 +75,7 @@ class Slave:
         self.fmu = fmu
         self.name = instance_name
         self.description = description
-        self._variables: dict[str, ModelVariable] = {v.name: v for v in description.modelVariables}
+        self._catalogue = Catalogue(fmu.name, description.modelVariables)
         self._home = home
         self._time: float | None = None
         self._fault: SlaveError | None = None
@@ -199,14 +90,14 @@ class Slave:
         inputs must have causality input, tunables be tunable parameters; outputs may be anything but a String.
         Raises WiringError, SlaveError.
         """
-        self._inputs = Ports("input", [self._find(name, "input") for name in inputs])
-        self._tunables = Ports("parameter", [self._find(name, "tunable parameter") for name in tunables])
-        self._outputs = Ports("output", [self._find(name, "output") for name in outputs])
-        self._values = None
-        ports = (self._inputs, self._tunables, self._outputs)
         for names in (inputs, tunables):
             if len(set(names)) != len(names):
                 raise WiringError(f"{self.name}: a variable is bound twice in {', '.join(names)}")
+        self._inputs = self._catalogue.ports("input", inputs)
+        self._tunables = self._catalogue.ports("tunable parameter", tunables)
+        self._outputs = self._catalogue.ports("output", outputs)
+        self._values = None
+        ports = (self._inputs, self._tunables, self._outputs)
         self._guarded(self._home.bind, *(port.variables for port in ports))
 
     def initialize(self, start: Mapping[str, Value], start_time: float = 0.0, stop_time: float | None = None) -> None:
@@ -316,84 +207,17 @@ class Slave:
             raise SlaveError(self.name, "set", t, problem, COLON)
 
     def _must_have_states(self, function: str) -> None:
-        interface = _interface(self.description)
+        interface = co_simulation(self.description)
         if not (interface.canGetAndSetFMUstate and interface.canSerializeFMUstate):
             reason = f"{self.fmu.name} cannot save and restore its state"
             raise SlaveError(self.name, function, self._time, reason, COLON)
 
-    def _find(self, name: str, role: str) -> ModelVariable:
-        """The variable of that name, if it may play the role that bind gives it."""
-        variable = self._known(name)
-        kind = _kind_of(variable)
-        if role != "output" and kind != role:
-            raise WiringError(f"{name!r} of {self.fmu.name} is {_with_article(kind)}, not {_with_article(role)}.")
-        if variable.type == "String":
-            raise WiringError(f"{name!r} of {self.fmu.name} is a String and cannot be exchanged.")
-        return variable
-
-    def _known(self, name: str) -> ModelVariable:
-        variable = self._variables.get(name)
-        if variable is not None:
-            return variable
-        message = f"no variable {name!r} in {self.fmu.name}"
-        for match in difflib.get_close_matches(name, self._variables, n=1):
-            message += f"; did you mean {match!r} ({_with_article(_kind_of(self._variables[match]))})?"
-        raise WiringError(message)
-
     def _start_value(self, name: str, value: Value, t: float) -> tuple[str, str, int, Value]:
-        variable = self._known(name)
-        takes_start = variable.causality == "input" or variable.initial in ("exact", "approx")
-        if not takes_start or variable.variability == "constant" or variable.causality == "independent":
-            kind = _with_article(_kind_of(variable))
-            initial = f", initial {variable.initial}" if variable.initial else ""
-            raise WiringError(f"{name!r} of {self.fmu.name} takes no start value: it is {kind}{initial}.")
-        ports = Ports(_kind_of(variable), [variable])
-        kind = ports.variables[0].type
-        is_fit = isinstance(value, str) if kind == "String" else isinstance(value, SupportsFloat)
-        if not is_fit or (isinstance(value, bool) and kind != "Boolean"):
-            raise WiringError(f"{name!r} of {self.fmu.name} is a {kind} and cannot start as {value!r}.")
-        if kind != "String":
-            self._refuse(ports, [float(value)], t)
-        return name, kind, variable.valueReference, _PYTHON_TYPE[kind](value)
-
-
-def _kind_of(variable: ModelVariable) -> str:
-    """What a variable is, in words: 'input', 'tunable parameter', 'local variable', ..."""
-    if variable.variability == "constant":
-        return "constant"
-    if variable.causality == "parameter":
-        return f"{variable.variability} parameter"
-    return {"calculatedParameter": "calculated parameter", "local": "local variable"}.get(
-        variable.causality, str(variable.causality)
-    )
-
-
-def _with_article(kind: str) -> str:
-    return f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
-
-
-def _type_of(variable: ModelVariable) -> str:
-    return "Integer" if variable.type == "Enumeration" else str(variable.type)
-
-
-def _attribute(variable: ModelVariable, name: str) -> str | None:
-    """The unit, min or max of a variable: its own, or its declared type's."""
-    own = getattr(variable, name)
-    return own if own is not None or variable.declaredType is None else getattr(variable.declaredType, name)
-
-
-def _range_of(variable: ModelVariable) -> tuple[float, float]:
-    """The finite numbers that a variable may be."""
-    low, high = _DEFAULT_RANGE.get(_type_of(variable), (-_LARGEST, _LARGEST))
-    declared_low, declared_high = _attribute(variable, "min"), _attribute(variable, "max")
-    return (
-        low if declared_low is None else max(low, float(declared_low)),
-        high if declared_high is None else min(high, float(declared_high)),
-    )
-
-
-def _bound(bound: float) -> str:
-    return f"{math.copysign(math.inf, bound):g}" if abs(bound) == _LARGEST else f"{bound:.10g}"
+        port = self._catalogue.start_port(name, value)
+        (variable,) = port.variables
+        if variable.type != "String":
+            self._refuse(port, [float(value)], t)
+        return variable.name, variable.type, variable.reference, PYTHON_TYPE[variable.type](value)
 
 
 def _release(home: Home, folder: str, process_id: int) -> None:

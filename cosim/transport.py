@@ -65,6 +65,7 @@ class PacketChannel:
 
     def receive(self, timeout_s: float | None) -> bytes:
         # The kernel keeps the time (SO_RCVTIMEO): a poll before each recv would be one system call more.
+        # Nor is there a spin before it: runs a quarter faster on an idle machine, seven times slower on a busy one.
         if timeout_s != self._timeout_s:
             self._set_timeout(timeout_s)
         packet = self._packet()

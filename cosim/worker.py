@@ -1,43 +1,28 @@
-"""An FMU in its own process: main is what runs there, Worker is its handle here.
+"""An FMU in its own process, seen from this one: child.py is what runs there.
 
-What the FMU does there (prints, exits, crashes, hangs, corrupts its interpreter) cannot harm this process. It lives
-at most as long as this process: it ends when its channel or its standard input, which is never written to, ends.
+What the FMU does there (prints, exits, crashes, hangs, corrupts its interpreter) cannot harm this process.
 """
 
 import contextlib
 import os
-import shutil
 import signal
 import struct
 import subprocess
 import sys
-import threading
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final, NoReturn
+from typing import Any, Final
 
+from .block import Variable
 from .errors import COLON, IN_THE_CALL, SlaveError
-from .instance import Identity, Instance, Variable
-from .transport import (
-    CALL,
-    FAULT,
-    KIND,
-    RESULT,
-    VALUES,
-    Channel,
-    StepCodec,
-    channel_pair,
-    decode,
-    encode,
-    open_channel,
-)
+from .instance import Identity
+from .transport import CALL, FAULT, KIND, RESULT, VALUES, StepCodec, channel_pair, decode, encode
 
 START_TIMEOUT_S: Final = 60.0
 """For Python itself to start and import, however busy the machine; the FMU's own calls have their own limit."""
 CLOSE_TIMEOUT_S: Final = 2.0
 """For an FMU to terminate politely, and for its process to end."""
 
-_CALLS: Final = frozenset({"bind", "initialize", "get", "get_state", "set_state", "close"})
 _ONE_THREAD: Final = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"
 )
@@ -47,7 +32,7 @@ import sys
 root, channel, *path = sys.argv[1:]
 sys.path += [folder for folder in path if folder not in sys.path]
 sys.path.insert(0, root)
-from cosim.worker import main
+from cosim.child import main
 sys.path.remove(root)
 main(channel)
 """
@@ -211,79 +196,3 @@ def _ending(code: int) -> str:
         return f"was ended by {signal.Signals(-code).name}"
     except ValueError:
         return f"was ended by signal {-code}"
-
-
-def main(channel_argument: str) -> NoReturn:
-    """Serve one FMU to the process that started this one."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    channel = open_channel(channel_argument)
-    lifeline = _take_over_standard_streams()
-    folder = None
-    try:
-        channel.send(encode(RESULT, None))
-        identity = Identity(*decode(channel.receive(None))[0])
-        folder = identity.folder
-        threading.Thread(target=_end_with, args=(lifeline, folder), daemon=True).start()
-        _serve(channel, identity)
-    except (EOFError, BrokenPipeError, ConnectionResetError):
-        _leave(folder)
-    except SlaveError as error:
-        _report(channel, [error.function, error.time, error.reason, error.form])
-    except Exception as error:  # whatever the FMU has caused, the other side must be told
-        _report(channel, [None, None, f"{type(error).__name__}: {error}", COLON])
-    # Not sys.exit: the FMU may have damaged this interpreter, and its clean-up could hang or crash.
-    os._exit(0)
-
-
-def _serve(channel: Channel, identity: Identity) -> None:
-    """Answer requests until the FMU is closed."""
-    instance = Instance(identity)
-    channel.send(encode(RESULT, None))
-    codec = StepCodec(0, 0, 0)
-    while True:
-        message = channel.receive(None)
-        if message[0] != CALL:
-            channel.send(codec.encode_values(instance.step(*codec.decode_step(message))))
-            continue
-        (function, arguments), blob = decode(message)
-        if function not in _CALLS:
-            raise ValueError(f"no such call: {function!r}")
-        result = getattr(instance, function)(*([blob] if blob is not None else arguments))
-        if function == "bind":
-            codec = StepCodec(*map(len, arguments))
-        channel.send(encode(RESULT, None, result) if isinstance(result, bytes) else encode(RESULT, result))
-        if function == "close":
-            return
-
-
-def _report(channel: Channel, fault: list[object]) -> None:
-    with contextlib.suppress(OSError):
-        channel.send(encode(FAULT, fault))
-
-
-def _take_over_standard_streams() -> int:
-    """Give the FMU an empty input and our standard error as output; returns what was the standard input."""
-    lifeline = os.dup(0)
-    null = os.open(os.devnull, os.O_RDONLY)
-    os.dup2(null, 0)
-    os.close(null)
-    with contextlib.suppress(OSError):  # no standard error: output goes nowhere
-        os.dup2(2, 1)
-    return lifeline
-
-
-def _end_with(lifeline: int, folder: str) -> None:
-    """Wait for the end of the process that holds the other side of lifeline, however it comes, then end this one.
-
-    The channel shows it too, but nobody looks there while the FMU computes, perhaps for ever.
-    """
-    while os.read(lifeline, 1):
-        pass
-    _leave(folder)
-
-
-def _leave(folder: str | None) -> NoReturn:
-    """End; nobody else is left to remove the FMU's folder."""
-    if folder is not None:
-        shutil.rmtree(folder, ignore_errors=True)
-    os._exit(0)

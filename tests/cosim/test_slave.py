@@ -6,6 +6,8 @@ import gc
 import math
 import re
 import shutil
+import subprocess
+import sys
 import tempfile
 import zipfile
 from collections.abc import Callable, Iterator
@@ -16,9 +18,11 @@ import pytest
 from pythonfmu import FmuBuilder
 
 import cosim.slave
+from cosim.archive import read_description
+from cosim.block import Variable, blocks_of
 from cosim.errors import ModelDescriptionError, SlaveError, WiringError
-from cosim.instance import MessageLog, Variable, blocks_of
-from cosim.slave import open_slave, read_description
+from cosim.fmu_log import MessageLog
+from cosim.slave import open_slave
 from cosim.worker import Worker
 
 pytestmark = pytest.mark.fmu
@@ -287,6 +291,46 @@ def test_slips_of_the_calling_code_are_named(mixer):
         slave.bind(inputs=["u"])
 
 
+ECHO = """
+from pythonfmu import *
+import shared_rule
+
+class {name}(Fmi2Slave):
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        self.y = 0.0
+        self.register_variable(Real("y", causality=Fmi2Causality.output))
+
+    def do_step(self, t, h):
+        self.y = shared_rule.VALUE
+        return True
+"""
+
+
+def test_fmus_that_ship_different_modules_of_one_name_run_their_own(tmp_path):
+    fmus = {}
+    for name, value in {"First": 1.0, "Second": 2.0}.items():
+        folder = tmp_path / name
+        folder.mkdir()
+        script, module = folder / f"slave_test_{name}.py", folder / "shared_rule.py"
+        script.write_text(ECHO.format(name=name))
+        module.write_text(f"VALUE = {value}")
+        command = [sys.executable, "-m", "pythonfmu", "build", "-f", script, "-d", folder, module]
+        subprocess.run(command, check=True, capture_output=True)  # building imports the module too
+        fmus[name] = folder / f"{name}.fmu"
+    with open_slave(fmus["First"], "first") as first, open_slave(fmus["Second"], "second") as second:
+        for slave in (first, second):
+            slave.bind(outputs=["y"])
+            slave.initialize({})
+        assert (first.step([], 0.0, 1.0), second.step([], 0.0, 1.0)) == ((1.0,), (2.0,))
+
+
+def test_an_fmus_process_does_not_import_what_fmus_ship():
+    program = "import sys, cosim.child; print({'fmu_models', 'pythonfmu', 'estimator', 'GPy'} & {*sys.modules})"
+    result = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
+    assert result.stdout == "set()\n"
+
+
 def test_a_forgotten_slave_leaves_nothing(mixer):
     open_slave(mixer, "plant").bind(outputs=["y"])
     gc.collect()
@@ -331,6 +375,10 @@ def test_a_plain_log_text_is_not_taken_for_a_format():
     log.close()
 
 
+TRACEBACK = b"Traceback (most recent call last):\n  File ...\n    f()\nValueError: x\nand y\n"
+UNKNOWN = b"Fatal py exception encountered: [doStep] PyObject_CallMethod\nunknown error"
+
+
 @pytest.mark.parametrize(
     ("messages", "reason"),
     [
@@ -338,10 +386,13 @@ def test_a_plain_log_text_is_not_taken_for_a_format():
         ([(0, b"ok"), (3, b"bad"), (1, b"hm")], "bad"),
         ([(3, b"first"), (3, b"second")], "second"),
         ([(4, b"Fatal py exception encountered: [doStep] PyObject_CallMethod\nValueError('x')")], "ValueError('x')"),
-        ([(3, b"Traceback (most recent call last):\n  File ...\nValueError: x\n")], "ValueError: x"),
+        ([(3, TRACEBACK)], "ValueError: x and y"),
+        ([(3, TRACEBACK), (4, UNKNOWN)], "ValueError: x and y"),
+        ([(0, b"on my way"), (4, UNKNOWN)], "unknown error"),
+        ([(3, b"singular matrix"), (4, b"integrator failed")], "integrator failed"),
         ([(3, b"\xff\n\x1b[2J")], "\ufffd [2J"),
     ],
-    ids=["none", "gravest", "newest", "PythonFMU", "traceback", "rubbish"],
+    ids=["none", "gravest", "newest", "PythonFMU", "traceback", "unknown", "unknown alone", "known", "rubbish"],
 )
 def test_the_reason_is_the_gravest_message_in_one_line(messages, reason):
     log = MessageLog(has_plain_text=True)

@@ -4,6 +4,8 @@ import importlib.util
 from pathlib import Path
 
 import pytest
+import scipy.linalg  # noqa: F401 -- its BLAS must be loaded to be limited
+from threadpoolctl import threadpool_limits
 
 
 def _load(path: Path):
@@ -18,3 +20,10 @@ def _load(path: Path):
 def oracles():
     """Comparisons of a module of the estimator with an independent truth; each raises AssertionError."""
     return _load(Path(__file__).with_name("oracles.py"))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_blas_thread():
+    """As the loop runs them: on small matrices a second thread costs more than it gives."""
+    with threadpool_limits(1):
+        yield

@@ -53,9 +53,7 @@ def check_expected_improvement_against_monte_carlo(acquisition):
         gains = np.maximum(b - (mu + sigma * draws), 0.0)
         # Five standard errors of the draws: a wrong formula is off by tens.
         atol = 5.0 * gains.std() / np.sqrt(len(draws))
-        assert_allclose(
-            acquisition.expected_improvement(mean, variance, incumbent), gains.mean(), rtol=0.0, atol=atol
-        )
+        assert_allclose(acquisition.expected_improvement(mean, variance, incumbent), gains.mean(), rtol=0.0, atol=atol)
 
 
 def check_probability_of_improvement_against_quadrature(acquisition):
@@ -121,7 +119,7 @@ def check_target_vector_improvement_is_that_of_the_matched_log_normal(acquisitio
 
 def check_target_vector_improvement_far_in_the_tail(acquisition):
     """Where d < -15 and s < 0.5, the first term is too large by 2/d^2 + s/|d| < 3.5 %, and by less further out."""
-    for mean, std in (((1.0, -0.5), (0.2, 0.1)), ((1.0, 1.0, -2.0), (0.01, 0.02, 0.02)), ((3.0,), (1e-4,))):
+    for mean, std in (((1.0, -0.5), (0.2, 0.1)), ((1.0, 1.0, -2.0), (0.01, 0.02, 0.02)), ((3.0,), (0.01,))):
         mean, std = np.array(mean), np.array(std)
         matched = _log_normal_with(*_sum_of_squares(mean, std))
         s = matched.args[0]
@@ -145,16 +143,16 @@ def check_target_vector_improvement_of_a_hopeless_incumbent(acquisition):
 
 
 def check_target_vector_improvement_of_small_variances(acquisition):
-    """Where every channel is known to a thousandth, the sum of squares is normal, and its improvement known."""
+    """Where every channel is known to 3e-4 of itself, the sum of squares is normal, and its improvement known."""
     for mean in ((1.0,), (1.0, -0.5), (3.0, 2.0, -5.0)):
         mean = np.array(mean)
-        std = 1e-3 * np.abs(mean) * np.arange(1, len(mean) + 1) / len(mean)
+        std = 3e-4 * np.abs(mean) * np.arange(1, len(mean) + 1) / len(mean)
         sigma = np.linalg.norm(2.0 * mean * std)
         for d in (-2.0, 0.0, 1.5):
             b = float(mean @ mean + d * sigma)
             integral, _ = quad(lambda y, d=d: y * norm.pdf(d - y), 0.0, max(d, 0.0) + 12.0, epsrel=1e-12)
             got = np.exp(acquisition.log_target_vector_improvement(mean[None], std[None] ** 2, b))
-            # Skewness is of order std/mean = 1e-3; with the d^2 of the tail, 1 %.
+            # Skewness is of order std/mean; ten times that where d = -2. Measured 0.4 %.
             assert_allclose(got, sigma * integral, rtol=0.01)
 
 

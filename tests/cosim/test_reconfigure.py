@@ -1,0 +1,217 @@
+"""The loop around an estimator: when it begins, how much it evaluates, what it writes. The estimator is a script."""
+
+import math
+
+import numpy as np
+import pytest
+
+from cosim.reconfigure import Budget, InnovationTrigger, Retuner, TrackingTrigger
+from estimator import Estimate, ResidualWindow, Sample
+
+START = np.array([0.0])
+
+
+class Scripted:
+    """Asks for the given values in turn and believes in the best; the truth is 10."""
+
+    def __init__(self, *script):
+        self.script, self.told, self.restarts = list(script), [], []
+
+    def restart(self, start):
+        self.restarts.append(float(start[0]))
+        self.told = []
+
+    def ask(self):
+        return np.array([float(self.script.pop(0))])
+
+    def tell(self, theta, residual):
+        self.told.append((float(residual @ residual), float(theta[0])))
+
+    def estimate(self):
+        cost, best = min(self.told)
+        return Estimate(np.array([best]), np.array([0.5]), (True,), cost, len(self.told), "best so far")
+
+
+class Rescored(Scripted):
+    """The same, with candidates that can be judged anew."""
+
+    def __init__(self, *script):
+        super().__init__(*script)
+        self.rescored = []
+
+    @property
+    def candidates(self):
+        return np.array([[theta] for _, theta in self.told])
+
+    def rescore(self, residuals):
+        self.rescored.append(np.asarray(residuals).tolist())
+        self.told = [(float(r @ r), theta) for r, (_, theta) in zip(residuals, self.told, strict=True)]
+
+
+def residual(theta, sample):
+    return np.array([sample.xdot[0] - theta[0]])
+
+
+def retuner(estimator, budget, trigger=None, window=1):
+    trigger = trigger or TrackingTrigger(1.0)
+    return Retuner(estimator, ResidualWindow(residual, 1, window), trigger, budget, START)
+
+
+def sample(t=0.0, value=10.0):
+    return Sample(t, (0.0,), (0.0,), (value,))
+
+
+def steps(loop, errors):
+    return [loop.step(0.01 * k, sample(0.01 * k), error) for k, error in enumerate(errors)]
+
+
+def kinds(decision):
+    return [event.kind for event in decision.events]
+
+
+def test_an_idle_loop_asks_nothing_and_writes_nothing():
+    estimator = Scripted(1)
+    loop = retuner(estimator, Budget())
+    for decision in steps(loop, [0.0, 0.5, 0.999]):
+        assert (decision.write, decision.estimate, decision.events, decision.latencies) == (None, None, (), ())
+    assert (estimator.script, estimator.restarts, loop.n_evaluations, loop.n_episodes) == ([1], [], 0, 0)
+
+
+def test_a_point_without_a_sample_does_nothing_even_where_the_error_is_large():
+    estimator, seen = Scripted(1, 2, 3), []
+
+    def trigger(*arguments):
+        seen.append(arguments)
+        return "always"
+
+    loop = retuner(estimator, Budget(3, 1), trigger)
+    decision = loop.step(0.0, None, 99.0)
+    assert (decision.write, decision.events, decision.latencies, seen, estimator.restarts) == (None, (), (), [], [])
+    loop.step(0.01, sample(), 99.0)
+    decision = loop.step(0.02, None, 99.0)  # in the middle of an episode
+    assert (decision.write, decision.events, loop.n_evaluations) == (None, (), 1)
+
+
+def test_an_episode_ends_when_its_evaluations_are_spent():
+    loop = retuner(Scripted(*range(1, 6)), Budget(evaluations=5, evaluations_per_step=2))
+    decisions = steps(loop, [2.0, 0.0, 0.0, 0.0])  # the error is small again: the episode goes on
+    assert [kinds(d).count("candidate") for d in decisions] == [2, 2, 1, 0]
+    assert [len(d.latencies) for d in decisions] == [2, 2, 1, 0]
+    assert all(seconds >= 0.0 for d in decisions for seconds in d.latencies)
+    assert (loop.n_evaluations, loop.n_episodes) == (5, 1)
+
+
+def test_events_come_in_the_order_in_which_things_happen():
+    decisions = steps(retuner(Scripted(4, 6, 7, 1), Budget(4, 2)), [2.0, 0.0])
+    assert kinds(decisions[0]) == ["trigger", "candidate", "candidate", "write"]
+    assert kinds(decisions[1]) == ["candidate", "candidate", "end", "write"]
+    assert [event.t for d in decisions for event in d.events] == [0.0] * 4 + [0.01] * 4
+    first, *candidates = decisions[0].events[:3]
+    assert first.detail == {"reason": "tracking error 2 reached 1", "episode": 1}
+    # the cost is |10 - theta|^2
+    assert [c.detail for c in candidates] == [{"theta": [4.0], "cost": 36.0}, {"theta": [6.0], "cost": 16.0}]
+    assert decisions[0].events[3].detail == {"theta": [6.0], "std": [0.5], "reason": "best so far"}
+    assert decisions[1].events[2].detail == {"episode": 1, "cost": 9.0}
+
+
+def test_incumbents_are_written_only_when_they_are_better():
+    decisions = steps(retuner(Scripted(4, 1, 9, 9.5, 2), Budget(5, 1)), [2.0] + [0.0] * 4)
+    written = [None if d.write is None else d.write.tolist() for d in decisions]
+    assert written == [[4.0], None, [9.0], [9.5], None]
+    assert [kinds(d).count("write") for d in decisions] == [1, 0, 1, 1, 0]
+
+
+def test_candidates_are_written_each_and_the_incumbent_at_the_end():
+    loop = retuner(Scripted(4, 1, 9, 2), Budget(4, 1, "candidate"))
+    decisions = steps(loop, [2.0, 0.0, 0.0, 0.0])
+    assert [d.write.tolist() for d in decisions[:3]] == [[4.0], [1.0], [9.0]]
+    assert [d.events[-1].detail.get("reason") for d in decisions[:3]] == ["candidate"] * 3
+    assert decisions[3].write is None  # the incumbent, 9, is in force already
+    ending = steps(retuner(Scripted(9, 1, 2), Budget(3, 1, "candidate")), [2.0, 0.0, 0.0])[-1]
+    assert ending.write.tolist() == [9.0]
+    assert ending.events[-1].detail["reason"] == "best so far"
+
+
+def test_of_several_candidates_a_step_the_newest_is_written():
+    decision = steps(retuner(Scripted(9, 4, 1, 1), Budget(4, 2, "candidate")), [2.0])[0]
+    assert decision.write.tolist() == [4.0]
+
+
+def test_each_episode_begins_from_what_is_in_force():
+    estimator = Scripted(4, 7, 8, 9)
+    loop = retuner(estimator, Budget(2, 1))
+    decisions = steps(loop, [2.0, 2.0, 0.0, 2.0, 2.0])
+    assert estimator.restarts == [0.0, 7.0]
+    assert (loop.n_episodes, loop.n_evaluations) == (2, 4)
+    triggers = [e.detail["episode"] for d in decisions for e in d.events if e.kind == "trigger"]
+    assert triggers == [1, 2]
+
+
+def test_the_trigger_is_asked_only_between_episodes_and_told_what_is_in_force():
+    seen = []
+
+    def trigger(sample, tracking_error, theta):
+        seen.append((sample.t, tracking_error, theta.tolist()))
+        return "again" if len(seen) in (1, 2) else None
+
+    steps(retuner(Scripted(4, 6, 7, 8), Budget(2, 1), trigger), [1.0, 2.0, 3.0, 4.0, 5.0])
+    assert seen == [(0.0, 1.0, [0.0]), (0.02, 3.0, [6.0]), (0.04, 5.0, [8.0])]
+
+
+def test_stored_candidates_are_judged_by_the_newest_samples_before_new_ones_are_asked_for():
+    estimator = Rescored(4, 9, 3, 20)
+    loop = retuner(estimator, Budget(4, 2))
+    loop.step(0.0, sample(0.0, 10.0), 2.0)
+    decision = loop.step(0.01, sample(0.01, 3.0), 0.0)  # the truth has become 3
+    assert estimator.rescored == [[[3.0 - 4.0], [3.0 - 9.0]]]
+    assert decision.write.tolist() == [3.0]
+
+
+def test_a_stale_best_is_given_up_when_the_truth_has_jumped():
+    estimator = Rescored(10, 50, 60, 4)
+    loop = retuner(estimator, Budget(4, 1))
+    decisions = [loop.step(0.01 * k, sample(0.01 * k, truth), 2.0) for k, truth in enumerate([10.0, 10.0, 52.0])]
+    assert decisions[-1].write.tolist() == [50.0]
+
+
+def test_an_estimator_that_cannot_rescore_is_left_with_what_it_was_told():
+    loop = retuner(Scripted(10, 50, 4), Budget(3, 1))
+    for k, truth in enumerate([10.0, 10.0, 52.0]):
+        last = loop.step(0.01 * k, sample(0.01 * k, truth), 2.0)
+    assert last.estimate.theta.tolist() == [10.0]
+
+
+def test_the_tracking_trigger_fires_from_its_threshold_on():
+    trigger = TrackingTrigger(0.01)
+    assert trigger(sample(), math.nextafter(0.01, 0.0), START) is None
+    assert trigger(sample(), 0.01, START) == "tracking error 0.01 reached 0.01"
+
+
+def whitened(theta, sample):
+    return np.array(sample.xdot) - theta[0]
+
+
+@pytest.mark.parametrize("false_alarm", [0.3, 1e-2, 1e-6, 1e-12])
+def test_the_innovation_limit_of_two_channels_is_that_of_the_exponential_distribution(false_alarm):
+    trigger = InnovationTrigger(whitened, false_alarm)
+    limit = -2.0 * math.log(false_alarm)  # |r|^2 of two unit normals: P(|r|^2 > c) = exp(-c/2)
+    below, above = (math.sqrt(limit * factor) for factor in (1.0 - 1e-4, 1.0 + 1e-4))
+    assert trigger(Sample(0.0, (), (), (below, 0.0)), 9.9, START) is None
+    assert "exceeds" in trigger(Sample(0.0, (), (), (0.0, above)), 0.0, START)
+
+
+@pytest.mark.parametrize("n_channels", [1, 2, 6])
+@pytest.mark.parametrize("false_alarm", [0.1, 0.01])
+def test_the_innovation_trigger_fires_by_chance_as_often_as_it_says(n_channels, false_alarm):
+    trigger, n = InnovationTrigger(whitened, false_alarm), 10_000
+    noise = np.random.default_rng(1).standard_normal((n, n_channels))
+    fired = sum(trigger(Sample(0.0, (), (), tuple(r)), 0.0, START) is not None for r in noise)
+    five_sigma = 5.0 * math.sqrt(n * false_alarm * (1.0 - false_alarm))  # binomial
+    assert abs(fired - n * false_alarm) < five_sigma
+
+
+def test_the_innovation_trigger_sees_a_jump_in_one_sample():
+    trigger = InnovationTrigger(whitened, 1e-6)
+    noise = np.random.default_rng(2).standard_normal((1000, 6))
+    assert all(trigger(Sample(0.0, (), (), tuple(r)), 0.0, np.array([8.0])) for r in noise)
+    assert not any(trigger(Sample(0.0, (), (), tuple(r + 8.0)), 0.0, np.array([8.0])) for r in noise)

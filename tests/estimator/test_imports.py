@@ -1,0 +1,67 @@
+"""The boundary of the package, in a fresh interpreter and in its sources."""
+
+import ast
+import subprocess
+import sys
+from importlib.resources import files
+
+import estimator
+
+PUBLIC = [
+    "METHODS",
+    "DerivativeResidual",
+    "Estimate",
+    "Estimator",
+    "Model",
+    "PaperBO",
+    "PaperSettings",
+    "Parameter",
+    "ParameterSpace",
+    "Rescoring",
+    "ResidualWindow",
+    "Sample",
+    "TargetSettings",
+    "TargetVector",
+    "Vector",
+    "chi2_quantile",
+    "make_estimator",
+]
+
+
+def _sources():
+    paths = [path for path in files("estimator").iterdir() if path.suffix == ".py"]
+    return {path.name: path.read_text(encoding="utf-8") for path in paths}
+
+
+def _imported(source):
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name.split(".")[0] for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            yield node.module.split(".")[0]
+
+
+def test_importing_the_estimators_brings_in_no_fmu_and_no_co_simulation():
+    program = "import sys, estimator; print(*sorted({m.split('.')[0] for m in sys.modules}))"
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
+    loaded = set(run.stdout.split())
+    assert "estimator" in loaded
+    assert loaded.isdisjoint({"fmpy", "pythonfmu", "cosim", "fmu_models"})
+
+
+def test_no_source_imports_an_fmu_or_the_co_simulation():
+    for name, source in _sources().items():
+        assert {"fmpy", "pythonfmu", "cosim", "fmu_models"}.isdisjoint(_imported(source)), name
+
+
+def test_only_the_surrogate_imports_gpy():
+    assert [name for name, source in _sources().items() if "GPy" in _imported(source)] == ["surrogate.py"]
+
+
+def test_the_public_names_are_these_and_are_only_re_exports():
+    tree = ast.parse(_sources()["__init__.py"])
+    assert all(isinstance(node, ast.ImportFrom | ast.Expr) for node in tree.body)
+    names = [alias for node in tree.body if isinstance(node, ast.ImportFrom) for alias in node.names]
+    assert all(alias.asname == alias.name for alias in names)
+    assert sorted(alias.name for alias in names) == sorted(PUBLIC)
+    assert all(hasattr(estimator, name) for name in PUBLIC)

@@ -1,0 +1,62 @@
+"""Our own FMUs say why they fail, in the exception's own words."""
+
+import math
+from pathlib import Path
+
+import pytest
+
+from cosim.archive import read_description, unpack
+from cosim.block import Variable
+from cosim.errors import SlaveError
+from cosim.instance import Identity
+from cosim.slave import Slave, open_slave
+from cosim.worker import Worker
+from fmu_models.build import build
+
+pytestmark = pytest.mark.fmu
+
+NO_ATTITUDE = "returned fatal: ValueError: desired attitude undefined: the commanded force is zero or along the heading"
+
+
+@pytest.fixture(scope="module")
+def controller(tmp_path_factory) -> Path:
+    return build("QuadrotorController", tmp_path_factory.mktemp("controller"))
+
+
+def bind(slave: Slave) -> None:
+    slave.bind(inputs=["a_d_z"], tunables=["g"], outputs=["F", "M_x"])
+
+
+def test_weightless_hover_has_no_desired_attitude(controller):
+    with open_slave(controller, "controller") as slave:
+        bind(slave)
+        with pytest.raises(SlaveError) as caught:
+            slave.initialize({"g": 0.0})  # A = -K_r e_r - K_v e_v - m g e3 + m a_d, and every reference is zero
+    assert str(caught.value).startswith(f"controller: exit_initialization_mode at t = 0.000 s {NO_ATTITUDE}")
+
+
+def test_free_fall_has_no_desired_attitude(controller):
+    with open_slave(controller, "controller") as slave:
+        bind(slave)
+        slave.initialize({})
+        assert slave.step([0.0], 0.0, 0.01)[0] == pytest.approx(1.25 * 9.81)  # hover: F = m g
+        with pytest.raises(SlaveError) as caught:
+            slave.step([9.81], 0.01, 0.01)
+    assert str(caught.value).startswith(f"controller: do_step at t = 0.010 s {NO_ATTITUDE}")
+
+
+def test_a_parameter_that_is_not_finite_is_named(controller, tmp_path):
+    """By the FMU itself: a Slave would refuse the value before."""
+    description = read_description(controller)
+    m = next(v for v in description.modelVariables if v.name == "m")
+    folder = str(tmp_path / "unpacked")
+    unpack(controller, folder)
+    identity = Identity(folder, "QuadrotorController", str(description.guid), "controller", has_plain_log=True)
+    worker = Worker(identity, timeout_s=20.0)
+    worker.bind([], [Variable("m", "Real", m.valueReference)], [])
+    worker.call("initialize", 0.0, [], 0.0, None)
+    worker.begin_step(0.0, 0.01, [], [math.nan])
+    reason = "returned fatal: ValueError: QuadrotorController: m must be finite, got nan"
+    with pytest.raises(SlaveError, match=f"^controller: do_step at t = 0.000 s {reason}"):
+        worker.end_step(0.0)
+    worker.close(0.0, is_polite=False)

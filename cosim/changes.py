@@ -2,10 +2,21 @@
 
 from collections.abc import Callable, Mapping
 from itertools import pairwise
+from keyword import iskeyword
+from typing import Annotated
 
-from .formula import compile_formula
+from pydantic import BeforeValidator
 
-Change = float | str | tuple[tuple[float, float | str], ...]
+from .formula import CONSTANTS, FUNCTIONS, compile_formula
+
+
+def _not_boolean(value: object) -> object:
+    if isinstance(value, bool):
+        raise ValueError("must be a number or a formula, not a Boolean")
+    return value
+
+
+Change = Annotated[float | str | tuple[tuple[float, float | str], ...], BeforeValidator(_not_boolean)]
 """A value, a formula in t, or rows [time, value or formula]: each holds from its time on."""
 
 
@@ -15,19 +26,30 @@ def change_functions(
     """Each changed parameter as a function of t [s]; a definition may use those before it. Raises ValueError."""
     defined: dict[str, Callable[[float], float]] = {}
     for name, text in definitions.items():
-        defined[name] = compile_formula(str(text), defined)
-    return {name: _change_function(name, change, defined) for name, change in changes.items()}
+        if not name.isidentifier() or iskeyword(name) or name in {"t", *FUNCTIONS, *CONSTANTS}:
+            raise ValueError(f"definitions: '{name}' must be a name of its own")
+        defined[name] = _named(f"definitions.{name}", text, defined)
+    return {name: _change_function(f"changes.{name}", change, defined) for name, change in changes.items()}
+
+
+def _named(
+    place: str, formula: float | str, defined: Mapping[str, Callable[[float], float]]
+) -> Callable[[float], float]:
+    try:
+        return compile_formula(str(formula), defined)
+    except ValueError as e:
+        raise ValueError(f"{place}: {e}") from e
 
 
 def _change_function(
     name: str, change: Change, defined: Mapping[str, Callable[[float], float]]
 ) -> Callable[[float], float]:
     if not isinstance(change, tuple):
-        return compile_formula(str(change), defined)
+        return _named(name, change, defined)
     times = [row[0] for row in change]
     if not times or any(b <= a for a, b in pairwise(times)):
         raise ValueError(f"{name}: the times of a change must rise, got {times}")
-    pieces = [compile_formula(str(row[1]), defined) for row in change]
+    pieces = [_named(name, row[1], defined) for row in change]
 
     def value(t: float) -> float:
         # Half a nanosecond late counts as in time: t is a rounded product.

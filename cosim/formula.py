@@ -34,6 +34,10 @@ def compile_formula(text: str, definitions: Mapping[str, Callable[[float], float
         tree = ast.parse(text, mode="eval")
         for node in ast.walk(tree):
             _check(node, text, definitions)
+        called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Name) and node.id in FUNCTIONS and id(node) not in called:
+                raise ValueError(f"'{text}' has the function {node.id} without its arguments.")
             if isinstance(node, ast.Constant):
                 node.value = float(cast(float, node.value))  # so that a power overflows instead of growing
         code = compile(tree, "<formula>", "eval")
@@ -60,6 +64,13 @@ def _check(node: ast.AST, text: str, definitions: Mapping[str, Callable[[float],
         raise ValueError(f"'{text}' has {node.value!r}; a formula's constants are numbers.")
     if isinstance(node, ast.Call) and (not isinstance(node.func, ast.Name) or node.func.id not in FUNCTIONS):
         raise ValueError(f"'{text}' calls {ast.unparse(node.func)}; the functions are {', '.join(sorted(FUNCTIONS))}.")
+    if isinstance(node, ast.Call):
+        name, n = ast.unparse(node.func), len(node.args)
+        if node.keywords:
+            raise ValueError(f"'{text}' calls {name} with a keyword argument.")
+        fits = n >= 2 if name in ("min", "max") else n == (2 if name == "atan2" else 1)
+        if not fits and not any(isinstance(a, ast.Starred) for a in node.args):  # refused as such
+            raise ValueError(f"'{text}' calls {name} with {n} arguments.")
     if isinstance(node, ast.Name):
         known = {"t", *FUNCTIONS, *CONSTANTS, *definitions}
         if node.id not in known:

@@ -58,8 +58,8 @@ class Recorder:
         self._writer: Any = None
         if folder is not None:
             try:
-                self._events = open(folder / EVENTS, "w", encoding="utf-8")  # noqa: SIM115  closed in close
-                self._file = open(folder / SERIES, "wb")  # noqa: SIM115
+                self._file = open(folder / SERIES, "wb")  # noqa: SIM115  closed in close
+                self._events = open(folder / EVENTS, "w", encoding="utf-8")  # noqa: SIM115
                 self._writer = pa.ipc.new_stream(self._file, self._schema)
             except OSError as e:
                 raise FolderError(f"cannot write in {folder}: {e.strerror or e}.") from e

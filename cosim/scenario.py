@@ -1,6 +1,5 @@
 """A scenario: which FMUs are joined how, what happens to the plant, what is sampled and estimated. TOML in."""
 
-import json
 import tomllib
 from collections.abc import Callable, Mapping
 from importlib import resources
@@ -10,7 +9,7 @@ from typing import Any, Self, cast
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from .changes import Change, change_functions
-from .errors import ScenarioError
+from .errors import ScenarioError, one_line
 from .names import did_you_mean
 from .schema import (
     Component,
@@ -66,6 +65,8 @@ class Scenario(Table):
             raise ScenarioError(f"{path}: not a readable TOML file: {reason}.") from e
         for key, value in (overrides or {}).items():
             _override(tree, key, value)
+        if "folder" in tree:
+            raise ScenarioError(f"{path}: folder: unknown key.")
         try:
             return cls.model_validate(tree | {"folder": path.parent})
         except ValidationError as e:
@@ -86,13 +87,19 @@ class Scenario(Table):
 
     @model_validator(mode="after")
     def _names_fit(self) -> Self:
-        references = [*self.connections, *self.connections.values(), *self.changes, *self.tracking]
-        references += [*self.tracking.values(), *self.sampling.derivatives, *self.sampling.states]
-        references += [p.writes for p in self.estimation.parameters]
-        for reference in references:
-            component = reference.partition(".")[0]
-            if component not in self.components:
-                raise ValueError(f"'{reference}': no component '{component}'{did_you_mean(component, self.components)}")
+        named = {
+            "connections": [*self.connections, *self.connections.values()],
+            "changes": self.changes,
+            "tracking": [*self.tracking, *self.tracking.values()],
+            "sampling": [*self.sampling.derivatives, *self.sampling.states],
+            "estimation.parameters": [p.writes for p in self.estimation.parameters],
+        }
+        for table, references in named.items():
+            for reference in references:
+                component = reference.partition(".")[0]
+                if component not in self.components:
+                    hint = did_you_mean(component, self.components)
+                    raise ValueError(f"{table}: '{reference}': no component '{component}'{hint}")
         self.change_functions()
         return self
 
@@ -107,31 +114,50 @@ def _find(source: str | Path) -> Path:
     path = Path(source)
     if str(source) in named_scenarios():
         return Path(str(resources.files("cosim") / "scenarios" / f"{source}.toml"))
-    if path.is_file():
-        return path
+    try:
+        if path.is_file():
+            return path
+    except OSError:  # no file can have this name
+        path = Path()
     names = named_scenarios()
     hint = did_you_mean(str(source), names)
-    raise ScenarioError(f"no scenario '{source}': neither a file nor one of {', '.join(names)}{hint or '.'}")
+    raise ScenarioError(
+        f"no scenario '{one_line(str(source))}': neither a file nor one of {', '.join(names)}{hint or '.'}"
+    )
 
 
 def _override(tree: dict[str, Any], key: str, text: str) -> None:
-    """Put `key = text` into the tree; key and text are written as in TOML, but a bare text is a string too."""
-    for value in (text, json.dumps(text)):
-        try:
-            _merge(tree, tomllib.loads(f"{key} = {value}"))
-            return
-        except tomllib.TOMLDecodeError:
-            continue
-    raise ScenarioError(f"--set {key}={text}: '{key}' is not a TOML key, such as scenario.stop_time.")
+    """Put `key = text` into the tree; both are written as in TOML, but a bare text is a string too."""
+    path = _key_path(key)
+    for name in path[:-1]:
+        below: Any = tree.setdefault(name, {})
+        if not isinstance(below, dict):
+            raise ScenarioError(f"--set {key}={text}: '{name}' is not a table.")
+        tree = cast(dict[str, Any], below)
+    tree[path[-1]] = _value(text)
 
 
-def _merge(tree: dict[str, Any], other: Mapping[str, Any]) -> None:
-    for key, value in other.items():
-        below: Any = tree.get(key)
-        if isinstance(value, dict) and isinstance(below, dict):
-            _merge(cast(dict[str, Any], below), cast(dict[str, Any], value))
-        else:
-            tree[key] = value
+def _key_path(key: str) -> list[str]:
+    """The names of a dotted TOML key. Raises ScenarioError."""
+    path: list[str] = []
+    try:
+        rest: Any = tomllib.loads(f"{key} = 0")
+    except tomllib.TOMLDecodeError:
+        rest = {}
+    while isinstance(rest, dict) and len(cast(dict[str, Any], rest)) == 1:
+        name, rest = next(iter(cast(dict[str, Any], rest).items()))
+        path.append(name)
+    if rest != 0 or not path or len(key.splitlines()) != 1:
+        raise ScenarioError(f"--set: '{one_line(key)}' is not a TOML key, such as scenario.stop_time.")
+    return path
+
+
+def _value(text: str) -> Any:
+    try:
+        tree = tomllib.loads(f"value = {text}")
+    except tomllib.TOMLDecodeError:
+        return text
+    return tree["value"] if len(tree) == 1 else text
 
 
 def _first_error(error: ValidationError) -> str:

@@ -2,7 +2,16 @@
 
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    TypeAdapter,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from estimator import METHODS, Parameter, ParameterSpace
 
@@ -51,7 +60,7 @@ class Settings(Table):
     @model_validator(mode="after")
     def _spans_whole_steps(self) -> Self:
         steps = (self.stop_time - self.start_time) / self.macro_step
-        if round(steps) < 1 or abs(steps - round(steps)) > 1e-6 * max(1.0, steps):
+        if not 1.0 - 1e-6 <= steps < 1e9 or abs(steps - round(steps)) > 1e-6 * max(1.0, steps):
             raise ValueError(
                 f"stop_time - start_time must be a whole multiple of macro_step, "
                 f"got {self.stop_time - self.start_time:g} s and {self.macro_step:g} s"
@@ -208,9 +217,15 @@ class Estimation(Loop):
             known = {*Loop.model_fields, *entry.setting_names}
             for key in self._own(method):
                 if key not in known:
-                    raise ValueError(f"{method} has no setting '{key}'{did_you_mean(key, known)}")
-            self.loop(method)
-            entry.settings(**self.settings(method))
+                    raise ValueError(f"estimation.{method} has no setting '{key}'{did_you_mean(key, known)}")
+            try:
+                self.loop(method)
+                TypeAdapter(entry.settings).validate_python(self.settings(method))
+            except ValidationError as e:
+                first = e.errors()[0]
+                place = ".".join(str(part) for part in first["loc"])
+                message = first["msg"].removeprefix("Value error, ")
+                raise ValueError(f"estimation.{method}{'.' + place if place else ''}: {message}") from e
         return self
 
 

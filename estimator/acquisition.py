@@ -4,10 +4,11 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import log_ndtr, ndtr
+from scipy.special import erfcx, ndtr
 
 from .space import Vector
 
+SQRT2 = np.sqrt(2.0)
 Acquisition = Literal["ei", "pi", "lcb"]
 
 
@@ -39,19 +40,21 @@ def log_target_vector_improvement(mean: ArrayLike, variance: ArrayLike, incumben
 
     S has mean M = sum mu^2 + v and variance V = sum 2 v^2 + 4 mu^2 v; a log-normal with the same two,
     s^2 = log(1 + V/M^2), nu = log M - s^2/2, has E[max(b - S, 0)] = b Phi(d) - M Phi(d - s), d = (log b - nu)/s.
-    The channels may have unequal variances. Below the range of doubles the logarithm is of b phi(d) s / d^2,
-    the expansion's first term, so that candidates stay ranked.
+    Since M phi(d - s) = b phi(d), that is b phi(d) (m(-d) - m(s - d)) with Mills' ratio m, which neither underflows.
+    The channels may have unequal variances. Against Monte Carlo it is within 1 % where improvement is likely; where it
+    is not (below one in ten) it ranks candidates rather than measures them.
 
     mean, variance: (q, k);  incumbent: b > 0, a sum of squares;  returns (q,).
     Objective: Uhrenholt and Jensen (2019), "Efficient Bayesian optimization for target vector estimation".
     """
     mu, v = np.asarray(mean, dtype=float), np.asarray(variance, dtype=float)
-    M = np.sum(mu * mu + v, axis=-1)
+    M = np.maximum(np.sum(mu * mu + v, axis=-1), np.finfo(float).tiny)
     V = np.sum(2.0 * v * v + 4.0 * mu * mu * v, axis=-1)
-    s = np.sqrt(np.log1p(V / (M * M)))
+    s = np.maximum(np.sqrt(np.log1p(V / M / M)), 1e-8)
     d = (np.log(incumbent) - np.log(M)) / s + 0.5 * s
-    improvement = incumbent * ndtr(d) - M * ndtr(d - s)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        tail = np.log(incumbent) + log_ndtr(d) + np.log(s / np.maximum(np.abs(d), s))
-        # The difference of two products loses its digits near 1e-12 b.
-        return np.where(improvement > 1e-10 * incumbent, np.log(improvement), tail)
+    likely = np.maximum(d, 0.0)
+    body = incumbent * ndtr(likely) - M * ndtr(likely - s)
+    unlikely = np.minimum(d, 0.0)
+    mills = erfcx(-unlikely / SQRT2) - erfcx((s - unlikely) / SQRT2)
+    tail = np.log(incumbent) - 0.5 * unlikely * unlikely + np.log(0.5 * np.maximum(mills, np.finfo(float).tiny))
+    return np.where(d > 0.0, np.log(np.maximum(body, np.finfo(float).tiny)), tail)

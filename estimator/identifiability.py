@@ -20,9 +20,8 @@ class Information:
     """Rows V_i (d, d)."""
 
     def significant(self, change: Vector, n_std: float) -> Vector:
-        """Projector (d, d) on the directions in which change (d,) exceeds n_std standard deviations."""
-        v = self.directions[self.singular_values * np.abs(self.directions @ change) > n_std]
-        return v.T @ v
+        """The directions (m, d), m <= d, in which change (d,) exceeds n_std standard deviations."""
+        return self.directions[self.singular_values * np.abs(self.directions @ change) > n_std]
 
     def std(self) -> Vector:
         """Standard deviation of each z (d,), at most 1: the bounds are known whatever the data."""

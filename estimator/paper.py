@@ -24,6 +24,12 @@ class PaperSettings:
     n_pool: int = 512
     """Candidates among which the acquisition is maximised."""
 
+    def __post_init__(self) -> None:
+        if self.noise < 0.0:
+            raise ValueError(f"noise must not be negative, got {self.noise}.")
+        if self.n_initial < 1 or self.n_pool < 1:
+            raise ValueError(f"n_initial and n_pool must be positive, got {self.n_initial} and {self.n_pool}.")
+
 
 class PaperBO:
     """One GP (Matern-5/2, a lengthscale a dimension) for |residual| + noise, refitted at every evaluation.

@@ -31,6 +31,13 @@ class TargetSettings:
     identifiable_below: float = 0.05
     """A parameter counts as identifiable when its standard deviation is below this share of the scaled bounds."""
 
+    def __post_init__(self) -> None:
+        for name in ("n_initial", "n_outputs", "significance", "identifiable_below"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}.")
+        if self.n_kept < 0:
+            raise ValueError(f"n_kept must not be negative, got {self.n_kept}.")
+
 
 class TargetVector:
     """Models the residual vector, not its norm, so that a small residual is not hidden by a large one.
@@ -84,6 +91,8 @@ class TargetVector:
         """The initial design first, then the candidate of largest expected improvement."""
         if self._queue:
             return self._space.from_unit(self._queue.pop(0))
+        if self._residuals is None:  # every candidate has failed
+            return self._space.from_unit(self._rng.random(len(self._space)))
         self._asks_since_fit += 1
         if self._asks_since_fit >= max(2, len(self._theta) // 5):
             model = self._model()
@@ -108,6 +117,8 @@ class TargetVector:
 
     def rescore(self, residuals: Vector) -> None:
         """Replace what was told of the stored candidates by residuals (n, D); failed candidates are dropped."""
+        if not len(self._theta):
+            return
         finite = np.all(np.isfinite(residuals), axis=1)
         self._theta, self._residuals = self._theta[finite], residuals[finite]
         if not len(self._theta):
@@ -118,22 +129,42 @@ class TargetVector:
         """The best candidate, with the directions that the data do not see held at the episode's start."""
         costs = self._costs()
         best = int(np.argmin(costs))
-        z = self._space.to_unit(self._theta[best])
-        sight = information(self._model().posterior.mean_and_jacobian(z)[1])
+        model = self._model()
+        z = model.Z[best]
+        sight = information(model.posterior.mean_and_jacobian(z)[1])
         misfit = max(1.0, np.sqrt(costs[best] / max(self._told().shape[1] - len(z), 1)))
-        change = z - self._start
-        moved = sight.significant(change, self._settings.significance * misfit)
-        theta = self._space.from_unit(np.clip(self._start + moved @ change, 0.0, 1.0))
+        moved = sight.significant(z - self._start, self._settings.significance * misfit)
+        n_held = len(z) - len(moved)
+        allowed = float(costs[best]) + (self._settings.significance * misfit) ** 2
+        z, cost = self._held(model, costs, moved, allowed) if n_held else (z, float(costs[best]))
+        theta = self._space.from_unit(z)
         std = np.minimum(sight.std() * misfit, 1.0)
-        n_held = len(z) - round(float(np.trace(moved)))
         return Estimate(
             theta=theta,
             std=std * self._space.slope(theta),
             is_identifiable=tuple(bool(s <= self._settings.identifiable_below) for s in std),
-            cost=float(costs[best]),
+            cost=cost,
             n_evaluations=self._n_evaluations,
             reason=f"incumbent, {n_held} of {len(z)} directions held" if n_held else "incumbent",
         )
+
+    def _held(self, model: "_Model", costs: Vector, moved: Vector, allowed: float) -> tuple[Vector, float]:
+        """A place that costs no more than allowed and changes little but in the directions moved (m, d); its cost.
+
+        The surrogate's where it is sure enough; else, of the candidates, the one nearest to the start.
+        """
+        best = model.Z[int(np.argmin(costs))]
+        if len(moved):
+            z = least_change(model.posterior, self._start + moved.T @ moved @ (best - self._start), len(moved))
+        else:
+            z = self._start
+        mean, variance = model.posterior.predict(z[None])
+        expected = float(np.sum(mean * mean + variance))
+        if expected <= allowed:
+            return z, expected
+        fitting = np.flatnonzero(costs <= allowed)
+        nearest = fitting[int(np.argmin(np.sum((model.Z[fitting] - self._start) ** 2, axis=1)))]
+        return model.Z[nearest], float(costs[nearest])
 
     def _told(self) -> Vector:
         if self._residuals is None:
@@ -194,4 +225,17 @@ def least_squares_of_mean(posterior: Posterior, z: Vector, n_iterations: int = 8
             z, r, slope, damping = trial, r_trial, slope_trial, max(damping / 10.0, 1e-9)
         else:
             damping *= 10.0
+    return z
+
+
+def least_change(posterior: Posterior, z: Vector, n_moved: int) -> Vector:
+    """The place of least |posterior mean|^2 that is reached from z (d,) by moving in n_moved directions only.
+
+    The directions are those best seen at each place on the way: a flat direction may turn.
+    """
+    for _ in range(8):
+        r, slope = posterior.mean_and_jacobian(z)
+        seen = information(slope).directions[:n_moved]
+        step = np.linalg.lstsq(slope @ seen.T, r, rcond=None)[0]
+        z = np.clip(z - seen.T @ step, 0.0, 1.0)
     return z

@@ -47,7 +47,7 @@ class DerivativeResidual:
         """r (c,) of one sample; NaN where the model has no value there. Other exceptions of the model pass through."""
         try:
             modelled = self.model(sample.x, sample.u, **self.space.named(theta))
-        except ArithmeticError:
+        except (ArithmeticError, ValueError):  # math.sqrt(-1.0) raises the latter
             return np.full(len(self.channels), np.nan)
         return np.array([
             (y - modelled[i]) / s for y, i, s in zip(sample.xdot, self.channels, self.noise, strict=True)
@@ -104,7 +104,7 @@ class ResidualWindow:
         thetas = list(candidates)
         kept = {theta.tobytes() for theta in thetas}
         self._rows = {key: rows for key, rows in self._rows.items() if key in kept}
-        return np.array([self.residual(theta) for theta in thetas])
+        return np.array([self.residual(theta) for theta in thetas]).reshape(len(thetas), sum(self._lengths))
 
     def explain(self, theta: Vector, patient: bool = True, false_alarm: float = 1e-4) -> None:
         """Restart, at the newest sample, each channel that stopped agreeing with the incumbent theta.

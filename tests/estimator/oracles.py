@@ -118,7 +118,7 @@ def check_target_vector_improvement_is_that_of_the_matched_log_normal(acquisitio
 
 
 def check_target_vector_improvement_far_in_the_tail(acquisition):
-    """Where d < -15 and s < 0.5, the first term is too large by 2/d^2 + s/|d| < 3.5 %, and by less further out."""
+    """The same out to d = -200, where a rounding of s is multiplied by d^2. Measured 1e-8."""
     for mean, std in (((1.0, -0.5), (0.2, 0.1)), ((1.0, 1.0, -2.0), (0.01, 0.02, 0.02)), ((3.0,), (0.01,))):
         mean, std = np.array(mean), np.array(std)
         matched = _log_normal_with(*_sum_of_squares(mean, std))
@@ -126,8 +126,7 @@ def check_target_vector_improvement_far_in_the_tail(acquisition):
         for depth in (15.0, 40.0, 200.0):
             b = float(matched.median() * np.exp(-depth * s))
             got = acquisition.log_target_vector_improvement(mean[None], std[None] ** 2, b)
-            bound = 2.0 / depth**2 + s / depth
-            assert_allclose(got, _log_improvement(matched, b), rtol=0.0, atol=1.2 * bound + 1e-6)
+            assert_allclose(got, _log_improvement(matched, b), rtol=0.0, atol=1e-7)
 
 
 def check_target_vector_improvement_of_a_hopeless_incumbent(acquisition):
@@ -402,17 +401,23 @@ def check_std_of_what_is_not_seen_is_the_whole_cube(identifiability):
     assert_allclose(identifiability.information(np.diag([2.0, 0.5])).std(), [0.5, 1.0])
 
 
+def projector(sight, change, n_std):
+    """On the significant directions, from their rows."""
+    rows = sight.significant(change, n_std)
+    return rows.T @ rows
+
+
 def check_significant_directions_by_hand(identifiability):
     straight = identifiability.information(np.diag([10.0, 1.0]))
     # (1, 1) is 10 standard deviations along the first axis and one along the second.
-    assert_allclose(straight.significant(np.array([1.0, 1.0]), 3.0), np.diag([1.0, 0.0]), atol=1e-15)
-    assert_allclose(straight.significant(np.array([1.0, -4.0]), 3.0), np.eye(2), atol=1e-15)
-    assert_allclose(straight.significant(np.array([0.2, 0.2]), 3.0), np.zeros((2, 2)), atol=1e-15)
-    assert_allclose(straight.significant(np.array([0.2, 0.2]), 1.0), np.diag([1.0, 0.0]), atol=1e-15)
+    assert_allclose(projector(straight, np.array([1.0, 1.0]), 3.0), np.diag([1.0, 0.0]), atol=1e-15)
+    assert_allclose(projector(straight, np.array([1.0, -4.0]), 3.0), np.eye(2), atol=1e-15)
+    assert_allclose(projector(straight, np.array([0.2, 0.2]), 3.0), np.zeros((2, 2)), atol=1e-15)
+    assert_allclose(projector(straight, np.array([0.2, 0.2]), 1.0), np.diag([1.0, 0.0]), atol=1e-15)
     # Only the sum is seen: the projector averages, along (1, 1)/sqrt(2).
     oblique = identifiability.information(np.array([[10.0, 10.0]]))
-    assert_allclose(oblique.significant(np.array([1.0, 0.0]), 3.0), np.full((2, 2), 0.5), atol=1e-14)
-    assert_allclose(oblique.significant(np.array([1.0, -1.0]), 3.0), np.zeros((2, 2)), atol=1e-14)
+    assert_allclose(projector(oblique, np.array([1.0, 0.0]), 3.0), np.full((2, 2), 0.5), atol=1e-14)
+    assert_allclose(projector(oblique, np.array([1.0, -1.0]), 3.0), np.zeros((2, 2)), atol=1e-14)
 
 
 def check_significant_is_a_projector_that_loses_little(identifiability):
@@ -422,7 +427,9 @@ def check_significant_is_a_projector_that_loses_little(identifiability):
             J = rng.normal(size=(n, d)) * 10.0 ** rng.uniform(-1.0, 2.0, d)
             change = rng.uniform(-1.0, 1.0, d)
             sight = identifiability.information(J)
-            P = sight.significant(change, 3.0)
+            rows = sight.significant(change, 3.0)
+            assert_allclose(rows @ rows.T, np.eye(len(rows)), atol=1e-12)
+            P = rows.T @ rows
             assert_allclose(P @ P, P, atol=1e-12)
             assert_allclose(P.T, P, atol=1e-12)
             # Each direction kept back would have moved the residual by at most three standard deviations ...

@@ -137,13 +137,10 @@ def test_target_vector_improvement_is_finite_wherever_the_incumbent_is(std):
 
 @pytest.mark.parametrize("std", STDS)
 def test_target_vector_improvement_grows_with_the_incumbent(std):
-    """In the tail and in the body; where the two meet see the test of the seam."""
     mean, variance = np.array([[1.0, 0.5]]), np.full((1, 2), std**2)
     incumbents = np.logspace(-12, 3, 3001)
     score = np.array([log_target_vector_improvement(mean, variance, float(b))[0] for b in incumbents])
-    depth = score - np.log(1e-10 * incumbents)
-    for part in (depth < -0.3, depth > 0.3):
-        assert np.all(np.diff(score[part]) > 0.0)
+    assert np.all(np.diff(score) > 0.0)
 
 
 @pytest.mark.parametrize(("std", "far"), [(1e-3, (2.0, 1e3)), (0.1, (10.0, 1e5))])
@@ -156,9 +153,8 @@ def test_the_order_of_candidates_is_kept_far_in_the_tail(std, far):
     assert np.all(np.diff(score) < 0.0)
 
 
-@pytest.mark.xfail(strict=True, reason="the first term exceeds the exact difference by 5 to 16 % where they meet")
 @pytest.mark.parametrize("std", [0.1, 1.0])
-def test_target_vector_improvement_grows_with_the_incumbent_across_the_seam_of_tail_and_body(std):
+def test_target_vector_improvement_grows_with_the_incumbent_where_tail_and_body_meet(std):
     mean, variance = np.array([[1.0, 0.5]]), np.full((1, 2), std**2)
     incumbents = np.logspace(-6, 1, 20_001)
     score = np.array([log_target_vector_improvement(mean, variance, float(b))[0] for b in incumbents])

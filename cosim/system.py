@@ -73,6 +73,9 @@ def plant_of(scenario: Scenario, slave: Slave) -> Plant:
                 f"'{reference}' is not declared as a state's derivative{did_you_mean(name, state_of) or '.'}"
             )
         channels.append(states.index(state_of[name]))
+    for reference in scenario.sampling.states:
+        if reference not in {f"{slave.name}.{name}" for name in states}:
+            raise WiringError(f"'{reference}' is no state of {slave.name}{did_you_mean(reference, states) or '.'}")
     inputs = {v.name: float(v.start or 0.0) for v in variables if v.causality == "input"}
     return Plant(slave.name, states, inputs, tuple(channels))
 

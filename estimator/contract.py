@@ -15,9 +15,10 @@ class Estimate:
     std: Vector
     """Standard deviations (d,), in the same units; as wide as the bounds where the data say nothing."""
     is_identifiable: tuple[bool, ...]
-    """Whether the data fix each parameter (d,); where not, theta holds its value from the start."""
+    """Whether the data fix each parameter (d,); where not, theta keeps near its value from the start."""
     cost: float
-    """Objective of the incumbent: sum of squared residuals (`target`), noisy norm (`paper`)."""
+    """Objective at theta: sum of squared residuals (`target`; the surrogate's where directions are held), noisy norm
+    (`paper`)."""
     n_evaluations: int
     """Evaluations told since the last restart."""
     reason: str

@@ -93,7 +93,7 @@ def negative_log_posterior(
     alpha, _ = _potrs(L, Y, lower=1)
     lower, _ = _potri(L, lower=1)
     inverse = np.tril(lower) + np.tril(lower, -1).T
-    q = np.sum(Y * alpha, axis=0) / n
+    q = np.maximum(np.sum(Y * alpha, axis=0) / n, np.finfo(float).tiny)
     value = 0.5 * n * np.sum(np.log(q)) + k * np.sum(np.log(np.diag(L))) + 0.5 * n * k * (1.0 + np.log(2.0 * np.pi))
     G = 0.5 * (k * inverse - (alpha / q) @ alpha.T) * C  # d value / d C, times dC/d(log l) but for its factor
     gradient = np.tensordot(squares, G, 2) * inverse_squares

@@ -300,8 +300,8 @@ SCALARS = st.one_of(
 )
 KEYS = st.one_of(
     st.sampled_from([
-        *Scenario.model_fields, "kind", "threshold", "noise", "fmu", "start", "name", "lower", "upper", "writes", "target",
-        "paper", "plant", "plant.m", "plant.u", "stop_time", "macro_step", "model", "parameters", "trigger",
+        *Scenario.model_fields, "kind", "threshold", "noise", "fmu", "start", "name", "lower", "upper", "writes",
+        "target", "paper", "plant", "plant.m", "plant.u", "stop_time", "macro_step", "model", "parameters", "trigger",
     ]),
     st.text("abc._-\"' é", max_size=4),
 )  # fmt: skip
@@ -349,7 +349,7 @@ def paths_of(tree, here=()):
         yield from paths_of(value, (*here, key))
 
 
-PLACES = [place for place in paths_of(tomllib.loads(PENDULUM))]
+PLACES = list(paths_of(tomllib.loads(PENDULUM)))
 
 
 @settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

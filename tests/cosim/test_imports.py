@@ -1,0 +1,125 @@
+"""Who imports whom, in fresh interpreters and in the sources."""
+
+import ast
+import subprocess
+import sys
+import tomllib
+from importlib.metadata import distribution
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+
+import cosim
+
+PUBLIC = [
+    "CosimError", "ModelDescriptionError", "Run", "Scenario", "ScenarioError", "Slave", "SlaveError", "WiringError",
+    "open_slave", "run",
+]  # fmt: skip
+WORKSHOP = {"cosim", "estimator", "fmu_models"}
+
+
+def loaded_by(program):
+    """Top-level names of the modules that a fresh interpreter holds after the program."""
+    command = [sys.executable, "-c", program + "; import sys; print(*{m.partition('.')[0] for m in sys.modules})"]
+    return set(subprocess.run(command, capture_output=True, text=True, check=True, timeout=60).stdout.split())
+
+
+def sources(package):
+    return {p.name: p.read_text(encoding="utf-8") for p in files(package).iterdir() if p.name.endswith(".py")}
+
+
+def imported(source):
+    """Top-level names that a source imports absolutely, anywhere in it."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name.partition(".")[0] for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            yield node.module.partition(".")[0]
+
+
+def imports_of(package):
+    return {name: set(imported(source)) for name, source in sources(package).items()}
+
+
+def test_importing_cosim_loads_nothing_heavy():
+    loaded = loaded_by("import cosim")
+    assert "cosim" in loaded
+    assert loaded.isdisjoint({"numpy", "scipy", "GPy", "pydantic", "pyarrow", "fmpy", "matplotlib", "tqdm"})
+    assert loaded & WORKSHOP == {"cosim"}
+
+
+def test_the_process_of_an_fmu_loads_neither_estimators_nor_scenarios():
+    loaded = loaded_by("import cosim.worker")
+    assert loaded.isdisjoint({"GPy", "pydantic", "pyarrow", "matplotlib", "tqdm", "estimator", "fmu_models"})
+
+
+def test_help_waits_for_nothing_heavy():
+    program = "from cosim.cli import main\ntry: main(['--help'])\nexcept SystemExit: pass\nimport sys"
+    command = [sys.executable, "-c", program + "\nprint('MODULES', *sys.modules)"]
+    output = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60).stdout
+    assert "usage: retune" in output
+    assert set(output.partition("MODULES")[2].split()).isdisjoint({"numpy", "GPy", "pydantic", "pyarrow", "fmpy"})
+
+
+def test_importing_the_models_loads_pythonfmu_and_the_standard_library_only():
+    plain, loaded = loaded_by("pass"), loaded_by("import fmu_models.build, fmu_models.blocks")
+    third_party = {m for m in loaded - plain if m not in sys.stdlib_module_names and not m.startswith("_")}
+    assert "pythonfmu" in third_party
+    assert third_party <= {"pythonfmu", "fmu_models"}
+
+
+def test_no_source_of_the_models_imports_anything_else():
+    for name, modules in imports_of("fmu_models").items():
+        assert modules <= {*sys.stdlib_module_names, "pythonfmu", "fmu_models"}, name
+
+
+def test_only_the_co_simulation_joins_the_packages():
+    for package, allowed in (("fmu_models", {"fmu_models"}), ("estimator", set()), ("cosim", WORKSHOP - {"cosim"})):
+        for name, modules in imports_of(package).items():
+            assert modules & WORKSHOP <= allowed, f"{package}/{name}"
+
+
+def test_only_the_modules_of_one_fmu_import_fmpy():
+    users = {name.removesuffix(".py") for name, modules in imports_of("cosim").items() if "fmpy" in modules}
+    assert users <= {"slave", "instance", "worker", "archive", "fmu_log", "ports"}
+    assert "fmpy" in set().union(*imports_of("cosim").values())
+    for package in ("estimator", "fmu_models"):
+        assert all("fmpy" not in modules for modules in imports_of(package).values())
+
+
+def test_the_master_and_the_loop_know_no_fmu_library():
+    modules = imports_of("cosim")
+    for name in ("master.py", "reconfigure.py", "formula.py", "changes.py", "schema.py", "scenario.py", "record.py"):
+        assert modules[name].isdisjoint({"fmpy", "pythonfmu"}), name
+
+
+@pytest.mark.parametrize("package", sorted(WORKSHOP))
+def test_every_third_party_import_is_a_declared_dependency(package):
+    pyproject = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))
+    declared = {d.partition(">")[0].strip() for d in pyproject["project"]["dependencies"]} | {"pandas"}
+    for name, modules in imports_of(package).items():
+        assert modules <= {*sys.stdlib_module_names, *declared, *WORKSHOP}, name
+
+
+def test_the_public_names_are_these():
+    tree = ast.parse(sources("cosim")["__init__.py"])
+    reexported = {
+        alias.asname
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+        if alias.asname
+    }
+    assert reexported == set(PUBLIC)
+    assert {name: getattr(cosim, name).__name__ for name in PUBLIC} == {name: name for name in PUBLIC}
+
+
+def test_an_unknown_public_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="module 'cosim' has no attribute 'rum'"):
+        _ = cosim.rum
+
+
+def test_the_command_is_installed():
+    (script,) = [e for e in distribution("fmu-retune").entry_points if e.group == "console_scripts"]
+    assert (script.name, script.value) == ("retune", "cosim.cli:main")

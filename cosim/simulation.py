@@ -17,7 +17,7 @@ from time import perf_counter
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from .errors import SlaveError, WiringError
+from .errors import ScenarioError, SlaveError, WiringError
 from .master import Master
 from .policy import LeaveAlone, Policy, check_estimator, make_policy
 from .reconfigure import Reconfiguration
@@ -106,6 +106,7 @@ class _Loop:
             if fault.function == "set":  # refused before it reached the FMU
                 raise WiringError(f"{fault}.") from fault
             return str(fault)
+        self._true_theta(settings.start_time)  # a formula may have no value from the start
         self.policy = self._make_policy(self._sampler.exact(settings.start_time, self._master.values))
         return None
 
@@ -121,7 +122,7 @@ class _Loop:
                     return "diverged", None
                 if progress is not None:
                     progress(t, dict(zip(names, self._theta.tolist(), strict=True)))
-        except SlaveError as fault:
+        except (SlaveError, ScenarioError) as fault:  # the latter: a change without a value
             recorder.event(t, "fault", {"reason": str(fault)})
             return "faulted", str(fault)
         except KeyboardInterrupt:

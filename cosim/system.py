@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from .errors import WiringError
+from .errors import ScenarioError, WiringError, seconds
 from .library import find_fmu
 from .master import Wiring
 from .names import did_you_mean
@@ -111,13 +111,24 @@ def check_parameters(scenario: Scenario, slaves: Mapping[str, Slave]) -> None:
 
 
 def true_parameters(scenario: Scenario, slaves: Mapping[str, Slave]) -> dict[str, Callable[[float], float]]:
-    """What the plant's changed and estimated parameters are, as functions of t [s]. Raises WiringError."""
-    truth = scenario.change_functions()
+    """What the plant's changed and estimated parameters are, as functions of t [s]. Raises WiringError.
+
+    The functions raise ScenarioError where a formula has no value.
+    """
+    truth: dict[str, Callable[[float], float]]
+    truth = {name: partial(_value, name, change) for name, change in scenario.change_functions().items()}
     for parameter in scenario.estimation.parameters:
         reference = scenario.true_reference(parameter)
         if reference not in truth:
             truth[reference] = partial(_constant, start_value(scenario, slaves, reference))
     return truth
+
+
+def _value(name: str, change: Callable[[float], float], t: float) -> float:
+    try:
+        return change(t)
+    except (ArithmeticError, ValueError) as e:
+        raise ScenarioError(f"changes.{name} has no value at t = {seconds(t)} s: {e}.") from e
 
 
 def _constant(value: float, t: float) -> float:

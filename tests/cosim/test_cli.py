@@ -1,130 +1,419 @@
-"""The command, as a user types it."""
+"""The command: what it prints, what it returns, what it leaves behind."""
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
+import zipfile
+from importlib.resources import files
 from pathlib import Path
 
+import numpy as np
 import pytest
+from pythonfmu import FmuBuilder
 
+from cosim.cli import main
 from cosim.record import read_series
+from fmu_models.build import NAMES
 
-RETUNE = Path(sys.executable).with_name("retune")
-KEYS = {
+pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("leaves_nothing")]
+
+RETUNE = Path(sys.executable).parent / "retune"
+PENDULUM = (files("cosim") / "scenarios" / "pendulum.toml").read_text(encoding="utf-8")
+SHORT = ["run", "pendulum", "--only", "--set", "scenario.stop_time=0.1"]
+EARLY_CHANGE = ["--set", 'changes."plant.m"=[[0.0, 1.75], [0.05, 4.271]]']
+KEYS = [
     "scenario", "estimator", "seed", "mse", "max_error", "parameters", "instants", "evaluations", "episodes",
     "latency_ms", "deadline_ms", "missed_deadlines", "wall_s", "status", "diverged_at", "error", "run",
-}  # fmt: skip
-SHORT = ("--set", "scenario.stop_time=0.3")
+]  # fmt: skip
 
 
-def retune(folder, *arguments):
-    return subprocess.run([RETUNE, *arguments], cwd=folder, capture_output=True, text=True, timeout=120, check=False)
+@pytest.fixture(autouse=True)
+def workplace(tmp_path, monkeypatch):
+    """An empty folder to work in; what the command changes in this process is put back."""
+    folder = tmp_path / "work"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    handler, environment = signal.getsignal(signal.SIGTERM), dict(os.environ)
+    yield folder
+    signal.signal(signal.SIGTERM, handler)
+    os.environ.clear()
+    os.environ.update(environment)
 
 
-@pytest.mark.fmu
-def test_json_is_one_object_with_the_documented_keys_and_nothing_else(tmp_path):
-    done = retune(tmp_path, "run", "pendulum", "--only", "--json", "--seed", "3", *SHORT)
+def retune(*arguments):
+    """The installed command in a process of its own."""
+    return subprocess.run([RETUNE, *arguments], capture_output=True, text=True, timeout=120, stdin=subprocess.DEVNULL)
+
+
+@pytest.fixture
+def called(capfd):
+    """The command in this process: exit code, standard output, standard error."""
+
+    def call(*arguments):
+        try:
+            code = main([str(a) for a in arguments])
+        except SystemExit as leaving:
+            code = leaving.code
+        output = capfd.readouterr()
+        return code, output.out, output.err
+
+    return call
+
+
+# JSON.
+
+
+def test_json_is_one_object_with_the_documented_keys_and_nothing_else_is_printed(workplace):
+    done = retune(*SHORT, *EARLY_CHANGE, "--json", "--seed", "7", "--set", "estimation.instants=[0.04, 0.05, 9.0]")
     assert (done.returncode, done.stderr) == (0, "")
-    figures = json.loads(done.stdout)
-    assert set(figures) == KEYS
-    assert (figures["scenario"], figures["estimator"], figures["seed"]) == ("pendulum", "target", 3)
-    assert set(figures["parameters"][0]) == {"name", "unit", "true", "estimated"}
-    assert set(figures["latency_ms"]) == {"p50", "p99", "max"}
-    assert figures["run"] == "runs/pendulum-1"
+    assert done.stdout.count("\n") == 1
+    result = json.loads(done.stdout)
+    assert list(result) == KEYS
+    assert (result["scenario"], result["estimator"], result["seed"]) == ("pendulum", "target", 7)
+    assert (result["status"], result["diverged_at"], result["error"]) == ("done", None, None)
+    assert result["deadline_ms"] == 10.0
+    assert result["run"] == "runs/pendulum-1"
+    series = read_series(workplace / result["run"])
+    error = series["plant.phi"] - series["reference.phi_ref"]
+    assert result["mse"] == [pytest.approx(np.mean(error**2), rel=1e-12)]
+    assert result["max_error"] == pytest.approx(np.max(np.abs(error)), rel=1e-12)
+    assert [list(p) for p in result["parameters"]] == [["name", "unit", "true", "estimated"]] * 2
+    assert [(p["name"], p["unit"], p["true"]) for p in result["parameters"]] == [("m", "kg", 4.271), ("l", "m", 0.75)]
+    assert [i["t"] for i in result["instants"]] == [0.04, 0.05]
+    assert [i["parameters"][0]["true"] for i in result["instants"]] == [1.75, 4.271]
+    assert list(result["latency_ms"]) == ["p50", "p99", "max"]
+    assert json.loads((workplace / result["run"] / "result.json").read_text()) == result
 
 
-@pytest.mark.fmu
-def test_a_run_draws_its_pictures_and_simulates_what_it_is_compared_with(tmp_path):
-    change = ("--set", 'changes."plant.m"=[[0.0, 1.75], [0.05, 4.0]]')
-    done = retune(tmp_path, "run", "pendulum", "--out", "here", *SHORT, *change)
+def test_json_has_null_where_there_is_no_figure(called):
+    code, out, err = called(*SHORT, "--json", "--estimator", "none")
+    result = json.loads(out)
+    assert (code, err) == (0, "")
+    assert result["latency_ms"] == {"p50": None, "p99": None, "max": None}
+    assert (result["evaluations"], result["episodes"], result["missed_deadlines"]) == (0, 0, 0)
+
+
+def test_a_seed_is_repeated_exactly(called):
+    arguments = [*SHORT, *EARLY_CHANGE, "--json", "--set", "scenario.stop_time=0.3"]
+    results = [json.loads(called(*arguments, "--seed", seed)[1]) for seed in ("3", "3", "4")]
+    for result in results:
+        for key in ("latency_ms", "missed_deadlines", "wall_s", "run"):
+            del result[key]
+    assert results[0] == results[1]
+    assert results[0]["parameters"] != results[2]["parameters"]
+
+
+def test_isolation_does_not_change_a_bit(workplace):
+    # A process of its own: FMUs that are loaded into a process stay there.
+    for isolation in ("none", "process"):
+        settings = ["--set", f"scenario.isolation={isolation}", "--set", "scenario.stop_time=0.3"]
+        done = retune(*SHORT, *EARLY_CHANGE, *settings, "--out", isolation)
+        assert (done.returncode, done.stderr) == (0, "")
+    assert (workplace / "none" / "events.jsonl").stat().st_size > 0
+    for name in ("series.arrow", "events.jsonl", "series.csv", "estimates.ssv"):
+        assert (workplace / "none" / name).read_bytes() == (workplace / "process" / name).read_bytes()
+
+
+# The report and the pictures.
+
+
+def test_a_whole_run_is_compared_with_nominal_and_true_parameters_and_drawn(workplace):
+    done = retune("run", "pendulum", "--out", "mine", "--set", "scenario.stop_time=0.5", *EARLY_CHANGE)
     assert (done.returncode, done.stderr) == (0, "")
-    names = {path.name for path in (tmp_path / "here").iterdir()}
-    assert {"tracking.png", "parameters.png", "error.png", "response.png", "none", "true"} <= names
-    assert "nominal controller" in done.stdout
+    for part in ("nominal controller", "true parameters (floor)", "re-tuned by target", "m [kg]", "run folder mine"):
+        assert part in done.stdout
+    folder = workplace / "mine"
+    names = {p.name for p in folder.iterdir()}
+    assert names >= {"manifest.json", "result.json", "series.arrow", "series.csv", "events.jsonl", "none", "true"}
+    pictures = [p for p in folder.iterdir() if p.suffix == ".png"]
+    assert {p.name for p in pictures} >= {"tracking.png", "error.png", "parameters.png"}
+    assert all(p.read_bytes().startswith(b"\x89PNG\r\n\x1a\n") for p in pictures)
+    for name in ("none", "true"):
+        assert json.loads((folder / name / "result.json").read_text())["estimator"] == name
 
 
-@pytest.mark.fmu
-def test_build_makes_six_fmus_and_overwrites_nothing_of_the_users(tmp_path):
-    assert retune(tmp_path, "build", "--out", "fmus").returncode == 0
-    assert len(list((tmp_path / "fmus").glob("*.fmu"))) == 6
-    assert retune(tmp_path, "build", "--out", "fmus").stdout.count("unchanged") == 6
-    mine = tmp_path / "fmus" / "Pendulum.fmu"
-    mine.write_text("mine")
-    refused = retune(tmp_path, "build", "--out", "fmus")
-    assert refused.returncode == 2
-    assert "differs" in refused.stderr
-    assert mine.read_text() == "mine"
-    assert retune(tmp_path, "build", "--out", "fmus", "--force").returncode == 0
+def test_only_leaves_out_comparisons_and_pictures(called, workplace):
+    code, out, err = called(*SHORT, "--out", "mine")
+    assert (code, err) == (0, "")
+    assert "nominal controller" not in out
+    assert not [p for p in (workplace / "mine").iterdir() if p.is_dir() or p.suffix == ".png"]
 
 
-@pytest.mark.fmu
-def test_a_diverged_run_exits_with_1_and_says_so_in_one_line(tmp_path):
-    done = retune(tmp_path, "run", "pendulum", "--only", "--estimator", "none", "--set", "limits.divergence=0.01",
-                  "--set", 'changes."plant.m"=4.0')  # fmt: skip
-    assert done.returncode == 1
-    assert done.stderr.startswith("retune: diverged at t = ")
-    assert done.stderr.count("\n") == 1
+def test_run_folders_are_numbered(called, workplace):
+    for _ in range(2):
+        assert called(*SHORT, "--estimator", "none")[0] == 0
+    assert {p.name for p in (workplace / "runs").iterdir()} == {"pendulum-1", "pendulum-2"}
 
 
-@pytest.mark.fmu
-def test_an_interrupted_run_exits_with_130_and_keeps_its_rows(tmp_path):
+def test_a_scenario_of_ones_own_finds_its_fmu_and_its_model_beside_it(called, workplace, cache):
+    (workplace / "lab").mkdir()
+    assert called("build", "--out", "lab")[0] == 0
+    (workplace / "lab" / "my_model_of_a_pendulum.py").write_text(
+        "def derivative(x, u, m, l):\n    from math import sin\n"
+        "    return x[1], -9.81 / l * sin(x[0]) - 0.1 / m * x[1] + u[0] / (m * l)\n"
+    )
+    text = PENDULUM.replace('"Pendulum"', '"Pendulum.fmu"').replace("fmu_models.pendulum", "my_model_of_a_pendulum")
+    (workplace / "lab" / "mine.toml").write_text(text)
+    code, out, err = called(
+        "run", "lab/mine.toml", "--only", "--json", "--set", "scenario.stop_time=0.2", *EARLY_CHANGE
+    )
+    assert (code, err) == (0, "")
+    assert json.loads(out)["evaluations"] > 0
+
+
+# Refusals.
+
+
+def write_inputs(folder):
+    (folder / "reversed.toml").write_text(PENDULUM.replace("lower = 0.1\nupper = 5.0", "lower = 5.0\nupper = 0.1"))
+    (folder / "broken.toml").write_text("[[[")
+    (folder / "a file").write_text("")
+    (folder / "full").mkdir()
+    (folder / "full" / "mine").write_text("precious")
+    (folder / "text.fmu").write_text("no zip")
+    with zipfile.ZipFile(folder / "empty.fmu", "w") as archive:
+        archive.writestr("readme.txt", "no FMU")
+
+
+def plant(folder, fmu):
+    return ["--set", f"components.plant.fmu={folder / fmu}"]
+
+
+REFUSED = [
+    ("no command", lambda f: [], "COMMAND"),
+    ("unknown command", lambda f: ["frobnicate"], "frobnicate"),
+    ("unknown option", lambda f: ["run", "pendulum", "--jsn"], "--jsn"),
+    ("no scenario", lambda f: ["run"], "SCENARIO"),
+    ("unknown scenario", lambda f: ["run", "pendulm"], "did you mean 'pendulum'"),
+    ("missing file", lambda f: ["run", f / "gone.toml"], "gone.toml"),
+    ("broken file", lambda f: ["run", f / "broken.toml"], "broken.toml: not a readable TOML file"),
+    ("a page as a scenario", lambda f: ["run", "x" * 5000], "no scenario"),
+    ("reversed bounds", lambda f: ["run", f / "reversed.toml"], "reversed.toml: estimation.parameters.0"),
+    ("macro step zero", lambda f: [*SHORT, "--set", "scenario.macro_step=0"], "scenario.macro_step"),
+    ("macro step that does not divide", lambda f: [*SHORT, "--set", "scenario.macro_step=0.03"], "whole multiple"),
+    ("unknown estimator", lambda f: [*SHORT, "--estimator", "tru"], "did you mean 'true'"),
+    ("negative seed", lambda f: [*SHORT, "--seed", "-1"], "--seed"),
+    ("fractional seed", lambda f: [*SHORT, "--seed", "1.5"], "--seed"),
+    ("seed of other digits", lambda f: [*SHORT, "--seed", "²"], "--seed"),
+    ("setting without a value", lambda f: [*SHORT, "--set", "scenario.macro_step"], "KEY=VALUE"),
+    ("unknown setting", lambda f: [*SHORT, "--set", "scenario.macro_stp=1"], "did you mean 'macro_step'"),
+    ("setting that is no key", lambda f: [*SHORT, "--set", "a b=1"], "not a TOML key"),
+    ("full folder", lambda f: [*SHORT, "--out", f / "full"], "is not empty"),
+    ("file as folder", lambda f: [*SHORT, "--out", f / "a file"], "cannot make the run folder"),
+    ("folder below a file", lambda f: [*SHORT, "--out", f / "a file" / "x"], "cannot make the run folder"),
+    ("missing FMU", lambda f: [*SHORT, *plant(f, "gone.fmu")], "gone.fmu is not a file"),
+    ("text as FMU", lambda f: [*SHORT, *plant(f, "text.fmu")], "text.fmu is not a usable FMU"),
+    ("zip that is no FMU", lambda f: [*SHORT, *plant(f, "empty.fmu")], "empty.fmu is not a usable FMU"),
+    ("wrong wire", lambda f: [*SHORT, "--set", 'connections."plant.u"=controller.v'], "no output of controller"),
+    ("start out of range", lambda f: [*SHORT, "--set", "components.plant.start.m=-3"], "must be within"),
+    ("function as formula", lambda f: [*SHORT, "--set", 'changes."plant.m"=sin'], "plant.m"),
+    ("unknown model", lambda f: [*SHORT, "--set", "estimation.model=nowhere:f"], "nowhere"),
+    ("setting of the estimator", lambda f: [*SHORT, "--set", "estimation.target.n_initial=-5"], "n_initial"),
+    ("build over a file", lambda f: ["build", "--out", f / "a file"], "cannot build into"),
+    ("picture over a file", lambda f: ["illustrate", "--out", f / "a file"], "exists"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "subject"), [r[1:] for r in REFUSED], ids=[r[0] for r in REFUSED])
+def test_bad_input_is_refused_in_one_line_with_exit_code_2_and_nothing_left_behind(
+    called, workplace, tmp_path, arguments, subject
+):
+    inputs = tmp_path / "inputs"
+    inputs.mkdir()
+    write_inputs(inputs)
+    before = {p: p.is_file() and p.read_bytes() for p in inputs.rglob("*")}
+    code, out, err = called(*arguments(inputs))
+    assert (code, out, len(err.splitlines())) == (2, "", 1)
+    assert err.startswith("retune")
+    assert subject in err
+    assert "Traceback" not in err
+    assert list(workplace.iterdir()) == []
+    assert {p: p.is_file() and p.read_bytes() for p in inputs.rglob("*")} == before
+
+
+@pytest.mark.parametrize(
+    "arguments", [["run", "pendulm"], [*SHORT, "--set", "components.plant.fmu=Pendulm"]], ids=["scenario", "FMU"]
+)
+def test_the_installed_command_refuses_in_one_line_too(workplace, arguments):
+    done = retune(*arguments)
+    assert (done.returncode, done.stdout, len(done.stderr.splitlines())) == (2, "", 1)
+    assert list(workplace.iterdir()) == []
+
+
+def test_an_empty_folder_that_was_there_before_is_there_after_a_refusal(called, workplace):
+    (workplace / "mine").mkdir()
+    assert called(*SHORT, "--out", "mine", "--set", "components.plant.fmu=Pendulm")[0] == 2
+    assert [p.name for p in workplace.iterdir()] == ["mine"]
+
+
+# Runs that do not finish.
+
+
+def test_a_diverged_run_is_told_in_one_line_with_exit_code_1(called, workplace):
+    settings = ["--set", "limits.divergence=0.001", "--set", "scenario.stop_time=0.5", "--estimator", "none"]
+    code, out, err = called(*SHORT, *EARLY_CHANGE, *settings, "--json", "--out", "mine")
+    result = json.loads(out)
+    assert (code, result["status"], result["run"]) == (1, "diverged", "mine")
+    assert err.count("\n") == 1
+    assert f"diverged at t = {result['diverged_at']:.3f} s" in err
+    assert err.endswith("are in mine.\n")
+    assert read_series(workplace / "mine")["time"][-1] == result["diverged_at"]
+
+
+RAISES = """
+from pythonfmu import *
+
+
+class Raises(Fmi2Slave):
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        self.phi_ref = self.phi_dot_ref = 0.0
+        for name in ("phi_ref", "phi_dot_ref"):
+            self.register_variable(Real(name, causality=Fmi2Causality.output))
+
+    def do_step(self, t, h):
+        if t > 0.045:
+            raise ValueError("boom")
+        return True
+"""
+
+
+def test_a_faulted_run_is_told_in_one_line_with_exit_code_1(workplace, tmp_path):
+    (tmp_path / "raises.py").write_text(RAISES)
+    FmuBuilder.build_FMU(tmp_path / "raises.py", dest=tmp_path)
+    old = next(line for line in PENDULUM.splitlines() if line.startswith("reference = "))
+    (tmp_path / "mine.toml").write_text(PENDULUM.replace(old, "reference = { fmu = 'Raises.fmu' }"))
+    arguments = ["--only", "--json", "--estimator", "none", "--set", "limits.divergence=10", "--out", "mine"]
+    done = retune("run", tmp_path / "mine.toml", *arguments)
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert done.stderr.startswith("retune: reference: do_step at t = 0.050 s returned fatal")
+    assert "boom" in done.stderr
+    assert done.stderr.endswith("; rows up to 0.050 s are in mine.\n")
+    result = json.loads(done.stdout)
+    assert result["status"] == "faulted"
+    assert "boom" in result["error"]
+    assert read_series(workplace / "mine")["time"].tolist() == [k * 0.01 for k in range(6)]
+
+
+def processes_of_session(session):
+    found = set()
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            state, _, _, its_session = (folder / "stat").read_text().rpartition(")")[2].split()[:4]
+        except OSError:
+            continue
+        if int(its_session) == session and state != "Z":
+            found.add(int(folder.name))
+    return found
+
+
+def becomes_true(condition, within_s=60.0):
+    """Whether condition() is true at some time within a limit that only a failing test ever reaches."""
+    deadline = time.monotonic() + within_s
+    while not condition():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.02)
+    return True
+
+
+def is_far_enough(folder):
+    path = folder / "series.arrow"
+    return path.exists() and path.stat().st_size > 50_000
+
+
+def start_endless(folder):
+    arguments = ["run", "pendulum", "--only", "--estimator", "none", "--json", "--out", folder]
     process = subprocess.Popen(
-        [RETUNE, "run", "quadrotor", "--only", "--estimator", "none", "--set", "scenario.stop_time=200.0"],
-        cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        [RETUNE, *arguments, "--set", "scenario.stop_time=36000.0"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
     )  # fmt: skip
-    series = tmp_path / "runs" / "quadrotor-1" / "series.arrow"
-    until = time.monotonic() + 60.0
-    while not (series.exists() and series.stat().st_size > 200_000) and time.monotonic() < until:
-        time.sleep(0.05)
-    os.kill(process.pid, signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert errors.count("\n") == 1
-    assert len(read_series(series.parent)["time"]) > 50
+    assert becomes_true(lambda: is_far_enough(folder))
+    assert len(processes_of_session(process.pid)) >= 4  # the command and three FMUs
+    return process
 
 
-BAD = {
-    "no command": [],
-    "unknown command": ["tune"],
-    "unknown scenario": ["run", "pendulun"],
-    "missing file": ["run", "missing.toml"],
-    "not a scenario": ["run", "text.toml"],
-    "unknown estimator": ["run", "pendulum", "--estimator", "taget"],
-    "macro step 0": ["run", "pendulum", "--set", "scenario.macro_step=0"],
-    "unknown key": ["run", "pendulum", "--set", "estimation.budgt=3"],
-    "reversed bounds": ["run", "reversed.toml"],
-    "not key=value": ["run", "pendulum", "--set", "budget"],
-    "negative seed": ["run", "pendulum", "--seed", "-1"],
-    "folder in use": ["run", "pendulum", "--out", "full"],
-    "folder under a file": ["run", "pendulum", "--out", "text.toml/run"],
-    "missing FMU": ["run", "pendulum", "--set", "components.plant.fmu=missing.fmu"],
-    "no such variable": ["run", "pendulum", "--set", 'changes."plant.q"=1'],
-    "start out of bounds": ["run", "pendulum", "--set", "components.plant.start.m=99"],
-    "model without a function": ["run", "pendulum", "--set", "estimation.model=math:nothing"],
-    "model that cannot be called": ["run", "pendulum", "--set", "estimation.model=math:sin"],
-    "build under a file": ["build", "--out", "text.toml/fmus"],
-    "illustration in the way": ["illustrate", "--out", "text.toml"],
-}
+@pytest.mark.parametrize(
+    ("send", "number"),
+    [(os.kill, signal.SIGINT), (os.killpg, signal.SIGINT), (os.kill, signal.SIGTERM)],
+    ids=["SIGINT", "Ctrl-C on a terminal", "SIGTERM"],
+)
+def test_an_interrupted_run_exits_130_with_its_rows_kept_and_no_process_left(workplace, send, number):
+    folder = workplace / "mine"
+    process = start_endless(folder)
+    send(process.pid, number)
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, out, err.count("\n")) == (130, "", 1)
+    assert "interrupted" in err
+    assert json.loads((folder / "manifest.json").read_text())["status"] == "interrupted"
+    times = read_series(folder)["time"]
+    assert len(times) > 100
+    np.testing.assert_array_equal(times, 0.01 * np.arange(len(times)))
+    assert becomes_true(lambda: not processes_of_session(process.pid))
 
 
-@pytest.mark.fmu
-@pytest.mark.parametrize("arguments", BAD.values(), ids=BAD)
-def test_bad_input_gets_one_line_and_exit_code_2(tmp_path, arguments):
-    (tmp_path / "text.toml").write_text("not = [a scenario")
-    scenarios = Path(__file__).parents[2] / "cosim" / "scenarios"
-    good = (scenarios / "pendulum.toml").read_text()
-    (tmp_path / "reversed.toml").write_text(good.replace("lower = 0.1", "lower = 7.0", 1))
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "precious").write_text("mine")
-    before = {path.name for path in tmp_path.iterdir()}
-    done = retune(tmp_path, *arguments)
-    assert done.returncode == 2
-    assert done.stdout == ""
-    assert done.stderr.count("\n") == 1
-    assert "Traceback" not in done.stderr
-    assert {path.name for path in tmp_path.iterdir()} <= before | {"runs"}
-    assert not list(tmp_path.glob("runs/*"))
-    assert (tmp_path / "full" / "precious").read_text() == "mine"
+def test_a_killed_run_leaves_readable_rows_and_no_process(workplace, leaves_nothing):
+    folder = workplace / "mine"
+    process = start_endless(folder)
+    process.kill()
+    process.communicate(timeout=60)
+    times = read_series(folder)["time"]
+    assert len(times) > 100
+    np.testing.assert_array_equal(times, 0.01 * np.arange(len(times)))
+    assert json.loads((folder / "manifest.json").read_text())["status"] == "running"
+    assert becomes_true(lambda: not processes_of_session(process.pid))
+    for unpacked in leaves_nothing.iterdir():  # nobody is left to clear them away
+        assert unpacked.name.startswith("fmu-retune-")
+        shutil.rmtree(unpacked)
+
+
+# Building.
+
+
+def test_build_builds_all_and_then_leaves_them_unchanged(called, workplace):
+    code, out, err = called("build", "--out", "fmus")
+    assert (code, err) == (0, "")
+    assert out.splitlines() == [f"fmus/{name}.fmu  built" for name in NAMES]
+    assert len(NAMES) == 6
+    before = {p: (p.stat().st_mtime_ns, p.read_bytes()) for p in (workplace / "fmus").iterdir()}
+    assert {p.name for p in before} == {f"{name}.fmu" for name in NAMES}
+    assert all(zipfile.is_zipfile(p) for p in before)
+    code, out, err = called("build", "--out", "fmus")
+    assert (code, err) == (0, "")
+    assert out.splitlines() == [f"fmus/{name}.fmu  unchanged" for name in NAMES]
+    assert {p: (p.stat().st_mtime_ns, p.read_bytes()) for p in (workplace / "fmus").iterdir()} == before
+
+
+def test_build_replaces_a_different_file_only_when_forced(called, workplace):
+    fmus = workplace / "fmus"
+    fmus.mkdir()
+    (fmus / "Quadrotor.fmu").write_text("mine")
+    code, out, err = called("build", "--out", "fmus")
+    assert (code, out, err) == (
+        2,
+        "",
+        "retune: fmus/Quadrotor.fmu exists and differs; give --force or another --out.\n",
+    )
+    assert [(p.name, p.read_text()) for p in fmus.iterdir()] == [("Quadrotor.fmu", "mine")]
+    code, out, err = called("build", "--out", "fmus", "--force")
+    assert (code, err) == (0, "")
+    assert [line for line in out.splitlines() if not line.endswith("  built")] == ["fmus/Quadrotor.fmu  replaced"]
+    assert zipfile.is_zipfile(fmus / "Quadrotor.fmu")
+    assert len(list(fmus.iterdir())) == 6
+
+
+# Output that nobody reads.
+
+
+def test_a_reader_that_has_gone_is_no_traceback(workplace):
+    process = subprocess.Popen([RETUNE, *SHORT, "--estimator", "none"], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process.stdout.close()
+    err = process.stderr.read().decode()
+    process.stderr.close()
+    process.wait(timeout=60)
+    assert "Traceback" not in err
+    assert "BrokenPipe" not in err

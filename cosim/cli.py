@@ -88,8 +88,14 @@ def _run(options: argparse.Namespace) -> int:
 
     scenario = Scenario.load(options.scenario, dict(options.overrides))
     check_estimator(options.estimator)
+    place = options.out or Path("runs")
+    there = {path for path in (place, *place.parents) if path.exists()}
     folder = new_run_folder(scenario.scenario.name, options.out)
-    result, baselines = _simulate(scenario, options, folder)
+    try:
+        result, baselines = _simulate(scenario, options, folder)
+    except Exception:
+        _remove_empty(folder, there)
+        raise
     if not options.only:
         from .plots import draw_run
 
@@ -111,15 +117,18 @@ def _simulate(scenario: "Scenario", options: argparse.Namespace, folder: Path) -
         with progress_bar(scenario, estimator) as progress:
             return run(scenario, estimator, options.seed, out, progress)
 
-    try:
-        result = simulate(options.estimator, folder)
-    except Exception:
-        if not any(folder.iterdir()):
-            folder.rmdir()
-        raise
+    result = simulate(options.estimator, folder)
     is_alone = options.only or options.estimator in ("none", "true")
     baselines = {} if is_alone else {name: simulate(name, folder / name) for name in ("none", "true")}
     return result, baselines
+
+
+def _remove_empty(folder: Path, there: set[Path]) -> None:
+    """Remove the folder and those above it that were not there, as long as nothing is in them."""
+    for path in (folder, *folder.parents):
+        if path in there or any(path.iterdir()):
+            return
+        path.rmdir()
 
 
 def _illustrate(options: argparse.Namespace) -> int:

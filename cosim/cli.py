@@ -36,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"retune: {e}", file=sys.stderr)
         return REFUSED
     except KeyboardInterrupt:
-        print("retune: interrupted; the rows so far are in the run folder", file=sys.stderr)
+        print("retune: interrupted; what there is so far is in the run folder", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
         sys.stderr.close()  # the reader of our output has gone
@@ -93,7 +93,7 @@ def _run(options: argparse.Namespace) -> int:
     folder = new_run_folder(scenario.scenario.name, options.out)
     try:
         result, baselines = _simulate(scenario, options, folder)
-    except Exception:
+    except BaseException:
         _remove_empty(folder, there)
         raise
     if not options.only:

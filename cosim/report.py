@@ -67,7 +67,9 @@ def ending(run: Run) -> str | None:
     """Why the run did not finish, and where its rows are, in one line; None where it did."""
     if run.status == "done":
         return None
-    reason = run.error or f"{run.status} at t = {run.time[-1]:.3f} s: a tracked error passed limits.divergence"
+    reason = (run.error or "").rstrip(
+        "."
+    ) or f"{run.status} at t = {run.time[-1]:.3f} s: a tracked error passed limits.divergence"
     until = f"up to {run.time[-1]:.3f} s " if len(run.time) else ""
     return f"{reason}; rows {until}are in {run.folder}." if run.folder else f"{reason}."
 

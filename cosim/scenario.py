@@ -173,6 +173,8 @@ def _first_error(error: ValidationError) -> str:
     value = first["input"]
     got = f", got {value!r}" if isinstance(value, Value) and "got" not in message else ""
     end = "" if message.endswith("?") else "."
+    if key and message.startswith(f"{key}."):  # the place is told already, and more closely
+        key = ""
     return f"{key + ': ' if key else ''}{message[:1].lower()}{message[1:]}{got}{more}{end}"
 
 

@@ -1,5 +1,6 @@
 """The tables of a scenario file, each validated when built."""
 
+from dataclasses import asdict
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
@@ -202,8 +203,9 @@ class Estimation(Loop):
         return Loop.model_validate(common | own)
 
     def settings(self, method: str) -> dict[str, Any]:
-        """The estimator's own settings."""
-        return {k: v for k, v in self._own(method).items() if k not in Loop.model_fields}
+        """The estimator's own settings, complete and of the right types."""
+        given = {k: v for k, v in self._own(method).items() if k not in Loop.model_fields}
+        return asdict(TypeAdapter(METHODS[method].settings).validate_python(given))
 
     def _own(self, method: str) -> dict[str, Any]:
         # Algorithm 1 commits each candidate, one a time step, and looks at the newest sample alone.
@@ -220,11 +222,13 @@ class Estimation(Loop):
                     raise ValueError(f"estimation.{method} has no setting '{key}'{did_you_mean(key, known)}")
             try:
                 self.loop(method)
-                TypeAdapter(entry.settings).validate_python(self.settings(method))
+                self.settings(method)
             except ValidationError as e:
                 first = e.errors()[0]
                 place = ".".join(str(part) for part in first["loc"])
                 message = first["msg"].removeprefix("Value error, ")
+                got = "" if "got" in message else f", got {first['input']!r}"
+                message = f"{message[:1].lower()}{message[1:]}{got}"
                 raise ValueError(f"estimation.{method}{'.' + place if place else ''}: {message}") from e
         return self
 

@@ -299,6 +299,25 @@ def test_a_faulted_run_is_told_in_one_line_with_exit_code_1(workplace, tmp_path)
     assert read_series(workplace / "mine")["time"].tolist() == [k * 0.01 for k in range(6)]
 
 
+def test_a_change_that_ceases_to_have_a_value_is_a_fault_told_in_one_line(called, workplace):
+    change = 'changes."plant.m"=1.75 if t < 0.045 else log(-t)'
+    code, out, err = called(*SHORT, "--json", "--estimator", "none", "--set", change, "--out", "mine")
+    assert (code, json.loads(out)["status"], err.count("\n")) == (1, "faulted", 1)
+    assert "plant.m has no value at t = 0.050 s: math domain error; rows up to 0.040 s are in mine." in err
+    assert read_series(workplace / "mine")["time"].tolist() == [k * 0.01 for k in range(5)]
+
+
+def test_an_interrupt_before_the_first_row_promises_no_rows_and_leaves_no_folder(called, workplace, monkeypatch):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("cosim.simulation.open_slave", interrupted)
+    code, out, err = called(*SHORT, "--out", "mine")
+    assert (code, out, err.count("\n")) == (130, "", 1)
+    assert "rows" not in err
+    assert list(workplace.iterdir()) == []
+
+
 def processes_of_session(session):
     found = set()
     for folder in Path("/proc").glob("[0-9]*"):

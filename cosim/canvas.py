@@ -1,8 +1,6 @@
 """What the figures share: colours, labels, axes that survive any data, and PNG files written whole."""
 
-import os
 import re
-import tempfile
 from collections.abc import Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
@@ -15,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 from numpy.typing import ArrayLike, NDArray
 
-from .record import FolderError
+from .record import write_bytes
 
 Series = NDArray[np.float64]
 Limits = tuple[float, float]
@@ -80,18 +78,7 @@ def save_png(figure: Figure, path: Path) -> Path:
     """Write the figure at once or not at all; returns the path. Raises FolderError."""
     buffer = BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
-    try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-")
-        try:
-            with open(handle, "wb") as file:
-                file.write(buffer.getvalue())
-            os.chmod(name, 0o644)
-            os.replace(name, path)
-        except BaseException:
-            os.unlink(name)
-            raise
-    except OSError as e:
-        raise FolderError(f"cannot write {path}: {e.strerror or e}.") from e
+    write_bytes(path, buffer.getvalue())
     return path
 
 

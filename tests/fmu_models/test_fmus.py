@@ -1,6 +1,7 @@
 """The six FMUs, in hosts that have nothing but the FMU: see fmu_host.py."""
 
 import json
+import os
 import random
 import subprocess
 import sys
@@ -248,10 +249,14 @@ os._exit(0)
     done = subprocess.run([sys.executable, "-c", code, fmus[name]], capture_output=True, text=True, check=True)
     n_outputs = sum(v.causality == "output" for v in MODELS[name].variables)
     assert done.stdout.split() == ["101", str(1 + n_outputs)]
+    # pythonfmu 0.7.0 writes into a freed block of 48 bytes when the process ends, which aborts one in hundreds: a list
+    # of freed blocks that is never full keeps that block out of use.
+    environment = os.environ | {"GLIBC_TUNABLES": "glibc.malloc.tcache_count=65535"}
     for command in (["validate"], ["simulate", "--output-file", str(tmp_path / "out.csv"), "--stop-time", "0.1"]):
         done = subprocess.run(
-            [sys.executable, "-m", "fmpy", command[0], fmus[name], *command[1:]], capture_output=True, text=True
-        )
+            [sys.executable, "-m", "fmpy", command[0], fmus[name], *command[1:]],
+            capture_output=True, text=True, env=environment,
+        )  # fmt: skip
         assert (done.returncode, done.stderr) == (0, "")
     assert len((tmp_path / "out.csv").read_text().splitlines()) > 2
 

@@ -21,12 +21,18 @@ from .slave import NAMESPACE
 PACKAGE = Path(__file__).parent
 _SCRIPTS = MappingProxyType(
     {
+        "FrictionPendulum": "friction_pendulum_fmu",
+        "FrictionPendulumController": "friction_pendulum_controller_fmu",
         "Pendulum": "pendulum_fmu",
         "PendulumController": "pendulum_controller_fmu",
         "PendulumReference": "pendulum_reference_fmu",
+        "PendulumSine": "pendulum_sine_fmu",
         "Quadrotor": "quadrotor_fmu",
         "QuadrotorController": "quadrotor_controller_fmu",
         "QuadrotorReference": "quadrotor_reference_fmu",
+        "RigidBody": "rigid_body_fmu",
+        "RigidBodyController": "rigid_body_controller_fmu",
+        "RigidBodyReference": "rigid_body_reference_fmu",
     }
 )
 NAMES = tuple(_SCRIPTS)

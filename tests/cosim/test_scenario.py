@@ -26,9 +26,9 @@ def refusal(overrides=None, source="pendulum"):
 # The named scenarios.
 
 
-def test_both_named_scenarios_load():
-    assert named_scenarios() == ("pendulum", "quadrotor")
-    assert [Scenario.load(name).scenario.name for name in named_scenarios()] == ["pendulum", "quadrotor"]
+def test_the_named_scenarios_load():
+    assert named_scenarios() == ("pendulum", "quadrotor", "rigid-body", "stiction")
+    assert [Scenario.load(name).scenario.name for name in named_scenarios()] == list(named_scenarios())
 
 
 def test_a_scenario_survives_its_own_json():

@@ -460,6 +460,202 @@ def check_closed_loop_position_error_is_linear(quadrotor):
         assert_allclose(x[6:15].reshape(3, 3), attitude(t_k), atol=1e-9)
 
 
+# Rigid body.
+
+
+def random_rigid_body(rng):
+    """Mass, centre of mass, inertia (J_xx, J_yy, J_zz, J_xy, J_xz, J_yz) of a possible body, and gravity."""
+    m, principal, g = random_body(rng)
+    axes = Rotation.random(random_state=int(rng.integers(2**31))).as_matrix()
+    J = axes @ np.diag(principal) @ axes.T
+    return m, floats(rng.uniform(-0.3, 0.3, 3)), floats([*np.diag(J), J[0, 1], J[0, 2], J[1, 2]]), g
+
+
+def inertia_matrix(J):
+    """The matrix of (J_xx, J_yy, J_zz, J_xy, J_xz, J_yz)."""
+    upper = np.array([[0, J[3], J[4]], [0, 0, J[5]], [0, 0, 0]])
+    return np.diag(J[:3]) + upper + upper.T
+
+
+def _rigid_body_cases(seed, n=N_STATES):
+    rng = np.random.default_rng(seed)
+    for _ in range(n):
+        yield rng, random_state(rng), floats(rng.normal(0, 8, 6)), *random_rigid_body(rng)
+
+
+@cache
+def _mujoco_rigid_body():
+    """Compiled off its centre and axes, or MuJoCo would take the body for a simple one."""
+    model = mujoco.MjModel.from_xml_string("""
+        <mujoco><worldbody><body><freejoint/>
+        <inertial pos="0.1 0.2 0.3" quat="0.1 0.3 0.5 0.7" mass="1" diaginertia="1 1.1 1.2"/>
+        </body></worldbody></mujoco>""")
+    return model, mujoco.MjData(model)
+
+
+def _rigid_body_in_mujoco(x, m, c, J, g):
+    """The free body with its inertia along its principal axes; velocities: of the origin in the world, body rates."""
+    r, v, R, Omega = split(x)
+    model, data = _mujoco_rigid_body()
+    principal, axes = np.linalg.eigh(inertia_matrix(J))
+    axes[:, 2] *= np.linalg.det(axes)
+    model.body_mass[1], model.body_inertia[1], model.body_ipos[1] = m, principal, c
+    mujoco.mju_mat2Quat(model.body_iquat[1], axes.ravel())
+    model.opt.gravity = (0, 0, g)
+    mujoco.mj_setConst(model, data)
+    q = np.empty(4)
+    mujoco.mju_mat2Quat(q, R.ravel())
+    data.qpos, data.qvel = np.concatenate([r, q]), np.concatenate([v, Omega])
+    return model, data
+
+
+def _rigid_body_accelerations(x, u, m, c, J, g):
+    """v_dot and Omega_dot in MuJoCo: the wrench at the origin is dual to the velocities, R F and M."""
+    model, data = _rigid_body_in_mujoco(x, m, c, J, g)
+    data.qfrc_applied = np.concatenate([split(x)[2] @ u[:3], u[3:]])
+    mujoco.mj_forward(model, data)
+    return data.qacc[:3].copy(), data.qacc[3:].copy()
+
+
+def check_rigid_body_derivative_against_mujoco(rigid_body):
+    for _, x, u, m, c, J, g in _rigid_body_cases(20):
+        _, v, R, Omega = split(x)
+        v_dot, Omega_dot = _rigid_body_accelerations(x, np.array(u), m, c, J, g)
+        expected = np.concatenate([v, v_dot, (R @ hat(Omega)).ravel(), Omega_dot])
+        derivative = rigid_body.derivative(floats(x), u, m, *c, *J, g)
+        # Rounding, times the condition of the inertia, below 100.
+        assert_allclose(derivative, expected, 100 * ROUNDING, 100 * ROUNDING)
+
+
+def _rigid_body_invariants(x, m, c, J):
+    """Centre of mass, momentum, angular momentum about the inertial origin and kinetic energy; x may be complex."""
+    r, v, R, Omega = x[:3], x[3:6], x[6:15].reshape(3, 3), x[15:]
+    r_c, p, spin = r + R @ c, m * (v + R @ np.cross(Omega, c)), inertia_matrix(J) @ Omega
+    return r_c, p, np.cross(r_c, p) + R @ spin, p @ p / (2 * m) + Omega @ spin / 2
+
+
+def check_rigid_body_momentum_and_energy_balance(rigid_body):
+    """p_dot = R F + m g e3;  L_dot = r x R F + R M + r_c x m g e3;  the power is F . R^T v + M . Omega + m g e3 . v_c.
+
+    The rates come from a complex step along the derivative, which is exact to rounding.
+    """
+    for _, x, u, m, c, J, g in _rigid_body_cases(21):
+        r, v, R, Omega = split(x)
+        F, M, h = np.array(u[:3]), np.array(u[3:]), 1e-30
+        x_dot = np.array(rigid_body.derivative(floats(x), u, m, *c, *J, g))
+        r_c, p, L, energy = _rigid_body_invariants(x + 1j * h * x_dot, m, np.array(c), J)
+        assert_allclose(p.imag / h, R @ F + m * g * E3, 100 * ROUNDING, 1000 * ROUNDING)
+        moment = np.cross(r, R @ F) + R @ M + np.cross(r_c.real, m * g * E3)
+        assert_allclose(L.imag / h, moment, 100 * ROUNDING, 1000 * ROUNDING)
+        power = F @ R.T @ v + M @ Omega + g * p.real[2]
+        assert_allclose(energy.imag / h, power, 100 * ROUNDING, 1000 * ROUNDING)
+
+
+def check_rigid_body_free_flight(rigid_body):
+    """Without a wrench the centre of mass flies a parabola, and angular momentum about it and energy stay."""
+    for _, x, _, m, c, J, g in _rigid_body_cases(22, 5):
+        calls = count()
+
+        def f(_, x, p=(m, *c, *J, g), calls=calls):
+            assert next(calls) < 50_000, f"free flight must not stall the integrator, at x = {x}"
+            return rigid_body.derivative(floats(x), (0.0,) * 6, *p)
+
+        t = np.linspace(0, 2, 5)
+        states = solve_ivp(f, (0, 2), x, "DOP853", t, rtol=1e-12, atol=1e-12).y.T
+        r_0, p_0, L_0, energy = _rigid_body_invariants(x, m, np.array(c), J)
+        spin = L_0 - np.cross(r_0, p_0)
+        for t_k, x_k in zip(t, states, strict=True):
+            r_c, p, L, energy_k = _rigid_body_invariants(x_k, m, np.array(c), J)
+            fall = g * t_k**2 / 2 * E3
+            # The integrator's local 1e-12 over some hundred steps, and its interpolant between them.
+            assert_allclose(r_c, r_0 + p_0 / m * t_k + fall, 1e-8, 1e-8)
+            assert_allclose(L - np.cross(r_c, p), spin, 1e-8, 1e-8)
+            assert_allclose(energy_k - m * g * (r_c - r_0)[2], energy, 1e-8, 1e-8)
+
+
+def check_rigid_body_control_gives_linear_errors(rigid_body):
+    """Under the law's wrench MuJoCo's body has e_r_ddot = -K_r e_r - K_v e_v, and e_Omega_dot = -K_R e_R - K_Omega
+    e_Omega along the curve Q(t) = R_d^T R: e_R is the vector of its skew part, e_Omega its body rate."""
+    for rng, x, _, m, c, J, g in _rigid_body_cases(23, 100):
+        gains = rigid_body.Gains(*floats(rng.uniform(1, 20, 4)))
+        r_d, v_d, a_d, W, W_dot = rng.normal(0, 2, (5, 3))
+        R_d = Rotation.random(random_state=int(rng.integers(2**31))).as_matrix()
+        d = rigid_body.Motion(*map(floats, (r_d, v_d, a_d, R_d, W, W_dot)))
+        r, v, R, Omega = split(x)
+        u = np.array(rigid_body.control(floats(x), d, m, c, J, g, gains))
+        v_dot, Omega_dot = _rigid_body_accelerations(x, u, m, c, J, g)
+        assert_allclose(v_dot - a_d, -gains.K_r * (r - r_d) - gains.K_v * (v - v_d), SPECTRAL, SPECTRAL)
+        R_t = R, R @ hat(Omega), R @ (hat(Omega) @ hat(Omega) + hat(Omega_dot))
+        D_t = R_d, R_d @ hat(W), R_d @ (hat(W) @ hat(W) + hat(W_dot))
+        Q = D_t[0].T @ R_t[0]
+        Q_dot = D_t[1].T @ R_t[0] + D_t[0].T @ R_t[1]
+        Q_ddot = D_t[2].T @ R_t[0] + 2 * D_t[1].T @ R_t[1] + D_t[0].T @ R_t[2]
+        errors = -gains.K_R * vee(Q) - gains.K_Omega * vee(Q.T @ Q_dot)
+        # Rounding of accelerations up to 1e3, times the condition of the inertia.
+        assert_allclose(vee(Q.T @ Q_ddot), errors, SPECTRAL, SPECTRAL)
+
+
+def check_rigid_body_closed_loop_errors(rigid_body):
+    """The position's error is expm of its linear system, at any attitude; turned off about one axis n the body comes
+    back about n as theta_ddot = -K_R sin theta - K_Omega theta_dot."""
+    rng = np.random.default_rng(24)
+    m, c, J, g = random_rigid_body(rng)
+    gains, n = rigid_body.Gains(), np.array([0.48, -0.6, 0.64])
+    shape = (0.5, 0.4, 0.3), (0.3, 0.4, 0.5), 1.2
+    start, (theta, theta_dot) = rng.normal(0, 0.5, 6), (1.2, -0.8)
+
+    def f(t, x):
+        x = floats(x)
+        u = rigid_body.control(x, rigid_body.motion(t, *shape), m, c, J, g)
+        return np.clip(rigid_body.derivative(x, u, m, *c, *J, g), -1e4, 1e4)  # a wrong law may run away
+
+    def desired(t):
+        d = rigid_body.motion(float(t), *shape)
+        return np.array([*d.r, *d.v]), np.reshape(d.R, (3, 3)), np.array(d.Omega)
+
+    x_d, R_d, Omega_d = desired(0.0)
+    turn = Rotation.from_rotvec(theta * n).as_matrix()
+    x0 = np.concatenate([x_d + start, (R_d @ turn).ravel(), turn.T @ Omega_d + theta_dot * n])
+    t = np.linspace(0, 1.5, 7)
+    states = solve_ivp(f, (0, t[-1]), x0, "DOP853", t, rtol=1e-10, atol=1e-10).y.T
+    angle = solve_ivp(
+        lambda _, y: (y[1], -gains.K_R * np.sin(y[0]) - gains.K_Omega * y[1]),
+        (0, t[-1]), (theta, theta_dot), "DOP853", t, rtol=1e-11, atol=1e-11,
+    ).y  # fmt: skip
+    system = np.kron([[0, 1], [-gains.K_r, -gains.K_v]], np.eye(3))
+    for k, x in enumerate(states):
+        x_d, R_d, _ = desired(t[k])
+        # The integrator's local 1e-10 over some hundred steps.
+        assert_allclose(x[:6] - x_d, expm(t[k] * system) @ start, atol=1e-7)
+        expected = R_d @ Rotation.from_rotvec(angle[0, k] * n).as_matrix()
+        assert_allclose(x[6:15].reshape(3, 3), expected, atol=1e-7)
+
+
+def check_rigid_body_motion_against_spectral_differences(rigid_body):
+    """The curve from its definition, two tones a coordinate and SciPy's Euler angles, differentiated."""
+    rng = np.random.default_rng(25)
+    tones = np.array(rigid_body.TONES)
+    for _ in range(50):
+        t, omega = floats(rng.uniform([0, 0.5], [10, 2]))
+        sizes = rng.uniform(0.1, 0.8, 6)
+
+        def coordinates(h, t=t, omega=omega, sizes=sizes):
+            a, b = omega * tones.T
+            return sizes * (np.sin(a * (t + h)) - a / b * np.sin(b * (t + h)))
+
+        def attitude(h, f=coordinates):
+            return Rotation.from_euler("ZYX", f(h)[:2:-1]).as_matrix()
+
+        d = rigid_body.motion(t, floats(sizes[:3]), floats(sizes[3:]), omega)
+        for got, expected in zip((d.r, d.v, d.a), taylor(lambda h, f=coordinates: f(h)[:3], 0.2 / omega), strict=True):
+            assert_allclose(got, expected, atol=10 * SPECTRAL)
+        R, R_dot, R_ddot = taylor(attitude, 0.2 / omega)
+        assert_allclose(np.reshape(d.R, (3, 3)), R, atol=ROUNDING)
+        assert_allclose(d.Omega, vee(R.T @ R_dot), atol=10 * SPECTRAL)
+        # R^T R_ddot is hat(Omega)^2 + hat(Omega_dot): its skew part is the second.
+        assert_allclose(d.Omega_dot, vee(R.T @ R_ddot), atol=10 * SPECTRAL)
+
+
 # References.
 
 

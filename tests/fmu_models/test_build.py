@@ -124,6 +124,6 @@ def test_an_fmu_holds_the_whole_package_and_no_trace_of_its_build(tmp_path):
 
 @pytest.mark.parametrize("function", [build.guid, lambda name: build.build(name, "nowhere")], ids=["guid", "build"])
 def test_an_unknown_name_is_refused(function):
-    with pytest.raises(ValueError, match=r"name must be one of Pendulum, .*, got 'Pendulun'"):
+    with pytest.raises(ValueError, match=r"name must be one of FrictionPendulum, .*, got 'Pendulun'"):
         function("Pendulun")
     assert not Path("nowhere").exists()

@@ -1,4 +1,4 @@
-"""The six FMUs, in hosts that have nothing but the FMU: see fmu_host.py."""
+"""The FMUs, in hosts that have nothing but the FMU: see fmu_host.py."""
 
 import json
 import os
@@ -18,39 +18,63 @@ from scipy.integrate import solve_ivp
 
 import fmu_models
 from fmu_models import build
+from fmu_models.friction_pendulum_controller_fmu import FrictionPendulumController
+from fmu_models.friction_pendulum_fmu import FrictionPendulum
 from fmu_models.pendulum_controller_fmu import PendulumController
 from fmu_models.pendulum_fmu import Pendulum
 from fmu_models.pendulum_reference_fmu import PendulumReference
+from fmu_models.pendulum_sine_fmu import PendulumSine
 from fmu_models.quadrotor_controller_fmu import QuadrotorController
 from fmu_models.quadrotor_fmu import Quadrotor
 from fmu_models.quadrotor_reference_fmu import QuadrotorReference
+from fmu_models.rigid_body_controller_fmu import RigidBodyController
+from fmu_models.rigid_body_fmu import RigidBody
+from fmu_models.rigid_body_reference_fmu import RigidBodyReference
 
 MODELS = {
     model.__name__: model
     for model in (
+        FrictionPendulum,
+        FrictionPendulumController,
         Pendulum,
         PendulumController,
         PendulumReference,
+        PendulumSine,
         Quadrotor,
         QuadrotorController,
         QuadrotorReference,
+        RigidBody,
+        RigidBodyController,
+        RigidBodyReference,
     )
 }
 SCRIPTS = {  # values to set before a step, as a host's master would
+    "FrictionPendulum": {"0": {"u": 4.0}, "15": {"u": -6.0, "u_d": 2.0}, "30": {"u": 1.0, "F_c": 2.5}},
+    "FrictionPendulumController": {"0": {"phi": 0.3}, "15": {"phi_dot_ref": 0.5, "F_s": 2.0}, "30": {"phi_dot": -0.2}},
     "Pendulum": {"0": {"u": 2.0}, "15": {"u": -3.0, "m": 4.271}, "30": {"u": 1.0}},
     "PendulumController": {"0": {"phi": 0.3}, "15": {"phi_ref": 0.5, "m": 2.0}, "30": {"phi_dot": -0.2}},
     "PendulumReference": {"15": {"step_time": 0.35, "phi_final": 0.9}},
+    "PendulumSine": {"15": {"omega_2": 4.0}, "30": {"amplitude_1": 0.3}},
     "Quadrotor": {"0": {"F": 13.0, "M_x": 0.1}, "15": {"M_y": -0.2, "m": 1.4, "J_z": 3.0}, "30": {"M_z": 0.3}},
     "QuadrotorController": {"0": {"r_x": 0.3, "R_12": 0.1}, "15": {"Omega_x": 0.5, "J_x": 2.0}, "30": {"j_d_x": 1.0}},
     "QuadrotorReference": {"15": {"omega": 0.8}, "30": {"smooth_yaw": True}},
+    "RigidBody": {"0": {"F_x": 1.0, "M_x": 0.1}, "15": {"M_y": -0.2, "m": 4.0, "c_x": 0.1}, "30": {"J_xy": -0.2}},
+    "RigidBodyController": {"0": {"r_x": 0.3, "R_12": 0.1}, "15": {"Omega_x": 0.5, "c_z": 0.1}, "30": {"a_d_x": 1.0}},
+    "RigidBodyReference": {"15": {"omega": 0.8}, "30": {"amplitude_phi": 0.1}},
 }
 JUNK = {
+    "FrictionPendulum": {"u": 9.0, "F_s": 3.0},
+    "FrictionPendulumController": {"phi": 9.0, "u_d": 3.0},
     "Pendulum": {"u": 9.0, "m": 3.0},
     "PendulumController": {"phi": 9.0, "Kp": 3.0},
     "PendulumReference": {"step_time": 9.0},
+    "PendulumSine": {"omega_1": 9.0},
     "Quadrotor": {"F": 9.0, "M_z": 9.0, "m": 3.0},
     "QuadrotorController": {"r_y": 9.0, "K_v_x": 3.0},
     "QuadrotorReference": {"amplitude_z": 9.0},
+    "RigidBody": {"F_z": 9.0, "M_z": 9.0, "m": 3.0},
+    "RigidBodyController": {"r_y": 9.0, "K_v": 3.0},
+    "RigidBodyReference": {"amplitude_z": 9.0},
 }
 each_model = pytest.mark.parametrize("name", list(MODELS))
 fmu = pytest.mark.fmu
@@ -136,7 +160,9 @@ def test_the_capabilities_are_those_of_the_code(fmus, name):
 
 
 @fmu
-@pytest.mark.parametrize(("name", "n_states"), [("Pendulum", 2), ("Quadrotor", 18)])
+@pytest.mark.parametrize(
+    ("name", "n_states"), [("FrictionPendulum", 2), ("Pendulum", 2), ("Quadrotor", 18), ("RigidBody", 18)]
+)
 def test_every_state_has_its_derivative_and_every_input_its_held_value(fmus, name, n_states):
     description = fmpy.read_model_description(fmus[name])
     outputs = [v.name for v in description.modelVariables if v.causality == "output"]
@@ -167,7 +193,7 @@ def random_values(model, rng):
     ]
 
 
-def observed(model, outputs_of, among, n_points=20):
+def observed(model, outputs_of, among, n_points=60):
     """For each output the names among `among` that change it, at random points: found by perturbing one at a time."""
     rng = random.Random(1)
     changed = {v.name: set() for v in model.variables if v.causality == "output"}
@@ -410,7 +436,7 @@ def test_a_per_cent_sign_in_an_error_reaches_the_logger_doubled(tmp_path):
 
 
 @fmu
-def test_all_six_share_one_process(fmus):
+def test_all_share_one_process(fmus):
     rows = host("together", fmus=list(fmus.values()), n_steps=5)["rows"]
     alone = [host("together", fmus=[path], n_steps=5)["rows"][0] for path in fmus.values()]
     assert rows == alone

@@ -70,12 +70,20 @@ SINUSOID = "check_sinusoid_against_spectral_differences"
 TRAJECTORY = "check_trajectory_derivatives_against_spectral_differences"
 YAW_RATES = "check_yaw_rates_against_spectral_differences"
 PAPER_YAW = "check_paper_yaw"
+RIGID_MUJOCO = "check_rigid_body_derivative_against_mujoco"
+RIGID_BALANCE = "check_rigid_body_momentum_and_energy_balance"
+RIGID_FLIGHT = "check_rigid_body_free_flight"
+RIGID_ERRORS = "check_rigid_body_control_gives_linear_errors"
+RIGID_LOOP = "check_rigid_body_closed_loop_errors"
+RIGID_MOTION = "check_rigid_body_motion_against_spectral_differences"
 ORDER_CONDITIONS = "check_order_conditions"
 CONVERGENCE = "check_order_of_convergence"
 UNIT = "check_unit_derivatives"
 
 BODY = (BODY_MUJOCO, BODY_ROTORPY)
 LAW = (ATTITUDE_ERROR, POSITION_LOOP)
+RIGID = (RIGID_MUJOCO, RIGID_BALANCE)
+RIGID_LAW = (RIGID_ERRORS, RIGID_LOOP)
 
 MUTANTS = [
     # id, module, old, new, the checks that must reject it
@@ -165,6 +173,64 @@ MUTANTS = [
     ("yaw-jumps-up", "references", "psi -= pi", "psi += pi", (PAPER_YAW,)),
     ("yaw-limit-from-the-left", "references", "(sin(omega * t) or cos(omega * t)) < 0.0",
      "(sin(omega * t) or -cos(omega * t)) < 0.0", (PAPER_YAW,)),
+    ("moment-arm-sign", "rigid_body", "subtract(u[3:6], cross(c, F))", "add(u[3:6], cross(c, F))",
+     (*RIGID, RIGID_LOOP)),
+    ("moment-about-the-centre", "rigid_body", "subtract(u[3:6], cross(c, F))", "u[3:6]", (*RIGID, RIGID_LOOP)),
+    ("euler-gyroscopic-sign", "rigid_body", "subtract(M_c, cross(Omega, apply(matrix(J), Omega)))",
+     "add(M_c, cross(Omega, apply(matrix(J), Omega)))", (*RIGID, RIGID_FLIGHT, RIGID_LOOP)),
+    ("euler-gyroscopic-none", "rigid_body", "subtract(M_c, cross(Omega, apply(matrix(J), Omega)))", "M_c",
+     (*RIGID, RIGID_FLIGHT, RIGID_LOOP)),
+    ("acceleration-of-the-centre", "rigid_body", "a = apply(x[6:15], subtract(scale(1.0 / m, F), "
+     "_lever(c, Omega, Omega_dot)))", "a = apply(x[6:15], scale(1.0 / m, F))", (*RIGID, RIGID_FLIGHT, RIGID_LOOP)),
+    ("lever-sign", "rigid_body", "subtract(scale(1.0 / m, F), _lever", "add(scale(1.0 / m, F), _lever",
+     (*RIGID, RIGID_FLIGHT, RIGID_LOOP)),
+    ("lever-without-centripetal", "rigid_body", "return add(cross(Omega_dot, c), cross(Omega, cross(Omega, c)))",
+     "return cross(Omega_dot, c)", (*RIGID, RIGID_FLIGHT, RIGID_ERRORS)),  # the same slip in the law makes up for it
+    ("lever-without-acceleration", "rigid_body", "return add(cross(Omega_dot, c), cross(Omega, cross(Omega, c)))",
+     "return cross(Omega, cross(Omega, c))", (*RIGID, RIGID_FLIGHT, RIGID_ERRORS)),
+    ("body-gravity-up", "rigid_body", "g + a[2],", "-g + a[2],", (*RIGID, RIGID_FLIGHT, RIGID_LOOP)),
+    ("force-in-the-world", "rigid_body", "    a = apply(x[6:15], sub", "    a = apply(transpose(x[6:15]), sub",
+     (*RIGID, RIGID_FLIGHT, RIGID_LOOP)),
+    ("body-turns-the-other-way", "rigid_body", "r22 * r - r23 * q,", "r23 * q - r22 * r,",
+     (*RIGID, RIGID_FLIGHT, RIGID_LOOP)),
+    ("products-swapped", "rigid_body", "(xx, xy, xz, xy, yy, yz, xz, yz, zz)", "(xx, xz, xy, xz, yy, yz, xy, yz, zz)",
+     (*RIGID, RIGID_FLIGHT, RIGID_ERRORS)),
+    ("products-as-sums", "rigid_body", "    xx, yy, zz, xy, xz, yz = J\n    a_xx",
+     "    xx, yy, zz, xy, xz, yz = *J[:3], *scale(-1.0, J[3:])\n    a_xx", (*RIGID, RIGID_FLIGHT, RIGID_LOOP)),
+    ("cofactor-sign", "rigid_body", "xz * yz - xy * zz", "xy * zz - xz * yz", (*RIGID, RIGID_FLIGHT, RIGID_LOOP)),
+    ("determinant-term", "rigid_body", "+ xz * a_xz\n", "- xz * a_xz\n", (*RIGID, RIGID_FLIGHT, RIGID_LOOP)),
+    ("law-moment-arm-sign", "rigid_body", "cross(Omega, apply(J_matrix, Omega))), cross(c, F))",
+     "cross(Omega, apply(J_matrix, Omega))), cross(F, c))", RIGID_LAW),
+    ("law-without-lever", "rigid_body", "_lever(c, Omega, alpha)", "(0.0, 0.0, 0.0)", RIGID_LAW),
+    ("law-lever-of-the-rates-alone", "rigid_body", "_lever(c, Omega, alpha)", "_lever(c, Omega, (0.0, 0.0, 0.0))",
+     RIGID_LAW),
+    ("law-gravity", "rigid_body", "subtract(a, (0.0, 0.0, g))", "add(a, (0.0, 0.0, g))", RIGID_LAW),
+    ("law-force-in-the-world", "rigid_body", "apply(R_T, subtract(a,", "apply(transpose(R_T), subtract(a,", RIGID_LAW),
+    ("law-position-feedback", "rigid_body", "add(scale(gains.K_r, e_r), scale(gains.K_v, e_v))",
+     "add(scale(gains.K_v, e_r), scale(gains.K_r, e_v))", RIGID_LAW),
+    ("law-acceleration", "rigid_body", "    a = subtract(d.a,", "    a = subtract((0.0, 0.0, 0.0),", RIGID_LAW),
+    ("law-attitude-error-sign", "rigid_body", "e_R = scale(-1.0, vee(Q))", "e_R = vee(Q)", RIGID_LAW),
+    ("law-attitude-gains", "rigid_body", "add(scale(gains.K_R, e_R), scale(gains.K_Omega,",
+     "add(scale(gains.K_Omega, e_R), scale(gains.K_R,", RIGID_LAW),
+    ("law-attitude-in-the-desired-frame", "rigid_body", "Q = product(R_T, d.R)", "Q = product(d.R, R_T)", RIGID_LAW),
+    ("law-desired-rate-unturned", "rigid_body", "Omega_d = apply(Q, d.Omega)", "Omega_d = d.Omega", RIGID_LAW),
+    ("law-feedforward-turn", "rigid_body", "subtract(apply(Q, d.Omega_dot), cross(Omega, Omega_d))",
+     "apply(Q, d.Omega_dot)", RIGID_LAW),
+    ("law-feedforward-unturned", "rigid_body", "subtract(apply(Q, d.Omega_dot), cross", "subtract(d.Omega_dot, cross",
+     RIGID_LAW),
+    ("law-gyroscopic", "rigid_body", "add(apply(J_matrix, alpha), cross(Omega, apply(J_matrix, Omega)))",
+     "apply(J_matrix, alpha)", RIGID_LAW),
+    ("tone-rate", "rigid_body", "s * a * (cos(a * t) - cos(b * t))", "s * b * (cos(a * t) - cos(b * t))",
+     (RIGID_MOTION, RIGID_LOOP)),
+    ("tone-acceleration", "rigid_body", "s * a * (b * sin(b * t) - a * sin(a * t))",
+     "s * a * (b * sin(b * t) + a * sin(a * t))", (RIGID_MOTION, RIGID_LOOP)),
+    ("tone-starts-moving", "rigid_body", "s * (sin(a * t) - a / b * sin(b * t))", "s * (sin(a * t) - sin(b * t))",
+     (RIGID_MOTION, RIGID_LOOP)),
+    ("euler-order", "rigid_body", "sx * sy * cz - cx * sz", "sx * sy * cz + cx * sz", (RIGID_MOTION,)),
+    ("euler-rate", "rigid_body", "px - pz * sy,", "px + pz * sy,", (RIGID_MOTION, RIGID_LOOP)),
+    ("euler-acceleration-x", "rigid_body", "qx - qz * sy - pz * py * cy", "qx - qz * sy", (RIGID_MOTION, RIGID_LOOP)),
+    ("euler-acceleration-y", "rigid_body", "+ pz * px * cy * cx", "- pz * px * cy * cx", (RIGID_MOTION, RIGID_LOOP)),
+    ("euler-acceleration-z", "rigid_body", "- py * px * cx,", "+ py * px * cx,", (RIGID_MOTION, RIGID_LOOP)),
     ("weights-of-euler", "ode", "2.0 * (b2 + b3)", "(b2 + b3)", (ORDER_CONDITIONS, CONVERGENCE)),
     ("second-stage-reused", "ode", "half * b for a, b in zip(x, k2)", "half * b for a, b in zip(x, k1)",
      (ORDER_CONDITIONS, CONVERGENCE)),

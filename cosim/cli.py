@@ -81,13 +81,13 @@ def _build(options: argparse.Namespace) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from .policy import check_estimator
+    from .estimators import check_estimator
     from .record import new_run_folder, to_json
     from .report import ending, report
     from .scenario import Scenario
 
     scenario = Scenario.load(options.scenario, dict(options.overrides))
-    check_estimator(options.estimator)
+    check_estimator(options.estimator, scenario)
     place = options.out or Path("runs")
     there = {path for path in (place, *place.parents) if path.exists()}
     folder = new_run_folder(scenario.scenario.name, options.out)

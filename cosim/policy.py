@@ -1,25 +1,28 @@
 """What a run does about its controller's parameters: re-tune them, leave them, or tell the truth."""
 
-import importlib
-import sys
+import math
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
-from estimator import METHODS, DerivativeResidual, Model, ResidualWindow, Sample, Vector, make_estimator
+from estimator import DerivativeResidual, LinearForm, ResidualWindow, Sample, Vector
 
 from .errors import ScenarioError
-from .names import did_you_mean
-from .reconfigure import Budget, InnovationTrigger, Reconfiguration, Retuner, TrackingTrigger, Trigger
+from .estimators import find_method, load, make_estimator
+from .reconfigure import (
+    AlwaysTrigger,
+    Budget,
+    InnovationTrigger,
+    Reconfiguration,
+    Retuner,
+    TrackingTrigger,
+    Trigger,
+)
 from .scenario import Scenario
-from .schema import Innovation
+from .schema import Innovation, LinearModel, Loop, Tracking
 from .system import Plant
-
-ESTIMATORS = (*METHODS, "none", "true")
-"""`none` leaves the controller alone; `true` is the floor: it writes the plant's true parameters."""
 
 
 class Policy(Protocol):
@@ -74,36 +77,43 @@ def make_policy(
 ) -> Policy:
     """The policy of that name; theta (d,): what the controller holds; first: a sample to try the model on.
 
-    Raises ScenarioError for an unknown name, or a model that cannot be loaded or called.
+    Raises ScenarioError for an unknown name, or a model or estimator that cannot be loaded or called.
     """
-    check_estimator(estimator)
     if estimator == "none":
         return LeaveAlone()
     if estimator == "true":
         return TellTruth(truth)
-    settings, method = scenario.estimation, METHODS[estimator]
+    method = find_method(estimator, scenario)
+    search, loop = make_estimator(estimator, method, scenario, theta, rng)
     whitened = _residual(scenario, plant, first, theta)
-    is_whitened = method.estimator.is_whitened
-    judged = whitened if is_whitened else replace(whitened, noise=(1.0,) * len(whitened.noise))
-    loop = settings.loop(estimator)
-    trigger: Trigger = (
-        InnovationTrigger(whitened, loop.trigger.false_alarm)
-        if isinstance(loop.trigger, Innovation)
-        else TrackingTrigger(loop.trigger.threshold)
-    )
+    judged = whitened if search.is_whitened else replace(whitened, noise=(1.0,) * len(whitened.noise))
+    linear = scenario.estimation.linear if method.needs_linear_form else None
+    trigger = _trigger(loop, whitened)
+    budget = math.inf if isinstance(trigger, AlwaysTrigger) else loop.budget
     return Retuner(
-        make_estimator(estimator, settings.space, theta, rng, settings.settings(estimator)),
+        search,
         ResidualWindow(judged, len(whitened.noise), loop.window),
         trigger,
-        Budget(loop.budget, loop.evaluations_per_step, loop.commit),
+        Budget(budget, loop.evaluations_per_step, loop.commit),
         theta,
+        _linear_form(linear, scenario, first, theta) if linear else None,
     )
+
+
+def _trigger(loop: Loop, residual: DerivativeResidual) -> Trigger:
+    match loop.trigger:
+        case Innovation():
+            return InnovationTrigger(residual, loop.trigger.false_alarm)
+        case Tracking():
+            return TrackingTrigger(loop.trigger.threshold)
+        case _:
+            return AlwaysTrigger()
 
 
 def _residual(scenario: Scenario, plant: Plant, first: Sample, theta: Vector) -> DerivativeResidual:
     """The whitened residual of the scenario's model, tried once. Raises ScenarioError."""
     settings = scenario.estimation
-    model = load_model(settings.model, scenario.folder)
+    model = load(settings.model, scenario.folder)
     sigma = tuple(n.noise for n in scenario.sampling.derivatives.values())
     residual = DerivativeResidual(model, settings.space, plant.channels, sigma)
     try:
@@ -114,20 +124,17 @@ def _residual(scenario: Scenario, plant: Plant, first: Sample, theta: Vector) ->
     return residual
 
 
-def check_estimator(name: str) -> None:
-    """Raises ScenarioError for a name that is none of `ESTIMATORS`."""
-    if name not in ESTIMATORS:
-        known = f"; the estimators are {', '.join(ESTIMATORS)}."
-        raise ScenarioError(f"no estimator '{name}'{did_you_mean(name, ESTIMATORS) or known}")
-
-
-def load_model(reference: str, folder: Path) -> Model:
-    """The function that `module:function` names; modules beside the scenario are found too."""
-    module_name, _, function = reference.partition(":")
-    sys.path.insert(0, str(folder))
+def _linear_form(settings: LinearModel, scenario: Scenario, first: Sample, theta: Vector) -> LinearForm:
+    """The model's linear form, tried once. Raises ScenarioError."""
+    form = LinearForm(
+        scenario.estimation.space,
+        load(settings.rows, scenario.folder, "estimation.linear.rows"),
+        load(settings.coefficients, scenario.folder, "estimation.linear.coefficients"),
+    )
     try:
-        return getattr(importlib.import_module(module_name), function)
-    except Exception as e:  # whatever a user's module raises when imported
-        raise ScenarioError(f"estimation.model: cannot load '{reference}': {type(e).__name__}: {e}.") from e
-    finally:
-        sys.path.remove(str(folder))
+        rows, targets = form.rows(first)
+        if rows.shape != (len(targets), len(form.coefficients(theta))):
+            raise ValueError(f"rows are {rows.shape}, targets {targets.shape}")
+    except Exception as e:  # whatever a user's function raises
+        raise ScenarioError(f"estimation.linear: failed: {type(e).__name__}: {e}.") from e
+    return form

@@ -6,11 +6,22 @@ Khan and Chatterjee (2020), section III-C and algorithm 1.
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from time import perf_counter
-from typing import Any, Literal, Protocol, cast
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from estimator import Estimate, Estimator, Rescoring, ResidualWindow, Sample, Vector, chi2_quantile
+from estimator import (
+    AskTell,
+    Estimate,
+    LinearForm,
+    Objective,
+    Rescoring,
+    ResidualWindow,
+    Sample,
+    Solver,
+    Vector,
+    chi2_quantile,
+)
 
 
 class Trigger(Protocol):
@@ -58,6 +69,15 @@ class InnovationTrigger:
 
 
 @dataclass(frozen=True)
+class AlwaysTrigger:
+    """For recursive estimators: at the first sample begins the one episode."""
+
+    def __call__(self, sample: Sample, tracking_error: float, theta: Vector) -> str | None:
+        """Always a reason."""
+        return "every sample"
+
+
+@dataclass(frozen=True)
 class Event:
     """One thing that happened, for the record."""
 
@@ -87,10 +107,10 @@ class Reconfiguration:
 class Budget:
     """How much is evaluated, and what of it reaches the controller. Counts, never the clock."""
 
-    evaluations: int = 30
-    """N, evaluations an episode."""
+    evaluations: float = 30
+    """N, evaluations an episode; infinite where one episode lasts the run."""
     evaluations_per_step: int = 1
-    """Evaluations a macro step."""
+    """Evaluations a macro step; a solver's one solve counts as so many, so that all episodes last as long."""
     commit: Literal["incumbent", "candidate"] = "incumbent"
     """Whether the best so far or each candidate is written."""
 
@@ -99,11 +119,18 @@ class Retuner:
     """The loop: idle until triggered, then an episode of evaluations, writing as it goes. Holds the run's belief."""
 
     def __init__(
-        self, estimator: Estimator, window: ResidualWindow, trigger: Trigger, budget: Budget, start: Vector
+        self,
+        estimator: AskTell | Solver,
+        window: ResidualWindow,
+        trigger: Trigger,
+        budget: Budget,
+        start: Vector,
+        linear: LinearForm | None = None,
     ) -> None:
         self._estimator, self._window, self._trigger, self._budget = estimator, window, trigger, budget
+        self._linear = linear
         self._theta = start
-        self._remaining = 0
+        self._remaining = 0.0
         self.n_evaluations = 0
         self.n_episodes = 0
 
@@ -125,7 +152,7 @@ class Retuner:
             latencies.append(seconds)
             events.append(Event(t, "candidate", {"theta": candidate.tolist(), "cost": cost}))
         estimate = self._estimator.estimate()
-        if isinstance(self._estimator, Rescoring):
+        if self._estimator.is_whitened:
             self._window.explain(estimate.theta)
         if self._remaining == 0:
             events.append(Event(t, "end", {"episode": self.n_episodes, "cost": estimate.cost}))
@@ -142,19 +169,33 @@ class Retuner:
         self.n_episodes += 1
         self._remaining = self._budget.evaluations
         self._estimator.restart(self._theta)
-        self._window.explain(self._theta, patient=False)
+        if self._estimator.is_whitened:
+            self._window.explain(self._theta, patient=False)
 
     def _evaluate(self) -> Iterator[tuple[Vector, float, float]]:
         """Evaluate this step's candidates: (theta, |residual|^2, wall time [s]) of each."""
+        if isinstance(self._estimator, Solver):
+            return self._solve(self._estimator)
+        return self._search(self._estimator)
+
+    def _solve(self, solver: Solver) -> Iterator[tuple[Vector, float, float]]:
         begun = perf_counter()
-        if isinstance(self._estimator, Rescoring):
-            rescoring = cast(Rescoring, self._estimator)
-            if len(rescoring.candidates):
-                rescoring.rescore(self._window.residuals(rescoring.candidates))
-        for _ in range(min(self._budget.evaluations_per_step, self._remaining)):
-            theta = self._estimator.ask()
+        objective = Objective(self._window, self._linear)
+        solver.solve(objective)
+        self._window.keep(())
+        self._remaining = max(self._remaining - self._budget.evaluations_per_step, 0)
+        self.n_evaluations += objective.n_evaluations
+        estimate = solver.estimate()
+        yield estimate.theta, estimate.cost, perf_counter() - begun
+
+    def _search(self, search: AskTell) -> Iterator[tuple[Vector, float, float]]:
+        begun = perf_counter()
+        if isinstance(search, Rescoring) and len(search.candidates):
+            search.rescore(self._window.residuals(search.candidates))
+        for _ in range(int(min(self._budget.evaluations_per_step, self._remaining))):
+            theta = search.ask()
             residual = self._window.residual(theta)
-            self._estimator.tell(theta, residual)
+            search.tell(theta, residual)
             self._remaining -= 1
             self.n_evaluations += 1
             now = perf_counter()

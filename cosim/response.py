@@ -13,8 +13,8 @@ from estimator import DerivativeResidual, Sample, Vector
 
 from .canvas import BLUE, GREEN, VERMILION, Series, label, new_figure, set_log, top_legend
 from .errors import CosimError
+from .estimators import load
 from .library import find_fmu
-from .policy import load_model  # pyright: ignore[reportPrivateUsage]
 from .result import Run
 from .slave import read_description
 
@@ -93,7 +93,7 @@ def response_surface(run: Run, samples: Sequence[Sample], channels: tuple[int, .
     scenario = run.scenario
     space = scenario.estimation.space
     noise = tuple(n.noise for n in scenario.sampling.derivatives.values())
-    residual = DerivativeResidual(load_model(scenario.estimation.model, scenario.folder), space, channels, noise)
+    residual = DerivativeResidual(load(scenario.estimation.model, scenario.folder), space, channels, noise)
     z = np.linspace(0.0, 1.0, _N_GRID)
     thetas = space.from_unit(np.stack(np.meshgrid(z, z), axis=-1))
     mean_square = np.full((_N_GRID, _N_GRID), np.nan)

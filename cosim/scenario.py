@@ -8,6 +8,8 @@ from typing import Any, Self, cast
 
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
+from estimator import METHODS
+
 from .changes import Change, change_functions
 from .errors import ScenarioError, one_line
 from .names import did_you_mean
@@ -188,4 +190,5 @@ def _known_keys(path: tuple[int | str, ...]) -> set[str]:
     }  # fmt: skip
     names = tuple(str(part) for part in path)
     model = tables.get(names) or tables.get(names[:-1])
-    return set(model.model_fields) - {"folder"} if model else set()
+    names_of_methods = set(METHODS) if model is Estimation else set()
+    return (set(model.model_fields) | names_of_methods) - {"folder", "methods"} if model else set()

@@ -1,7 +1,7 @@
 """The tables of a scenario file, each validated when built."""
 
 from dataclasses import asdict
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, cast
 
 from pydantic import (
     AfterValidator,
@@ -14,7 +14,7 @@ from pydantic import (
     model_validator,
 )
 
-from estimator import METHODS, Parameter, ParameterSpace
+from estimator import METHODS, Method, Parameter, ParameterSpace
 
 from .names import did_you_mean
 
@@ -131,7 +131,14 @@ class Innovation(Table):
     """Probability of firing on one sample where nothing has changed."""
 
 
-TriggerSettings = Annotated[Tracking | Innovation, Field(discriminator="kind")]
+class Always(Table):
+    """One episode from the first sample to the end, for recursive estimators."""
+
+    kind: Literal["always"]
+    """always"""
+
+
+TriggerSettings = Annotated[Tracking | Innovation | Always, Field(discriminator="kind")]
 
 
 class Loop(Table):
@@ -177,6 +184,15 @@ class EstimatedParameter(Table):
         return Parameter(self.name, self.lower, self.upper, self.unit, self.scale)
 
 
+class LinearModel(Table):
+    """A model written as rows psi(theta) = targets, linear in coefficients psi."""
+
+    rows: str = Field(pattern=r"^[\w.]+:\w+$")
+    """`module:function`, called as f(x, u, xdot) for rows (r, p) and targets (r,)."""
+    coefficients: str = Field(pattern=r"^[\w.]+:\w+$")
+    """`module:function`, called as f(**parameters) for the coefficients (p,)."""
+
+
 class Estimation(Loop):
     """What is estimated, by which model, and how."""
 
@@ -186,51 +202,71 @@ class Estimation(Loop):
     """In the order of theta."""
     instants: tuple[float, ...] = ()
     """Times [s] at which the report compares estimated and true parameters."""
-    target: dict[str, Any] = {}
-    """Settings of the estimator `target`, and replacements of the above for it."""
-    paper: dict[str, Any] = {}
-    """The same for `paper`."""
+    linear: LinearModel | None = None
+    """The model's linear form, for recursive least squares."""
+    methods: dict[str, dict[str, Any]] = {}
+    """Settings of single estimators, and replacements of the above for them: in a file, `[estimation.NAME]`."""
 
     @property
     def space(self) -> ParameterSpace:
         """The parameters as the estimators know them."""
         return ParameterSpace(tuple(p.to_parameter() for p in self.parameters))
 
-    def loop(self, method: str) -> Loop:
-        """The loop's settings for one estimator."""
+    def loop(self, name: str, method: Method | None = None) -> Loop:
+        """The loop's settings for one estimator; method: what it is, where it is none of `METHODS`."""
         common = {name: getattr(self, name) for name in Loop.model_fields}
-        own = {k: v for k, v in self._own(method).items() if k in Loop.model_fields}
+        own = {k: v for k, v in self._own(name, method).items() if k in Loop.model_fields}
         return Loop.model_validate(common | own)
 
-    def settings(self, method: str) -> dict[str, Any]:
+    def settings(self, name: str, method: Method | None = None) -> dict[str, Any]:
         """The estimator's own settings, complete and of the right types."""
-        given = {k: v for k, v in self._own(method).items() if k not in Loop.model_fields}
-        return asdict(TypeAdapter(METHODS[method].settings).validate_python(given))
+        given = {k: v for k, v in self._own(name, method).items() if k not in Loop.model_fields}
+        settings: Any = TypeAdapter((method or METHODS[name]).settings).validate_python(given)
+        return asdict(settings)
 
-    def _own(self, method: str) -> dict[str, Any]:
-        # Algorithm 1 commits each candidate, one a time step, and looks at the newest sample alone.
-        paper = {"commit": "candidate", "evaluations_per_step": 1, "window": 1}
-        return (paper | self.paper) if method == "paper" else dict(getattr(self, method))
+    def _own(self, name: str, method: Method | None = None) -> dict[str, Any]:
+        """What is set for one estimator: by the one that it is like, by itself, by the scenario."""
+        method = method or METHODS[name]
+        known = {*Loop.model_fields, *method.setting_names}
+        inherited = self._own(method.like) if method.like else {}
+        return {k: v for k, v in inherited.items() if k in known} | dict(method.defaults) | self.methods.get(name, {})
+
+    @model_validator(mode="before")
+    @classmethod
+    def _gather_methods(cls, table: Any) -> Any:
+        if not isinstance(table, dict):
+            return table
+        given = cast(dict[str, Any], table)
+        named = {k: v for k, v in given.items() if k in METHODS or ":" in k}
+        for name, settings in named.items():
+            if not isinstance(settings, dict):
+                raise ValueError(f"estimation.{name} must be a table, got {settings!r}")
+        rest = {k: v for k, v in given.items() if k not in named}
+        return rest | {"methods": {**rest.get("methods", {}), **named}} if named else rest
 
     @model_validator(mode="after")
     def _methods_know_their_settings(self) -> Self:
         _ = self.space
-        for method, entry in METHODS.items():
-            known = {*Loop.model_fields, *entry.setting_names}
-            for key in self._own(method):
-                if key not in known:
-                    raise ValueError(f"estimation.{method} has no setting '{key}'{did_you_mean(key, known)}")
-            try:
-                self.loop(method)
-                self.settings(method)
-            except ValidationError as e:
-                first = e.errors()[0]
-                place = ".".join(str(part) for part in first["loc"])
-                message = first["msg"].removeprefix("Value error, ")
-                got = "" if "got" in message else f", got {first['input']!r}"
-                message = f"{message[:1].lower()}{message[1:]}{got}"
-                raise ValueError(f"estimation.{method}{'.' + place if place else ''}: {message}") from e
+        for name in METHODS:
+            self.check_method(name)
         return self
+
+    def check_method(self, name: str, method: Method | None = None) -> None:
+        """Raises ValueError where an estimator's settings do not fit it."""
+        known = {*Loop.model_fields, *(method or METHODS[name]).setting_names}
+        for key in self.methods.get(name, {}):
+            if key not in known:
+                raise ValueError(f"estimation.{name} has no setting '{key}'{did_you_mean(key, known)}")
+        try:
+            self.loop(name, method)
+            self.settings(name, method)
+        except ValidationError as e:
+            first = e.errors()[0]
+            place = ".".join(str(part) for part in first["loc"])
+            message = first["msg"].removeprefix("Value error, ")
+            got = "" if "got" in message else f", got {first['input']!r}"
+            message = f"{message[:1].lower()}{message[1:]}{got}"
+            raise ValueError(f"estimation.{name}{'.' + place if place else ''}: {message}") from e
 
 
 class Limits(Table):

@@ -18,8 +18,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from .errors import ScenarioError, SlaveError, WiringError
+from .estimators import check_estimator
 from .master import Master
-from .policy import LeaveAlone, Policy, check_estimator, make_policy
+from .policy import LeaveAlone, Policy, make_policy
 from .reconfigure import Reconfiguration
 from .record import Recorder
 from .result import Run, Status, begin_folder, end_folder
@@ -39,14 +40,15 @@ def run(
     out: Path | None = None,
     progress: Progress | None = None,
 ) -> Run:
-    """Simulate the scenario with its controller re-tuned by `estimator`: an estimator's name, `none` or `true`.
+    """Simulate the scenario with its controller re-tuned by `estimator`: an estimator's name,
+    `none`, `true`, or `module:Class` of the user's own.
 
     The same seed gives the same run, bit for bit, on one machine. With `out`, an existing empty folder, everything is
     recorded there. A fault of an FMU ends the run with status `faulted`: the rows so far are kept.
     Raises ScenarioError, ModelDescriptionError or WiringError before any step; KeyboardInterrupt when interrupted,
     the rows so far recorded.
     """
-    check_estimator(estimator)
+    check_estimator(estimator, scenario)
     paths = fmu_paths(scenario)
     with threadpool_limits(1), ExitStack() as stack:  # the number of BLAS threads changes bits
         begun = perf_counter()

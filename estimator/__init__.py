@@ -1,10 +1,14 @@
 """Bayesian estimation of parameters from residual vectors. Knows nothing of FMI, plants or controllers."""
 
+from .contract import AskTell as AskTell
 from .contract import Estimate as Estimate
 from .contract import Estimator as Estimator
 from .contract import Rescoring as Rescoring
+from .contract import Solver as Solver
 from .methods import METHODS as METHODS
-from .methods import make_estimator as make_estimator
+from .methods import Method as Method
+from .objective import LinearForm as LinearForm
+from .objective import Objective as Objective
 from .paper import PaperBO as PaperBO
 from .paper import PaperSettings as PaperSettings
 from .space import Parameter as Parameter

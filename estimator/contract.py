@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
+from .objective import Objective
 from .space import Vector
 
 
@@ -25,12 +26,25 @@ class Estimate:
     """Why this value was taken, for the record."""
 
 
+@runtime_checkable
 class Estimator(Protocol):
-    """Asks for candidates, is told their residuals, and says what it believes. Lower residuals are better."""
+    """Believes something of the parameters. It is either an `AskTell` or a `Solver`."""
+
+    is_whitened: bool
+    """Whether its residuals are in standard deviations of the noise, or in physical units."""
 
     def restart(self, start: Vector) -> None:
         """Begin an episode at theta (d,): the value to fall back on. Earlier knowledge may be kept."""
         ...
+
+    def estimate(self) -> Estimate:
+        """The present belief. Raises RuntimeError before any candidate has succeeded."""
+        ...
+
+
+@runtime_checkable
+class AskTell(Estimator, Protocol):
+    """Asks for candidates one by one and is told their residuals. Lower residuals are better."""
 
     def ask(self) -> Vector:
         """The next candidate theta (d,)."""
@@ -40,14 +54,10 @@ class Estimator(Protocol):
         """The residual (D,) of a candidate. A non-finite one marks a candidate that failed."""
         ...
 
-    def estimate(self) -> Estimate:
-        """The present belief. Raises RuntimeError before any candidate has succeeded."""
-        ...
-
 
 @runtime_checkable
-class Rescoring(Protocol):
-    """An estimator whose stored candidates can be judged anew when the data have changed."""
+class Rescoring(AskTell, Protocol):
+    """Its stored candidates can be judged anew when the data have changed."""
 
     @property
     def candidates(self) -> Vector:
@@ -56,4 +66,13 @@ class Rescoring(Protocol):
 
     def rescore(self, residuals: Vector) -> None:
         """Replace what was told of the stored candidates by residuals (n, D); D may have changed."""
+        ...
+
+
+@runtime_checkable
+class Solver(Estimator, Protocol):
+    """Evaluates as many candidates as it likes at once: an optimiser, or a filter that takes the newest sample."""
+
+    def solve(self, objective: Objective) -> None:
+        """Take the present samples into the belief."""
         ...

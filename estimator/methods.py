@@ -1,25 +1,31 @@
 """The estimators by name."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any
 
-import numpy as np
-
-from .contract import Estimator
+from .baselines import LeastSquares, LeastSquaresSettings, NoisyNorm, NormSettings
 from .paper import PaperBO, PaperSettings
-from .space import ParameterSpace, Vector
+from .recursive import RecursiveLeastSquares, RecursiveSettings, UnscentedKalman, UnscentedSettings
 from .target import TargetSettings, TargetVector
 
 
 @dataclass(frozen=True)
 class Method:
-    """An estimator and its settings."""
+    """An estimator, its settings, and how it is usually run."""
 
     estimator: type[Any]
     """Class, called with (space, start, rng, settings)."""
     settings: type[Any]
     """Frozen dataclass of its settings."""
+    like: str | None = None
+    """The method whose settings it takes where it has no own."""
+    defaults: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    """What it sets otherwise than its settings' class, or than the loop: `trigger`, `window`, ..."""
+    needs_linear_form: bool = False
+    """Whether it works only where the model's linear form is known."""
+    needs_package: str | None = None
+    """Optional package that it imports."""
 
     @property
     def setting_names(self) -> tuple[str, ...]:
@@ -27,15 +33,26 @@ class Method:
         return tuple(f.name for f in fields(self.settings))
 
 
+# One solve an episode, on the newest sample; a tracking error that stays triggers the next.
+_ONE_SOLVE = {"budget": 1, "evaluations_per_step": 1, "window": 1}
+_RECURSIVE = {"trigger": {"kind": "always"}, "evaluations_per_step": 1, "window": 1}
+# On a noisy function Ipopt's line searches take a hundred evaluations an iteration.
+_IPOPT = {"minimizer": "ipopt", "max_iterations": 10}
+_WIDE_STEP = {"difference_step": 0.05}
+
 METHODS: dict[str, Method] = {
     "target": Method(TargetVector, TargetSettings),
-    "paper": Method(PaperBO, PaperSettings),
+    # Algorithm 1 commits each candidate, one a time step, and looks at the newest sample alone.
+    "paper": Method(PaperBO, PaperSettings, None, {"commit": "candidate", "evaluations_per_step": 1, "window": 1}),
+    "bo-scalar": Method(PaperBO, PaperSettings, "paper", {"commit": "incumbent", "refits": "seldom"}),
+    "ipm": Method(NoisyNorm, NormSettings, "paper", _ONE_SOLVE | _IPOPT, needs_package="cyipopt"),
+    "ipm-wide-step": Method(NoisyNorm, NormSettings, "ipm", _WIDE_STEP, needs_package="cyipopt"),
+    "ipm-scipy": Method(NoisyNorm, NormSettings, "paper", _ONE_SOLVE | {"minimizer": "trust-constr"}),
+    "ipm-scipy-wide-step": Method(NoisyNorm, NormSettings, "ipm-scipy", _WIDE_STEP),
+    "sqp": Method(NoisyNorm, NormSettings, "paper", _ONE_SOLVE | {"minimizer": "SLSQP"}),
+    "sqp-wide-step": Method(NoisyNorm, NormSettings, "sqp", _WIDE_STEP),
+    "least-squares": Method(LeastSquares, LeastSquaresSettings),
+    "multi-start": Method(LeastSquares, LeastSquaresSettings, "least-squares", {"n_starts": 8}),
+    "rls": Method(RecursiveLeastSquares, RecursiveSettings, None, _RECURSIVE, needs_linear_form=True),
+    "ukf": Method(UnscentedKalman, UnscentedSettings, None, _RECURSIVE),
 }
-
-
-def make_estimator(
-    name: str, space: ParameterSpace, start: Vector, rng: np.random.Generator, settings: Mapping[str, Any]
-) -> Estimator:
-    """The estimator of that name. Raises KeyError for an unknown name, TypeError for an unknown setting."""
-    method = METHODS[name]
-    return method.estimator(space, start, rng, method.settings(**settings))

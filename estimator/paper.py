@@ -1,6 +1,7 @@
 """The paper's estimator: Bayesian optimisation of one noisy norm. Kept faithful, as the comparison."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.stats import qmc
@@ -8,7 +9,7 @@ from scipy.stats import qmc
 from .acquisition import Acquisition, expected_improvement, lower_confidence_bound, probability_of_improvement
 from .contract import Estimate
 from .space import ParameterSpace, Vector
-from .surrogate import ScalarSurrogate
+from .surrogate import ScalarSurrogate, SeldomScalarSurrogate
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,8 @@ class PaperSettings:
     """Random candidates that begin an episode."""
     n_pool: int = 512
     """Candidates among which the acquisition is maximised."""
+    refits: Literal["always", "seldom"] = "always"
+    """Whether the surrogate's hyperparameters are refitted at every evaluation, or on a schedule."""
 
     def __post_init__(self) -> None:
         if self.noise < 0.0:
@@ -55,12 +58,17 @@ class PaperBO:
         self._places, self._norms = np.empty((0, d)), np.empty(0)
         self._n_evaluations = 0
         self._spread = np.ones(d)
+        self._seldom = SeldomScalarSurrogate()
 
     def ask(self) -> Vector:
         """The random design first, then the maximiser of the acquisition function."""
         if self._queue or not len(self._places):
             return self._space.from_unit(self._queue.pop(0) if self._queue else self._rng.random(len(self._space)))
-        surrogate = ScalarSurrogate(self._places, self._norms)
+        surrogate = (
+            self._seldom.condition(self._places, self._norms)
+            if self._settings.refits == "seldom"
+            else ScalarSurrogate(self._places, self._norms)
+        )
         best = self._places[int(np.argmin(self._norms))]
         local = best + 0.05 * self._rng.standard_normal((64, len(best)))
         pool = np.clip(np.vstack([self._sobol.random(self._settings.n_pool), local]), 0.0, 1.0)

@@ -131,6 +131,27 @@ class Posterior:
         return c @ self._alpha, -self._alpha.T @ (c[:, None] * scaled / self._lengthscales)
 
 
+class SeldomScalarSurrogate:
+    """The same model, whose hyperparameters are refitted seldom; in between only the data are exchanged.
+
+    It is GPy's model throughout: what is saved is the search over hyperparameters.
+    """
+
+    REFITS: Final = frozenset({5, 7, 9, 12, 16, 21, 26})
+    """Numbers of observations at which the hyperparameters are refitted."""
+
+    def __init__(self) -> None:
+        self._surrogate: ScalarSurrogate | None = None
+
+    def condition(self, Z: Vector, y: Vector) -> "ScalarSurrogate":
+        """The surrogate given y (n,) at Z (n, d)."""
+        if self._surrogate is None or len(Z) in self.REFITS:
+            self._surrogate = ScalarSurrogate(Z, y, max_iterations=20)
+        else:
+            self._surrogate.model.set_XY(Z.copy(), y[:, None].copy())
+        return self._surrogate
+
+
 class ScalarSurrogate:
     """GPy's own regression with an ARD Matern-5/2 kernel, refitted at every call: the paper's surrogate."""
 

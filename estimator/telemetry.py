@@ -76,6 +76,11 @@ class ResidualWindow:
         """Number of samples in use, a channel."""
         return tuple(self._lengths)
 
+    @property
+    def newest(self) -> Sample:
+        """The newest sample. Raises IndexError where there is none."""
+        return self._samples[-1]
+
     def append(self, sample: Sample) -> None:
         """Take one sample more, and drop the oldest where the window is full."""
         self._samples.append(sample)
@@ -102,9 +107,13 @@ class ResidualWindow:
     def residuals(self, candidates: Iterable[Vector]) -> Vector:
         """Residuals of many candidates (n, D); rows kept for others are dropped."""
         thetas = list(candidates)
-        kept = {theta.tobytes() for theta in thetas}
-        self._rows = {key: rows for key, rows in self._rows.items() if key in kept}
+        self.keep(thetas)
         return np.array([self.residual(theta) for theta in thetas]).reshape(len(thetas), sum(self._lengths))
+
+    def keep(self, candidates: Iterable[Vector]) -> None:
+        """Drop the rows kept for all but these candidates."""
+        kept = {theta.tobytes() for theta in candidates}
+        self._rows = {key: rows for key, rows in self._rows.items() if key in kept}
 
     def explain(self, theta: Vector, patient: bool = True, false_alarm: float = 1e-4) -> None:
         """Restart, at the newest sample, each channel that stopped agreeing with the incumbent theta.

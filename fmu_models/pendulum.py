@@ -35,3 +35,19 @@ def control(
     phi, phi_dot = x
     e1, e2 = x_ref[0] - phi, x_ref[1] - phi_dot
     return m * l * (Kp * e1 + Kd * e2) + m * l * (g / l * sin(phi) + b / m * phi_dot)
+
+
+def regression(
+    x: tuple[float, float], u: tuple[float], xdot: tuple[float], b: float = 0.1, g: float = 9.81
+) -> tuple[tuple[tuple[float, float, float]], tuple[float]]:
+    """The equation of motion as a row (1, 3) times (1/l, 1/m, 1/(m l)) = a target (1,): phi_ddot [rad/s^2].
+
+    Linear in the three coefficients, which are not independent: see `coefficients`.
+    """
+    phi, phi_dot = x
+    return (((-g * sin(phi), -b * phi_dot, u[0]),), (xdot[0],))
+
+
+def coefficients(m: float, l: float) -> tuple[float, float, float]:
+    """(1/l, 1/m, 1/(m l)), the coefficients of `regression`."""
+    return (1.0 / l, 1.0 / m, 1.0 / (m * l))

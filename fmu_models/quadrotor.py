@@ -53,6 +53,29 @@ def derivative(
     )  # fmt: skip
 
 
+def regression(
+    x: State, u: tuple[float, float, float, float], xdot: tuple[float, ...], g: float = 9.81
+) -> tuple[tuple[tuple[float, float, float, float], ...], tuple[float, ...]]:
+    """The equations of motion as rows (6, 4) times (1/m, J_x, J_y, J_z) = targets (6,).
+
+    -F R e3 (1/m) = v_dot - g e3 [m/s^2];  J Omega_dot + Omega x J Omega = M [N m].
+    xdot: (v_dot, Omega_dot) (6,). In the last three rows the sampled Omega_dot, and its noise, is in the regressors.
+    """
+    _, _, r13, _, _, r23, _, _, r33, p, q, r = x[6:]
+    F, M_x, M_y, M_z = u
+    a_x, a_y, a_z, p_dot, q_dot, r_dot = xdot
+    rows = (
+        (-F * r13, 0.0, 0.0, 0.0), (-F * r23, 0.0, 0.0, 0.0), (-F * r33, 0.0, 0.0, 0.0),
+        (0.0, p_dot, -q * r, q * r), (0.0, p * r, q_dot, -p * r), (0.0, -p * q, p * q, r_dot),
+    )  # fmt: skip
+    return rows, (a_x, a_y, a_z - g, M_x, M_y, M_z)
+
+
+def coefficients(m: float, J_x: float, J_y: float, J_z: float) -> tuple[float, float, float, float]:
+    """(1/m, J_x, J_y, J_z), the coefficients of `regression`."""
+    return (1.0 / m, J_x, J_y, J_z)
+
+
 class Gains(NamedTuple):
     """Gains of the geometric controller, a number for each axis."""
 

@@ -14,6 +14,8 @@ START = np.array([0.0])
 class Scripted:
     """Asks for the given values in turn and believes in the best; the truth is 10."""
 
+    is_whitened = False
+
     def __init__(self, *script):
         self.script, self.told, self.restarts = list(script), [], []
 
@@ -34,6 +36,8 @@ class Scripted:
 
 class Rescored(Scripted):
     """The same, with candidates that can be judged anew."""
+
+    is_whitened = True
 
     def __init__(self, *script):
         super().__init__(*script)

@@ -9,10 +9,14 @@ import estimator
 
 PUBLIC = [
     "METHODS",
+    "AskTell",
     "DerivativeResidual",
     "Estimate",
     "Estimator",
+    "LinearForm",
+    "Method",
     "Model",
+    "Objective",
     "PaperBO",
     "PaperSettings",
     "Parameter",
@@ -20,11 +24,11 @@ PUBLIC = [
     "Rescoring",
     "ResidualWindow",
     "Sample",
+    "Solver",
     "TargetSettings",
     "TargetVector",
     "Vector",
     "chi2_quantile",
-    "make_estimator",
 ]
 
 

@@ -1,0 +1,192 @@
+"""What is commonly used instead of Bayesian optimisation: adapters round SciPy and Ipopt."""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from scipy import optimize
+
+from .contract import Estimate
+from .identifiability import information
+from .objective import Objective
+from .space import ParameterSpace, Vector
+
+Minimizer = Literal["ipopt", "trust-constr", "SLSQP"]
+_FAILED = 1e6
+"""Stands for the residual of a candidate at which the model has no value: optimisers need a number."""
+
+
+@dataclass(frozen=True)
+class NormSettings:
+    """Settings of `NoisyNorm`."""
+
+    minimizer: Minimizer = "SLSQP"
+    """Ipopt (an interior-point method; needs cyipopt), SciPy's interior-point method or its sequential QP."""
+    noise: float = 3.2e-3
+    """Standard deviation of the noise added to the norm at each evaluation, in the residual's unit."""
+    difference_step: float = 0.0
+    """Finite-difference step for the gradient, as a share of each parameter's bounds; 0: the minimizer's own, 1e-8."""
+    max_iterations: int = 50
+    """Iterations a solve."""
+
+    def __post_init__(self) -> None:
+        if self.noise < 0.0 or self.difference_step < 0.0:
+            raise ValueError(f"noise and difference_step must be >= 0, got {self.noise} and {self.difference_step}.")
+        if self.max_iterations < 1:
+            raise ValueError(f"max_iterations must be positive, got {self.max_iterations}.")
+
+
+class NoisyNorm:
+    """A gradient method on the paper's objective: the norm of the residual, with fresh noise at each evaluation.
+
+    It starts each time from the nominal parameters, and takes its gradient by finite differences, which see the noise
+    divided by the step. Khan and Chatterjee (2020), section IV: the solvers that they compare with.
+    Residuals are in physical units.
+    """
+
+    is_whitened = False
+
+    def __init__(
+        self, space: ParameterSpace, start: Vector, rng: np.random.Generator, settings: NormSettings | None = None
+    ) -> None:
+        self._space, self._rng, self._settings = space, rng, settings or NormSettings()
+        self._nominal = self._theta = np.asarray(start, dtype=float)
+        self._bounds = [(p.lower, p.upper) for p in space]
+        self._cost, self._n_evaluations = np.inf, 0
+
+    def restart(self, start: Vector) -> None:
+        """Nothing is kept between solves but the last result."""
+        self._theta, self._n_evaluations = np.asarray(start, dtype=float), 0
+
+    def solve(self, objective: Objective) -> None:
+        """Minimise the noisy norm over the present samples."""
+
+        def norm(theta: Vector) -> float:
+            value = float(np.linalg.norm(objective.residual(theta)))
+            return (value if np.isfinite(value) else _FAILED) + self._settings.noise * self._rng.standard_normal()
+
+        x0 = np.clip(self._nominal, *np.array(self._bounds).T)
+        result = _minimize(norm, x0, self._bounds, self._settings)
+        self._theta = np.clip(result.x, *np.array(self._bounds).T)
+        self._cost = float(result.fun)
+        self._n_evaluations += objective.n_evaluations
+
+    def estimate(self) -> Estimate:
+        """The last result. A minimum of one number says nothing of how well it is known."""
+        width = np.array([upper - lower for lower, upper in self._bounds])
+        return Estimate(
+            self._theta, width, (True,) * len(width), self._cost, self._n_evaluations, self._settings.minimizer
+        )
+
+
+def _minimize(function: Any, x0: Vector, bounds: list[tuple[float, float]], settings: NormSettings) -> Any:
+    """The minimizer's result; with a difference step, the gradient is taken inside the bounds with that."""
+    options: dict[str, Any] = {"maxiter": settings.max_iterations}
+    lower, upper = np.array(bounds).T
+    step = settings.difference_step * (upper - lower)
+
+    def slope(theta: Vector) -> Any:
+        return optimize.approx_fprime(theta, function, np.where(theta + step > upper, -step, step))
+
+    gradient = slope if settings.difference_step else None
+    if settings.minimizer == "ipopt":
+        from cyipopt import minimize_ipopt  # optional
+
+        options |= {"print_level": 0, "sb": "yes"}
+        return minimize_ipopt(function, x0, jac=gradient, bounds=bounds, options=options)
+    with np.errstate(all="ignore"):
+        return optimize.minimize(function, x0, jac=gradient, bounds=bounds, method=settings.minimizer, options=options)
+
+
+@dataclass(frozen=True)
+class LeastSquaresSettings:
+    """Settings of `LeastSquares`."""
+
+    max_evaluations: int = 200
+    """Evaluations a solve, those for the Jacobian included."""
+    n_starts: int = 1
+    """Places to start from: the last estimate, then random ones, as long as evaluations are left."""
+    identifiable_below: float = 0.05
+    """A parameter counts as identifiable when its standard deviation is below this share of the scaled bounds."""
+
+    def __post_init__(self) -> None:
+        for name in ("max_evaluations", "n_starts", "identifiable_below"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}.")
+
+
+class LeastSquares:
+    """SciPy's trust-region least squares on the residual vector over the window, in the unit cube.
+
+    Branch, Coleman, Li (1999). Residuals are in standard deviations of their noise.
+    """
+
+    is_whitened = True
+
+    def __init__(
+        self,
+        space: ParameterSpace,
+        start: Vector,
+        rng: np.random.Generator,
+        settings: LeastSquaresSettings | None = None,
+    ) -> None:
+        self._space, self._rng, self._settings = space, rng, settings or LeastSquaresSettings()
+        self._z, self._std = space.to_unit(start), np.ones(len(space))
+        self._cost, self._n_evaluations = np.inf, 0
+
+    def restart(self, start: Vector) -> None:
+        """Begin an episode at theta (d,)."""
+        self._z, self._n_evaluations = self._space.to_unit(start), 0
+
+    def solve(self, objective: Objective) -> None:
+        """Minimise the sum of squares over the present samples, from each start until the evaluations are spent."""
+        search = _Counted(self._space, objective, self._settings.max_evaluations)
+        starts = [self._z, *self._rng.random((self._settings.n_starts - 1, len(self._space)))]
+        for z in starts:
+            try:
+                result = optimize.least_squares(search.residual, np.clip(z, 0.0, 1.0), bounds=(0.0, 1.0))
+            except _SpentError:
+                break
+            if result.cost <= 0.5 * search.cost:
+                misfit = max(1.0, np.sqrt(2.0 * result.cost / max(len(result.fun) - len(z), 1)))
+                self._std = np.minimum(information(result.jac).std() * misfit, 1.0)
+        self._z, self._cost = search.z, search.cost
+        self._n_evaluations += objective.n_evaluations
+
+    def estimate(self) -> Estimate:
+        """The best place of the last solve."""
+        theta = self._space.from_unit(self._z)
+        return Estimate(
+            theta=theta,
+            std=self._std * self._space.slope(theta),
+            is_identifiable=tuple(bool(s <= self._settings.identifiable_below) for s in self._std),
+            cost=self._cost,
+            n_evaluations=self._n_evaluations,
+            reason="least squares",
+        )
+
+
+class _SpentError(Exception):
+    """The evaluations of a solve are spent: SciPy's own limit leaves out those for the Jacobian."""
+
+
+class _Counted:
+    """Residuals in the unit cube for a limited number of evaluations; remembers the best."""
+
+    def __init__(self, space: ParameterSpace, objective: Objective, max_evaluations: int) -> None:
+        self._space, self._objective = space, objective
+        self._remaining = max_evaluations
+        self.z, self.cost = np.full(len(space), 0.5), np.inf
+
+    def residual(self, z: Vector) -> Vector:
+        """Residual (D,) at z (d,). Raises _SpentError when none are left."""
+        if not self._remaining:
+            raise _SpentError
+        self._remaining -= 1
+        residual = np.nan_to_num(
+            self._objective.residual(self._space.from_unit(z)), nan=_FAILED, posinf=_FAILED, neginf=-_FAILED
+        )
+        cost = float(residual @ residual)
+        if cost < self.cost:
+            self.z, self.cost = z.copy(), cost
+        return residual

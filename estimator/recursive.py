@@ -1,0 +1,173 @@
+"""Recursive estimators, which take each sample once: adapters round filterpy's Kalman filters."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from filterpy.kalman import KalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
+from scipy import optimize
+
+from .contract import Estimate
+from .objective import LinearForm, Objective
+from .space import ParameterSpace, Vector
+
+
+@dataclass(frozen=True)
+class RecursiveSettings:
+    """Settings of `RecursiveLeastSquares`."""
+
+    forgetting: float = 0.9
+    """lambda: what a sample's weight is multiplied by at each one that follows."""
+    noise: float = 0.01
+    """Standard deviation of a row's target, in its unit: weighs the first samples against the start."""
+    spread: float = 1.0
+    """Standard deviation of the coefficients at the start, relative to their values there."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.forgetting <= 1.0:
+            raise ValueError(f"forgetting must be in (0, 1], got {self.forgetting}.")
+        if not (self.noise > 0.0 and self.spread > 0.0):
+            raise ValueError(f"noise and spread must be positive, got {self.noise} and {self.spread}.")
+
+
+class RecursiveLeastSquares:
+    """Recursive least squares with exponential forgetting, on a model's linear form.
+
+    The Kalman filter of constant coefficients whose covariance is divided by lambda at each sample: Ljung (1999),
+    section 11.2. It forgets only while the covariance is below its start, so that it does not wind up where nothing
+    is excited (Åström and Wittenmark (1995), section 11.5). The parameters are those whose coefficients lie nearest
+    to the filter's, in its covariance: where there are more coefficients than parameters, a projection.
+    """
+
+    is_whitened = True
+
+    def __init__(
+        self, space: ParameterSpace, start: Vector, rng: np.random.Generator, settings: RecursiveSettings | None = None
+    ) -> None:
+        self._space, self._settings = space, settings or RecursiveSettings()
+        self._z, self._n_evaluations = space.to_unit(start), 0
+        self._misfit = np.inf
+        self._std = np.ones(len(space))
+        self._filter: KalmanFilter | None = None
+
+    def restart(self, start: Vector) -> None:
+        """Forget all samples."""
+        self._z, self._filter, self._n_evaluations = self._space.to_unit(start), None, 0
+
+    def solve(self, objective: Objective) -> None:
+        """Take the newest sample. Raises ValueError where the model's linear form is unknown."""
+        linear = objective.linear
+        if linear is None:
+            raise ValueError("recursive least squares needs the model's linear form.")
+        rows, targets = linear.rows(objective.newest)
+        kalman = self._filter or self._begin(linear)
+        self._filter = kalman
+        if np.trace(kalman.P) < self._start_trace:
+            kalman.P = kalman.P / self._settings.forgetting
+        kalman.update(targets, R=self._settings.noise**2 * np.eye(len(targets)), H=rows)
+        self._project(linear, kalman)
+        self._n_evaluations += 1
+        self._misfit = float(np.sum(objective.residual(self._space.from_unit(self._z)) ** 2))
+
+    def estimate(self) -> Estimate:
+        """The parameters of the present coefficients; cost: sum of squared residuals of the newest sample."""
+        theta = self._space.from_unit(self._z)
+        return Estimate(
+            theta, self._std * self._space.slope(theta), (True,) * len(theta), self._misfit, self._n_evaluations,
+            "recursive least squares",
+        )  # fmt: skip
+
+    def _begin(self, linear: LinearForm) -> KalmanFilter:
+        psi = linear.coefficients(self._space.from_unit(self._z))
+        kalman = KalmanFilter(dim_x=len(psi), dim_z=1)
+        kalman.x = psi
+        kalman.P = np.diag((self._settings.spread * np.abs(psi)) ** 2)
+        self._start_trace = float(np.trace(kalman.P))
+        return kalman
+
+    def _project(self, linear: LinearForm, kalman: KalmanFilter) -> None:
+        weight = np.linalg.inv(np.linalg.cholesky(kalman.P + 1e-12 * np.trace(kalman.P) * np.eye(len(kalman.P))))
+
+        def misfit(z: Vector) -> Vector:
+            return weight @ (linear.coefficients(self._space.from_unit(z)) - kalman.x)
+
+        result = optimize.least_squares(misfit, self._z, bounds=(0.0, 1.0))
+        self._z = result.x
+        information = result.jac.T @ result.jac + np.eye(len(self._z))
+        self._std = np.sqrt(np.diag(np.linalg.inv(information)))
+
+
+@dataclass(frozen=True)
+class UnscentedSettings:
+    """Settings of `UnscentedKalman`; lengths are shares of the scaled bounds."""
+
+    walk: float = 0.003
+    """Standard deviation of a parameter's step from sample to sample."""
+    spread: float = 0.2
+    """Standard deviation of each parameter at the start."""
+    alpha: float = 0.1
+    """Spread of the sigma points round the mean."""
+
+    def __post_init__(self) -> None:
+        for name in ("walk", "spread", "alpha"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}.")
+
+
+class UnscentedKalman:
+    """An unscented Kalman filter whose states are the parameters, as random walks in the unit cube.
+
+    The measurement is the sampled derivative, or, the same, the whitened residual, which should be zero with unit
+    variance. Julier and Uhlmann (2004); van der Merwe (2004).
+    """
+
+    is_whitened = True
+
+    def __init__(
+        self, space: ParameterSpace, start: Vector, rng: np.random.Generator, settings: UnscentedSettings | None = None
+    ) -> None:
+        self._space, self._settings = space, settings or UnscentedSettings()
+        self._start = space.to_unit(start)
+        self._filter: UnscentedKalmanFilter | None = None
+        self._n_evaluations, self._cost = 0, np.inf
+
+    def restart(self, start: Vector) -> None:
+        """Forget all samples."""
+        self._start, self._filter, self._n_evaluations = self._space.to_unit(start), None, 0
+
+    def solve(self, objective: Objective) -> None:
+        """Take the newest sample. One at which the model has no value for a sigma point is left out."""
+        kalman = self._filter or self._begin(len(objective.residual(self._space.from_unit(self._start))))
+        self._filter = kalman
+        kalman.predict()
+        x, P = kalman.x.copy(), kalman.P.copy()
+        kalman.update(np.zeros(len(kalman.R)), hx=lambda z: objective.residual(self._space.from_unit(z)))
+        if not np.all(np.isfinite(kalman.x)):
+            kalman.x, kalman.P = x, P
+        kalman.P = 0.5 * (kalman.P + kalman.P.T) + 1e-12 * np.eye(len(kalman.x))
+        kalman.x = np.clip(kalman.x, 0.0, 1.0)
+        self._n_evaluations = self._n_evaluations + objective.n_evaluations
+        self._cost = float(np.sum(kalman.y**2))
+
+    def estimate(self) -> Estimate:
+        """Mean and covariance's diagonal; cost: the innovation squared of the newest sample."""
+        z = self._start if self._filter is None else self._filter.x
+        std = np.ones(len(z)) if self._filter is None else np.minimum(np.sqrt(np.diag(self._filter.P)), 1.0)
+        theta = self._space.from_unit(z)
+        return Estimate(
+            theta, std * self._space.slope(theta), tuple(bool(s < 0.05) for s in std), self._cost,
+            self._n_evaluations, "unscented Kalman filter",
+        )  # fmt: skip
+
+    def _begin(self, n_channels: int) -> UnscentedKalmanFilter:
+        d = len(self._space)
+        points = MerweScaledSigmaPoints(d, alpha=self._settings.alpha, beta=2.0, kappa=3.0 - d)
+        kalman = UnscentedKalmanFilter(d, n_channels, 1.0, hx=None, fx=_stay, points=points)
+        kalman.x = self._start.copy()
+        kalman.P = self._settings.spread**2 * np.eye(d)
+        kalman.Q = self._settings.walk**2 * np.eye(d)
+        kalman.R = np.eye(n_channels)
+        return kalman
+
+
+def _stay(z: Vector, dt: float) -> Vector:
+    return z

@@ -1,4 +1,4 @@
-"""What the figures share: colours, labels, axes that survive any data, and PNG files written whole."""
+"""What the figures share: colours, labels, axes that survive any data, and PNG and SVG files written whole."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -78,6 +79,15 @@ def save_png(figure: Figure, path: Path) -> Path:
     """Write the figure at once or not at all; returns the path. Raises FolderError."""
     buffer = BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
+    write_bytes(path, buffer.getvalue())
+    return path
+
+
+def save_svg(figure: Figure, path: Path) -> Path:
+    """Write the figure as SVG, the same bytes for the same figure, at once or not at all. Raises FolderError."""
+    buffer = BytesIO()
+    with rc_context({"svg.hashsalt": "fmu-retune"}):
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
     write_bytes(path, buffer.getvalue())
     return path
 

@@ -48,7 +48,7 @@ def draw_run(run: Run, baselines: Mapping[str, Run]) -> list[Path]:
         raise ValueError("draw_run needs a run that was recorded, got one without a folder; run it with `out`.")
     if not len(run.time):
         return []
-    events = _read_events(run.folder)
+    events = read_events(run.folder)
     curves = _curves(run, baselines)
     figures = {
         "tracking.png": _draw_tracking(run, curves, events),
@@ -59,7 +59,7 @@ def draw_run(run: Run, baselines: Mapping[str, Run]) -> list[Path]:
     return [save_png(figure, run.folder / name) for name, figure in figures.items() if figure is not None]
 
 
-def _read_events(folder: Path) -> list[Event]:
+def read_events(folder: Path) -> list[Event]:
     """The events of a run folder, as far as they can be read; none where there is no file."""
     events: list[Any] = []
     with suppress(OSError), open(folder / EVENTS, encoding="utf-8", errors="replace") as file:
@@ -81,10 +81,10 @@ def _draw_tracking(run: Run, curves: Sequence[Curve], events: Sequence[Event]) -
     """Tracked outputs and their references over time."""
     figure, rows = panels(run, events, len(run.scenario.tracking))
     units = _units(run)
-    names = _short_names(list(run.scenario.tracking))
+    names = short_names(list(run.scenario.tracking))
     shown = [c for c in curves if c.run.estimator != "true"] or curves
     for axes, (output, reference), name in zip(rows, run.scenario.tracking.items(), names, strict=True):
-        limits = set_linear(axes, _tracking_limits(run[reference], [c.run[output] for c in shown]))
+        limits = set_linear(axes, tracking_limits(run[reference], [c.run[output] for c in shown]))
         for curve in shown:
             line(axes, curve, tame(curve.run[output], limits))
         axes.plot(run.time, tame(run[reference], limits), "--", color=BLACK, linewidth=1.0, label="reference")
@@ -92,7 +92,7 @@ def _draw_tracking(run: Run, curves: Sequence[Curve], events: Sequence[Event]) -
     return finish(figure, rows)
 
 
-def _tracking_limits(reference: Series, outputs: Sequence[Series]) -> Limits:
+def tracking_limits(reference: Series, outputs: Sequence[Series]) -> Limits:
     """Of all curves but for excursions more than twice as far from the reference as it is wide itself."""
     wanted = value_range([reference, *outputs], percentile=0.2) or (0.0, 1.0)
     low, high = value_range([reference]) or wanted
@@ -106,7 +106,7 @@ def _draw_error(run: Run, curves: Sequence[Curve], events: Sequence[Event]) -> F
     """Absolute tracking errors over time; with several tracked outputs, their norm, which triggers, above them."""
     outputs, units = list(run.scenario.tracking), _units(run)
     contents: list[tuple[str | None, str | None, list[str]]] = [
-        (name, units.get(o), [o]) for name, o in zip(_short_names(outputs), outputs, strict=True)
+        (name, units.get(o), [o]) for name, o in zip(short_names(outputs), outputs, strict=True)
     ]
     if len(outputs) > 1:
         own = {units.get(o) for o in outputs}
@@ -151,7 +151,7 @@ def _norm(errors: Sequence[Series]) -> Series:
     return scale * np.sqrt(np.sum((table / scale) ** 2, axis=0))
 
 
-def _short_names(references: Sequence[str]) -> list[str]:
+def short_names(references: Sequence[str]) -> list[str]:
     """Variables without their component, where that leaves them different."""
     short = [r.partition(".")[2] for r in references]
     return short if len(set(short)) == len(short) else list(references)

@@ -1,5 +1,6 @@
 """What is commonly used instead of Bayesian optimisation: adapters round SciPy and Ipopt."""
 
+import warnings
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -12,7 +13,7 @@ from .objective import Objective
 from .space import ParameterSpace, Vector
 
 Minimizer = Literal["ipopt", "trust-constr", "SLSQP"]
-_FAILED = 1e6
+_FAILED = 1e12
 """Stands for the residual of a candidate at which the model has no value: optimisers need a number."""
 
 
@@ -30,8 +31,10 @@ class NormSettings:
     """Iterations a solve."""
 
     def __post_init__(self) -> None:
-        if self.noise < 0.0 or self.difference_step < 0.0:
-            raise ValueError(f"noise and difference_step must be >= 0, got {self.noise} and {self.difference_step}.")
+        if self.noise < 0.0:
+            raise ValueError(f"noise must not be negative, got {self.noise}.")
+        if not 0.0 <= self.difference_step <= 0.5:
+            raise ValueError(f"difference_step must be in [0, 0.5], got {self.difference_step}.")
         if self.max_iterations < 1:
             raise ValueError(f"max_iterations must be positive, got {self.max_iterations}.")
 
@@ -49,14 +52,14 @@ class NoisyNorm:
     def __init__(
         self, space: ParameterSpace, start: Vector, rng: np.random.Generator, settings: NormSettings | None = None
     ) -> None:
-        self._space, self._rng, self._settings = space, rng, settings or NormSettings()
-        self._nominal = self._theta = np.asarray(start, dtype=float)
+        self._rng, self._settings = rng, settings or NormSettings()
         self._bounds = [(p.lower, p.upper) for p in space]
+        self._nominal = self._theta = self._clipped(start)
         self._cost, self._n_evaluations = np.inf, 0
 
     def restart(self, start: Vector) -> None:
         """Nothing is kept between solves but the last result."""
-        self._theta, self._n_evaluations = np.asarray(start, dtype=float), 0
+        self._theta, self._n_evaluations = self._clipped(start), 0
 
     def solve(self, objective: Objective) -> None:
         """Minimise the noisy norm over the present samples."""
@@ -65,9 +68,8 @@ class NoisyNorm:
             value = float(np.linalg.norm(objective.residual(theta)))
             return (value if np.isfinite(value) else _FAILED) + self._settings.noise * self._rng.standard_normal()
 
-        x0 = np.clip(self._nominal, *np.array(self._bounds).T)
-        result = _minimize(norm, x0, self._bounds, self._settings)
-        self._theta = np.clip(result.x, *np.array(self._bounds).T)
+        result = _minimize(norm, self._nominal, self._bounds, self._settings)
+        self._theta = self._clipped(result.x)
         self._cost = float(result.fun)
         self._n_evaluations += objective.n_evaluations
 
@@ -77,6 +79,9 @@ class NoisyNorm:
         return Estimate(
             self._theta, width, (True,) * len(width), self._cost, self._n_evaluations, self._settings.minimizer
         )
+
+    def _clipped(self, theta: Vector) -> Vector:
+        return np.clip(np.asarray(theta, dtype=float), *np.array(self._bounds).T)
 
 
 def _minimize(function: Any, x0: Vector, bounds: list[tuple[float, float]], settings: NormSettings) -> Any:
@@ -94,7 +99,8 @@ def _minimize(function: Any, x0: Vector, bounds: list[tuple[float, float]], sett
 
         options |= {"print_level": 0, "sb": "yes"}
         return minimize_ipopt(function, x0, jac=gradient, bounds=bounds, options=options)
-    with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # trust-constr, of a gradient that does not change
         return optimize.minimize(function, x0, jac=gradient, bounds=bounds, method=settings.minimizer, options=options)
 
 
@@ -136,21 +142,23 @@ class LeastSquares:
 
     def restart(self, start: Vector) -> None:
         """Begin an episode at theta (d,)."""
-        self._z, self._n_evaluations = self._space.to_unit(start), 0
+        self._z, self._std, self._n_evaluations = self._space.to_unit(start), np.ones(len(self._space)), 0
 
     def solve(self, objective: Objective) -> None:
         """Minimise the sum of squares over the present samples, from each start until the evaluations are spent."""
-        search = _Counted(self._space, objective, self._settings.max_evaluations)
+        search = _Counted(self._space, objective, self._settings.max_evaluations, self._z)
+        std, converged = np.ones(len(self._space)), np.inf
         starts = [self._z, *self._rng.random((self._settings.n_starts - 1, len(self._space)))]
         for z in starts:
             try:
                 result = optimize.least_squares(search.residual, np.clip(z, 0.0, 1.0), bounds=(0.0, 1.0))
             except _SpentError:
                 break
-            if result.cost <= 0.5 * search.cost:
+            if 2.0 * result.cost <= search.cost * (1.0 + 1e-9):
                 misfit = max(1.0, np.sqrt(2.0 * result.cost / max(len(result.fun) - len(z), 1)))
-                self._std = np.minimum(information(result.jac).std() * misfit, 1.0)
-        self._z, self._cost = search.z, search.cost
+                std, converged = np.minimum(information(result.jac).std() * misfit, 1.0), search.cost
+        is_converged = search.cost >= converged * (1.0 - 1e-9)
+        self._z, self._cost, self._std = search.z, search.cost, std if is_converged else np.ones(len(std))
         self._n_evaluations += objective.n_evaluations
 
     def estimate(self) -> Estimate:
@@ -173,19 +181,18 @@ class _SpentError(Exception):
 class _Counted:
     """Residuals in the unit cube for a limited number of evaluations; remembers the best."""
 
-    def __init__(self, space: ParameterSpace, objective: Objective, max_evaluations: int) -> None:
+    def __init__(self, space: ParameterSpace, objective: Objective, max_evaluations: int, start: Vector) -> None:
         self._space, self._objective = space, objective
         self._remaining = max_evaluations
-        self.z, self.cost = np.full(len(space), 0.5), np.inf
+        self.z, self.cost = start, np.inf
 
     def residual(self, z: Vector) -> Vector:
         """Residual (D,) at z (d,). Raises _SpentError when none are left."""
         if not self._remaining:
             raise _SpentError
         self._remaining -= 1
-        residual = np.nan_to_num(
-            self._objective.residual(self._space.from_unit(z)), nan=_FAILED, posinf=_FAILED, neginf=-_FAILED
-        )
+        told = self._objective.residual(self._space.from_unit(z))
+        residual = np.clip(np.nan_to_num(told, nan=_FAILED), -_FAILED, _FAILED)
         cost = float(residual @ residual)
         if cost < self.cost:
             self.z, self.cost = z.copy(), cost

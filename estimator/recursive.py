@@ -146,7 +146,7 @@ class UnscentedKalman:
         kalman.P = 0.5 * (kalman.P + kalman.P.T) + 1e-12 * np.eye(len(kalman.x))
         kalman.x = np.clip(kalman.x, 0.0, 1.0)
         self._n_evaluations = self._n_evaluations + objective.n_evaluations
-        self._cost = float(np.sum(kalman.y**2))
+        self._cost = float(np.nan_to_num(np.sum(kalman.y**2), nan=np.inf))
 
     def estimate(self) -> Estimate:
         """Mean and covariance's diagonal; cost: the innovation squared of the newest sample."""

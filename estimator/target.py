@@ -4,6 +4,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 from scipy.stats import qmc
 
 from .acquisition import log_target_vector_improvement
@@ -12,6 +14,9 @@ from .identifiability import information
 from .space import ParameterSpace, Vector
 from .surrogate import Posterior, VectorSurrogate
 
+_FAR = 50.0
+"""Root mean square residual [standard deviations] above which old candidates, which lie where the optimum was, tell
+little of the slopes: they are learnt anew."""
 _LOCAL_RADII = (0.2, 0.05, 0.01, 0.002)
 """Of the unit cube: standard deviations of the candidates drawn round the incumbent."""
 
@@ -20,10 +25,11 @@ _LOCAL_RADII = (0.2, 0.05, 0.01, 0.002)
 class TargetSettings:
     """Settings of `TargetVector`; the defaults suit two to ten parameters."""
 
-    n_initial: int = 8
-    """Quasi-random candidates beside the start. They stay for good, to see a jump from afar."""
-    n_kept: int = 12
-    """Best candidates that outlive an episode."""
+    initial_step: float = 0.2
+    """Share of the scaled bounds, divided by d, by which each parameter is moved, alone, to learn the slopes."""
+    n_modelled: int | None = None
+    """Best candidates that the surrogate is of, beside the newest d, and that outlive an episode; None: 3 d + 2. Others
+    would only bend it, and make it slow."""
     n_outputs: int = 10
     """Most principal components of the residual that get a GP."""
     significance: float = 3.0
@@ -32,11 +38,13 @@ class TargetSettings:
     """A parameter counts as identifiable when its standard deviation is below this share of the scaled bounds."""
 
     def __post_init__(self) -> None:
-        for name in ("n_initial", "n_outputs", "significance", "identifiable_below"):
+        for name in ("n_outputs", "significance", "identifiable_below"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}.")
-        if self.n_kept < 0:
-            raise ValueError(f"n_kept must not be negative, got {self.n_kept}.")
+        if not 0.0 < self.initial_step <= 1.0:
+            raise ValueError(f"initial_step must be in (0, 1], got {self.initial_step}.")
+        if self.n_modelled is not None and self.n_modelled < 2:
+            raise ValueError(f"n_modelled must be at least 2, got {self.n_modelled}.")
 
 
 class TargetVector:
@@ -58,9 +66,9 @@ class TargetVector:
     ) -> None:
         self._space, self._rng, self._settings = space, rng, settings or TargetSettings()
         d = len(space)
-        sobol = qmc.Sobol(d, rng=rng)
-        self._initial = sobol.random(self._settings.n_initial)
-        self._global = sobol.random(128)
+        self._step = self._settings.initial_step / max(d, 2)
+        self._n_modelled = self._settings.n_modelled or 3 * d + 2
+        self._global = qmc.Sobol(d, rng=rng).random(128)
         self._surrogate = VectorSurrogate(d)
         self._theta = np.empty((0, d))
         self._residuals: Vector | None = None
@@ -74,17 +82,15 @@ class TargetVector:
         return self._theta
 
     def restart(self, start: Vector) -> None:
-        """Begin an episode at theta (d,): keep the initial design, the best candidates and what GPs have learnt."""
+        """Begin an episode at theta (d,): keep the first candidates, the best ones, and what GPs have learnt."""
         self._start = self._space.to_unit(start)
         self._n_evaluations = 0
-        if self._residuals is None:
-            self._queue = [self._start, *self._initial]
-            return
-        first = min(self._settings.n_initial + 1, len(self._theta))
-        best = np.argsort(self._costs()[first:], kind="stable")[: self._settings.n_kept] + first
-        kept = np.concatenate([np.arange(first), np.sort(best)])
-        self._theta, self._residuals = self._theta[kept], self._residuals[kept]
         self._queue = [self._start]
+        self._failed = np.empty((0, len(self._start)))
+        if self._residuals is not None:
+            first = min(len(self._start) + 1, len(self._theta))
+            kept = np.concatenate([np.arange(first), first + self._modelled(self._residuals[first:])])
+            self._theta, self._residuals = self._theta[kept], self._residuals[kept]
         self._model_now = None
 
     def ask(self) -> Vector:
@@ -94,23 +100,27 @@ class TargetVector:
         if self._residuals is None:  # every candidate has failed
             return self._space.from_unit(self._rng.random(len(self._space)))
         self._asks_since_fit += 1
-        if self._asks_since_fit >= max(2, len(self._theta) // 5):
+        if self._asks_since_fit >= max(2, self._n_modelled // 5):
             model = self._model()
             self._surrogate.fit(model.Z, model.Y)
             self._model_now, self._asks_since_fit = None, 0
         model = self._model()
         costs = np.sum(model.Y * model.Y, axis=1)
         best = int(np.argmin(costs))
-        pool = self._pool(model.posterior, model.Z[best])
+        pool = self._hopeful(self._pool(model.posterior, model.Z[best]), model.Z)
         gain = log_target_vector_improvement(*model.posterior.predict(pool), max(float(costs[best]), 1e-12))
         return self._space.from_unit(pool[int(np.argmax(gain))])
 
     def tell(self, theta: Vector, residual: Vector) -> None:
-        """The residual (D,) of a candidate. A non-finite one counts as an evaluation and leaves no other trace."""
+        """The residual (D,) of a candidate. Where a non-finite one is nearest, nothing is asked in this episode."""
         self._n_evaluations += 1
         if not np.all(np.isfinite(residual)):
+            self._failed = np.vstack([self._failed, self._space.to_unit(theta)])
             return
         told = np.atleast_2d(np.asarray(residual, dtype=float))
+        is_known = len(self._theta) > len(theta)
+        if self._n_evaluations == 1 and not (is_known and _is_near(residual)):
+            self._queue = one_at_a_time(self._start, self._step)
         self._theta = np.vstack([self._theta, theta])
         self._residuals = told if self._residuals is None else np.vstack([self._residuals, told])
         self._model_now = None
@@ -119,24 +129,29 @@ class TargetVector:
         """Replace what was told of the stored candidates by residuals (n, D); failed candidates are dropped."""
         if not len(self._theta):
             return
+        was_near = self._residuals is not None and _is_near(self._residuals[int(np.argmin(self._costs()))])
         finite = np.all(np.isfinite(residuals), axis=1)
         self._theta, self._residuals = self._theta[finite], residuals[finite]
+        self._model_now = None
         if not len(self._theta):
             self._residuals = None
-        self._model_now = None
+            return
+        best = int(np.argmin(self._costs()))
+        if was_near and not self._queue and not _is_near(self._residuals[best]):  # the truth has jumped
+            self._queue = one_at_a_time(self._space.to_unit(self._theta[best]), self._step)
 
     def estimate(self) -> Estimate:
         """The best candidate, with the directions that the data do not see held at the episode's start."""
-        costs = self._costs()
-        best = int(np.argmin(costs))
         model = self._model()
+        costs = model.costs
+        best = int(np.argmin(costs))
         z = model.Z[best]
         sight = information(model.posterior.mean_and_jacobian(z)[1])
         misfit = max(1.0, np.sqrt(costs[best] / max(self._told().shape[1] - len(z), 1)))
         moved = sight.significant(z - self._start, self._settings.significance * misfit)
         n_held = len(z) - len(moved)
         allowed = float(costs[best]) + (self._settings.significance * misfit) ** 2
-        z, cost = self._held(model, costs, moved, allowed) if n_held else (z, float(costs[best]))
+        z, cost = self._held(model, moved, allowed) if n_held else (z, float(costs[best]))
         theta = self._space.from_unit(z)
         std = np.minimum(sight.std() * misfit, 1.0)
         return Estimate(
@@ -148,12 +163,12 @@ class TargetVector:
             reason=f"incumbent, {n_held} of {len(z)} directions held" if n_held else "incumbent",
         )
 
-    def _held(self, model: "_Model", costs: Vector, moved: Vector, allowed: float) -> tuple[Vector, float]:
+    def _held(self, model: "_Model", moved: Vector, allowed: float) -> tuple[Vector, float]:
         """A place that costs no more than allowed and changes little but in the directions moved (m, d); its cost.
 
         The surrogate's where it is sure enough; else, of the candidates, the one nearest to the start.
         """
-        best = model.Z[int(np.argmin(costs))]
+        best, costs = model.Z[int(np.argmin(model.costs))], model.costs
         if len(moved):
             z = least_change(model.posterior, self._start + moved.T @ moved @ (best - self._start), len(moved))
         else:
@@ -176,10 +191,23 @@ class TargetVector:
 
     def _model(self) -> "_Model":
         if self._model_now is None:
-            Z = self._space.to_unit(self._theta)
-            Y = principal_components(self._told(), self._settings.n_outputs)
-            self._model_now = _Model(Z, Y, self._surrogate.condition(Z, Y))
+            chosen = self._modelled(self._told())
+            Z = self._space.to_unit(self._theta[chosen])
+            Y = principal_components(self._told()[chosen], self._settings.n_outputs)
+            self._model_now = _Model(Z, Y, self._costs()[chosen], self._surrogate.condition(Z, Y))
         return self._model_now
+
+    def _modelled(self, residuals: Vector) -> NDArray[np.intp]:
+        """Places, in the order of telling, of the best candidates that differ and the newest: failures teach too."""
+        newest = np.arange(len(residuals))[-len(self._start) :]
+        return np.union1d(best_that_differ(residuals, self._n_modelled), newest)
+
+    def _hopeful(self, pool: Vector, Z: Vector) -> Vector:
+        """Those of the pool that lie nearer to a candidate in Z (n, d) than to one that failed; all, if none does."""
+        if not len(self._failed):
+            return pool
+        hopeful = pool[cdist(pool, Z).min(axis=1) <= cdist(pool, self._failed).min(axis=1)]
+        return hopeful if len(hopeful) else pool
 
     def _pool(self, posterior: Posterior, best: Vector) -> Vector:
         """Candidates to choose from: all over the cube, round the incumbent, and round the mean's minimiser."""
@@ -190,21 +218,53 @@ class TargetVector:
         return np.clip(np.vstack([self._global, *local, minimiser, *near]), 0.0, 1.0)
 
 
+def _is_near(residual: Vector) -> bool:
+    return float(np.mean(residual * residual)) <= _FAR**2
+
+
 class _Model(NamedTuple):
-    """The surrogate of what has been told so far."""
+    """The surrogate of the best of what has been told so far."""
 
     Z: Vector
+    """Candidates (n, d), in the unit cube."""
     Y: Vector
+    """Their residuals' principal components (n, k)."""
+    costs: Vector
+    """Their sums of squared residuals (n,)."""
     posterior: Posterior
+
+
+def best_that_differ(residuals: Vector, n: int) -> list[int]:
+    """Places of the n least rows of residuals (m, D), each a standard deviation or more from those before it.
+
+    Rows that differ by less tell nothing of the slopes, and would fill the surrogate with what it knows.
+    """
+    products = residuals @ residuals.T
+    costs = products.diagonal()
+    squares = costs[:, None] + costs - 2.0 * products
+    chosen: list[int] = []
+    is_free = np.ones(len(costs), dtype=bool)
+    for i in np.argsort(costs, kind="stable").tolist():
+        if is_free[i]:
+            chosen.append(i)
+            is_free &= squares[i] >= 1.0
+        if len(chosen) == n:
+            break
+    return chosen
+
+
+def one_at_a_time(z: Vector, step: float) -> list[Vector]:
+    """Places that differ from z (d,) in one coordinate each, by step, towards the cube's middle."""
+    return list(z + np.diag(np.where(z < 0.5, step, -step)))
 
 
 def principal_components(residuals: Vector, n_outputs: int) -> Vector:
     """Residuals (n, D) in their principal axes (n, k), k <= n_outputs; |row|^2 keeps its value but for noise.
 
-    Uncentred, so that zero stays zero. Axes that hold less than one standard deviation a candidate are noise.
+    Uncentred, so that zero stays zero. Axes that hold less than 0.1 a candidate are left out.
     """
     U, s, _ = np.linalg.svd(residuals, full_matrices=False)
-    k = int(np.clip(np.sum(s > np.sqrt(len(residuals))), 1, n_outputs))
+    k = int(np.clip(np.sum(s > 0.1 * np.sqrt(len(residuals))), 1, n_outputs))
     return U[:, :k] * s[:k]
 
 

@@ -168,7 +168,7 @@ MISSPELT = [
     ("components.plant.strat", "components.plant.strat", "start"),
     ("estimation.trigger.treshold", "estimation.trigger.treshold", "threshold"),
     ('sampling.derivatives."plant.der(phi_dot)".nois', "nois", "noise"),
-    ("estimation.target.n_initail", "estimation", "n_initial"),
+    ("estimation.target.n_outptus", "estimation", "n_outputs"),
     ("estimation.paper.nois", "estimation", "noise"),
 ]
 
@@ -207,9 +207,9 @@ BAD_VALUES = [
     ("estimation.trigger.kind", "innovaton", "estimation.trigger", "innovation"),
     ("estimation.trigger.threshold", "0", "estimation.trigger.threshold", "greater than 0"),
     ("estimation.target.budget", "0", "estimation.target", "greater than or equal to 1"),
-    ("estimation.target.n_initial", "-5", "estimation.target", "n_initial"),
-    ("estimation.target.n_initial", "text", "estimation.target", "n_initial"),
-    ("estimation.target.n_initial", "9.5", "estimation.target", "n_initial"),
+    ("estimation.target.n_outputs", "-5", "estimation.target", "n_outputs"),
+    ("estimation.target.n_outputs", "text", "estimation.target", "n_outputs"),
+    ("estimation.target.n_outputs", "9.5", "estimation.target", "n_outputs"),
     ("estimation.paper.noise", "-1", "estimation.paper", "noise"),
     ("estimation.paper.noise", "text", "pendulum.toml: estimation.paper.noise: ", "'text'"),
     ('sampling.derivatives."plant.der(phi_dot)".noise', "0", "sampling.derivatives", "noise > 0"),

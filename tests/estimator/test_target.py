@@ -7,6 +7,7 @@ from scipy.optimize import least_squares
 from scipy.stats import binom
 
 from estimator import Parameter, ParameterSpace, ResidualWindow, TargetSettings, TargetVector
+from estimator.target import best_that_differ
 
 
 def run(space, start, residual, n, seed=0, estimator=None):
@@ -133,14 +134,14 @@ def test_there_is_no_estimate_before_a_candidate_has_succeeded():
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf], ids=str)
 def test_a_candidate_that_failed_counts_and_is_left_out(bad):
-    """The best place is 0.3 from where one row of eight fails; the optimum is found all the same."""
+    """The best place is 0.02 from where one row of eight fails; the optimum is found all the same."""
 
     def brittle(theta):
-        return np.where(np.arange(8) == 3, bad, 0.0) + body(theta) if theta.max() > 3.3 else body(theta)
+        return np.where(np.arange(8) == 3, bad, 0.0) + body(theta) if theta.max() > 3.02 else body(theta)
 
     estimator, asked = run(BODY, (1.0, 1.0), brittle, 32)
-    failed = asked.max(axis=1) > 3.3
-    assert 3 <= failed.sum() < 16
+    failed = asked.max(axis=1) > 3.02
+    assert 1 <= failed.sum() <= 4  # of 32; 27 where failures are forgotten
     np.testing.assert_array_equal(estimator.candidates, asked[~failed])
     estimate = estimator.estimate()
     assert estimate.n_evaluations == 32
@@ -196,28 +197,64 @@ def test_rescoring_drops_the_candidates_that_fail_now():
     assert np.isfinite(estimator.estimate().cost)
 
 
-def test_a_restart_keeps_the_initial_design_and_the_best_candidates():
-    settings = TargetSettings(n_initial=8, n_kept=5)
-    estimator = TargetVector(BODY, np.ones(2), np.random.default_rng(0), settings)
+def test_a_restart_keeps_the_first_candidates_the_best_that_differ_and_the_newest():
+    estimator = TargetVector(BODY, np.ones(2), np.random.default_rng(0), TargetSettings(n_modelled=3))
     _, asked = run(None, None, body, 30, estimator=estimator)
-    costs = np.array([np.sum(body(theta) ** 2) for theta in asked])
+    residuals = np.array([body(theta) for theta in asked])
+    best: list[int] = []
+    for i in 3 + np.argsort(np.sum(residuals[3:] ** 2, axis=1)):
+        if len(best) < 3 and all(np.linalg.norm(residuals[i] - residuals[j]) >= 1.0 for j in best):
+            best.append(int(i))
     estimator.restart(np.array([2.0, 2.0]))
-    kept = estimator.candidates
-    assert len(kept) == 9 + 5
-    np.testing.assert_array_equal(kept[:9], asked[:9])
-    best = np.sort(np.argsort(costs[9:], kind="stable")[:5]) + 9
-    np.testing.assert_array_equal(kept[9:], asked[best])
+    np.testing.assert_array_equal(estimator.candidates, asked[sorted({0, 1, 2, *best, 28, 29})])
     assert estimator.estimate().n_evaluations == 0
     assert_allclose(estimator.ask(), [2.0, 2.0], rtol=1e-14)
+
+
+def test_slopes_are_learnt_one_parameter_at_a_time_towards_the_middle():
+    """0.2 of the cube shared by two parameters: 0.1 of ln 100."""
+    _, asked = run(BODY, (0.5, 4.0), body, 3)
+    step = np.exp(0.1 * np.log(100.0))
+    assert_allclose(asked, [[0.5, 4.0], [0.5 * step, 4.0], [0.5, 4.0 / step]], rtol=1e-12)
+
+
+def jumped(theta):
+    return (ROWS @ [1.0 / 4.0, 0.8] - ROWS @ [1.0 / theta[0], theta[1]]) / NOISE
+
+
+def test_a_jump_within_an_episode_makes_it_learn_the_slopes_anew_around_the_best():
+    estimator, asked = run(BODY, (1.2, 1.2), body, 25)
+    residuals = np.array([jumped(theta) for theta in asked])
+    estimator.rescore(residuals)
+    best = asked[np.argmin(np.sum(residuals**2, axis=1))]
+    step = np.exp(0.1 * np.log(100.0))
+    first, second = estimator.ask(), estimator.ask()
+    assert_allclose(first / best, [step if best[0] < 1.0 else 1.0 / step, 1.0], rtol=1e-9)
+    assert_allclose(second / best, [1.0, step if best[1] < 1.0 else 1.0 / step], rtol=1e-9)
+    for theta in (first, second):
+        estimator.tell(theta, jumped(theta))
+    estimator.rescore(np.array([jumped(theta) for theta in estimator.candidates]))  # no jump: no slopes again
+    estimator, _ = run(None, None, jumped, 12, estimator=estimator)
+    assert_allclose(estimator.estimate().theta, [4.0, 0.8], rtol=0.01)
+
+
+def test_a_start_that_explains_the_data_is_not_probed_again():
+    estimator, _ = run(BODY, (1.0, 1.0), body, 25)
+    start = estimator.estimate().theta
+    estimator.restart(start)
+    _, asked = run(None, None, body, 3, estimator=estimator)
+    assert np.all(np.abs(np.log(asked[1:] / start)) < 0.1 * np.log(100.0) / 2.0)
+
+
+def test_of_candidates_that_differ_by_less_than_a_standard_deviation_the_best_is_taken():
+    residuals = np.array([[3.0, 0.0], [0.1, 0.0], [0.0, 0.0], [0.0, 1.1], [3.5, 0.0], [9.0, 9.0]])
+    assert best_that_differ(residuals, 9) == [2, 3, 0, 5]
+    assert best_that_differ(residuals, 2) == [2, 3]
 
 
 def test_a_jump_is_followed_after_a_restart_and_a_rescore():
     estimator, asked = run(BODY, (1.0, 1.0), body, 25)
     start = estimator.estimate().theta
-
-    def jumped(theta):
-        return (ROWS @ [1.0 / 4.0, 0.8] - ROWS @ [1.0 / theta[0], theta[1]]) / NOISE
-
     estimator.restart(start)
     estimator.rescore(np.array([jumped(theta) for theta in estimator.candidates]))
     estimator, asked = run(None, None, jumped, 15, estimator=estimator)

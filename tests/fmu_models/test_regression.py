@@ -1,0 +1,166 @@
+"""The equations of motion as rows times coefficients, for recursive least squares.
+
+The truth is Newton's and Euler's laws with vectors, written here; each comparison is also shown wrong signs.
+"""
+
+import sys
+from importlib.resources import files
+from types import ModuleType
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+
+from fmu_models import pendulum, quadrotor
+
+RATE = st.floats(-5.0, 5.0)
+POSITIVE = st.floats(0.1, 10.0)
+ACCELERATIONS = (3, 4, 5, 15, 16, 17)
+"""Places in the quadrotor's derivative of v_dot and Omega_dot."""
+
+
+def pendulum_acceleration(phi, phi_dot, u, m, l, b, g):
+    """Torques of weight, friction and input about the hinge over m l^2, with vectors in the plane, y up."""
+    place = l * np.array([np.sin(phi), -np.cos(phi)])
+    tangent = np.array([np.cos(phi), np.sin(phi)])
+    force = np.array([0.0, -m * g]) + (u - b * l * phi_dot) * tangent
+    return (place[0] * force[1] - place[1] * force[0]) / (m * l * l)
+
+
+def quadrotor_accelerations(R, Omega, F, M, m, J, g):
+    """Newton in the inertial frame, Euler in the body's: (v_dot, Omega_dot) (6,)."""
+    J = np.diag(J)
+    weight_and_thrust = np.array([0.0, 0.0, m * g]) - F * R @ [0.0, 0.0, 1.0]
+    return np.concatenate([weight_and_thrust / m, np.linalg.solve(J, M - np.cross(Omega, J @ Omega))])
+
+
+def residual(module, x, u, xdot, theta, **known):
+    rows, targets = module.regression(x, u, xdot, **known)
+    rows, targets, psi = np.array(rows), np.array(targets), np.array(module.coefficients(**theta))
+    assert rows.shape == (len(targets), len(psi))
+    scale = np.abs(rows) @ np.abs(psi) + np.abs(targets) + 1.0
+    return (rows @ psi - targets) / scale
+
+
+def check_pendulum_against_newton(module):
+    rng = np.random.default_rng(0)
+    for phi, phi_dot, u in rng.uniform(-3.0, 3.0, (40, 3)):
+        m, l, b, g = rng.uniform(0.3, 4.0, 4)
+        xdot = (pendulum_acceleration(phi, phi_dot, u, m, l, b, g),)
+        off = residual(module, (phi, phi_dot), (u,), xdot, {"m": m, "l": l}, b=b, g=g)
+        assert_allclose(off, 0.0, atol=1e-14)  # rounding, relative to the terms
+
+
+def check_quadrotor_against_newton_and_euler(module):
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        R, Omega, M = Rotation.random(random_state=rng).as_matrix(), rng.uniform(-3, 3, 3), rng.uniform(-3, 3, 3)
+        F, m, g, *J = rng.uniform(0.5, 12.0, 6)
+        xdot = tuple(quadrotor_accelerations(R, Omega, F, M, m, J, g))
+        x = (*rng.normal(size=6), *R.ravel(), *Omega)
+        theta = dict(zip(("m", "J_x", "J_y", "J_z"), (m, *J), strict=True))
+        assert_allclose(residual(module, x, (F, *M), xdot, theta, g=g), 0.0, atol=1e-14)
+
+
+CHECKS = {pendulum: check_pendulum_against_newton, quadrotor: check_quadrotor_against_newton_and_euler}
+
+
+@given(x=st.tuples(RATE, RATE), u=RATE, m=POSITIVE, l=POSITIVE, b=POSITIVE, g=POSITIVE)
+@settings(max_examples=60, deadline=None)
+def test_the_pendulums_derivative_satisfies_its_linear_form(x, u, m, l, b, g):
+    xdot = pendulum.derivative(x, (u,), m, l, b, g)[1:]
+    assert_allclose(residual(pendulum, x, (u,), xdot, {"m": m, "l": l}, b=b, g=g), 0.0, atol=1e-14)
+
+
+@given(
+    turn=st.tuples(RATE, RATE, RATE), rates=st.tuples(RATE, RATE, RATE), F=RATE, M=st.tuples(RATE, RATE, RATE),
+    m=POSITIVE, J=st.tuples(POSITIVE, POSITIVE, POSITIVE), g=POSITIVE,
+)  # fmt: skip
+@settings(max_examples=60, deadline=None)
+def test_the_quadrotors_derivative_satisfies_its_linear_form(turn, rates, F, M, m, J, g):
+    x = (*np.zeros(6), *Rotation.from_rotvec(turn).as_matrix().ravel().tolist(), *rates)
+    xdot = quadrotor.derivative(x, (F, *M), m, *J, g)
+    sampled = tuple(xdot[i] for i in ACCELERATIONS)
+    theta = dict(zip(("m", "J_x", "J_y", "J_z"), (m, *J), strict=True))
+    assert_allclose(residual(quadrotor, x, (F, *M), sampled, theta, g=g), 0.0, atol=1e-14)
+
+
+@pytest.mark.parametrize("module", CHECKS, ids=["pendulum", "quadrotor"])
+def test_newtons_laws_satisfy_the_linear_form(module):
+    CHECKS[module](module)
+
+
+@pytest.mark.parametrize("module", CHECKS, ids=["pendulum", "quadrotor"])
+def test_what_is_known_defaults_to_the_models_own(module):
+    """Friction and gravity, which are not estimated."""
+    x = (0.3, 0.7) if module is pendulum else (*np.zeros(6), *np.eye(3).ravel().tolist(), 0.1, 0.2, 0.3)
+    u = (1.0,) if module is pendulum else (10.0, 1.0, 2.0, 3.0)
+    theta = {"m": 2.0, "l": 0.5} if module is pendulum else {"m": 2.0, "J_x": 1.0, "J_y": 2.0, "J_z": 3.0}
+    xdot = module.derivative(x, u, **theta)
+    sampled = xdot[1:] if module is pendulum else tuple(xdot[i] for i in ACCELERATIONS)
+    assert_allclose(residual(module, x, u, sampled, theta), 0.0, atol=1e-14)
+
+
+def test_the_rows_of_exciting_samples_fix_every_coefficient():
+    """Least squares of six samples tells them."""
+    rng = np.random.default_rng(0)
+    for module, theta in (
+        (pendulum, {"m": 2.0, "l": 0.6}),
+        (quadrotor, {"m": 1.4, "J_x": 3.0, "J_y": 2.0, "J_z": 6.0}),
+    ):
+        rows, targets = [], []
+        for _ in range(6):
+            if module is pendulum:
+                x, u = tuple(rng.normal(size=2)), (rng.normal(),)
+                sampled = module.derivative(x, u, **theta)[1:]
+            else:
+                x = (*np.zeros(6), *Rotation.random(random_state=rng).as_matrix().ravel(), *rng.normal(size=3))
+                u = (10.0, *rng.normal(size=3))
+                sampled = tuple(module.derivative(x, u, **theta)[i] for i in ACCELERATIONS)
+            more, wanted = module.regression(x, u, sampled)
+            rows.extend(more)
+            targets.extend(wanted)
+        psi, *_ = np.linalg.lstsq(np.array(rows), np.array(targets))
+        assert_allclose(psi, module.coefficients(**theta), rtol=1e-9)  # the conditioning of six samples
+
+
+MUTANTS = [
+    ("weight", pendulum, "((-g * sin(phi), -b", "((g * sin(phi), -b"),
+    ("friction", pendulum, "sin(phi), -b * phi_dot, u[0])", "sin(phi), b * phi_dot, u[0])"),
+    ("input", pendulum, "-b * phi_dot, u[0]),)", "-b * phi_dot, -u[0]),)"),
+    ("target", pendulum, ", (xdot[0],))", ", (-xdot[0],))"),
+    ("order-of-coefficients", pendulum, "return (1.0 / l, 1.0 / m, 1", "return (1.0 / m, 1.0 / l, 1"),
+    ("product", pendulum, "1.0 / (m * l))\n", "1.0 / (m + l))\n"),
+    ("thrust-x", quadrotor, "(-F * r13, 0.0", "(F * r13, 0.0"),
+    ("thrust-y", quadrotor, "(-F * r23, 0.0", "(F * r23, 0.0"),
+    ("thrust-z", quadrotor, "(-F * r33, 0.0", "(F * r33, 0.0"),
+    ("row-for-column", quadrotor, "_, _, r13, _, _, r23, _, _, r33, p", "_, _, _, _, _, _, r13, r23, r33, p"),
+    ("gravity", quadrotor, "(a_x, a_y, a_z - g, M_x", "(a_x, a_y, a_z + g, M_x"),
+    ("moment", quadrotor, "a_z - g, M_x, M_y, M_z)", "a_z - g, M_x, M_y, -M_z)"),
+    ("gyroscopic-x-y", quadrotor, "p_dot, -q * r, q * r)", "p_dot, q * r, q * r)"),
+    ("gyroscopic-x-z", quadrotor, "p_dot, -q * r, q * r)", "p_dot, -q * r, -q * r)"),
+    ("gyroscopic-y-x", quadrotor, "(0.0, p * r, q_dot, -p * r)", "(0.0, -p * r, q_dot, -p * r)"),
+    ("gyroscopic-y-z", quadrotor, "(0.0, p * r, q_dot, -p * r)", "(0.0, p * r, q_dot, p * r)"),
+    ("gyroscopic-z-x", quadrotor, "-p * q, p * q, r_dot)", "p * q, p * q, r_dot)"),
+    ("gyroscopic-z-y", quadrotor, "-p * q, p * q, r_dot)", "-p * q, -p * q, r_dot)"),
+    ("angular-acceleration", quadrotor, "p * q, r_dot)", "p * q, -r_dot)"),
+    ("mass-for-its-inverse", quadrotor, "return (1.0 / m, J_x", "return (m, J_x"),
+]
+
+
+@pytest.mark.parametrize(
+    ("module", "old", "new"), [pytest.param(*m[1:], id=f"{m[1].__name__.rpartition('.')[2]}-{m[0]}") for m in MUTANTS]
+)
+def test_a_wrong_row_is_rejected(monkeypatch, module, old, new):
+    name = module.__name__.rpartition(".")[2]
+    source = files("fmu_models").joinpath(f"{name}.py").read_text(encoding="utf-8")
+    assert source.count(old) == 1
+    mutant = ModuleType(f"fmu_models.{name}_mutant")
+    mutant.__package__ = "fmu_models"
+    monkeypatch.setitem(sys.modules, mutant.__name__, mutant)
+    exec(compile(source.replace(old, new), f"mutant of {name}.py", "exec"), mutant.__dict__)
+    with pytest.raises(AssertionError, match="Not equal to tolerance"):
+        CHECKS[module](mutant)

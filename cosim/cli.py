@@ -4,7 +4,8 @@ import argparse
 import os
 import signal
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
@@ -54,22 +55,53 @@ def _parser() -> argparse.ArgumentParser:
 
     run = commands.add_parser("run", help="simulate a scenario with its controller re-tuned", allow_abbrev=False)
     run.add_argument("scenario", metavar="SCENARIO", help="pendulum, quadrotor, or a TOML file")
-    run.add_argument("--estimator", default="target", help="target (default), paper, none or true")
+    run.add_argument("--estimator", default="target", help="target (default), none, true, another, or module:Class")
     run.add_argument("--seed", type=_seed, default=0, metavar="N", help="of noise and search (default: 0)")
     run.add_argument("--out", type=Path, metavar="DIR", help="run folder, absent or empty (default: runs/SCENARIO-n)")
-    run.add_argument(
-        "--set", action="append", default=[], type=_assignment, metavar="KEY=VALUE", dest="overrides",
-        help="replace a scenario's setting, such as estimation.budget=60",
-    )  # fmt: skip
+    _add_set(run)
     run.add_argument("--only", action="store_true", help="leave out the runs with nominal and true parameters")
     run.add_argument("--json", action="store_true", help="print one JSON object")
     run.set_defaults(command=_run)
+
+    compare = commands.add_parser("compare", help="every estimator on the same plant, noise and seeds")
+    compare.add_argument("scenario", metavar="SCENARIO", help="a named scenario or a TOML file")
+    compare.add_argument(
+        "--estimators", type=_names, metavar="A,B,C", help="default: all that the scenario and this machine allow"
+    )
+    compare.add_argument("--seeds", type=_count, default=10, metavar="N", help="seeds 0 to N - 1 (default: 10)")
+    compare.add_argument("--jobs", type=_count, metavar="N", help="runs at a time (default: one a processor)")
+    compare.add_argument("--out", type=Path, metavar="DIR", help="absent or empty (default: runs/SCENARIO-compare-n)")
+    compare.add_argument("--keep", action="store_true", help="keep a run folder for each run")
+    _add_set(compare)
+    compare.add_argument("--json", action="store_true", help="print one JSON object")
+    compare.set_defaults(command=_compare)
+
+    replay = commands.add_parser("replay", help="other estimators on the recorded samples of a run, open loop")
+    replay.add_argument("run", type=Path, metavar="RUN", help="run folder")
+    replay.add_argument("--estimator", type=_names, required=True, metavar="A,B,C", help="one or several")
+    replay.add_argument("--seed", type=_seed, metavar="N", help="of the search (default: the run's)")
+    replay.add_argument("--out", type=Path, metavar="DIR", help="write the tables there too: absent or empty")
+    replay.add_argument("--json", action="store_true", help="print one JSON object")
+    replay.set_defaults(command=_replay)
+
+    figures = commands.add_parser("figures", help="the paper's figures and table from runs of ours")
+    figures.add_argument("--out", type=Path, default=Path("figures"), metavar="DIR", help="absent or empty")
+    figures.add_argument("--seed", type=_seed, default=0, metavar="N", help="of noise and search (default: 0)")
+    figures.add_argument("--jobs", type=_count, metavar="N", help="runs at a time (default: one a processor)")
+    figures.set_defaults(command=_figures)
 
     illustrate = commands.add_parser("illustrate", help="draw the one-dimensional illustration")
     illustrate.add_argument("--out", type=Path, default=Path("illustration.png"), metavar="FILE", help="PNG, new")
     illustrate.add_argument("--seed", type=_seed, default=0, metavar="N", help="of noise (default: 0)")
     illustrate.set_defaults(command=_illustrate)
     return parser
+
+
+def _add_set(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--set", action="append", default=[], type=_assignment, metavar="KEY=VALUE", dest="overrides",
+        help="replace a scenario's setting, such as estimation.budget=60",
+    )  # fmt: skip
 
 
 def _build(options: argparse.Namespace) -> int:
@@ -82,20 +114,14 @@ def _build(options: argparse.Namespace) -> int:
 
 def _run(options: argparse.Namespace) -> int:
     from .estimators import check_estimator
-    from .record import new_run_folder, to_json
+    from .record import to_json
     from .report import ending, report
     from .scenario import Scenario
 
     scenario = Scenario.load(options.scenario, dict(options.overrides))
     check_estimator(options.estimator, scenario)
-    place = options.out or Path("runs")
-    there = {path for path in (place, *place.parents) if path.exists()}
-    folder = new_run_folder(scenario.scenario.name, options.out)
-    try:
+    with _new_folder(scenario.scenario.name, options.out) as folder:
         result, baselines = _simulate(scenario, options, folder)
-    except BaseException:
-        _remove_empty(folder, there)
-        raise
     if not options.only:
         from .plots import draw_run
 
@@ -123,12 +149,55 @@ def _simulate(scenario: "Scenario", options: argparse.Namespace, folder: Path) -
     return result, baselines
 
 
-def _remove_empty(folder: Path, there: set[Path]) -> None:
-    """Remove the folder and those above it that were not there, as long as nothing is in them."""
-    for path in (folder, *folder.parents):
-        if path in there or any(path.iterdir()):
-            return
-        path.rmdir()
+def _compare(options: argparse.Namespace) -> int:
+    from .compare import compare
+    from .progress import bar_of_runs
+    from .scenario import Scenario
+
+    scenario = Scenario.load(options.scenario, dict(options.overrides))
+    name = scenario.scenario.name
+    with _new_folder(f"{name}-compare", options.out) as folder, bar_of_runs(f"compare {name}") as progress:
+        result = compare(scenario, options.estimators, options.seeds, options.jobs, folder, options.keep, progress)
+    print(result.to_json() if options.json else result.table())
+    return DONE
+
+
+def _replay(options: argparse.Namespace) -> int:
+    from .replay import replay
+
+    with _new_folder("replay", options.out) if options.out else nullcontext():
+        result = replay(options.run, options.estimator, options.seed, options.out)
+    print(result.to_json() if options.json else result.table())
+    return DONE
+
+
+def _figures(options: argparse.Namespace) -> int:
+    from .figures import figures
+    from .progress import bar_of_runs
+
+    with _new_folder("figures", options.out) as folder, bar_of_runs("figures") as progress:
+        paths = figures(folder, options.seed, options.jobs, progress)
+    for path in paths:
+        print(path)
+    return DONE
+
+
+@contextmanager
+def _new_folder(name: str, out: Path | None) -> Generator[Path]:
+    """The folder to write in, removed again where that fails before anything is in it."""
+    from .record import new_run_folder
+
+    place = out or Path("runs")
+    there = {path for path in (place, *place.parents) if path.exists()}
+    folder = new_run_folder(name, out)
+    try:
+        yield folder
+    except BaseException:
+        for path in (folder, *folder.parents):
+            if path in there or any(path.iterdir()):
+                break
+            path.rmdir()
+        raise
 
 
 def _illustrate(options: argparse.Namespace) -> int:
@@ -145,6 +214,19 @@ def _seed(text: str) -> int:
     if not text.isdecimal():
         raise argparse.ArgumentTypeError(f"must be a whole number from 0 on, got '{text}'")
     return int(text)
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"must be a whole number from 1 on, got '{text}'")
+    return int(text)
+
+
+def _names(text: str) -> list[str]:
+    names = [name.strip() for name in text.split(",")]
+    if not all(names):
+        raise argparse.ArgumentTypeError(f"must be names separated by commas, got '{text}'")
+    return names
 
 
 def _assignment(text: str) -> tuple[str, str]:

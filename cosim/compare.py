@@ -1,26 +1,22 @@
 """Every estimator on the same plant, noise and seeds: many runs, in processes of their own, and one table."""
 
 import os
-from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 from estimator import METHODS
 
-from .crew import ComparisonError, Crew, Task
+from .comparison import Comparison
+from .crew import Crew, CrewError, Progress, Task
 from .errors import ScenarioError
 from .estimators import check_estimator
 from .record import FolderError, new_run_folder, to_json
 from .scenario import Scenario
 from .system import fmu_paths
-from .tables import Comparison
 
 RUNS: Final = "runs.jsonl"
 """A line for each finished run, in the order in which they have ended."""
-
-Progress = Callable[[Mapping[str, Any], int, int], None]
-"""Called when a run has ended with its record, the number of ended runs, and that of all."""
 
 
 def compare(
@@ -41,7 +37,7 @@ def compare(
     the tables are written at the end; with `keep` each run has its folder there, too. Diverged and faulted runs count.
     Raises ValueError for seeds or jobs that make no sense; CosimError for what `run` refuses.
     """
-    names = tuple(dict.fromkeys(("none", "true", *(_usable(scenario) if estimators is None else estimators))))
+    names = tuple(dict.fromkeys(("none", "true", *(usable(scenario) if estimators is None else estimators))))
     for name in names:
         check_estimator(name, scenario)
     numbers = _numbers(seeds)
@@ -57,36 +53,17 @@ def compare(
         for seed in numbers
         for name in names
     ]
-    cpus = os.cpu_count() or 1
-    jobs = min(jobs or cpus, len(tasks))
+    jobs = min(jobs or os.cpu_count() or 1, len(tasks))
     records = _all_records(scenario, tasks, jobs, out, progress)
     ordered = tuple(records[name, seed] for name in names for seed in numbers)
-    comparison = Comparison(scenario, names, numbers, ordered, jobs, cpus, out)
+    comparison = Comparison(scenario, names, numbers, ordered, jobs, folder=out)
     if out is not None:
         comparison.write(out)
     return comparison
 
 
-@contextmanager
-def comparison_bar(name: str) -> Generator[Progress]:
-    """A bar of ended runs on standard error, on terminals only."""
-    from tqdm import tqdm
-
-    form = "{desc} {percentage:3.0f}%|{bar}| {n_fmt} of {total_fmt} runs, {remaining} left {postfix}"
-    with tqdm(total=0, desc=f"compare {name}", bar_format=form, disable=None, leave=False) as bar:
-
-        def show(record: Mapping[str, Any], n_ended: int, n_runs: int) -> None:
-            if bar.disable:
-                return
-            bar.total = n_runs
-            bar.set_postfix_str(f"{record['estimator']} {record['seed']} {record['status']}", refresh=False)
-            bar.update(n_ended - bar.n)
-
-        yield show
-
-
-def _usable(scenario: Scenario) -> list[str]:
-    """The estimators of the package that can be run."""
+def usable(scenario: Scenario) -> list[str]:
+    """The estimators of the package that this scenario and the installed packages allow."""
 
     def is_usable(name: str) -> bool:
         try:
@@ -114,10 +91,10 @@ def _all_records(
         for _ in tasks:
             try:
                 task, record = crew.next()
-            except ComparisonError as e:
+            except CrewError as e:
                 if out is None or not records:
                     raise
-                raise ComparisonError(
+                raise CrewError(
                     f"{e} {len(records)} of {len(tasks)} runs have ended and are told in {out / RUNS}."
                 ) from e
             records[task.estimator, task.seed] = record

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, Final, NamedTuple, NoReturn
@@ -37,8 +37,12 @@ serve(channel, temporary)
 """
 
 
-class ComparisonError(CosimError):
-    """A run of a comparison was refused, or its process has died."""
+class CrewError(CosimError):
+    """One of many runs was refused, or its process has died."""
+
+
+Progress = Callable[[Mapping[str, Any], int, int], None]
+"""Called when a run has ended with its record, the number of ended runs, and that of all."""
 
 
 class Task(NamedTuple):
@@ -57,7 +61,7 @@ class Crew:
 
     def __init__(self, scenario: Scenario, tasks: Sequence[Task], jobs: int) -> None:
         self._tasks: SimpleQueue[Task] = SimpleQueue()
-        self._results: SimpleQueue[tuple[Task, dict[str, Any] | ComparisonError]] = SimpleQueue()
+        self._results: SimpleQueue[tuple[Task, dict[str, Any] | CrewError]] = SimpleQueue()
         self._members: list[_Member] = []
         self._threads: list[threading.Thread] = []
         for task in tasks:
@@ -79,12 +83,12 @@ class Crew:
         self._end()
 
     def next(self) -> tuple[Task, dict[str, Any]]:
-        """The next run that ends. Raises ComparisonError."""
+        """The next run that ends. Raises CrewError."""
         while True:
             with contextlib.suppress(Empty):
                 task, result = self._results.get(timeout=0.5)  # Windows looks for Ctrl-C between waits only
                 break
-        if isinstance(result, ComparisonError):
+        if isinstance(result, CrewError):
             raise result
         return task, result
 
@@ -94,7 +98,7 @@ class Crew:
                 task = self._tasks.get_nowait()
                 try:
                     self._results.put((task, member.run(task)))
-                except ComparisonError as e:
+                except CrewError as e:
                     self._results.put((task, e))
                     return
 
@@ -134,10 +138,11 @@ class _Member:
             raise
         finally:
             theirs.close()
+        self._name = scenario.scenario.name
         self._scenario: bytes | None = pickle.dumps(scenario)
 
     def run(self, task: Task) -> dict[str, Any]:
-        """The record of a run. Raises ComparisonError, the process being of no more use."""
+        """The record of a run. Raises CrewError, the process being of no more use."""
         try:
             self._channel.send(encode(CALL, task, self._scenario))  # the scenario with the first task only
             self._scenario = None
@@ -145,11 +150,14 @@ class _Member:
         except (EOFError, OSError) as e:
             code = self._process.wait()
             reason = f"its process has ended with exit code {code}"
-            raise ComparisonError(f"estimator {task.estimator}, seed {task.seed}: {reason}.") from e
+            raise CrewError(f"{self._told(task)}: {reason}.") from e
         value, _ = decode(answer)
         if answer[0] == FAULT:
-            raise ComparisonError(f"estimator {task.estimator}, seed {task.seed}: {value}")
+            raise CrewError(f"{self._told(task)}: {value}")
         return value
+
+    def _told(self, task: Task) -> str:
+        return f"{self._name}, estimator {task.estimator}, seed {task.seed}"
 
     def interrupt(self) -> None:
         """Make the process end, with its FMUs, wherever it is."""

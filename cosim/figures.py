@@ -4,65 +4,78 @@ Khan and Chatterjee (2020), figures 1 to 5 and table I.
 """
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
-from importlib.util import find_spec
-from multiprocessing import get_context
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from estimator import METHODS
-
 from . import paper_table
 from .canvas import save_png, save_svg
-from .illustrate import Stage, global_minimum, optimise
+from .compare import usable
+from .crew import Crew, Progress, Task
+from .illustrate import Stage, draw_illustration, global_minimum, optimise
 from .panels import Event
-from .paper_figures import LABELS, draw_altitude, draw_illustration, draw_mse, draw_pendulum
+from .paper_figures import LABELS, draw_altitude, draw_mse, draw_pendulum
 from .plots import read_events
 from .record import new_run_folder, write_json, write_text
 from .response import draw_response
-from .result import Run
+from .result import Run, read_run
 from .scenario import Scenario
-from .simulation import run as simulate
 from .system import fmu_paths
 
 Runs = Mapping[str, Run]
 """Runs of one scenario by estimator."""
-Job = tuple[str, str]
-"""Scenario and estimator."""
 
-PENDULUM: Final = ("none", "paper", "target", "true")
+PENDULUM: Final = ("paper", "target", "none", "true")
 QUADROTOR: Final = ("paper", "ipm", "ipm-scipy", "sqp", "target", "none", "true")
 """The longest first."""
 
 
-def figures(out: Path, seed: int = 0, jobs: int | None = None) -> list[Path]:
+def figures(
+    out: Path,
+    seed: int = 0,
+    jobs: int | None = None,
+    progress: Progress | None = None,
+    scenarios: tuple[Scenario, Scenario] | None = None,
+) -> list[Path]:
     """Run what the paper shows, and draw it as PNG and SVG in `out`, absent or empty; returns the files written.
 
-    Besides, `table.md`, `figures.json` with the numbers of what is drawn, and the run folders in `out`/runs. jobs:
-    processes at once, by default as many as there are cores, though times are good for quoting with 1 only; with more,
-    the calling program's main module must be importable (`if __name__ == "__main__":`).
-    Raises FolderError, ScenarioError; KeyboardInterrupt when interrupted, the finished runs kept.
+    Besides, `table.md`, `figures.json` with the numbers of what is drawn, and the run folders in `out`/runs. jobs: runs
+    at a time, each in a process of its own, by default one a processor; times are good for quoting with 1 only.
+    scenarios: of the pendulum and of the quadrotor, by default those of the package.
+    Raises ValueError for less than one job; FolderError, ScenarioError; CrewError where a run was refused or its
+    process has died; KeyboardInterrupt when interrupted, the finished runs kept.
     """
+    if jobs is not None and jobs < 1:
+        raise ValueError(f"jobs must be at least 1, got {jobs}.")
+    pendulum, quadrotor = scenarios or (Scenario.load("pendulum"), Scenario.load("quadrotor"))
+    todo = {"quadrotor": (quadrotor, chosen(usable(quadrotor))), "pendulum": (pendulum, PENDULUM)}
+    for scenario, _ in todo.values():
+        fmu_paths(scenario)  # built here: several processes at once would each build them
     new_run_folder("figures", out)
-    jobs = jobs or os.cpu_count() or 1
-    todo = [("quadrotor", name) for name in estimators()] + [("pendulum", name) for name in PENDULUM]
-    for scenario in ("pendulum", "quadrotor"):
-        fmu_paths(Scenario.load(scenario))  # built here: several processes at once would each build them
-    runs = dict(zip(todo, _run_all(out / "runs", todo, seed, jobs), strict=True))
-    by_scenario = {s: {e: r for (of, e), r in runs.items() if of == s} for s in ("pendulum", "quadrotor")}
-    return draw_figures(out, by_scenario["pendulum"], by_scenario["quadrotor"], seed, jobs)
+    (out / "runs").mkdir()
+    n_runs = sum(len(names) for _, names in todo.values())
+    jobs = min(jobs or os.cpu_count() or 1, n_runs)
+    n_ended = 0
+    runs: dict[str, dict[str, Run]] = {}
+    for key, (scenario, names) in todo.items():
+        folders = {name: out / "runs" / f"{key}-{name}" for name in names}
+        with Crew(scenario, [Task(name, seed, str(folders[name])) for name in names], min(jobs, len(names))) as crew:
+            for _ in names:
+                _, record = crew.next()
+                n_ended += 1
+                if progress is not None:
+                    progress(record, n_ended, n_runs)
+        runs[key] = {name: read_run(folder) for name, folder in folders.items()}
+    return draw_figures(out, runs["pendulum"], runs["quadrotor"], seed, jobs)
 
 
-def estimators(known: Sequence[str] = (*METHODS, "none", "true"), has_ipopt: bool | None = None) -> list[str]:
-    """Estimators that the quadrotor is run with: of the interior-point methods Ipopt, where it is installed."""
-    if has_ipopt is None:
-        has_ipopt = find_spec("cyipopt") is not None
-    spare = "ipm-scipy" if has_ipopt and "ipm" in known else "ipm"
-    return [name for name in QUADROTOR if name in known and name != spare]
+def chosen(names: Collection[str]) -> list[str]:
+    """Estimators that the quadrotor is run with, of those usable: of the interior-point methods Ipopt, if it is."""
+    spare = "ipm-scipy" if "ipm" in names else "ipm"
+    return [name for name in QUADROTOR if name in (*names, "none", "true") and name != spare]
 
 
 def draw_figures(out: Path, pendulum: Runs, quadrotor: Runs, seed: int, jobs: int = 1) -> list[Path]:
@@ -95,30 +108,6 @@ def draw_figures(out: Path, pendulum: Runs, quadrotor: Runs, seed: int, jobs: in
     write_text(out / "table.md", paper_table.markdown(quadrotor, table, LABELS, jobs))
     write_json(out / "figures.json", numbers)
     return [*paths, out / "table.md", out / "figures.json"]
-
-
-def _run_all(folder: Path, todo: Sequence[Job], seed: int, jobs: int) -> Iterator[Run]:
-    """The runs, in order, each recorded in a folder of its own."""
-    folders = [folder / f"{scenario}-{estimator}" for scenario, estimator in todo]
-    if jobs == 1:
-        yield from (_run(job, seed, place) for job, place in zip(todo, folders, strict=True))
-        return
-    # Spawned: a forked child would inherit threads' locks.
-    with ProcessPoolExecutor(min(jobs, len(todo)), mp_context=get_context("spawn")) as pool:
-        try:
-            started: list[Future[Run]] = [
-                pool.submit(_run, job, seed, place) for job, place in zip(todo, folders, strict=True)
-            ]
-            yield from (future.result() for future in started)
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
-
-
-def _run(job: Job, seed: int, folder: Path) -> Run:
-    scenario, estimator = job
-    folder.mkdir(parents=True)
-    return simulate(Scenario.load(scenario), estimator, seed, folder)
 
 
 def _events(runs: Runs) -> dict[str, list[Event]]:

@@ -3,12 +3,14 @@
 Khan and Chatterjee (2020), figure 1: unknown function, posterior, two-sigma envelope, observations, next sample.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from estimator.acquisition import expected_improvement
 from estimator.space import Vector
@@ -84,11 +86,15 @@ def global_minimum() -> tuple[float, float]:
 
 
 def illustrate(path: Path, seed: int = 0, n_evaluations: int = 8) -> Path:
-    """Draw the first stage, one half way and the last side by side into a PNG file; returns its path.
+    """Draw the illustration into a PNG file; returns its path.
 
     Raises ValueError for too few evaluations, FolderError where the file cannot be written.
     """
-    stages = optimise(seed, n_evaluations)
+    return save_png(draw_illustration(optimise(seed, n_evaluations)), path)
+
+
+def draw_illustration(stages: Sequence[Stage]) -> Figure:
+    """Belief and expected improvement of the first stage, one half way and the last, side by side."""
     chosen = [stages[k] for k in sorted({0, (len(stages) - 1) // 2, len(stages) - 1})]
     figure = new_figure(0.6 + 3.4 * len(chosen), 4.6)
     grid: Any = figure.subplots(
@@ -101,7 +107,7 @@ def illustrate(path: Path, seed: int = 0, n_evaluations: int = 8) -> Path:
     grid[1, 0].set_ylabel("EI")
     handles = [pair for axes in grid[:, 0] for pair in zip(*axes.get_legend_handles_labels(), strict=True)]
     top_legend(figure, {text: handle for handle, text in handles}, n_columns=7)
-    return save_png(figure, path)
+    return figure
 
 
 def _draw_belief(axes: Axes, stage: Stage) -> None:
@@ -113,7 +119,10 @@ def _draw_belief(axes: Axes, stage: Stage) -> None:
     axes.plot(
         *global_minimum(), "o", color=YELLOW, markeredgecolor=BLACK, markersize=11, linestyle="", label="global minimum"
     )
-    axes.plot(stage.x, stage.y, "+", color=BLUE, markersize=10, markeredgewidth=2.0, linestyle="", label="observed")
+    axes.plot(
+        stage.x, stage.y, "+", color=BLUE, markersize=10, markeredgewidth=2.0, linestyle="", label="observed",
+        clip_on=False,
+    )  # fmt: skip
     axes.set_title(f"{len(stage.x)} evaluations", fontsize=10)
 
 

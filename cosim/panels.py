@@ -59,10 +59,10 @@ def mark(run: Run) -> dict[str, Any]:
     return {"marker": "o"} if len(run.time) == 1 else {}
 
 
-def finish(figure: Figure, shown: Sequence[Axes]) -> Figure:
-    """Legend of everything that any panel shows, above them all."""
+def finish(figure: Figure, shown: Sequence[Axes], n_columns: int | None = None) -> Figure:
+    """Legend of everything that any panel shows, above them all, in that many columns or as many as fit."""
     handles = {text: h for axes in shown for h, text in zip(*axes.get_legend_handles_labels(), strict=True)}
-    top_legend(figure, handles, n_columns=6 if figure.get_figwidth() > 8 else 5)
+    top_legend(figure, handles, n_columns=n_columns or (6 if figure.get_figwidth() > 8 else 5))
     figure.align_ylabels(list(shown))
     return figure
 

@@ -25,7 +25,6 @@ from .canvas import (
     top_legend,
     value_range,
 )  # fmt: skip
-from .illustrate import Stage, _draw_acquisition, _draw_belief  # pyright: ignore[reportPrivateUsage]
 from .panels import Curve, Event, finish, line, panels
 from .plots import short_names, tracking_limits
 from .result import Run
@@ -59,23 +58,6 @@ LABELS: Final = {shown.name: shown.text for shown in SHOWN}
 
 _LINEAR: Final = 0.02
 """Altitude error [m] below which its axis is linear."""
-
-
-def draw_illustration(stages: Sequence[Stage]) -> Figure:
-    """Figure 1: the first stage, one half way and the last side by side."""
-    chosen = [stages[k] for k in sorted({0, (len(stages) - 1) // 2, len(stages) - 1})]
-    figure = new_figure(0.6 + 3.4 * len(chosen), 4.6)
-    grid: Any = figure.subplots(
-        2, len(chosen), sharex=True, sharey="row", squeeze=False, gridspec_kw={"height_ratios": [3, 1]}
-    )
-    for stage, above, below in zip(chosen, *grid, strict=True):
-        _draw_belief(above, stage)
-        _draw_acquisition(below, stage)
-    grid[0, 0].set_ylabel("objective")
-    grid[1, 0].set_ylabel("EI")
-    handles = [pair for axes in grid[:, 0] for pair in zip(*axes.get_legend_handles_labels(), strict=True)]
-    top_legend(figure, {text: handle for handle, text in handles}, n_columns=7)
-    return figure
 
 
 def ending_text(run: Run) -> str | None:
@@ -114,7 +96,7 @@ def draw_pendulum(runs: Mapping[str, Run], events: Sequence[Event]) -> Figure | 
             axes.axvline(t, color=GREEN, linewidth=1.2, linestyle=":", label="parameters change")
     above.set_ylabel(label("phi", "rad"))
     below.set_ylabel(label("u", "N"))
-    return finish(figure, [above, below])
+    return finish(figure, [above, below], n_columns=3)
 
 
 def _changes(run: Run) -> list[float]:

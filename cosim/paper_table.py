@@ -6,6 +6,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from estimator import METHODS
+
 from .panels import Event
 from .result import Run
 
@@ -56,10 +58,8 @@ PAPER_ROWS: Final = (
     Quoted(14.0, "IPM", (2.68, 2.31, 2.45, 3.82), 0.090, 5.064, 0.028),
     Quoted(14.0, "SQP", (1.20, 1.67, 2.26, 2.64), 0.087, 5.312, 0.013),
 )
-METHODS: Final = {"paper": "BO", "ipm": "IPM", "ipm-scipy": "IPM", "sqp": "SQP"}
+IN_PAPER: Final = {"paper": "BO", "ipm": "IPM", "ipm-scipy": "IPM", "sqp": "SQP"}
 """The paper's method by estimator here; any other is not in its table."""
-SOLVERS: Final = ("ipm", "ipm-scipy", "sqp")
-"""Estimators of which one evaluation is a solve."""
 
 
 def rows(runs: Mapping[str, Run], events: Mapping[str, Sequence[Event]]) -> list[dict[str, Any]]:
@@ -72,7 +72,7 @@ def rows(runs: Mapping[str, Run], events: Mapping[str, Sequence[Event]]) -> list
     for t in PAPER_TRUTH:
         for name, run in runs.items():
             if name not in ("none", "true"):
-                row = quoted.get((t, METHODS.get(name, "")))
+                row = quoted.get((t, IN_PAPER.get(name, "")))
                 here = measured(run, events.get(name, ()), t)
                 table.append({"t": t, "estimator": name, "paper": row and asdict(row), "measured": here})
     return table
@@ -110,7 +110,7 @@ def prediction_time(run: Run, events: Sequence[Event], t: float) -> float | None
     if episode is None or len(times) != len(run.latencies):
         return None
     spent = [sum(s) for at, s in zip(times, run.latencies, strict=True) if episode[0] <= at <= episode[1]]
-    return float(spent[-1] if run.estimator in SOLVERS else sum(spent)) if spent else None
+    return float(spent[-1] if hasattr(METHODS[run.estimator].estimator, "solve") else sum(spent)) if spent else None
 
 
 def _last_episode(events: Sequence[Event], t: float) -> tuple[float, float] | None:

@@ -2,9 +2,11 @@
 
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
+from typing import Any
 
 from tqdm import tqdm
 
+from .crew import Progress as ProgressOfRuns
 from .scenario import Scenario
 from .simulation import Progress
 
@@ -26,5 +28,22 @@ def progress_bar(scenario: Scenario, estimator: str) -> Generator[Progress]:
                 return
             bar.set_postfix_str(", ".join(f"{name} {value:.4g}" for name, value in held.items()), refresh=False)
             bar.update(t - settings.start_time - bar.n)
+
+        yield show
+
+
+@contextmanager
+def bar_of_runs(title: str) -> Generator[ProgressOfRuns]:
+    """A bar of ended runs on standard error, on terminals only."""
+    form = "{desc} {percentage:3.0f}%|{bar}| {n_fmt} of {total_fmt} runs, {remaining} left {postfix}"
+    with tqdm(total=0, desc=title, bar_format=form, disable=None, leave=False) as bar:
+
+        def show(record: Mapping[str, Any], n_ended: int, n_runs: int) -> None:
+            if bar.disable:
+                return
+            bar.total = n_runs
+            run = f"{record['scenario']} {record['estimator']} {record['seed']}"
+            bar.set_postfix_str(f"{run} {record['status']}", refresh=False)
+            bar.update(n_ended - bar.n)
 
         yield show

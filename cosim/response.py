@@ -11,12 +11,11 @@ from matplotlib.ticker import MaxNLocator
 
 from estimator import DerivativeResidual, Sample, Vector
 
-from .canvas import BLUE, GREEN, VERMILION, Series, label, new_figure, set_log, top_legend
+from .canvas import BLUE, GREEN, VERMILION, label, new_figure, set_log, top_legend
 from .errors import CosimError
 from .estimators import load
-from .library import find_fmu
 from .result import Run
-from .slave import read_description
+from .sampling import recorded_samples
 
 Event = Mapping[str, Any]
 
@@ -31,10 +30,9 @@ def draw_response(run: Run, events: Sequence[Event]) -> Figure | None:
     episode = _first_episode(events)
     if len(run.scenario.estimation.parameters) != 2 or len(episode) < 2:
         return None
-    with suppress(CosimError):
-        samples, channels = _samples(run, float(episode[0]["t"]), float(episode[-1]["t"]))
-        if samples:
-            return _draw(run, samples, channels, episode)
+    samples = _samples(run, float(episode[0]["t"]), float(episode[-1]["t"]))
+    with suppress(CosimError):  # the model may be gone
+        return _draw(run, samples, episode) if samples else None
     return None
 
 
@@ -49,51 +47,24 @@ def _first_episode(events: Sequence[Event]) -> list[Event]:
     return episode
 
 
-def _samples(run: Run, begin: float, end: float) -> tuple[list[Sample], tuple[int, ...]]:
-    """Recorded samples between two times [s], and the places in x of the sampled states.
-
-    Empty where the record lacks a state or an input. Raises CosimError for an FMU that is gone.
-    """
-    scenario, plant = run.scenario, run.scenario.plant
-    variables = read_description(find_fmu(scenario.components[plant].fmu, scenario.folder)).modelVariables
-    state_of = {v.name: v.derivative.name for v in variables if v.derivative is not None}
-    states = [v.name for v in variables if v.name in set(state_of.values())]
-    sampled = list(scenario.sampling.derivatives)
-    x = [run.series.get(f"{plant}.{name}") for name in states]
-    u = [_held(run, v.name, float(v.start or 0.0)) for v in variables if v.causality == "input"]
-    xdot = [run.series.get(f"sampled.{name}") for name in sampled]
+def _samples(run: Run, begin: float, end: float) -> list[Sample]:
+    """Recorded samples between two times [s]; none where the record lacks a column."""
     rows = np.flatnonzero((run.time >= begin - 1e-9) & (run.time <= end + 1e-9))
-    columns = [*x, *u, *xdot]
-    if not len(rows) or any(c is None for c in columns):
-        return [], ()
+    if not len(rows):
+        return []
     rows = rows[np.unique(np.linspace(0, len(rows) - 1, _N_SAMPLES).round().astype(int))]
-    samples = [Sample(float(run.time[k]), *(_at(part, k) for part in (x, u, xdot))) for k in rows]
-    channels = tuple(states.index(state_of[name.partition(".")[2]]) for name in sampled)
-    return [s for s in samples if np.all(np.isfinite([*s.x, *s.u, *s.xdot]))], channels
+    with suppress(KeyError):
+        samples = recorded_samples(run.scenario, run.plant, run.series, rows.tolist())
+        return [s for s in samples if np.all(np.isfinite([*s.x, *s.u, *s.xdot]))]
+    return []
 
 
-def _held(run: Run, name: str, default: float) -> Series | None:
-    """The plant's input that was held up to each point (n,): as the plant says, else what its source gave last."""
-    plant, connections = run.scenario.plant, run.scenario.connections
-    held = run.series.get(f"{plant}.{name}_held")
-    if held is not None:
-        return held
-    if f"{plant}.{name}" not in connections:
-        return np.full(len(run.time), default)
-    source = run.series.get(connections[f"{plant}.{name}"])
-    return None if source is None else np.concatenate([[np.nan], source[:-1]])
-
-
-def _at(columns: Sequence[Series | None], k: int) -> tuple[float, ...]:
-    return tuple(float(c[k]) for c in columns if c is not None)
-
-
-def response_surface(run: Run, samples: Sequence[Sample], channels: tuple[int, ...]) -> tuple[Vector, Vector, Vector]:
+def response_surface(run: Run, samples: Sequence[Sample]) -> tuple[Vector, Vector, Vector]:
     """Values of both parameters and log10 of the residual's root mean square (n, n), in standard deviations."""
     scenario = run.scenario
     space = scenario.estimation.space
     noise = tuple(n.noise for n in scenario.sampling.derivatives.values())
-    residual = DerivativeResidual(load(scenario.estimation.model, scenario.folder), space, channels, noise)
+    residual = DerivativeResidual(load(scenario.estimation.model, scenario.folder), space, run.plant.channels, noise)
     z = np.linspace(0.0, 1.0, _N_GRID)
     thetas = space.from_unit(np.stack(np.meshgrid(z, z), axis=-1))
     mean_square = np.full((_N_GRID, _N_GRID), np.nan)
@@ -106,8 +77,8 @@ def response_surface(run: Run, samples: Sequence[Sample], channels: tuple[int, .
     return thetas[0, :, 0], thetas[:, 0, 1], np.where(usable, level, np.nan)
 
 
-def _draw(run: Run, samples: Sequence[Sample], channels: tuple[int, ...], episode: Sequence[Event]) -> Figure | None:
-    first, second, level = response_surface(run, samples, channels)
+def _draw(run: Run, samples: Sequence[Sample], episode: Sequence[Event]) -> Figure | None:
+    first, second, level = response_surface(run, samples)
     if np.sum(np.isfinite(level)) < 2 or np.nanmax(level) - np.nanmin(level) < 1e-9:
         return None
     figure = new_figure(6.6, 5.4)

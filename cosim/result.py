@@ -3,17 +3,31 @@
 import json
 import platform
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter, ValidationError
 
-from .record import MANIFEST, RESULT, sha256, write_csv, write_json, write_text
+from .errors import one_line
+from .record import (
+    LATENCIES,
+    MANIFEST,
+    RESULT,
+    FolderError,
+    read_series,
+    sha256,
+    to_json,
+    write_csv,
+    write_json,
+    write_text,
+)
 from .scenario import Scenario
 from .ssv import ParameterValue, to_ssv
+from .system import Plant
 
 Status = Literal["done", "diverged", "faulted", "interrupted"]
 Series = NDArray[np.float64]
@@ -26,6 +40,8 @@ class Run:
 
     scenario: Scenario
     """What was run."""
+    plant: Plant
+    """The component whose derivatives were sampled."""
     estimator: str
     """Who re-tuned."""
     seed: int
@@ -130,7 +146,9 @@ class Run:
         return pd.DataFrame(dict(self.series)).set_index("time")
 
 
-def begin_folder(folder: Path, scenario: Scenario, estimator: str, seed: int, fmus: Mapping[str, Path]) -> None:
+def begin_folder(
+    folder: Path, scenario: Scenario, estimator: str, seed: int, fmus: Mapping[str, Path], plant: Plant
+) -> None:
     """Write the manifest of a run that starts now."""
     content = {
         "status": "running",
@@ -138,6 +156,8 @@ def begin_folder(folder: Path, scenario: Scenario, estimator: str, seed: int, fm
         "seed": seed,
         "fmus": {name: {"file": str(path), "sha256": sha256(path)} for name, path in fmus.items()},
         "versions": {"python": platform.python_version()} | {name: version(name) for name in PACKAGES},
+        "plant": asdict(plant),
+        "folder": str(scenario.folder.resolve()),
         "scenario": scenario.model_dump(mode="json"),
     }
     write_json(folder / MANIFEST, content)
@@ -146,6 +166,7 @@ def begin_folder(folder: Path, scenario: Scenario, estimator: str, seed: int, fm
 def end_folder(run: Run, folder: Path) -> None:
     """Write result, estimates and CSV of a finished run, and close its manifest with the hashes."""
     write_json(folder / RESULT, run.summary())
+    write_text(folder / LATENCIES, to_json(run.latencies) + "\n")
     if len(run.time):
         held = run.parameters_at(float(run.time[-1]))
         values = [ParameterValue(p["name"], p["estimated"]) for p in held]
@@ -154,6 +175,68 @@ def end_folder(run: Run, folder: Path) -> None:
     manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
     hashes = {path.name: sha256(path) for path in sorted(folder.iterdir()) if path.is_file() and path.name != MANIFEST}
     write_json(folder / MANIFEST, manifest | {"status": run.status, "sha256": hashes})
+
+
+def read_run(folder: Path) -> Run:
+    """The run that a folder records, also one that was killed: as far as it was written, with status `interrupted`.
+
+    Raises FolderError for a folder that holds no run, or a damaged one.
+    """
+    manifest = _read(folder, MANIFEST, _Manifest)
+    try:
+        scenario = Scenario.model_validate(manifest.scenario | {"folder": manifest.folder})
+    except ValidationError as e:
+        raise FolderError(f"{folder} holds a scenario of another version: {_first(e)}.") from e
+    series = read_series(folder)
+    if manifest.status == "running":
+        status, result, latencies = "interrupted", _Result(), ()
+    else:
+        status, result = manifest.status, _read(folder, RESULT, _Result)
+        latencies = _read(folder, LATENCIES, tuple[tuple[float, ...], ...])
+    return Run(
+        scenario, manifest.plant, manifest.estimator, manifest.seed, series, status, result.error, result.evaluations,
+        result.episodes, latencies, result.wall_s, folder,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Manifest:
+    """What is read of a manifest."""
+
+    status: Status | Literal["running"]
+    estimator: str
+    seed: int
+    plant: Plant
+    folder: Path
+    scenario: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class _Result:
+    """What is read of a result."""
+
+    error: str | None = None
+    evaluations: int = 0
+    episodes: int = 0
+    wall_s: float = float("nan")
+
+
+_T = TypeVar("_T")
+
+
+def _read(folder: Path, name: str, kind: type[_T]) -> _T:
+    """The content of a JSON file. Raises FolderError."""
+    try:
+        return TypeAdapter(kind).validate_json((folder / name).read_bytes())
+    except OSError as e:
+        raise FolderError(f"{folder} is no run folder: cannot read {name}: {e.strerror or e}.") from e
+    except ValidationError as e:
+        raise FolderError(f"{folder} holds no readable run: {name}: {_first(e)}.") from e
+
+
+def _first(error: ValidationError) -> str:
+    found = error.errors()[0]
+    return one_line(": ".join([*map(str, found["loc"]), found["msg"]]))
 
 
 def _quantiles(milliseconds: Series) -> dict[str, float | None]:

@@ -1,6 +1,7 @@
 """What the estimator gets to see of the plant: state, held input and derivatives, with measurement noise."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +24,10 @@ class Sampler:
         on_derivatives = [n.noise for n in sampling.derivatives.values()]
         on_states = [sampling.states[name].noise if name in sampling.states else 0.0 for name in states]
         self._sigma = np.array(on_derivatives + on_states)
-        self.columns = tuple(f"sampled.{name}" for name in sampling.derivatives)
+        x, u, xdot = sample_columns(scenario, plant)
+        self._noisy = [i for i, name in enumerate(x) if name.startswith(SAMPLED)]
+        self.columns = (*xdot, *(x[i] for i in self._noisy), *u)
+        """Names of what `row` gives."""
 
     def take(self, t: float, values: Sequence[float], held: Mapping[str, float]) -> Sample:
         """The sample at t [s]; values of all outputs, and what the plant's connected inputs were held at up to t."""
@@ -34,8 +38,36 @@ class Sampler:
         """The sample before the first step: without noise, inputs at their start."""
         return self._sample(t, values, {}, [0.0] * len(self._sigma))
 
+    def row(self, sample: Sample) -> tuple[float, ...]:
+        """What is recorded of a sample besides the plant's outputs."""
+        return (*sample.xdot, *(sample.x[i] for i in self._noisy), *sample.u)
+
     def _sample(self, t: float, values: Sequence[float], held: Mapping[str, float], noise: Sequence[float]) -> Sample:
         n = len(self._derivatives)
         xdot = tuple(values[i] + e for i, e in zip(self._derivatives, noise[:n], strict=True))
         x = tuple(values[i] + e for i, e in zip(self._states, noise[n:], strict=True))
         return Sample(t, x, tuple(held.get(name, start) for name, start in self._plant.inputs.items()), xdot)
+
+
+SAMPLED, HELD = "sampled.", "held."
+"""Prefixes of recorded columns."""
+
+
+def sample_columns(scenario: Scenario, plant: Plant) -> tuple[list[str], list[str], list[str]]:
+    """Recorded columns of a sample's x, u and xdot; a state without noise is the plant's output itself."""
+    states = [f"{plant.name}.{name}" for name in plant.states]
+    noisy = scenario.sampling.states
+    return (
+        [SAMPLED + name if name in noisy else name for name in states],
+        [f"{HELD}{plant.name}.{name}" for name in plant.inputs],
+        [SAMPLED + name for name in scenario.sampling.derivatives],
+    )
+
+
+def recorded_samples(
+    scenario: Scenario, plant: Plant, series: Mapping[str, np.ndarray[Any, np.dtype[np.float64]]], rows: Sequence[int]
+) -> list[Sample]:
+    """The samples that a run's estimator got at these rows of its record. Raises KeyError for a missing column."""
+    parts = [[series[name].tolist() for name in names] for names in sample_columns(scenario, plant)]
+    t = series["time"].tolist()
+    return [Sample(t[k], *(tuple(column[k] for column in part) for part in parts)) for k in rows]

@@ -60,14 +60,14 @@ def run(
         loop = _Loop(scenario, slaves, estimator, seed)
         fault = loop.initialize()
         if out is not None:
-            begin_folder(out, scenario, estimator, seed, paths)
+            begin_folder(out, scenario, estimator, seed, paths, loop.plant)
         recorder = Recorder(out, loop.columns)
         status, error = ("faulted", fault) if fault else loop.execute(recorder, progress)
         wall = perf_counter() - begun
     policy, latencies = loop.policy, tuple(loop.latencies)
     result = Run(
-        scenario, estimator, seed, recorder.close(), status, error, policy.n_evaluations, policy.n_episodes, latencies,
-        wall, out,
+        scenario, loop.plant, estimator, seed, recorder.close(), status, error, policy.n_evaluations,
+        policy.n_episodes, latencies, wall, out,
     )  # fmt: skip
     if out is not None:
         end_folder(result, out)
@@ -86,6 +86,7 @@ class _Loop:
         wiring, groups = wire(scenario, slaves)
         noise, search = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
         self._scenario = scenario
+        self.plant = plant
         self._master = Master(slaves, wiring, groups)
         self._sampler = Sampler(scenario, plant, self._master.names, noise)
         self._theta = np.array([start_value(scenario, slaves, p.writes) for p in scenario.estimation.parameters])
@@ -144,7 +145,7 @@ class _Loop:
         tunables = self._tunables(truth)
         if is_stepping:
             master.begin(t, settings.macro_step, tunables)
-        recorder.row([t, *master.values, *truth.values(), *self._theta.tolist(), *sample.xdot])
+        recorder.row([t, *master.values, *truth.values(), *self._theta.tolist(), *self._sampler.row(sample)])
         if is_stepping:
             master.finish(t, settings.macro_step, tunables)
         return has_diverged

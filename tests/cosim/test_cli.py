@@ -1,7 +1,9 @@
 """The command: what it prints, what it returns, what it leaves behind."""
 
+import importlib.util
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -170,6 +172,7 @@ def test_a_scenario_of_ones_own_finds_its_fmu_and_its_model_beside_it(called, wo
 
 def write_inputs(folder):
     (folder / "reversed.toml").write_text(PENDULUM.replace("lower = 0.1\nupper = 5.0", "lower = 5.0\nupper = 0.1"))
+    (folder / "plain.toml").write_text(re.sub("linear = .*", "", PENDULUM))
     (folder / "broken.toml").write_text("[[[")
     (folder / "a file").write_text("")
     (folder / "full").mkdir()
@@ -177,6 +180,10 @@ def write_inputs(folder):
     (folder / "text.fmu").write_text("no zip")
     with zipfile.ZipFile(folder / "empty.fmu", "w") as archive:
         archive.writestr("readme.txt", "no FMU")
+
+
+COMPARE = ["compare", "pendulum", "--seeds", "1", "--estimators", "none", "--set", "scenario.stop_time=0.1"]
+NEEDS_LINEAR = "estimator 'rls' needs estimation.linear"
 
 
 def plant(folder, fmu):
@@ -212,8 +219,28 @@ REFUSED = [
     ("start out of range", lambda f: [*SHORT, "--set", "components.plant.start.m=-3"], "must be within"),
     ("function as formula", lambda f: [*SHORT, "--set", 'changes."plant.m"=sin'], "plant.m"),
     ("unknown model", lambda f: [*SHORT, "--set", "estimation.model=nowhere:f"], "nowhere"),
-    ("setting of the estimator", lambda f: [*SHORT, "--set", "estimation.target.n_initial=-5"], "n_initial"),
+    ("setting of the estimator", lambda f: [*SHORT, "--set", "estimation.paper.n_initial=-5"], "n_initial"),
     ("build over a file", lambda f: ["build", "--out", f / "a file"], "cannot build into"),
+    ("an estimator's package", lambda f: [*SHORT, "--estimator", "nowhere:Nobody"], "cannot load 'nowhere:Nobody'"),
+    ("compare nothing", lambda f: ["compare"], "SCENARIO"),
+    ("compare an unknown scenario", lambda f: ["compare", "pendulm"], "did you mean 'pendulum'"),
+    ("compare an unknown estimator", lambda f: [*COMPARE, "--estimators", "targt"], "did you mean 'target'"),
+    ("compare without a name", lambda f: [*COMPARE, "--estimators", "target,,sqp"], "separated by commas"),
+    ("compare no seed", lambda f: [*COMPARE, "--seeds", "0"], "--seeds"),
+    ("compare with no job", lambda f: [*COMPARE, "--jobs", "0"], "--jobs"),
+    ("compare into a full folder", lambda f: [*COMPARE, "--out", f / "full"], "is not empty"),
+    ("compare an unknown setting", lambda f: [*COMPARE, "--set", "scenario.macro_stp=1"], "did you mean 'macro_step'"),
+    ("compare without a linear form", lambda f: ["compare", f / "plain.toml", "--estimators", "rls"], NEEDS_LINEAR),
+    ("run without a linear form", lambda f: ["run", f / "plain.toml", "--estimator", "rls"], NEEDS_LINEAR),
+    ("replay nothing", lambda f: ["replay", "--estimator", "target"], "RUN"),
+    ("replay by nobody", lambda f: ["replay", f], "--estimator"),
+    ("replay what is gone", lambda f: ["replay", f / "gone", "--estimator", "target"], "no run folder"),
+    ("replay a file", lambda f: ["replay", f / "a file", "--estimator", "target"], "no run folder"),
+    ("replay a folder of something else", lambda f: ["replay", f / "full", "--estimator", "target"], "no run folder"),
+    ("replay with a negative seed", lambda f: ["replay", f, "--estimator", "target", "--seed", "-1"], "--seed"),
+    ("figures into a full folder", lambda f: ["figures", "--out", f / "full"], "is not empty"),
+    ("figures with no job", lambda f: ["figures", "--jobs", "0"], "--jobs"),
+    ("figures with a fractional seed", lambda f: ["figures", "--seed", "1.5"], "--seed"),
     ("picture over a file", lambda f: ["illustrate", "--out", f / "a file"], "exists"),
 ]
 
@@ -248,6 +275,202 @@ def test_an_empty_folder_that_was_there_before_is_there_after_a_refusal(called, 
     (workplace / "mine").mkdir()
     assert called(*SHORT, "--out", "mine", "--set", "components.plant.fmu=Pendulm")[0] == 2
     assert [p.name for p in workplace.iterdir()] == ["mine"]
+
+
+def test_ipopt_is_asked_for_where_it_is_missing(called, workplace, monkeypatch):
+    find = importlib.util.find_spec
+    monkeypatch.setattr("importlib.util.find_spec", lambda name, *a: None if name == "cyipopt" else find(name, *a))
+    for command in ([*SHORT, "--estimator", "ipm"], [*COMPARE, "--estimators", "ipm-wide-step"]):
+        code, out, err = called(*command)
+        assert (code, out, err.count("\n")) == (2, "", 1)
+        assert "needs Ipopt: pip install 'fmu-retune[ipopt]'; 'ipm-scipy' does without." in err
+    assert list(workplace.iterdir()) == []
+
+
+# Many runs, and old ones.
+
+
+def test_a_comparison_is_printed_and_written(called, workplace):
+    command = ["compare", "pendulum", "--seeds", "2", "--estimators", "least-squares", "--jobs", "2"]
+    code, out, err = called(*command, "--set", "scenario.stop_time=0.2", *EARLY_CHANGE)
+    assert (code, err) == (0, "")
+    assert out.splitlines()[-1] == "written to runs/pendulum-compare-1"
+    assert max(map(len, out.splitlines())) <= 120
+    (folder,) = (workplace / "runs").iterdir()
+    result = json.loads((folder / "comparison.json").read_text())
+    assert [row["estimator"] for row in result["estimators"]] == ["none", "true", "least-squares"]
+    assert (result["seeds"], len(result["runs"])) == ([0, 1], 6)
+
+
+def test_a_run_is_replayed(called, workplace):
+    assert called(*SHORT, *EARLY_CHANGE, "--seed", "4", "--out", "mine")[0] == 0
+    code, out, err = called("replay", "mine", "--estimator", "least-squares, target", "--json", "--out", "again")
+    assert (code, err) == (0, "")
+    result = json.loads(out)
+    assert [row["estimator"] for row in result["estimators"]] == ["least-squares", "target"]
+    assert (result["seeds"], result["folder"]) == ([4], "again")
+    assert json.loads((workplace / "again" / "comparison.json").read_text()) == result
+    before = {p: p.read_bytes() for p in workplace.rglob("*") if p.is_file()}
+    for arguments in (["target", "--out", "again"], ["none", "--out", "new"], ["targt", "--out", "new"]):
+        code, out, err = called("replay", "mine", "--estimator", *arguments)
+        assert (code, out, err.count("\n")) == (2, "", 1)
+    assert {p: p.read_bytes() for p in workplace.rglob("*") if p.is_file()} == before
+    assert not (workplace / "new").exists()
+
+
+def test_figures_are_listed_as_they_are_written(called, workplace, monkeypatch):
+    given = []
+
+    def made_up(folder, seed, jobs, progress):
+        given.append((folder, seed, jobs))
+        progress({"scenario": "pendulum", "estimator": "none", "seed": seed, "status": "done"}, 1, 2)
+        return [folder / "a.png", folder / "b.svg"]
+
+    monkeypatch.setattr("cosim.figures.figures", made_up)
+    code, out, err = called("figures", "--seed", "4", "--jobs", "2")
+    assert (code, out, err) == (0, "figures/a.png\nfigures/b.svg\n", "")
+    assert given == [(Path("figures"), 4, 2)]
+
+
+# Estimators of the user's own.
+
+OWN = """
+from dataclasses import dataclass
+
+import numpy as np
+
+from estimator import Estimate
+
+
+@dataclass(frozen=True)
+class Settings:
+    value: float = 2.0
+
+    def __post_init__(self):
+        if self.value <= 0.0:
+            raise ValueError(f"value must be positive, got {self.value}.")
+
+
+class Believer:
+    \"\"\"Believes what it was told to.\"\"\"
+
+    Settings = Settings
+    is_whitened = True
+
+    def __init__(self, space, start, rng, settings):
+        self.theta, self.n = np.array([settings.value, 1.5]), 0
+
+    def restart(self, start):
+        self.n = 0
+
+    def estimate(self):
+        return Estimate(self.theta, np.ones(2), (True, True), 0.0, self.n, "I was told")
+
+
+class Asker(Believer):
+    def ask(self):
+        return self.theta
+
+    def tell(self, theta, residual):
+        self.n += 1
+
+
+class Solver(Believer):
+    def solve(self, objective):
+        self.n += 1
+        objective.residual(self.theta)
+
+
+class Raises(Asker):
+    def __init__(self, *_):
+        raise RuntimeError("not today")
+
+
+class Mute:
+    def __init__(self, *_):
+        pass
+
+
+function = len
+"""
+
+
+@pytest.fixture
+def own(workplace):
+    """Module with the estimators above, beside the scenario or in the working directory; no two tests share one."""
+    name = f"own_{workplace.parent.name}"
+    (workplace / f"{name}.py").write_text(OWN)
+    yield name
+    sys.modules.pop(name, None)
+
+
+@pytest.mark.parametrize("kind", ["Asker", "Solver"])
+def test_an_estimator_of_ones_own_is_run_with_its_settings(called, own, workplace, kind):
+    name = f"{own}:{kind}"
+    (workplace / "mine.toml").write_text(f'{PENDULUM}\n[estimation."{name}"]\nvalue = 3.0\nbudget = 2\n')
+    run = [
+        "run",
+        "mine.toml",
+        "--only",
+        "--json",
+        "--estimator",
+        name,
+        "--set",
+        "scenario.stop_time=0.2",
+        *EARLY_CHANGE,
+    ]
+    for settings, value in (([], 3.0), (["--set", f'estimation."{name}".value=2.5'], 2.5)):
+        code, out, err = called(*run, *settings)
+        assert (code, err) == (0, "")
+        result = json.loads(out)
+        assert (result["estimator"], result["evaluations"] > 0) == (name, True)
+        assert [p["estimated"] for p in result["parameters"]] == [value, 1.5]
+    code, out, err = called("replay", result["run"], "--estimator", name, "--json")
+    assert (code, err) == (0, "")
+    assert json.loads(out)["runs"][0]["parameters"] == result["parameters"]
+
+
+def test_an_estimator_of_ones_own_is_compared(called, own):
+    command = [
+        "compare",
+        "pendulum",
+        "--seeds",
+        "1",
+        "--estimators",
+        f"{own}:Asker",
+        "--keep",
+        "--json",
+        "--out",
+        "out",
+    ]
+    code, out, err = called(*command, "--set", "scenario.stop_time=0.2", *EARLY_CHANGE)
+    assert (code, err) == (0, "")
+    run = json.loads(out)["runs"][-1]
+    assert (run["estimator"], run["run"]) == (f"{own}:Asker", f"out/{own}.Asker-0")
+    assert run["parameters"][0]["estimated"] == 2.0
+
+
+@pytest.mark.parametrize(
+    ("kind", "settings", "reason"),
+    [
+        ("Nobody", {}, "has no attribute 'Nobody'"),
+        ("function", {}, "must be a class, got builtin_function_or_method"),
+        ("Mute", {}, "must have is_whitened, restart and estimate, and ask and tell or solve"),
+        ("Believer", {}, "must have is_whitened, restart and estimate, and ask and tell or solve"),
+        ("Raises", {}, "cannot be made: RuntimeError: not today"),
+        ("Asker", {"valu": "1.0"}, "has no setting 'valu'; did you mean 'value'"),
+        ("Asker", {"value": "-1.0"}, "value must be positive, got -1.0"),
+        ("Asker", {"value": "text"}, "value: input should be a valid number"),
+        ("Asker", {"budget": "0"}, "budget"),
+    ],
+)
+def test_an_estimator_of_ones_own_that_is_wrong_is_told_in_one_line(called, own, workplace, kind, settings, reason):
+    name = f"{own}:{kind}"
+    sets = [part for k, v in settings.items() for part in ("--set", f'estimation."{name}".{k}={v}')]
+    code, out, err = called(*SHORT, "--estimator", name, *sets, "--out", "out")
+    assert (code, out, len(err.splitlines())) == (2, "", 1)
+    assert reason in err
+    assert {p.name for p in workplace.iterdir()} <= {f"{own}.py", "__pycache__"}
 
 
 # Runs that do not finish.

@@ -12,11 +12,12 @@ from pathlib import Path
 import pytest
 
 from cosim.compare import compare
-from cosim.crew import ComparisonError
+from cosim.comparison import Comparison
+from cosim.crew import CrewError
 from cosim.errors import CosimError, ScenarioError
 from cosim.record import FolderError
 from cosim.scenario import Scenario
-from cosim.tables import WIDTH, Comparison
+from cosim.tables import WIDTH, estimator_columns, run_columns, to_csv, to_markdown
 
 EARLY_CHANGE = {
     'changes."plant.m"': "[[0.0, 1.75], [0.1, 4.271]]",
@@ -147,14 +148,14 @@ def test_no_run_is_left_out_however_it_ended(made_up):
     assert target["runs"] == 3
     assert target["diverged"] == [{"seed": 1, "t": 3.25, "error": None}]
     assert target["faulted"] == [{"seed": 2, "t": None, "error": "plant: boom"}]
-    header, *rows = made_up.to_run_rows()
-    told = [dict(zip(header, row, strict=True)) for row in rows]
+    told = [run_columns(made_up, r) for r in made_up.runs]
     assert [(r["estimator"], r["seed"]) for r in told] == [(e, s) for e in made_up.estimators for s in range(3)]
     assert [(r["status"], r["end"], r["error"]) for r in told[-2:]] == [
         ("diverged", 3.25, None), ("faulted", None, "plant: boom"),
     ]  # fmt: skip
-    assert [r["mse plant.phi"] for r in told[-3:]] == [0.3, 5.0, None]
-    for text in (made_up.table(), made_up.to_markdown()):
+    assert [r["mse plant.phi"] for r in told[-3:]] == [0.3, 5.0, pytest.approx(float("nan"), nan_ok=True)]
+    assert next(csv.DictReader(to_csv(told[-1:]).splitlines()))["mse plant.phi"] == ""
+    for text in (made_up.table(), to_markdown(made_up)):
         assert "target, seed 1: diverged at t = 3.250 s" in text
         assert "target, seed 2: faulted before its first row: plant: boom" in text
         assert "2.65 / 5 (2)" in text
@@ -172,8 +173,7 @@ def test_json_has_null_and_never_nan(made_up):
 
 
 def test_csv_has_the_figures_of_the_rows(made_up):
-    header, *rows = made_up.to_csv_rows()
-    table = {row[0]: dict(zip(header, row, strict=True)) for row in rows}
+    table = {row["estimator"]: estimator_columns(row) for row in made_up.rows()}
     assert list(table) == ["none", "true", "target"]
     target = table["target"]
     assert (target["mse plant.phi worst"], target["mse plant.phi n"]) == (5.0, 2)
@@ -186,9 +186,9 @@ def test_csv_has_the_figures_of_the_rows(made_up):
 
 def test_the_number_of_jobs_is_told_beside_latencies(made_up):
     alone = Comparison(made_up.scenario, made_up.estimators, made_up.seeds, made_up.runs, jobs=1, cpus=4)
-    for text in (made_up.to_markdown(), made_up.table().replace("\n  ", " ")):
+    for text in (to_markdown(made_up), made_up.table().replace("\n  ", " ")):
         assert "2 runs at a time on 4 processors" in text
-    assert "one run at a time" in alone.to_markdown()
+    assert "one run at a time" in to_markdown(alone)
 
 
 def test_every_table_of_the_quadrotor_fits_the_terminal_and_has_every_column():
@@ -287,7 +287,7 @@ def test_a_full_folder_is_refused_before_a_run(pendulum, tmp_path):
 @real
 def test_what_is_refused_in_a_process_is_one_line_here_and_leaves_nothing(pendulum, tmp_path):
     out = tmp_path / "out"
-    with pytest.raises(ComparisonError, match=r"seed 0: .*no output of controller") as caught:
+    with pytest.raises(CrewError, match=r"seed 0: .*no output of controller") as caught:
         compare(pendulum({'connections."plant.u"': "controller.v"}), [], 1, 2, out, keep=True)
     assert len(str(caught.value).splitlines()) == 1
     assert isinstance(caught.value, CosimError)
@@ -341,6 +341,7 @@ ENDLESS = """
 import sys
 from pathlib import Path
 from cosim.compare import compare
+from cosim.comparison import Comparison
 from cosim.scenario import Scenario
 try:
     compare(Scenario.load("pendulum", {"scenario.stop_time": "1.0"}), [], 10000, 2, Path(sys.argv[1]))

@@ -14,14 +14,19 @@ from PIL import Image
 
 from cosim import Run, Scenario
 from cosim.canvas import new_figure, save_svg
-from cosim.figures import draw_figures, estimators, figures
+from cosim.crew import CrewError
+from cosim.figures import chosen, draw_figures, figures
 from cosim.paper_figures import LABELS, SHOWN, draw_altitude, draw_mse, draw_pendulum, ending_text
 from cosim.paper_table import PAPER_ROWS, PAPER_TRUTH, markdown, measured, prediction_time, rows
 from cosim.record import FolderError
+from cosim.system import Plant
 
 GONE = {f"components.{name}.fmu": "gone.fmu" for name in ("plant", "controller", "reference")}
 THETA = ("m", "J_x", "J_y", "J_z")
 TRUTH, HELD = (1.25, 3.3, 3.3, 6.6), (1.75, 3.6, 3.7, 6.6)  # errors 0.5 and |(0.3, 0.4, 0)| = 0.5
+
+PLANT = Plant("plant", (), {}, ())
+"""Nothing here looks at samples."""
 
 
 def quadrotor(estimator: str = "target", end: float = 16.0, error: float = 0.1, **changed: object) -> Run:
@@ -35,8 +40,8 @@ def quadrotor(estimator: str = "target", end: float = 16.0, error: float = 0.1, 
     for name, true, held in zip(THETA, TRUTH, HELD, strict=True):
         series |= {f"plant.{name}": np.full(len(time), true), f"controller.{name}": np.full(len(time), held)}
     run = Run(
-        scenario=Scenario.load("quadrotor", GONE), estimator=estimator, seed=3, series=series, status="done",
-        error=None, n_evaluations=0, n_episodes=0, latencies=(), wall=1.0, folder=None,
+        scenario=Scenario.load("quadrotor", GONE), plant=PLANT, estimator=estimator, seed=3, series=series,
+        status="done", error=None, n_evaluations=0, n_episodes=0, latencies=(), wall=1.0, folder=None,
     )  # fmt: skip
     return replace(run, **changed)
 
@@ -50,7 +55,7 @@ def pendulum(estimator: str = "target", n: int = 1001) -> Run:
         "controller.m": np.full(n, 1.75), "controller.l": np.full(n, 0.75),
     }  # fmt: skip
     scenario = Scenario.load("pendulum", GONE)
-    return Run(scenario, estimator, 3, {"time": time} | columns, "done", None, 0, 0, (), 1.0, None)
+    return Run(scenario, PLANT, estimator, 3, {"time": time} | columns, "done", None, 0, 0, (), 1.0, None)
 
 
 DIVERGED = quadrotor("sqp", end=4.2, error=20.0, status="diverged")
@@ -254,11 +259,42 @@ def test_an_svg_is_the_same_bytes_for_the_same_figure(tmp_path: Path) -> None:
 
 
 def test_ipopt_is_preferred_and_its_stand_in_is_named() -> None:
-    known = ("target", "paper", "ipm", "ipm-scipy", "sqp", "ukf", "none", "true")
-    with_ipopt = estimators(known, has_ipopt=True)
-    assert set(with_ipopt) == {"target", "paper", "ipm", "sqp", "none", "true"}
-    assert set(estimators(known, has_ipopt=False)) == {*with_ipopt, "ipm-scipy"} - {"ipm"}
+    without = ("target", "paper", "ipm-scipy", "sqp", "ukf")
+    assert set(chosen((*without, "ipm"))) == {"target", "paper", "ipm", "sqp", "none", "true"}
+    assert set(chosen(without)) == {"target", "paper", "ipm-scipy", "sqp", "none", "true"}
     assert "without Ipopt" in LABELS["ipm-scipy"]
+
+
+@pytest.mark.fmu
+@pytest.mark.usefixtures("leaves_nothing")
+def test_the_runs_are_made_in_processes_of_their_own_and_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    short = {"scenario.stop_time": "0.2", 'changes."plant.m"': "[[0.0, 1.75], [0.05, 4.271]]"}
+    scenarios = (Scenario.load("pendulum", short), Scenario.load("quadrotor", {"scenario.stop_time": "0.05"}))
+    monkeypatch.setattr("cosim.figures.PENDULUM", ("target", "none"))
+    monkeypatch.setattr("cosim.figures.QUADROTOR", ("target", "true"))
+    seen: list[tuple[str, str, int, int]] = []
+    paths = figures(
+        tmp_path / "out", 3, 2, lambda r, k, n: seen.append((r["scenario"], r["estimator"], k, n)), scenarios
+    )
+    assert sorted(seen)[0][:2] == ("pendulum", "none")
+    assert [s[2:] for s in seen] == [(k, 4) for k in (1, 2, 3, 4)]
+    assert all(p.is_file() for p in paths)
+    assert {p.stem for p in paths} >= {"pendulum-solution", "pendulum-tracking", "quadrotor-mse", "table"}
+    numbers = json.loads((tmp_path / "out" / "figures.json").read_text())
+    run = numbers["pendulum"]["target"]
+    assert (run["run"], run["seed"], run["status"], numbers["jobs"]) == ("runs/pendulum-target", 3, "done", 2)
+    assert run["evaluations"] > 0
+    recorded = json.loads((tmp_path / "out" / run["run"] / "result.json").read_text())
+    assert {k: run[k] for k in recorded if k != "run"} == {k: v for k, v in recorded.items() if k != "run"}
+
+
+@pytest.mark.fmu
+@pytest.mark.usefixtures("leaves_nothing")
+def test_a_run_that_is_refused_is_one_line_and_leaves_no_process(tmp_path: Path) -> None:
+    wrong = Scenario.load("quadrotor", {'connections."plant.f"': "controller.g"})
+    with pytest.raises(CrewError, match=r"quadrotor.*seed 0: .*no output of controller") as caught:
+        figures(tmp_path / "out", jobs=2, scenarios=(Scenario.load("pendulum"), wrong))
+    assert len(str(caught.value).splitlines()) == 1
 
 
 def test_a_folder_that_is_not_empty_is_refused_before_anything_runs(tmp_path: Path) -> None:

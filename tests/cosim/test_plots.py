@@ -17,14 +17,17 @@ from cosim.panels import panels
 from cosim.plots import draw_run
 from cosim.record import FolderError
 from cosim.response import response_surface
+from cosim.system import Plant
 from estimator import Sample
 
 OVER_TIME = {"tracking.png", "error.png", "parameters.png"}
 GONE = {f"components.{name}.fmu": "gone.fmu" for name in ("plant", "controller", "reference")}
 COLUMNS = (
-    "plant.phi", "plant.phi_dot", "plant.der(phi)", "plant.der(phi_dot)", "plant.u_held", "controller.u",
+    "plant.phi", "plant.phi_dot", "plant.der(phi)", "plant.der(phi_dot)", "held.plant.u", "controller.u",
     "reference.phi_ref", "plant.m", "plant.l", "controller.m", "controller.l", "sampled.plant.der(phi_dot)",
 )  # fmt: skip
+
+PLANT = Plant("plant", ("phi", "phi_dot"), {"u": 0.0}, (1,))
 
 
 def made_up_run(folder: Path | None, n: int = 50, scenario: Scenario | None = None, **columns: object) -> Run:
@@ -33,7 +36,7 @@ def made_up_run(folder: Path | None, n: int = 50, scenario: Scenario | None = No
     series = {"time": 0.01 * np.arange(n)} | {name: rng.uniform(0.5, 2.0, n) for name in COLUMNS}
     given = {name: columns.get(name.replace(".", "_"), values) for name, values in series.items()}
     return Run(
-        scenario=scenario or Scenario.load("pendulum", GONE), estimator="target", seed=0,
+        scenario=scenario or Scenario.load("pendulum", GONE), plant=PLANT, estimator="target", seed=0,
         series={name: np.broadcast_to(np.asarray(v, dtype=float), (n,)) for name, v in given.items()},
         status="done", error=None, n_evaluations=0, n_episodes=0, latencies=(), wall=0.0, folder=folder,
     )  # fmt: skip
@@ -113,7 +116,7 @@ def test_events_that_say_little_or_are_cut_short_are_survived(tmp_path: Path) ->
     )
     with open(tmp_path / "events.jsonl", "a", encoding="utf-8") as file:
         file.write('{"t": 0.3, "kind": "cand')
-    assert check_pictures(draw_run(made_up_run(tmp_path), {})) == OVER_TIME
+    assert check_pictures(draw_run(made_up_run(tmp_path), {})) == OVER_TIME | {"response.png"}
 
 
 def test_seven_outputs_with_long_and_odd_names_are_drawn(tmp_path: Path) -> None:
@@ -151,7 +154,7 @@ def test_the_response_surface_is_least_at_the_true_parameters() -> None:
     m, l, b, g = 2.0, 0.8, 0.1, 9.81
     states = [(0.2, 1.0, 3.0), (1.0, -2.0, 10.0), (-0.7, 0.5, -6.0)]
     samples = [Sample(0.0, (p, v), (u,), (-g / l * sin(p) - b / m * v + u / (m * l),)) for p, v, u in states]
-    masses, lengths, level = response_surface(made_up_run(None, scenario=scenario), samples, (1,))
+    masses, lengths, level = response_surface(made_up_run(None, scenario=scenario), samples)
     row, column = np.unravel_index(np.argmin(level), level.shape)
     assert masses[column] == pytest.approx(m, rel=np.log(50.0) / 59)  # half a step of the grid, and a valley
     assert lengths[row] == pytest.approx(l, rel=np.log(30.0) / 59)

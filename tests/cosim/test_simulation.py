@@ -144,8 +144,8 @@ def test_the_controller_is_retuned_to_the_changed_plant(pendulum, tmp_path):
 
 
 def test_a_count_may_be_written_as_a_float_in_every_table(pendulum):
-    counts = {"estimation.budget": "12.0", "estimation.target.n_initial": "4.0"}
-    assert run(pendulum(EARLY_CHANGE | counts), "target").n_evaluations >= 12
+    counts = {"estimation.budget": "12.0", "estimation.paper.n_initial": "4.0"}
+    assert run(pendulum(EARLY_CHANGE | counts), "paper").n_evaluations >= 12
 
 
 def test_a_run_gives_its_series_by_name(pendulum):

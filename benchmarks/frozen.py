@@ -1,0 +1,126 @@
+"""One episode on a frozen window: how near to the truth each estimator gets with the same number of evaluations.
+
+    python -m benchmarks.frozen stiction --at 4.0 --window 100 --evaluations 30 60 120 --seeds 20
+
+The samples are those of the nominal controller's run (FMUs and all), up to `--at`, every `--stride`-th, with fresh
+noise a seed. An evaluation is the model on the whole window, and each estimator gets as many: for least squares those
+of its Jacobian count. The error is the largest, over the groups of parameters of one unit, of the norm of estimated
+minus true by the norm of the true ones. Prints, and writes as JSON, its median and worst, and the share of seeds within
+5 %.
+"""
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from cosim.estimators import find_method, load
+from cosim.result import Run
+from cosim.sampling import recorded_samples
+from cosim.scenario import Scenario
+from cosim.simulation import run
+from estimator import AskTell, DerivativeResidual, Objective, ResidualWindow, Sample, Vector
+
+DEFAULT = ("target", "least-squares", "multi-start", "bo-scalar", "sqp-wide-step", "sqp", "ipm")
+
+
+def main() -> None:
+    """Parse, run, print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenario")
+    parser.add_argument("--at", type=float, required=True, help="time of the newest sample [s]")
+    parser.add_argument("--window", type=int, default=10, help="samples")
+    parser.add_argument("--stride", type=int, default=1, help="macro steps between samples")
+    parser.add_argument("--evaluations", type=int, nargs="+", default=[30])
+    parser.add_argument("--estimators", nargs="+", default=list(DEFAULT))
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--out", type=Path, help="JSON file")
+    options = parser.parse_args()
+    with threadpool_limits(1):
+        recorded = run(Scenario.load(options.scenario), "none")
+        rows = [
+            row(recorded, name, n, options)
+            for n in options.evaluations
+            for name in options.estimators
+        ]  # fmt: skip
+    for r in rows:
+        print(
+            f"{r['estimator']:16} N = {r['evaluations']:4}  median {r['median']:8.2g}  worst {r['worst']:8.2g}  "
+            f"within 5 %: {r['within_5_percent']:.0%}  {r['milliseconds']:7.1f} ms"
+        )
+    if options.out:
+        command = {k: v for k, v in vars(options).items() if k != "out"}
+        options.out.write_text(json.dumps({"command": command, "rows": rows}, indent=2) + "\n", encoding="utf-8")
+
+
+def row(recorded: Run, name: str, n_evaluations: int, options: argparse.Namespace) -> dict[str, Any]:
+    """Errors of one estimator over the seeds."""
+    scenario = recorded.scenario
+    k = int(np.searchsorted(recorded.time, options.at - 1e-9))
+    chosen = range(k, max(k - options.window * options.stride, 0), -options.stride)
+    clean = recorded_samples(scenario, recorded.plant, recorded.series, [*reversed(chosen)])
+    truth = np.array([series[k] for series in recorded.true_parameters.values()])
+    units = [p.unit for p in scenario.estimation.space]
+    groups = [np.array([u == unit for u in units]) for unit in dict.fromkeys(units)]
+    errors, begun = [], perf_counter()
+    for seed in range(options.seeds):
+        samples = _noisy(recorded, clean, chosen, np.random.default_rng([seed, 1]))
+        theta = solve(recorded, name, samples, n_evaluations, np.random.default_rng([seed, 2]))
+        errors.append(max(float(np.linalg.norm((theta - truth)[g]) / np.linalg.norm(truth[g])) for g in groups))
+    return {
+        "estimator": name,
+        "evaluations": n_evaluations,
+        "median": float(np.median(errors)),
+        "worst": max(errors),
+        "within_5_percent": float(np.mean(np.array(errors) <= 0.05)),
+        "milliseconds": 1e3 * (perf_counter() - begun) / options.seeds,
+        "errors": errors,
+    }
+
+
+def solve(recorded: Run, name: str, samples: list[Sample], n_evaluations: int, rng: np.random.Generator) -> Vector:
+    """theta (d,) after so many evaluations from what the controller held at the run's start."""
+    scenario = recorded.scenario
+    space = scenario.estimation.space
+    method = find_method(name, scenario)
+    settings = scenario.estimation.settings(name)
+    if "max_evaluations" in settings:
+        settings["max_evaluations"] = n_evaluations
+    if name == "multi-start":
+        settings["n_starts"] = n_evaluations
+    start = np.array([series[0] for series in recorded.estimates.values()])
+    search = method.estimator(space, start, rng, method.settings(**settings))
+    sigma = tuple(n.noise for n in scenario.sampling.derivatives.values())
+    model = load(scenario.estimation.model, scenario.folder)
+    residual = DerivativeResidual(model, space, recorded.plant.channels, sigma)
+    if not search.is_whitened:
+        residual = replace(residual, noise=(1.0,) * len(sigma))
+    window = ResidualWindow(residual, len(sigma), len(samples))
+    for sample in samples:
+        window.append(sample)
+    search.restart(start)
+    if isinstance(search, AskTell):
+        for _ in range(n_evaluations):
+            theta = search.ask()
+            search.tell(theta, window.residual(theta))
+    else:
+        search.solve(Objective(window))
+    return search.estimate().theta
+
+
+def _noisy(recorded: Run, clean: list[Sample], rows: range, rng: np.random.Generator) -> list[Sample]:
+    """The samples with the derivatives as the plant gave them, and noise of this stream."""
+    derivatives = recorded.scenario.sampling.derivatives
+    exact = np.array([[recorded.series[name][k] for name in derivatives] for k in reversed(rows)])
+    sigma = np.array([n.noise for n in derivatives.values()])
+    noisy = exact + sigma * rng.standard_normal(exact.shape)
+    return [replace(s, xdot=tuple(y)) for s, y in zip(clean, noisy.tolist(), strict=True)]
+
+
+if __name__ == "__main__":
+    main()

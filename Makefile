@@ -1,10 +1,10 @@
-# make run | test | experiments | lint | clean. Everything is set up in .venv on first use.
+# make run | test | experiments | evaluation | lint | clean. Everything is set up in .venv on first use.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
-.PHONY: run test experiments lint format clean
+.PHONY: run test experiments evaluation lint format clean
 
 run: $(VENV)/.run
 	$(BIN)/retune run pendulum
@@ -17,6 +17,9 @@ test: $(VENV)/.test
 
 experiments: $(VENV)/.test
 	$(BIN)/python -m pytest -m slow -s
+
+evaluation: $(VENV)/.test
+	$(BIN)/python -m benchmarks.evaluation measure
 
 lint: $(VENV)/.test
 	$(BIN)/ruff check .

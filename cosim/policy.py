@@ -9,7 +9,7 @@ import numpy as np
 
 from estimator import DerivativeResidual, LinearForm, ResidualWindow, Sample, Vector
 
-from .errors import ScenarioError
+from .errors import CosimError, ScenarioError, one_line, seconds
 from .estimators import find_method, load, make_estimator
 from .reconfigure import (
     AlwaysTrigger,
@@ -64,6 +64,17 @@ class TellTruth:
     def step(self, t: float, sample: Sample | None, tracking_error: float) -> Reconfiguration:
         """The parameters in force at t."""
         return Reconfiguration(write=self._truth(t))
+
+
+def decide(policy: Policy, estimator: str, sample: Sample | None, t: float, tracking_error: float) -> Reconfiguration:
+    """What the policy makes of t [s]. Raises ScenarioError, with the estimator's name, for whatever it raises."""
+    try:
+        return policy.step(t, sample, tracking_error)
+    except CosimError:
+        raise
+    except Exception as e:
+        reason = f"{type(e).__name__}: {one_line(str(e))}"
+        raise ScenarioError(f"estimator '{estimator}' failed at t = {seconds(t)} s: {reason}.") from e
 
 
 def make_policy(

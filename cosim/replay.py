@@ -15,7 +15,7 @@ from .comparison import Comparison
 from .crew import record_of
 from .errors import ScenarioError
 from .estimators import find_method
-from .policy import make_policy
+from .policy import decide, make_policy
 from .record import FolderError, new_run_folder
 from .result import Run, read_run
 from .sampling import recorded_samples
@@ -71,7 +71,7 @@ def replayed(recorded: Run, estimator: str, seed: int) -> Run:
     latencies: list[tuple[float, ...]] = []
     theta, thetas = held[0], [held[0]]
     for sample, error in zip(samples[1:], errors[1:], strict=True):
-        decision = policy.step(sample.t, sample, hypot(*error))
+        decision = decide(policy, estimator, sample, sample.t, hypot(*error))
         if decision.latencies:
             latencies.append(decision.latencies)
         theta = theta if decision.write is None else decision.write

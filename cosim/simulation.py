@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 from .errors import ScenarioError, SlaveError, WiringError
 from .estimators import check_estimator
 from .master import Master
-from .policy import LeaveAlone, Policy, make_policy
+from .policy import LeaveAlone, Policy, decide, make_policy
 from .reconfigure import Reconfiguration
 from .record import Recorder
 from .result import Run, Status, begin_folder, end_folder
@@ -85,7 +85,7 @@ class _Loop:
         check_parameters(scenario, slaves)
         wiring, groups = wire(scenario, slaves)
         noise, search = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
-        self._scenario = scenario
+        self._scenario, self._estimator = scenario, estimator
         self.plant = plant
         self._master = Master(slaves, wiring, groups)
         self._sampler = Sampler(scenario, plant, self._master.names, noise)
@@ -125,7 +125,7 @@ class _Loop:
                     return "diverged", None
                 if progress is not None:
                     progress(t, dict(zip(names, self._theta.tolist(), strict=True)))
-        except (SlaveError, ScenarioError) as fault:  # the latter: a change without a value
+        except (SlaveError, ScenarioError) as fault:  # the latter: a change without a value, an estimator that raised
             recorder.event(t, "fault", {"reason": str(fault)})
             return "faulted", str(fault)
         except KeyboardInterrupt:
@@ -139,7 +139,8 @@ class _Loop:
         errors = [master.values[a] - master.values[b] for a, b in self._tracked]
         has_diverged = not all(abs(e) <= self._scenario.limits.divergence for e in errors)
         sample = self._sampler.take(t, master.values, master.inputs.get(self._scenario.plant, {}))
-        self._take(self.policy.step(t, sample if k else None, hypot(*errors)), recorder)
+        decision = decide(self.policy, self._estimator, sample if k else None, t, hypot(*errors))
+        self._take(decision, recorder)
         truth = {reference: f(t) for reference, f in self._truth.items()}
         is_stepping = k < settings.n_steps and not has_diverged
         tunables = self._tunables(truth)

@@ -386,6 +386,13 @@ class Raises(Asker):
         raise RuntimeError("not today")
 
 
+class Tires(Solver):
+    def solve(self, objective):
+        super().solve(objective)
+        if self.n == 3:
+            raise RuntimeError("no\\nmore")
+
+
 class Mute:
     def __init__(self, *_):
         pass
@@ -471,6 +478,30 @@ def test_an_estimator_of_ones_own_that_is_wrong_is_told_in_one_line(called, own,
     assert (code, out, len(err.splitlines())) == (2, "", 1)
     assert reason in err
     assert {p.name for p in workplace.iterdir()} <= {f"{own}.py", "__pycache__"}
+
+
+def test_an_estimator_that_raises_ends_the_run_with_its_rows_kept(called, own, workplace):
+    command = ["run", "pendulum", "--only", "--estimator", f"{own}:Tires", "--out", "out", *EARLY_CHANGE]
+    code, _, err = called(*command, "--set", "scenario.stop_time=0.5", "--set", "estimation.budget=100")
+    assert (code, len(err.splitlines())) == (1, 1)
+    assert re.search(rf"estimator '{own}:Tires' failed at t = 0\.\d+ s: RuntimeError: no more", err)
+    assert "rows up to 0." in err
+    assert json.loads((workplace / "out" / "result.json").read_text())["status"] == "faulted"
+
+
+def test_the_readmes_estimator_of_ones_own_works(called, workplace):
+    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    (example,) = (
+        block for block in re.findall(r"```python\n(.*?)```", readme, re.DOTALL) if "class Evolution" in block
+    )
+    (workplace / "readmes_estimator.py").write_text(example)
+    command = ["run", "pendulum", "--only", "--json", "--estimator", "readmes_estimator:Evolution", "--out", "out"]
+    code, out, err = called(*command, "--set", "scenario.stop_time=1.0", *EARLY_CHANGE)
+    assert (code, err) == (0, "")
+    result = json.loads(out)
+    assert result["evaluations"] > 100
+    (m, *_) = result["parameters"]
+    assert abs(m["estimated"] - m["true"]) < 0.2 * m["true"]
 
 
 # Runs that do not finish.

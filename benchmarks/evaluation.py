@@ -22,12 +22,12 @@ from typing import Any
 DOCS = Path(__file__).parents[1] / "docs"
 DATA = DOCS / "evaluation"
 COMPARISONS = {
-    "quadrotor": "quadrotor --estimators target,least-squares,multi-start,ukf,rls --seeds 20",
-    "quadrotor-scalar": "quadrotor --estimators paper,bo-scalar,sqp,sqp-wide-step --seeds 20",
-    "quadrotor-ipm": "quadrotor --estimators ipm,ipm-wide-step,ipm-scipy,ipm-scipy-wide-step --seeds 3",
-    "pendulum": "pendulum --estimators target,least-squares,ukf,rls,paper,bo-scalar,sqp,sqp-wide-step --seeds 5",
-    "stiction": "stiction --estimators target,least-squares,multi-start,ukf,paper,bo-scalar,sqp-wide-step --seeds 5",
-    "rigid-body": "rigid-body --estimators target,least-squares,ukf --seeds 10",
+    "quadrotor": "quadrotor --estimators target,least-squares,ukf,rls --seeds 20 --jobs 1",
+    "quadrotor-scalar": "quadrotor --estimators paper,bo-scalar,sqp,sqp-wide-step --seeds 10 --jobs 2",
+    "quadrotor-ipm": "quadrotor --estimators ipm,ipm-wide-step,ipm-scipy,ipm-scipy-wide-step --seeds 2 --jobs 2",
+    "pendulum": "pendulum --estimators target,least-squares,ukf,rls,paper,bo-scalar,sqp,sqp-wide-step --seeds 4 --jobs 2",
+    "stiction": "stiction --estimators target,least-squares,multi-start,ukf,paper,sqp-wide-step --seeds 4 --jobs 2",
+    "rigid-body": "rigid-body --estimators target,least-squares,ukf --seeds 10 --jobs 2",
 }
 _SOLVERS = "--seeds 20 --estimators target least-squares multi-start bo-scalar"
 FROZEN = {
@@ -50,7 +50,7 @@ def main() -> None:
 def commands() -> list[str]:
     """What `measure` runs, as one types it."""
     return [
-        *(f"retune compare {arguments} --jobs 1 --out {name}" for name, arguments in COMPARISONS.items()),
+        *(f"retune compare {arguments} --out {name}" for name, arguments in COMPARISONS.items()),
         *(f"python -m benchmarks.frozen {arguments} --out {name}.json" for name, arguments in FROZEN.items()),
         "retune figures --jobs 1 --out figures",
     ]
@@ -63,7 +63,7 @@ def measure(names: list[str]) -> None:
         with tempfile.TemporaryDirectory() as place:
             out = Path(place) / name
             if name in COMPARISONS:
-                tail = f"cosim.cli compare {COMPARISONS[name]} --jobs 1 --out {out}"
+                tail = f"cosim.cli compare {COMPARISONS[name]} --out {out}"
             elif name in FROZEN:
                 tail = f"benchmarks.frozen {FROZEN[name]} --out {out}.json"
             else:

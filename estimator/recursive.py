@@ -102,8 +102,8 @@ class UnscentedSettings:
 
     walk: float = 0.003
     """Standard deviation of a parameter's step from sample to sample."""
-    spread: float = 0.2
-    """Standard deviation of each parameter at the start."""
+    spread: float = 0.05
+    """Standard deviation of each parameter at the start; sigma points far from it may reach where no model holds."""
     alpha: float = 0.1
     """Spread of the sigma points round the mean."""
 
@@ -140,13 +140,15 @@ class UnscentedKalman:
         self._filter = kalman
         kalman.predict()
         x, P = kalman.x.copy(), kalman.P.copy()
-        kalman.update(np.zeros(len(kalman.R)), hx=lambda z: objective.residual(self._space.from_unit(z)))
+        with np.errstate(all="ignore"):  # where sigma points reach places at which the model explodes
+            kalman.update(np.zeros(len(kalman.R)), hx=lambda z: objective.residual(self._space.from_unit(z)))
         if not np.all(np.isfinite(kalman.x)):
             kalman.x, kalman.P = x, P
         kalman.P = 0.5 * (kalman.P + kalman.P.T) + 1e-12 * np.eye(len(kalman.x))
         kalman.x = np.clip(kalman.x, 0.0, 1.0)
         self._n_evaluations = self._n_evaluations + objective.n_evaluations
-        self._cost = float(np.nan_to_num(np.sum(kalman.y**2), nan=np.inf))
+        cost = float(np.sum(np.square(kalman.y, dtype=np.longdouble)))
+        self._cost = cost if np.isfinite(cost) else np.inf
 
     def estimate(self) -> Estimate:
         """Mean and covariance's diagonal; cost: the innovation squared of the newest sample."""

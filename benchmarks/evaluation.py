@@ -25,7 +25,8 @@ COMPARISONS = {
     "quadrotor": "quadrotor --estimators target,least-squares,ukf,rls --seeds 20 --jobs 1",
     "quadrotor-scalar": "quadrotor --estimators paper,bo-scalar,sqp,sqp-wide-step --seeds 10 --jobs 2",
     "quadrotor-ipm": "quadrotor --estimators ipm,ipm-wide-step,ipm-scipy,ipm-scipy-wide-step --seeds 2 --jobs 2",
-    "pendulum": "pendulum --estimators target,least-squares,ukf,rls,paper,bo-scalar,sqp,sqp-wide-step --seeds 4 --jobs 2",
+    "pendulum": "pendulum --estimators target,least-squares,ukf,rls,paper,bo-scalar,sqp,sqp-wide-step "
+    "--seeds 4 --jobs 2",
     "stiction": "stiction --estimators target,least-squares,multi-start,ukf,paper,sqp-wide-step --seeds 4 --jobs 2",
     "rigid-body": "rigid-body --estimators target,least-squares,ukf --seeds 10 --jobs 2",
 }

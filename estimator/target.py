@@ -11,6 +11,7 @@ from scipy.stats import qmc
 from .acquisition import log_target_vector_improvement
 from .contract import Estimate
 from .identifiability import information
+from .search import best_that_differ, least_change, least_squares_of_mean, one_at_a_time, principal_components
 from .space import ParameterSpace, Vector
 from .surrogate import Posterior, VectorSurrogate
 
@@ -118,9 +119,9 @@ class TargetVector:
             self._failed = np.vstack([self._failed, self._space.to_unit(theta)])
             return
         told = np.atleast_2d(np.asarray(residual, dtype=float))
-        is_known = len(self._theta) > len(theta)
-        if self._n_evaluations == 1 and not (is_known and _is_near(residual)):
-            self._queue = one_at_a_time(self._start, self._step)
+        is_known = len(self._theta) > len(theta) and _is_near(residual)
+        if self._residuals is None or (self._n_evaluations == 1 and not is_known):
+            self._queue = one_at_a_time(self._space.to_unit(theta), self._step)
         self._theta = np.vstack([self._theta, theta])
         self._residuals = told if self._residuals is None else np.vstack([self._residuals, told])
         self._model_now = None
@@ -232,70 +233,3 @@ class _Model(NamedTuple):
     costs: Vector
     """Their sums of squared residuals (n,)."""
     posterior: Posterior
-
-
-def best_that_differ(residuals: Vector, n: int) -> list[int]:
-    """Places of the n least rows of residuals (m, D), each a standard deviation or more from those before it.
-
-    Rows that differ by less tell nothing of the slopes, and would fill the surrogate with what it knows.
-    """
-    products = residuals @ residuals.T
-    costs = products.diagonal()
-    squares = costs[:, None] + costs - 2.0 * products
-    chosen: list[int] = []
-    is_free = np.ones(len(costs), dtype=bool)
-    for i in np.argsort(costs, kind="stable").tolist():
-        if is_free[i]:
-            chosen.append(i)
-            is_free &= squares[i] >= 1.0
-        if len(chosen) == n:
-            break
-    return chosen
-
-
-def one_at_a_time(z: Vector, step: float) -> list[Vector]:
-    """Places that differ from z (d,) in one coordinate each, by step, towards the cube's middle."""
-    return list(z + np.diag(np.where(z < 0.5, step, -step)))
-
-
-def principal_components(residuals: Vector, n_outputs: int) -> Vector:
-    """Residuals (n, D) in their principal axes (n, k), k <= n_outputs; |row|^2 keeps its value but for noise.
-
-    Uncentred, so that zero stays zero. Axes that hold less than 0.1 a candidate are left out.
-    """
-    U, s, _ = np.linalg.svd(residuals, full_matrices=False)
-    k = int(np.clip(np.sum(s > 0.1 * np.sqrt(len(residuals))), 1, n_outputs))
-    return U[:, :k] * s[:k]
-
-
-def least_squares_of_mean(posterior: Posterior, z: Vector, n_iterations: int = 8) -> Vector:
-    """A minimiser of |posterior mean|^2 in the unit cube, by damped Gauss-Newton steps from z (d,).
-
-    Levenberg (1944), Marquardt (1963).
-    """
-    damping = 1e-3
-    r, slope = posterior.mean_and_jacobian(z)
-    for _ in range(n_iterations):
-        H = slope.T @ slope
-        scale = H.diagonal() + 1e-9 * H.trace() + 1e-12
-        step = np.linalg.solve(H + np.diag(damping * scale), slope.T @ r)
-        trial = np.minimum(np.maximum(z - step, 0.0), 1.0)
-        r_trial, slope_trial = posterior.mean_and_jacobian(trial)
-        if r_trial @ r_trial < r @ r:
-            z, r, slope, damping = trial, r_trial, slope_trial, max(damping / 10.0, 1e-9)
-        else:
-            damping *= 10.0
-    return z
-
-
-def least_change(posterior: Posterior, z: Vector, n_moved: int) -> Vector:
-    """The place of least |posterior mean|^2 that is reached from z (d,) by moving in n_moved directions only.
-
-    The directions are those best seen at each place on the way: a flat direction may turn.
-    """
-    for _ in range(8):
-        r, slope = posterior.mean_and_jacobian(z)
-        seen = information(slope).directions[:n_moved]
-        step = np.linalg.lstsq(slope @ seen.T, r, rcond=None)[0]
-        z = np.clip(z - seen.T @ step, 0.0, 1.0)
-    return z

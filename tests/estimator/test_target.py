@@ -7,7 +7,7 @@ from scipy.optimize import least_squares
 from scipy.stats import binom
 
 from estimator import Parameter, ParameterSpace, ResidualWindow, TargetSettings, TargetVector
-from estimator.target import best_that_differ
+from estimator.search import best_that_differ
 
 
 def run(space, start, residual, n, seed=0, estimator=None):
@@ -146,6 +146,18 @@ def test_a_candidate_that_failed_counts_and_is_left_out(bad):
     estimate = estimator.estimate()
     assert estimate.n_evaluations == 32
     assert_allclose(estimate.theta, [1.7, 3.0], atol=5e-3)  # five standard deviations of the data
+
+
+def test_where_the_start_fails_the_slopes_are_learnt_around_the_first_success():
+    def brittle(theta):
+        return np.full(8, np.nan) if theta[0] < 0.5 else body(theta)
+
+    estimator, asked = run(BODY, (0.2, 1.0), brittle, 40)
+    first = int(np.argmax(asked[:, 0] >= 0.5))
+    step = np.exp(0.1 * np.log(100.0))
+    assert first >= 1
+    assert_allclose(np.abs(np.log(asked[first + 1] / asked[first])), [np.log(step), 0.0], rtol=1e-9, atol=1e-9)
+    assert_allclose(estimator.estimate().theta, [1.7, 3.0], atol=5e-3)
 
 
 def test_an_episode_that_all_failed_leaves_no_trace_in_the_next_answer():

@@ -1,5 +1,6 @@
 """A scenario: which FMUs are joined how, what happens to the plant, what is sampled and estimated. TOML in."""
 
+import re
 import tomllib
 from collections.abc import Callable, Mapping
 from importlib import resources
@@ -166,7 +167,7 @@ def _first_error(error: ValidationError) -> str:
     """Key and rule of the first error, in one line."""
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"] if part != "[key]")
-    key = key.replace(".trigger.tracking", ".trigger").replace(".trigger.innovation", ".trigger")
+    key = re.sub(r"\.trigger\.(tracking|innovation|always)", ".trigger", key)  # pydantic names the kind
     more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
     if first["type"] == "extra_forbidden":
         parent, name = first["loc"][:-1], str(first["loc"][-1])

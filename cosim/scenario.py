@@ -15,11 +15,13 @@ from .changes import Change, change_functions
 from .errors import ScenarioError, one_line
 from .names import did_you_mean
 from .schema import (
+    Always,
     Component,
     EstimatedParameter,
     Estimation,
     Innovation,
     Limits,
+    LinearModel,
     Noise,
     Reference,
     Sampling,
@@ -187,6 +189,7 @@ def _known_keys(path: tuple[int | str, ...]) -> set[str]:
         (): Scenario, ("scenario",): Settings, ("sampling",): Sampling, ("estimation",): Estimation,
         ("limits",): Limits, ("components",): Component, ("estimation", "parameters"): EstimatedParameter,
         ("estimation", "trigger", "tracking"): Tracking, ("estimation", "trigger", "innovation"): Innovation,
+        ("estimation", "trigger", "always"): Always, ("estimation", "linear"): LinearModel,
         ("sampling", "derivatives"): Noise, ("sampling", "states"): Noise,
     }  # fmt: skip
     names = tuple(str(part) for part in path)

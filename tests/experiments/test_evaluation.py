@@ -1,4 +1,4 @@
-"""The figures that the comparison must reach: 20 seeds of the quadrotor, and the harder scenarios. `make experiments`."""
+"""Figures that the comparison must reach: 20 seeds of the quadrotor, and the harder scenarios. `make experiments`."""
 
 import json
 import os

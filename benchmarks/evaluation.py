@@ -32,6 +32,8 @@ COMPARISONS = {
 }
 _SOLVERS = "--seeds 20 --estimators target least-squares multi-start bo-scalar"
 FROZEN = {
+    "frozen-quadrotor": "quadrotor --at 5.0 --window 10 --stride 5 --evaluations 30 --seeds 20 "
+    "--estimators target least-squares closed-form bo-scalar",
     "frozen-stiction": f"stiction --at 4.0 --window 100 --evaluations 30 45 60 120 {_SOLVERS}",
     "frozen-rigid-body": f"rigid-body --at 2.6 --window 10 --stride 5 --evaluations 30 45 60 100 {_SOLVERS}",
 }
@@ -92,7 +94,7 @@ def keep(source: Path, name: str) -> None:
 def render() -> str:
     """The document's text. Raises KeyError for a number that no file has."""
     prose = (DOCS / "evaluation.in.md").read_text(encoding="utf-8")
-    return re.sub(r"\{\{(.+?)\}\}", lambda match: _value(match[1].split()), prose)
+    return re.sub(r"\{\{([^}]+)\}\}", lambda match: _value(match[1].split()), prose)
 
 
 def _value(words: list[str]) -> str:

@@ -22,7 +22,7 @@ from typing import Any
 DOCS = Path(__file__).parents[1] / "docs"
 DATA = DOCS / "evaluation"
 COMPARISONS = {
-    "quadrotor": "quadrotor --estimators target,least-squares,ukf,rls --seeds 20 --jobs 1",
+    "quadrotor": "quadrotor --estimators target,least-squares,ukf,rls --seeds 20 --jobs 2",
     "quadrotor-scalar": "quadrotor --estimators paper,bo-scalar,sqp,sqp-wide-step --seeds 10 --jobs 2",
     "quadrotor-ipm": "quadrotor --estimators ipm,ipm-wide-step,ipm-scipy,ipm-scipy-wide-step --seeds 2 --jobs 2",
     "pendulum": "pendulum --estimators target,least-squares,ukf,rls,paper,bo-scalar,sqp,sqp-wide-step "

@@ -27,10 +27,11 @@ from cosim.sampling import recorded_samples
 from cosim.scenario import Scenario
 from cosim.simulation import run
 from estimator import AskTell, DerivativeResidual, LinearForm, Objective, ResidualWindow, Sample, Vector
+from estimator.baselines import LeastSquaresSettings
 
 CLOSED_FORM = "closed-form"
 """Linear least squares on the model's linear form: what a search has to be measured against where there is one."""
-DEFAULT = ("target", "least-squares", "multi-start", "bo-scalar", "sqp-wide-step", "sqp", "ipm")
+DEFAULT = ("target", "least-squares", "multi-start", "bo-scalar")
 
 
 def main() -> None:
@@ -99,12 +100,12 @@ def solve(
     space = scenario.estimation.space
     method = find_method(name, scenario)
     settings = scenario.estimation.settings(name)
-    if "max_evaluations" in settings:
-        settings["max_evaluations"] = n_evaluations
+    if isinstance(settings, LeastSquaresSettings):
+        settings = replace(settings, max_evaluations=n_evaluations)
     if name == "multi-start":
-        settings["n_starts"] = n_evaluations
+        settings = replace(settings, n_starts=n_evaluations)
     start = np.array([series[0] for series in recorded.estimates.values()])
-    search = method.estimator(space, start, rng, method.settings(**settings))
+    search = method.estimator(space, start, rng, settings)
     sigma = tuple(n.noise for n in scenario.sampling.derivatives.values())
     model = load(scenario.estimation.model, scenario.folder)
     residual = DerivativeResidual(model, space, recorded.plant.channels, sigma)

@@ -138,6 +138,7 @@ class Comparison:
                 for t in self.instants
             ],
             "evaluations": _figure(r["evaluations"] for r in records),
+            "model_calls": _figure(r["model_calls"] for r in records),
             "latency_ms": {"p50": p50, "p99": p99, "n": len(latencies)},
             "missed_deadlines": sum(r["missed_deadlines"] for r in records),
             "steps_with_evaluations": sum(len(r["latencies_ms"]) for r in records),

@@ -91,9 +91,8 @@ def make_estimator(
     """An estimator beginning at theta (d,), and the loop's settings for it. Raises ScenarioError."""
     estimation = scenario.estimation
     own = None if name in METHODS else method
-    settings = method.settings(**estimation.settings(name, own))
     try:
-        made = method.estimator(estimation.space, start, rng, settings)
+        made = method.estimator(estimation.space, start, rng, estimation.settings(name, own))
     except Exception as e:  # whatever a user's class raises
         raise ScenarioError(f"estimator '{name}' cannot be made: {type(e).__name__}: {e}.") from e
     if not isinstance(made, AskTell | Solver):

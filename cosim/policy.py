@@ -38,6 +38,11 @@ class Policy(Protocol):
         """Episodes begun so far."""
         ...
 
+    @property
+    def n_model_calls(self) -> int:
+        """Samples at which a candidate was judged so far."""
+        ...
+
     def step(self, t: float, sample: Sample | None, tracking_error: float) -> Reconfiguration:
         """t [s]; the sample there, but for the first point, whose u is unknown; norm of the tracking error."""
         ...
@@ -46,7 +51,7 @@ class Policy(Protocol):
 class LeaveAlone:
     """The nominal controller."""
 
-    n_evaluations = n_episodes = 0
+    n_evaluations = n_episodes = n_model_calls = 0
 
     def step(self, t: float, sample: Sample | None, tracking_error: float) -> Reconfiguration:
         """Nothing."""
@@ -56,7 +61,7 @@ class LeaveAlone:
 class TellTruth:
     """The controller with the plant's own parameters: the least error that re-tuning can hope for."""
 
-    n_evaluations = n_episodes = 0
+    n_evaluations = n_episodes = n_model_calls = 0
 
     def __init__(self, truth: Callable[[float], Vector]) -> None:
         self._truth = truth

@@ -100,7 +100,7 @@ class Reconfiguration:
     events: tuple[Event, ...] = ()
     """In order."""
     latencies: tuple[float, ...] = ()
-    """Wall time of each evaluation [s]: ask, score, tell, any refit; the first carries the re-scoring."""
+    """Wall time of each evaluation [s]: ask, score, tell, any refit; the first and the last carry what is done once."""
 
 
 @dataclass(frozen=True)
@@ -138,6 +138,7 @@ class Retuner:
         """Take one communication point's sample, where there is one; returns what to write, and why."""
         if sample is None:
             return Reconfiguration()
+        begun = perf_counter()
         self._window.append(sample)
         events: list[Event] = []
         if not self._remaining:
@@ -151,11 +152,13 @@ class Retuner:
         for candidate, cost, seconds in self._evaluate():
             latencies.append(seconds)
             events.append(Event(t, "candidate", {"theta": candidate.tolist(), "cost": cost}))
-        estimate = self._estimator.estimate()
-        if self._estimator.is_whitened:
-            self._window.explain(estimate.theta)
+        estimate = self._believe()
+        latencies[-1] += perf_counter() - begun - sum(latencies)
         if self._remaining == 0:
-            events.append(Event(t, "end", {"episode": self.n_episodes, "cost": estimate.cost}))
+            cost = None if estimate is None else estimate.cost
+            events.append(Event(t, "end", {"episode": self.n_episodes, "cost": cost}))
+        if estimate is None:
+            return Reconfiguration(None, None, tuple(events), tuple(latencies))
         is_candidate = self._budget.commit == "candidate" and self._remaining > 0
         theta = candidate if is_candidate else estimate.theta
         write = None if np.array_equal(theta, self._theta) else theta
@@ -164,6 +167,21 @@ class Retuner:
             events.append(Event(t, "write", {"theta": theta.tolist(), "std": estimate.std.tolist(), "reason": why}))
         self._theta = theta
         return Reconfiguration(write, estimate, tuple(events), tuple(latencies))
+
+    @property
+    def n_model_calls(self) -> int:
+        """Samples at which a candidate was judged, re-scoring included."""
+        return self._window.n_model_calls
+
+    def _believe(self) -> Estimate | None:
+        """What the estimator believes now; None before any candidate has succeeded."""
+        try:
+            estimate = self._estimator.estimate()
+        except RuntimeError:  # the contract's
+            return None
+        if self._estimator.is_whitened:
+            self._window.explain(estimate.theta)
+        return estimate
 
     def _begin(self) -> None:
         self.n_episodes += 1

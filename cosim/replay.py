@@ -79,7 +79,8 @@ def replayed(recorded: Run, estimator: str, seed: int) -> Run:
     estimates = dict(zip(writes, np.array(thetas).T, strict=True))
     return replace(
         recorded, estimator=estimator, seed=seed, series={**recorded.series, **estimates}, status="done", error=None,
-        n_evaluations=policy.n_evaluations, n_episodes=policy.n_episodes, latencies=tuple(latencies),
+        n_evaluations=policy.n_evaluations, n_episodes=policy.n_episodes, n_model_calls=policy.n_model_calls,
+        latencies=tuple(latencies),
         wall=perf_counter() - begun, folder=None,
     )  # fmt: skip
 

@@ -62,6 +62,8 @@ class Run:
     """Wall time of the simulation, from starting the FMUs to the last step [s]."""
     folder: Path | None
     """Run folder, where there is one."""
+    n_model_calls: int = 0
+    """Samples at which a candidate was judged."""
 
     @property
     def time(self) -> Series:
@@ -127,6 +129,7 @@ class Run:
             "instants": [{"t": t, "parameters": p} for t in instants if (p := self.parameters_at(t))],
             "evaluations": self.n_evaluations,
             "episodes": self.n_episodes,
+            "model_calls": self.n_model_calls,
             "latency_ms": _quantiles(evaluations),
             "deadline_ms": 1e3 * deadline,
             "missed_deadlines": sum(sum(step) > deadline for step in self.latencies),
@@ -195,7 +198,7 @@ def read_run(folder: Path) -> Run:
         latencies = _read(folder, LATENCIES, tuple[tuple[float, ...], ...])
     return Run(
         scenario, manifest.plant, manifest.estimator, manifest.seed, series, status, result.error, result.evaluations,
-        result.episodes, latencies, result.wall_s, folder,
+        result.episodes, latencies, result.wall_s, folder, result.model_calls,
     )  # fmt: skip
 
 
@@ -218,6 +221,7 @@ class _Result:
     error: str | None = None
     evaluations: int = 0
     episodes: int = 0
+    model_calls: int = 0
     wall_s: float = float("nan")
 
 

@@ -1,6 +1,5 @@
 """The tables of a scenario file, each validated when built."""
 
-from dataclasses import asdict
 from typing import Annotated, Any, Literal, Self, cast
 
 from pydantic import (
@@ -218,11 +217,10 @@ class Estimation(Loop):
         own = {k: v for k, v in self._own(name, method).items() if k in Loop.model_fields}
         return Loop.model_validate(common | own)
 
-    def settings(self, name: str, method: Method | None = None) -> dict[str, Any]:
-        """The estimator's own settings, complete and of the right types."""
+    def settings(self, name: str, method: Method | None = None) -> Any:
+        """The estimator's own settings, an instance of its settings' class."""
         given = {k: v for k, v in self._own(name, method).items() if k not in Loop.model_fields}
-        settings: Any = TypeAdapter((method or METHODS[name]).settings).validate_python(given)
-        return asdict(settings)
+        return TypeAdapter((method or METHODS[name]).settings).validate_python(given)
 
     def _own(self, name: str, method: Method | None = None) -> dict[str, Any]:
         """What is set for one estimator: by the one that it is like, by itself, by the scenario."""

@@ -67,7 +67,7 @@ def run(
     policy, latencies = loop.policy, tuple(loop.latencies)
     result = Run(
         scenario, loop.plant, estimator, seed, recorder.close(), status, error, policy.n_evaluations,
-        policy.n_episodes, latencies, wall, out,
+        policy.n_episodes, latencies, wall, out, policy.n_model_calls,
     )  # fmt: skip
     if out is not None:
         end_folder(result, out)

@@ -59,7 +59,7 @@ def estimator_columns(row: Mapping[str, Any]) -> dict[str, Any]:
     figures = {f"mse {output}": f for output, f in row["mse"].items()} | {"ratio": row["ratio"]}
     for at in row["parameter_errors"]:
         figures |= {f"error {label} at {at['t']:g} s": f for label, f in at["errors"].items()}
-    figures |= {"evaluations": row["evaluations"]}
+    figures |= {key: row[key] for key in ("evaluations", "model_calls")}
     columns = {key: row[key] for key in ("estimator", "runs")}
     columns |= {f"{name} {key}": f[key] for name, f in figures.items() for key in ("median", "worst", "n")}
     columns |= {f"latency_ms {key}": row["latency_ms"][key] for key in ("p50", "p99", "n")}
@@ -78,7 +78,7 @@ def run_columns(comparison: "Comparison", record: Mapping[str, Any]) -> dict[str
     for t in comparison.instants:
         for label, names in comparison.groups.items():
             columns[f"error {label} at {t:g} s"] = comparison.parameter_error(record, t, names)
-    columns |= {key: record[key] for key in ("evaluations", "episodes")}
+    columns |= {key: record[key] for key in ("evaluations", "model_calls", "episodes")}
     columns |= {f"latency_ms {key}": record["latency_ms"][key] for key in ("p50", "p99", "max")}
     return columns | {key: record[key] for key in ("missed_deadlines", "wall_s")}
 
@@ -102,7 +102,8 @@ def blocks(comparison: "Comparison") -> list[Block]:
     }
     ratio: dict[str, Cell] = {"times the floor": lambda r: _told(r["ratio"], n)}
     cost: dict[str, Cell] = {
-        "evaluations, median": lambda r: _number(r["evaluations"]["median"], "g"),
+        "evaluations, median": lambda r: _number(r["evaluations"]["median"], ".0f"),
+        "model calls": lambda r: _number(r["model_calls"]["median"], ".0f"),
         "latency p50 [ms]": lambda r: _number(r["latency_ms"]["p50"]),
         "p99 [ms]": lambda r: _number(r["latency_ms"]["p99"]),
         "missed deadlines": lambda r: f"{r['missed_deadlines']} of {r['steps_with_evaluations']}",

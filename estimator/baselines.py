@@ -59,7 +59,7 @@ class NoisyNorm:
 
     def restart(self, start: Vector) -> None:
         """Nothing is kept between solves but the last result."""
-        self._theta, self._n_evaluations = self._clipped(start), 0
+        self._theta, self._cost, self._n_evaluations = self._clipped(start), np.inf, 0
 
     def solve(self, objective: Objective) -> None:
         """Minimise the noisy norm over the present samples."""
@@ -77,7 +77,7 @@ class NoisyNorm:
         """The last result. A minimum of one number says nothing of how well it is known."""
         width = np.array([upper - lower for lower, upper in self._bounds])
         return Estimate(
-            self._theta, width, (True,) * len(width), self._cost, self._n_evaluations, self._settings.minimizer
+            self._theta, width, (False,) * len(width), self._cost, self._n_evaluations, self._settings.minimizer
         )
 
     def _clipped(self, theta: Vector) -> Vector:
@@ -142,7 +142,8 @@ class LeastSquares:
 
     def restart(self, start: Vector) -> None:
         """Begin an episode at theta (d,)."""
-        self._z, self._std, self._n_evaluations = self._space.to_unit(start), np.ones(len(self._space)), 0
+        self._z, self._std = self._space.to_unit(start), np.ones(len(self._space))
+        self._cost, self._n_evaluations = np.inf, 0
 
     def solve(self, objective: Objective) -> None:
         """Minimise the sum of squares over the present samples, from each start until the evaluations are spent."""

@@ -38,7 +38,7 @@ class Estimator(Protocol):
         ...
 
     def estimate(self) -> Estimate:
-        """The present belief. Raises RuntimeError before any candidate has succeeded."""
+        """The present belief. An `AskTell` raises RuntimeError before any candidate has succeeded."""
         ...
 
 

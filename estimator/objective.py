@@ -49,3 +49,8 @@ class Objective:
         """Residual (D,) over the window; NaN where the model has no value."""
         self.n_evaluations += 1
         return self._window.residual(theta)
+
+    def newest_residual(self, theta: Vector) -> Vector:
+        """Residual (c,) at the newest sample; NaN where the model has no value."""
+        self.n_evaluations += 1
+        return self._window.newest_residual(theta)

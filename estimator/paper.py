@@ -51,9 +51,8 @@ class PaperBO:
         self.restart(start)
 
     def restart(self, start: Vector) -> None:
-        """Begin an episode from nothing. The paper does not use the start; it is what failure falls back on."""
+        """Begin an episode from nothing. The paper does not use the start."""
         d = len(self._space)
-        self._start = np.asarray(start, dtype=float)
         self._queue = list(self._rng.random((self._settings.n_initial, d)))
         self._places, self._norms = np.empty((0, d)), np.empty(0)
         self._n_evaluations = 0

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from filterpy.kalman import KalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 from scipy import optimize
+from scipy.stats import qmc
 
 from .contract import Estimate
 from .objective import LinearForm, Objective
@@ -15,12 +16,12 @@ from .space import ParameterSpace, Vector
 class RecursiveSettings:
     """Settings of `RecursiveLeastSquares`."""
 
-    forgetting: float = 0.9
+    forgetting: float = 0.8
     """lambda: what a sample's weight is multiplied by at each one that follows."""
     noise: float = 0.01
     """Standard deviation of a row's target, in its unit: weighs the first samples against the start."""
     spread: float = 1.0
-    """Standard deviation of the coefficients at the start, relative to their values there."""
+    """Standard deviation of the coefficients at the start, relative to that over the bounds."""
 
     def __post_init__(self) -> None:
         if not 0.0 < self.forgetting <= 1.0:
@@ -33,8 +34,8 @@ class RecursiveLeastSquares:
     """Recursive least squares with exponential forgetting, on a model's linear form.
 
     The Kalman filter of constant coefficients whose covariance is divided by lambda at each sample: Ljung (1999),
-    section 11.2. It forgets only while the covariance is below its start, so that it does not wind up where nothing
-    is excited (Åström and Wittenmark (1995), section 11.5). The parameters are those whose coefficients lie nearest
+    section 11.2. In no direction does the covariance exceed its start, so that it does not wind up where nothing is
+    excited (Åström and Wittenmark (1995), section 11.5). The parameters are those whose coefficients lie nearest
     to the filter's, in its covariance: where there are more coefficients than parameters, a projection.
     """
 
@@ -61,12 +62,11 @@ class RecursiveLeastSquares:
         rows, targets = linear.rows(objective.newest)
         kalman = self._filter or self._begin(linear)
         self._filter = kalman
-        if np.trace(kalman.P) < self._start_trace:
-            kalman.P = kalman.P / self._settings.forgetting
+        kalman.P = _at_most(self._start_std, kalman.P / self._settings.forgetting)
         kalman.update(targets, R=self._settings.noise**2 * np.eye(len(targets)), H=rows)
         self._project(linear, kalman)
         self._n_evaluations += 1
-        self._misfit = float(np.sum(objective.residual(self._space.from_unit(self._z)) ** 2))
+        self._misfit = float(np.sum(objective.newest_residual(self._space.from_unit(self._z)) ** 2))
 
     def estimate(self) -> Estimate:
         """The parameters of the present coefficients; cost: sum of squared residuals of the newest sample."""
@@ -78,10 +78,11 @@ class RecursiveLeastSquares:
 
     def _begin(self, linear: LinearForm) -> KalmanFilter:
         psi = linear.coefficients(self._space.from_unit(self._z))
+        cube = qmc.Halton(len(self._space), scramble=False).random(64)
+        anywhere = np.array([linear.coefficients(self._space.from_unit(z)) for z in cube])
+        self._start_std = self._settings.spread * np.std(anywhere, axis=0)
         kalman = KalmanFilter(dim_x=len(psi), dim_z=1)
-        kalman.x = psi
-        kalman.P = np.diag((self._settings.spread * np.abs(psi)) ** 2)
-        self._start_trace = float(np.trace(kalman.P))
+        kalman.x, kalman.P = psi, np.diag(self._start_std**2)
         return kalman
 
     def _project(self, linear: LinearForm, kalman: KalmanFilter) -> None:
@@ -94,6 +95,12 @@ class RecursiveLeastSquares:
         self._z = result.x
         information = result.jac.T @ result.jac + np.eye(len(self._z))
         self._std = np.sqrt(np.diag(np.linalg.inv(information)))
+
+
+def _at_most(std: Vector, P: Vector) -> Vector:
+    """The covariance P (p, p) with no direction wider than at the start, where it was diag(std^2)."""
+    values, directions = np.linalg.eigh(P / std / std[:, None])
+    return (directions * np.minimum(values, 1.0)) @ directions.T * std * std[:, None]
 
 
 @dataclass(frozen=True)
@@ -136,18 +143,19 @@ class UnscentedKalman:
 
     def solve(self, objective: Objective) -> None:
         """Take the newest sample. One at which the model has no value for a sigma point is left out."""
-        kalman = self._filter or self._begin(len(objective.residual(self._space.from_unit(self._start))))
+        kalman = self._filter or self._begin(len(objective.newest_residual(self._space.from_unit(self._start))))
         self._filter = kalman
         kalman.predict()
         x, P = kalman.x.copy(), kalman.P.copy()
         with np.errstate(all="ignore"):  # where sigma points reach places at which the model explodes
-            kalman.update(np.zeros(len(kalman.R)), hx=lambda z: objective.residual(self._space.from_unit(z)))
+            kalman.update(np.zeros(len(kalman.R)), hx=lambda z: objective.newest_residual(self._space.from_unit(z)))
         if not np.all(np.isfinite(kalman.x)):
             kalman.x, kalman.P = x, P
         kalman.P = 0.5 * (kalman.P + kalman.P.T) + 1e-12 * np.eye(len(kalman.x))
         kalman.x = np.clip(kalman.x, 0.0, 1.0)
         self._n_evaluations = self._n_evaluations + objective.n_evaluations
-        cost = float(np.sum(np.square(kalman.y, dtype=np.longdouble)))
+        with np.errstate(all="ignore"):
+            cost = float(np.sum(kalman.y**2))
         self._cost = cost if np.isfinite(cost) else np.inf
 
     def estimate(self) -> Estimate:

@@ -18,6 +18,8 @@ from .surrogate import Posterior, VectorSurrogate
 _FAR = 50.0
 """Root mean square residual [standard deviations] above which old candidates, which lie where the optimum was, tell
 little of the slopes: they are learnt anew."""
+_MOST = 128
+"""Candidates that are judged anew at each sample, however long an episode lasts."""
 _LOCAL_RADII = (0.2, 0.05, 0.01, 0.002)
 """Of the unit cube: standard deviations of the candidates drawn round the incumbent."""
 
@@ -88,10 +90,7 @@ class TargetVector:
         self._n_evaluations = 0
         self._queue = [self._start]
         self._failed = np.empty((0, len(self._start)))
-        if self._residuals is not None:
-            first = min(len(self._start) + 1, len(self._theta))
-            kept = np.concatenate([np.arange(first), first + self._modelled(self._residuals[first:])])
-            self._theta, self._residuals = self._theta[kept], self._residuals[kept]
+        self._forget()
         self._model_now = None
 
     def ask(self) -> Vector:
@@ -140,6 +139,8 @@ class TargetVector:
         best = int(np.argmin(self._costs()))
         if was_near and not self._queue and not _is_near(self._residuals[best]):  # the truth has jumped
             self._queue = one_at_a_time(self._space.to_unit(self._theta[best]), self._step)
+        if len(self._theta) > _MOST:
+            self._forget()
 
     def estimate(self) -> Estimate:
         """The best candidate, with the directions that the data do not see held at the episode's start."""
@@ -182,6 +183,13 @@ class TargetVector:
         nearest = fitting[int(np.argmin(np.sum((model.Z[fitting] - self._start) ** 2, axis=1)))]
         return model.Z[nearest], float(costs[nearest])
 
+    def _forget(self) -> None:
+        """Keep the first candidates, the best that differ, and the newest."""
+        if self._residuals is not None:
+            first = min(len(self._start) + 1, len(self._theta))
+            kept = np.concatenate([np.arange(first), first + self._modelled(self._residuals[first:])])
+            self._theta, self._residuals = self._theta[kept], self._residuals[kept]
+
     def _told(self) -> Vector:
         if self._residuals is None:
             raise RuntimeError("no candidate has succeeded yet: tell the residual of one first.")
@@ -201,7 +209,7 @@ class TargetVector:
     def _modelled(self, residuals: Vector) -> NDArray[np.intp]:
         """Places, in the order of telling, of the best candidates that differ and the newest: failures teach too."""
         newest = np.arange(len(residuals))[-len(self._start) :]
-        return np.union1d(best_that_differ(residuals, self._n_modelled), newest)
+        return np.union1d(np.array(best_that_differ(residuals, self._n_modelled), dtype=np.intp), newest)
 
     def _hopeful(self, pool: Vector, Z: Vector) -> Vector:
         """Those of the pool that lie nearer to a candidate in Z (n, d) than to one that failed; all, if none does."""

@@ -70,6 +70,8 @@ class ResidualWindow:
         self._lengths = [0] * n_channels
         self._is_explained = [True] * n_channels
         self._rows: dict[bytes, list[Vector]] = {}
+        self.n_model_calls = 0
+        """Samples at which a candidate was judged. What an evaluation costs depends on window and re-scoring."""
 
     @property
     def lengths(self) -> tuple[int, ...]:
@@ -100,9 +102,15 @@ class ResidualWindow:
     def residual(self, theta: Vector) -> Vector:
         """Residuals of one candidate over the window (D,), channel by channel, each from old to new."""
         rows = self._rows.setdefault(theta.tobytes(), [])
+        self.n_model_calls += len(self._samples) - len(rows)
         rows.extend(self._residual(theta, sample) for sample in self._samples[len(rows) :])
         table = np.array(rows)
         return np.concatenate([table[len(rows) - n :, c] for c, n in enumerate(self._lengths)])
+
+    def newest_residual(self, theta: Vector) -> Vector:
+        """Residual (c,) of one candidate at the newest sample."""
+        self.n_model_calls += 1
+        return self._residual(theta, self._samples[-1])
 
     def residuals(self, candidates: Iterable[Vector]) -> Vector:
         """Residuals of many candidates (n, D); rows kept for others are dropped."""

@@ -192,7 +192,7 @@ def by_name(name, seed, samples):
     method = METHODS[name]
     if method.needs_package and not importlib.util.find_spec(method.needs_package):
         pytest.skip(f"{method.needs_package} is not installed")
-    settings = method.settings(**ESTIMATION.settings(name))
+    settings = ESTIMATION.settings(name)
     estimator = method.estimator(SPACE, START, np.random.default_rng(seed), settings)
     loop = ESTIMATION.loop(name)
     always = loop.trigger.kind == "always"

@@ -40,7 +40,8 @@ def record(estimator, seed, mse, held_at=None, **changes):
     return {
         "scenario": "pendulum", "estimator": estimator, "seed": seed,
         "mse": mse if isinstance(mse, list) else [mse], "max_error": 0.5,
-        "parameters": at[-1]["parameters"] if at else [], "instants": at, "evaluations": 0, "episodes": 0,
+        "parameters": at[-1]["parameters"] if at else [], "instants": at,
+        "evaluations": 0, "model_calls": 0, "episodes": 0,
         "latency_ms": {"p50": None, "p99": None, "max": None}, "deadline_ms": 10.0, "missed_deadlines": 0,
         "wall_s": 1.0, "status": "done", "diverged_at": None, "error": None, "run": None, "end": 10.0,
         "reference_mean_square": [1.0], "latencies_ms": [],

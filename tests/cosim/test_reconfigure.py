@@ -219,3 +219,46 @@ def test_the_innovation_trigger_sees_a_jump_in_one_sample():
     noise = np.random.default_rng(2).standard_normal((1000, 6))
     assert all(trigger(Sample(0.0, (), (), tuple(r)), 0.0, np.array([8.0])) for r in noise)
     assert not any(trigger(Sample(0.0, (), (), tuple(r + 8.0)), 0.0, np.array([8.0])) for r in noise)
+
+
+class Hopeless(Scripted):
+    """No candidate of its has succeeded before the third."""
+
+    def estimate(self):
+        if len(self.told) < 3:
+            raise RuntimeError("no candidate has succeeded yet")
+        return super().estimate()
+
+
+def test_before_a_candidate_has_succeeded_nothing_is_written():
+    loop = retuner(Hopeless(4, 6, 9), Budget(3, 1))
+    first, second, third = (loop.step(t, sample(t), 2.0) for t in (0.0, 0.1, 0.2))
+    assert [d.write for d in (first, second)] == [None, None]
+    assert [e.kind for e in first.events] == ["trigger", "candidate"]
+    assert third.write == [9.0]
+
+
+def test_an_episode_without_any_success_ends_without_a_cost():
+    loop = retuner(Hopeless(4, 6), Budget(2, 2))
+    decision = loop.step(0.0, sample(), 2.0)
+    assert (decision.write, decision.estimate) == (None, None)
+    assert (decision.events[-1].kind, decision.events[-1].detail["cost"]) == ("end", None)
+
+
+def test_model_calls_are_samples_at_which_a_candidate_was_judged():
+    """What is in force and two candidates on one sample; both stored ones on the next, and a new one on both."""
+    loop = retuner(Rescored(4, 6, 9), Budget(3, 2), window=5)
+    loop.step(0.0, sample(), 2.0)
+    assert loop.n_model_calls == 1 + 2
+    loop.step(0.1, sample(0.1), 2.0)
+    assert loop.n_model_calls == 3 + 2 + 2
+    assert loop.n_evaluations == 3
+
+
+def test_the_latencies_of_a_step_add_up_to_all_of_it(monkeypatch):
+    """A clock that ticks once a reading: begun, begun of the search, two candidates, the end."""
+    ticks = iter(range(100))
+    monkeypatch.setattr("cosim.reconfigure.perf_counter", lambda: float(next(ticks)))
+    decision = retuner(Scripted(4, 6), Budget(2, 2)).step(0.0, sample(), 2.0)
+    assert len(decision.latencies) == 2
+    assert sum(decision.latencies) == 4.0

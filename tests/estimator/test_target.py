@@ -223,6 +223,23 @@ def test_a_restart_keeps_the_first_candidates_the_best_that_differ_and_the_newes
     assert_allclose(estimator.ask(), [2.0, 2.0], rtol=1e-14)
 
 
+@pytest.mark.parametrize("n", range(1, 5))
+def test_a_restart_after_a_few_candidates_keeps_them_all(n):
+    estimator, asked = run(BODY, (1.2, 1.2), body, n)
+    estimator.restart(np.array([2.0, 2.0]))
+    np.testing.assert_array_equal(estimator.candidates, asked)
+
+
+def test_an_endless_episode_keeps_a_bounded_number_of_candidates():
+    estimator, _ = run(BODY, (1.2, 1.2), body, 4)
+    for _ in range(200):
+        theta = estimator.ask()
+        estimator.tell(theta, body(theta))
+        estimator.rescore(np.array([body(theta) for theta in estimator.candidates]))
+        assert len(estimator.candidates) <= 128
+    assert_allclose(estimator.estimate().theta, [1.7, 3.0], atol=5e-3)
+
+
 def test_slopes_are_learnt_one_parameter_at_a_time_towards_the_middle():
     """0.2 of the cube shared by two parameters: 0.1 of ln 100."""
     _, asked = run(BODY, (0.5, 4.0), body, 3)

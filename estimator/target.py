@@ -100,7 +100,7 @@ class TargetVector:
         if self._residuals is None:  # every candidate has failed
             return self._space.from_unit(self._rng.random(len(self._space)))
         self._asks_since_fit += 1
-        if self._asks_since_fit >= max(2, self._n_modelled // 5):
+        if self._asks_since_fit >= max(2, len(self._theta) // 5):
             model = self._model()
             self._surrogate.fit(model.Z, model.Y)
             self._model_now, self._asks_since_fit = None, 0

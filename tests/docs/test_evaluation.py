@@ -37,7 +37,9 @@ def test_the_document_has_no_place_left_empty_and_its_pictures_are_there():
 
 
 def test_a_number_that_no_file_has_is_an_error():
-    assert "KeyError" in rendered("_value(['quadrotor', 'estimators', 'targte', 'ratio'])")
+    assert "KeyError" in rendered(
+        "import benchmarks.evaluation as e; e._value(['quadrotor', 'estimators', 'targte', 'ratio'])"
+    )
 
 
 def test_the_prose_names_no_measured_number_by_hand():

@@ -4,8 +4,8 @@
     python -m benchmarks.evaluation render      # docs/evaluation.in.md and docs/evaluation/ -> docs/evaluation.md
 
 In the prose, `{{include FILE}}` stands for a Markdown table of docs/evaluation/, `{{FILE KEY KEY ...}}` for one number
-of a JSON file there (a list is searched for the element whose `estimator` or `t` is the key), and `{{commands}}` for
-the commands.
+of a JSON file there (a list is searched for the element whose `estimator` or `t` is the key; one at the end is
+counted), `{{frozen FILE}}` for the table of a frozen window, and `{{commands}}` for the commands.
 """
 
 import argparse
@@ -108,6 +108,8 @@ def _value(words: list[str]) -> str:
     found: Any = json.loads((DATA / f"{words[0]}.json").read_text(encoding="utf-8"))
     for key in words[1:]:
         found = _below(found, key)
+    if isinstance(found, list):
+        return str(len(found))
     return f"{found:.3g}" if isinstance(found, float) else str(found)
 
 

@@ -325,7 +325,8 @@ def test_an_interrupted_comparison_keeps_what_is_done_and_leaves_no_process(tmp_
         [sys.executable, "-c", ENDLESS, str(out)], stderr=subprocess.PIPE, text=True, start_new_session=True
     )
     try:
-        assert becomes_true(lambda: (out / "runs.jsonl").exists())
+        runs = out / "runs.jsonl"
+        assert becomes_true(lambda: runs.exists() and runs.read_text().endswith("\n"))
         assert becomes_true(lambda: len(others_with(temporary, process.pid)) > 2)  # two that run, and FMUs
     finally:
         os.kill(process.pid, number)

@@ -110,7 +110,9 @@ def _value(words: list[str]) -> str:
         found = _below(found, key)
     if isinstance(found, list):
         return str(len(found))
-    return f"{found:.3g}" if isinstance(found, float) else str(found)
+    if isinstance(found, float):
+        return f"{found:.0f}" if found >= 1000.0 else f"{found:.3g}"
+    return str(found)
 
 
 def _below(tree: Any, key: str) -> Any:

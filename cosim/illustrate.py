@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from estimator.acquisition import expected_improvement
 from estimator.space import Vector
-from estimator.surrogate import ScalarSurrogate
+from estimator.surrogate import MaternBounds, ScalarSurrogate
 
 from .canvas import BLACK, BLUE, GREEN, GREY, PURPLE, SKY, VERMILION, YELLOW, new_figure, save_png, tidy, top_legend
 
@@ -24,7 +24,6 @@ N_INITIAL: Final = 3
 """Random observations that begin, one in each third of the interval."""
 LENGTHSCALE_BOUNDS: Final = (0.1, 0.5)
 """Of the surrogate's Matern kernel, on the unit interval."""
-LENGTHSCALE_START: Final = 0.2
 _GRID: Final = np.linspace(0.0, 1.0, 501)
 
 
@@ -139,12 +138,10 @@ def _draw_acquisition(axes: Axes, stage: Stage) -> None:
 
 
 def _stage(x: Vector, y: Vector) -> Stage:
-    surrogate = ScalarSurrogate(x[:, None], y, max_iterations=0)
     # From so few observations the likelihood alone would take all for noise.
-    surrogate.model.kern.lengthscale.constrain_bounded(*LENGTHSCALE_BOUNDS, warning=False)
-    surrogate.model.kern.lengthscale[:] = LENGTHSCALE_START
-    surrogate.model.Gaussian_noise.variance.constrain_fixed(NOISE**2 / float(np.var(y)), warning=False)
-    surrogate.model.optimize("lbfgsb", max_iters=50)
-    mean, variance = surrogate.predict(_GRID[:, None])
+    noise = NOISE**2 / float(np.var(y))
+    surrogate = ScalarSurrogate(1, MaternBounds(noise=(noise, noise), lengthscale=LENGTHSCALE_BOUNDS))
+    surrogate.fit(x[:, None], y, max_iterations=50)
+    mean, variance = surrogate.condition(x[:, None], y).predict(_GRID[:, None])
     improvement = expected_improvement(mean, variance, float(y.min()))
     return Stage(x, y, mean, np.sqrt(variance), improvement)

@@ -9,7 +9,10 @@ from scipy.stats import qmc
 from .acquisition import Acquisition, expected_improvement, lower_confidence_bound, probability_of_improvement
 from .contract import Estimate
 from .space import ParameterSpace, Vector
-from .surrogate import ScalarSurrogate, SeldomScalarSurrogate
+from .surrogate import ScalarPosterior, ScalarSurrogate
+
+_REFITS = frozenset({5, 7, 9, 12, 16, 21, 26})
+"""Numbers of observations at which the hyperparameters are refitted, where that is seldom."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,7 @@ class PaperBO:
         self, space: ParameterSpace, start: Vector, rng: np.random.Generator, settings: PaperSettings | None = None
     ) -> None:
         self._space, self._rng, self._settings = space, rng, settings or PaperSettings()
+        self._surrogate = ScalarSurrogate(len(space))
         self._sobol = qmc.Sobol(len(space), rng=rng)
         self.restart(start)
 
@@ -57,21 +61,17 @@ class PaperBO:
         self._places, self._norms = np.empty((0, d)), np.empty(0)
         self._n_evaluations = 0
         self._spread = np.ones(d)
-        self._seldom = SeldomScalarSurrogate()
+        self._surrogate.forget()
 
     def ask(self) -> Vector:
         """The random design first, then the maximiser of the acquisition function."""
         if self._queue or not len(self._places):
             return self._space.from_unit(self._queue.pop(0) if self._queue else self._rng.random(len(self._space)))
-        surrogate = (
-            self._seldom.condition(self._places, self._norms)
-            if self._settings.refits == "seldom"
-            else ScalarSurrogate(self._places, self._norms)
-        )
+        posterior = self._posterior()
         best = self._places[int(np.argmin(self._norms))]
         local = best + 0.05 * self._rng.standard_normal((64, len(best)))
         pool = np.clip(np.vstack([self._sobol.random(self._settings.n_pool), local]), 0.0, 1.0)
-        mean, variance = surrogate.predict(pool)
+        mean, variance = posterior.predict(pool)
         weights = probability_of_improvement(mean, variance, float(self._norms.min()))
         self._spread = _weighted_std(pool, weights)
         return self._space.from_unit(pool[int(np.argmax(self._score(mean, variance, weights)))])
@@ -98,6 +98,15 @@ class PaperBO:
             n_evaluations=self._n_evaluations,
             reason="incumbent",
         )
+
+    def _posterior(self) -> ScalarPosterior:
+        """Of what has been told; the hyperparameters are refitted always and from their start, or seldom."""
+        if self._settings.refits == "always":
+            self._surrogate.forget()
+            self._surrogate.fit(self._places, self._norms, max_iterations=50)
+        elif len(self._places) in _REFITS:
+            self._surrogate.fit(self._places, self._norms)
+        return self._surrogate.condition(self._places, self._norms)
 
     def _score(self, mean: Vector, variance: Vector, improvement_probability: Vector) -> Vector:
         match self._settings.acquisition:

@@ -1,10 +1,13 @@
 """What target-vector search is made of: pure functions of residuals and posteriors."""
 
 import numpy as np
+from scipy.linalg import get_lapack_funcs
 
+from .gaussian_process import Posterior
 from .identifiability import information
 from .space import Vector
-from .surrogate import Posterior
+
+(_posv,) = get_lapack_funcs(("posv",), dtype=np.float64)
 
 
 def best_that_differ(residuals: Vector, n: int) -> list[int]:
@@ -51,8 +54,11 @@ def least_squares_of_mean(posterior: Posterior, z: Vector, n_iterations: int = 8
     for _ in range(n_iterations):
         H = slope.T @ slope
         scale = H.diagonal() + 1e-9 * H.trace() + 1e-12
-        step = np.linalg.solve(H + np.diag(damping * scale), slope.T @ r)
+        H.reshape(-1)[:: len(z) + 1] += damping * scale
+        _, step, _ = _posv(H, slope.T @ r)
         trial = np.minimum(np.maximum(z - step, 0.0), 1.0)
+        if np.abs(trial - z).max() < 1e-9:
+            break
         r_trial, slope_trial = posterior.mean_and_jacobian(trial)
         if r_trial @ r_trial < r @ r:
             z, r, slope, damping = trial, r_trial, slope_trial, max(damping / 10.0, 1e-9)

@@ -10,10 +10,11 @@ from scipy.stats import qmc
 
 from .acquisition import log_target_vector_improvement
 from .contract import Estimate
+from .gaussian_process import Posterior
 from .identifiability import information
 from .search import best_that_differ, least_change, least_squares_of_mean, one_at_a_time, principal_components
 from .space import ParameterSpace, Vector
-from .surrogate import Posterior, VectorSurrogate
+from .surrogate import VectorSurrogate
 
 _FAR = 50.0
 """Root mean square residual [standard deviations] above which old candidates, which lie where the optimum was, tell

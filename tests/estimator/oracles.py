@@ -155,7 +155,7 @@ def check_target_vector_improvement_of_small_variances(acquisition):
             assert_allclose(got, sigma * integral, rtol=0.01)
 
 
-# --- surrogate -----------------------------------------------------------------------------------------------------
+# --- gaussian_process ----------------------------------------------------------------------------------------------
 
 NOISE = 1e-8
 PRIOR = (0.0, 0.7)
@@ -210,47 +210,47 @@ def gpy_models(name):
     return [gpy_at_its_optimal_variance(c.Z, y, c.lengthscales) for y in c.Y.T]
 
 
-def _value(surrogate, c, log_lengthscales, prior=PRIOR):
-    return surrogate.negative_log_posterior(log_lengthscales, c.Y, c.squares, *prior)
+def _value(gp, c, log_lengthscales, prior=PRIOR):
+    return gp.negative_log_posterior(log_lengthscales, c.Y, c.squares, *prior)
 
 
-def check_posterior_density_against_gpy(surrogate):
+def check_posterior_density_against_gpy(gp):
     for name in SIZES:
         c = case(name)
         prior = GPy.priors.LogGaussian(*PRIOR)
         truth = -sum(m.log_likelihood() for m in gpy_models(name)) - float(np.sum(prior.lnpdf(c.lengthscales)))
-        assert_allclose(_value(surrogate, c, np.log(c.lengthscales))[0], truth, rtol=1e-10)
+        assert_allclose(_value(gp, c, np.log(c.lengthscales))[0], truth, rtol=1e-10)
 
 
-def check_gradient_against_gpy(surrogate):
+def check_gradient_against_gpy(gp):
     """At the variance's optimum its own slope is nil, so the slope in the lengthscales is the partial one."""
     for name in SIZES:
         c = case(name)
         prior = GPy.priors.LogGaussian(*PRIOR)
         slope = -sum(m.kern.lengthscale.gradient for m in gpy_models(name)) - prior.lnpdf_grad(c.lengthscales)
         truth = slope * c.lengthscales
-        got = _value(surrogate, c, np.log(c.lengthscales))[1]
+        got = _value(gp, c, np.log(c.lengthscales))[1]
         assert_allclose(got, truth, rtol=0.0, atol=1e-10 * np.abs(truth).max())
 
 
-def check_gradient_against_differences(surrogate):
+def check_gradient_against_differences(gp):
     """Differences of fourth order with a step of 2e-3: truncation 1e-10, rounding 1e-12 of the value over the step."""
     for name in SIZES:
         c = case(name)
         at = np.log(c.lengthscales)
         for prior in (PRIOR, (0.4, 0.2)):
-            truth = differences(lambda p, c=c, prior=prior: _value(surrogate, c, p, prior)[0], at, 2e-3)
-            got = _value(surrogate, c, at, prior)[1]
+            truth = differences(lambda p, c=c, prior=prior: _value(gp, c, p, prior)[0], at, 2e-3)
+            got = _value(gp, c, at, prior)[1]
             assert_allclose(got, truth, rtol=0.0, atol=1e-7 * np.abs(truth).max())
 
 
-def check_prior_against_gpy(surrogate):
+def check_prior_against_gpy(gp):
     """Two priors apart, the likelihood drops out."""
     c = case("9-points-2d")
     for log_lengthscales in (np.array([0.3, -0.7]), np.array([-1.2, 1.1])):
         lengthscales = np.exp(log_lengthscales)
         one, other = (0.0, 0.7), (0.5, 0.3)
-        (a, da), (b, db) = (_value(surrogate, c, log_lengthscales, prior) for prior in (one, other))
+        (a, da), (b, db) = (_value(gp, c, log_lengthscales, prior) for prior in (one, other))
         p, q = GPy.priors.LogGaussian(*one), GPy.priors.LogGaussian(*other)
         # The likelihoods of both, of order 1e2 and slopes of 1e3, cancel to 1e-10.
         assert_allclose(b - a, np.sum(p.lnpdf(lengthscales) - q.lnpdf(lengthscales)), rtol=1e-9)
@@ -258,17 +258,17 @@ def check_prior_against_gpy(surrogate):
         assert_allclose(db - da, truth, rtol=1e-8)
 
 
-def check_variances_are_gpys_optima(surrogate):
+def check_variances_are_gpys_optima(gp):
     for name in SIZES:
         c = case(name)
         truth = [float(m.kern.variance[0]) for m in gpy_models(name)]
-        assert_allclose(surrogate.Posterior(c.Z, c.Y, c.lengthscales).variances, truth, rtol=1e-9)
+        assert_allclose(gp.Posterior(c.Z, c.Y, c.lengthscales).variances, truth, rtol=1e-9)
 
 
-def check_prediction_against_gpy(surrogate):
+def check_prediction_against_gpy(gp):
     for name in SIZES:
         c = case(name)
-        posterior = surrogate.Posterior(c.Z, c.Y, c.lengthscales)
+        posterior = gp.Posterior(c.Z, c.Y, c.lengthscales)
         mean, variance = posterior.predict(c.Q)
         for j, model in enumerate(gpy_models(name)):
             q = float(model.kern.variance[0])
@@ -316,32 +316,32 @@ def textbook_posterior(name):
     return mean, unit[:, None] * signal, signal
 
 
-def check_prediction_against_the_textbook(surrogate):
+def check_prediction_against_the_textbook(gp):
     for name in SIZES:
         c = case(name)
         mean, variance, signal = textbook_posterior(name)
-        posterior = surrogate.Posterior(c.Z, c.Y, c.lengthscales)
+        posterior = gp.Posterior(c.Z, c.Y, c.lengthscales)
         got_mean, got_variance = posterior.predict(c.Q)
         assert_allclose(posterior.variances, signal, rtol=1e-10)
         assert_allclose(got_mean / np.sqrt(signal), mean / np.sqrt(signal), rtol=0.0, atol=1e-10)
         assert_allclose(got_variance / signal, variance / signal, rtol=0.0, atol=1e-10)
 
 
-def check_jacobian_against_gpy(surrogate):
+def check_jacobian_against_gpy(gp):
     for name in SIZES:
         c = case(name)
-        posterior = surrogate.Posterior(c.Z, c.Y, c.lengthscales)
+        posterior = gp.Posterior(c.Z, c.Y, c.lengthscales)
         for j, model in enumerate(gpy_models(name)):
             truth, _ = model.predict_jacobian(c.Q)
             got = np.array([posterior.mean_and_jacobian(z)[1][j] for z in c.Q])
             assert_allclose(got, truth[:, :, 0], rtol=0.0, atol=1e-10 * np.abs(truth).max())
 
 
-def check_jacobian_against_differences(surrogate):
+def check_jacobian_against_differences(gp):
     """Of the mean that `predict` gives; fourth order, step 1e-3 of the cube."""
     for name in SIZES:
         c = case(name)
-        posterior = surrogate.Posterior(c.Z, c.Y, c.lengthscales)
+        posterior = gp.Posterior(c.Z, c.Y, c.lengthscales)
         for z in c.Q[:4]:
             truth = differences(lambda p, posterior=posterior: posterior.predict(p[None])[0][0], z, 1e-3)
             mean, got = posterior.mean_and_jacobian(z)
@@ -369,6 +369,74 @@ def textbook_matern(Z, y, Q, variance, lengthscales, noise):
     across = covariance(Q, Z)
     mean = y.mean() + y.std() * across @ inverse @ ((y - y.mean()) / y.std())
     return mean, y.std() ** 2 * (variance - np.einsum("ij,jk,ik->i", across, inverse, across))
+
+
+MATERN_SIZES = {"6-points-1d": (6, 1), "12-points-2d": (12, 2), "30-points-4d": (30, 4)}
+
+
+@cache
+def matern_model(name):
+    """GPy's Matern-5/2 regression of normalised values at given hyperparameters, and the places to predict at."""
+    n, d = MATERN_SIZES[name]
+    rng = np.random.default_rng(100 + n)
+    Z = rng.random((n, d))
+    y = np.sin(3.0 * Z @ rng.normal(size=d)) + 0.1 * rng.normal(size=n)
+    variance, noise = np.exp(rng.normal(size=2) * (0.5, 1.0) + (0.3, -4.0))
+    kernel = GPy.kern.Matern52(d, ARD=True, variance=variance, lengthscale=np.exp(rng.normal(size=d) * 0.5))
+    model = GPy.models.GPRegression(Z.copy(), ((y - y.mean()) / y.std())[:, None], kernel, noise_var=noise)
+    return model, np.vstack([rng.random((8, d)), Z[:2], np.full((1, d), 1.7)])
+
+
+def _matern_arguments(model):
+    Z = np.array(model.X)
+    hyperparameters = np.concatenate([model.kern.variance, model.Gaussian_noise.variance, model.kern.lengthscale])
+    return np.log(hyperparameters), np.array(model.Y)[:, 0], ((Z[:, None] - Z[None]) ** 2).transpose(2, 0, 1).copy()
+
+
+def check_likelihood_against_gpy(gp):
+    for name in MATERN_SIZES:
+        model, _ = matern_model(name)
+        value, slope = gp.negative_log_likelihood(*_matern_arguments(model))
+        assert_allclose(value, -model.log_likelihood(), rtol=1e-10)
+        hyperparameters = np.exp(_matern_arguments(model)[0])
+        partial = [
+            model.kern.variance.gradient,
+            model.Gaussian_noise.variance.gradient,
+            model.kern.lengthscale.gradient,
+        ]
+        truth = -np.concatenate(partial) * hyperparameters
+        assert_allclose(slope, truth, rtol=0.0, atol=1e-10 * np.abs(truth).max())
+
+
+def check_likelihood_slope_against_differences(gp):
+    for name in MATERN_SIZES:
+        at, y, squares = _matern_arguments(matern_model(name)[0])
+        truth = differences(lambda p, y=y, s=squares: gp.negative_log_likelihood(p, y, s)[0], at, 2e-3)
+        got = gp.negative_log_likelihood(at, y, squares)[1]
+        assert_allclose(got, truth, rtol=0.0, atol=1e-7 * np.abs(truth).max())
+
+
+def check_matern_prediction_against_gpy(gp):
+    for name in MATERN_SIZES:
+        model, Q = matern_model(name)
+        log_hyperparameters, y, _ = _matern_arguments(model)
+        variance, noise, *lengthscales = np.exp(log_hyperparameters)
+        got = gp.MaternPosterior(np.array(model.X), y, variance, noise, np.array(lengthscales)).predict(Q)
+        for a, b in zip(got, model.predict_noiseless(Q), strict=True):
+            assert_allclose(a, b[:, 0], rtol=0.0, atol=1e-10 * variance)
+
+
+def check_matern_prediction_against_the_textbook(gp):
+    for name in MATERN_SIZES:
+        model, Q = matern_model(name)
+        log_hyperparameters, y, _ = _matern_arguments(model)
+        variance, noise, *lengthscales = np.exp(log_hyperparameters)
+        Z, lengthscales = np.array(model.X), np.array(lengthscales)
+        got = gp.MaternPosterior(Z, y, variance, noise, lengthscales).predict(Q)
+        # Values normalised already: the textbook's own normalisation does nothing to them.
+        truth = textbook_matern(Z, y, Q, variance, lengthscales, noise + 1e-8)
+        for a, b in zip(got, truth, strict=True):
+            assert_allclose(a, b, rtol=0.0, atol=1e-9)
 
 
 # --- identifiability -----------------------------------------------------------------------------------------------

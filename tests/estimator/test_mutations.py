@@ -43,15 +43,22 @@ PREDICTION = "check_prediction_against_gpy"
 TEXTBOOK = "check_prediction_against_the_textbook"
 JACOBIAN = "check_jacobian_against_gpy"
 JACOBIAN_DIFFERENCES = "check_jacobian_against_differences"
+LIKELIHOOD = "check_likelihood_against_gpy"
+LIKELIHOOD_SLOPE = "check_likelihood_slope_against_differences"
+MATERN = "check_matern_prediction_against_gpy"
+MATERN_TEXTBOOK = "check_matern_prediction_against_the_textbook"
 STD = "check_std_against_the_covariance_of_least_squares"
 REFITS = "check_std_against_refits_of_noisy_data"
 UNSEEN = "check_std_of_what_is_not_seen_is_the_whole_cube"
 BY_HAND = "check_significant_directions_by_hand"
 PROJECTOR = "check_significant_is_a_projector_that_loses_little"
 
+GP = "gaussian_process"
 EI = (EI_QUAD, EI_DRAWS)
 BOTH = (PREDICTION, TEXTBOOK)
 SLOPES = (JACOBIAN, JACOBIAN_DIFFERENCES)
+ML = (LIKELIHOOD, LIKELIHOOD_SLOPE)
+MATERNS = (MATERN, MATERN_TEXTBOOK)
 
 MUTANTS = [
     # id, module, old, new, the checks that must reject it
@@ -85,44 +92,61 @@ MUTANTS = [
      (TAIL, LOG_NORMAL, SMALL)),
     ("mills-without-root", "acquisition", "erfcx(-unlikely / SQRT2)", "erfcx(-unlikely)", (TAIL, LOG_NORMAL)),
     ("body-for-tail", "acquisition", "np.where(d > 0.0,", "np.where(d < 0.0,", (TAIL, LOG_NORMAL, SMALL)),
-    ("noise-twice", "surrogate", "NOISE: Final = 1e-8", "NOISE: Final = 2e-8", (DENSITY, GRADIENT, *BOTH)),
-    ("concentrated-degrees", "surrogate", "np.sum(Y * alpha, axis=0) / n,",
-     "np.sum(Y * alpha, axis=0) / (n - 1),", (DENSITY, GRADIENT, DIFFERENCES)),
-    ("determinant-once", "surrogate", "k * np.sum(np.log(np.diag(L)))", "np.sum(np.log(np.diag(L)))",
+    ("noise-twice", GP, "NOISE: Final = 1e-8", "NOISE: Final = 2e-8", (DENSITY, GRADIENT, *BOTH)),
+    ("concentrated-degrees", GP, "Y, alpha) / n,",
+     "Y, alpha) / (n - 1),", (DENSITY, GRADIENT, DIFFERENCES)),
+    ("determinant-once", GP, "k * np.log(L.diagonal()).sum()", "np.log(L.diagonal()).sum()",
      (DENSITY, DIFFERENCES)),
-    ("determinant-half", "surrogate", "k * np.sum(np.log(np.diag(L)))", "0.5 * k * np.sum(np.log(np.diag(L)))",
+    ("determinant-half", GP, "k * np.log(L.diagonal()).sum()", "0.5 * k * np.log(L.diagonal()).sum()",
      (DENSITY, DIFFERENCES)),
-    ("variances-without-half", "surrogate", "0.5 * n * np.sum(np.log(q))", "n * np.sum(np.log(q))",
+    ("variances-without-half", GP, "0.5 * n * np.log(q).sum()", "n * np.log(q).sum()",
      (DENSITY, DIFFERENCES)),
-    ("constant-without-exponent", "surrogate", "(1.0 + np.log(2.0 * np.pi))", "np.log(2.0 * np.pi)", (DENSITY,)),
-    ("gradient-without-half", "surrogate", "G = 0.5 * (k * inverse", "G = 1.0 * (k * inverse",
+    ("constant-without-exponent", GP, "(1.0 + _LOG_2PI)", "_LOG_2PI", (DENSITY,)),
+    ("gradient-without-half", GP, "G = 0.5 * (2.0 * k", "G = 1.0 * (2.0 * k",
      (GRADIENT, DIFFERENCES)),
-    ("gradient-of-one-output", "surrogate", "(k * inverse -", "(inverse -", (GRADIENT, DIFFERENCES)),
-    ("gradient-without-variances", "surrogate", "(alpha / q) @ alpha.T", "alpha @ alpha.T", (GRADIENT, DIFFERENCES)),
-    ("gradient-in-the-plain-lengthscale", "surrogate", "np.tensordot(squares, G, 2) * inverse_squares",
-     "np.tensordot(squares, G, 2) * inverse_squares**1.5", (GRADIENT, DIFFERENCES)),
-    ("inverse-of-one-triangle", "surrogate", "np.tril(lower) + np.tril(lower, -1).T", "np.tril(lower)",
+    ("gradient-of-one-output", GP, "2.0 * k * lower", "2.0 * lower", (GRADIENT, DIFFERENCES)),
+    ("gradient-without-variances", GP, "(alpha / q) @ alpha.T", "alpha @ alpha.T", (GRADIENT, DIFFERENCES)),
+    ("gradient-in-the-plain-lengthscale", GP, "G.reshape(-1) * inverse_squares",
+     "G.reshape(-1) * inverse_squares**1.5", (GRADIENT, DIFFERENCES)),
+    ("inverse-of-one-triangle", GP, "2.0 * k * lower -", "k * lower -",
      (GRADIENT, DIFFERENCES)),
-    ("lengthscale-unsquared", "surrogate", "np.exp(-2.0 * log_lengthscales)", "np.exp(-1.0 * log_lengthscales)",
+    ("lengthscale-unsquared", GP, "np.exp(-2.0 * log_lengthscales)", "np.exp(-1.0 * log_lengthscales)",
      (DENSITY, GRADIENT)),
-    ("prior-normal-in-the-logarithm", "surrogate", "0.5 * z * z + log_lengthscales + np.log", "0.5 * z * z + np.log",
+    ("prior-normal-in-the-logarithm", GP, "0.5 * z * z + log_lengthscales + np.log", "0.5 * z * z + np.log",
      (DENSITY, DIFFERENCES)),
-    ("prior-norm", "surrogate", "np.log(prior_std * np.sqrt(2.0 * np.pi))", "np.log(np.sqrt(2.0 * np.pi))",
+    ("prior-norm", GP, "np.log(prior_std * np.sqrt(2.0 * np.pi))", "np.log(np.sqrt(2.0 * np.pi))",
      (DENSITY, PRIOR)),
-    ("prior-without-half", "surrogate", "np.sum(0.5 * z * z +", "np.sum(z * z +", (DENSITY, DIFFERENCES, PRIOR)),
-    ("prior-slope-unscaled", "surrogate", "gradient + z / prior_std + 1.0", "gradient + z + 1.0",
+    ("prior-without-half", GP, "(0.5 * z * z +", "(z * z +", (DENSITY, DIFFERENCES, PRIOR)),
+    ("prior-slope-unscaled", GP, "gradient + z / prior_std + 1.0", "gradient + z + 1.0",
      (GRADIENT, DIFFERENCES, PRIOR)),
-    ("prior-slope-without-one", "surrogate", "z / prior_std + 1.0", "z / prior_std", (GRADIENT, DIFFERENCES)),
-    ("correlation-without-half", "surrogate", "np.exp(-0.5 * np.maximum(squares, 0.0))",
-     "np.exp(-np.maximum(squares, 0.0))", (VARIANCES, *BOTH)),
-    ("correlation-without-cross-factor", "surrogate", "- 2.0 * a @ b.T", "- a @ b.T", (VARIANCES, *BOTH)),
-    ("signal-of-n-minus-one", "surrogate", "np.sum(Y * self._alpha, axis=0) / len(Z)",
-     "np.sum(Y * self._alpha, axis=0) / (len(Z) - 1)", (VARIANCES, *BOTH)),
-    ("variance-of-the-prior", "surrogate", "1.0 - np.sum(w * w, axis=0)", "1.0 - 0.0 * np.sum(w * w, axis=0)", BOTH),
-    ("variance-first-power", "surrogate", "1.0 - np.sum(w * w, axis=0)", "1.0 - np.sum(np.abs(w), axis=0)", BOTH),
-    ("slope-sign", "surrogate", "-self._alpha.T @", "self._alpha.T @", SLOPES),
-    ("slope-in-lengthscales", "surrogate", "scaled / self._lengthscales)", "scaled)", SLOPES),
-    ("slope-of-another-kernel", "surrogate", "c = np.exp(-0.5 * (scaled", "c = np.exp(-1.0 * (scaled", SLOPES),
+    ("prior-slope-without-one", GP, "z / prior_std + 1.0", "z / prior_std", (GRADIENT, DIFFERENCES)),
+    ("correlation-without-half", GP, "np.exp(-0.5 * cdist(",
+     "np.exp(-cdist(", (VARIANCES, *BOTH)),
+    ("correlation-of-the-distance", GP, "\"sqeuclidean\"", "\"euclidean\"", (VARIANCES, *BOTH)),
+    ("signal-of-n-minus-one", GP, "Y, self._alpha) / len(Z)",
+     "Y, self._alpha) / (len(Z) - 1)", (VARIANCES, *BOTH)),
+    ("variance-of-the-prior", GP, "1.0 - np.einsum", "1.0 - 0.0 * np.einsum", BOTH),
+    ("variance-first-power", GP, "1.0 - np.einsum(\"ij,ij->j\", w, w)", "1.0 - np.sum(np.abs(w), axis=0)", BOTH),
+    ("slope-sign", GP, "-weighted.T @", "weighted.T @", SLOPES),
+    ("slope-in-lengthscales", GP, "(scaled / self._lengthscales)", "scaled", SLOPES),
+    ("slope-of-another-kernel", GP, "c = np.exp(-0.5 *", "c = np.exp(-1.0 *", SLOPES),
+    ("matern-of-another-order", GP, "(1.0 + s + s * s / 3.0) * np.exp(-s)", "(1.0 + s) * np.exp(-s)",
+     MATERNS),
+    ("matern-without-root", GP, "np.sqrt(5.0) * cdist", "5.0 * cdist", MATERNS),
+    ("matern-noise-twice", GP, "lengthscales), noise + JITTER", "lengthscales), 2.0 * noise + JITTER",
+     MATERNS),
+    ("matern-variance-of-the-prior", GP, "self._variance - np.einsum", "self._variance - 0.0 * np.einsum",
+     MATERNS),
+    ("likelihood-without-half", GP, "value = 0.5 * (y @ alpha)", "value = (y @ alpha)", ML),
+    ("likelihood-determinant", GP, "+ np.log(L.diagonal()).sum() + 0.5 * n * _LOG_2PI",
+     "+ 0.5 * np.log(L.diagonal()).sum() + 0.5 * n * _LOG_2PI", ML),
+    ("likelihood-constant", GP, "+ 0.5 * n * _LOG_2PI", "+ n * _LOG_2PI", (LIKELIHOOD,)),
+    ("likelihood-jitter", GP, "* decay, noise + JITTER)", "* decay, noise)", (LIKELIHOOD,)),
+    ("slope-in-the-signal", GP, "0.5 * (n - y @ alpha - (noise", "0.5 * (n + y @ alpha - (noise", ML),
+    ("slope-in-the-noise", GP, "0.5 * noise * trace", "noise * trace", ML),
+    ("slope-in-the-matern-lengthscales", GP, "5.0 / 6.0 * (squares", "5.0 / 3.0 * (squares", ML),
+    ("slope-of-another-matern", GP, "* (1.0 + s) * decay", "* decay", ML),
+    ("slope-of-one-triangle", GP, "(2.0 * lower - alpha[:, None]", "(lower - alpha[:, None]", ML),
     ("std-of-the-singular-values", "identifiability", "np.maximum(self.singular_values, 1e-12)[:, None])",
      "(1.0 / np.maximum(self.singular_values, 1e-12))[:, None])", (STD, REFITS)),
     ("std-is-a-variance", "identifiability", "np.minimum(np.sqrt(variance), 1.0)", "np.minimum(variance, 1.0)",

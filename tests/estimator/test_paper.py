@@ -129,8 +129,11 @@ def test_where_every_candidate_failed_it_asks_on():
 
 
 def test_spread_is_as_wide_as_the_cube_before_any_model_and_shrinks_with_it():
-    estimator = PaperBO(LINE, np.zeros(1), np.random.default_rng(0))
-    run(estimator, lambda theta: theta - 1.3, 5)
-    assert estimator.estimate().std[0] == 4.0
-    run(estimator, lambda theta: theta - 1.3, 15)
-    assert estimator.estimate().std[0] < 1.0
+    spreads = []
+    for seed in range(9):
+        estimator = PaperBO(LINE, np.zeros(1), np.random.default_rng(seed))
+        run(estimator, lambda theta: theta - 1.3, 5)
+        assert estimator.estimate().std[0] == 4.0
+        run(estimator, lambda theta: theta - 1.3, 15)
+        spreads.append(estimator.estimate().std[0])
+    assert np.median(spreads) < 0.5

@@ -5,38 +5,49 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from estimator import surrogate
-from estimator.surrogate import LENGTHSCALE_BOUNDS, LENGTHSCALE_PRIOR, NOISE, ScalarSurrogate, VectorSurrogate
+from estimator import gaussian_process
+from estimator.gaussian_process import NOISE
+from estimator.surrogate import LENGTHSCALE_BOUNDS, LENGTHSCALE_PRIOR, MaternBounds, ScalarSurrogate, VectorSurrogate
 
 
 def test_constants_are_those_of_the_oracles(oracles):
     assert (NOISE, LENGTHSCALE_PRIOR) == (oracles.NOISE, oracles.PRIOR)
 
 
+def test_likelihood_and_its_slope_are_gpys(oracles):
+    oracles.check_likelihood_against_gpy(gaussian_process)
+    oracles.check_likelihood_slope_against_differences(gaussian_process)
+
+
+def test_matern_prediction_is_gpys_and_the_textbooks(oracles):
+    oracles.check_matern_prediction_against_gpy(gaussian_process)
+    oracles.check_matern_prediction_against_the_textbook(gaussian_process)
+
+
 def test_posterior_density_is_gpys_at_the_optimal_variance(oracles):
-    oracles.check_posterior_density_against_gpy(surrogate)
+    oracles.check_posterior_density_against_gpy(gaussian_process)
 
 
 def test_gradient_is_gpys(oracles):
-    oracles.check_gradient_against_gpy(surrogate)
+    oracles.check_gradient_against_gpy(gaussian_process)
 
 
 def test_gradient_is_that_of_the_value(oracles):
-    oracles.check_gradient_against_differences(surrogate)
+    oracles.check_gradient_against_differences(gaussian_process)
 
 
 def test_prior_is_gpys_log_gaussian(oracles):
-    oracles.check_prior_against_gpy(surrogate)
+    oracles.check_prior_against_gpy(gaussian_process)
 
 
 def test_signal_variances_are_the_optima_of_gpys_likelihood(oracles):
-    oracles.check_variances_are_gpys_optima(surrogate)
+    oracles.check_variances_are_gpys_optima(gaussian_process)
 
 
 @pytest.mark.parametrize("factor", [0.9, 0.999, 1.001, 1.1])
 def test_gpys_likelihood_falls_off_on_both_sides_of_the_signal_variance(oracles, factor):
     c = oracles.case("9-points-2d")
-    posterior = surrogate.Posterior(c.Z, c.Y, c.lengthscales)
+    posterior = gaussian_process.Posterior(c.Z, c.Y, c.lengthscales)
     for y, q in zip(c.Y.T, posterior.variances, strict=True):
 
         def log_likelihood(variance, y=y):
@@ -48,24 +59,24 @@ def test_gpys_likelihood_falls_off_on_both_sides_of_the_signal_variance(oracles,
 
 
 def test_prediction_is_gpys(oracles):
-    oracles.check_prediction_against_gpy(surrogate)
+    oracles.check_prediction_against_gpy(gaussian_process)
 
 
 def test_prediction_is_the_textbooks(oracles):
-    oracles.check_prediction_against_the_textbook(surrogate)
+    oracles.check_prediction_against_the_textbook(gaussian_process)
 
 
 def test_jacobian_is_gpys(oracles):
-    oracles.check_jacobian_against_gpy(surrogate)
+    oracles.check_jacobian_against_gpy(gaussian_process)
 
 
 def test_jacobian_is_that_of_the_predicted_mean(oracles):
-    oracles.check_jacobian_against_differences(surrogate)
+    oracles.check_jacobian_against_differences(gaussian_process)
 
 
 def test_prediction_meets_the_data_and_knows_nothing_far_away(oracles):
     c = oracles.case("15-points-4d")
-    posterior = surrogate.Posterior(c.Z, c.Y, c.lengthscales)
+    posterior = gaussian_process.Posterior(c.Z, c.Y, c.lengthscales)
     mean, variance = posterior.predict(np.vstack([c.Z, np.full((1, 4), 60.0)]))
     scale = np.sqrt(posterior.variances)
     # The misfit at a datum is NOISE times alpha, and alpha is at most y over the least eigenvalue, here 1e-5.
@@ -79,7 +90,7 @@ def test_prediction_meets_the_data_and_knows_nothing_far_away(oracles):
 def test_variance_of_repeated_places_is_positive_and_finite():
     """Rows that repeat make the correlation singular but for the noise."""
     Z = np.repeat(np.random.default_rng(0).random((3, 2)), 4, axis=0)
-    posterior = surrogate.Posterior(Z, Z @ np.array([[1.0], [2.0]]), np.full(2, 5.0))
+    posterior = gaussian_process.Posterior(Z, Z @ np.array([[1.0], [2.0]]), np.full(2, 5.0))
     mean, variance = posterior.predict(Z)
     assert np.all(variance > 0.0)
     assert_allclose(mean, Z @ np.array([[1.0], [2.0]]), atol=1e-5)
@@ -92,7 +103,7 @@ def _smooth(n, seed=0):
 
 def _objective(Z, Y, lengthscales, prior=LENGTHSCALE_PRIOR):
     squares = ((Z[:, None] - Z[None]) ** 2).transpose(2, 0, 1)
-    return surrogate.negative_log_posterior(np.log(lengthscales), Y, squares, *prior)[0]
+    return gaussian_process.negative_log_posterior(np.log(lengthscales), Y, squares, *prior)[0]
 
 
 def test_fit_lowers_the_objective_to_a_minimum():
@@ -127,7 +138,7 @@ def test_fit_writes_the_lengthscales_into_gpys_kernel():
     assert not np.allclose(vector.lengthscales, 1.0)
     np.testing.assert_array_equal(vector.kernel.lengthscale.values, vector.lengthscales)
     # And GPy takes them: the kernel's covariance is the correlation in use.
-    assert_allclose(vector.kernel.K(Z), surrogate.correlation(Z, Z, vector.lengthscales), atol=1e-14)
+    assert_allclose(vector.kernel.K(Z), gaussian_process.correlation(Z, Z, vector.lengthscales), atol=1e-14)
 
 
 def test_the_kernel_holds_the_bounds_and_the_prior():
@@ -174,38 +185,96 @@ def test_conditioning_uses_the_fitted_lengthscales():
     vector = VectorSurrogate(2)
     vector.fit(Z, Y)
     Q = np.random.default_rng(1).random((5, 2))
-    truth = surrogate.Posterior(Z, Y, vector.lengthscales).predict(Q)
+    truth = gaussian_process.Posterior(Z, Y, vector.lengthscales).predict(Q)
     for got, expected in zip(vector.condition(Z, Y).predict(Q), truth, strict=True):
         np.testing.assert_array_equal(got, expected)
 
 
+def _gpy_at(scalar, Z, y):
+    """GPy's regression of y normalised, with the kernel and noise that the surrogate wrote into GPy's objects."""
+    normalised = ((y - y.mean()) / y.std())[:, None]
+    return GPy.models.GPRegression(Z.copy(), normalised, scalar.kernel.copy(), noise_var=scalar.likelihood.variance[0])
+
+
+def _noisy(n, seed=0):
+    Z, Y = _smooth(n, seed)
+    return Z, Y[:, 0] + 300.0 + 30.0 * np.random.default_rng(seed + 1).standard_normal(n)
+
+
 def test_scalar_surrogate_is_gpys_matern_regression(oracles):
-    Z, Y = _smooth(14)
-    y = Y[:, 0] + 300.0
-    scalar = ScalarSurrogate(Z, y)
-    model = scalar.model
-    assert isinstance(model.kern, GPy.kern.Matern52)
+    Z, y = _noisy(14)
+    scalar = ScalarSurrogate(2)
+    scalar.fit(Z, y)
+    assert isinstance(scalar.kernel, GPy.kern.Matern52)
+    assert not np.allclose(scalar.kernel.lengthscale.values, 1.0)
     Q = np.random.default_rng(1).random((20, 2))
-    mean, variance = scalar.predict(Q)
-    for got, expected in zip((mean, variance), model.predict_noiseless(Q), strict=True):
-        np.testing.assert_array_equal(got, expected[:, 0])
-    truth = oracles.textbook_matern(
-        Z, y, Q, model.kern.variance[0], model.kern.lengthscale.values, model.Gaussian_noise.variance[0] + 1e-8
+    mean, variance = scalar.condition(Z, y).predict(Q)
+    truth = _gpy_at(scalar, Z, y).predict_noiseless(Q)
+    signal = y.std() ** 2 * scalar.kernel.variance[0]
+    assert_allclose(mean, y.mean() + y.std() * truth[0][:, 0], rtol=0.0, atol=1e-10 * np.sqrt(signal))
+    assert_allclose(variance, y.std() ** 2 * truth[1][:, 0], rtol=0.0, atol=1e-10 * signal)
+    textbook = oracles.textbook_matern(
+        Z, y, Q, scalar.kernel.variance[0], scalar.kernel.lengthscale.values, scalar.likelihood.variance[0] + 1e-8
     )
     # The noise is at least 1e-6 of the signal: a condition of 1e7 at most, and 1e-16 of rounding.
-    assert_allclose(mean, truth[0], rtol=0.0, atol=1e-7 * y.std())
-    assert_allclose(variance, truth[1], rtol=0.0, atol=1e-7 * y.std() ** 2 * model.kern.variance[0])
+    assert_allclose(mean, textbook[0], rtol=0.0, atol=1e-7 * y.std())
+    assert_allclose(variance, textbook[1], rtol=0.0, atol=1e-7 * signal)
 
 
-def test_scalar_surrogate_fits_within_its_bounds_and_copies_its_data():
-    Z, Y = _smooth(14)
-    y = Y[:, 0].copy()
-    scalar = ScalarSurrogate(Z, y)
-    flat = GPy.models.GPRegression(Z.copy(), y[:, None].copy(), GPy.kern.Matern52(2, ARD=True), normalizer=True)
-    assert scalar.model.log_likelihood() > flat.log_likelihood() + 1.0
-    assert 1e-6 <= scalar.model.Gaussian_noise.variance[0] <= 1.0
-    assert np.all((scalar.model.kern.lengthscale >= 0.02) & (scalar.model.kern.lengthscale <= 10.0))
-    before = scalar.predict(Z)[0]
-    Z *= 2.0
-    y *= 2.0
-    np.testing.assert_array_equal(scalar.predict(Z / 2.0)[0], before)
+@pytest.mark.parametrize("seed", range(5))
+def test_scalar_fit_is_as_likely_as_gpys_own(seed):
+    """Both maximise the same likelihood from the same start; GPy in other coordinates, with 200 iterations."""
+    Z, y = _noisy(20, seed)
+    scalar = ScalarSurrogate(2)
+    scalar.fit(Z, y, max_iterations=50)
+    own = _gpy_at(ScalarSurrogate(2), Z, y)
+    own.Gaussian_noise.variance.constrain_bounded(1e-6, 1.0, warning=False)
+    own.optimize("lbfgsb", max_iters=200)
+    start = _gpy_at(ScalarSurrogate(2), Z, y).log_likelihood()
+    assert own.log_likelihood() > start + 1.0
+    assert _gpy_at(scalar, Z, y).log_likelihood() > own.log_likelihood() - 0.05
+
+
+def test_scalar_fit_goes_on_from_where_it_was_and_forgets_when_told():
+    Z, y = _noisy(20)
+    scalar = ScalarSurrogate(2)
+    likelihoods = []
+    for _ in range(4):
+        scalar.fit(Z, y, max_iterations=2)
+        likelihoods.append(_gpy_at(scalar, Z, y).log_likelihood())
+    assert np.all(np.diff(likelihoods) >= -1e-9)
+    assert likelihoods[-1] > likelihoods[0]
+    mean = scalar.condition(Z, y).predict(Z)[0]
+    scalar.forget()
+    fresh = ScalarSurrogate(2).condition(Z, y).predict(Z)[0]
+    np.testing.assert_array_equal(scalar.condition(Z, y).predict(Z)[0], fresh)
+    assert not np.allclose(mean, fresh)
+
+
+def test_scalar_hyperparameters_stay_inside_their_bounds_and_equal_bounds_fix():
+    Z, y = _noisy(20)
+    scalar = ScalarSurrogate(2, MaternBounds(noise=(0.3, 0.3), lengthscale=(0.1, 0.15)))
+    scalar.fit(Z, y)
+    assert_allclose(scalar.likelihood.variance.values, 0.3)
+    assert scalar.likelihood.variance.is_fixed
+    assert_allclose(scalar.kernel.lengthscale.values, 0.15)  # smooth values want more
+    assert not scalar.kernel.lengthscale.is_fixed
+
+
+def test_scalar_surrogate_of_equal_values_is_finite():
+    Z, _ = _noisy(6)
+    scalar = ScalarSurrogate(2)
+    scalar.fit(Z, np.full(6, 7.0))
+    mean, variance = scalar.condition(Z, np.full(6, 7.0)).predict(Z)
+    assert_allclose(mean, 7.0, rtol=1e-12)
+    assert np.all((variance > 0.0) & np.isfinite(variance))
+
+
+def test_scalar_surrogate_leaves_the_data_alone():
+    Z, y = _noisy(9)
+    Z_before, y_before = Z.copy(), y.copy()
+    scalar = ScalarSurrogate(2)
+    scalar.fit(Z, y)
+    scalar.condition(Z, y).predict(Z)
+    np.testing.assert_array_equal(Z, Z_before)
+    np.testing.assert_array_equal(y, y_before)

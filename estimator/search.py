@@ -7,6 +7,8 @@ from .gaussian_process import Posterior
 from .identifiability import information
 from .space import Vector
 
+_ENOUGH = 1e-4
+"""Change of the sum of squares, in variances of the noise, at which a minimisation ends."""
 (_posv,) = get_lapack_funcs(("posv",), dtype=np.float64)
 
 
@@ -17,13 +19,13 @@ def best_that_differ(residuals: Vector, n: int) -> list[int]:
     """
     products = residuals @ residuals.T
     costs = products.diagonal()
-    squares = costs[:, None] + costs - 2.0 * products
+    differ = costs[:, None] + costs - 2.0 * products >= 1.0
     chosen: list[int] = []
     is_free = np.ones(len(costs), dtype=bool)
     for i in np.argsort(costs, kind="stable").tolist():
         if is_free[i]:
             chosen.append(i)
-            is_free &= squares[i] >= 1.0
+            is_free &= differ[i]
         if len(chosen) == n:
             break
     return chosen
@@ -57,13 +59,14 @@ def least_squares_of_mean(posterior: Posterior, z: Vector, n_iterations: int = 8
         H.reshape(-1)[:: len(z) + 1] += damping * scale
         _, step, _ = _posv(H, slope.T @ r)
         trial = np.minimum(np.maximum(z - step, 0.0), 1.0)
-        if np.abs(trial - z).max() < 1e-9:
-            break
         r_trial, slope_trial = posterior.mean_and_jacobian(trial)
-        if r_trial @ r_trial < r @ r:
+        gain = r @ r - r_trial @ r_trial
+        if gain > 0.0:
             z, r, slope, damping = trial, r_trial, slope_trial, max(damping / 10.0, 1e-9)
         else:
             damping *= 10.0
+        if abs(gain) < _ENOUGH:
+            break
     return z
 
 
@@ -75,6 +78,8 @@ def least_change(posterior: Posterior, z: Vector, n_moved: int) -> Vector:
     for _ in range(8):
         r, slope = posterior.mean_and_jacobian(z)
         seen = information(slope).directions[:n_moved]
-        step = np.linalg.lstsq(slope @ seen.T, r, rcond=None)[0]
-        z = np.clip(z - seen.T @ step, 0.0, 1.0)
+        step = seen.T @ np.linalg.lstsq(slope @ seen.T, r, rcond=None)[0]
+        z = np.clip(z - step, 0.0, 1.0)
+        if np.abs(step).max() < 1e-8:
+            break
     return z

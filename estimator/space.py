@@ -56,7 +56,7 @@ class ParameterSpace:
         if repeated:
             raise ValueError(f"Parameter names must differ, got '{repeated[0]}' twice.")
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """The parameters' names, in order."""
         return tuple(p.name for p in self.parameters)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from .space import ParameterSpace, Vector
@@ -101,11 +102,7 @@ class ResidualWindow:
 
     def residual(self, theta: Vector) -> Vector:
         """Residuals of one candidate over the window (D,), channel by channel, each from old to new."""
-        rows = self._rows.setdefault(theta.tobytes(), [])
-        self.n_model_calls += len(self._samples) - len(rows)
-        rows.extend(self._residual(theta, sample) for sample in self._samples[len(rows) :])
-        table = np.array(rows)
-        return np.concatenate([table[len(rows) - n :, c] for c, n in enumerate(self._lengths)])
+        return np.array(self._rows_of(theta)).reshape(-1)[self._in_use()]
 
     def newest_residual(self, theta: Vector) -> Vector:
         """Residual (c,) of one candidate at the newest sample."""
@@ -116,7 +113,21 @@ class ResidualWindow:
         """Residuals of many candidates (n, D); rows kept for others are dropped."""
         thetas = list(candidates)
         self.keep(thetas)
-        return np.array([self.residual(theta) for theta in thetas]).reshape(len(thetas), sum(self._lengths))
+        table = np.array([self._rows_of(theta) for theta in thetas])
+        return table.reshape(len(thetas), len(self._samples) * len(self._lengths))[:, self._in_use()]
+
+    def _rows_of(self, theta: Vector) -> list[Vector]:
+        """Residuals (c,) of one candidate at each sample."""
+        rows = self._rows.setdefault(theta.tobytes(), [])
+        missing = self._samples[len(rows) :]
+        self.n_model_calls += len(missing)
+        rows.extend(self._residual(theta, sample) for sample in missing)
+        return rows
+
+    def _in_use(self) -> NDArray[np.intp]:
+        """Places (D,) of the residuals in use, channel by channel, in a table (samples, channels) laid flat."""
+        end, n_channels = len(self._samples), len(self._lengths)
+        return np.concatenate([np.arange(end - n, end) * n_channels + c for c, n in enumerate(self._lengths)])
 
     def keep(self, candidates: Iterable[Vector]) -> None:
         """Drop the rows kept for all but these candidates."""

@@ -14,6 +14,7 @@ from estimator import (
     AskTell,
     Estimate,
     LinearForm,
+    NoEstimateError,
     Objective,
     Rescoring,
     ResidualWindow,
@@ -177,7 +178,7 @@ class Retuner:
         """What the estimator believes now; None before any candidate has succeeded."""
         try:
             estimate = self._estimator.estimate()
-        except RuntimeError:  # the contract's
+        except NoEstimateError:
             return None
         if self._estimator.is_whitened:
             self._window.explain(estimate.theta)

@@ -3,6 +3,7 @@
 from .contract import AskTell as AskTell
 from .contract import Estimate as Estimate
 from .contract import Estimator as Estimator
+from .contract import NoEstimateError as NoEstimateError
 from .contract import Rescoring as Rescoring
 from .contract import Solver as Solver
 from .methods import METHODS as METHODS

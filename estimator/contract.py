@@ -7,6 +7,10 @@ from .objective import Objective
 from .space import Vector
 
 
+class NoEstimateError(RuntimeError):
+    """No candidate of an `AskTell` has succeeded yet, so there is nothing to believe."""
+
+
 @dataclass(frozen=True)
 class Estimate:
     """Values of the parameters, how well they are known, and why these were taken."""
@@ -38,7 +42,7 @@ class Estimator(Protocol):
         ...
 
     def estimate(self) -> Estimate:
-        """The present belief. An `AskTell` raises RuntimeError before any candidate has succeeded."""
+        """The present belief. An `AskTell` raises NoEstimateError before any candidate has succeeded."""
         ...
 
 

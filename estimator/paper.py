@@ -7,7 +7,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from .acquisition import Acquisition, expected_improvement, lower_confidence_bound, probability_of_improvement
-from .contract import Estimate
+from .contract import Estimate, NoEstimateError
 from .space import ParameterSpace, Vector
 from .surrogate import ScalarPosterior, ScalarSurrogate
 
@@ -87,7 +87,7 @@ class PaperBO:
     def estimate(self) -> Estimate:
         """The candidate of least noisy norm; its spread is that of the places that may be better."""
         if not len(self._places):
-            raise RuntimeError("no candidate has succeeded yet: tell the residual of one first.")
+            raise NoEstimateError("no candidate has succeeded yet: tell the residual of one first.")
         best = int(np.argmin(self._norms))
         theta = self._space.from_unit(self._places[best])
         return Estimate(

@@ -9,7 +9,7 @@ from scipy.spatial.distance import cdist
 from scipy.stats import qmc
 
 from .acquisition import log_target_vector_improvement
-from .contract import Estimate
+from .contract import Estimate, NoEstimateError
 from .gaussian_process import Posterior
 from .identifiability import information
 from .search import best_that_differ, least_change, least_squares_of_mean, one_at_a_time, principal_components
@@ -193,7 +193,7 @@ class TargetVector:
 
     def _told(self) -> Vector:
         if self._residuals is None:
-            raise RuntimeError("no candidate has succeeded yet: tell the residual of one first.")
+            raise NoEstimateError("no candidate has succeeded yet: tell the residual of one first.")
         return self._residuals
 
     def _costs(self) -> Vector:

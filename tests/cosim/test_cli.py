@@ -393,6 +393,18 @@ class Tires(Solver):
             raise RuntimeError("no\\nmore")
 
 
+class Forgets(Asker):
+    def estimate(self):
+        if self.n == 3:
+            raise RuntimeError("no\\nmore")
+        return super().estimate()
+
+
+class Deep(Asker):
+    def estimate(self):
+        return self.estimate()
+
+
 class Mute:
     def __init__(self, *_):
         pass
@@ -480,11 +492,19 @@ def test_an_estimator_of_ones_own_that_is_wrong_is_told_in_one_line(called, own,
     assert {p.name for p in workplace.iterdir()} <= {f"{own}.py", "__pycache__"}
 
 
-def test_an_estimator_that_raises_ends_the_run_with_its_rows_kept(called, own, workplace):
-    command = ["run", "pendulum", "--only", "--estimator", f"{own}:Tires", "--out", "out", *EARLY_CHANGE]
+@pytest.mark.parametrize(
+    ("kind", "reason"),
+    [
+        ("Tires", "RuntimeError: no more"),
+        ("Forgets", "RuntimeError: no more"),
+        ("Deep", "RecursionError: maximum recursion depth exceeded"),
+    ],
+)
+def test_an_estimator_that_raises_ends_the_run_with_its_rows_kept(called, own, workplace, kind, reason):
+    command = ["run", "pendulum", "--only", "--estimator", f"{own}:{kind}", "--out", "out", *EARLY_CHANGE]
     code, _, err = called(*command, "--set", "scenario.stop_time=0.5", "--set", "estimation.budget=100")
     assert (code, len(err.splitlines())) == (1, 1)
-    assert re.search(rf"estimator '{own}:Tires' failed at t = 0\.\d+ s: RuntimeError: no more", err)
+    assert re.search(rf"estimator '{own}:{kind}' failed at t = 0\.\d+ s: {reason}", err)
     assert "rows up to 0." in err
     assert json.loads((workplace / "out" / "result.json").read_text())["status"] == "faulted"
 

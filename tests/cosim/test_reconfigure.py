@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cosim.reconfigure import Budget, InnovationTrigger, Retuner, TrackingTrigger
-from estimator import Estimate, ResidualWindow, Sample
+from estimator import Estimate, NoEstimateError, ResidualWindow, Sample
 
 START = np.array([0.0])
 
@@ -226,7 +226,7 @@ class Hopeless(Scripted):
 
     def estimate(self):
         if len(self.told) < 3:
-            raise RuntimeError("no candidate has succeeded yet")
+            raise NoEstimateError("no candidate has succeeded yet")
         return super().estimate()
 
 
@@ -236,6 +236,23 @@ def test_before_a_candidate_has_succeeded_nothing_is_written():
     assert [d.write for d in (first, second)] == [None, None]
     assert [e.kind for e in first.events] == ["trigger", "candidate"]
     assert third.write == [9.0]
+
+
+class Broken(Scripted):
+    """Raises what is no part of the contract."""
+
+    def __init__(self, error):
+        super().__init__(4)
+        self.error = error
+
+    def estimate(self):
+        raise self.error
+
+
+@pytest.mark.parametrize("error", [RuntimeError("mine"), RecursionError("too deep")], ids=lambda e: type(e).__name__)
+def test_other_errors_of_an_estimator_are_not_taken_for_a_missing_estimate(error):
+    with pytest.raises(type(error), match=str(error)):
+        retuner(Broken(error), Budget()).step(0.0, sample(), 2.0)
 
 
 def test_an_episode_without_any_success_ends_without_a_cost():

@@ -16,6 +16,7 @@ PUBLIC = [
     "LinearForm",
     "Method",
     "Model",
+    "NoEstimateError",
     "Objective",
     "PaperBO",
     "PaperSettings",

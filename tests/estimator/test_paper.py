@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from estimator import PaperBO, PaperSettings, Parameter, ParameterSpace
+from estimator import NoEstimateError, PaperBO, PaperSettings, Parameter, ParameterSpace
 
 LINE = ParameterSpace((Parameter("x", -1.0, 3.0),))
 SQUARE = ParameterSpace((Parameter("a", 0.0, 2.0), Parameter("b", 0.01, 100.0, "kg", "log")))
@@ -57,7 +57,7 @@ def test_an_episode_starts_from_nothing():
     before = run(estimator, lambda theta: theta - 1.3, 9)
     assert estimator.estimate().n_evaluations == 9
     estimator.restart(np.array([0.5]))
-    with pytest.raises(RuntimeError, match="no candidate has succeeded yet"):
+    with pytest.raises(NoEstimateError, match="no candidate has succeeded yet"):
         estimator.estimate()
     after = run(estimator, lambda theta: theta + 100.0, 5)
     assert not np.any(np.isin(after, before))
@@ -114,7 +114,7 @@ def test_numpys_global_random_state_is_left_alone():
 def test_a_candidate_that_failed_counts_and_is_left_out(bad):
     estimator = PaperBO(LINE, np.zeros(1), np.random.default_rng(0))
     estimator.tell(np.array([0.0]), np.array([bad]))
-    with pytest.raises(RuntimeError, match="no candidate has succeeded yet"):
+    with pytest.raises(NoEstimateError, match="no candidate has succeeded yet"):
         estimator.estimate()
     estimator.tell(np.array([1.0]), np.array([2.0]))
     estimate = estimator.estimate()

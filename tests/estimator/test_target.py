@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
 from scipy.stats import binom
 
-from estimator import Parameter, ParameterSpace, ResidualWindow, TargetSettings, TargetVector
+from estimator import NoEstimateError, Parameter, ParameterSpace, ResidualWindow, TargetSettings, TargetVector
 from estimator.search import best_that_differ
 
 
@@ -125,10 +125,10 @@ def test_an_optimum_just_outside_the_bounds_gives_a_value_on_them():
 
 def test_there_is_no_estimate_before_a_candidate_has_succeeded():
     estimator = TargetVector(BODY, np.ones(2), np.random.default_rng(0))
-    with pytest.raises(RuntimeError, match="no candidate has succeeded yet: tell the residual of one first"):
+    with pytest.raises(NoEstimateError, match="no candidate has succeeded yet: tell the residual of one first"):
         estimator.estimate()
     estimator.tell(estimator.ask(), np.full(8, np.nan))
-    with pytest.raises(RuntimeError, match="no candidate has succeeded yet"):
+    with pytest.raises(NoEstimateError, match="no candidate has succeeded yet"):
         estimator.estimate()
 
 

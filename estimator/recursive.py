@@ -22,12 +22,15 @@ class RecursiveSettings:
     """Standard deviation of a row's target, in its unit: weighs the first samples against the start."""
     spread: float = 1.0
     """Standard deviation of the coefficients at the start, relative to that over the bounds."""
+    identifiable_below: float = 0.05
+    """A parameter counts as identifiable when its standard deviation is below this share of the scaled bounds."""
 
     def __post_init__(self) -> None:
         if not 0.0 < self.forgetting <= 1.0:
             raise ValueError(f"forgetting must be in (0, 1], got {self.forgetting}.")
-        if not (self.noise > 0.0 and self.spread > 0.0):
-            raise ValueError(f"noise and spread must be positive, got {self.noise} and {self.spread}.")
+        for name in ("noise", "spread", "identifiable_below"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}.")
 
 
 class RecursiveLeastSquares:
@@ -45,14 +48,13 @@ class RecursiveLeastSquares:
         self, space: ParameterSpace, start: Vector, rng: np.random.Generator, settings: RecursiveSettings | None = None
     ) -> None:
         self._space, self._settings = space, settings or RecursiveSettings()
-        self._z, self._n_evaluations = space.to_unit(start), 0
-        self._misfit = np.inf
-        self._std = np.ones(len(space))
-        self._filter: KalmanFilter | None = None
+        self.restart(start)
 
     def restart(self, start: Vector) -> None:
         """Forget all samples."""
-        self._z, self._filter, self._n_evaluations = self._space.to_unit(start), None, 0
+        self._z, self._std = self._space.to_unit(start), np.ones(len(self._space))
+        self._misfit, self._n_evaluations = np.inf, 0
+        self._filter: KalmanFilter | None = None
 
     def solve(self, objective: Objective) -> None:
         """Take the newest sample. Raises ValueError where the model's linear form is unknown."""
@@ -72,9 +74,13 @@ class RecursiveLeastSquares:
         """The parameters of the present coefficients; cost: sum of squared residuals of the newest sample."""
         theta = self._space.from_unit(self._z)
         return Estimate(
-            theta, self._std * self._space.slope(theta), (True,) * len(theta), self._misfit, self._n_evaluations,
-            "recursive least squares",
-        )  # fmt: skip
+            theta=theta,
+            std=self._std * self._space.slope(theta),
+            is_identifiable=tuple(bool(s <= self._settings.identifiable_below) for s in self._std),
+            cost=self._misfit,
+            n_evaluations=self._n_evaluations,
+            reason="recursive least squares",
+        )
 
     def _begin(self, linear: LinearForm) -> KalmanFilter:
         psi = linear.coefficients(self._space.from_unit(self._z))
@@ -99,6 +105,7 @@ class RecursiveLeastSquares:
 
 def _at_most(std: Vector, P: Vector) -> Vector:
     """The covariance P (p, p) with no direction wider than at the start, where it was diag(std^2)."""
+    std = np.maximum(std, np.finfo(float).tiny)  # a coefficient that is constant over the bounds is known
     values, directions = np.linalg.eigh(P / std / std[:, None])
     return (directions * np.minimum(values, 1.0)) @ directions.T * std * std[:, None]
 
@@ -113,9 +120,11 @@ class UnscentedSettings:
     """Standard deviation of each parameter at the start; sigma points far from it may reach where no model holds."""
     alpha: float = 0.1
     """Spread of the sigma points round the mean."""
+    identifiable_below: float = 0.05
+    """A parameter counts as identifiable when its standard deviation is below this share of the scaled bounds."""
 
     def __post_init__(self) -> None:
-        for name in ("walk", "spread", "alpha"):
+        for name in ("walk", "spread", "alpha", "identifiable_below"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}.")
 
@@ -133,13 +142,12 @@ class UnscentedKalman:
         self, space: ParameterSpace, start: Vector, rng: np.random.Generator, settings: UnscentedSettings | None = None
     ) -> None:
         self._space, self._settings = space, settings or UnscentedSettings()
-        self._start = space.to_unit(start)
-        self._filter: UnscentedKalmanFilter | None = None
-        self._n_evaluations, self._cost = 0, np.inf
+        self.restart(start)
 
     def restart(self, start: Vector) -> None:
         """Forget all samples."""
-        self._start, self._filter, self._n_evaluations = self._space.to_unit(start), None, 0
+        self._start, self._cost, self._n_evaluations = self._space.to_unit(start), np.inf, 0
+        self._filter: UnscentedKalmanFilter | None = None
 
     def solve(self, objective: Objective) -> None:
         """Take the newest sample. One at which the model has no value for a sigma point is left out."""
@@ -153,7 +161,7 @@ class UnscentedKalman:
             kalman.x, kalman.P = x, P
         kalman.P = 0.5 * (kalman.P + kalman.P.T) + 1e-12 * np.eye(len(kalman.x))
         kalman.x = np.clip(kalman.x, 0.0, 1.0)
-        self._n_evaluations = self._n_evaluations + objective.n_evaluations
+        self._n_evaluations += objective.n_evaluations
         with np.errstate(all="ignore"):
             cost = float(np.sum(kalman.y**2))
         self._cost = cost if np.isfinite(cost) else np.inf
@@ -164,9 +172,13 @@ class UnscentedKalman:
         std = np.ones(len(z)) if self._filter is None else np.minimum(np.sqrt(np.diag(self._filter.P)), 1.0)
         theta = self._space.from_unit(z)
         return Estimate(
-            theta, std * self._space.slope(theta), tuple(bool(s < 0.05) for s in std), self._cost,
-            self._n_evaluations, "unscented Kalman filter",
-        )  # fmt: skip
+            theta=theta,
+            std=std * self._space.slope(theta),
+            is_identifiable=tuple(bool(s <= self._settings.identifiable_below) for s in std),
+            cost=self._cost,
+            n_evaluations=self._n_evaluations,
+            reason="unscented Kalman filter",
+        )
 
     def _begin(self, n_channels: int) -> UnscentedKalmanFilter:
         d = len(self._space)

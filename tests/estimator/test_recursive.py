@@ -133,6 +133,29 @@ def test_a_coefficient_that_starts_at_zero_is_found():
     assert_allclose(estimate.theta, [2.0, 3.0], atol=0.05)
 
 
+def test_a_coefficient_that_is_constant_over_the_bounds_is_known():
+    """y + 3 h1 = a h1 + 3 h1 + b h2 with the coefficients (a, 3, b) tells what y does with (a, b)."""
+    with_constant = LinearForm(
+        PLANE, lambda x, u, xdot: (np.reshape(x, (-1, 2))[:, [0, 0, 1]].tolist(), [y + 3.0 * x[0] for y in xdot]),
+        lambda a, b: (a, 3.0, b),
+    )  # fmt: skip
+    whole, reduced = (RecursiveLeastSquares(PLANE, START, RNG(0)) for _ in range(2))
+    for sample in plane_samples(25):
+        mine, its = take(whole, sample, with_constant), take(reduced, sample)
+        assert_allclose(mine.theta, its.theta, rtol=1e-5)  # of the projection, an iteration
+        assert_allclose(mine.std, its.std, rtol=1e-5)
+
+
+def test_a_parameter_that_is_not_excited_is_not_identifiable():
+    """b's rows are nil: it is as sure as the start, 0.29 of the bounds, or the cube's 1 with it, 0.28; a is 0.001."""
+    for below, expected in ((0.05, (True, False)), (0.5, (True, True)), (1e-6, (False, False))):
+        estimator = RecursiveLeastSquares(PLANE, START, RNG(0), RecursiveSettings(identifiable_below=below))
+        for k in range(20):
+            estimate = take(estimator, Sample(float(k), (1.0, 0.0), (), (1.2,)))
+        assert estimate.is_identifiable == expected
+    assert_allclose(estimate.std[1], 1.0 / np.hypot(1.0 / START_STD[1], 1.0 / 8.0), rtol=1e-6)
+
+
 def test_the_estimate_stays_inside_the_bounds():
     estimator = RecursiveLeastSquares(PLANE, START, RNG(0))
     for sample in plane_samples(30, truth=(9.0, 0.7), noise=0.01):
@@ -167,8 +190,11 @@ def test_a_restart_forgets_all_samples():
     used, fresh = (RecursiveLeastSquares(PLANE, START, RNG(0)) for _ in range(2))
     for sample in plane_samples(10, truth=(4.0, -1.0)):
         take(used, sample)
+    assert used.estimate().is_identifiable == (True, True)
     used.restart(START)
-    assert (used.estimate().n_evaluations, used.estimate().theta.tolist()) == (0, fresh.estimate().theta.tolist())
+    blank = used.estimate()
+    assert (blank.n_evaluations, blank.theta.tolist()) == (0, fresh.estimate().theta.tolist())
+    assert (blank.std.tolist(), blank.is_identifiable, blank.cost) == ([8.0, 8.0], (False, False), np.inf)
     for sample in plane_samples(10):
         np.testing.assert_array_equal(take(used, sample).theta, take(fresh, sample).theta)
 
@@ -178,7 +204,10 @@ def test_without_the_models_linear_form_it_refuses():
         take(RecursiveLeastSquares(PLANE, START, RNG(0)), plane_samples(1)[0], None)
 
 
-@pytest.mark.parametrize("settings", [{"forgetting": 0.0}, {"forgetting": 1.1}, {"noise": 0.0}, {"spread": -1.0}])
+@pytest.mark.parametrize(
+    "settings",
+    [{"forgetting": 0.0}, {"forgetting": 1.1}, {"noise": 0.0}, {"spread": -1.0}, {"identifiable_below": 0.0}],
+)
 def test_settings_of_recursive_least_squares_are_checked(settings):
     with pytest.raises(ValueError, match=next(iter(settings))):
         RecursiveSettings(**settings)
@@ -280,11 +309,21 @@ def test_before_the_first_sample_it_knows_nothing_and_a_restart_forgets():
     blank = estimator.estimate()
     assert_allclose(blank.theta, START, rtol=1e-12)
     assert_allclose(blank.std, [8.0, 8.0], rtol=1e-12)
-    assert (blank.is_identifiable, blank.n_evaluations) == ((False, False), 0)
+    assert (blank.is_identifiable, blank.n_evaluations, blank.cost) == ((False, False), 0, np.inf)
     np.testing.assert_array_equal([take(estimator, s, None, whitened).theta for s in plane_samples(5)], first)
 
 
-@pytest.mark.parametrize("name", ["walk", "spread", "alpha"])
+def test_the_filter_tells_what_is_identifiable_by_its_standard_deviations():
+    """b is not excited: from 0.04 of the cube it walks 20 times by 0.003, to 0.042; a is below 0.004."""
+    for below, expected in ((0.02, (True, False)), (0.05, (True, True)), (1e-4, (False, False))):
+        estimator = UnscentedKalman(PLANE, START, RNG(0), UnscentedSettings(spread=0.04, identifiable_below=below))
+        for k in range(20):
+            estimate = take(estimator, Sample(float(k), (100.0, 0.0), (), (120.0,)), None, whitened)
+        assert estimate.is_identifiable == expected
+    assert_allclose(estimate.std[1] / 8.0, np.sqrt(0.04**2 + 20 * 0.003**2), rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["walk", "spread", "alpha", "identifiable_below"])
 def test_settings_of_the_filter_are_positive(name):
     with pytest.raises(ValueError, match=f"{name} must be positive, got 0"):
         UnscentedSettings(**{name: 0.0})

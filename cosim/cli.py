@@ -9,6 +9,8 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
+from .names import named_scenarios
+
 if TYPE_CHECKING:
     from .result import Run
     from .scenario import Scenario
@@ -54,7 +56,7 @@ def _parser() -> argparse.ArgumentParser:
     build.set_defaults(command=_build)
 
     run = commands.add_parser("run", help="simulate a scenario with its controller re-tuned", allow_abbrev=False)
-    run.add_argument("scenario", metavar="SCENARIO", help="pendulum, quadrotor, or a TOML file")
+    _add_scenario(run)
     run.add_argument("--estimator", default="target", help="target (default), none, true, another, or module:Class")
     run.add_argument("--seed", type=_seed, default=0, metavar="N", help="of noise and search (default: 0)")
     run.add_argument("--out", type=Path, metavar="DIR", help="run folder, absent or empty (default: runs/SCENARIO-n)")
@@ -64,7 +66,7 @@ def _parser() -> argparse.ArgumentParser:
     run.set_defaults(command=_run)
 
     compare = commands.add_parser("compare", help="every estimator on the same plant, noise and seeds")
-    compare.add_argument("scenario", metavar="SCENARIO", help="a named scenario or a TOML file")
+    _add_scenario(compare)
     compare.add_argument(
         "--estimators", type=_names, metavar="A,B,C", help="default: all that the scenario and this machine allow"
     )
@@ -95,6 +97,10 @@ def _parser() -> argparse.ArgumentParser:
     illustrate.add_argument("--seed", type=_seed, default=0, metavar="N", help="of noise (default: 0)")
     illustrate.set_defaults(command=_illustrate)
     return parser
+
+
+def _add_scenario(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("scenario", metavar="SCENARIO", help=f"{', '.join(named_scenarios())}, or a TOML file")
 
 
 def _add_set(parser: argparse.ArgumentParser) -> None:

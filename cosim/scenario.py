@@ -13,7 +13,7 @@ from estimator import METHODS
 
 from .changes import Change, change_functions
 from .errors import ScenarioError, one_line
-from .names import did_you_mean
+from .names import did_you_mean, named_scenarios
 from .schema import (
     Always,
     Component,
@@ -107,12 +107,6 @@ class Scenario(Table):
                     raise ValueError(f"{table}: '{reference}': no component '{component}'{hint}")
         self.change_functions()
         return self
-
-
-def named_scenarios() -> tuple[str, ...]:
-    """Names of the scenarios that come with the package."""
-    folder = resources.files("cosim") / "scenarios"
-    return tuple(sorted(p.name.removesuffix(".toml") for p in folder.iterdir() if p.name.endswith(".toml")))
 
 
 def _find(source: str | Path) -> Path:

@@ -11,7 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from cosim.errors import ScenarioError
-from cosim.scenario import Scenario, named_scenarios
+from cosim.names import named_scenarios
+from cosim.scenario import Scenario
 
 PENDULUM = (files("cosim") / "scenarios" / "pendulum.toml").read_text(encoding="utf-8")
 

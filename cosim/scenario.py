@@ -75,7 +75,7 @@ class Scenario(Table):
         try:
             return cls.model_validate(tree | {"folder": path.parent})
         except ValidationError as e:
-            raise ScenarioError(f"{path}: {_first_error(e)}") from e
+            raise ScenarioError(f"{path}: {one_line(_first_error(e))}") from e
 
     @property
     def plant(self) -> str:

@@ -7,7 +7,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from cosim.errors import ScenarioError
@@ -357,6 +357,7 @@ PLACES = list(paths_of(tomllib.loads(PENDULUM)))
 
 @settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(place=st.sampled_from(PLACES), value=TREES)
+@example(place=("connections", "controller.phi"), value="\x85")  # a line break to str.splitlines
 def test_a_good_file_with_anything_in_one_place_loads_or_is_refused_as_a_scenario_error(tmp_path, place, value):
     tree = tomllib.loads(PENDULUM)
     below = tree

@@ -21,7 +21,7 @@ from estimator import (
     Sample,
     Solver,
     Vector,
-    chi2_quantile,
+    chi2_limit,
 )
 
 
@@ -51,7 +51,7 @@ class TrackingTrigger:
 class InnovationTrigger:
     """The newest sample contradicts the parameters in force: sees a jump within one sample.
 
-    The normalised innovation squared |r|^2 of the whitened residual exceeds its chi-square quantile.
+    The normalised innovation squared |r|^2 of the whitened residual exceeds its chi-square limit.
     Bar-Shalom, Li, Kirubarajan (2001), section 5.4.
     """
 
@@ -61,9 +61,9 @@ class InnovationTrigger:
     """Probability of firing on one sample where nothing has changed."""
 
     def __call__(self, sample: Sample, tracking_error: float, theta: Vector) -> str | None:
-        """A reason where |r|^2 exceeds the quantile."""
+        """A reason where |r|^2 exceeds the limit."""
         r = self.residual(theta, sample)
-        squared, limit = float(r @ r), chi2_quantile(1.0 - self.false_alarm, len(r))
+        squared, limit = float(r @ r), chi2_limit(self.false_alarm, len(r))
         if squared <= limit:
             return None
         return f"normalised innovation squared {squared:.4g} exceeds {limit:.4g}"

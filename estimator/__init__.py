@@ -21,4 +21,4 @@ from .telemetry import DerivativeResidual as DerivativeResidual
 from .telemetry import Model as Model
 from .telemetry import ResidualWindow as ResidualWindow
 from .telemetry import Sample as Sample
-from .telemetry import chi2_quantile as chi2_quantile
+from .telemetry import chi2_limit as chi2_limit

@@ -147,14 +147,14 @@ class ResidualWindow:
         for c, n in enumerate(self._lengths):
             mine = residual[first : first + n]
             first += n
-            is_explained = float(mine @ mine) <= chi2_quantile(1.0 - false_alarm, n)
+            is_explained = float(mine @ mine) <= chi2_limit(false_alarm, n)
             if not is_explained and n > 1 and (self._is_explained[c] or not patient):
                 self._lengths[c] = 1
-                is_explained = float(mine[-1] ** 2) <= chi2_quantile(1.0 - false_alarm, 1)
+                is_explained = float(mine[-1] ** 2) <= chi2_limit(false_alarm, 1)
             self._is_explained[c] = is_explained
 
 
 @cache
-def chi2_quantile(probability: float, degrees: int) -> float:
-    """Quantile of the chi-square distribution, remembered: SciPy takes 100 us a call."""
-    return float(chi2.ppf(probability, degrees))
+def chi2_limit(false_alarm: float, degrees: int) -> float:
+    """What a chi-square variable exceeds with probability false_alarm; remembered: SciPy takes 100 us a call."""
+    return float(chi2.isf(false_alarm, degrees))

@@ -195,7 +195,7 @@ def whitened(theta, sample):
     return np.array(sample.xdot) - theta[0]
 
 
-@pytest.mark.parametrize("false_alarm", [0.3, 1e-2, 1e-6, 1e-12])
+@pytest.mark.parametrize("false_alarm", [0.3, 1e-2, 1e-6, 1e-12, 1e-20])
 def test_the_innovation_limit_of_two_channels_is_that_of_the_exponential_distribution(false_alarm):
     trigger = InnovationTrigger(whitened, false_alarm)
     limit = -2.0 * math.log(false_alarm)  # |r|^2 of two unit normals: P(|r|^2 > c) = exp(-c/2)

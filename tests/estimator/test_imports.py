@@ -29,7 +29,7 @@ PUBLIC = [
     "TargetSettings",
     "TargetVector",
     "Vector",
-    "chi2_quantile",
+    "chi2_limit",
 ]
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from estimator import DerivativeResidual, Parameter, ParameterSpace, ResidualWindow, Sample, chi2_quantile
+from estimator import DerivativeResidual, Parameter, ParameterSpace, ResidualWindow, Sample, chi2_limit
 
 
 def sample(t, *xdot):
@@ -239,8 +239,14 @@ def test_the_false_alarm_rate_is_the_one_asked_for():
 
 
 @pytest.mark.parametrize(
-    ("probability", "degrees", "value"),
-    [(0.95, 1, 3.841), (0.95, 10, 18.307), (0.99, 5, 15.086), (0.999, 2, 13.816)],
+    ("false_alarm", "degrees", "value"),
+    [(0.05, 1, 3.841), (0.05, 10, 18.307), (0.01, 5, 15.086), (0.001, 2, 13.816)],
 )
-def test_chi2_quantiles_are_those_of_the_printed_tables(probability, degrees, value):
-    assert_allclose(chi2_quantile(probability, degrees), value, atol=5e-4)
+def test_chi2_limits_are_those_of_the_printed_tables(false_alarm, degrees, value):
+    assert_allclose(chi2_limit(false_alarm, degrees), value, atol=5e-4)
+
+
+@pytest.mark.parametrize("false_alarm", [1e-4, 1e-17, 1e-20, 1e-300])
+def test_chi2_limits_of_two_degrees_are_exact_however_rare_the_alarm(false_alarm):
+    """P(|r|^2 > c) = exp(-c/2)."""
+    assert_allclose(chi2_limit(false_alarm, 2), -2.0 * np.log(false_alarm), rtol=1e-12)

@@ -5,8 +5,11 @@ import hashlib
 import json
 import math
 import os
+import signal
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+import threading
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import IO, Any
 
@@ -98,6 +101,23 @@ class Recorder:
             self._writer = self._events = None
         table = np.array(self._rows).T if self._rows else np.empty((len(self.columns), 0))
         return dict(zip(self.columns, table, strict=True))
+
+
+@contextmanager
+def uninterrupted() -> Generator[None]:
+    """Put SIGINT and SIGTERM off until what is inside is done; the caller's handler gets the first one then.
+
+    Elsewhere than in the main thread, to which alone Python gives signals, there is nothing to put off.
+    """
+    came: list[int] = []
+    with ExitStack() as stack:
+        stack.callback(lambda: signal.raise_signal(came[0]) if came else None)
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                if callable(signal.getsignal(number)):  # else it ends the process or is ignored: no exception
+                    handler = signal.signal(number, lambda n, _: came.append(n))
+                    stack.callback(signal.signal, number, handler)
+        yield
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:

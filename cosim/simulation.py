@@ -22,7 +22,7 @@ from .estimators import check_estimator
 from .master import Master
 from .policy import LeaveAlone, Policy, decide, make_policy
 from .reconfigure import Reconfiguration
-from .record import Recorder
+from .record import Recorder, uninterrupted
 from .result import Run, Status, begin_folder, end_folder
 from .sampling import Sampler
 from .scenario import Scenario
@@ -64,13 +64,14 @@ def run(
         recorder = Recorder(out, loop.columns)
         status, error = ("faulted", fault) if fault else loop.execute(recorder, progress)
         wall = perf_counter() - begun
-    policy, latencies = loop.policy, tuple(loop.latencies)
-    result = Run(
-        scenario, loop.plant, estimator, seed, recorder.close(), status, error, policy.n_evaluations,
-        policy.n_episodes, latencies, wall, out, policy.n_model_calls,
-    )  # fmt: skip
-    if out is not None:
-        end_folder(result, out)
+        policy, latencies = loop.policy, tuple(loop.latencies)
+        with uninterrupted():  # and before the FMUs are closed, which may take its time
+            result = Run(
+                scenario, loop.plant, estimator, seed, recorder.close(), status, error, policy.n_evaluations,
+                policy.n_episodes, latencies, wall, out, policy.n_model_calls,
+            )  # fmt: skip
+            if out is not None:
+                end_folder(result, out)
     if status == "interrupted":
         raise KeyboardInterrupt
     return result

@@ -3,6 +3,8 @@
 import csv
 import json
 import os
+import signal
+import threading
 
 import numpy as np
 import pyarrow as pa
@@ -20,6 +22,7 @@ from cosim.record import (
     read_series,
     sha256,
     to_json,
+    uninterrupted,
     write_csv,
     write_json,
     write_text,
@@ -192,6 +195,76 @@ def test_a_file_has_the_sha_256_of_the_standard(tmp_path):
     (tmp_path / "abc").write_bytes(b"abc")
     # FIPS 180-2, appendix B.1
     assert sha256(tmp_path / "abc") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+
+
+# Interrupts.
+
+
+@pytest.fixture
+def sigterm_interrupts():
+    """As the command has it."""
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    yield interrupt
+    signal.signal(signal.SIGTERM, before)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda n: n.name)
+def test_an_interrupt_is_put_off_until_the_end_and_then_raised_once(sigterm_interrupts, number):
+    handlers, done = [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)], []
+
+    @uninterrupted()
+    def work():
+        for k in range(3):
+            signal.raise_signal(number)
+            done.append(k)
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert done == [0, 1, 2]
+    assert [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)] == handlers
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(number)
+
+
+def test_an_error_inside_goes_to_the_caller_and_the_handlers_are_put_back(sigterm_interrupts):
+    before, inside = signal.getsignal(signal.SIGINT), []
+
+    @uninterrupted()
+    def work():
+        inside.append(signal.getsignal(signal.SIGINT))
+        raise FolderError("full")
+
+    with pytest.raises(FolderError, match="full"):
+        work()
+    assert inside != [before]
+    assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == (before, sigterm_interrupts)
+
+
+def test_signals_that_python_does_not_handle_are_left_to_the_system():
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with uninterrupted():
+            assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+            assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_in_another_thread_nothing_is_put_off():
+    seen = []
+
+    def work():
+        with uninterrupted():
+            seen.append(signal.getsignal(signal.SIGINT))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert seen == [signal.getsignal(signal.SIGINT)]
 
 
 # Run folders.

@@ -2,8 +2,10 @@
 
 import json
 import math
+import signal
 import sys
 from importlib.resources import files
+from pkgutil import resolve_name
 
 import numpy as np
 import pytest
@@ -12,7 +14,8 @@ from scipy.integrate import solve_ivp
 from scipy.stats import kstest
 
 from cosim.errors import CosimError, ScenarioError, WiringError
-from cosim.record import FolderError, read_series
+from cosim.record import FolderError, read_series, sha256
+from cosim.result import read_run
 from cosim.scenario import Scenario
 from cosim.simulation import run
 
@@ -337,6 +340,30 @@ def test_an_interrupt_leaves_the_rows_and_goes_on_to_the_caller(pendulum, tmp_pa
     for name in ("manifest.json", "result.json"):
         assert json.loads((out / name).read_text())["status"] == "interrupted"
     assert events_of(out)[-1]["kind"] == "interrupt"
+
+
+@pytest.mark.parametrize(
+    "place",
+    ["cosim.record:Recorder.close", "cosim.result:write_csv", "cosim.simulation:end_folder", "cosim.slave:Slave.close"],
+)
+def test_an_interrupt_while_a_run_ends_leaves_a_whole_folder(pendulum, tmp_path, monkeypatch, place):
+    out, function, came = tmp_path / "run", resolve_name(place), []
+    out.mkdir()
+
+    def interrupted(*arguments):
+        answer = function(*arguments)
+        came.append(place)
+        signal.raise_signal(signal.SIGINT)
+        return answer
+
+    monkeypatch.setattr(place.replace(":", "."), interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run(pendulum(), "none", out=out)
+    assert came
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert manifest["status"] == "done"
+    assert manifest["sha256"] == {p.name: sha256(p) for p in out.iterdir() if p.name != "manifest.json"}
+    assert len(read_run(out).time) == 51
 
 
 def test_an_error_of_the_callers_own_leaves_nothing_running(pendulum):

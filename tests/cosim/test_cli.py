@@ -8,14 +8,12 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 import zipfile
 from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 import pytest
-from pythonfmu import FmuBuilder
 
 from cosim.cli import main
 from cosim.record import read_series
@@ -545,31 +543,9 @@ def test_a_diverged_run_is_told_in_one_line_with_exit_code_1(called, workplace):
     assert read_series(workplace / "mine")["time"][-1] == result["diverged_at"]
 
 
-RAISES = """
-from pythonfmu import *
-
-
-class Raises(Fmi2Slave):
-    def __init__(self, **kwargs):
-        super().__init__(**kwargs)
-        self.phi_ref = self.phi_dot_ref = 0.0
-        for name in ("phi_ref", "phi_dot_ref"):
-            self.register_variable(Real(name, causality=Fmi2Causality.output))
-
-    def do_step(self, t, h):
-        if t > 0.045:
-            raise ValueError("boom")
-        return True
-"""
-
-
-def test_a_faulted_run_is_told_in_one_line_with_exit_code_1(workplace, tmp_path):
-    (tmp_path / "raises.py").write_text(RAISES)
-    FmuBuilder.build_FMU(tmp_path / "raises.py", dest=tmp_path)
-    old = next(line for line in PENDULUM.splitlines() if line.startswith("reference = "))
-    (tmp_path / "mine.toml").write_text(PENDULUM.replace(old, "reference = { fmu = 'Raises.fmu' }"))
+def test_a_faulted_run_is_told_in_one_line_with_exit_code_1(workplace, faulty_toml):
     arguments = ["--only", "--json", "--estimator", "none", "--set", "limits.divergence=10", "--out", "mine"]
-    done = retune("run", tmp_path / "mine.toml", *arguments)
+    done = retune("run", faulty_toml, *arguments)
     assert (done.returncode, done.stderr.count("\n")) == (1, 1)
     assert done.stderr.startswith("retune: reference: do_step at t = 0.050 s returned fatal")
     assert "boom" in done.stderr
@@ -611,22 +587,12 @@ def processes_of_session(session):
     return found
 
 
-def becomes_true(condition, within_s=60.0):
-    """Whether condition() is true at some time within a limit that only a failing test ever reaches."""
-    deadline = time.monotonic() + within_s
-    while not condition():
-        if time.monotonic() > deadline:
-            return False
-        time.sleep(0.02)
-    return True
-
-
 def is_far_enough(folder):
     path = folder / "series.arrow"
     return path.exists() and path.stat().st_size > 50_000
 
 
-def start_endless(folder):
+def start_endless(folder, becomes_true):
     arguments = ["run", "pendulum", "--only", "--estimator", "none", "--json", "--out", folder]
     process = subprocess.Popen(
         [RETUNE, *arguments, "--set", "scenario.stop_time=36000.0"],
@@ -642,9 +608,9 @@ def start_endless(folder):
     [(os.kill, signal.SIGINT), (os.killpg, signal.SIGINT), (os.kill, signal.SIGTERM)],
     ids=["SIGINT", "Ctrl-C on a terminal", "SIGTERM"],
 )
-def test_an_interrupted_run_exits_130_with_its_rows_kept_and_no_process_left(workplace, send, number):
+def test_an_interrupted_run_exits_130_with_its_rows_kept_and_no_process_left(workplace, becomes_true, send, number):
     folder = workplace / "mine"
-    process = start_endless(folder)
+    process = start_endless(folder, becomes_true)
     send(process.pid, number)
     out, err = process.communicate(timeout=60)
     assert (process.returncode, out, err.count("\n")) == (130, "", 1)
@@ -656,9 +622,9 @@ def test_an_interrupted_run_exits_130_with_its_rows_kept_and_no_process_left(wor
     assert becomes_true(lambda: not processes_of_session(process.pid))
 
 
-def test_a_killed_run_leaves_readable_rows_and_no_process(workplace, leaves_nothing):
+def test_a_killed_run_leaves_readable_rows_and_no_process(workplace, leaves_nothing, becomes_true):
     folder = workplace / "mine"
-    process = start_endless(folder)
+    process = start_endless(folder, becomes_true)
     process.kill()
     process.communicate(timeout=60)
     times = read_series(folder)["time"]

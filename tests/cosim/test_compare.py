@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -318,7 +317,9 @@ def test_what_makes_no_sense_is_refused(pendulum, settings, rule):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL], ids=["Ctrl-C", "killed"])
 @real
-def test_an_interrupted_comparison_keeps_what_is_done_and_leaves_no_process(tmp_path, leaves_nothing, number):
+def test_an_interrupted_comparison_keeps_what_is_done_and_leaves_no_process(
+    tmp_path, leaves_nothing, becomes_true, number
+):
     out = tmp_path / "out"
     temporary = str(leaves_nothing)
     process = subprocess.Popen(
@@ -350,15 +351,6 @@ try:
 except KeyboardInterrupt:
     sys.exit(130)
 """
-
-
-def becomes_true(condition, within_s=60.0):
-    deadline = time.monotonic() + within_s
-    while not condition():
-        if time.monotonic() > deadline:
-            return False
-        time.sleep(0.02)
-    return True
 
 
 def others_with(temporary, process_id):

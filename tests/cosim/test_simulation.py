@@ -9,7 +9,6 @@ from pkgutil import resolve_name
 
 import numpy as np
 import pytest
-from pythonfmu import FmuBuilder
 from scipy.integrate import solve_ivp
 from scipy.stats import kstest
 
@@ -242,40 +241,10 @@ def test_the_same_seed_gives_the_same_run_bit_for_bit_and_another_one_another(pe
 
 # What goes wrong.
 
-FAULTY_REFERENCE = """
-from pythonfmu import *
-
-
-class FaultyReference(Fmi2Slave):
-    def __init__(self, **kwargs):
-        super().__init__(**kwargs)
-        self.phi_ref = self.phi_dot_ref = 0.0
-        for name in ("phi_ref", "phi_dot_ref"):
-            self.register_variable(Real(name, causality=Fmi2Causality.output))
-
-    def do_step(self, t, h):
-        if t > 0.045:
-            raise ValueError("boom\\nsecond line")
-        return True
-"""
-
-
-@pytest.fixture(scope="module")
-def faulty_reference(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("faulty")
-    script = folder / "faulty_reference.py"
-    script.write_text(FAULTY_REFERENCE)
-    return FmuBuilder.build_FMU(script, dest=folder)
-
 
 @pytest.fixture
-def faulty(faulty_reference, tmp_path):
-    """The pendulum whose reference raises in its sixth step; it has none of the built-in one's parameters."""
-    text = (files("cosim") / "scenarios" / "pendulum.toml").read_text(encoding="utf-8")
-    old = next(line for line in text.splitlines() if line.startswith("reference = "))
-    path = tmp_path / "faulty.toml"
-    path.write_text(text.replace(old, f"reference = {{ fmu = '{faulty_reference}' }}"), encoding="utf-8")
-    return Scenario.load(path, {"scenario.stop_time": "0.5"})
+def faulty(faulty_toml):
+    return Scenario.load(faulty_toml, {"scenario.stop_time": "0.5"})
 
 
 def test_a_fault_ends_the_run_in_one_line_and_keeps_the_rows(faulty, tmp_path):

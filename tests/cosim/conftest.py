@@ -36,6 +36,12 @@ def children_of(process_id: int) -> set[int]:
 
 
 @pytest.fixture
+def children() -> Callable[[], set[int]]:
+    """Ids of this process's children at the time of the call."""
+    return lambda: children_of(os.getpid())
+
+
+@pytest.fixture
 def leaves_nothing(tmp_path, monkeypatch) -> Iterator[Path]:
     """Where this test and its child processes keep temporary files; afterwards it is empty and no child is left."""
     folder = tmp_path / "temporary"

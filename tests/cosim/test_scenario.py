@@ -146,7 +146,9 @@ def test_an_override_needs_a_toml_key(key):
 
 
 def test_an_override_sets_one_key_only():
-    refusal({"scenario.stop_time": "5.0\nestimation.budget = 7"})
+    told = refusal({"scenario.stop_time": "5.0\nestimation.budget = 7"})
+    assert "scenario.stop_time: input should be a valid number" in told
+    assert r"got '5.0\nestimation.budget = 7'" in told
 
 
 def test_the_estimator_paper_takes_every_candidate_and_the_newest_sample_unless_told_otherwise():

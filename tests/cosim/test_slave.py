@@ -331,9 +331,15 @@ def test_an_fmus_process_does_not_import_what_fmus_ship():
     assert result.stdout == "set()\n"
 
 
-def test_a_forgotten_slave_leaves_nothing(mixer):
-    open_slave(mixer, "plant").bind(outputs=["y"])
+def test_a_forgotten_slave_leaves_nothing(mixer, temporary, children):
+    before = children()
+    slave = open_slave(mixer, "plant")
+    slave.bind(outputs=["y"])
+    assert len(list(temporary.iterdir())) == len(children() - before) == 1
+    del slave
     gc.collect()
+    assert list(temporary.iterdir()) == []
+    assert children() <= before
 
 
 def test_what_a_get_does_not_fill_is_nan():

@@ -375,7 +375,10 @@ def test_intervals_of_95_percent_cover_as_often():
 
 
 def test_where_the_whole_initial_design_failed_it_asks_on():
-    run(BODY, (1.0, 1.0), lambda theta: np.full(3, np.nan), 12)
+    estimator, asked = run(BODY, (1.0, 1.0), lambda theta: np.full(3, np.nan), 12)
+    assert len(np.unique(asked, axis=0)) == 12
+    assert np.all((asked >= 0.1) & (asked <= 10.0))
+    assert len(estimator.candidates) == 0
 
 
 def test_where_no_candidate_outlives_a_rescore_it_asks_on():
@@ -389,7 +392,16 @@ def test_rescoring_no_candidates_changes_nothing():
     estimator = TargetVector(BODY, np.ones(2), np.random.default_rng(0))
     window = ResidualWindow(lambda theta, sample: theta, 2)
     estimator.rescore(window.residuals(estimator.candidates))
+    assert estimator.candidates.shape == (0, 2)
+    _, asked = run(None, None, body, 12, estimator=estimator)
+    np.testing.assert_array_equal(asked, run(BODY, (1.0, 1.0), body, 12)[1])
 
 
 def test_residuals_that_are_all_nil_leave_finite_scores():
-    run(BODY, (1.0, 1.0), lambda theta: np.zeros(3), 12)
+    estimator, asked = run(BODY, (1.0, 1.0), lambda theta: np.zeros(3), 12)
+    assert np.all((asked >= 0.1) & (asked <= 10.0))
+    estimate = estimator.estimate()
+    assert estimate.theta.tolist() == [1.0, 1.0]  # where nothing is seen, nothing changes
+    # As wide as the cube, whose sides are ln 100, at a value of 1.
+    assert_allclose(estimate.std, np.log(100.0), rtol=1e-12)
+    assert 0.0 <= estimate.cost < 1e-12

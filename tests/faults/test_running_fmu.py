@@ -160,11 +160,19 @@ def test_an_fmu_that_is_killed_from_outside_is_seen_in_the_next_call(faulty, pro
             slave.step([5.0], 0.04, H)
 
 
-def test_an_interrupted_step_is_closed_at_once(faulty):
+def test_an_interrupted_step_is_closed_at_once(faulty, processes, temporary):
+    children_of, is_running, _ = processes
+    before = children_of(os.getpid())
     slave = open_slave(faulty, "plant", timeout=3600.0)
     run(slave, "loop", "do_step", n_steps=2)
+    (worker,) = children_of(os.getpid()) - before
     slave.begin_step([1.0], 2 * H, H)  # never returns
+    assert is_running(worker)
     slave.close()
+    assert not is_running(worker)
+    assert list(temporary.iterdir()) == []
+    with pytest.raises(RuntimeError, match="must not be called after close"):
+        slave.end_step()
 
 
 PROGRAM = """

@@ -25,12 +25,10 @@ def find_method(name: str, scenario: Scenario) -> Method:
 
     Raises ScenarioError for an unknown name, and for an estimator that the scenario or this machine lacks something of.
     """
-    if ":" in name:
-        return _user_method(name, scenario)
-    if name not in METHODS:
+    if ":" not in name and name not in METHODS:
         known = f"; the estimators are {', '.join(ESTIMATORS)}, or package.module:Class."
         raise ScenarioError(f"no estimator '{name}'{did_you_mean(name, ESTIMATORS) or known}")
-    method = METHODS[name]
+    method = _user_method(name, scenario) if ":" in name else METHODS[name]
     if method.needs_package and not importlib.util.find_spec(method.needs_package):
         raise ScenarioError(
             f"estimator '{name}' needs Ipopt: pip install 'fmu-retune[ipopt]'; 'ipm-scipy' does without."

@@ -398,6 +398,16 @@ class Tires(Solver):
             raise RuntimeError("no\\nmore")
 
 
+class Linear(Believer):
+    defaults = {"budget": 1, "value": 4.0}
+    needs_linear_form = True
+
+    def solve(self, objective):
+        self.n += 1
+        objective.residual(self.theta)
+        self.theta = np.array([self.theta[0], 1.5 if objective.linear is None else 0.5])
+
+
 class Forgets(Asker):
     def estimate(self):
         if self.n == 3:
@@ -452,6 +462,21 @@ def test_an_estimator_of_ones_own_is_run_with_its_settings(called, own, workplac
     code, out, err = called("replay", result["run"], "--estimator", name, "--json")
     assert (code, err) == (0, "")
     assert json.loads(out)["runs"][0]["parameters"] == result["parameters"]
+
+
+def test_an_estimator_of_ones_own_may_have_defaults_and_need_the_linear_form(called, own, workplace):
+    name = f"{own}:Linear"
+    command = ["--only", "--json", "--estimator", name, "--set", "scenario.stop_time=0.2", *EARLY_CHANGE]
+    for settings, value in (([], 4.0), (["--set", f'estimation."{name}".value=2.5'], 2.5)):
+        code, out, err = called("run", "pendulum", *command, *settings)
+        assert (code, err) == (0, "")
+        result = json.loads(out)
+        assert [p["estimated"] for p in result["parameters"]] == [value, 0.5]
+        assert result["episodes"] == result["evaluations"] > 1  # a budget of one
+    (workplace / "plain.toml").write_text(re.sub("linear = .*", "", PENDULUM))
+    code, out, err = called("run", "plain.toml", *command, "--out", "out")
+    assert (code, out) == (2, "")
+    assert err == f"retune: estimator '{name}' needs estimation.linear, the model's linear form.\n"
 
 
 def test_an_estimator_of_ones_own_is_compared(called, own):

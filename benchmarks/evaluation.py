@@ -1,6 +1,6 @@
 """Makes docs/evaluation.md: `measure` runs the comparisons, `render` puts their figures into the prose.
 
-    python -m benchmarks.evaluation measure     # hours: every command below, into docs/evaluation/
+    python -m benchmarks.evaluation measure     # 25 minutes on two cores: all below, into docs/evaluation/
     python -m benchmarks.evaluation render      # docs/evaluation.in.md and docs/evaluation/ -> docs/evaluation.md
 
 In the prose, `{{include FILE}}` stands for a Markdown table of docs/evaluation/, `{{FILE KEY KEY ...}}` for one number

@@ -128,24 +128,6 @@ def test_where_every_candidate_failed_it_asks_on():
     assert len(np.unique(asked)) == 12
 
 
-def test_only_a_parameter_that_the_norm_depends_on_is_identifiable():
-    """Places all over the bounds have a spread of 1/sqrt(12) = 0.29 of them; measured 0.10 to 0.12 and 0.24 to 0.33."""
-    space = ParameterSpace((Parameter("a", 0.0, 1.0), Parameter("b", 0.0, 1.0)))
-    for seed in range(3):
-        settings = PaperSettings(identifiable_below=0.2)
-        estimator = PaperBO(space, np.full(2, 0.5), np.random.default_rng(seed), settings)
-        run(estimator, lambda theta: 5.0 * (theta[:1] - 0.35), 5)
-        assert estimator.estimate().is_identifiable == (False, False)  # no model yet
-        run(estimator, lambda theta: 5.0 * (theta[:1] - 0.35), 25)
-        assert estimator.estimate().is_identifiable == (True, False)
-
-
-@pytest.mark.parametrize("below", [0.0, -1.0, np.nan])
-def test_the_limit_of_identifiability_is_positive(below):
-    with pytest.raises(ValueError, match="identifiable_below must be positive"):
-        PaperSettings(identifiable_below=below)
-
-
 def test_spread_is_as_wide_as_the_cube_before_any_model_and_shrinks_with_it():
     spreads = []
     for seed in range(9):

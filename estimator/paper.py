@@ -94,7 +94,7 @@ class PaperBO:
         return Estimate(
             theta=theta,
             std=self._spread * self._space.slope(theta),
-            is_identifiable=(True,) * len(theta),  # the paper asks no such question, and one noisy norm cannot tell
+            is_identifiable=(False,) * len(theta),  # one noisy norm cannot tell
             cost=float(self._norms[best]),
             n_evaluations=self._n_evaluations,
             reason="incumbent",

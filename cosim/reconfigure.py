@@ -6,7 +6,7 @@ Khan and Chatterjee (2020), section III-C and algorithm 1.
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from time import perf_counter
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, cast
 
 import numpy as np
 
@@ -129,6 +129,8 @@ class Retuner:
         linear: LinearForm | None = None,
     ) -> None:
         self._estimator, self._window, self._trigger, self._budget = estimator, window, trigger, budget
+        self._solver = estimator if isinstance(estimator, Solver) else None  # 20 us to ask a protocol
+        self._rescoring = estimator if isinstance(estimator, Rescoring) else None
         self._linear = linear
         self._theta = start
         self._remaining = 0.0
@@ -193,9 +195,9 @@ class Retuner:
 
     def _evaluate(self) -> Iterator[tuple[Vector, float, float]]:
         """Evaluate this step's candidates: (theta, |residual|^2, wall time [s]) of each."""
-        if isinstance(self._estimator, Solver):
-            return self._solve(self._estimator)
-        return self._search(self._estimator)
+        if self._solver is not None:
+            return self._solve(self._solver)
+        return self._search(cast(AskTell, self._estimator))
 
     def _solve(self, solver: Solver) -> Iterator[tuple[Vector, float, float]]:
         begun = perf_counter()
@@ -209,8 +211,10 @@ class Retuner:
 
     def _search(self, search: AskTell) -> Iterator[tuple[Vector, float, float]]:
         begun = perf_counter()
-        if isinstance(search, Rescoring) and len(search.candidates):
-            search.rescore(self._window.residuals(search.candidates))
+        if self._rescoring is None:
+            self._window.keep([self._theta])  # it would keep the residuals of every candidate of the run
+        elif len(candidates := self._rescoring.candidates):
+            self._rescoring.rescore(self._window.residuals(candidates))
         for _ in range(int(min(self._budget.evaluations_per_step, self._remaining))):
             theta = search.ask()
             residual = self._window.residual(theta)

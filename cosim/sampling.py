@@ -1,6 +1,7 @@
 """What the estimator gets to see of the plant: state, held input and derivatives, with measurement noise."""
 
 from collections.abc import Mapping, Sequence
+from operator import add, itemgetter
 from typing import Any
 
 import numpy as np
@@ -19,8 +20,8 @@ class Sampler:
         states = [f"{plant.name}.{name}" for name in plant.states]
         sampling = scenario.sampling
         self._plant, self._rng = plant, noise
-        self._derivatives = [place[name] for name in sampling.derivatives]
-        self._states = [place[name] for name in states]
+        self._n_derivatives = len(sampling.derivatives)
+        self._measured = itemgetter(*(place[name] for name in [*sampling.derivatives, *states]))
         on_derivatives = [n.noise for n in sampling.derivatives.values()]
         on_states = [sampling.states[name].noise if name in sampling.states else 0.0 for name in states]
         self._sigma = np.array(on_derivatives + on_states)
@@ -43,10 +44,10 @@ class Sampler:
         return (*sample.xdot, *(sample.x[i] for i in self._noisy), *sample.u)
 
     def _sample(self, t: float, values: Sequence[float], held: Mapping[str, float], noise: Sequence[float]) -> Sample:
-        n = len(self._derivatives)
-        xdot = tuple(values[i] + e for i, e in zip(self._derivatives, noise[:n], strict=True))
-        x = tuple(values[i] + e for i, e in zip(self._states, noise[n:], strict=True))
-        return Sample(t, x, tuple(held.get(name, start) for name, start in self._plant.inputs.items()), xdot)
+        n = self._n_derivatives
+        measured = tuple(map(add, self._measured(values), noise))
+        u = tuple([held.get(name, start) for name, start in self._plant.inputs.items()])
+        return Sample(t, measured[n:], u, measured[:n])
 
 
 SAMPLED, HELD = "sampled.", "held."

@@ -7,9 +7,11 @@ It is legal FMI 2.0, which forbids get after set without a doStep (section 4.2.4
 controller's output after its step is the control law at x_k.
 """
 
+from array import array
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from functools import partial
+from itertools import islice
 from math import hypot
 from pathlib import Path
 from time import perf_counter
@@ -64,11 +66,11 @@ def run(
         recorder = Recorder(out, loop.columns)
         status, error = ("faulted", fault) if fault else loop.execute(recorder, progress)
         wall = perf_counter() - begun
-        policy, latencies = loop.policy, tuple(loop.latencies)
+        policy = loop.policy
         with uninterrupted():  # and before the FMUs are closed, which may take its time
             result = Run(
                 scenario, loop.plant, estimator, seed, recorder.close(), status, error, policy.n_evaluations,
-                policy.n_episodes, latencies, wall, out, policy.n_model_calls,
+                policy.n_episodes, loop.latencies, wall, out, policy.n_model_calls,
             )  # fmt: skip
             if out is not None:
                 end_folder(result, out)
@@ -94,12 +96,21 @@ class _Loop:
         self._truth = true_parameters(scenario, slaves)
         self.policy: Policy = LeaveAlone()
         self._make_policy = partial(make_policy, scenario, estimator, plant, self._theta, self._true_theta, rng=search)
-        self.latencies: list[tuple[float, ...]] = []
+        self._latencies, self._n_latencies = array("d"), array("L")  # an hour of tuples would be 30 MB
         self._writes = [p.writes for p in scenario.estimation.parameters]
+        self._places: dict[str, list[int]] = {}
+        for i, reference in enumerate([*scenario.changes, *self._writes]):
+            self._places.setdefault(reference.partition(".")[0], []).append(i)
         self._written: dict[str, list[float]] = {}
         place = {name: i for i, name in enumerate(self._master.names)}
         self._tracked = [(place[a], place[b]) for a, b in scenario.tracking.items()]
         self.columns = ("time", *self._master.names, *self._truth, *self._writes, *self._sampler.columns)
+
+    @property
+    def latencies(self) -> tuple[tuple[float, ...], ...]:
+        """Wall time of each evaluation [s], a tuple a macro step that had any."""
+        seconds = iter(self._latencies)
+        return tuple(tuple(islice(seconds, n)) for n in self._n_latencies)
 
     def initialize(self) -> str | None:
         """Bring the FMUs to the start; why one failed, or None. Raises WiringError, ScenarioError."""
@@ -156,16 +167,15 @@ class _Loop:
         for event in decision.events:
             recorder.event(event.t, event.kind, event.detail)
         if decision.latencies:
-            self.latencies.append(decision.latencies)
+            self._latencies.extend(decision.latencies)
+            self._n_latencies.append(len(decision.latencies))
         if decision.write is not None:
             self._theta = decision.write
 
     def _tunables(self, truth: Mapping[str, float]) -> dict[str, list[float]]:
         """Values of the tunable parameters of those FMUs where one has changed, in the order of the wiring."""
-        now: dict[str, list[float]] = {}
-        values = {name: truth[name] for name in self._scenario.changes}
-        for reference, value in [*values.items(), *zip(self._writes, self._theta.tolist(), strict=True)]:
-            now.setdefault(reference.partition(".")[0], []).append(value)
+        values = [*(truth[name] for name in self._scenario.changes), *self._theta.tolist()]
+        now = {name: [values[i] for i in places] for name, places in self._places.items()}
         changed = {name: v for name, v in now.items() if self._written.get(name) != v}
         self._written |= changed
         return changed

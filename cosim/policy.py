@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from estimator import DerivativeResidual, LinearForm, ResidualWindow, Sample, Vector
+from estimator import DerivativeResidual, LinearForm, Method, ResidualWindow, Sample, Vector
 
 from .errors import CosimError, ScenarioError, one_line, seconds
 from .estimators import find_method, load, make_estimator
@@ -21,7 +21,7 @@ from .reconfigure import (
     Trigger,
 )
 from .scenario import Scenario
-from .schema import Innovation, LinearModel, Loop, Tracking
+from .schema import Innovation, Loop, Tracking
 from .system import Plant
 
 
@@ -88,12 +88,11 @@ def make_policy(
     plant: Plant,
     theta: Vector,
     truth: Callable[[float], Vector],
-    first: Sample,
     rng: np.random.Generator,
 ) -> Policy:
-    """The policy of that name; theta (d,): what the controller holds; first: a sample to try the model on.
+    """The policy of that name; theta (d,): what the controller holds.
 
-    Raises ScenarioError for an unknown name, or a model or estimator that cannot be loaded or called.
+    Raises ScenarioError for an unknown name, or a model or estimator that cannot be loaded.
     """
     if estimator == "none":
         return LeaveAlone()
@@ -101,9 +100,8 @@ def make_policy(
         return TellTruth(truth)
     method = find_method(estimator, scenario)
     search, loop = make_estimator(estimator, method, scenario, theta, rng)
-    whitened = _residual(scenario, plant, first, theta)
+    whitened = _residual(scenario, plant)
     judged = whitened if search.is_whitened else replace(whitened, noise=(1.0,) * len(whitened.noise))
-    linear = scenario.estimation.linear if method.needs_linear_form else None
     trigger = _trigger(loop, whitened)
     budget = math.inf if isinstance(trigger, AlwaysTrigger) else loop.budget
     return Retuner(
@@ -112,8 +110,29 @@ def make_policy(
         trigger,
         Budget(budget, loop.evaluations_per_step, loop.commit),
         theta,
-        _linear_form(linear, scenario, first, theta) if linear else None,
+        _linear_form(method, scenario),
     )
+
+
+def try_model(scenario: Scenario, estimator: str, plant: Plant, theta: Vector, first: Sample) -> None:
+    """Call the scenario's model, and its linear form where the estimator uses it, once. Raises ScenarioError."""
+    if estimator in ("none", "true"):
+        return
+    settings = scenario.estimation
+    try:
+        _residual(scenario, plant)(theta, first)
+    except Exception as e:  # whatever a user's function raises
+        call = f"{settings.model}(x ({len(first.x)},), u ({len(first.u)},), {', '.join(settings.space.names)})"
+        raise ScenarioError(f"estimation.model: {call} failed: {type(e).__name__}: {e}.") from e
+    form = _linear_form(find_method(estimator, scenario), scenario)
+    if form is None:
+        return
+    try:
+        rows, targets = form.rows(first)
+        if rows.shape != (len(targets), len(form.coefficients(theta))):
+            raise ValueError(f"rows are {rows.shape}, targets {targets.shape}")
+    except Exception as e:  # whatever a user's function raises
+        raise ScenarioError(f"estimation.linear: failed: {type(e).__name__}: {e}.") from e
 
 
 def _trigger(loop: Loop, residual: DerivativeResidual) -> Trigger:
@@ -126,31 +145,20 @@ def _trigger(loop: Loop, residual: DerivativeResidual) -> Trigger:
             return AlwaysTrigger()
 
 
-def _residual(scenario: Scenario, plant: Plant, first: Sample, theta: Vector) -> DerivativeResidual:
-    """The whitened residual of the scenario's model, tried once. Raises ScenarioError."""
+def _residual(scenario: Scenario, plant: Plant) -> DerivativeResidual:
+    """The whitened residual of the scenario's model. Raises ScenarioError."""
     settings = scenario.estimation
-    model = load(settings.model, scenario.folder)
     sigma = tuple(n.noise for n in scenario.sampling.derivatives.values())
-    residual = DerivativeResidual(model, settings.space, plant.channels, sigma)
-    try:
-        residual(theta, first)
-    except Exception as e:  # whatever a user's function raises
-        call = f"{settings.model}(x ({len(first.x)},), u ({len(first.u)},), {', '.join(settings.space.names)})"
-        raise ScenarioError(f"estimation.model: {call} failed: {type(e).__name__}: {e}.") from e
-    return residual
+    return DerivativeResidual(load(settings.model, scenario.folder), settings.space, plant.channels, sigma)
 
 
-def _linear_form(settings: LinearModel, scenario: Scenario, first: Sample, theta: Vector) -> LinearForm:
-    """The model's linear form, tried once. Raises ScenarioError."""
-    form = LinearForm(
+def _linear_form(method: Method, scenario: Scenario) -> LinearForm | None:
+    """The model's linear form, for an estimator that needs it. Raises ScenarioError."""
+    settings = scenario.estimation.linear
+    if settings is None or not method.needs_linear_form:
+        return None
+    return LinearForm(
         scenario.estimation.space,
         load(settings.rows, scenario.folder, "estimation.linear.rows"),
         load(settings.coefficients, scenario.folder, "estimation.linear.coefficients"),
     )
-    try:
-        rows, targets = form.rows(first)
-        if rows.shape != (len(targets), len(form.coefficients(theta))):
-            raise ValueError(f"rows are {rows.shape}, targets {targets.shape}")
-    except Exception as e:  # whatever a user's function raises
-        raise ScenarioError(f"estimation.linear: failed: {type(e).__name__}: {e}.") from e
-    return form

@@ -15,7 +15,7 @@ from .comparison import Comparison
 from .crew import record_of
 from .errors import ScenarioError
 from .estimators import find_method
-from .policy import decide, make_policy
+from .policy import decide, make_policy, try_model
 from .record import FolderError, new_run_folder
 from .result import Run, read_run
 from .sampling import recorded_samples
@@ -67,7 +67,8 @@ def replayed(recorded: Run, estimator: str, seed: int) -> Run:
     # As `run` spawns them: the noise's stream, which is on record already, and the search's.
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(2)[1])
     begun = perf_counter()
-    policy = make_policy(scenario, estimator, recorded.plant, held[0], _no_truth, samples[0], rng)
+    policy = make_policy(scenario, estimator, recorded.plant, held[0], _no_truth, rng)
+    try_model(scenario, estimator, recorded.plant, held[0], samples[0])
     latencies: list[tuple[float, ...]] = []
     theta, thetas = held[0], [held[0]]
     for sample, error in zip(samples[1:], errors[1:], strict=True):

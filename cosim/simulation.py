@@ -10,7 +10,6 @@ controller's output after its step is the control law at x_k.
 from array import array
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from functools import partial
 from itertools import islice
 from math import hypot
 from pathlib import Path
@@ -22,7 +21,7 @@ from threadpoolctl import threadpool_limits
 from .errors import ScenarioError, SlaveError, WiringError
 from .estimators import check_estimator
 from .master import Master
-from .policy import LeaveAlone, Policy, decide, make_policy
+from .policy import decide, make_policy, try_model
 from .reconfigure import Reconfiguration
 from .record import Recorder, uninterrupted
 from .result import Run, Status, begin_folder, end_folder
@@ -94,8 +93,8 @@ class _Loop:
         self._sampler = Sampler(scenario, plant, self._master.names, noise)
         self._theta = np.array([start_value(scenario, slaves, p.writes) for p in scenario.estimation.parameters])
         self._truth = true_parameters(scenario, slaves)
-        self.policy: Policy = LeaveAlone()
-        self._make_policy = partial(make_policy, scenario, estimator, plant, self._theta, self._true_theta, rng=search)
+        # Here, while the FMUs are still starting: what an estimator imports takes as long as they do.
+        self.policy = make_policy(scenario, estimator, plant, self._theta, self._true_theta, search)
         self._latencies, self._n_latencies = array("d"), array("L")  # an hour of tuples would be 30 MB
         self._writes = [p.writes for p in scenario.estimation.parameters]
         self._places: dict[str, list[int]] = {}
@@ -122,7 +121,8 @@ class _Loop:
                 raise WiringError(f"{fault}.") from fault
             return str(fault)
         self._true_theta(settings.start_time)  # a formula may have no value from the start
-        self.policy = self._make_policy(self._sampler.exact(settings.start_time, self._master.values))
+        first = self._sampler.exact(settings.start_time, self._master.values)
+        try_model(self._scenario, self._estimator, self.plant, self._theta, first)
         return None
 
     def execute(self, recorder: Recorder, progress: Progress | None) -> tuple[Status, str | None]:

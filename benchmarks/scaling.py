@@ -1,0 +1,225 @@
+"""What an evaluation costs as the problem grows, and whether an hour of simulated time leaves memory and pace alone.
+
+    python -m benchmarks.scaling growth [--estimators target bo-scalar paper] [--seeds 3]
+    python -m benchmarks.scaling endurance [--steps 360000] [--limit SECONDS]
+
+`growth` runs the product's own loop (`Retuner`: one evaluation a macro step, every stored candidate judged anew on each
+new sample) on a synthetic plant whose parameters are known. An evaluation is ask + score + tell + belief. From the base
+case each size is varied alone; the exponent is the slope of log cost over log size. `endurance` runs the pendulum,
+recorded, each FMU in its own process, with a mass and a rod that change every ten seconds; Linux only. Every 10,000
+macro steps it notes the resident memory of this process and of the FMUs'. Interrupted, or at its limit, it tells what
+it has so far.
+"""
+
+import argparse
+import math
+import os
+import tempfile
+import tracemalloc
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from time import perf_counter
+from typing import Any, NamedTuple
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from benchmarks.report import spread, write
+from cosim.reconfigure import AlwaysTrigger, Budget, Retuner
+from cosim.scenario import Scenario
+from cosim.simulation import run
+from estimator import METHODS, DerivativeResidual, Parameter, ParameterSpace, ResidualWindow, Sample
+
+SIGMA = 1e-3
+"""Noise of the synthetic plant's derivatives."""
+MOST_SCALAR = 60
+"""Observations up to which the scalar methods are measured: GPy's fits are cubic in them."""
+BLOCK = 10_000
+"""Macro steps between two looks at the memory."""
+RECURRING = {
+    "changes.'plant.m'": "1.75 if t % 20 < 10 else 4.271",
+    "changes.'plant.l'": "0.75 if t % 20 < 10 else 0.981",
+    "estimation.instants": "[]",
+    "estimation.budget": "15",
+}
+"""The pendulum's change, undone and done again every ten seconds, and half the evaluations."""
+
+
+class Size(NamedTuple):
+    """How large a problem is."""
+
+    observations: int = 60
+    dimensions: int = 4
+    channels: int = 6
+    window: int = 5
+
+
+SIZES: dict[str, tuple[int, ...]] = {
+    "observations": (15, 30, 60, 125, 250, 500),
+    "dimensions": (2, 4, 6, 8, 12),
+    "channels": (3, 6, 12, 24, 48),
+    "window": (1, 5, 10, 20, 50),
+}
+
+
+def main() -> None:
+    """Parse, measure, print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(required=True)
+    grow = commands.add_parser("growth")
+    grow.add_argument("--estimators", nargs="+", default=["target", "bo-scalar", "paper"])
+    grow.add_argument("--seeds", type=int, default=3)
+    grow.set_defaults(command=lambda o: growth(o.estimators, o.seeds))
+    endure = commands.add_parser("endurance")
+    endure.add_argument("--steps", type=int, default=360_000)
+    endure.add_argument("--limit", type=float, default=math.inf, help="wall time after which to stop [s]")
+    endure.set_defaults(command=lambda o: endurance(o.steps, o.limit))
+    options = parser.parse_args()
+    options.command(options)
+
+
+def growth(estimators: Sequence[str], n_seeds: int, sizes: Mapping[str, Sequence[int]] = SIZES) -> None:
+    """Vary each size alone, for each estimator; print and write."""
+    rows: list[dict[str, object]] = []
+    fits: list[str] = []
+    with threadpool_limits(1):
+        for name in estimators:
+            for what, values in sizes.items():
+                if what == "observations" and name != "target":
+                    values = [v for v in values if v <= MOST_SCALAR]
+                of_size = [_row(name, what, Size()._replace(**{what: v}), n_seeds) for v in values]
+                rows += of_size
+                fits.append(f"{name}: {_exponents(what, values, of_size)}")
+    write("scaling", rows, "exponents of the median:\n" + "\n".join(fits))
+
+
+def _exponents(what: str, values: Sequence[int], rows: Sequence[Mapping[str, Any]]) -> str:
+    """Slope of log cost over log size: fitted to all, and between the last two, which shows where it is bounded."""
+    x, y = np.log(values), np.log([r["ms"]["median"] for r in rows])
+    if len(x) < 2:
+        return f"{what}: one size only"
+    return f"{what} {np.polyfit(x, y, 1)[0]:.2f}, {(y[-1] - y[-2]) / (x[-1] - x[-2]):.2f} at the end"
+
+
+def _row(name: str, what: str, size: Size, n_seeds: int) -> dict[str, object]:
+    """Cost of the last third of the evaluations, but at most 60: those at about this number of observations."""
+    last = min(max(size.observations // 3, 1), 60)
+    latencies: list[float] = []
+    errors: list[float] = []
+    for seed in range(n_seeds):
+        retuner, samples, truth = synthetic(name, size, seed)
+        steps = [retuner.step(s.t, s, 0.0) for s in samples]
+        latencies += [1e3 * sum(step.latencies) for step in steps[-last:]]
+        estimates = [step.estimate for step in steps if step.estimate is not None]
+        errors.append(float(np.max(np.abs(estimates[-1].theta / truth - 1.0))))
+    return {
+        "estimator": name,
+        "varied": what,
+        **size._asdict(),
+        "ms": spread(latencies),
+        "error": spread(errors),
+        "memory [KiB]": _memory(name, size),
+    }
+
+
+def _memory(name: str, size: Size) -> float:
+    """What Python holds more after the evaluations than before them [KiB]."""
+    tracemalloc.start()
+    try:
+        retuner, samples, _ = synthetic(name, size, 0)
+        before = tracemalloc.get_traced_memory()[0]
+        for sample in samples:
+            retuner.step(sample.t, sample, 0.0)
+        return (tracemalloc.get_traced_memory()[0] - before) / 1024.0
+    finally:
+        tracemalloc.stop()
+
+
+def synthetic(name: str, size: Size, seed: int) -> tuple[Retuner, list[Sample], np.ndarray]:
+    """A loop that never idles, a sample for each evaluation, and the plant's theta (d,).
+
+    xdot = Phi(x) tanh(log theta), a smooth model whose rows Phi differ from sample to sample: every theta is seen.
+    """
+    rng = np.random.default_rng(seed)
+    d, c = size.dimensions, size.channels
+    space = ParameterSpace(tuple(Parameter(f"p{i}", 0.2, 5.0, "1", "log") for i in range(d)))
+
+    def model(x: Sequence[float], u: Sequence[float], **theta: float) -> list[float]:
+        return (np.reshape(x, (c, d)) @ np.tanh(np.log([*theta.values()]))).tolist()
+
+    truth = np.exp(rng.uniform(-0.7, 0.7, d))
+    samples: list[Sample] = []
+    for k in range(size.observations):
+        x = tuple(rng.standard_normal(c * d).tolist())
+        exact = model(x, (), **space.named(truth))
+        samples.append(Sample(0.01 * k, x, (), tuple(y + SIGMA * e for y, e in zip(exact, rng.standard_normal(c)))))
+    method = METHODS[name]
+    settings = method.settings(**{k: v for k, v in method.defaults.items() if k in method.setting_names})
+    search = method.estimator(space, np.ones(d), rng, settings)
+    residual = DerivativeResidual(model, space, tuple(range(c)), (SIGMA if search.is_whitened else 1.0,) * c)
+    window = ResidualWindow(residual, c, size.window)
+    return Retuner(search, window, AlwaysTrigger(), Budget(math.inf), np.ones(d)), samples, truth
+
+
+def endurance(n_steps: int, limit: float = math.inf) -> None:
+    """Run, print and write; a row a block."""
+    scenario = Scenario.load("pendulum", RECURRING | {"scenario.stop_time": repr(0.01 * n_steps)})
+    watch = Watch(min(BLOCK, max(n_steps // 4, 1)), limit)
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            result = run(scenario, "target", 0, Path(folder), watch)
+            ended = f"{result.status}, {result.n_episodes} episodes, {result.n_evaluations} evaluations"
+        except KeyboardInterrupt:
+            ended = "stopped early"
+    half = [row for row in watch.rows if row["steps"] > watch.rows[-1]["steps"] / 2] if watch.rows else []
+    slopes = [
+        f"{name}: {np.polyfit([r['steps'] for r in half], [1024 * r[name] for r in half], 1)[0] * 1e5:+.0f} KiB"
+        for name in (PARENT, CHILDREN)
+        if len(half) > 1
+    ]
+    write("endurance", watch.rows, f"{ended}; over the last half, per 100,000 steps: {', '.join(slopes) or '-'}")
+
+
+PARENT, CHILDREN = "this process [MiB]", "the FMUs' [MiB]"
+
+
+class Watch:
+    """A run's progress: the time of each macro step, and the memory after each block of them."""
+
+    def __init__(self, block: int, limit: float) -> None:
+        self.rows: list[dict[str, Any]] = []
+        self._times = np.empty(block + 1)
+        self._n = 0
+        self._begun, self._limit = perf_counter(), limit
+
+    def __call__(self, t: float, held: Mapping[str, float]) -> None:
+        now = perf_counter()
+        self._times[self._n] = now
+        if self._n < len(self._times) - 1:
+            self._n += 1
+            return
+        taken = 1e3 * np.diff(self._times)
+        done = (self.rows[-1]["steps"] if self.rows else 0) + len(taken)
+        self.rows.append({
+            "steps": done, "t [s]": round(t, 2), PARENT: _resident(os.getpid()),
+            CHILDREN: sum(map(_resident, _children())),
+            "step, median [ms]": float(np.median(taken)), "step, mean [ms]": float(np.mean(taken)),
+            "step, 99 % [ms]": float(np.quantile(taken, 0.99)),
+        })  # fmt: skip
+        if now - self._begun > self._limit:
+            raise KeyboardInterrupt
+        self._times[0], self._n = perf_counter(), 1
+
+
+def _resident(process_id: int) -> float:
+    """Resident memory of a process [MiB]."""
+    pages = int(Path(f"/proc/{process_id}/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def _children() -> list[int]:
+    return [int(n) for f in Path("/proc/self/task").glob("*/children") for n in f.read_text(encoding="ascii").split()]
+
+
+if __name__ == "__main__":
+    main()

@@ -188,9 +188,12 @@ def read_series(folder: Path) -> dict[str, np.ndarray[Any, np.dtype[np.float64]]
     except (OSError, pa.ArrowInvalid) as e:
         raise FolderError(f"{folder} has no readable {SERIES}: {e}.") from e
     table = pa.Table.from_batches(batches, reader.schema)
-    # from_dlpack, because to_numpy imports pandas too
-    parts = {name: [np.from_dlpack(chunk) for chunk in table[name].chunks] for name in table.column_names}
-    return {name: np.concatenate(part) if part else np.empty(0) for name, part in parts.items()}
+    return {name: _column(table[name].chunks) for name in table.column_names}
+
+
+def _column(chunks: Sequence[Any]) -> np.ndarray[Any, np.dtype[np.float64]]:
+    parts = [np.from_dlpack(chunk) for chunk in chunks]  # to_numpy imports pandas too
+    return np.concatenate(parts, dtype=np.float64) if parts else np.empty(0)
 
 
 def _readable(reader: Any) -> Iterator[Any]:

@@ -59,7 +59,19 @@ def test_help_waits_for_nothing_heavy():
     command = [sys.executable, "-c", program + "\nprint('MODULES', *sys.modules)"]
     output = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60).stdout
     assert "usage: retune" in output
-    assert set(output.partition("MODULES")[2].split()).isdisjoint({"numpy", "GPy", "pydantic", "pyarrow", "fmpy"})
+    heavy = {"numpy", "scipy", "GPy", "matplotlib", "pandas", "pydantic", "pyarrow", "fmpy"}
+    assert set(output.partition("MODULES")[2].split()).isdisjoint(heavy)
+
+
+def test_recording_a_series_and_reading_it_back_loads_no_pandas(tmp_path):
+    program = f"""
+from pathlib import Path
+from cosim.record import Recorder
+recorder = Recorder(Path({str(tmp_path)!r}), ["time"])
+for k in range(60): recorder.row([float(k)])
+assert len(recorder.close()["time"]) == 60
+pass"""
+    assert "pandas" not in loaded_by(program)
 
 
 def test_importing_the_models_loads_pythonfmu_and_the_standard_library_only():

@@ -272,6 +272,17 @@ def test_model_calls_are_samples_at_which_a_candidate_was_judged():
     assert loop.n_evaluations == 3
 
 
+@pytest.mark.parametrize("estimator", [Scripted, Rescored])
+def test_a_step_takes_no_more_memory_and_time_the_more_candidates_there_were(estimator, monkeypatch):
+    """The window keeps residuals of what is still asked for: all candidates of an episode, or what is in force."""
+    kept = []
+    loop = retuner(estimator(*range(100)), Budget(100, 1), window=3)
+    keep = ResidualWindow.keep
+    monkeypatch.setattr(ResidualWindow, "keep", lambda self, c: kept.append(len(c := list(c))) or keep(self, c))
+    steps(loop, [2.0] * 100)
+    assert kept == ([1] * 100 if estimator is Scripted else list(range(1, 100)))
+
+
 def test_the_latencies_of_a_step_add_up_to_all_of_it(monkeypatch):
     """A clock that ticks once a reading: begun, begun of the search, two candidates, the end."""
     ticks = iter(range(100))

@@ -5,6 +5,7 @@ import json
 import os
 import signal
 import threading
+import tracemalloc
 
 import numpy as np
 import pyarrow as pa
@@ -58,6 +59,19 @@ def test_a_series_is_read_back_as_it_was_recorded(tmp_path):
 
 def test_a_recorder_without_a_folder_remembers_the_rows():
     assert_prefix(recorded(None).close(), N_ROWS)
+
+
+def test_a_recorder_with_a_folder_remembers_only_what_is_not_written(tmp_path):
+    recorder = Recorder(tmp_path, COLUMNS)
+    tracemalloc.start()
+    sizes = []
+    for n in range(20 * ROWS_PER_BATCH):
+        recorder.row((0.01 * n, 1.0, 2.0))
+        if n % ROWS_PER_BATCH == ROWS_PER_BATCH // 2:
+            sizes.append(tracemalloc.get_traced_memory()[0])
+    tracemalloc.stop()
+    assert len(recorder.close()["time"]) == 20 * ROWS_PER_BATCH
+    assert sizes[-1] - sizes[9] < 10 * ROWS_PER_BATCH * 8  # ten batches more; one column of them would be as much
 
 
 def test_a_run_without_a_row_has_empty_series(tmp_path):

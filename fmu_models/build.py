@@ -1,6 +1,7 @@
 """Sources to FMUs, reproducibly: the same sources give the same bytes in any directory, process and order."""
 
 import os
+import re
 import sys
 import tempfile
 import threading
@@ -68,7 +69,7 @@ def build(name: str, out_dir: Path | str) -> Path:
             raw = FmuBuilder.build_FMU(entry, dest=stage / "raw", project_files=[package])
         target, temporary = out_dir / f"{name}.fmu", out_dir / f".{name}.{uuid4().hex}.tmp"
         try:
-            _rewrite(raw, temporary, identity)
+            _rewrite(raw, temporary, identity, script)
             os.replace(temporary, target)
         finally:
             temporary.unlink(missing_ok=True)
@@ -104,16 +105,30 @@ def _imports_restored(module: str) -> Iterator[None]:
                 sys.modules[module] = loaded
 
 
-def _rewrite(raw: Path, target: Path, identity: str) -> None:
-    """Copy an FMU with its GUID set, its entries sorted, and no trace of when and where it was built."""
+def _rewrite(raw: Path, target: Path, identity: str, script: str) -> None:
+    """Copy an FMU with its GUID set, its entries sorted, and no trace of when and where it was built.
+
+    Script and package get names that no other FMU has: FMUs in one process share Python's modules, by name, and would
+    look for the package in the folder of the one that came first, which may be gone or of another version.
+    """
+    suffix = f"_{identity[:8]}"
+    statement = re.compile(rf"^(from|import) {PACKAGE.name}\b".encode(), re.MULTILINE)
+    names = {
+        f"resources/{script}.py": f"resources/{script}{suffix}.py",
+        **{f"resources/{PACKAGE.name}/{path}": f"resources/{PACKAGE.name}{suffix}/{path}" for path in _sources()},
+    }
     with zipfile.ZipFile(raw) as source, zipfile.ZipFile(target, "x", zipfile.ZIP_DEFLATED) as copy:
-        for path in sorted(set(source.namelist())):
+        for path in sorted(set(source.namelist()), key=lambda path: names.get(path, path)):
             content = source.read(path)
             if path == "modelDescription.xml":
                 root = ElementTree.fromstring(content)
                 root.set("guid", identity)
                 content = ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
-            entry = zipfile.ZipInfo(path, _EPOCH)
+            elif path == "resources/slavemodule.txt":
+                content = f"{script}{suffix}".encode()
+            elif path in names:
+                content = statement.sub(rf"\1 {PACKAGE.name}{suffix}".encode(), content)
+            entry = zipfile.ZipInfo(names.get(path, path), _EPOCH)
             entry.compress_type = zipfile.ZIP_DEFLATED
             entry.create_system = 3  # Unix, so that the permissions below count everywhere
             entry.external_attr = (0o755 if path.startswith("binaries/") else 0o644) << 16

@@ -3,6 +3,7 @@
 import json
 import os
 import random
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -443,11 +444,38 @@ def test_all_share_one_process(fmus):
 
 
 @fmu
+def test_two_versions_share_one_process(fmus, tmp_path):
+    root = tmp_path / "other"
+    shutil.copytree(Path(fmu_models.__file__).parent, root / "fmu_models")
+    changed = (root / "fmu_models" / "pendulum_fmu.py").read_text(encoding="utf-8").replace("0.5, ", "0.7, ")
+    (root / "fmu_models" / "pendulum_fmu.py").write_text(changed, encoding="utf-8")
+    code = "import sys; from fmu_models import build; build.build('Pendulum', sys.argv[1])"
+    subprocess.run([sys.executable, "-P", "-c", code, root], check=True, env=os.environ | {"PYTHONPATH": str(root)})
+    rows = host("together", fmus=[fmus["Pendulum"], str(root / "Pendulum.fmu")], n_steps=0)["rows"]
+    assert [row[0] for row in rows] == [0.5, 0.7]
+
+
+@fmu
+def test_an_fmu_loads_after_the_folder_of_another_is_gone(fmus):
+    """simulate_fmu deletes the folder that it unpacked into, in a process that goes on."""
+    code = """
+import sys, fmpy
+sys.meta_path = [f for f in sys.meta_path if not f.__module__.startswith("__editable__")]  # it finds our own package
+print([len(fmpy.simulate_fmu(path, stop_time=0.1)) > 1 for path in sys.argv[1:]])
+"""
+    command = [sys.executable, "-I", "-c", code, fmus["FrictionPendulum"], fmus["QuadrotorController"]]
+    environment = os.environ | {"GLIBC_TUNABLES": "glibc.malloc.tcache_count=65535"}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment)
+    assert (done.returncode, done.stdout) == (0, "[True, True]\n"), done.stderr
+
+
+@fmu
 @each_model
 def test_an_fmu_brings_all_it_needs(fmus, name):
     """Loaded in an interpreter without site-packages: whatever is not the standard library is in the FMU."""
     modules = host("modules", fmu=fmus[name])
-    for module in ("pythonfmu", "fmu_models", "fmu_models.slave"):
+    package = f"fmu_models_{build.guid(name)[:8]}"
+    for module in ("pythonfmu", package, f"{package}.slave"):
         assert "/resources/" in modules[module].replace("\\", "/")
 
 

@@ -1,10 +1,11 @@
-# make run | test | experiments | evaluation | lint | clean. Everything is set up in .venv on first use.
+# make run | test | interop | experiments | evaluation | lint | clean. Everything is set up in .venv on first use.
 PYTHON ?= python3
 VENV := .venv
+INTEROP := .venv-interop
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
-.PHONY: run test experiments evaluation lint format clean
+.PHONY: run test interop experiments evaluation lint format clean
 
 run: $(VENV)/.run
 	$(BIN)/retune run pendulum
@@ -14,6 +15,9 @@ test: $(VENV)/.test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/python -m pytest
+
+interop: $(VENV)/.test $(INTEROP)/cofmupy/.installed $(INTEROP)/gemseo/.installed
+	$(BIN)/python -m pytest -m interop
 
 experiments: $(VENV)/.test
 	$(BIN)/python -m pytest -m slow -s
@@ -43,5 +47,13 @@ $(VENV)/.test: $(VENV)/.run
 	$(PIP) install --editable '.[test]'
 	@touch $@
 
+# Importers that pin what we do not: an environment each, 1 GB each.
+$(INTEROP)/cofmupy/.installed: PACKAGE := cofmupy==1.0.0
+$(INTEROP)/gemseo/.installed: PACKAGE := gemseo-fmu==3.1.1
+$(INTEROP)/%/.installed: $(VENV)/.python
+	$(PYTHON) -m venv $(INTEROP)/$*
+	$(INTEROP)/$*/bin/python -m pip --disable-pip-version-check --quiet install '$(PACKAGE)'
+	@touch $@
+
 clean:
-	rm -rf $(VENV) build *.egg-info .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(INTEROP) build *.egg-info .pytest_cache .ruff_cache .hypothesis

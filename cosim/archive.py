@@ -12,6 +12,21 @@ from .errors import ModelDescriptionError, one_line
 
 def read_description(fmu: Path) -> ModelDescription:
     """The model description of an FMU that this machine can co-simulate. Raises ModelDescriptionError."""
+    description = read_any(fmu)
+    interface = description.coSimulation
+    if description.fmiVersion != "2.0" or interface is None:
+        kind = "co-simulation" if interface is not None else "model-exchange"
+        raise ModelDescriptionError(f"{fmu} is an FMI {description.fmiVersion} {kind} FMU, not FMI 2.0 co-simulation.")
+    if not str(interface.modelIdentifier).isidentifier():  # it becomes a file name
+        raise ModelDescriptionError(f"{fmu} has the model identifier {interface.modelIdentifier!r}, not a C name.")
+    return description
+
+
+def read_any(fmu: Path) -> ModelDescription:
+    """The model description of an FMU of any version and kind that this machine has a binary of.
+
+    Raises ModelDescriptionError.
+    """
     try:
         with open(fmu, "rb") as file:  # given a path, FMPy leaves the file open when the XML is damaged
             description = fmpy.read_model_description(file)
@@ -20,12 +35,6 @@ def read_description(fmu: Path) -> ModelDescription:
         raise ModelDescriptionError(f"{fmu} cannot be read: {error.strerror or error}") from error
     except Exception as error:  # FMPy raises what the zip, XML and validation code happens to raise
         raise ModelDescriptionError(f"{fmu} is not a usable FMU: {_text_of(error)}") from error
-    interface = description.coSimulation
-    if description.fmiVersion != "2.0" or interface is None:
-        kind = "co-simulation" if interface is not None else "model-exchange"
-        raise ModelDescriptionError(f"{fmu} is an FMI {description.fmiVersion} {kind} FMU, not FMI 2.0 co-simulation.")
-    if not str(interface.modelIdentifier).isidentifier():  # it becomes a file name
-        raise ModelDescriptionError(f"{fmu} has the model identifier {interface.modelIdentifier!r}, not a C name.")
     if fmpy.platform not in platforms:
         offer = f"only for {', '.join(platforms)}" if platforms else "nor for any other platform"
         raise ModelDescriptionError(f"{fmu} has no binary for {fmpy.platform}, {offer}.")

@@ -92,6 +92,10 @@ def _parser() -> argparse.ArgumentParser:
     figures.add_argument("--jobs", type=_count, metavar="N", help="runs at a time (default: one a processor)")
     figures.set_defaults(command=_figures)
 
+    doctor = commands.add_parser("doctor", help="what an FMU needs here, and how to start an importer for it")
+    doctor.add_argument("fmu", type=Path, metavar="FMU", help="any FMU, ours or not")
+    doctor.set_defaults(command=_doctor)
+
     illustrate = commands.add_parser("illustrate", help="draw the one-dimensional illustration")
     illustrate.add_argument("--out", type=Path, default=Path("illustration.png"), metavar="FILE", help="PNG, new")
     illustrate.add_argument("--seed", type=_seed, default=0, metavar="N", help="of noise (default: 0)")
@@ -186,6 +190,14 @@ def _figures(options: argparse.Namespace) -> int:
     for path in paths:
         print(path)
     return DONE
+
+
+def _doctor(options: argparse.Namespace) -> int:
+    from .doctor import diagnose
+
+    diagnosis = diagnose(options.fmu)
+    print(diagnosis)
+    return DONE if diagnosis.is_well else UNFINISHED
 
 
 @contextmanager

@@ -1,11 +1,13 @@
 """FMUs in Python under a host that is not Python: a small C program, with and without libpython preloaded."""
 
+import csv
 import os
 import shutil
 import subprocess
 import sys
 import sysconfig
 import zipfile
+from importlib.util import find_spec
 from pathlib import Path
 
 import fmpy
@@ -93,6 +95,15 @@ def trajectory(host, fmu, parameter, value, **how):
     return np.array([list(map(float, line.split())) for line in done.stdout.splitlines()]), np.array(rows)
 
 
+def doctors_line(fmu):
+    """What `retune doctor` says to type before the importer's own command."""
+    report = subprocess.run([HERE / "retune", "doctor", fmu], capture_output=True, text=True)
+    assert report.returncode == 0, report.stdout + report.stderr
+    line = report.stdout.splitlines()[-1].strip()
+    assert line.endswith(" IMPORTER")
+    return line.removesuffix(" IMPORTER")
+
+
 @needs_libpython
 @pytest.mark.parametrize("name", NAMES)
 def test_an_fmu_runs_in_c_with_libpython_preloaded(host, fmus, name):
@@ -112,12 +123,46 @@ def test_without_libpython_the_loader_says_what_is_missing(host, fmus):
 
 @needs_libpython
 def test_the_line_that_doctor_prints_starts_the_host(host, fmus):
-    report = subprocess.run([HERE / "retune", "doctor", fmus["Pendulum"]], capture_output=True, text=True)
-    assert report.returncode == 0, report.stdout + report.stderr
-    line = report.stdout.splitlines()[-1].strip()
-    assert line.endswith(" IMPORTER")
-    there, here = trajectory(host, fmus["Pendulum"], "m", 2.0, prefix=line.removesuffix("IMPORTER"))
+    there, here = trajectory(host, fmus["Pendulum"], "m", 2.0, prefix=doctors_line(fmus["Pendulum"]))
     np.testing.assert_allclose(there, here, rtol=0.0, atol=1e-9)
+
+
+@pytest.fixture
+def ecos(tmp_path):
+    """The command of the package ecospy, a native importer; it is not marked as executable there."""
+    spec = find_spec("ecospy")
+    if spec is None:
+        pytest.skip("ecospy has binaries for Linux on x86_64 only")
+    command = tmp_path / "ecos"
+    shutil.copyfile(Path(spec.origin).parent / "binaries" / "ecos", command)
+    command.chmod(0o755)
+
+    def simulate(fmu, prefix=""):
+        line = f"{prefix} {command} simulate --path {fmu} --stopTime 0.995 --stepSize 0.01"
+        environment = os.environ | {"LD_LIBRARY_PATH": f"{sys.prefix}/lib"}  # of the package tbb
+        return subprocess.run(["sh", "-c", line], capture_output=True, text=True, env=environment, cwd=tmp_path)
+
+    return simulate
+
+
+@needs_libpython
+def test_the_line_that_doctor_prints_starts_a_native_importer(ecos, fmus, tmp_path):
+    done = ecos(fmus["Pendulum"], doctors_line(fmus["Pendulum"]))
+    assert done.returncode == 0, done.stdout + done.stderr
+    header, *rows = csv.reader((tmp_path / "Pendulum.csv").read_text().splitlines(), skipinitialspace=True)
+    columns = [header.index(f"instance::{name}[REAL]") for name in ("phi", "phi_dot")]
+    there = np.array([[float(row[i]) for i in columns] for row in rows[1:]])
+    with open_slave(fmus["Pendulum"], "model") as slave:
+        slave.bind([], [], ["phi", "phi_dot"])
+        slave.initialize({}, 0.0, None)
+        here = np.array([slave.step([], k * 0.01, 0.01) for k in range(len(there))])
+    assert len(there) >= 99
+    np.testing.assert_allclose(there, here, rtol=0.0, atol=1e-6)  # six decimals in the file
+
+
+def test_without_the_line_a_native_importer_crashes(ecos, fmus):
+    """ecos 0.7.2 does not look at what dlopen returns."""
+    assert ecos(fmus["Pendulum"]).returncode != 0
 
 
 @pytest.fixture

@@ -212,6 +212,8 @@ def jobs_of(importer):
     for case in CASES:
         for loop in LOOPS if case.importer == importer else ():
             mine[f"{case.order} {loop}"] = replace(closed_loop(loop, case.start), options=case.options)
+    if importer == "gemseo":
+        mine["time series"] = replace(alone("Pendulum"), options={"lag": 0.0})
     return mine
 
 
@@ -255,6 +257,12 @@ def test_the_closed_loop_gives_our_trajectory_in_the_importer_s_order(simulated,
     """States of the plant and the inputs that it held; plant and controller change at t_50."""
     rows = simulated(case.importer)[f"{case.order} {loop}"]
     np.testing.assert_allclose(rows, expected(loop, case.start, json.dumps(case.groups)), rtol=0.0, atol=1e-9)
+
+
+def test_a_time_series_of_gemseo_acts_one_macro_step_early(simulated):
+    job = alone("Pendulum")
+    early = replace(job, changes={"14": job.changes["15"]})
+    np.testing.assert_allclose(simulated("gemseo")["time series"], ours_alone(early), rtol=0.0, atol=1e-9)
 
 
 @each_loop

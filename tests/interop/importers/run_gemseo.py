@@ -14,6 +14,7 @@ def simulate(job: Job) -> list[list[float]]:
     read = {name: name for name in (*job.outputs, *job.connections.values())}
     disciplines = []
     options = dict(job.options)
+    lag = options.pop("lag", 0.5)
     for component in options.pop("order", list(job.fmus)):
         given = {name: name for name in (*job.start, *job.changed())} | job.connections
         inputs, outputs = job.of(component, given), job.of(component, read)
@@ -36,8 +37,8 @@ def simulate(job: Job) -> list[list[float]]:
     for name in job.changed():
         points = {0.0: job.start[name]}
         for k, change in job.changes.items():
-            # A time series is evaluated at the end of a step: half a step later is the step from t_k on.
-            points |= {(int(k) + 0.5) * h: change[name]} if name in change else {}
+            # A time series is evaluated at the end of a step: what is to act from t_k on has to come half a step later.
+            points |= {(int(k) + lag) * h: change[name]} if name in change else {}
         series[name] = TimeSeries(list(points), list(points.values()))
     results = system.execute(series)
     return [[float(x) for x in row] for row in zip(*(results[name] for name in job.outputs))]

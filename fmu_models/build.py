@@ -5,7 +5,7 @@ import sys
 import tempfile
 import threading
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
@@ -23,15 +23,19 @@ _SCRIPTS = MappingProxyType(
     {
         "FrictionPendulum": "friction_pendulum_fmu",
         "FrictionPendulumController": "friction_pendulum_controller_fmu",
+        "FrictionPendulumControllerAdaptive": "friction_pendulum_controller_adaptive_fmu",
         "Pendulum": "pendulum_fmu",
         "PendulumController": "pendulum_controller_fmu",
+        "PendulumControllerAdaptive": "pendulum_controller_adaptive_fmu",
         "PendulumReference": "pendulum_reference_fmu",
         "PendulumSine": "pendulum_sine_fmu",
         "Quadrotor": "quadrotor_fmu",
         "QuadrotorController": "quadrotor_controller_fmu",
+        "QuadrotorControllerAdaptive": "quadrotor_controller_adaptive_fmu",
         "QuadrotorReference": "quadrotor_reference_fmu",
         "RigidBody": "rigid_body_fmu",
         "RigidBodyController": "rigid_body_controller_fmu",
+        "RigidBodyControllerAdaptive": "rigid_body_controller_adaptive_fmu",
         "RigidBodyReference": "rigid_body_reference_fmu",
     }
 )
@@ -42,11 +46,7 @@ _imports = threading.Lock()
 
 def guid(name: str) -> str:
     """The GUID that `build(name)` gives: it depends on the name, the shipped sources and pythonfmu's version."""
-    _script(name)
-    digest = sha256(f"{name} {pythonfmu_version}\n".encode())
-    for path, text in _sources().items():
-        digest.update(f"{path} {len(text)}\n".encode() + text)
-    return str(uuid5(NAMESPACE, digest.hexdigest()))
+    return _identity(name, _files(_script(name)))
 
 
 def build(name: str, out_dir: Path | str) -> Path:
@@ -54,21 +54,26 @@ def build(name: str, out_dir: Path | str) -> Path:
 
     The file appears at once and whole, so builds may run at the same time. Raises ValueError for an unknown name.
     """
-    script, identity, out_dir = _script(name), guid(name), Path(out_dir)
+    script = _script(name)
+    return assemble(name, script, _files(script), out_dir)
+
+
+def assemble(name: str, script: str, files: Mapping[str, bytes], out_dir: Path | str) -> Path:
+    """Build an FMU from its files, by their paths: the entry script, `<script>.py`, and all that it imports."""
+    out_dir = Path(out_dir)
     out_dir.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="fmu_models_") as directory:
         stage = Path(directory)
-        package = stage / "source" / PACKAGE.name
-        package.mkdir(parents=True)
-        for path, text in _sources().items():
-            (package / path).write_bytes(text)
+        for path, text in files.items():
+            (stage / "source" / path).parent.mkdir(parents=True, exist_ok=True)
+            (stage / "source" / path).write_bytes(text)
         entry = stage / "source" / f"{script}.py"
-        entry.write_bytes((package / f"{script}.py").read_bytes())
+        others = sorted(path for path in entry.parent.iterdir() if path != entry)
         with _imports_restored(script):
-            raw = FmuBuilder.build_FMU(entry, dest=stage / "raw", project_files=[package])
+            raw = FmuBuilder.build_FMU(entry, dest=stage / "raw", project_files=others)
         target, temporary = out_dir / f"{name}.fmu", out_dir / f".{name}.{uuid4().hex}.tmp"
         try:
-            _rewrite(raw, temporary, identity)
+            _rewrite(raw, temporary, _identity(name, files))
             os.replace(temporary, target)
         finally:
             temporary.unlink(missing_ok=True)
@@ -86,8 +91,20 @@ def _script(name: str) -> str:
     return _SCRIPTS[name]
 
 
-def _sources() -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in sorted(PACKAGE.glob("*.py"))}
+def sources(package: Path) -> dict[str, bytes]:
+    """The modules of a package by their paths in an FMU."""
+    return {f"{package.name}/{path.name}": path.read_bytes() for path in sorted(package.glob("*.py"))}
+
+
+def _files(script: str) -> dict[str, bytes]:
+    return sources(PACKAGE) | {f"{script}.py": (PACKAGE / f"{script}.py").read_bytes()}
+
+
+def _identity(name: str, files: Mapping[str, bytes]) -> str:
+    digest = sha256(f"{name} {pythonfmu_version}\n".encode())
+    for path, text in files.items():
+        digest.update(f"{path} {len(text)}\n".encode() + text)
+    return str(uuid5(NAMESPACE, digest.hexdigest()))
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 """From a scenario to an estimator FMU: `estimator_slave` with the scenario's settings, and all that it imports."""
 
 import re
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict
 from modulefinder import ModuleFinder
@@ -18,6 +19,7 @@ from fmu_models.description import base_unit
 
 from .archive import FmuFile, read_description
 from .errors import ScenarioError
+from .estimator_slave import variable_table
 from .estimators import find_method
 from .policy import make_policy
 from .scenario import Scenario
@@ -30,7 +32,7 @@ _OURS = ("cosim", "estimator", "fmu_models")
 
 
 def build_estimator(scenario: Scenario, out_dir: Path, method: str = "target") -> Path:
-    """Build the scenario's estimator as an FMU into `out_dir`; returns its path: QuadrotorEstimator.fmu for `quadrotor`.
+    """Build the scenario's estimator as an FMU into `out_dir`; returns its path, QuadrotorEstimator.fmu of `quadrotor`.
 
     The same scenario and sources give the same bytes.
     Raises ScenarioError, ModelDescriptionError or WiringError for what `run` refuses, and for what cannot be shipped.
@@ -40,6 +42,9 @@ def build_estimator(scenario: Scenario, out_dir: Path, method: str = "target") -
     name = "".join(word[:1].upper() + word[1:] for word in words) + "Estimator"
     if not name.isidentifier():
         raise ScenarioError(f"scenario.name '{scenario.scenario.name}' must begin with a letter to name an FMU.")
+    repeated = [n for n, count in Counter(v.name for v in variable_table(settings)).items() if count > 1]
+    if repeated:
+        raise ScenarioError(f"{name}.fmu would have two variables '{repeated[0]}': rename one in the plant.")
     script = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower() + "_fmu"
     own = Path(__file__).parent
     files = {
@@ -50,7 +55,10 @@ def build_estimator(scenario: Scenario, out_dir: Path, method: str = "target") -
     }
     tops = sorted({path.partition("/")[0].removesuffix(".py") for path in files})
     files[f"{script}.py"] = _entry(name, scenario, settings | {"ships": tops}).encode()
-    return assemble(name, script, files, out_dir)
+    try:
+        return assemble(name, script, files, out_dir)
+    except RuntimeError as e:  # the FMU is instantiated for its description
+        raise ScenarioError(f"{e}.") from e
 
 
 def estimator_settings(scenario: Scenario, method: str = "target") -> dict[str, Any]:
@@ -103,7 +111,7 @@ def estimator_settings(scenario: Scenario, method: str = "target") -> dict[str, 
 
 
 class _Variables:
-    """The estimator's inputs: those of the plant have its names, others theirs, with their component's where need be."""
+    """The estimator's inputs: those of the plant have its names, others theirs, with the component's where need be."""
 
     def __init__(self, scenario: Scenario, fmus: Mapping[str, FmuFile], plant: Plant) -> None:
         self._scenario, self._fmus = scenario, fmus
@@ -156,7 +164,8 @@ def _user_sources(settings: Mapping[str, Any], folder: Path) -> dict[str, bytes]
             raise ScenarioError(
                 f"estimation.model: '{module}' must be a Python file beside the scenario to be shipped in an FMU: {e}."
             ) from e
-        for name, found in sorted(finder.modules.items()):
+        modules: dict[str, Any] = dict(finder.modules)
+        for name, found in sorted(modules.items()):
             path = Path(found.__file__ or "")
             if path.suffix != ".py":
                 raise ScenarioError(f"estimation.model: {path or name} is no Python source and cannot be shipped.")

@@ -3,7 +3,6 @@
 import importlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from math import inf
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,9 @@ from .reconfigure import (
 try:
     from threadpoolctl import ThreadpoolController
 except ImportError:
-    ThreadpoolController = None
+    _threads = None
+else:
+    _threads = ThreadpoolController()
 
 
 class EstimatorLoop:
@@ -60,15 +61,19 @@ class EstimatorLoop:
             start,
             LinearForm(space, *map(load, settings["linear"])) if method.needs_linear_form else None,
         )
-        self._threads = ThreadpoolController() if ThreadpoolController is not None else None
         self._theta, self._std = start, np.array([p.upper - p.lower for p in space])
         self._is_identifiable: Sequence[bool] = (False,) * len(space)
         self._is_updated = False
+        self._is_first = True
 
-    def step(self, sample: Sample | None, tracking_error: float) -> None:
-        """Take the sample, but for the first point, whose held input is unknown; tracking_error: the norm."""
-        with self._one_thread():
-            decision = self._retuner.step(sample.t if sample else -inf, sample, tracking_error)
+    def step(
+        self, t: float, x: Sequence[float], u: Sequence[float], xdot: Sequence[float], tracking_error: float
+    ) -> None:
+        """Take the sample at t [s], but as in `run` for the first one; tracking_error: the norm."""
+        sample = Sample(t, tuple(x), tuple(u), tuple(xdot))
+        with _one_thread():
+            decision = self._retuner.step(t, None if self._is_first else sample, tracking_error)
+        self._is_first = False
         if decision.estimate is not None:
             self._std, self._is_identifiable = decision.estimate.std, decision.estimate.is_identifiable
         if decision.write is not None:
@@ -80,9 +85,10 @@ class EstimatorLoop:
         counts = (self._retuner.n_evaluations, self._retuner.n_episodes, self._is_updated)
         return [*self._theta.tolist(), *self._std.tolist(), *self._is_identifiable, *counts]
 
-    def _one_thread(self) -> AbstractContextManager[Any]:
-        """The number of BLAS threads changes bits, and a second one makes it slower."""
-        return self._threads.limit(limits=1) if self._threads is not None else nullcontext()
+
+def _one_thread() -> AbstractContextManager[Any]:
+    """The number of BLAS threads changes bits, and a second one makes it slower."""
+    return nullcontext() if _threads is None else _threads.limit(limits=1)
 
 
 def load(reference: str) -> Callable[..., Any]:

@@ -5,9 +5,10 @@ rest is there. One communication point is one sample: inputs are what the plant'
 """
 
 import importlib
+import pickle
 import platform
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from math import hypot
 from pathlib import Path
 from typing import Any, ClassVar
@@ -47,8 +48,9 @@ class EstimatorSlave(Slave):
 
     def _prepare(self) -> None:
         """Load what is needed. Raises RuntimeError, which a host gets as a failed instantiation and a log message."""
-        for package in self.settings["requires"]:
-            self._require(package)
+        models = [r.partition(":")[0] for r in (self.settings["model"], *(self.settings["linear"] or ()))]
+        for module in (*self.settings["requires"], *models):
+            self._require(module)
         self._loop_type = importlib.import_module("cosim.estimator_loop").EstimatorLoop
         self._must_be_own_sources()
 
@@ -57,7 +59,6 @@ class EstimatorSlave(Slave):
         if is_initialized:
             self._must_be_in_range()
             self._loop = self._loop_type(self.settings, lambda name: self._values[self._place[name]])
-            self._n_steps = 0
 
     def _refresh(self) -> None:
         if not self._is_initialized:
@@ -69,31 +70,40 @@ class EstimatorSlave(Slave):
             self._values[self._outputs] = [*start, *widths, *(False for _ in start), 0, 0, False]
 
     def _advance(self, step_size: float) -> None:
-        from estimator import Sample
-
-        values, t = self._values, self._time - step_size
-        x, u, xdot = (tuple([values[i] for i in places]) for places in (self._x, self._u, self._xdot))
+        values = self._values
+        x, u, xdot = ([values[i] for i in places] for places in (self._x, self._u, self._xdot))
         if values[self._place["tracking_error_is_input"]]:
             error = abs(values[self._place["tracking_error"]])
         else:
             error = hypot(*(values[a] - values[b] for a, b in self._tracked))
-        self._loop.step(Sample(t, x, u, xdot) if self._n_steps else None, error)
-        self._n_steps += 1
+        self._loop.step(self._time - step_size, x, u, xdot, error)
         values[self._outputs] = self._loop.outputs
 
-    def to_xml(self, model_options: dict[str, str] | None = None) -> Element:
-        """The model description: the state of the search can be neither saved nor restored."""
-        return super().to_xml({"canGetAndSetFMUstate": "false", "canSerializeFMUstate": "false"})
+    def _get_fmu_state(self) -> Any:
+        """Variables and search, for this process only: to restore the search from bytes would be to run them."""
+        loop = pickle.dumps(self._loop) if self._is_initialized else None
+        return super()._get_fmu_state(), loop
 
-    def _require(self, package: str) -> None:
+    def _set_fmu_state(self, state: Any) -> None:
+        variables, loop = state
+        super()._set_fmu_state(variables)
+        if loop is not None:
+            self._loop = pickle.loads(loop)
+
+    def to_xml(self, model_options: dict[str, str] | None = None) -> Element:
+        """The model description."""
+        return super().to_xml({"canSerializeFMUstate": "false"})
+
+    def _require(self, module: str) -> None:
         try:
-            importlib.import_module(package)
+            importlib.import_module(module)
         except Exception as e:  # a broken installation raises anything
+            packages = self.settings["requires"]
             where = f"Python {platform.python_version()} in {sys.prefix}"
             raise RuntimeError(
-                f"{self.modelName} needs {', '.join(self.settings['requires'])} in the Python that loads it ({where}): "
-                f"{package} cannot be imported ({type(e).__name__}: {e}). "
-                f"Install: python -m pip install {' '.join(self.settings['requires'])}"
+                f"{self.modelName} needs {', '.join(packages)} in the Python that loads it, {where}: "
+                f"{module} cannot be imported, {type(e).__name__}: {e}. "
+                f"Install them there: python -m pip install {' '.join(packages)}"
             ) from e
 
     def _must_be_own_sources(self) -> None:
@@ -169,25 +179,28 @@ def _inputs(settings: Mapping[str, Any]) -> list[Variable]:
 
 
 def _outputs(settings: Mapping[str, Any]) -> list[Variable]:
-    parameters: Sequence[Mapping[str, Any]] = settings["parameters"]
+    parameters = [(p["name"], p["fmi_unit"]) for p in settings["parameters"]]
 
-    def real(p: Mapping[str, Any], name: str, text: str, *depends: str) -> Variable:
-        return output(name, p["fmi_unit"], text, depends=depends, variability="discrete")
+    def real(name: str, unit: str, text: str, *depends: str) -> Variable:
+        return output(name, unit, text, depends=depends, variability="discrete")
+
+    def counted(name: str, text: str) -> Variable:
+        return output(name, None, f"{text} so far", depends=(), type="Integer")
+
+    def flag(name: str, text: str) -> Variable:
+        return output(name, None, text, depends=(), type="Boolean")
 
     return [
-        *(real(p, p["name"], f"Estimate of {p['name']}, the latest update", f"{p['name']}_start") for p in parameters),
+        *(real(name, unit, f"Estimate of {name}, the latest update", f"{name}_start") for name, unit in parameters),
         *(
-            real(p, f"{p['name']}_std", f"Standard deviation of {p['name']}", f"{p['name']}_lower", f"{p['name']}_upper")
-            for p in parameters
+            real(f"{name}_std", unit, f"Standard deviation of {name}", f"{name}_lower", f"{name}_upper")
+            for name, unit in parameters
         ),
-        *(
-            output(f"{p['name']}_identifiable", None, f"Whether the data fix {p['name']}", depends=(), type="Boolean")
-            for p in parameters
-        ),
-        output("n_evaluations", None, "Evaluations so far", depends=(), type="Integer"),
-        output("n_episodes", None, "Episodes of estimation so far", depends=(), type="Integer"),
-        output("update_ready", None, "Whether the estimates have been updated since the start", depends=(), type="Boolean"),
-    ]  # fmt: skip
+        *(flag(f"{name}_identifiable", f"Whether the data fix {name}") for name, _ in parameters),
+        counted("n_evaluations", "Evaluations"),
+        counted("n_episodes", "Episodes of estimation"),
+        flag("update_ready", "Whether the estimates have been updated since the start"),
+    ]
 
 
 def _fixed(name: str, unit: str | None, start: float | bool, text: str, **options: Any) -> Variable:

@@ -175,7 +175,11 @@ def _scalar_variable(v: Variable, index: Mapping[str, int]) -> Element:
     if v.initial is not None:
         attributes["initial"] = v.initial
     element = Element("ScalarVariable", attributes)
-    read = {"Real": lambda x: repr(float(x)), "Integer": lambda x: str(int(x)), "Boolean": lambda x: str(bool(x)).lower()}
+    read = {
+        "Real": lambda x: repr(float(x)),
+        "Integer": lambda x: str(int(x)),
+        "Boolean": lambda x: str(bool(x)).lower(),
+    }
     typed = {"unit": v.unit} if v.unit is not None else {}
     for name in ("min", "max", "nominal", "start"):
         if (value := getattr(v, name)) is not None:

@@ -96,6 +96,8 @@ class Slave(Fmi2Slave):
             self._prepare()
         except BaseException as error:
             self._report(error)
+            if sys.stderr is not None:  # pythonfmu logs a failed instantiation only where the host enables its log
+                print(error, file=sys.stderr)
             raise
 
     # -- what a kind of model defines -------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""A plain FMPy master of any FMUs: set, doStep, get. `python fmpy_master.py < PLAN > ROWS`, both JSON. None of our code.
+"""A plain FMPy master of any FMUs, with none of our code: `python fmpy_master.py < PLAN > ROWS`, both JSON.
 
 At each communication point the FMUs step in the order of the plan; an input takes the newest value of its source.
 """

@@ -291,5 +291,5 @@ print(json.dumps(sorted({name.split(".")[0] for name in set(sys.modules) - befor
     assert json.loads(done.stdout) == ["fmu_models"]
 
 
-def test_there_are_twelve_models():
-    assert len(NAMES) == len(set(NAMES)) == 12
+def test_there_are_sixteen_models():
+    assert len(NAMES) == len(set(NAMES)) == 16

@@ -1,8 +1,9 @@
 """From a scenario to an estimator FMU: `estimator_slave` with the scenario's settings, and all that it imports."""
 
+import ast
 import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict
 from modulefinder import ModuleFinder
 from pathlib import Path
@@ -171,7 +172,19 @@ def _user_sources(settings: Mapping[str, Any], folder: Path) -> dict[str, bytes]
                 raise ScenarioError(f"estimation.model: {path or name} is no Python source and cannot be shipped.")
             target = name.replace(".", "/")
             files[f"{target}/__init__.py" if found.__path__ else f"{target}.py"] = path.read_bytes()
+    for path, text in files.items():
+        _check_imports(path, text, {name.partition("/")[0].removesuffix(".py") for name in files} | set(_OURS))
     return files
+
+
+def _check_imports(path: str, source: bytes, shipped: Collection[str]) -> None:
+    """Raises ScenarioError for a way to import modules that get other names in the FMU which `build` does not know."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import) and any(alias.name.partition(".")[0] in shipped for alias in node.names):
+            (first, *others) = node.names
+            if others or ("." in first.name and not first.asname):
+                text = ast.unparse(node)
+                raise ScenarioError(f"{path}: '{text}' cannot be shipped in an FMU; write 'from ... import ...'.")
 
 
 def _entry(name: str, scenario: Scenario, settings: Mapping[str, Any]) -> str:

@@ -44,7 +44,7 @@ class EstimatorLoop:
                 raise ValueError(f"{p.name}_start must be in [{p.lower:g}, {p.upper:g}] {p.unit}, got {theta:g}.")
         derivatives = settings["derivatives"]
         whitened = DerivativeResidual(
-            load(settings["model"]),
+            _load(settings["model"], settings["ships"]),
             space,
             tuple(d["channel"] for d in derivatives),
             tuple(value(d["noise_name"]) for d in derivatives),
@@ -59,7 +59,9 @@ class EstimatorLoop:
             Budget(value("budget"), int(value("evaluations_per_step")), settings["commit"]),
             int(value("window")),
             start,
-            LinearForm(space, *map(load, settings["linear"])) if method.needs_linear_form else None,
+            LinearForm(space, *(_load(r, settings["ships"]) for r in settings["linear"]))
+            if settings["linear"]
+            else None,
         )
         self._theta, self._std = start, np.array([p.upper - p.lower for p in space])
         self._is_identifiable: Sequence[bool] = (False,) * len(space)
@@ -91,10 +93,15 @@ def _one_thread() -> AbstractContextManager[Any]:
     return nullcontext() if _threads is None else _threads.limit(limits=1)
 
 
-def load(reference: str) -> Callable[..., Any]:
-    """What `module:name` names."""
-    module, _, name = reference.partition(":")
-    return getattr(importlib.import_module(module), name)
+def module_of(reference: str, shipped: Sequence[str]) -> str:
+    """The module in `module:name`; one that is shipped has the suffix of this package's name in the FMU."""
+    module = reference.partition(":")[0]
+    top, dot, rest = module.partition(".")
+    return f"{top}{(__package__ or '').removeprefix('cosim')}{dot}{rest}" if top in shipped else module
+
+
+def _load(reference: str, shipped: Sequence[str]) -> Callable[..., Any]:
+    return getattr(importlib.import_module(module_of(reference, shipped)), reference.partition(":")[2])
 
 
 def _trigger(kind: str, whitened: DerivativeResidual, value: Callable[[str], float]) -> Trigger:

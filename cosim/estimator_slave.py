@@ -10,7 +10,6 @@ import platform
 import sys
 from collections.abc import Mapping
 from math import hypot
-from pathlib import Path
 from typing import Any, ClassVar
 from xml.etree.ElementTree import Element
 
@@ -48,11 +47,12 @@ class EstimatorSlave(Slave):
 
     def _prepare(self) -> None:
         """Load what is needed. Raises RuntimeError, which a host gets as a failed instantiation and a log message."""
-        models = [r.partition(":")[0] for r in (self.settings["model"], *(self.settings["linear"] or ()))]
-        for module in (*self.settings["requires"], *models):
-            self._require(module)
-        self._loop_type = importlib.import_module("cosim.estimator_loop").EstimatorLoop
-        self._must_be_own_sources()
+        for package in self.settings["requires"]:
+            self._require(package)
+        loop = importlib.import_module(".estimator_loop", __package__)
+        for reference in (self.settings["model"], *(self.settings["linear"] or ())):
+            self._require(loop.module_of(reference, self.settings["ships"]))
+        self._loop_type = loop.EstimatorLoop
 
     def _enter(self, is_initialized: bool) -> None:
         super()._enter(is_initialized)
@@ -105,24 +105,6 @@ class EstimatorSlave(Slave):
                 f"{module} cannot be imported, {type(e).__name__}: {e}. "
                 f"Install them there: python -m pip install {' '.join(packages)}"
             ) from e
-
-    def _must_be_own_sources(self) -> None:
-        """In a process with other Python FMUs, modules of the same names are shared: they must be the same."""
-        resources = Path(str(self.resources))
-        for name, module in list(sys.modules.items()):
-            shipped, loaded = resources / name.replace(".", "/"), getattr(module, "__file__", None)
-            if name.partition(".")[0] not in self.settings["ships"] or loaded is None:
-                continue
-            own = shipped / "__init__.py" if shipped.is_dir() else shipped.with_suffix(".py")
-            try:
-                is_other = own.is_file() and Path(loaded).read_bytes() != own.read_bytes()
-            except OSError:  # the files of an FMU that is gone
-                continue
-            if is_other:
-                raise RuntimeError(
-                    f"{self.modelName}: this process has loaded another version of the module {name}, from {loaded}; "
-                    "give the FMU a process of its own."
-                )
 
     def _must_be_in_range(self) -> None:
         for v, value in zip(self.variables, self._values[self._parameters], strict=False):

@@ -1,11 +1,12 @@
 """Sources to FMUs, reproducibly: the same sources give the same bytes in any directory, process and order."""
 
 import os
+import re
 import sys
 import tempfile
 import threading
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
@@ -73,7 +74,7 @@ def assemble(name: str, script: str, files: Mapping[str, bytes], out_dir: Path |
             raw = FmuBuilder.build_FMU(entry, dest=stage / "raw", project_files=others)
         target, temporary = out_dir / f"{name}.fmu", out_dir / f".{name}.{uuid4().hex}.tmp"
         try:
-            _rewrite(raw, temporary, _identity(name, files))
+            _rewrite(raw, temporary, _identity(name, files), script, files)
             os.replace(temporary, target)
         finally:
             temporary.unlink(missing_ok=True)
@@ -121,17 +122,37 @@ def _imports_restored(module: str) -> Iterator[None]:
                 sys.modules[module] = loaded
 
 
-def _rewrite(raw: Path, target: Path, identity: str) -> None:
-    """Copy an FMU with its GUID set, its entries sorted, and no trace of when and where it was built."""
+def _rewrite(raw: Path, target: Path, identity: str, script: str, files: Iterable[str]) -> None:
+    """Copy an FMU with its GUID set, its entries sorted, and no trace of when and where it was built.
+
+    Script and modules get names that no other FMU has: FMUs in one process share Python's modules, by name, and would
+    look for a package in the folder of the one that came first, which may be gone or of another version.
+    """
+    suffix = f"_{identity[:8]}"
+    tops = {path: re.match(r"\w+", path)[0] for path in files}
+    own = {f"resources/{path}": f"resources/{top}{suffix}{path[len(top) :]}" for path, top in tops.items()}
     with zipfile.ZipFile(raw) as source, zipfile.ZipFile(target, "x", zipfile.ZIP_DEFLATED) as copy:
-        for path in sorted(set(source.namelist())):
+        for path in sorted(set(source.namelist()), key=lambda path: own.get(path, path)):
             content = source.read(path)
             if path == "modelDescription.xml":
                 root = ElementTree.fromstring(content)
                 root.set("guid", identity)
                 content = ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
-            entry = zipfile.ZipInfo(path, _EPOCH)
+            elif path == "resources/slavemodule.txt":
+                content = f"{script}{suffix}".encode()
+            elif path in own:
+                content = _with_own_names(content, set(tops.values()), suffix)
+            entry = zipfile.ZipInfo(own.get(path, path), _EPOCH)
             entry.compress_type = zipfile.ZIP_DEFLATED
             entry.create_system = 3  # Unix, so that the permissions below count everywhere
             entry.external_attr = (0o755 if path.startswith("binaries/") else 0o644) << 16
             copy.writestr(entry, content)
+
+
+def _with_own_names(source: bytes, modules: Iterable[str], suffix: str) -> bytes:
+    """A source that imports these modules under their names in the FMU, be it `from a.b import c`, `import a.b as c` or
+    `import a`; no other way to import them is understood."""
+    names = "|".join(sorted(modules)).encode()
+    source = re.sub(rb"^(\s*)import (%b)(?=\s*(#|$))" % names, rb"\1import \2 as \2", source, flags=re.MULTILINE)
+    own = rb"\1\2%b" % suffix.encode()
+    return re.sub(rb"^(\s*(?:from|import) )(%b)\b" % names, own, source, flags=re.MULTILINE)

@@ -117,9 +117,11 @@ def test_an_fmu_holds_the_whole_package_and_no_trace_of_its_build(tmp_path):
     assert names == sorted(set(names))
     assert {entry.date_time for entry in entries} == {(1980, 1, 1, 0, 0, 0)}
     assert not [name for name in names if "__pycache__" in name or name.endswith(".pyc")]
-    assert {f"resources/fmu_models/{path.name}" for path in PACKAGE.glob("*.py")} <= set(names)
-    assert script == b"quadrotor_fmu"
-    assert {"binaries/linux64/Quadrotor.so", "binaries/win64/Quadrotor.dll", "resources/quadrotor_fmu.py"} <= set(names)
+    suffix = build.guid("Quadrotor")[:8]
+    assert {f"resources/fmu_models_{suffix}/{path.name}" for path in PACKAGE.glob("*.py")} <= set(names)
+    assert script == f"quadrotor_fmu_{suffix}".encode()
+    binaries = {"binaries/linux64/Quadrotor.so", "binaries/win64/Quadrotor.dll"}
+    assert {*binaries, f"resources/quadrotor_fmu_{suffix}.py"} <= set(names)
 
 
 @pytest.mark.parametrize("function", [build.guid, lambda name: build.build(name, "nowhere")], ids=["guid", "build"])

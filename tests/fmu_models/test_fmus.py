@@ -3,6 +3,7 @@
 import json
 import os
 import random
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -59,19 +60,23 @@ MODELS = {
 SCRIPTS = {  # values to set before a step, as a host's master would
     "FrictionPendulum": {"0": {"u": 4.0}, "15": {"u": -6.0, "u_d": 2.0}, "30": {"u": 1.0, "F_c": 2.5}},
     "FrictionPendulumController": {"0": {"phi": 0.3}, "15": {"phi_dot_ref": 0.5, "F_s": 2.0}, "30": {"phi_dot": -0.2}},
-    "FrictionPendulumControllerAdaptive": {"0": {"phi": 0.3, "F_s": 2.0}, "15": {"update_ready": True, "m": 3.0}},
+    "FrictionPendulumControllerAdaptive": {
+        "0": {"phi": 0.3},
+        "15": {"update_ready": True, "m": 3.0},
+        "30": {"phi": 0.4},
+    },
     "Pendulum": {"0": {"u": 2.0}, "15": {"u": -3.0, "m": 4.271}, "30": {"u": 1.0}},
     "PendulumController": {"0": {"phi": 0.3}, "15": {"phi_ref": 0.5, "m": 2.0}, "30": {"phi_dot": -0.2}},
-    "PendulumControllerAdaptive": {"0": {"phi": 0.3, "m": 2.0}, "15": {"update_ready": True, "l": 2.0}},
+    "PendulumControllerAdaptive": {"0": {"phi": 0.3}, "15": {"update_ready": True, "l": 2.0}, "30": {"phi": 0.4}},
     "PendulumReference": {"15": {"step_time": 0.35, "phi_final": 0.9}},
     "PendulumSine": {"15": {"omega_2": 4.0}, "30": {"amplitude_1": 0.3}},
     "Quadrotor": {"0": {"F": 13.0, "M_x": 0.1}, "15": {"M_y": -0.2, "m": 1.4, "J_z": 3.0}, "30": {"M_z": 0.3}},
     "QuadrotorController": {"0": {"r_x": 0.3, "R_12": 0.1}, "15": {"Omega_x": 0.5, "J_x": 2.0}, "30": {"j_d_x": 1.0}},
-    "QuadrotorControllerAdaptive": {"0": {"r_x": 0.3, "J_x": 2.0}, "15": {"update_ready": True, "m": 2.0}},
+    "QuadrotorControllerAdaptive": {"0": {"r_x": 0.3}, "15": {"update_ready": True, "m": 2.0}, "30": {"r_x": 0.4}},
     "QuadrotorReference": {"15": {"omega": 0.8}, "30": {"smooth_yaw": True}},
     "RigidBody": {"0": {"F_x": 1.0, "M_x": 0.1}, "15": {"M_y": -0.2, "m": 4.0, "c_x": 0.1}, "30": {"J_xy": -0.2}},
     "RigidBodyController": {"0": {"r_x": 0.3, "R_12": 0.1}, "15": {"Omega_x": 0.5, "c_z": 0.1}, "30": {"a_d_x": 1.0}},
-    "RigidBodyControllerAdaptive": {"0": {"r_x": 0.3, "c_z": 0.1}, "15": {"update_ready": True, "m": 2.0}},
+    "RigidBodyControllerAdaptive": {"0": {"r_x": 0.3}, "15": {"update_ready": True, "m": 2.0}, "30": {"r_x": 0.4}},
     "RigidBodyReference": {"15": {"omega": 0.8}, "30": {"amplitude_phi": 0.1}},
 }
 JUNK = {
@@ -459,11 +464,38 @@ def test_all_share_one_process(fmus):
 
 
 @fmu
+def test_two_versions_share_one_process(fmus, tmp_path):
+    root = tmp_path / "other"
+    shutil.copytree(Path(fmu_models.__file__).parent, root / "fmu_models")
+    changed = (root / "fmu_models" / "pendulum_fmu.py").read_text(encoding="utf-8").replace("0.5, ", "0.7, ")
+    (root / "fmu_models" / "pendulum_fmu.py").write_text(changed, encoding="utf-8")
+    code = "import sys; from fmu_models import build; build.build('Pendulum', sys.argv[1])"
+    subprocess.run([sys.executable, "-P", "-c", code, root], check=True, env=os.environ | {"PYTHONPATH": str(root)})
+    rows = host("together", fmus=[fmus["Pendulum"], str(root / "Pendulum.fmu")], n_steps=0)["rows"]
+    assert [row[0] for row in rows] == [0.5, 0.7]
+
+
+@fmu
+def test_an_fmu_loads_after_the_folder_of_another_is_gone(fmus):
+    """simulate_fmu deletes the folder that it unpacked into, in a process that goes on."""
+    code = """
+import sys, fmpy
+sys.meta_path = [f for f in sys.meta_path if not f.__module__.startswith("__editable__")]  # it finds our own package
+print([len(fmpy.simulate_fmu(path, stop_time=0.1)) > 1 for path in sys.argv[1:]])
+"""
+    command = [sys.executable, "-I", "-c", code, fmus["FrictionPendulum"], fmus["QuadrotorController"]]
+    environment = os.environ | {"GLIBC_TUNABLES": "glibc.malloc.tcache_count=65535"}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment)
+    assert (done.returncode, done.stdout) == (0, "[True, True]\n"), done.stderr
+
+
+@fmu
 @each_model
 def test_an_fmu_brings_all_it_needs(fmus, name):
     """Loaded in an interpreter without site-packages: whatever is not the standard library is in the FMU."""
     modules = host("modules", fmu=fmus[name])
-    for module in ("pythonfmu", "fmu_models", "fmu_models.slave"):
+    package = f"fmu_models_{build.guid(name)[:8]}"
+    for module in ("pythonfmu", package, f"{package}.slave"):
         assert "/resources/" in modules[module].replace("\\", "/")
 
 

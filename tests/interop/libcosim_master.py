@@ -43,7 +43,9 @@ def main() -> None:
     plan, folder = json.load(sys.stdin), Path(sys.argv[1])
     log_output_level(CosimLogLevel.WARNING)
     variables = {
-        (name, v.name): v for name, path in plan["fmus"].items() for v in fmpy.read_model_description(path).modelVariables
+        (name, v.name): v
+        for name, path in plan["fmus"].items()
+        for v in fmpy.read_model_description(path).modelVariables
     }
     file = folder / "OspSystemStructure.xml"
     types = {place: v.type for place, v in variables.items()}

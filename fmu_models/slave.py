@@ -242,8 +242,8 @@ class Slave(Fmi2Slave):
 
     def _must_be(self, vrs: list[int], kind: str) -> None:
         if not self._of_type[kind].issuperset(vrs):
-            wrong = next(self.variables[vr].type for vr in vrs if vr not in self._of_type[kind])
-            raise ValueError(f"{self.modelName}: a {wrong} must not be read as {kind}.")
+            wrong = next(self.variables[vr] for vr in vrs if vr not in self._of_type[kind])
+            raise ValueError(f"{self.modelName}: {wrong.name}, of type {wrong.type}, must not be read as {kind}.")
 
     def _set(self, vrs: list[int], values: list[float], kind: str) -> None:
         settable = self._settable[self._is_initialized] & self._of_type[kind]

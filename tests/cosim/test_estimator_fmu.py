@@ -1,7 +1,9 @@
 """The estimator as an FMU: what it declares, estimates and ships, and what it says where something is missing."""
 
+import ast
 import json
 import os
+import re
 import subprocess
 import sys
 import sysconfig
@@ -397,7 +399,8 @@ def test_it_needs_no_more_than_it_says(tmp_path):
     """With NumPy, SciPy and GPy reachable, and nothing that a .pth file would add, such as our own sources."""
     path = build_estimator(Scenario.load("pendulum"), tmp_path)
     host = Path(__file__).parents[1] / "fmu_models" / "fmu_host.py"
-    code = "import runpy, sys; sys.path.append(sys.argv[1]); del sys.argv[:2]\nrunpy.run_path(sys.argv[0], None, '__main__')"
+    code = "import runpy, sys; sys.path.append(sys.argv[1]); del sys.argv[:2]; "
+    code += "runpy.run_path(sys.argv[0], run_name='__main__')"
     arguments = [sysconfig.get_path("purelib"), str(host), "modules", json.dumps({"fmu": str(path)})]
     command = [sys.executable, "-I", "-S", "-c", code, *arguments]
     done = subprocess.run(command, capture_output=True, text=True)
@@ -413,6 +416,25 @@ def test_the_archive_holds_no_more_of_the_co_simulation_than_is_loaded(tmp_path)
     with zipfile.ZipFile(build_estimator(Scenario.load("quadrotor"), tmp_path)) as archive:
         names = {Path(name).name for name in archive.namelist() if name.startswith("resources/cosim_")}
     assert names == {"__init__.py", "estimator_loop.py", "estimator_slave.py", "reconfigure.py"}
+
+
+@fmu
+def test_the_readme_s_script_re_tunes_the_pendulum(tmp_path):
+    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    (script,) = [
+        block for block in re.findall(r"```python\n(.*?)```", readme, re.DOTALL) if "PendulumEstimator" in block
+    ]
+    for name in ("Pendulum", "PendulumControllerAdaptive"):
+        built(name, tmp_path / "fmus")
+    build_estimator(Scenario.load("pendulum"), tmp_path / "fmus")
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+    environment["GLIBC_TUNABLES"] = "glibc.malloc.tcache_count=65535"  # see the README
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=tmp_path, env=environment, capture_output=True, text=True
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    held = ast.literal_eval(done.stdout)
+    assert held == {"m_held": pytest.approx(4.271, abs=2e-3), "l_held": pytest.approx(0.981, abs=5e-4)}
 
 
 # -- what is refused ------------------------------------------------------------------------------------------------

@@ -2,12 +2,23 @@
 
 import zipfile
 import zlib
+from dataclasses import dataclass
 from pathlib import Path
 
 import fmpy
 from fmpy.model_description import CoSimulation, ModelDescription
 
 from .errors import ModelDescriptionError, one_line
+
+
+@dataclass(frozen=True)
+class FmuFile:
+    """An FMU that has been looked into, but is not loaded."""
+
+    name: str
+    """Instance name."""
+    description: ModelDescription
+    """What it declares."""
 
 
 def read_description(fmu: Path) -> ModelDescription:

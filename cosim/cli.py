@@ -4,7 +4,7 @@ import argparse
 import os
 import signal
 import sys
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
@@ -50,9 +50,12 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="retune", description="Re-tune a controller FMU while it runs.", allow_abbrev=False)
     commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
 
-    build = commands.add_parser("build", help="build the FMUs that come with the package")
+    build = commands.add_parser("build", help="build the FMUs that come with the package, or an estimator")
     build.add_argument("--out", type=Path, default=Path("fmus"), metavar="DIR", help="where to (default: fmus)")
     build.add_argument("--force", action="store_true", help="replace FMUs that differ")
+    build.add_argument("--estimator", metavar="SCENARIO", help="build this scenario's estimator instead, as one FMU")
+    build.add_argument("--method", metavar="NAME", help="the estimator's method (default: target)")
+    _add_set(build)
     build.set_defaults(command=_build)
 
     run = commands.add_parser("run", help="simulate a scenario with its controller re-tuned", allow_abbrev=False)
@@ -115,11 +118,28 @@ def _add_set(parser: argparse.ArgumentParser) -> None:
 
 
 def _build(options: argparse.Namespace) -> int:
+    from .errors import ScenarioError
     from .library import build_into
 
-    for path, verb in build_into(options.out, options.force):
+    builder = [_estimator_builder(options)] if options.estimator else []
+    if not builder and (options.method or options.overrides):
+        raise ScenarioError("--method and --set are of an estimator: give --estimator SCENARIO.")
+    for path, verb in build_into(options.out, options.force, *builder):
         print(f"{path}  {verb}")
     return DONE
+
+
+def _estimator_builder(options: argparse.Namespace) -> Callable[[Path], Mapping[str, Path]]:
+    from .estimator_fmu import build_estimator
+    from .scenario import Scenario
+
+    scenario = Scenario.load(options.estimator, dict(options.overrides))
+
+    def builder(folder: Path) -> Mapping[str, Path]:
+        path = build_estimator(scenario, folder, options.method or "target")
+        return {path.stem: path}
+
+    return builder
 
 
 def _run(options: argparse.Namespace) -> int:

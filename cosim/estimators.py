@@ -18,6 +18,7 @@ from .schema import Loop
 
 ESTIMATORS = (*METHODS, "none", "true")
 """`none` leaves the controller alone; `true` is the floor: it writes the plant's true parameters."""
+_INSTALL = {"cyipopt": "Ipopt: pip install 'fmu-retune[ipopt]'; 'ipm-scipy' does without"}
 
 
 def find_method(name: str, scenario: Scenario) -> Method:
@@ -30,9 +31,7 @@ def find_method(name: str, scenario: Scenario) -> Method:
         raise ScenarioError(f"no estimator '{name}'{did_you_mean(name, ESTIMATORS) or known}")
     method = _user_method(name, scenario) if ":" in name else METHODS[name]
     if method.needs_package and not importlib.util.find_spec(method.needs_package):
-        raise ScenarioError(
-            f"estimator '{name}' needs Ipopt: pip install 'fmu-retune[ipopt]'; 'ipm-scipy' does without."
-        )
+        raise ScenarioError(f"estimator '{name}' needs {_INSTALL.get(method.needs_package, method.needs_package)}.")
     if method.needs_linear_form and scenario.estimation.linear is None:
         raise ScenarioError(f"estimator '{name}' needs estimation.linear, the model's linear form.")
     return method

@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -41,15 +42,18 @@ def _cached(name: str) -> Path:
         raise ScenarioError(f"cannot build {name}.fmu in {folder}: {e.strerror or e}; set FMU_RETUNE_CACHE.") from e
 
 
-def build_into(folder: Path, is_forced: bool) -> list[tuple[Path, str]]:
-    """Build every FMU into a folder of the user's; what became of each: built, unchanged or replaced.
+def build_into(
+    folder: Path, is_forced: bool, builder: Callable[[Path], Mapping[str, Path]] = build_all
+) -> list[tuple[Path, str]]:
+    """Build FMUs, by default every built-in one, into a folder of the user's; what became of each: built, unchanged or
+    replaced. builder: makes them in a given folder, and returns their paths by name.
 
     Raises FolderError before anything is written where a different file is in the way and is_forced is not set, or
     where the folder cannot be written.
     """
     try:
         with TemporaryDirectory(prefix="fmu-retune-") as staging:
-            built = build_all(staging)
+            built = builder(Path(staging))
             targets = {name: folder / path.name for name, path in built.items()}
             states = {name: _state(path, targets[name]) for name, path in built.items()}
             in_the_way = next((targets[name] for name, state in states.items() if state == "replaced"), None)

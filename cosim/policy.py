@@ -1,13 +1,11 @@
 """What a run does about its controller's parameters: re-tune them, leave them, or tell the truth."""
 
-import math
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
 
-from estimator import DerivativeResidual, LinearForm, Method, ResidualWindow, Sample, Vector
+from estimator import DerivativeResidual, LinearForm, Method, Sample, Vector
 
 from .errors import CosimError, ScenarioError, one_line, seconds
 from .estimators import find_method, load, make_estimator
@@ -16,9 +14,9 @@ from .reconfigure import (
     Budget,
     InnovationTrigger,
     Reconfiguration,
-    Retuner,
     TrackingTrigger,
     Trigger,
+    make_retuner,
 )
 from .scenario import Scenario
 from .schema import Innovation, Loop, Tracking
@@ -101,14 +99,12 @@ def make_policy(
     method = find_method(estimator, scenario)
     search, loop = make_estimator(estimator, method, scenario, theta, rng)
     whitened = _residual(scenario, plant)
-    judged = whitened if search.is_whitened else replace(whitened, noise=(1.0,) * len(whitened.noise))
-    trigger = _trigger(loop, whitened)
-    budget = math.inf if isinstance(trigger, AlwaysTrigger) else loop.budget
-    return Retuner(
+    return make_retuner(
         search,
-        ResidualWindow(judged, len(whitened.noise), loop.window),
-        trigger,
-        Budget(budget, loop.evaluations_per_step, loop.commit),
+        whitened,
+        _trigger(loop, whitened),
+        Budget(loop.budget, loop.evaluations_per_step, loop.commit),
+        loop.window,
         theta,
         _linear_form(method, scenario),
     )

@@ -3,8 +3,9 @@
 Khan and Chatterjee (2020), section III-C and algorithm 1.
 """
 
+import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 from typing import Any, Literal, Protocol, cast
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from estimator import (
     AskTell,
+    DerivativeResidual,
     Estimate,
     LinearForm,
     NoEstimateError,
@@ -224,3 +226,23 @@ class Retuner:
             now = perf_counter()
             yield theta, float(residual @ residual), now - begun
             begun = now
+
+
+def make_retuner(
+    estimator: AskTell | Solver,
+    whitened: DerivativeResidual,
+    trigger: Trigger,
+    budget: Budget,
+    max_length: int,
+    start: Vector,
+    linear: LinearForm | None = None,
+) -> Retuner:
+    """The loop round an estimator, on windows of at most max_length samples; start (d,): what the controller holds.
+
+    whitened: the residual in standard deviations of its noise; an estimator that wants physical units gets those.
+    """
+    judged = whitened if estimator.is_whitened else replace(whitened, noise=(1.0,) * len(whitened.noise))
+    window = ResidualWindow(judged, len(whitened.noise), max_length)
+    if isinstance(trigger, AlwaysTrigger):
+        budget = replace(budget, evaluations=math.inf)
+    return Retuner(estimator, window, trigger, budget, start, linear)

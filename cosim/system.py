@@ -6,12 +6,15 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from .archive import FmuFile
 from .errors import ScenarioError, WiringError, seconds
 from .library import find_fmu
 from .master import Wiring
 from .names import did_you_mean
 from .scenario import Scenario
 from .slave import Slave
+
+Described = Slave | FmuFile
 
 
 @dataclass(frozen=True)
@@ -33,7 +36,7 @@ def fmu_paths(scenario: Scenario) -> dict[str, Path]:
     return {name: find_fmu(c.fmu, scenario.folder) for name, c in scenario.components.items()}
 
 
-def wire(scenario: Scenario, slaves: Mapping[str, Slave]) -> tuple[dict[str, Wiring], list[list[str]]]:
+def wire(scenario: Scenario, slaves: Mapping[str, Described]) -> tuple[dict[str, Wiring], list[list[str]]]:
     """Each component's part in the co-simulation, and the groups in which they step.
 
     Sequential coupling: first those whose parameters are re-tuned, the controllers, then all others.
@@ -60,7 +63,7 @@ def wire(scenario: Scenario, slaves: Mapping[str, Slave]) -> tuple[dict[str, Wir
     return wiring, _groups(scenario, list(slaves))
 
 
-def plant_of(scenario: Scenario, slave: Slave) -> Plant:
+def plant_of(scenario: Scenario, slave: Described) -> Plant:
     """The plant's states, inputs and sampled channels. Raises WiringError where a derivative has no state."""
     variables = slave.description.modelVariables
     state_of = {v.name: v.derivative.name for v in variables if v.derivative is not None}
@@ -80,7 +83,7 @@ def plant_of(scenario: Scenario, slave: Slave) -> Plant:
     return Plant(slave.name, states, inputs, tuple(channels))
 
 
-def start_value(scenario: Scenario, slaves: Mapping[str, Slave], reference: str) -> float:
+def start_value(scenario: Scenario, slaves: Mapping[str, Described], reference: str) -> float:
     """Value that a variable has before the first step: the scenario's, else the FMU's. Raises WiringError."""
     component, _, variable = reference.partition(".")
     start: Any = scenario.components[component].start.get(variable)
@@ -94,7 +97,7 @@ def start_value(scenario: Scenario, slaves: Mapping[str, Slave], reference: str)
     return float(start)
 
 
-def check_parameters(scenario: Scenario, slaves: Mapping[str, Slave]) -> None:
+def check_parameters(scenario: Scenario, slaves: Mapping[str, Described]) -> None:
     """Raises WiringError where an estimate could be written that the controller does not accept."""
     for parameter in scenario.estimation.parameters:
         component, _, name = parameter.writes.partition(".")
@@ -110,7 +113,7 @@ def check_parameters(scenario: Scenario, slaves: Mapping[str, Slave]) -> None:
             raise WiringError(f"'{parameter.writes}' takes {low} to {high} {unit}; '{parameter.name}' has {bounds}.")
 
 
-def true_parameters(scenario: Scenario, slaves: Mapping[str, Slave]) -> dict[str, Callable[[float], float]]:
+def true_parameters(scenario: Scenario, slaves: Mapping[str, Described]) -> dict[str, Callable[[float], float]]:
     """What the plant's changed and estimated parameters are, as functions of t [s]. Raises WiringError.
 
     The functions raise ScenarioError where a formula has no value.
@@ -135,7 +138,7 @@ def _constant(value: float, t: float) -> float:
     return value
 
 
-def _outputs(slave: Slave) -> tuple[str, ...]:
+def _outputs(slave: Described) -> tuple[str, ...]:
     return tuple(v.name for v in slave.description.modelVariables if v.causality == "output" and v.type != "String")
 
 

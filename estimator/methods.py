@@ -25,7 +25,7 @@ class Method:
     needs_linear_form: bool = False
     """Whether it works only where the model's linear form is known."""
     needs_package: str | None = None
-    """Optional package that it imports."""
+    """Package that it imports beside NumPy, SciPy and GPy."""
 
     @property
     def setting_names(self) -> tuple[str, ...]:
@@ -53,6 +53,6 @@ METHODS: dict[str, Method] = {
     "sqp-wide-step": Method(NoisyNorm, NormSettings, "sqp", _WIDE_STEP),
     "least-squares": Method(LeastSquares, LeastSquaresSettings),
     "multi-start": Method(LeastSquares, LeastSquaresSettings, "least-squares", {"n_starts": 8}),
-    "rls": Method(RecursiveLeastSquares, RecursiveSettings, None, _RECURSIVE, needs_linear_form=True),
-    "ukf": Method(UnscentedKalman, UnscentedSettings, None, _RECURSIVE),
+    "rls": Method(RecursiveLeastSquares, RecursiveSettings, None, _RECURSIVE, True, "filterpy"),
+    "ukf": Method(UnscentedKalman, UnscentedSettings, None, _RECURSIVE, needs_package="filterpy"),
 }

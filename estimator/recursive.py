@@ -1,15 +1,18 @@
 """Recursive estimators, which take each sample once: adapters round filterpy's Kalman filters."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from filterpy.kalman import KalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 from scipy import optimize
 from scipy.stats import qmc
 
 from .contract import Estimate
 from .objective import LinearForm, Objective
 from .space import ParameterSpace, Vector
+
+if TYPE_CHECKING:  # loaded on first use: the other estimators do without
+    from filterpy.kalman import KalmanFilter, UnscentedKalmanFilter
 
 
 @dataclass(frozen=True)
@@ -82,7 +85,9 @@ class RecursiveLeastSquares:
             reason="recursive least squares",
         )
 
-    def _begin(self, linear: LinearForm) -> KalmanFilter:
+    def _begin(self, linear: LinearForm) -> "KalmanFilter":
+        from filterpy.kalman import KalmanFilter
+
         psi = linear.coefficients(self._space.from_unit(self._z))
         cube = qmc.Halton(len(self._space), scramble=False).random(64)
         anywhere = np.array([linear.coefficients(self._space.from_unit(z)) for z in cube])
@@ -91,7 +96,7 @@ class RecursiveLeastSquares:
         kalman.x, kalman.P = psi, np.diag(self._start_std**2)
         return kalman
 
-    def _project(self, linear: LinearForm, kalman: KalmanFilter) -> None:
+    def _project(self, linear: LinearForm, kalman: "KalmanFilter") -> None:
         weight = np.linalg.inv(np.linalg.cholesky(kalman.P + 1e-12 * np.trace(kalman.P) * np.eye(len(kalman.P))))
 
         def misfit(z: Vector) -> Vector:
@@ -180,7 +185,9 @@ class UnscentedKalman:
             reason="unscented Kalman filter",
         )
 
-    def _begin(self, n_channels: int) -> UnscentedKalmanFilter:
+    def _begin(self, n_channels: int) -> "UnscentedKalmanFilter":
+        from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
+
         d = len(self._space)
         points = MerweScaledSigmaPoints(d, alpha=self._settings.alpha, beta=2.0, kappa=3.0 - d)
         kalman = UnscentedKalmanFilter(d, n_channels, 1.0, hx=None, fx=_stay, points=points)

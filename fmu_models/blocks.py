@@ -1,12 +1,13 @@
 """The three kinds of FMU: a plant with states, a memoryless controller, a reference that follows time.
 
-A model is a subclass of one of them: a table of variables, and one hook that is a pure function.
+A model is a subclass of one of them: a table of variables, and one hook that is a pure function. `Adaptive` makes a
+controller's parameters inputs, for an estimator that is an FMU itself.
 """
 
 from collections.abc import Callable
 from typing import Any, ClassVar
 
-from .description import Variable, output, parameter, per_second
+from .description import Variable, input_variable, output, parameter, per_second
 from .ode import Vector, integrate
 from .slave import Slave
 
@@ -85,6 +86,66 @@ class Controller(Slave):
     def _advance(self, step_size: float) -> None:
         if self._is_stale:
             self._update()
+
+
+class Adaptive(Controller):
+    """A controller that gets some of its parameters as inputs: class FastAdaptive(Adaptive, Fast).
+
+    They start at the inputs' initial values; from then on each step at which update_ready is true takes the inputs,
+    and every other step keeps what it has, told by the outputs ..._held.
+    """
+
+    estimated: ClassVar[tuple[str, ...]] = ()
+    """Names of those parameters in the table of the controller."""
+
+    @classmethod
+    def _complete(cls, table: tuple[Variable, ...]) -> tuple[Variable, ...]:
+        told = [v for v in table if v.name in cls.estimated]
+        if not told:
+            return ()
+        inputs = [
+            input_variable(
+                v.name, v.unit, v.start or 0.0, f"{v.description}, as estimated", nominal=v.nominal,
+                min=v.min, max=v.max, is_latched=True,
+            ) for v in told
+        ]  # fmt: skip
+        ready = input_variable("update_ready", None, False, "Whether the estimates are to be used", is_latched=True)
+        held = [
+            output(
+                f"{v.name}_held", v.unit, f"{v.name} as used by the controller, at first its initial value",
+                depends=(v.name,), variability="discrete", nominal=v.nominal,
+            ) for v in told
+        ]  # fmt: skip
+        rest = [v for v in table if v.name not in cls.estimated]
+        return super()._complete((*rest, *inputs, ready, *held))
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        place = {v.name: i for i, v in enumerate(cls.variables)}
+        names = [v.name for v in cls.table if v.causality == "parameter"] if place else []
+        cls._told = [place[name] for name in cls.estimated]
+        cls._held = [place[f"{name}_held"] for name in cls.estimated]
+        cls._law_parameters = [place[f"{name}_held" if name in cls.estimated else name] for name in names]
+        cls._ready = place.get("update_ready", 0)
+        cls._law_inputs = slice(cls._inputs.start, cls._ready - len(cls._told))
+        cls._law_outputs = slice(cls._outputs.start, len(place) - len(cls._held))
+
+    def _refresh(self) -> None:
+        values = self._values
+        if not self._is_initialized:
+            self._take_up()
+        parameters = tuple([values[i] for i in self._law_parameters])
+        values[self._law_outputs] = self.outputs(tuple(values[self._law_inputs]), parameters)
+
+    def _advance(self, step_size: float) -> None:
+        if self._values[self._ready]:
+            self._take_up()
+            self._is_stale = True
+        super()._advance(step_size)
+
+    def _take_up(self) -> None:
+        for told, held in zip(self._told, self._held):
+            self._values[held] = self._values[told]
 
 
 class Reference(Slave):

@@ -6,7 +6,7 @@ import sys
 import tempfile
 import threading
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
@@ -24,15 +24,19 @@ _SCRIPTS = MappingProxyType(
     {
         "FrictionPendulum": "friction_pendulum_fmu",
         "FrictionPendulumController": "friction_pendulum_controller_fmu",
+        "FrictionPendulumControllerAdaptive": "friction_pendulum_controller_adaptive_fmu",
         "Pendulum": "pendulum_fmu",
         "PendulumController": "pendulum_controller_fmu",
+        "PendulumControllerAdaptive": "pendulum_controller_adaptive_fmu",
         "PendulumReference": "pendulum_reference_fmu",
         "PendulumSine": "pendulum_sine_fmu",
         "Quadrotor": "quadrotor_fmu",
         "QuadrotorController": "quadrotor_controller_fmu",
+        "QuadrotorControllerAdaptive": "quadrotor_controller_adaptive_fmu",
         "QuadrotorReference": "quadrotor_reference_fmu",
         "RigidBody": "rigid_body_fmu",
         "RigidBodyController": "rigid_body_controller_fmu",
+        "RigidBodyControllerAdaptive": "rigid_body_controller_adaptive_fmu",
         "RigidBodyReference": "rigid_body_reference_fmu",
     }
 )
@@ -43,11 +47,7 @@ _imports = threading.Lock()
 
 def guid(name: str) -> str:
     """The GUID that `build(name)` gives: it depends on the name, the shipped sources and pythonfmu's version."""
-    _script(name)
-    digest = sha256(f"{name} {pythonfmu_version}\n".encode())
-    for path, text in _sources().items():
-        digest.update(f"{path} {len(text)}\n".encode() + text)
-    return str(uuid5(NAMESPACE, digest.hexdigest()))
+    return _identity(name, _files(_script(name)))
 
 
 def build(name: str, out_dir: Path | str) -> Path:
@@ -55,21 +55,26 @@ def build(name: str, out_dir: Path | str) -> Path:
 
     The file appears at once and whole, so builds may run at the same time. Raises ValueError for an unknown name.
     """
-    script, identity, out_dir = _script(name), guid(name), Path(out_dir)
+    script = _script(name)
+    return assemble(name, script, _files(script), out_dir)
+
+
+def assemble(name: str, script: str, files: Mapping[str, bytes], out_dir: Path | str) -> Path:
+    """Build an FMU from its files, by their paths: the entry script, `<script>.py`, and all that it imports."""
+    out_dir = Path(out_dir)
     out_dir.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="fmu_models_") as directory:
         stage = Path(directory)
-        package = stage / "source" / PACKAGE.name
-        package.mkdir(parents=True)
-        for path, text in _sources().items():
-            (package / path).write_bytes(text)
+        for path, text in files.items():
+            (stage / "source" / path).parent.mkdir(parents=True, exist_ok=True)
+            (stage / "source" / path).write_bytes(text)
         entry = stage / "source" / f"{script}.py"
-        entry.write_bytes((package / f"{script}.py").read_bytes())
+        others = sorted(path for path in entry.parent.iterdir() if path != entry)
         with _imports_restored(script):
-            raw = FmuBuilder.build_FMU(entry, dest=stage / "raw", project_files=[package])
+            raw = FmuBuilder.build_FMU(entry, dest=stage / "raw", project_files=others)
         target, temporary = out_dir / f"{name}.fmu", out_dir / f".{name}.{uuid4().hex}.tmp"
         try:
-            _rewrite(raw, temporary, identity, script)
+            _rewrite(raw, temporary, _identity(name, files), script, files)
             os.replace(temporary, target)
         finally:
             temporary.unlink(missing_ok=True)
@@ -87,8 +92,20 @@ def _script(name: str) -> str:
     return _SCRIPTS[name]
 
 
-def _sources() -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in sorted(PACKAGE.glob("*.py"))}
+def sources(package: Path) -> dict[str, bytes]:
+    """The modules of a package by their paths in an FMU."""
+    return {f"{package.name}/{path.name}": path.read_bytes() for path in sorted(package.glob("*.py"))}
+
+
+def _files(script: str) -> dict[str, bytes]:
+    return sources(PACKAGE) | {f"{script}.py": (PACKAGE / f"{script}.py").read_bytes()}
+
+
+def _identity(name: str, files: Mapping[str, bytes]) -> str:
+    digest = sha256(f"{name} {pythonfmu_version}\n".encode())
+    for path, text in files.items():
+        digest.update(f"{path} {len(text)}\n".encode() + text)
+    return str(uuid5(NAMESPACE, digest.hexdigest()))
 
 
 @contextmanager
@@ -105,20 +122,17 @@ def _imports_restored(module: str) -> Iterator[None]:
                 sys.modules[module] = loaded
 
 
-def _rewrite(raw: Path, target: Path, identity: str, script: str) -> None:
+def _rewrite(raw: Path, target: Path, identity: str, script: str, files: Iterable[str]) -> None:
     """Copy an FMU with its GUID set, its entries sorted, and no trace of when and where it was built.
 
-    Script and package get names that no other FMU has: FMUs in one process share Python's modules, by name, and would
-    look for the package in the folder of the one that came first, which may be gone or of another version.
+    Script and modules get names that no other FMU has: FMUs in one process share Python's modules, by name, and would
+    look for a package in the folder of the one that came first, which may be gone or of another version.
     """
     suffix = f"_{identity[:8]}"
-    statement = re.compile(rf"^(from|import) {PACKAGE.name}\b".encode(), re.MULTILINE)
-    names = {
-        f"resources/{script}.py": f"resources/{script}{suffix}.py",
-        **{f"resources/{PACKAGE.name}/{path}": f"resources/{PACKAGE.name}{suffix}/{path}" for path in _sources()},
-    }
+    tops = {path: re.match(r"\w+", path)[0] for path in files}
+    own = {f"resources/{path}": f"resources/{top}{suffix}{path[len(top) :]}" for path, top in tops.items()}
     with zipfile.ZipFile(raw) as source, zipfile.ZipFile(target, "x", zipfile.ZIP_DEFLATED) as copy:
-        for path in sorted(set(source.namelist()), key=lambda path: names.get(path, path)):
+        for path in sorted(set(source.namelist()), key=lambda path: own.get(path, path)):
             content = source.read(path)
             if path == "modelDescription.xml":
                 root = ElementTree.fromstring(content)
@@ -126,10 +140,19 @@ def _rewrite(raw: Path, target: Path, identity: str, script: str) -> None:
                 content = ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
             elif path == "resources/slavemodule.txt":
                 content = f"{script}{suffix}".encode()
-            elif path in names:
-                content = statement.sub(rf"\1 {PACKAGE.name}{suffix}".encode(), content)
-            entry = zipfile.ZipInfo(names.get(path, path), _EPOCH)
+            elif path in own:
+                content = _with_own_names(content, set(tops.values()), suffix)
+            entry = zipfile.ZipInfo(own.get(path, path), _EPOCH)
             entry.compress_type = zipfile.ZIP_DEFLATED
             entry.create_system = 3  # Unix, so that the permissions below count everywhere
             entry.external_attr = (0o755 if path.startswith("binaries/") else 0o644) << 16
             copy.writestr(entry, content)
+
+
+def _with_own_names(source: bytes, modules: Iterable[str], suffix: str) -> bytes:
+    """A source that imports these modules under their names in the FMU, be it `from a.b import c`, `import a.b as c` or
+    `import a`; no other way to import them is understood."""
+    names = "|".join(sorted(modules)).encode()
+    source = re.sub(rb"^(\s*)import (%b)(?=\s*(#|$))" % names, rb"\1import \2 as \2", source, flags=re.MULTILINE)
+    own = rb"\1\2%b" % suffix.encode()
+    return re.sub(rb"^(\s*(?:from|import) )(%b)\b" % names, own, source, flags=re.MULTILINE)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 from xml.etree.ElementTree import Element, SubElement
 
+Type = Literal["Real", "Integer", "Boolean"]
 Causality = Literal["parameter", "input", "output"]
 Variability = Literal["fixed", "tunable", "discrete", "continuous"]
 Initial = Literal["exact", "calculated"]
@@ -14,18 +15,20 @@ Initial = Literal["exact", "calculated"]
 
 @dataclass(frozen=True, kw_only=True)
 class Variable:
-    """One row of a variable table: an FMI scalar variable, Boolean where its start is one, otherwise Real."""
+    """One row of a variable table: an FMI scalar variable."""
 
     name: str
     """FMI name, structured naming convention."""
     unit: str | None
-    """Unit such as "kg.m2" or "rad/s", "1" if dimensionless; None for a Boolean."""
+    """Unit such as "kg.m2" or "rad/s", "1" if dimensionless; None where it is unknown, or the type has none."""
     description: str
     """One line for the user."""
     causality: Causality
     """What it is for its surroundings."""
     variability: Variability
     """When it may change."""
+    type: Type = "Real"
+    """FMI type."""
     initial: Initial | None = None
     """How its initial value comes about; None for inputs, where FMI allows no such attribute."""
     start: float | bool | None = None
@@ -40,6 +43,8 @@ class Variable:
     """Name of the state whose time derivative this is."""
     dependencies: tuple[str, ...] = ()
     """Names of the parameters, inputs and states that a calculated value, or a state's derivative, depends on."""
+    is_latched: bool = False
+    """Whether an input takes effect at the next step only: no output depends on it directly."""
 
     def __post_init__(self) -> None:
         lower = float("-inf") if self.min is None else self.min
@@ -50,32 +55,35 @@ class Variable:
             raise ValueError(
                 f"Variable {self.name!r} must have min <= start <= max, got {lower}, {self.start}, {upper}."
             )
+        if (self.type == "Boolean") != isinstance(self.start, bool) and self.start is not None:
+            raise ValueError(f"Variable {self.name!r} must start as its type, {self.type}, got {self.start!r}.")
         if self.unit is not None:
             base_unit(self.unit)
-
-    @property
-    def type(self) -> Literal["Real", "Boolean"]:
-        """FMI type."""
-        return "Boolean" if isinstance(self.start, bool) else "Real"
 
 
 def parameter(
     name: str, unit: str | None, start: float | bool, description: str, *,
-    variability: Literal["fixed", "tunable"] = "tunable",
+    variability: Literal["fixed", "tunable"] = "tunable", type: Literal["Real", "Integer"] = "Real",
     min: float | None = None, max: float | None = None, nominal: float | None = None,
 ) -> Variable:  # fmt: skip
-    """A parameter; tunable unless told otherwise."""
+    """A parameter, Boolean where its start is one; tunable unless told otherwise."""
     return Variable(
         name=name, unit=unit, description=description, causality="parameter", variability=variability,
+        type="Boolean" if isinstance(start, bool) else type,
         initial="exact", start=start, min=min, max=max, nominal=nominal,
     )  # fmt: skip
 
 
-def input_variable(name: str, unit: str, start: float, description: str, *, nominal: float | None = None) -> Variable:
-    """A continuous input."""
+def input_variable(
+    name: str, unit: str | None, start: float | bool, description: str, *, nominal: float | None = None,
+    min: float | None = None, max: float | None = None, is_latched: bool = False,
+) -> Variable:  # fmt: skip
+    """A continuous input, or a Boolean one where its start is one."""
+    is_boolean = isinstance(start, bool)
     return Variable(
-        name=name, unit=unit, description=description, causality="input", variability="continuous",
-        start=start, nominal=nominal,
+        name=name, unit=unit, description=description, causality="input",
+        variability="discrete" if is_boolean else "continuous", type="Boolean" if is_boolean else "Real",
+        start=start, min=min, max=max, nominal=nominal, is_latched=is_latched,
     )  # fmt: skip
 
 
@@ -90,12 +98,13 @@ def state(
 
 
 def output(
-    name: str, unit: str, description: str, *, depends: Iterable[str], nominal: float | None = None,
-    derivative: str | None = None, variability: Literal["discrete", "continuous"] = "continuous",
+    name: str, unit: str | None, description: str, *, depends: Iterable[str], nominal: float | None = None,
+    derivative: str | None = None, variability: Literal["discrete", "continuous"] = "continuous", type: Type = "Real",
 ) -> Variable:  # fmt: skip
-    """A calculated output, and the names of what it depends on."""
+    """A calculated output, and the names of what it depends on; discrete where it is no Real."""
     return Variable(
-        name=name, unit=unit, description=description, causality="output", variability=variability,
+        name=name, unit=unit, description=description, causality="output",
+        variability=variability if type == "Real" else "discrete", type=type,
         initial="calculated", nominal=nominal, derivative=derivative, dependencies=tuple(depends),
     )  # fmt: skip
 
@@ -138,8 +147,9 @@ def model_description(
 ) -> Element:
     """The `fmiModelDescription` of a co-simulation FMU whose value references are the positions in `variables`.
 
-    `has_feedthrough`: an output depends directly on the inputs among its dependencies. Otherwise the model holds
-    its inputs over a step, and `dependencies` speak of the initial values only. FMI 2.0.4, sections 2.2 and 4.3.
+    `has_feedthrough`: an output depends directly on the inputs among its dependencies that are not latched. Otherwise
+    the model holds its inputs over a step, and `dependencies` speak of the initial values only. FMI 2.0.4, sections
+    2.2 and 4.3.
     """
     root = Element("fmiModelDescription", {"fmiVersion": "2.0", **attributes})
     SubElement(root, "CoSimulation", capabilities)
@@ -165,16 +175,18 @@ def _scalar_variable(v: Variable, index: Mapping[str, int]) -> Element:
     if v.initial is not None:
         attributes["initial"] = v.initial
     element = Element("ScalarVariable", attributes)
-    if v.type == "Boolean":
-        SubElement(element, "Boolean", start=str(v.start).lower())
-        return element
-    real = {"unit": str(v.unit)}
+    read = {
+        "Real": lambda x: repr(float(x)),
+        "Integer": lambda x: str(int(x)),
+        "Boolean": lambda x: str(bool(x)).lower(),
+    }
+    typed = {"unit": v.unit} if v.unit is not None else {}
     for name in ("min", "max", "nominal", "start"):
         if (value := getattr(v, name)) is not None:
-            real[name] = repr(float(value))
+            typed[name] = read[v.type](value)
     if v.derivative is not None:
-        real["derivative"] = str(index[v.derivative])
-    SubElement(element, "Real", real)
+        typed["derivative"] = str(index[v.derivative])
+    SubElement(element, v.type, typed)
     return element
 
 
@@ -193,7 +205,7 @@ def _model_structure(variables: Sequence[Variable], index: Mapping[str, int], ha
             dependencies = {"dependencies": " ".join(map(str, depends)), "dependenciesKind": kinds}
             SubElement(parent, "Unknown", {"index": str(index[v.name]), **dependencies})
 
-    inputs = {v.name for v in variables if v.causality == "input"}
+    inputs = {v.name for v in variables if v.causality == "input" and not v.is_latched}
     states = {v.derivative for v in variables if v.derivative is not None}
     unknowns("Outputs", [v for v in variables if v.causality == "output"], inputs if has_feedthrough else set())
     unknowns("Derivatives", [v for v in variables if v.derivative is not None], states)

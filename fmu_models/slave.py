@@ -71,7 +71,11 @@ class Slave(Fmi2Slave):
         cls._states, cls._outputs = slice(n_parameters + n_inputs, n_exact), slice(n_exact, None)
         cls._given = slice(0, n_exact)  # what is set from outside: parameters, inputs, states
         is_later = [v.causality == "input" or v.variability == "tunable" for v in cls.variables]
-        cls._booleans = frozenset(i for i, v in enumerate(cls.variables) if v.type == "Boolean")
+        cls._of_type = {
+            kind: frozenset(i for i, v in enumerate(cls.variables) if v.type == kind)
+            for kind in ("Real", "Integer", "Boolean")
+        }
+        cls._is_mixed = len(cls._of_type["Real"]) < len(cls.variables)
         cls._settable = {False: frozenset(range(n_exact)), True: frozenset(i for i, b in enumerate(is_later) if b)}
 
     @classmethod
@@ -88,8 +92,18 @@ class Slave(Fmi2Slave):
         self._is_stale = self._is_unchecked = True
         self._enter(is_initialized=False)
         self._is_hosted = "logger" in kwargs
+        try:
+            self._prepare()
+        except BaseException as error:
+            self._report(error)
+            if sys.stderr is not None:  # pythonfmu logs a failed instantiation only where the host enables its log
+                print(error, file=sys.stderr)
+            raise
 
     # -- what a kind of model defines -------------------------------------------------------------------------
+
+    def _prepare(self) -> None:
+        """Get what is needed from outside; whatever this raises fails the instantiation."""
 
     def _refresh(self) -> None:
         """Compute every calculated output from parameters, inputs and states."""
@@ -127,8 +141,8 @@ class Slave(Fmi2Slave):
     @_logged
     def get_real(self, vrs: list[int]) -> list[float]:
         """Values of these variables."""
-        if self._booleans and not self._booleans.isdisjoint(vrs):
-            raise ValueError(f"{self.modelName}: a Boolean must not be read as Real.")
+        if self._is_mixed:
+            self._must_be(vrs, "Real")
         if self._is_stale:
             self._update()
         values = self._values
@@ -145,21 +159,30 @@ class Slave(Fmi2Slave):
         self._is_stale = self._is_unchecked = True
 
     @_logged
+    def get_integer(self, vrs: list[int]) -> list[int]:
+        """Values of these Integer variables."""
+        self._must_be(vrs, "Integer")
+        if self._is_stale:
+            self._update()
+        return [int(self._values[vr]) for vr in vrs]
+
+    @_logged
+    def set_integer(self, vrs: list[int], values: list[int]) -> None:
+        """Set these Integer variables."""
+        self._set(vrs, values, "Integer")
+
+    @_logged
     def get_boolean(self, vrs: list[int]) -> list[bool]:
-        """Values of these Boolean parameters."""
-        if not self._booleans.issuperset(vrs):
-            raise ValueError(f"{self.modelName}: a Real must not be read as Boolean.")
+        """Values of these Boolean variables."""
+        self._must_be(vrs, "Boolean")
+        if self._is_stale:
+            self._update()
         return [bool(self._values[vr]) for vr in vrs]
 
     @_logged
     def set_boolean(self, vrs: list[int], values: list[bool]) -> None:
-        """Set these Boolean parameters."""
-        settable = self._settable[self._is_initialized] & self._booleans
-        if not settable.issuperset(vrs):
-            self._refuse(vrs, settable, "Boolean")
-        for vr, value in zip(vrs, values):
-            self._values[vr] = bool(value)
-        self._is_stale = True
+        """Set these Boolean variables."""
+        self._set(vrs, [bool(value) for value in values], "Boolean")
 
     @_logged
     def _get_fmu_state(self) -> bytes:
@@ -215,7 +238,20 @@ class Slave(Fmi2Slave):
 
     def _enter(self, is_initialized: bool) -> None:
         self._is_initialized = is_initialized
-        self._settable_reals = self._settable[is_initialized] - self._booleans
+        self._settable_reals = self._settable[is_initialized] & self._of_type["Real"]
+
+    def _must_be(self, vrs: list[int], kind: str) -> None:
+        if not self._of_type[kind].issuperset(vrs):
+            wrong = next(self.variables[vr] for vr in vrs if vr not in self._of_type[kind])
+            raise ValueError(f"{self.modelName}: {wrong.name}, of type {wrong.type}, must not be read as {kind}.")
+
+    def _set(self, vrs: list[int], values: list[float], kind: str) -> None:
+        settable = self._settable[self._is_initialized] & self._of_type[kind]
+        if not settable.issuperset(vrs):
+            self._refuse(vrs, settable, kind)
+        for vr, value in zip(vrs, values):
+            self._values[vr] = value
+        self._is_stale = self._is_unchecked = True
 
     def _update(self) -> None:
         if self._is_unchecked:

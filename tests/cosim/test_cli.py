@@ -669,7 +669,7 @@ def test_build_builds_all_and_then_leaves_them_unchanged(called, workplace):
     code, out, err = called("build", "--out", "fmus")
     assert (code, err) == (0, "")
     assert out.splitlines() == [f"fmus/{name}.fmu  built" for name in NAMES]
-    assert len(NAMES) == 12
+    assert len(NAMES) == 16
     before = {p: (p.stat().st_mtime_ns, p.read_bytes()) for p in (workplace / "fmus").iterdir()}
     assert {p.name for p in before} == {f"{name}.fmu" for name in NAMES}
     assert all(zipfile.is_zipfile(p) for p in before)
@@ -694,7 +694,7 @@ def test_build_replaces_a_different_file_only_when_forced(called, workplace):
     assert (code, err) == (0, "")
     assert [line for line in out.splitlines() if not line.endswith("  built")] == ["fmus/Quadrotor.fmu  replaced"]
     assert zipfile.is_zipfile(fmus / "Quadrotor.fmu")
-    assert len(list(fmus.iterdir())) == 12
+    assert len(list(fmus.iterdir())) == 16
 
 
 # Output that nobody reads.

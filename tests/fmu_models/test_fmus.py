@@ -19,15 +19,19 @@ from scipy.integrate import solve_ivp
 
 import fmu_models
 from fmu_models import build
+from fmu_models.friction_pendulum_controller_adaptive_fmu import FrictionPendulumControllerAdaptive
 from fmu_models.friction_pendulum_controller_fmu import FrictionPendulumController
 from fmu_models.friction_pendulum_fmu import FrictionPendulum
+from fmu_models.pendulum_controller_adaptive_fmu import PendulumControllerAdaptive
 from fmu_models.pendulum_controller_fmu import PendulumController
 from fmu_models.pendulum_fmu import Pendulum
 from fmu_models.pendulum_reference_fmu import PendulumReference
 from fmu_models.pendulum_sine_fmu import PendulumSine
+from fmu_models.quadrotor_controller_adaptive_fmu import QuadrotorControllerAdaptive
 from fmu_models.quadrotor_controller_fmu import QuadrotorController
 from fmu_models.quadrotor_fmu import Quadrotor
 from fmu_models.quadrotor_reference_fmu import QuadrotorReference
+from fmu_models.rigid_body_controller_adaptive_fmu import RigidBodyControllerAdaptive
 from fmu_models.rigid_body_controller_fmu import RigidBodyController
 from fmu_models.rigid_body_fmu import RigidBody
 from fmu_models.rigid_body_reference_fmu import RigidBodyReference
@@ -37,44 +41,60 @@ MODELS = {
     for model in (
         FrictionPendulum,
         FrictionPendulumController,
+        FrictionPendulumControllerAdaptive,
         Pendulum,
         PendulumController,
+        PendulumControllerAdaptive,
         PendulumReference,
         PendulumSine,
         Quadrotor,
         QuadrotorController,
+        QuadrotorControllerAdaptive,
         QuadrotorReference,
         RigidBody,
         RigidBodyController,
+        RigidBodyControllerAdaptive,
         RigidBodyReference,
     )
 }
 SCRIPTS = {  # values to set before a step, as a host's master would
     "FrictionPendulum": {"0": {"u": 4.0}, "15": {"u": -6.0, "u_d": 2.0}, "30": {"u": 1.0, "F_c": 2.5}},
     "FrictionPendulumController": {"0": {"phi": 0.3}, "15": {"phi_dot_ref": 0.5, "F_s": 2.0}, "30": {"phi_dot": -0.2}},
+    "FrictionPendulumControllerAdaptive": {
+        "0": {"phi": 0.3},
+        "15": {"update_ready": True, "m": 3.0},
+        "30": {"phi": 0.4},
+    },
     "Pendulum": {"0": {"u": 2.0}, "15": {"u": -3.0, "m": 4.271}, "30": {"u": 1.0}},
     "PendulumController": {"0": {"phi": 0.3}, "15": {"phi_ref": 0.5, "m": 2.0}, "30": {"phi_dot": -0.2}},
+    "PendulumControllerAdaptive": {"0": {"phi": 0.3}, "15": {"update_ready": True, "l": 2.0}, "30": {"phi": 0.4}},
     "PendulumReference": {"15": {"step_time": 0.35, "phi_final": 0.9}},
     "PendulumSine": {"15": {"omega_2": 4.0}, "30": {"amplitude_1": 0.3}},
     "Quadrotor": {"0": {"F": 13.0, "M_x": 0.1}, "15": {"M_y": -0.2, "m": 1.4, "J_z": 3.0}, "30": {"M_z": 0.3}},
     "QuadrotorController": {"0": {"r_x": 0.3, "R_12": 0.1}, "15": {"Omega_x": 0.5, "J_x": 2.0}, "30": {"j_d_x": 1.0}},
+    "QuadrotorControllerAdaptive": {"0": {"r_x": 0.3}, "15": {"update_ready": True, "m": 2.0}, "30": {"r_x": 0.4}},
     "QuadrotorReference": {"15": {"omega": 0.8}, "30": {"smooth_yaw": True}},
     "RigidBody": {"0": {"F_x": 1.0, "M_x": 0.1}, "15": {"M_y": -0.2, "m": 4.0, "c_x": 0.1}, "30": {"J_xy": -0.2}},
     "RigidBodyController": {"0": {"r_x": 0.3, "R_12": 0.1}, "15": {"Omega_x": 0.5, "c_z": 0.1}, "30": {"a_d_x": 1.0}},
+    "RigidBodyControllerAdaptive": {"0": {"r_x": 0.3}, "15": {"update_ready": True, "m": 2.0}, "30": {"r_x": 0.4}},
     "RigidBodyReference": {"15": {"omega": 0.8}, "30": {"amplitude_phi": 0.1}},
 }
 JUNK = {
     "FrictionPendulum": {"u": 9.0, "F_s": 3.0},
     "FrictionPendulumController": {"phi": 9.0, "u_d": 3.0},
+    "FrictionPendulumControllerAdaptive": {"update_ready": True, "u_d": 3.0},
     "Pendulum": {"u": 9.0, "m": 3.0},
     "PendulumController": {"phi": 9.0, "Kp": 3.0},
+    "PendulumControllerAdaptive": {"update_ready": True, "m": 3.0},
     "PendulumReference": {"step_time": 9.0},
     "PendulumSine": {"omega_1": 9.0},
     "Quadrotor": {"F": 9.0, "M_z": 9.0, "m": 3.0},
     "QuadrotorController": {"r_y": 9.0, "K_v_x": 3.0},
+    "QuadrotorControllerAdaptive": {"update_ready": True, "m": 3.0},
     "QuadrotorReference": {"amplitude_z": 9.0},
     "RigidBody": {"F_z": 9.0, "M_z": 9.0, "m": 3.0},
     "RigidBodyController": {"r_y": 9.0, "K_v": 3.0},
+    "RigidBodyControllerAdaptive": {"update_ready": True, "m": 3.0},
     "RigidBodyReference": {"amplitude_z": 9.0},
 }
 each_model = pytest.mark.parametrize("name", list(MODELS))
@@ -247,8 +267,8 @@ def test_direct_feedthrough_is_exactly_what_a_perturbation_shows(name):
         slave = new_slave(model, values, time)
         slave.exit_initialization_mode()
         slave.do_step(time, 0.01)
-        if inputs:
-            slave.set_real(list(inputs), [perturbed[i] for i in inputs])
+        for i in inputs:
+            (slave.set_boolean if model.variables[i].type == "Boolean" else slave.set_real)([i], [perturbed[i]])
         return slave.get_real(indices_of_outputs(model))
 
     assert declared(model, "Outputs") == observed(model, outputs_after_a_step, set(inputs.values()))

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from pythonfmu.enums import Fmi2Status
 
-from fmu_models.blocks import Controller, Plant, Reference
+from fmu_models.blocks import Adaptive, Controller, Plant, Reference
 from fmu_models.build import NAMES
-from fmu_models.description import base_unit, input_variable, output, parameter, per_second, state
+from fmu_models.description import Variable, base_unit, input_variable, output, parameter, per_second, state
 
 
 class Tank(Plant):
@@ -61,6 +61,41 @@ class Clock(Reference):
     def outputs(self, time, parameters):
         """Plus or minus the time."""
         return (-time if parameters[0] else time,)
+
+
+class Lever(Controller):
+    """A product and an offset."""
+
+    table = (
+        parameter("k", "1", 1.0, "Factor", min=0.5),
+        parameter("offset", "1", 0.5, "Offset"),
+        input_variable("e", "1", 2.0, "Input"),
+        output("y", "1", "k e + offset", depends=("e", "k", "offset")),
+    )
+
+    def outputs(self, inputs, parameters):
+        """k e + offset."""
+        return (parameters[0] * inputs[0] + parameters[1],)
+
+
+class LeverAdaptive(Adaptive, Lever):
+    """A product whose factor is an input."""
+
+    estimated = ("k",)
+
+
+class Counter(Controller):
+    """A number and its double."""
+
+    table = (
+        parameter("n", None, 3, "Number", type="Integer", min=0),
+        output("twice", None, "2 n", depends=("n",), type="Integer"),
+        output("y", None, "n", depends=("n",)),
+    )
+
+    def outputs(self, inputs, parameters):
+        """2 n and n."""
+        return (2 * parameters[0], float(parameters[0]))
 
 
 def reference_of(model, name):
@@ -275,6 +310,94 @@ def test_a_state_of_another_model_is_refused():
         Tank(instance_name="one")._set_fmu_state(Product(instance_name="two")._get_fmu_state())
 
 
+def adaptive():
+    slave = LeverAdaptive(instance_name="one")
+    slave.setup_experiment(0.0)
+    put(slave, e=2.0, k=3.0)
+    slave.exit_initialization_mode()
+    return slave
+
+
+def set_ready(slave, is_ready):
+    slave.set_boolean([reference_of(slave, "update_ready")], [is_ready])
+
+
+def test_an_adaptive_controller_s_parameters_are_inputs_that_no_output_depends_on_directly():
+    xml = LeverAdaptive(instance_name="one").to_xml()
+    variables = {v.get("name"): v for v in xml.iter("ScalarVariable")}
+    assert [n for n, v in variables.items() if v.get("causality") == "input"] == ["e", "k", "update_ready"]
+    assert [n for n, v in variables.items() if v.get("causality") == "parameter"] == ["offset"]
+    assert variables["k"][0].attrib == {"unit": "1", "min": "0.5", "start": "1.0"}
+    assert (variables["update_ready"].get("variability"), variables["update_ready"][0].tag) == ("discrete", "Boolean")
+    index = {n: str(i) for i, n in enumerate(variables, 1)}
+    depends = {
+        tag: {u.get("index"): u.get("dependencies") for u in xml.find(f"ModelStructure/{tag}")}
+        for tag in ("Outputs", "InitialUnknowns")
+    }
+    assert depends["Outputs"] == {index["y"]: index["e"], index["k_held"]: ""}
+    every = " ".join(sorted(index[n] for n in ("e", "k", "offset")))
+    assert depends["InitialUnknowns"] == {index["y"]: every, index["k_held"]: index["k"]}
+
+
+def test_an_adaptive_controller_starts_with_its_initial_inputs_and_keeps_them_until_an_update():
+    slave = adaptive()
+    assert get(slave, "y", "k_held") == [6.5, 3.0]
+    put(slave, k=4.0)
+    slave.do_step(0.0, 0.1)
+    assert get(slave, "y", "k_held") == [6.5, 3.0]
+    set_ready(slave, True)
+    assert get(slave, "y", "k_held") == [6.5, 3.0]  # a set alone is no step
+    slave.do_step(0.1, 0.1)
+    assert get(slave, "y", "k_held") == [8.5, 4.0]
+    set_ready(slave, False)
+    put(slave, k=5.0, e=1.0)
+    slave.do_step(0.2, 0.1)
+    assert get(slave, "y", "k_held") == [4.5, 4.0]
+
+
+def test_the_state_of_an_adaptive_controller_has_what_it_keeps():
+    slave = adaptive()
+    set_ready(slave, True)
+    put(slave, k=4.0)
+    slave.do_step(0.0, 0.1)
+    saved = slave._get_fmu_state()
+    set_ready(slave, False)
+    put(slave, k=9.0)
+    other = adaptive()
+    for restored in (slave, other):
+        restored._set_fmu_state(saved)
+        assert get(restored, "y", "k_held") == [8.5, 4.0]
+        assert restored.get_boolean([reference_of(restored, "update_ready")]) == [True]
+
+
+def test_integers_are_set_and_read_as_integers_only():
+    slave = Counter(instance_name="one")
+    assert slave.get_integer([0]) == [3]
+    slave.set_integer([0], [2**31 - 1])
+    assert slave.get_integer([0, 1]) == [2**31 - 1, 2**32 - 2]
+    with pytest.raises(ValueError, match="twice, of type Integer, must not be read as Real"):
+        slave.get_real([1])
+    with pytest.raises(ValueError, match="y, of type Real, must not be read as Integer"):
+        slave.get_integer([2])
+    with pytest.raises(ValueError, match="n must not be set as Real"):
+        slave.set_real([0], [1.0])
+    with pytest.raises(ValueError, match="n must not be set as Boolean"):
+        slave.set_boolean([0], [True])
+    xml = slave.to_xml()
+    n, twice, y = xml.iter("ScalarVariable")
+    assert (n[0].tag, n[0].attrib) == ("Integer", {"min": "0", "start": "3"})
+    assert (twice[0].tag, twice[0].attrib, twice.get("variability")) == ("Integer", {}, "discrete")
+    assert (y[0].tag, y[0].attrib) == ("Real", {})  # its unit is unknown
+
+
+def test_a_start_must_be_of_its_type():
+    with pytest.raises(ValueError, match=r"'a' must start as its type, Boolean, got 1\.0"):
+        Variable(
+            name="a", unit=None, description="", causality="parameter", variability="fixed", initial="exact",
+            type="Boolean", start=1.0,
+        )  # fmt: skip
+
+
 def test_only_the_standard_library_and_pythonfmu_are_imported():
     root = Path(__file__).parents[2]
     code = """
@@ -291,5 +414,5 @@ print(json.dumps(sorted({name.split(".")[0] for name in set(sys.modules) - befor
     assert json.loads(done.stdout) == ["fmu_models"]
 
 
-def test_there_are_twelve_models():
-    assert len(NAMES) == len(set(NAMES)) == 12
+def test_there_are_sixteen_models():
+    assert len(NAMES) == len(set(NAMES)) == 16

@@ -17,6 +17,7 @@ from .errors import CosimError
 
 ROWS_PER_BATCH = 50
 SERIES, EVENTS, MANIFEST, RESULT = "series.arrow", "events.jsonl", "manifest.json", "result.json"
+ESTIMATES = "estimates.ssv"
 LATENCIES = "latencies.json"
 """Wall time of each evaluation [s], a list a macro step that had any: no two runs agree in them."""
 

@@ -28,6 +28,7 @@ from .sampling import Sampler
 from .scenario import Scenario
 from .slave import Slave, open_slave
 from .system import check_parameters, fmu_paths, plant_of, start_value, true_parameters, wire
+from .units import defined_units
 
 Progress = Callable[[float, Mapping[str, float]], None]
 """Called at each communication point with the time [s] and what the controller holds, by parameter name."""
@@ -70,7 +71,8 @@ def run(
         policy.n_episodes, latencies, wall, out, policy.n_model_calls,
     )  # fmt: skip
     if out is not None:
-        end_folder(result, out)
+        units = {k: unit for s in slaves.values() for k, unit in defined_units(s.description.unitDefinitions).items()}
+        end_folder(result, out, units)
     if status == "interrupted":
         raise KeyboardInterrupt
     return result

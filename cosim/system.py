@@ -116,7 +116,7 @@ def true_parameters(scenario: Scenario, slaves: Mapping[str, Slave]) -> dict[str
     The functions raise ScenarioError where a formula has no value.
     """
     truth: dict[str, Callable[[float], float]]
-    truth = {name: partial(_value, name, change) for name, change in scenario.change_functions().items()}
+    truth = {name: partial(value_of_change, name, change) for name, change in scenario.change_functions().items()}
     for parameter in scenario.estimation.parameters:
         reference = scenario.true_reference(parameter)
         if reference not in truth:
@@ -124,7 +124,8 @@ def true_parameters(scenario: Scenario, slaves: Mapping[str, Slave]) -> dict[str
     return truth
 
 
-def _value(name: str, change: Callable[[float], float], t: float) -> float:
+def value_of_change(name: str, change: Callable[[float], float], t: float) -> float:
+    """What a changed parameter is at t [s]. Raises ScenarioError."""
     try:
         return change(t)
     except (ArithmeticError, ValueError) as e:

@@ -8,23 +8,27 @@ if TYPE_CHECKING:
     from .errors import ModelDescriptionError as ModelDescriptionError
     from .errors import ScenarioError as ScenarioError
     from .errors import SlaveError as SlaveError
+    from .errors import SspError as SspError
     from .errors import WiringError as WiringError
     from .result import Run as Run
     from .scenario import Scenario as Scenario
     from .simulation import run as run
     from .slave import Slave as Slave
     from .slave import open_slave as open_slave
+    from .ssp.package import System as System
 
 _HOMES = {
     "CosimError": "errors",
     "ModelDescriptionError": "errors",
     "ScenarioError": "errors",
     "SlaveError": "errors",
+    "SspError": "errors",
     "WiringError": "errors",
     "Run": "result",
     "run": "simulation",
     "Scenario": "scenario",
     "Slave": "slave",
+    "System": "ssp.package",
     "open_slave": "slave",
 }
 

@@ -59,11 +59,14 @@ def _parser() -> argparse.ArgumentParser:
     build.set_defaults(command=_build)
 
     run = commands.add_parser("run", help="simulate a scenario with its controller re-tuned", allow_abbrev=False)
-    _add_scenario(run)
+    _add_scenario(run, ", an SSP package")
     run.add_argument("--estimator", default="target", help="target (default), none, true, another, or module:Class")
     run.add_argument("--seed", type=_seed, default=0, metavar="N", help="of noise and search (default: 0)")
     run.add_argument("--out", type=Path, metavar="DIR", help="run folder, absent or empty (default: runs/SCENARIO-n)")
     _add_set(run)
+    run.add_argument("--scenario", type=Path, metavar="FILE", dest="tables", help="TOML file for an SSP without one")
+    run.add_argument("--start-values", type=Path, metavar="SSV", help="start values, named component.variable")
+    run.add_argument("--ssv", type=Path, metavar="FILE", help="write the estimates there too: SSV, a new file")
     run.add_argument("--only", action="store_true", help="leave out the runs with nominal and true parameters")
     run.add_argument("--json", action="store_true", help="print one JSON object")
     run.set_defaults(command=_run)
@@ -98,6 +101,12 @@ def _parser() -> argparse.ArgumentParser:
     doctor = commands.add_parser("doctor", help="what an FMU needs here, and how to start an importer for it")
     doctor.add_argument("fmu", type=Path, metavar="FMU", help="any FMU, ours or not")
     doctor.set_defaults(command=_doctor)
+    export = commands.add_parser("export", help="a scenario's system for other tools", allow_abbrev=False)
+    _add_scenario(export)
+    export.add_argument("--ssp", type=Path, required=True, metavar="FILE", help="SSP package to write")
+    export.add_argument("--force", action="store_true", help="replace a file that differs")
+    _add_set(export)
+    export.set_defaults(command=_export)
 
     illustrate = commands.add_parser("illustrate", help="draw the one-dimensional illustration")
     illustrate.add_argument("--out", type=Path, default=Path("illustration.png"), metavar="FILE", help="PNG, new")
@@ -106,8 +115,8 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _add_scenario(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("scenario", metavar="SCENARIO", help=f"{', '.join(named_scenarios())}, or a TOML file")
+def _add_scenario(parser: argparse.ArgumentParser, also: str = "") -> None:
+    parser.add_argument("scenario", metavar="SCENARIO", help=f"{', '.join(named_scenarios())}{also}, or a TOML file")
 
 
 def _add_set(parser: argparse.ArgumentParser) -> None:
@@ -144,14 +153,24 @@ def _estimator_builder(options: argparse.Namespace) -> Callable[[Path], Mapping[
 
 def _run(options: argparse.Namespace) -> int:
     from .estimators import check_estimator
-    from .record import to_json
+    from .record import ESTIMATES, to_json, write_bytes
     from .report import ending, report
     from .scenario import Scenario
+    from .start_values import with_start_values
 
-    scenario = Scenario.load(options.scenario, dict(options.overrides))
+    is_package = options.scenario.lower().endswith(".ssp") and Path(options.scenario).is_file()
+    if is_package and not options.tables and _has_no_scenario(Path(options.scenario)):
+        return _run_plainly(options)
+    source, system = (options.tables, options.scenario) if options.tables else (options.scenario, None)
+    scenario = Scenario.load(source, dict(options.overrides), system)
+    if options.start_values:
+        scenario = with_start_values(scenario, options.start_values)
     check_estimator(options.estimator, scenario)
+    _must_be_new(options.ssv, "--ssv")
     with _new_folder(scenario.scenario.name, options.out) as folder:
         result, baselines = _simulate(scenario, options, folder)
+    if options.ssv and len(result.time):
+        write_bytes(options.ssv, (folder / ESTIMATES).read_bytes())
     if not options.only:
         from .plots import draw_run
 
@@ -159,6 +178,32 @@ def _run(options: argparse.Namespace) -> int:
     print(to_json(result.summary()) if options.json else report(result, baselines))
     if why := ending(result):
         print(f"retune: {why}", file=sys.stderr)
+        return UNFINISHED
+    return DONE
+
+
+def _has_no_scenario(package: Path) -> bool:
+    from .ssp.scenario import scenario_in
+
+    return scenario_in(package) is None
+
+
+def _run_plainly(options: argparse.Namespace) -> int:
+    """A package made elsewhere, of which nobody has said what to estimate."""
+    from .errors import SspError
+    from .record import to_json
+    from .ssp.package import System
+    from .ssp.run import report, simulate
+    from .ssp.settings import overridden
+
+    if options.ssv or options.estimator not in ("target", "none"):
+        raise SspError(f"{options.scenario} holds no scenario: nothing is estimated in it; give --scenario FILE.")
+    system, settings = overridden(System.from_ssp(options.scenario), dict(options.overrides), options.start_values)
+    with _new_folder(settings.name, options.out) as folder:
+        result = simulate(system, settings, folder)
+    print(to_json(result.summary()) if options.json else report(result))
+    if result.error:
+        print(f"retune: {result.error}; rows so far are in {folder}.", file=sys.stderr)
         return UNFINISHED
     return DONE
 
@@ -238,12 +283,36 @@ def _new_folder(name: str, out: Path | None) -> Generator[Path]:
         raise
 
 
-def _illustrate(options: argparse.Namespace) -> int:
-    from .illustrate import illustrate
+def _export(options: argparse.Namespace) -> int:
+    from .record import FolderError, write_bytes
+    from .scenario import Scenario
+    from .ssp.write import to_ssp
+
+    content = to_ssp(Scenario.load(options.scenario, dict(options.overrides)))
+    verb = "written"
+    if options.ssp.exists():
+        verb = "unchanged" if options.ssp.is_file() and options.ssp.read_bytes() == content else "replaced"
+    if verb == "replaced" and not options.force:
+        raise FolderError(f"{options.ssp} exists and differs; give --force or another --ssp.")
+    if verb != "unchanged":
+        write_bytes(options.ssp, content)
+    print(f"{options.ssp}  {verb}")
+    return DONE
+
+
+def _must_be_new(path: Path | None, option: str) -> None:
+    """Raises FolderError, before anything is computed, where a file of the user's would be lost."""
     from .record import FolderError
 
-    if options.out.exists():
-        raise FolderError(f"{options.out} exists; give --out a new file.")
+    if path is not None and (path.exists() or not path.parent.is_dir()):
+        problem = "exists" if path.exists() else "is in no folder that there is"
+        raise FolderError(f"{path} {problem}; give {option} a new file.")
+
+
+def _illustrate(options: argparse.Namespace) -> int:
+    from .illustrate import illustrate
+
+    _must_be_new(options.out, "--out")
     print(illustrate(options.out, seed=options.seed))
     return DONE
 

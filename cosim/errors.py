@@ -30,6 +30,10 @@ class ScenarioError(CosimError):
     """A scenario file is not understood."""
 
 
+class SspError(CosimError):
+    """An SSP package, or a parameter file of that standard, is not understood."""
+
+
 class SlaveError(CosimError):
     """A running FMU failed."""
 

@@ -68,6 +68,13 @@ class Instance:
         self, start: Sequence[tuple[str, str, int, Value]], start_time: float, stop_time: float | None
     ) -> None:
         """Set start values (name, type, value reference, value), go through initialization mode; times in s."""
+        self.enter_initialization(start, start_time, stop_time)
+        self.exit_initialization()
+
+    def enter_initialization(
+        self, start: Sequence[tuple[str, str, int, Value]], start_time: float, stop_time: float | None
+    ) -> None:
+        """The first half of initialize."""
         self._time = start_time
         fmu = self._fmu
         self._checked("setup_experiment", fmu.setupExperiment, None, start_time, stop_time)
@@ -77,7 +84,16 @@ class Instance:
                 references, values = zip(*of_kind, strict=True)
                 self._checked(f"set_{kind.lower()}", getattr(fmu, f"set{kind}"), references, values)
         self._checked("enter_initialization_mode", fmu.enterInitializationMode)
-        self._checked("exit_initialization_mode", fmu.exitInitializationMode)
+
+    def propagate(self, inputs: Sequence[float] | None) -> tuple[float, ...]:
+        """In initialization mode: set the inputs, where given, and get the outputs. FMI 2.0.4, section 4.2.4."""
+        if inputs is not None:
+            self._set(self._inputs, inputs)
+        return self.get()
+
+    def exit_initialization(self) -> None:
+        """The second half of initialize."""
+        self._checked("exit_initialization_mode", self._fmu.exitInitializationMode)
 
     def step(self, t: float, h: float, inputs: Sequence[float], tunables: Sequence[float] | None) -> tuple[float, ...]:
         """Set tunables (if given) and inputs, step from t to t + h [s], get the outputs, all in bound order."""

@@ -29,9 +29,13 @@ def find_fmu(fmu: str, folder: Path) -> Path:
     return path
 
 
+def cache_folder() -> Path:
+    """Where built FMUs and unpacked packages are kept."""
+    return Path(os.environ.get("FMU_RETUNE_CACHE") or user_cache_path("fmu-retune"))
+
+
 def _cached(name: str) -> Path:
-    cache = Path(os.environ.get("FMU_RETUNE_CACHE") or user_cache_path("fmu-retune"))
-    folder = cache / "fmus" / guid(name)
+    folder = cache_folder() / "fmus" / guid(name)
     path = folder / f"{name}.fmu"
     if path.is_file():
         return path

@@ -18,6 +18,9 @@ class Steppable(Protocol):
 
     def bind(self, inputs: Sequence[str], tunables: Sequence[str], outputs: Sequence[str]) -> None: ...
     def initialize(self, start: Mapping[str, Value], start_time: float, stop_time: float | None) -> None: ...
+    def enter_initialization(self, start: Mapping[str, Value], start_time: float, stop_time: float | None) -> None: ...
+    def propagate(self, inputs: Sequence[float] | None) -> Sequence[float]: ...
+    def exit_initialization(self) -> None: ...
     def get(self) -> Sequence[float]: ...
     def begin_step(self, inputs: Sequence[float], t: float, h: float, tunables: Sequence[float] | None) -> None: ...
     def end_step(self) -> Sequence[float]: ...
@@ -56,13 +59,20 @@ class Master:
         self._sources = {name: [place[source] for source in w.sources.values()] for name, w in wiring.items()}
         self._first = {name: place[f"{name}.{w.outputs[0]}"] if w.outputs else 0 for name, w in wiring.items()}
 
-    def initialize(self, start_time: float, stop_time: float) -> None:
-        """Bind and initialise every FMU, and read its outputs at start_time [s]. Raises WiringError, SlaveError."""
+    def initialize(self, start_time: float, stop_time: float, is_propagated: bool = False) -> None:
+        """Bind and initialise every FMU, and read its outputs at start_time [s]. Raises WiringError, SlaveError.
+
+        is_propagated: in initialization mode inputs take their sources' initial outputs, in as many rounds as there
+        are FMUs, as libcosim does; otherwise they keep their start values until the first step.
+        """
         for name, slave in self._slaves.items():
             w = self._wiring[name]
             slave.bind(tuple(w.sources), w.tunables, w.outputs)
         for name, slave in self._slaves.items():
-            slave.initialize(self._wiring[name].start, start_time, stop_time)
+            start = slave.enter_initialization if is_propagated else slave.initialize
+            start(self._wiring[name].start, start_time, stop_time)
+        if is_propagated:
+            self._propagate()
         for name, slave in self._slaves.items():
             self._take(name, slave.get())
 
@@ -77,6 +87,16 @@ class Master:
     def finish(self, t: float, h: float, tunables: Mapping[str, Sequence[float]]) -> None:
         """Step the last group; then its `values` belong to t + h. Raises SlaveError."""
         self._step(self._groups[-1], t, h, tunables)
+
+    def _propagate(self) -> None:
+        for name, slave in self._slaves.items():
+            self._take(name, slave.propagate(None))
+        for _ in self._slaves:
+            inputs = {name: [self.values[i] for i in sources] for name, sources in self._sources.items()}
+            for name, slave in self._slaves.items():
+                self._take(name, slave.propagate(inputs[name]))
+        for slave in self._slaves.values():
+            slave.exit_initialization()
 
     def _step(self, group: Sequence[str], t: float, h: float, tunables: Mapping[str, Sequence[float]]) -> None:
         values = self.values

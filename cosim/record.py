@@ -23,6 +23,7 @@ ROWS_PER_BATCH = 50
 ROWS_AT_ONCE = 10_000
 """Turned into text together: a Python float takes four times the memory of NumPy's."""
 SERIES, EVENTS, MANIFEST, RESULT = "series.arrow", "events.jsonl", "manifest.json", "result.json"
+ESTIMATES = "estimates.ssv"
 LATENCIES = "latencies.json"
 """Wall time of each evaluation [s], a list a macro step that had any: no two runs agree in them."""
 

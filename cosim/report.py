@@ -32,7 +32,7 @@ def _errors(runs: Sequence[Run]) -> list[str]:
         role = _ROLES.get(run.estimator, f"re-tuned by {run.estimator}")
         ending = f"{run.status} at {run.time[-1]:g} s" if run.status != "done" and len(run.time) else ""
         rows.append([role, *(f"{e:.4g}" for e in run.mse), f"{run.max_error:.4g} {ending}".strip()])
-    return _aligned(rows)
+    return aligned(rows)
 
 
 def _parameters(run: Run) -> list[str]:
@@ -47,7 +47,7 @@ def _parameters(run: Run) -> list[str]:
     for i, parameter in enumerate(columns[0]):
         values = [f"{c[i]['true']:.4g} / {c[i]['estimated']:.4g}" for c in columns]
         rows.append([f"{parameter['name']} [{parameter['unit']}]", *values])
-    return _aligned(rows)
+    return aligned(rows)
 
 
 def _latency(run: Run) -> list[str]:
@@ -74,7 +74,7 @@ def ending(run: Run) -> str | None:
     return f"{reason}; rows {until}are in {run.folder}." if run.folder else f"{reason}."
 
 
-def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
     """Rows as a table: the first column to the left, the others to the right."""
     widths = np.max([[len(cell) for cell in row] for row in rows], axis=0)
     return [

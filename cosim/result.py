@@ -14,6 +14,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from .errors import one_line
 from .record import (
+    ESTIMATES,
     LATENCIES,
     MANIFEST,
     RESULT,
@@ -28,6 +29,7 @@ from .record import (
 from .scenario import Scenario
 from .ssv import ParameterValue, to_ssv
 from .system import Plant
+from .units import Unit
 
 Status = Literal["done", "diverged", "faulted", "interrupted"]
 Series = NDArray[np.float64]
@@ -166,14 +168,16 @@ def begin_folder(
     write_json(folder / MANIFEST, content)
 
 
-def end_folder(run: Run, folder: Path) -> None:
-    """Write result, estimates and CSV of a finished run, and close its manifest with the hashes."""
+def end_folder(run: Run, folder: Path, units: Mapping[str, Unit]) -> None:
+    """Write result, estimates and CSV of a finished run, and close its manifest with the hashes.
+
+    units: what the controllers' FMUs say of their units, by name.
+    """
     write_json(folder / RESULT, run.summary())
     write_text(folder / LATENCIES, to_json(run.latencies) + "\n")
     if len(run.time):
-        held = run.parameters_at(float(run.time[-1]))
-        values = [ParameterValue(p["name"], p["estimated"]) for p in held]
-        write_text(folder / "estimates.ssv", to_ssv(run.scenario.scenario.name, values))
+        held = [ParameterValue(p.writes, float(run[p.writes][-1]), p.unit) for p in run.scenario.estimation.parameters]
+        write_text(folder / ESTIMATES, to_ssv(run.scenario.scenario.name, held, units))
     write_csv(folder / "series.csv", run.series)
     manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
     hashes = {path.name: sha256(path) for path in sorted(folder.iterdir()) if path.is_file() and path.name != MANIFEST}

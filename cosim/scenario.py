@@ -57,25 +57,40 @@ class Scenario(Table):
     """Where relative paths of FMUs begin."""
 
     @classmethod
-    def load(cls, source: str | Path, overrides: Mapping[str, str] | None = None) -> "Scenario":
-        """The named scenario, or that of a TOML file, with `key.path = value` overrides.
+    def load(
+        cls, source: str | Path, overrides: Mapping[str, str] | None = None, system: str | Path | None = None
+    ) -> "Scenario":
+        """The named scenario, that of a TOML file or that in an SSP package, with `key.path = value` overrides.
 
-        Raises ScenarioError, one line with file, key and rule.
+        system: an SSP package whose components, connections and start values take the place of the file's.
+        Raises ScenarioError, one line with file, key and rule; SspError, ModelDescriptionError for a bad package.
         """
-        path = _find(source)
+        path = label = _find(source)
+        if path.suffix.lower() == ".ssp":
+            from .ssp.scenario import scenario_in  # here and below: most scenarios come without a package
+
+            system, found = path, scenario_in(path)
+            if found is None:
+                raise ScenarioError(f"{path} holds no scenario: it can be simulated, but nothing in it is re-tuned.")
+            path = found
         try:
             tree = tomllib.loads(path.read_text(encoding="utf-8"))
         except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as e:
             reason = e.strerror if isinstance(e, OSError) else e
-            raise ScenarioError(f"{path}: not a readable TOML file: {reason}.") from e
+            raise ScenarioError(f"{label}: not a readable TOML file: {reason}.") from e
+        if system is not None:
+            from .ssp.package import System
+            from .ssp.scenario import with_system
+
+            tree = with_system(tree, System.from_ssp(system))
         for key, value in (overrides or {}).items():
-            _override(tree, key, value)
+            override(tree, key, value)
         if "folder" in tree:
-            raise ScenarioError(f"{path}: folder: unknown key.")
+            raise ScenarioError(f"{label}: folder: unknown key.")
         try:
             return cls.model_validate(tree | {"folder": path.parent})
         except ValidationError as e:
-            raise ScenarioError(f"{path}: {one_line(_first_error(e))}") from e
+            raise ScenarioError(f"{label}: {one_line(first_error(e))}") from e
 
     @property
     def plant(self) -> str:
@@ -125,7 +140,7 @@ def _find(source: str | Path) -> Path:
     )
 
 
-def _override(tree: dict[str, Any], key: str, text: str) -> None:
+def override(tree: dict[str, Any], key: str, text: str) -> None:
     """Put `key = text` into the tree; both are written as in TOML, but a bare text is a string too."""
     path = _key_path(key)
     for name in path[:-1]:
@@ -159,7 +174,7 @@ def _value(text: str) -> Any:
     return tree["value"] if len(tree) == 1 else text
 
 
-def _first_error(error: ValidationError) -> str:
+def first_error(error: ValidationError) -> str:
     """Key and rule of the first error, in one line."""
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"] if part != "[key]")

@@ -29,6 +29,7 @@ from .sampling import Sampler
 from .scenario import Scenario
 from .slave import Slave, open_slave
 from .system import check_parameters, fmu_paths, plant_of, start_value, true_parameters, wire
+from .units import defined_units
 
 Progress = Callable[[float, Mapping[str, float]], None]
 """Called at each communication point with the time [s] and what the controller holds, by parameter name."""
@@ -72,7 +73,8 @@ def run(
                 policy.n_episodes, loop.latencies, wall, out, policy.n_model_calls,
             )  # fmt: skip
             if out is not None:
-                end_folder(result, out)
+                declared = [s.description.unitDefinitions for s in slaves.values()]
+                end_folder(result, out, {k: u for d in declared for k, u in defined_units(d).items()})
     if status == "interrupted":
         raise KeyboardInterrupt
     return result

@@ -110,6 +110,26 @@ class Slave:
         self._time = start_time
         self._values = None
 
+    def enter_initialization(
+        self, start: Mapping[str, Value], start_time: float = 0.0, stop_time: float | None = None
+    ) -> None:
+        """As initialize, but stay in initialization mode, for propagate and exit_initialization."""
+        values = [self._start_value(name, value, start_time) for name, value in start.items()]
+        self._guarded(self._home.call, "enter_initialization", start_time, values, start_time, stop_time)
+        self._time = start_time
+
+    def propagate(self, inputs: Sequence[float] | None) -> tuple[float, ...]:
+        """The bound outputs in initialization mode, after setting the inputs unless they are None.
+
+        On the way to consistent values ranges are not looked at. Raises SlaveError.
+        """
+        return tuple(self._guarded(self._home.call, "propagate", self._time, inputs))
+
+    def exit_initialization(self) -> None:
+        """Leave initialization mode. Raises SlaveError."""
+        self._guarded(self._home.call, "exit_initialization", self._time)
+        self._values = None
+
     def get(self) -> tuple[float, ...]:
         """The bound outputs at the present communication point. Raises SlaveError."""
         self._must_be_usable()

@@ -119,7 +119,7 @@ def true_parameters(scenario: Scenario, slaves: Mapping[str, Described]) -> dict
     The functions raise ScenarioError where a formula has no value.
     """
     truth: dict[str, Callable[[float], float]]
-    truth = {name: partial(_value, name, change) for name, change in scenario.change_functions().items()}
+    truth = {name: partial(value_of_change, name, change) for name, change in scenario.change_functions().items()}
     for parameter in scenario.estimation.parameters:
         reference = scenario.true_reference(parameter)
         if reference not in truth:
@@ -127,7 +127,8 @@ def true_parameters(scenario: Scenario, slaves: Mapping[str, Described]) -> dict
     return truth
 
 
-def _value(name: str, change: Callable[[float], float], t: float) -> float:
+def value_of_change(name: str, change: Callable[[float], float], t: float) -> float:
+    """What a changed parameter is at t [s]. Raises ScenarioError."""
     try:
         return change(t)
     except (ArithmeticError, ValueError) as e:

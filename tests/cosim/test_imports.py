@@ -13,8 +13,8 @@ import pytest
 import cosim
 
 PUBLIC = [
-    "CosimError", "ModelDescriptionError", "Run", "Scenario", "ScenarioError", "Slave", "SlaveError", "WiringError",
-    "open_slave", "run",
+    "CosimError", "ModelDescriptionError", "Run", "Scenario", "ScenarioError", "Slave", "SlaveError", "SspError",
+    "System", "WiringError", "open_slave", "run",
 ]  # fmt: skip
 WORKSHOP = {"cosim", "estimator", "fmu_models"}
 
@@ -26,7 +26,8 @@ def loaded_by(program):
 
 
 def sources(package):
-    return {p.name: p.read_text(encoding="utf-8") for p in files(package).iterdir() if p.name.endswith(".py")}
+    folder = Path(str(files(package)))
+    return {p.relative_to(folder).as_posix(): p.read_text(encoding="utf-8") for p in folder.rglob("*.py")}
 
 
 def imported(source):
@@ -94,7 +95,7 @@ def test_only_the_co_simulation_joins_the_packages():
 
 def test_only_the_modules_of_one_fmu_import_fmpy():
     users = {name.removesuffix(".py") for name, modules in imports_of("cosim").items() if "fmpy" in modules}
-    assert users <= {"slave", "instance", "worker", "archive", "fmu_log", "ports", "doctor"}
+    assert users <= {"slave", "instance", "worker", "archive", "component", "fmu_log", "ports", "doctor"}
     assert "fmpy" in set().union(*imports_of("cosim").values())
     for package in ("estimator", "fmu_models"):
         assert all("fmpy" not in modules for modules in imports_of(package).values())
@@ -109,7 +110,7 @@ def test_the_master_and_the_loop_know_no_fmu_library():
 @pytest.mark.parametrize("package", sorted(WORKSHOP))
 def test_every_third_party_import_is_a_declared_dependency(package):
     pyproject = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))
-    declared = {d.partition(">")[0].strip() for d in pyproject["project"]["dependencies"]} | {
+    declared = {d.partition(">")[0].strip().replace("-", "_") for d in pyproject["project"]["dependencies"]} | {
         "pandas",
         "cyipopt",
         "elftools",  # pyelftools

@@ -154,6 +154,46 @@ def test_parallel_coupling_steps_all_at_once_with_the_controllers_output_of_the_
     ]
 
 
+class InInitializationMode(Stub):
+    """A memoryless slave that can be read before it is initialised: outputs = step(inputs)."""
+
+    def enter_initialization(self, start, start_time, stop_time):
+        self._note("enter")
+
+    def propagate(self, inputs):
+        self._note(f"propagate({text(inputs)})")
+        if inputs is not None:
+            self._outputs = self._function(inputs, 0.0, 0.0, None)
+        return self._outputs
+
+    def exit_initialization(self):
+        self._note("exit")
+
+
+def test_initial_outputs_reach_the_end_of_the_longest_chain_within_initialization_mode():
+    calls = []
+    slaves = {
+        "end": InInitializationMode("end", calls, [0.0], lambda u, t, h, p: [u[0] + 1.0]),
+        "middle": InInitializationMode("middle", calls, [0.0], lambda u, t, h, p: [2.0 * u[0]]),
+        "begin": InInitializationMode("begin", calls, [5.0], lambda u, t, h, p: [5.0]),
+    }
+    wiring = {
+        "end": Wiring({"u": "middle.y"}, (), ("y",), {}),
+        "middle": Wiring({"u": "begin.y"}, (), ("y",), {}),
+        "begin": Wiring({}, (), ("y",), {}),
+    }
+    master = Master(slaves, wiring, [list(slaves)])
+    master.initialize(0.0, 1.0, is_propagated=True)
+    assert master.values == [11.0, 10.0, 5.0]
+    assert calls[3:9] == [
+        "end.enter", "middle.enter", "begin.enter", "end.propagate(None)", "middle.propagate(None)",
+        "begin.propagate(None)",
+    ]  # fmt: skip
+    assert calls[9:12] == ["end.propagate([0])", "middle.propagate([5])", "begin.propagate([])"]
+    assert calls[12:15] == ["end.propagate([10])", "middle.propagate([5])", "begin.propagate([])"]
+    assert calls[-6:] == ["end.exit", "middle.exit", "begin.exit", "end.get()", "middle.get()", "begin.get()"]
+
+
 def test_the_inputs_of_the_last_step_are_kept_by_name():
     master = loop(SEQUENTIAL, [])
     master.initialize(0.0, 10.0)

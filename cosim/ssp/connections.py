@@ -1,0 +1,165 @@
+"""From the connections of nested systems to those between FMUs, units converted on the way."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+from xml.etree.ElementTree import Element
+
+from ..errors import SspError, one_line
+from ..names import did_you_mean
+from ..units import IDENTITY, Linear, Unit, conversion
+from .tree import Connector, Node
+from .xml import attribute, number
+
+_PARAMETERS = ("parameter", "structuralParameter")
+_GIVES = ("output", "calculatedParameter", "inout")
+_TAKES = ("input", *_PARAMETERS, "inout")
+
+
+class End(NamedTuple):
+    """One end of a connection."""
+
+    element: str
+    """Hierarchical name; empty for the top system."""
+    connector: str
+    """Its connector."""
+
+    def __str__(self) -> str:
+        return f"{self.element}.{self.connector}" if self.element else self.connector
+
+
+class Connection(NamedTuple):
+    """An input of an FMU, and what it is set to."""
+
+    source: End
+    """An output of an FMU."""
+    target: End
+    """An input of an FMU."""
+    transform: Linear
+    """From the source's number to the target's."""
+
+
+class Wiring(NamedTuple):
+    """What a structure's connections come to."""
+
+    connections: tuple[Connection, ...]
+    """Between FMUs, in the file's order of inputs."""
+    inherited: Mapping[End, Connection]
+    """Variables of FMUs whose value is that of a system's connector (`source`), by variable."""
+
+
+@dataclass(frozen=True)
+class _Edge:
+    source: End
+    transformation: Linear
+    is_converted: bool
+
+
+def connect(top: Node, where: str) -> Wiring:
+    """Every connection to an FMU, followed through the systems' connectors. Raises SspError."""
+    edges: dict[End, _Edge] = {}
+    kinds: dict[End, Connector] = {}
+    is_component: dict[str, bool] = {}
+    for node in _nodes(top):
+        is_component[node.name] = node.component is not None
+        kinds |= {End(node.name, name): connector for name, connector in node.connectors.items()}
+        for element in node.element.findall("Connections/Connection"):
+            target, edge = _edge(node, element, where)
+            if target in edges:
+                raise SspError(f"{where}: two connections lead to '{target}'.")
+            edges[target] = edge
+    connections: list[Connection] = []
+    inherited: dict[End, Connection] = {}
+    for target in edges:
+        if not is_component[target.element]:
+            continue
+        source, transform, _ = _follow(target, edges, kinds, is_component, where)
+        if not is_component[source.element]:
+            inherited[target] = Connection(source, target, transform)
+        elif kinds[target].kind in _PARAMETERS:
+            raise SspError(f"{where}: '{source}' leads to the parameter '{target}', not to an input.")
+        else:
+            connections.append(Connection(source, target, transform))
+    return Wiring(tuple(connections), inherited)
+
+
+def _nodes(node: Node) -> Iterator[Node]:
+    yield node
+    for child in node.children.values():
+        yield from _nodes(child)
+
+
+def _edge(system: Node, element: Element, where: str) -> tuple[End, _Edge]:
+    """Where a connection leads, and from where: the standard names a start and an end, some tools swap them."""
+    place = f"{where}: connection {' -> '.join(_written(element, side) for side in ('start', 'end'))}"
+    (start, start_gives, start_takes), (end, end_gives, end_takes) = (
+        _end(system, element, side, place) for side in ("start", "end")
+    )
+    if start_gives and end_takes:
+        source, target = start, end
+    elif end_gives and start_takes:
+        source, target = end, start
+    else:
+        raise SspError(f"{place} must join an output to an input.")
+    is_converted = element.get("suppressUnitConversion", "false") not in ("true", "1")
+    return target, _Edge(source, transformation(element, place), is_converted)
+
+
+def _end(system: Node, element: Element, side: str, place: str) -> tuple[End, bool, bool]:
+    """One end, whether it can give a value within the system, and whether it can take one."""
+    name, connector = element.get(f"{side}Element"), attribute(element, f"{side}Connector", place)
+    node = system
+    if name:
+        if name not in system.children:
+            raise SspError(f"{place}: no element '{one_line(name)}'{did_you_mean(name, system.children) or '.'}")
+        node = system.children[name]
+    if connector not in node.connectors:
+        hint = did_you_mean(connector, node.connectors) or "."
+        raise SspError(f"{place}: no connector '{one_line(connector)}' of '{node.name or 'the system'}'{hint}")
+    kind = node.connectors[connector].kind
+    gives, takes = kind in _GIVES, kind in _TAKES
+    return (End(node.name, connector), gives, takes) if name else (End(node.name, connector), takes, gives)
+
+
+def _written(element: Element, side: str) -> str:
+    parts = (element.get(f"{side}Element"), element.get(f"{side}Connector"))
+    return one_line(".".join(part for part in parts if part))
+
+
+def transformation(element: Element, place: str) -> Linear:
+    """The linear transformation in an element, the only kind that is supported. Raises SspError."""
+    for child in element:
+        if child.tag == "LinearTransformation":
+            factor, offset = number(child, "factor", place, 1.0), number(child, "offset", place, 0.0)
+            return Linear(1.0 if factor is None else factor, offset or 0.0)
+        if child.tag.endswith("Transformation"):
+            raise SspError(f"{place}: a {child.tag} is not supported, only a LinearTransformation.")
+    return IDENTITY
+
+
+def _follow(
+    target: End,
+    edges: Mapping[End, _Edge],
+    kinds: Mapping[End, Connector],
+    is_component: Mapping[str, bool],
+    where: str,
+) -> tuple[End, Linear, Unit | None]:
+    """Back to where a value comes from: a component, or a system's connector that nothing leads to.
+
+    Returns it, the transformation on the way, and the unit in which it arrives.
+    """
+    way = [target]
+    while way[-1] in edges and (way[-1] == target or not is_component[way[-1].element]):
+        source = edges[way[-1]].source
+        if source in way:
+            raise SspError(f"{where}: the connections of '{source}' go round in a circle.")
+        way.append(source)
+    unit, total = kinds[way[-1]].unit, IDENTITY
+    for end in reversed(way[:-1]):
+        edge, own = edges[end], kinds[end].unit
+        try:
+            total = total.then(conversion(unit, own) if edge.is_converted else IDENTITY).then(edge.transformation)
+        except ValueError as e:
+            raise SspError(f"{where}: connection {edge.source} -> {end}: {e}.") from e
+        unit = own or unit
+    return way[-1], total, unit

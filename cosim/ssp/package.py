@@ -1,0 +1,136 @@
+"""Systems of FMUs as SSP packages describe them: System Structure and Parameterization, versions 1.0 and 2.0."""
+
+import hashlib
+import os
+import shutil
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+from xml.etree.ElementTree import Element
+
+from ..archive import unpack
+from ..block import Value
+from ..component import Component
+from ..errors import SspError
+from ..library import cache_folder
+from .connections import Connection, connect
+from .parameters import start_values
+from .tree import TreeReader
+from .xml import attribute, defined_in, number, parse
+
+if TYPE_CHECKING:
+    from .run import SystemRun
+
+STRUCTURE = "SystemStructure.ssd"
+"""The file of a package that says which components there are and how they are joined."""
+
+
+@dataclass(frozen=True)
+class System:
+    """FMUs, how they are joined, and their start values. Systems within it are dissolved: `inner.plant` is a component.
+
+    System.from_ssp(Path("drive.ssp")).simulate(stop_time=10.0, step_size=0.01)["plant.phi"]
+    """
+
+    name: str
+    """As the package says."""
+    folder: Path
+    """The unpacked package."""
+    components: Mapping[str, Component]
+    """The FMUs by instance name."""
+    connections: tuple[Connection, ...]
+    """Every input that is connected, and to what."""
+    start: Mapping[str, Mapping[str, Value]]
+    """Start values by component and variable, in the variable's unit."""
+    start_time: float = 0.0
+    """[s]"""
+    stop_time: float | None = None
+    """Of the default experiment [s]; None where the package says nothing."""
+    step_size: float | None = None
+    """Distance of communication points [s]: the package's, else the smallest of the FMUs' default experiments."""
+    ignored: tuple[str, ...] = ()
+    """Parameters that no component has. The standard wants them passed over."""
+
+    @classmethod
+    def from_ssp(cls, path: str | Path) -> "System":
+        """The system of an SSP package, which is unpacked into the user's cache.
+
+        Raises SspError, ModelDescriptionError: one line with the file, the place in it and the rule.
+        """
+        return _read(Path(path))
+
+    def simulate(
+        self, stop_time: float | None = None, step_size: float | None = None, out: Path | None = None
+    ) -> "SystemRun":
+        """Step all FMUs in parallel, with no estimator, and record their outputs. Times in s.
+
+        Raises SspError where neither the package nor the arguments say how long and in what steps, WiringError.
+        """
+        from .run import simulate
+        from .settings import settings_of
+
+        given = {"stop_time": stop_time, "macro_step": step_size}
+        return simulate(self, settings_of(self, {k: v for k, v in given.items() if v is not None}), out)
+
+
+def unpacked(path: Path) -> Path:
+    """The folder of an unpacked package, kept in the user's cache under its content's hash.
+
+    Raises SspError, ModelDescriptionError for an archive that cannot be read or would write outside its folder.
+    """
+    try:
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        cache = cache_folder() / "ssp"
+        folder = cache / digest
+        if folder.is_dir():
+            return folder
+        cache.mkdir(parents=True, exist_ok=True)
+        stage = Path(tempfile.mkdtemp(dir=cache, prefix=".unpacking-"))
+    except OSError as e:
+        raise SspError(f"{path} cannot be unpacked: {e.strerror or e}.") from e
+    try:
+        unpack(path, str(stage))
+        os.rename(stage, folder)
+    except OSError as e:
+        if not folder.is_dir():  # another process has been faster
+            raise SspError(f"{path} cannot be unpacked: {e.strerror or e}.") from e
+    finally:
+        shutil.rmtree(stage, ignore_errors=True)
+    return folder
+
+
+def _read(path: Path) -> System:
+    folder = unpacked(path)
+    file, where = folder / STRUCTURE, f"{path}: {STRUCTURE}"
+    if not file.is_file():
+        raise SspError(f"{path} has no {STRUCTURE}.")
+    root = parse(file.read_bytes(), where, "SystemStructureDescription")
+    element = root.find("System")
+    if element is None:
+        raise SspError(f"{where} has no System.")
+    units = defined_in(root, where)
+    top = TreeReader(folder, units, where).system(element)
+    wiring = connect(top, where)
+    start, ignored = start_values(top, wiring, folder, units, where)
+    components = dict(top.components())
+    if not components:
+        raise SspError(f"{where} has no components.")
+    name = attribute(root, "name", where)
+    return System(name, folder, components, wiring.connections, start, *_experiment(root, components, where), ignored)
+
+
+def _experiment(
+    root: Element, components: Mapping[str, Component], where: str
+) -> tuple[float, float | None, float | None]:
+    """Start and stop time and step size [s]."""
+    element = root.find("DefaultExperiment")
+    if element is None:
+        element = Element("DefaultExperiment")
+    steps = [float(e.stepSize) for c in components.values() if (e := c.description.defaultExperiment) and e.stepSize]
+    step = min(steps, default=None)
+    for annotated in element.iter():
+        if annotated.tag.endswith("}FixedStepAlgorithm"):  # libcosim's annotation: SSP itself says nothing of steps
+            step = number(annotated, "baseStepSize", where, step)
+    return number(element, "startTime", where, 0.0) or 0.0, number(element, "stopTime", where), step

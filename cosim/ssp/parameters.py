@@ -1,0 +1,158 @@
+"""From the parameter bindings of a system structure to start values of its FMUs. SSP 1.0, section 5.4.1.3."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree.ElementTree import Element
+
+from ..block import Value
+from ..component import Component
+from ..errors import SspError
+from ..ssv import ParameterSet, ParameterValue, parameter_set
+from ..units import IDENTITY, Linear, Unit, conversion
+from .connections import End, Wiring, transformation
+from .tree import Node, resource
+from .xml import attribute, check, parse
+
+
+class _Bound(NamedTuple):
+    """A value on its way to a variable."""
+
+    value: Value
+    unit: Unit | None
+    transformation: Linear
+    where: str
+
+
+@dataclass
+class _Found:
+    """What has been bound so far; what is bound later, higher up, takes its place."""
+
+    variables: dict[End, _Bound] = field(default_factory=dict[End, _Bound])
+    connectors: dict[End, _Bound] = field(default_factory=dict[End, _Bound])
+    ignored: list[str] = field(default_factory=list[str])
+
+
+def start_values(
+    top: Node, wiring: Wiring, folder: Path, units: Mapping[str, Unit], where: str
+) -> tuple[dict[str, dict[str, Value]], tuple[str, ...]]:
+    """Start values by component and variable, in the variable's unit; and the names that no component has.
+
+    Bindings of a system come before those of what is in it, and later ones before earlier ones. Raises SspError.
+    """
+    found = _Found()
+    _collect(top, found, folder, units, where)
+    components = dict(top.components())
+    start: dict[str, dict[str, Value]] = {name: {} for name in components}
+    for (name, variable), bound in found.variables.items():
+        start[name][variable] = _value(bound, components[name], name, variable, IDENTITY)
+    for (name, variable), way in wiring.inherited.items():
+        if way.source in found.connectors:
+            bound = found.connectors[way.source]
+            start[name][variable] = _value(bound, components[name], name, variable, way.transform)
+    return start, tuple(dict.fromkeys(found.ignored))
+
+
+def variable_value(parameters: ParameterSet, given: ParameterValue, target: End, component: Component) -> Value:
+    """A parameter of a set as the start value of a component's variable, converted to its unit. Raises SspError."""
+    bound = _Bound(given.value, _unit(parameters, given.unit), IDENTITY, parameters.where)
+    return _value(bound, component, target.element, target.connector, IDENTITY)
+
+
+def _collect(node: Node, found: _Found, folder: Path, units: Mapping[str, Unit], where: str) -> None:
+    for child in node.children.values():
+        _collect(child, found, folder, units, where)
+    for binding in node.element.findall("ParameterBindings/ParameterBinding"):
+        for name, bound in _bound_in(binding, folder, units, f"{where}: parameter binding of '{node.name}'"):
+            _place(node, name, bound, found)
+
+
+def _place(node: Node, name: str, bound: _Bound, found: _Found) -> None:
+    """Put a value where its hierarchical name leads from an element."""
+    if node.component is not None:
+        if name in node.component.variables:
+            found.variables[End(node.name, name)] = bound
+        else:
+            found.ignored.append(str(End(node.name, name)))
+    elif name in node.connectors:
+        unit = node.connectors[name].unit
+        converted = _in_unit(bound, unit, f"{node.name}.{name}")
+        # The way from a connector with a unit to the variable converts from that unit.
+        found.connectors[End(node.name, name)] = converted if unit is None else converted._replace(unit=None)
+    else:
+        fits = [own for own in node.children if name.startswith(f"{own}.")]
+        if fits:
+            own = max(fits, key=len)
+            _place(node.children[own], name[len(own) + 1 :], bound, found)
+        else:
+            found.ignored.append(str(End(node.name, name)))
+
+
+def _bound_in(binding: Element, folder: Path, units: Mapping[str, Unit], place: str) -> Iterator[tuple[str, _Bound]]:
+    """Names, as seen from the element, and values of one binding."""
+    parameters = _parameters_of(binding, folder, units, place)
+    prefix = binding.get("prefix", "")
+    given = {prefix + p.name: _Bound(p.value, _unit(parameters, p.unit), IDENTITY, parameters.where)
+             for p in parameters.values}  # fmt: skip
+    mapping = binding.find("ParameterMapping")
+    if mapping is None:
+        yield from given.items()
+        return
+    content = _content(mapping, "ParameterMapping", folder, place)
+    for entry in content.findall("MappingEntry"):
+        source, target = attribute(entry, "source", place), attribute(entry, "target", place)
+        if source in given:
+            is_converted = entry.get("suppressUnitConversion", "false") not in ("true", "1")
+            unit = given[source].unit if is_converted else None
+            linear = transformation(entry, f"{place}: mapping of '{source}'")
+            yield target, given[source]._replace(unit=unit, transformation=linear)
+
+
+def _parameters_of(binding: Element, folder: Path, units: Mapping[str, Unit], place: str) -> ParameterSet:
+    kind = binding.get("type", "application/x-ssp-parameter-set")
+    if kind != "application/x-ssp-parameter-set":
+        raise SspError(f"{place} is of type {kind}, not application/x-ssp-parameter-set.")
+    inline = binding.find("ParameterValues")
+    root = _content(binding if inline is None else inline, "ParameterSet", folder, place)
+    return parameter_set(
+        root, f"{place}: {binding.get('source') or 'inline values'}", units if inline is not None else None
+    )
+
+
+def _content(element: Element, kind: str, folder: Path, place: str) -> Element:
+    """The parameter set or mapping that an element holds, or that is in the file it names. Raises SspError."""
+    inline = element.find(kind)
+    if inline is not None:
+        return check(inline, place, kind)
+    if element.get("sourceBase", "SSD") != "SSD":
+        raise SspError(f"{place}: sources within a component are not supported.")
+    source = attribute(element, "source", place)
+    return parse(resource(folder, source, place).read_bytes(), f"{place}: {source}", kind)
+
+
+def _unit(parameters: ParameterSet, name: str | None) -> Unit | None:
+    return parameters.units.get(name, Unit(name)) if name else None
+
+
+def _value(bound: _Bound, component: Component, name: str, variable: str, way: Linear) -> Value:
+    """The value in the variable's unit and of its type. Raises SspError."""
+    value, v = bound.value, component.variables[variable]
+    if isinstance(value, str) and v.type == "Enumeration" and v.declaredType is not None:
+        items = {item.name: int(item.value or 0) for item in v.declaredType.items}
+        if value not in items:
+            raise SspError(f"{bound.where}: '{value}' is no item of the enumeration '{name}.{variable}'.")
+        return items[value]
+    value = _in_unit(bound, component.unit(variable), f"{name}.{variable}").value
+    return value if isinstance(value, str | bool) or way == IDENTITY else way(value)
+
+
+def _in_unit(bound: _Bound, unit: Unit | None, name: str) -> _Bound:
+    """The number in another unit, transformed; as it is where either unit is not given. Raises SspError."""
+    try:
+        convert = conversion(bound.unit, unit).then(bound.transformation)
+    except ValueError as e:
+        raise SspError(f"{bound.where}: parameter '{name.removeprefix('.')}': {e}.") from e
+    if convert == IDENTITY or isinstance(bound.value, str | bool):
+        return bound._replace(unit=unit or bound.unit, transformation=IDENTITY)
+    return _Bound(convert(bound.value), unit or bound.unit, IDENTITY, bound.where)

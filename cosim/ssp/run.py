@@ -1,0 +1,199 @@
+"""Simulates a system plainly: all FMUs step in parallel, nothing is estimated, every output is recorded.
+
+At t_k, at the start too, every input takes its source's output at t_k, then all FMUs step: libcosim's default.
+"""
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from time import perf_counter
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..block import Value
+from ..errors import SlaveError, WiringError
+from ..master import Master, Wiring
+from ..record import MANIFEST, RESULT, Recorder, sha256, write_csv, write_json
+from ..report import aligned
+from ..schema import Settings
+from ..slave import Slave, open_slave
+from ..units import IDENTITY, Linear
+from .package import System
+
+
+@dataclass(frozen=True)
+class SystemRun:
+    """A finished simulation of a system. `run["plant.phi"]` is that output's series."""
+
+    system: System
+    """What was simulated."""
+    settings: Settings
+    """Times and steps."""
+    series: Mapping[str, NDArray[np.float64]]
+    """Every output (n,), a value a communication point."""
+    status: Literal["done", "faulted", "interrupted"]
+    """How it ended."""
+    error: str | None
+    """Why it faulted, in one line."""
+    wall: float
+    """Wall time [s]."""
+    folder: Path | None
+    """Run folder, where there is one."""
+
+    @property
+    def time(self) -> NDArray[np.float64]:
+        """Communication points [s] (n,)."""
+        return self.series["time"]
+
+    def __getitem__(self, name: str) -> NDArray[np.float64]:
+        """An output's series (n,), by `component.variable`. Raises KeyError."""
+        return self.series[name]
+
+    def summary(self) -> dict[str, Any]:
+        """The run's figures as JSON values."""
+        outputs = {name: s for name, s in self.series.items() if name != "time" and len(s)}
+        figures = {
+            name: {"first": float(s[0]), "last": float(s[-1]), "min": float(s.min()), "max": float(s.max())}
+            for name, s in outputs.items()
+        }
+        return {
+            "system": self.system.name, "stop_time": float(self.time[-1]) if len(self.time) else None,
+            "macro_step": self.settings.macro_step, "outputs": figures, "wall_s": self.wall, "status": self.status,
+            "error": self.error, "run": str(self.folder) if self.folder else None,
+        }  # fmt: skip
+
+
+def simulate(system: System, settings: Settings, out: Path | None = None) -> SystemRun:
+    """Simulate the system; with `out`, an existing empty folder, everything is recorded there.
+
+    A fault of an FMU ends the run with status `faulted`: the rows so far are kept. Raises WiringError,
+    ModelDescriptionError before any step; KeyboardInterrupt when interrupted, the rows so far recorded.
+    """
+    begun = perf_counter()
+    with ExitStack() as stack:
+        slaves = {
+            name: stack.enter_context(
+                open_slave(component.fmu, name, isolation=settings.isolation, timeout=settings.timeout)
+            )
+            for name, component in system.components.items()
+        }
+        wiring = wiring_of(system, slaves)
+        transforms = _transforms(system)
+        steppable = {name: _Transformed(s, transforms[name]) if transforms[name] else s for name, s in slaves.items()}
+        master = Master(steppable, wiring, [list(slaves)])  # type: ignore[arg-type]
+        fault = _initialize(master, settings)
+        if out is not None:
+            write_json(out / MANIFEST, _manifest(system, settings, "running"))
+        recorder = Recorder(out, ("time", *master.names))
+        status, error = ("faulted", fault) if fault else _execute(master, settings, recorder)
+        result = SystemRun(system, settings, recorder.close(), status, error, perf_counter() - begun, out)
+    if out is not None:
+        write_json(out / RESULT, result.summary())
+        write_csv(out / "series.csv", result.series)
+        write_json(out / MANIFEST, _manifest(system, settings, status))
+    if status == "interrupted":
+        raise KeyboardInterrupt
+    return result
+
+
+class _Transformed:
+    """A slave whose inputs are converted on their way in."""
+
+    def __init__(self, slave: Slave, transforms: Mapping[str, Linear]) -> None:
+        self._slave, self._transforms = slave, transforms
+        self.initialize, self.get, self.end_step = slave.initialize, slave.get, slave.end_step
+        self.enter_initialization, self.exit_initialization = slave.enter_initialization, slave.exit_initialization
+
+    def bind(self, inputs: Any, tunables: Any, outputs: Any) -> None:
+        self._slave.bind(inputs, tunables, outputs)
+        self._in_order = [self._transforms.get(name, IDENTITY) for name in inputs]
+
+    def propagate(self, inputs: Any) -> Any:
+        return self._slave.propagate(None if inputs is None else self._converted(inputs))
+
+    def begin_step(self, inputs: Any, t: float, h: float, tunables: Any) -> None:
+        self._slave.begin_step(self._converted(inputs), t, h, tunables)
+
+    def _converted(self, inputs: Any) -> list[float]:
+        return [transform(x) for transform, x in zip(self._in_order, inputs, strict=True)]
+
+
+def _transforms(system: System) -> dict[str, dict[str, Linear]]:
+    found: dict[str, dict[str, Linear]] = {name: {} for name in system.components}
+    for connection in system.connections:
+        if connection.transform != IDENTITY:
+            found[connection.target.element][connection.target.connector] = connection.transform
+    return found
+
+
+def wiring_of(system: System, slaves: Mapping[str, Slave]) -> dict[str, Wiring]:
+    """Each component's part. Outputs are all that the FMU declares, but Strings."""
+    sources: dict[str, dict[str, str]] = {name: {} for name in slaves}
+    for connection in system.connections:
+        sources[connection.target.element][connection.target.connector] = str(connection.source)
+    outputs: dict[str, tuple[str, ...]] = {}
+    for name, slave in slaves.items():
+        declared = [v.name for v in slave.description.modelVariables if v.causality == "output" and v.type != "String"]
+        own = [c.source.connector for c in system.connections if c.source.element == name]
+        outputs[name] = tuple(dict.fromkeys(chain(declared, own)))
+    return {name: Wiring(sources[name], (), outputs[name], system.start.get(name, {})) for name in slaves}
+
+
+def _initialize(master: Master, settings: Settings) -> str | None:
+    """Why an FMU failed, or None. Raises WiringError for a start value that is refused before it reaches the FMU."""
+    try:
+        master.initialize(settings.start_time, settings.stop_time, is_propagated=True)
+    except SlaveError as fault:
+        if fault.function == "set":
+            raise WiringError(f"{fault}.") from fault
+        return str(fault)
+    return None
+
+
+def _execute(
+    master: Master, settings: Settings, recorder: Recorder
+) -> tuple[Literal["done", "faulted", "interrupted"], str | None]:
+    t = settings.start_time
+    try:
+        for k in range(settings.n_steps + 1):
+            t = settings.time(k)
+            recorder.row([t, *master.values])
+            if k < settings.n_steps:
+                master.finish(t, settings.macro_step, {})
+    except SlaveError as fault:
+        recorder.event(t, "fault", {"reason": str(fault)})
+        return "faulted", str(fault)
+    except KeyboardInterrupt:
+        return "interrupted", None
+    return "done", None
+
+
+def _manifest(system: System, settings: Settings, status: str) -> dict[str, Any]:
+    start: Mapping[str, Mapping[str, Value]] = system.start
+    return {
+        "status": status,
+        "system": system.name,
+        "fmus": {name: {"file": str(c.fmu), "sha256": sha256(c.fmu)} for name, c in system.components.items()},
+        "start": start,
+        "connections": {str(c.target): [str(c.source), *_numbers(c.transform)] for c in system.connections},
+        "settings": settings.model_dump(mode="json"),
+    }
+
+
+def _numbers(transform: Linear) -> tuple[float, ...]:
+    return () if transform == IDENTITY else (transform.factor, transform.offset)
+
+
+def report(run: SystemRun) -> str:
+    """What `retune run` prints: each output's first and last value, and its range."""
+    end = float(run.time[-1]) if len(run.time) else run.settings.start_time
+    head = f"{run.system.name}: {end - run.settings.start_time:g} s simulated in {run.wall:.1f} s, no estimator"
+    rows = [["output", "first", "last", "smallest", "largest"]]
+    for name, f in run.summary()["outputs"].items():
+        rows.append([name, *(f"{f[key]:.6g}" for key in ("first", "last", "min", "max"))])
+    notes = [f"no component has the parameter '{name}': passed over" for name in run.system.ignored]
+    return "\n".join([head, "", *aligned(rows), *notes, "", f"run folder {run.folder}"])

@@ -1,0 +1,54 @@
+"""A scenario on a package's system: components, connections and start values are the package's, the rest is a TOML
+file's: what happens to the plant, what is tracked, sampled and estimated, of which SSP knows nothing.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, cast
+
+from ..errors import SspError
+from ..units import IDENTITY
+from .package import System, unpacked
+
+EXTRA = "extra/org.fmu-retune"
+"""Where a package of ours keeps its scenario: `extra/` is for data that the standard does not define (section 3)."""
+SCENARIO = "scenario.toml"
+
+
+def scenario_in(package: Path) -> Path | None:
+    """The scenario file that a package brings along, if it does. Raises SspError, ModelDescriptionError."""
+    file = unpacked(package) / EXTRA / SCENARIO
+    return file if file.is_file() else None
+
+
+def with_system(tree: Mapping[str, Any], system: System) -> dict[str, Any]:
+    """A scenario's tables with the components and connections of a system.
+
+    A start value of the tables stays where it is of a parameter that the scenario changes; all others are the
+    package's. Raises SspError for what a scenario has no words for: nested systems, converted connections.
+    """
+    for name in system.components:
+        if "." in name:
+            raise SspError(f"{system.name}: component '{name}' of a nested system cannot be in a scenario.")
+    for connection in system.connections:
+        if connection.transform != IDENTITY:
+            raise SspError(f"{system.name}: '{connection.target}' takes a converted value, which no scenario can.")
+    changes = cast(dict[str, Any], tree.get("changes", {}))
+    components = {
+        name: {
+            "fmu": str(component.fmu),
+            "start": {k: v for k, v in system.start.get(name, {}).items() if f"{name}.{k}" not in changes}
+            | {k: v for k, v in _start(tree, name).items() if f"{name}.{k}" in changes},
+        }
+        for name, component in system.components.items()
+    }
+    connections = {str(c.target): str(c.source) for c in system.connections}
+    return {**tree, "components": components, "connections": connections}
+
+
+def _start(tree: Mapping[str, Any], component: str) -> dict[str, Any]:
+    """A component's start values in the tables; whatever is wrong there is the schema's to say."""
+    found: Any = tree
+    for key in ("components", component, "start"):
+        found = cast(dict[str, Any], found).get(key, {}) if isinstance(found, dict) else {}
+    return cast(dict[str, Any], found) if isinstance(found, dict) else {}

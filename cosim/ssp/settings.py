@@ -1,0 +1,72 @@
+"""How a system is simulated: times and steps, from the package, from `--set` and from SSV files."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from ..block import Value
+from ..errors import SspError
+from ..names import did_you_mean
+from ..scenario import first_error, override
+from ..schema import Settings, Table
+from ..start_values import read_start_values
+from .package import System
+
+
+def settings_of(system: System, given: Mapping[str, Any]) -> Settings:
+    """Times and steps: what is given, else what the package says.
+
+    Raises SspError where neither says how long and in what steps, and for values that do not fit together.
+    """
+    name = "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "_" for c in system.name)
+    package = {"stop_time": system.stop_time, "macro_step": system.step_size}
+    known = {key: value for key, value in package.items() if value is not None}
+    try:
+        settings = Settings.model_validate(
+            {"name": name, "start_time": system.start_time, "coupling": "parallel", **known, **given}
+        )
+    except ValidationError as e:
+        missing = next((str(i["loc"][0]) for i in e.errors() if i["type"] == "missing"), None)
+        if missing:
+            raise SspError(f"{system.name} does not say its {missing}; give --set scenario.{missing}=...") from e
+        raise SspError(f"{system.name}: scenario.{first_error(e)}") from e
+    if settings.coupling != "parallel":
+        raise SspError(f"{system.name}: without an estimator coupling is 'parallel', got '{settings.coupling}'.")
+    return settings
+
+
+class _Start(Table):
+    start: dict[str, Value] = {}
+
+
+class _Overrides(Table):
+    """What `--set` can say of a system."""
+
+    scenario: dict[str, Any] = {}
+    components: dict[str, _Start] = {}
+
+
+def overridden(
+    system: System, overrides: Mapping[str, str], start_values: Path | None = None
+) -> tuple[System, Settings]:
+    """A system with the start values of an SSV file and then of `components.NAME.start.VARIABLE = value`; and its
+    settings, with `scenario.KEY = value`. Raises SspError, ScenarioError.
+    """
+    tree: dict[str, Any] = {}
+    for key, text in overrides.items():
+        override(tree, key, text)
+    try:
+        given = _Overrides.model_validate(tree)
+    except ValidationError as e:
+        raise SspError(f"{system.name}: {first_error(e)}") from e
+    unknown = next((name for name in given.components if name not in system.components), None)
+    if unknown is not None:
+        hint = did_you_mean(unknown, system.components) or "."
+        raise SspError(f"{system.name}: no component '{unknown}'{hint}")
+    bound = read_start_values(start_values, system.components) if start_values else {}
+    own = {name: given.components[name].start if name in given.components else {} for name in system.components}
+    start = {name: {**system.start.get(name, {}), **bound.get(name, {}), **own[name]} for name in system.components}
+    return replace(system, start=start), settings_of(system, given.scenario)

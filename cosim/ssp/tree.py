@@ -1,0 +1,124 @@
+"""The elements of a system structure: systems within systems, and the components, which are FMUs."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import unquote
+from xml.etree.ElementTree import Element
+
+from ..component import Component, read_component
+from ..errors import SspError, one_line
+from ..names import did_you_mean
+from ..units import Unit, conversion
+from .xml import attribute
+
+_TYPES = {"Float64": "Real", "Float32": "Real"} | {f"{u}Int{n}": "Integer" for u in ("", "U") for n in (8, 16, 32, 64)}
+_SIMPLE = {"Real", "Integer", "Boolean", "String", "Enumeration", "Binary", *_TYPES}
+
+
+@dataclass(frozen=True)
+class Connector:
+    """Where an element is connected."""
+
+    kind: str
+    """input, output, parameter, calculatedParameter, inout, ..."""
+    unit: Unit | None
+    """As declared here; for a component's, where nothing is declared, as in the FMU."""
+
+
+@dataclass(frozen=True)
+class Node:
+    """An element of a system structure."""
+
+    name: str
+    """Names down from the top system, joined with dots; empty for the top itself."""
+    element: Element
+    """What the file says of it."""
+    connectors: Mapping[str, Connector]
+    """By name."""
+    component: Component | None
+    """The FMU; None for a system."""
+    children: Mapping[str, "Node"]
+    """Of a system, by their own names."""
+
+    def components(self) -> Iterator[tuple[str, Component]]:
+        """Every component below, or this one, with its hierarchical name."""
+        if self.component is not None:
+            yield self.name, self.component
+        for child in self.children.values():
+            yield from child.components()
+
+
+class TreeReader:
+    """Reads the elements of one package; each FMU once."""
+
+    def __init__(self, folder: Path, units: Mapping[str, Unit], where: str) -> None:
+        self._folder, self._units, self._where = folder, units, where
+        self._components: dict[Path, Component] = {}
+
+    def system(self, element: Element, name: str = "") -> Node:
+        """A system and all that is in it. Raises SspError, ModelDescriptionError."""
+        children: dict[str, Node] = {}
+        for child in element.findall("Elements/*"):
+            own = attribute(child, "name", self._where)
+            full = f"{name}.{own}" if name else own
+            if own in children:
+                raise SspError(f"{self._where}: two elements have the name '{full}'.")
+            if child.tag == "System":
+                children[own] = self.system(child, full)
+            elif child.tag == "Component":
+                children[own] = self._component(child, full)
+            else:
+                raise SspError(f"{self._where}: '{full}' is a {one_line(child.tag)}, which is not supported.")
+        return Node(name, element, self._connectors(element, name, None), None, children)
+
+    def _component(self, element: Element, name: str) -> Node:
+        kind = element.get("type", "application/x-fmu-sharedlibrary")
+        if kind != "application/x-fmu-sharedlibrary":
+            raise SspError(f"{self._where}: component '{name}' is of type {one_line(kind)}; only FMUs are supported.")
+        fmu = resource(self._folder, attribute(element, "source", self._where), f"{self._where}: component '{name}'")
+        component = self._components.get(fmu) or read_component(fmu)
+        self._components[fmu] = component
+        return Node(name, element, self._connectors(element, name, component), component, {})
+
+    def _connectors(self, element: Element, name: str, component: Component | None) -> dict[str, Connector]:
+        found: dict[str, Connector] = {}
+        for connector in element.findall("Connectors/Connector"):
+            own = attribute(connector, "name", self._where)
+            place = f"{self._where}: connector '{name}.{own}'" if name else f"{self._where}: connector '{own}'"
+            if connector.find("Dimension") is not None:
+                raise SspError(f"{place} is an array; only scalars are supported.")
+            found[own] = self._connector(connector, own, place, component)
+        return found
+
+    def _connector(self, element: Element, name: str, place: str, component: Component | None) -> Connector:
+        typed = next((e for e in element if e.tag in _SIMPLE), None)
+        unit_name = typed.get("unit") if typed is not None else None
+        unit = self._units.get(unit_name, Unit(unit_name)) if unit_name else None
+        if component is not None:
+            if name not in component.variables:
+                hint = did_you_mean(name, component.variables) or "."
+                raise SspError(f"{place}: no variable '{name}' in {component.fmu.name}{hint}")
+            kind = str(component.variables[name].type)
+            if typed is not None and _TYPES.get(typed.tag, typed.tag) != _TYPES.get(kind, kind):
+                raise SspError(f"{place} is declared {typed.tag}, but in {component.fmu.name} it is {kind}.")
+            unit = self._checked(unit, component.unit(name), place)
+        return Connector(attribute(element, "kind", self._where), unit)
+
+    def _checked(self, declared: Unit | None, own: Unit | None, place: str) -> Unit | None:
+        """The FMU's unit, which is what its numbers are in; the declared one must be of its dimension."""
+        try:
+            conversion(declared, own)
+        except ValueError as e:
+            raise SspError(f"{place}: {e}.") from e
+        return own or declared
+
+
+def resource(folder: Path, source: str, place: str) -> Path:
+    """The file that a relative URI of a package names. Raises SspError where it leads out of it or to no file."""
+    path = unquote(source.partition("#")[0]).removeprefix("./")
+    if not path or path.startswith("/") or ".." in path.split("/") or "\\" in path or ":" in path:
+        raise SspError(f"{place}: '{one_line(source)}' is not a path within the package.")
+    if not (folder / path).is_file():
+        raise SspError(f"{place}: no file '{one_line(path)}' in the package.")
+    return folder / path

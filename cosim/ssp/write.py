@@ -1,0 +1,222 @@
+"""A scenario's system as an SSP package, version 1.0, for FMPy, OMSimulator, libcosim, ecos and others.
+
+Prefixes are literal, every connector is typed, and the top system has no connectors of its own: libcosim and ecos look
+for the former, libcosim refuses the latter. Unconnected inputs are left out: FMPy would join them to something.
+"""
+
+import io
+import zipfile
+from collections.abc import Iterator, Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element, SubElement
+
+import tomli_w
+
+from ..block import PYTHON_TYPE, Value
+from ..component import Component, ModelVariable, read_component
+from ..errors import SspError, WiringError
+from ..names import did_you_mean
+from ..scenario import Scenario
+from ..ssv import ParameterValue, add_units, document, ssv_element
+from ..system import fmu_paths, value_of_change
+from ..units import Unit, conversion
+from .package import STRUCTURE
+from .scenario import EXTRA, SCENARIO
+from .xml import NAMESPACES
+
+START_VALUES = "initialValues"
+"""Name of every component's parameter set: ecos sets those of the name that it is given."""
+
+_EPOCH = (1980, 1, 1, 0, 0, 0)
+_OWN_PACKAGES = ("cosim", "estimator", "fmu_models")
+
+
+def to_ssp(scenario: Scenario) -> bytes:
+    """The package: structure, FMUs, parameters and, for `retune run`, the scenario. Same input, same bytes.
+
+    Parameters are the scenario's start values, what its changes say of the start, and what it will estimate.
+    Raises ScenarioError, ModelDescriptionError, WiringError; SspError where units do not agree.
+    """
+    components = {name: read_component(path) for name, path in fmu_paths(scenario).items()}
+    places = _places(components)
+    _check_connections(scenario, components)
+    files: dict[str, bytes] = {STRUCTURE: document(_structure(scenario, components, places)).encode()}
+    for name, component in components.items():
+        files[places[name]] = component.fmu.read_bytes()
+        if values := _parameters(scenario, name, component):
+            used = {p.unit for p in values}
+            units = {key: unit for key, unit in component.units.items() if key in used}
+            element = ssv_element(START_VALUES, values, units, {"ssv", "ssc"})
+            files[_ssv_of(name)] = document(element).encode()
+    files[f"{EXTRA}/{SCENARIO}"] = tomli_w.dumps(_tables(scenario, places)).encode()
+    for path, content in _modules(scenario):
+        files[f"{EXTRA}/{path}"] = content
+    return _zipped(files)
+
+
+def _places(components: Mapping[str, Component]) -> dict[str, str]:
+    """Where each FMU is kept: under its own name, unless another has that too. ASCII, as the standard recommends."""
+    places: dict[str, str] = {}
+    taken: dict[str, Path] = {}
+    for name, component in components.items():
+        for stem in (component.fmu.stem, f"{component.fmu.stem}_{name}"):
+            place = f"resources/{_plain(stem)}.fmu"
+            if taken.setdefault(place, component.fmu) == component.fmu:
+                places[name] = place
+                break
+        else:
+            raise SspError(f"two FMUs would be {place} in the package; rename one.")
+    return places
+
+
+def _ssv_of(component: str) -> str:
+    return f"resources/{_plain(component)}.ssv"
+
+
+def _plain(name: str) -> str:
+    return "".join(c if c.isascii() and (c.isalnum() or c in "_-") else "_" for c in name)
+
+
+def _structure(scenario: Scenario, components: Mapping[str, Component], places: Mapping[str, str]) -> Element:
+    settings = scenario.scenario
+    declared = {f"xmlns:{prefix}": NAMESPACES[prefix] for prefix in ("ssd", "ssc", "ssv")}
+    about = {"generationTool": f"fmu-retune {version('fmu-retune')}"}
+    about |= {"description": settings.description} if settings.description else {}
+    root = Element("ssd:SystemStructureDescription", {**declared, "version": "1.0", "name": settings.name, **about})
+    system = SubElement(root, "ssd:System", {"name": settings.name})
+    elements = SubElement(system, "ssd:Elements")
+    units: dict[str, Unit] = {}
+    for name, component in components.items():
+        kind = {"type": "application/x-fmu-sharedlibrary", "implementation": "CoSimulation"}
+        element = SubElement(elements, "ssd:Component", {"name": name, "source": places[name], **kind})
+        connectors = [v for v in component.description.modelVariables if _is_connector(scenario, name, v)]
+        if connectors:
+            table = SubElement(element, "ssd:Connectors")
+            for v in connectors:
+                units |= _add_connector(table, v, component)
+        if _parameters(scenario, name, component):
+            bindings = SubElement(element, "ssd:ParameterBindings")
+            SubElement(bindings, "ssd:ParameterBinding", {"source": _ssv_of(name)})
+    if scenario.connections:
+        table = SubElement(system, "ssd:Connections")
+        for target, source in scenario.connections.items():
+            (start, _, start_connector), (end, _, end_connector) = source.partition("."), target.partition(".")
+            ends = {"startElement": start, "startConnector": start_connector}
+            SubElement(table, "ssd:Connection", {**ends, "endElement": end, "endConnector": end_connector})
+    add_units(root, "ssd", units.values())
+    _add_experiment(root, settings.start_time, settings.stop_time, settings.macro_step)
+    return root
+
+
+def _is_connector(scenario: Scenario, component: str, v: ModelVariable) -> bool:
+    if v.causality == "input":
+        return f"{component}.{v.name}" in scenario.connections
+    return v.type != "String" and (v.causality == "output" or f"{component}.{v.name}" in scenario.connections.values())
+
+
+def _add_connector(table: Element, v: ModelVariable, component: Component) -> dict[str, Unit]:
+    """Append a typed connector; its unit, where that is defined."""
+    kind = "input" if v.causality == "input" else "output"
+    connector = SubElement(table, "ssd:Connector", {"name": v.name, "kind": kind})
+    connector.attrib |= {"description": v.description} if v.description else {}
+    unit = component.unit(v.name) if v.type == "Real" else None
+    is_defined = unit is not None and unit.exponents is not None
+    kind = "Integer" if v.type == "Enumeration" else v.type  # libcosim knows no Enumeration
+    SubElement(connector, f"ssc:{kind}", {"unit": unit.name} if unit is not None and is_defined else {})
+    return {unit.name: unit} if unit is not None and is_defined else {}
+
+
+def _add_experiment(root: Element, start: float, stop: float, step: float) -> None:
+    """Append the default experiment, with libcosim's annotation of the step: SSP itself has no word for it."""
+    experiment = SubElement(root, "ssd:DefaultExperiment", {"startTime": repr(start), "stopTime": repr(stop)})
+    annotations = SubElement(experiment, "ssd:Annotations")
+    # libcosim takes every attribute of Algorithm, a namespace too, for an algorithm.
+    namespace = {"xmlns:osp": "http://opensimulationplatform.com/SSP/OSPAnnotations"}
+    annotation = SubElement(annotations, "ssc:Annotation", {**namespace, "type": "com.opensimulationplatform"})
+    SubElement(SubElement(annotation, "osp:Algorithm"), "osp:FixedStepAlgorithm", {"baseStepSize": repr(step)})
+
+
+def _parameters(scenario: Scenario, name: str, component: Component) -> list[ParameterValue]:
+    """What a component starts with. Raises WiringError."""
+    values: dict[str, Value] = dict(scenario.components[name].start)
+    for reference, change in scenario.change_functions().items():
+        owner, _, variable = reference.partition(".")
+        if owner == name:
+            values[variable] = value_of_change(reference, change, scenario.scenario.start_time)
+    for parameter in scenario.estimation.parameters:
+        owner, _, variable = parameter.writes.partition(".")
+        start = _variable(component, name, variable).start if owner == name else None
+        if start is not None:
+            values.setdefault(variable, float(start))
+    return [_parameter(component, name, variable, value) for variable, value in values.items()]
+
+
+def _parameter(component: Component, name: str, variable: str, value: Value) -> ParameterValue:
+    v = _variable(component, name, variable)
+    kind = PYTHON_TYPE.get("Integer" if v.type == "Enumeration" else str(v.type), float)
+    if isinstance(value, str) != (kind is str):
+        raise WiringError(f"'{name}.{variable}' is a {v.type} and cannot start as {value!r}.")
+    unit = component.unit(variable)
+    return ParameterValue(variable, kind(value), unit.name if unit is not None else None)
+
+
+def _variable(component: Component, name: str, variable: str) -> ModelVariable:
+    if variable not in component.variables:
+        hint = did_you_mean(variable, component.variables) or "."
+        raise WiringError(f"no variable '{variable}' in {name}{hint}")
+    return component.variables[variable]
+
+
+def _check_connections(scenario: Scenario, components: Mapping[str, Component]) -> None:
+    """Raises WiringError for an unknown variable, SspError for units between which other tools would convert."""
+    for target, source in scenario.connections.items():
+        units: list[Unit | None] = []
+        for reference in (source, target):
+            name, _, variable = reference.partition(".")
+            _variable(components[name], name, variable)
+            units.append(components[name].unit(variable))
+        try:
+            is_same = conversion(*units)(1.0) == 1.0 and conversion(*units)(0.0) == 0.0
+        except ValueError as e:
+            raise SspError(f"connection {source} -> {target}: {e}.") from e
+        if not is_same:
+            raise SspError(f"connection {source} -> {target}: the units differ, and a scenario does not convert them.")
+
+
+def _tables(scenario: Scenario, places: Mapping[str, str]) -> dict[str, Any]:
+    """The scenario as TOML tables, with the FMUs where they are in the package."""
+    tables = scenario.model_dump(mode="json", exclude_unset=True, exclude_none=True)
+    up = "../" * (EXTRA.count("/") + 1)
+    for name, component in tables["components"].items():
+        component["fmu"] = up + places[name]
+    tables["estimation"] |= tables["estimation"].pop("methods", {})
+    return tables
+
+
+def _modules(scenario: Scenario) -> Iterator[tuple[str, bytes]]:
+    """Sources of the user's modules that the scenario names, found beside it or in the working directory."""
+    estimation = scenario.estimation
+    references = [estimation.model, *(name for name in estimation.methods if ":" in name)]
+    if estimation.linear is not None:
+        references += [estimation.linear.rows, estimation.linear.coefficients]
+    for name in dict.fromkeys(reference.partition(":")[0].partition(".")[0] for reference in references):
+        for folder in (scenario.folder, Path.cwd()) if name not in _OWN_PACKAGES else ():
+            found = [folder / f"{name}.py", *sorted((folder / name).rglob("*.py"))]
+            found = [path for path in found if path.is_file()]
+            yield from ((path.relative_to(folder).as_posix(), path.read_bytes()) for path in found)
+            if found:
+                break
+
+
+def _zipped(files: Mapping[str, bytes]) -> bytes:
+    """A ZIP archive as the standard wants it (section 3): deflated, ASCII names; with no time of day in it."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            entry = zipfile.ZipInfo(name, _EPOCH)
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.external_attr = 0o644 << 16
+            archive.writestr(entry, content)
+    return buffer.getvalue()

@@ -1,0 +1,81 @@
+"""XML of the SSP formats, read without regard to prefixes and versions of their namespaces."""
+
+import re
+from collections.abc import Mapping
+from xml.etree.ElementTree import Element, ParseError, TreeBuilder, XMLParser, fromstring
+
+from ..errors import SspError, one_line
+from ..units import Unit, make_unit
+
+NAMESPACES: Mapping[str, str] = {
+    "ssd": "http://ssp-standard.org/SSP1/SystemStructureDescription",
+    "ssc": "http://ssp-standard.org/SSP1/SystemStructureCommon",
+    "ssv": "http://ssp-standard.org/SSP1/SystemStructureParameterValues",
+    "ssm": "http://ssp-standard.org/SSP1/SystemStructureParameterMapping",
+}
+"""Of SSP 1.0, and of 2.0, which kept them."""
+
+_NAMESPACE = re.compile(r"\{http://ssp-standard\.org/SSP\d/\w+\}")
+_VERSION = re.compile(r"[12]\.\d+(-.*)?")
+
+
+class _NoDoctype(TreeBuilder):
+    """Refuses document types: no SSP file has one, and entities declared in one can grow without bound."""
+
+    def doctype(self, name: str, public_id: str | None, system_id: str | None) -> None:
+        raise ValueError("it has a document type (DOCTYPE), which is refused")
+
+
+def parse(content: bytes, where: str, kind: str) -> Element:
+    """The root of a file of SSP 1.x or 2.x, its elements named without a namespace; others keep theirs.
+
+    where: for the messages; kind: what the root must be, such as `SystemStructureDescription`. Raises SspError.
+    """
+    try:
+        root = fromstring(content, XMLParser(target=_NoDoctype()))
+    except (ParseError, ValueError, LookupError) as e:  # the last: an encoding that there is not
+        raise SspError(f"{where} is not readable XML: {one_line(str(e))}.") from e
+    for element in root.iter():
+        element.tag = _NAMESPACE.sub("", element.tag)
+    return check(root, where, kind)
+
+
+def check(root: Element, where: str, kind: str) -> Element:
+    """The element, where it is of that kind and of a version that is understood. Raises SspError."""
+    if root.tag != kind:
+        raise SspError(f"{where} must be a {kind} of SSP 1.0 or 2.0, got the element '{one_line(root.tag)}'.")
+    version = root.get("version", "")
+    if not _VERSION.fullmatch(version):
+        raise SspError(f"{where} is of SSP version '{one_line(version)}', not 1.0 or 2.0.")
+    return root
+
+
+def attribute(element: Element, name: str, where: str) -> str:
+    """A required attribute. Raises SspError."""
+    value = element.get(name)
+    if not value:
+        raise SspError(f"{where}: a {element.tag} has no {name}.")
+    return value
+
+
+def number(element: Element, name: str, where: str, default: float | None = None) -> float | None:
+    """An attribute that is a number, or the default. Raises SspError."""
+    text = element.get(name)
+    if text is None:
+        return default
+    try:
+        return float(text)
+    except ValueError as e:
+        raise SspError(f"{where}: {name} of a {element.tag} must be a number, got '{one_line(text)}'.") from e
+
+
+def defined_in(root: Element, where: str) -> dict[str, Unit]:
+    """The units that a file defines, by name. Raises SspError."""
+    found: dict[str, Unit] = {}
+    for element in root.findall("Units/Unit"):
+        name, base = attribute(element, "name", where), element.find("BaseUnit")
+        try:
+            found[name] = make_unit(name, None if base is None else base.attrib)
+        except ValueError as e:
+            raise SspError(f"{where}: unit '{name}': {one_line(str(e))}.") from e
+    return found

@@ -1,0 +1,90 @@
+"""Units as FMI and SSP define them: exponents of the SI base units, a factor and an offset.
+
+FMI 2.0.4, section 2.2.2; SSP 1.0, section 4.4: base value = factor * value + offset.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+
+
+@dataclass(frozen=True)
+class Linear:
+    """The function factor x + offset."""
+
+    factor: float = 1.0
+    offset: float = 0.0
+
+    def __call__(self, x: float) -> float:
+        """factor x + offset, and x itself, to the bit, where that is all."""
+        return x if self == IDENTITY else self.factor * x + self.offset
+
+    def then(self, after: "Linear") -> "Linear":
+        """The function after(self(x))."""
+        return Linear(after.factor * self.factor, after.factor * self.offset + after.offset)
+
+
+IDENTITY = Linear()
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit, and its definition where the file has one."""
+
+    name: str
+    """As it is written."""
+    exponents: tuple[int, ...] | None = None
+    """Of `BASE_UNITS`; None for a unit that is named but not defined."""
+    factor: float = 1.0
+    """Of the base unit in this one."""
+    offset: float = 0.0
+    """In the base unit."""
+
+    @property
+    def base(self) -> dict[str, int]:
+        """Exponents other than zero, by base unit."""
+        return {name: n for name, n in zip(BASE_UNITS, self.exponents or (), strict=False) if n}
+
+
+def conversion(source: Unit | None, target: Unit | None) -> Linear:
+    """From a number in one unit to that in another; where either is not given, the number stays as it is.
+
+    The radian is dropped when dimensions are compared, as FMI allows. Raises ValueError for units of different
+    dimensions, and where names differ and one is not defined.
+    """
+    if source is None or target is None:
+        return IDENTITY
+    if source.exponents is None or target.exponents is None:
+        if source.name == target.name:
+            return IDENTITY
+        unknown = source if source.exponents is None else target
+        raise ValueError(f"'{source.name}' cannot be converted to '{target.name}': '{unknown.name}' is not defined")
+    if source.exponents[:-1] != target.exponents[:-1]:
+        raise ValueError(f"'{source.name}' cannot be converted to '{target.name}': the dimensions differ")
+    if (source.factor, source.offset) == (target.factor, target.offset):
+        return IDENTITY
+    return Linear(source.factor / target.factor, (source.offset - target.offset) / target.factor)
+
+
+def defined_units(definitions: Iterable[Any]) -> dict[str, Unit]:
+    """The units of FMPy's model description, by name."""
+    return {u.name: make_unit(u.name, _attributes(u.baseUnit)) for u in definitions}
+
+
+def make_unit(name: str, definition: Mapping[str, Any] | None) -> Unit:
+    """A unit from the attributes of its BaseUnit element. Raises ValueError where one is not a number."""
+    if definition is None:
+        return Unit(name)
+    factor, offset = float(definition.get("factor", 1.0)), float(definition.get("offset", 0.0))
+    if factor == 0.0:
+        raise ValueError(f"unit '{name}' has the factor 0")
+    return Unit(name, tuple(int(definition.get(base, 0)) for base in BASE_UNITS), factor, offset)
+
+
+def _attributes(base_unit: Any) -> Mapping[str, Any] | None:
+    """Exponents, factor and offset of FMPy's BaseUnit."""
+    if base_unit is None:
+        return None
+    return {name: getattr(base_unit, name) for name in (*BASE_UNITS, "factor", "offset")}

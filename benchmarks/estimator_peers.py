@@ -70,7 +70,7 @@ def emukit(objective: UnitObjective, n_evaluations: int, seed: int) -> None:
 
 
 def gpyopt(objective: UnitObjective, n_evaluations: int, seed: int) -> None:
-    """GPyOpt's defaults: Matern-5/2, EI, refitted at every evaluation, five random places. Archived in 2023."""
+    """GPyOpt's defaults: Matern-5/2, EI, refitted at every evaluation, five random places. Last released in 2020."""
     _stand_in_for_pkg_resources()
     from GPyOpt.methods import BayesianOptimization
 

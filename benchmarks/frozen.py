@@ -65,17 +65,13 @@ def main() -> None:
 
 def row(recorded: Run, name: str, n_evaluations: int, options: argparse.Namespace) -> dict[str, Any]:
     """Errors of one estimator over the seeds."""
-    scenario = recorded.scenario
-    k = int(np.searchsorted(recorded.time, options.at - 1e-9))
-    chosen = range(k, max(k - options.window * options.stride, 0), -options.stride)
-    clean = recorded_samples(scenario, recorded.plant, recorded.series, [*reversed(chosen)])
-    truth = np.array([series[k] for series in recorded.true_parameters.values()])
-    units = [p.unit for p in scenario.estimation.space]
+    truth = truth_at(recorded, options.at)
+    units = [p.unit for p in recorded.scenario.estimation.space]
     groups = [np.array([u == unit for u in units]) for unit in dict.fromkeys(units)]
     errors: list[float] = []
     seconds: list[float] = []
     for seed in range(options.seeds):
-        samples = _noisy(recorded, clean, chosen, np.random.default_rng([seed, 1]))
+        samples = noisy_samples(recorded, options.at, options.window, options.stride, np.random.default_rng([seed, 1]))
         rng = np.random.default_rng([seed, 2])
         by = closed_form if name == CLOSED_FORM else partial(solve, name=name, n_evaluations=n_evaluations, rng=rng)
         theta, wall = by(recorded, samples)
@@ -92,6 +88,34 @@ def row(recorded: Run, name: str, n_evaluations: int, options: argparse.Namespac
     }
 
 
+def truth_at(recorded: Run, at: float) -> Vector:
+    """The plant's parameters theta (d,) in force at this time [s]."""
+    return np.array([series[_row_at(recorded, at)] for series in recorded.true_parameters.values()])
+
+
+def noisy_samples(recorded: Run, at: float, window: int, stride: int, rng: np.random.Generator) -> list[Sample]:
+    """So many samples up to a time [s], so many steps apart: derivatives as the plant gave them, and fresh noise."""
+    k = _row_at(recorded, at)
+    rows = [*reversed(range(k, max(k - window * stride, 0), -stride))]
+    derivatives = recorded.scenario.sampling.derivatives
+    exact = np.array([[recorded.series[name][k] for name in derivatives] for k in rows])
+    noisy = exact + np.array([n.noise for n in derivatives.values()]) * rng.standard_normal(exact.shape)
+    clean = recorded_samples(recorded.scenario, recorded.plant, recorded.series, rows)
+    return [replace(s, xdot=tuple(y)) for s, y in zip(clean, noisy.tolist(), strict=True)]
+
+
+def residual_window(recorded: Run, samples: list[Sample], is_whitened: bool) -> ResidualWindow:
+    """The residuals on these samples, in standard deviations of the noise or in physical units."""
+    scenario = recorded.scenario
+    sigma = tuple(n.noise if is_whitened else 1.0 for n in scenario.sampling.derivatives.values())
+    model = load(scenario.estimation.model, scenario.folder)
+    residual = DerivativeResidual(model, scenario.estimation.space, recorded.plant.channels, sigma)
+    window = ResidualWindow(residual, len(sigma), len(samples))
+    for sample in samples:
+        window.append(sample)
+    return window
+
+
 def solve(
     recorded: Run, samples: list[Sample], name: str, n_evaluations: int, rng: np.random.Generator
 ) -> tuple[Vector, float]:
@@ -106,16 +130,9 @@ def solve(
         settings = replace(settings, n_starts=n_evaluations)
     start = np.array([series[0] for series in recorded.estimates.values()])
     search = method.estimator(space, start, rng, settings)
-    sigma = tuple(n.noise for n in scenario.sampling.derivatives.values())
-    model = load(scenario.estimation.model, scenario.folder)
-    residual = DerivativeResidual(model, space, recorded.plant.channels, sigma)
-    if not search.is_whitened:
-        residual = replace(residual, noise=(1.0,) * len(sigma))
-    window = ResidualWindow(residual, len(sigma), len(samples))
-    for sample in samples:
-        window.append(sample)
-    search.restart(start)
+    window = residual_window(recorded, samples, search.is_whitened)
     begun = perf_counter()
+    search.restart(start)
     if isinstance(search, AskTell):
         for _ in range(n_evaluations):
             theta = search.ask()
@@ -146,13 +163,8 @@ def closed_form(recorded: Run, samples: list[Sample]) -> tuple[Vector, float]:
     return space.from_unit(fit.x), seconds
 
 
-def _noisy(recorded: Run, clean: list[Sample], rows: range, rng: np.random.Generator) -> list[Sample]:
-    """The samples with the derivatives as the plant gave them, and noise of this stream."""
-    derivatives = recorded.scenario.sampling.derivatives
-    exact = np.array([[recorded.series[name][k] for name in derivatives] for k in reversed(rows)])
-    sigma = np.array([n.noise for n in derivatives.values()])
-    noisy = exact + sigma * rng.standard_normal(exact.shape)
-    return [replace(s, xdot=tuple(y)) for s, y in zip(clean, noisy.tolist(), strict=True)]
+def _row_at(recorded: Run, at: float) -> int:
+    return int(np.searchsorted(recorded.time, at - 1e-9))
 
 
 if __name__ == "__main__":

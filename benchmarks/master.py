@@ -203,16 +203,16 @@ def libcosimpy(system: System) -> Iterator[Steps]:
     """libcosim's fixed-step algorithm, one step a call, outputs by its last-value observer."""
     try:
         from libcosimpy.CosimExecution import CosimExecution
+        from libcosimpy.CosimLogging import CosimLogLevel, log_output_level
         from libcosimpy.CosimManipulator import CosimManipulator
         from libcosimpy.CosimObserver import CosimObserver
         from libcosimpy.CosimSlave import CosimLocalSlave
     except (ImportError, OSError) as error:
         raise Absent(f"{error}") from error
-    execution = CosimExecution.from_step_size(H)
-    index = {}
-    for name, path in system.fmus.items():
-        slave = CosimLocalSlave(str(path), name)
-        index[name] = execution.add_local_slave(slave)
+    log_output_level(CosimLogLevel.ERROR)
+    execution = CosimExecution.from_step_size(round(H * 1e9))
+    slaves = {name: CosimLocalSlave(str(path), name) for name, path in system.fmus.items()}
+    index = {name: execution.add_local_slave(slave) for name, slave in slaves.items()}
     reference = {
         f"{name}.{v.name}": (index[name], v.valueReference)
         for name in system.fmus for v in system.descriptions[name].modelVariables

@@ -3,8 +3,8 @@
     python -m benchmarks.master [--systems NAME ...] [--steps 1000] [--blocks 15]
 
 A macro step sets every input, steps every FMU and brings all outputs back to Python. All masters are open in one
-process and take turns, block by block; a figure is the median of the blocks. `oscillator` and `oscillators` (a ring)
-cost next to nothing themselves: once native (C), once by pythonfmu. `pendulum` is the plant of the scenario with its two
+process and take turns, block by block; a figure is the median of the blocks. `oscillator` and `3 oscillators` (a ring)
+cost next to nothing themselves: once native (C), once by pythonfmu. `pendulum` is the scenario's plant with its two
 Runge-Kutta steps, `pendulum loop` the plant with its controller and reference.
 
 Three pythonfmu FMUs in one process share modules of the same name, and the second runs the first's code. Here that is
@@ -19,7 +19,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -56,16 +56,17 @@ class System:
     groups: Sequence[Sequence[str]]
     """The FMUs of a group step together, the groups one after another."""
 
-    def __post_init__(self) -> None:
-        descriptions = {name: read_model_description(str(path)) for name, path in self.fmus.items()}
-        object.__setattr__(self, "descriptions", descriptions)
-
-    descriptions: Any = None
+    @cached_property
+    def descriptions(self) -> dict[str, Any]:
+        """FMPy's model description of each."""
+        return {name: read_model_description(str(path)) for name, path in self.fmus.items()}
 
     def variables(self, name: str, causality: str) -> list[Any]:
+        """Of one FMU."""
         return [v for v in self.descriptions[name].modelVariables if v.causality == causality]
 
     def outputs(self) -> list[tuple[str, str]]:
+        """(instance, variable) of all FMUs, in the order of what Steps returns."""
         return [(name, v.name) for name in self.fmus for v in self.variables(name, "output")]
 
 
@@ -324,7 +325,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for system in systems(Path(folder)):
             if not options.systems or any(part in system.name for part in options.systems):
                 rows += measure(system, options.steps, options.blocks)
-    notes = f"{options.blocks} blocks of {options.steps} steps; median [quartiles]; ours gave FMPy's values bit for bit."
+    notes = (
+        f"{options.blocks} blocks of {options.steps} steps; median [quartiles]; ours gave FMPy's values bit for bit."
+    )
     write("master", rows, notes)
 
 

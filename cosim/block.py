@@ -1,10 +1,9 @@
 """Variables of an FMU, and the arrays in which their values are handed to its C functions."""
 
-import ctypes
 import math
 import struct
 from collections.abc import Sequence
-from ctypes import c_double, c_int, c_uint
+from ctypes import c_double, c_int, c_size_t, c_uint
 from typing import Any, Final, NamedTuple, TypeAlias
 
 Value: TypeAlias = float | int | bool | str
@@ -37,7 +36,8 @@ class Block:
         self._pack = struct.Struct(f"{len(positions)}{'d' if self.is_real else 'i'}")
         self._memory = memoryview(self._values).cast("B")
         self._unfilled = self._pack.pack(*([math.nan if self.is_real else _UNFILLED] * len(positions)))
-        self.arguments = (ctypes.addressof(self._references), len(positions), ctypes.addressof(self._values))
+        self.arguments = (self._references, c_size_t(len(positions)), self._values)
+        """References, their number, values: ctypes objects, so that a call has nothing to convert."""
 
     def fill(self, values: Sequence[float]) -> None:
         """Put into the array what belongs to this block among all the values that are set together."""

@@ -4,11 +4,11 @@ Instance is the only place that knows FMI 2.0's calls. Its methods and their arg
 FMI 3.0 instance is a second class with the same methods.
 """
 
-import ctypes
 import os
-from collections.abc import Sequence
-from ctypes import c_double, c_int, c_size_t, c_void_p
-from typing import Any, Final, NamedTuple
+from collections.abc import Callable, Sequence
+from ctypes import c_double, c_int, c_void_p, cast
+from functools import partial
+from typing import Any, Final, NamedTuple, TypeAlias
 
 from fmpy import fmi1, fmi2
 
@@ -18,6 +18,8 @@ from .fmu_log import MessageLog
 
 STATUS: Final = ("ok", "warning", "discard", "error", "fatal", "pending")
 _WARNING: Final = 1
+_Call: TypeAlias = Callable[[], int]
+_Exchange: TypeAlias = tuple[Block, _Call]
 
 
 class Identity(NamedTuple):
@@ -48,21 +50,20 @@ class Instance:
         self.name = identity.instance_name
         self._log = MessageLog(identity.has_plain_log)
         self._time: float | None = None
-        self._forward_only = fmi2.fmi2True  # until a state is saved that may be gone back to
-        self._inputs: list[Block] = []
-        self._tunables: list[Block] = []
-        self._outputs: list[Block] = []
+        self._inputs: list[_Exchange] = []
+        self._tunables: list[_Exchange] = []
+        self._outputs: list[_Exchange] = []
         self._fmu = self._load(identity)
-        self._component = ctypes.cast(self._fmu.component, c_void_p)
-        self._do_step = self._raw("fmi2DoStep", c_void_p, c_double, c_double, c_int)
-        self._exchange = {
-            name: self._raw(f"fmi2{name[:3].title()}{name[4:].title()}", c_void_p, c_void_p, c_size_t, c_void_p)
-            for name in ("get_real", "get_integer", "get_boolean", "set_real", "set_integer", "set_boolean")
-        }
+        self._component = cast(self._fmu.component, c_void_p)
+        self._t, self._h = c_double(), c_double()
+        self._forward_only = c_int(fmi2.fmi2True)  # until a state is saved that may be gone back to
+        self._do_step = self._raw("do_step", self._t, self._h, self._forward_only)
 
     def bind(self, inputs: Sequence[Variable], tunables: Sequence[Variable], outputs: Sequence[Variable]) -> None:
         """Prepare the arrays for what is set and got at communication points: Real, Integer and Boolean."""
-        self._inputs, self._tunables, self._outputs = blocks_of(inputs), blocks_of(tunables), blocks_of(outputs)
+        self._inputs = [(block, self._raw(block.setter, *block.arguments)) for block in blocks_of(inputs)]
+        self._tunables = [(block, self._raw(block.setter, *block.arguments)) for block in blocks_of(tunables)]
+        self._outputs = [(block, self._raw(block.getter, *block.arguments)) for block in blocks_of(outputs)]
 
     def initialize(
         self, start: Sequence[tuple[str, str, int, Value]], start_time: float, stop_time: float | None
@@ -102,7 +103,8 @@ class Instance:
         if tunables is not None:
             self._set(self._tunables, tunables)
         self._set(self._inputs, inputs)
-        status = self._do_step(self._component, t, h, self._forward_only)
+        self._t.value, self._h.value = t, h
+        status = self._do_step()
         if status > _WARNING:
             raise self._fault("do_step", status)
         self._time = t + h
@@ -110,19 +112,19 @@ class Instance:
 
     def get(self) -> tuple[float, ...]:
         """The outputs in bound order; NaN for what the FMU did not fill."""
-        for block in self._outputs:
+        for block, call in self._outputs:
             block.clear()
-            status = self._exchange[block.getter](self._component, *block.arguments)
+            status = call()
             if status > _WARNING:
                 raise self._fault(block.getter, status)
         if len(self._outputs) == 1:
-            return self._outputs[0].read()
-        pairs = (pair for block in self._outputs for pair in zip(block.positions, block.read(), strict=True))
+            return self._outputs[0][0].read()
+        pairs = (pair for block, _ in self._outputs for pair in zip(block.positions, block.read(), strict=True))
         return tuple(value for _, value in sorted(pairs))
 
     def get_state(self) -> bytes:
         """The FMU's state, serialised."""
-        self._forward_only = fmi2.fmi2False
+        self._forward_only.value = fmi2.fmi2False
         state = self._checked("get_state", self._fmu.getFMUstate)
         serialised = self._checked("serialise_state", self._fmu.serializeFMUstate, state)
         self._checked("free_state", self._fmu.freeFMUstate, state)
@@ -130,7 +132,7 @@ class Instance:
 
     def set_state(self, serialised: bytes) -> None:
         """Go back to a state that get_state returned."""
-        self._forward_only = fmi2.fmi2False
+        self._forward_only.value = fmi2.fmi2False
         state = self._checked("deserialise_state", self._fmu.deSerializeFMUstate, serialised)
         self._checked("set_state", self._fmu.setFMUstate, state)
         self._checked("free_state", self._fmu.freeFMUstate, state)
@@ -159,18 +161,21 @@ class Instance:
             os.chdir(directory)  # FMPy stays in the FMU's folder when loading fails
         return fmu
 
-    def _set(self, blocks: Sequence[Block], values: Sequence[float]) -> None:
-        for block in blocks:
+    def _set(self, exchanges: Sequence[_Exchange], values: Sequence[float]) -> None:
+        for block, call in exchanges:
             block.fill(values)
-            status = self._exchange[block.setter](self._component, *block.arguments)
+            status = call()
             if status > _WARNING:
                 raise self._fault(block.setter, status)
 
-    def _raw(self, name: str, *arguments: Any) -> Any:
-        """The FMU's C function without FMPy's checks, which cost a third of a step."""
-        function = self._fmu.dll[name]  # a new object: FMPy's own keeps its argument types
-        function.argtypes, function.restype = arguments, c_int
-        return function
+    def _raw(self, name: str, *arguments: Any) -> _Call:
+        """The FMU's C function of that name with its arguments, which must be ctypes objects.
+
+        Without FMPy's checks, and with nothing to look up or convert: half the time of the call.
+        """
+        function = self._fmu.dll["fmi2" + name.title().replace("_", "")]  # a new object: FMPy's has argument types
+        function.restype = c_int
+        return partial(function, self._component, *arguments)
 
     def _checked(self, name: str, function: Any, *arguments: object) -> Any:
         self._log.clear()

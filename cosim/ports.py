@@ -24,12 +24,25 @@ class Ports:
         self._units = [_attribute(v, "unit") or "" for v in variables]
         self._ranges = [_range_of(v) for v in variables]
         self._whole = [i for i, v in enumerate(self.variables) if v.type != "Real"]
+        self._bounded = [(i, *limits) for i, limits in enumerate(self._ranges) if limits != _DEFAULT_RANGE["Real"]]
 
     def problem(self, values: Sequence[float]) -> str | None:
         """What is wrong with the first value that is not finite, outside [min, max] or not of its type, or None."""
+        if math.isfinite(sum(values)):  # all are finite then: the sum of others is an infinity or NaN
+            for i, low, high in self._bounded:
+                if not low <= values[i] <= high:
+                    break
+            else:
+                return self._fraction(values) if self._whole else None
+        return self._first_problem(values)
+
+    def _first_problem(self, values: Sequence[float]) -> str | None:
         for i, (value, (low, high)) in enumerate(zip(values, self._ranges, strict=True)):
             if not low <= value <= high:  # NaN is in no range
                 return self._out_of_range(i, value)
+        return self._fraction(values)
+
+    def _fraction(self, values: Sequence[float]) -> str | None:
         for i in self._whole:
             if values[i] != int(values[i]):
                 return f"{self._role} {self.variables[i].name!r} must be a whole number, got {values[i]:g}"

@@ -10,12 +10,15 @@ import struct
 import subprocess
 import sys
 from collections.abc import Sequence
+from math import inf
 from pathlib import Path
+from time import perf_counter
 from typing import Any, Final
 
 from .block import Variable
 from .errors import COLON, IN_THE_CALL, SlaveError
 from .instance import Identity
+from .placement import REVIEW, Placement, same_addresses
 from .transport import CALL, FAULT, KIND, RESULT, VALUES, StepCodec, channel_pair, decode, encode
 
 START_TIMEOUT_S: Final = 60.0
@@ -61,6 +64,8 @@ class Worker:
             raise
         finally:
             theirs.close()
+        self._placement = Placement(self._process.pid)
+        self._n_steps, self._begun, self._shortest_s = 0, 0.0, 0.0
         self._send("instantiate", None, encode(CALL, list(identity)))
 
     def bind(self, inputs: Sequence[Variable], tunables: Sequence[Variable], outputs: Sequence[Variable]) -> None:
@@ -82,11 +87,19 @@ class Worker:
 
     def begin_step(self, t: float, h: float, inputs: Sequence[float], tunables: Sequence[float] | None) -> None:
         """Start Instance.step."""
+        if self._n_steps % REVIEW == 0:
+            self._placement.review(self._shortest_s)
+            self._shortest_s = inf
+        self._n_steps += 1
+        self._placement.follow()
+        self._begun = perf_counter()
         self._send("do_step", t, self._codec.encode_step(t, h, inputs, tunables))
 
     def end_step(self, t: float) -> tuple[float, ...]:
         """Wait for what Instance.step returns."""
+        self._placement.let_run()
         message = self._receive("do_step", t, VALUES, self._timeout_s)
+        self._shortest_s = min(self._shortest_s, perf_counter() - self._begun)
         try:
             return self._codec.decode_values(message)
         except struct.error as error:
@@ -178,14 +191,15 @@ def _start(channel: str, handles: dict[str, Any]) -> "subprocess.Popen[bytes]":
     """A fresh interpreter, not a fork: this process has threads. Its own process group: Ctrl-C is not for it."""
     root = str(Path(__file__).resolve().parents[1])
     group: dict[str, Any] = {} if sys.platform == "win32" else {"process_group": 0}
-    return subprocess.Popen[bytes](
-        [sys.executable, "-u", "-P", "-c", _BOOT, root, channel, *filter(None, sys.path)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.DEVNULL,
-        env=os.environ | _ONE_THREAD,
-        **group,
-        **handles,
-    )
+    with same_addresses():
+        return subprocess.Popen[bytes](
+            [sys.executable, "-u", "-P", "-c", _BOOT, root, channel, *filter(None, sys.path)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            env=os.environ | _ONE_THREAD,
+            **group,
+            **handles,
+        )
 
 
 def _ending(code: int) -> str:

@@ -58,7 +58,7 @@ def new_run_folder(scenario: str, out: Path | None) -> Path:
 class Recorder:
     """Writes one run: rows to an Arrow IPC stream, events to JSON lines. Without a folder it only remembers rows.
 
-    With one it remembers only those that are not written yet: an hour at 100 Hz is 190 MB of a quadrotor's.
+    With one it remembers only those that are not written yet: an hour of a quadrotor at 100 Hz is 230 MB.
     """
 
     def __init__(self, folder: Path | None, columns: Sequence[str]) -> None:

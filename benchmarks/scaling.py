@@ -4,11 +4,11 @@
     python -m benchmarks.scaling endurance [--steps 360000] [--limit SECONDS]
 
 `growth` runs the product's own loop (`Retuner`: one evaluation a macro step, every stored candidate judged anew on each
-new sample) on a synthetic plant whose parameters are known. An evaluation is ask + score + tell + belief. From the base
-case each size is varied alone; the exponent is the slope of log cost over log size. `endurance` runs the pendulum,
-recorded, each FMU in its own process, with a mass and a rod that change every ten seconds; Linux only. Every 10,000
-macro steps it notes the resident memory of this process and of the FMUs'. Interrupted, or at its limit, it tells what
-it has so far.
+new sample) on a synthetic plant whose parameters are known. An evaluation is ask + score + tell + belief, in time of
+the processor: the wall's on an idle machine, and without a busy one's load. From the base case each size is varied
+alone; the exponent is the slope of log cost over log size. `endurance` runs the pendulum, recorded, each FMU in its
+own process, with a mass and a rod that change every ten seconds; Linux only. Every 10,000 macro steps it notes the
+resident memory of this process and of the FMUs'. Interrupted, or at its limit, it tells what it has so far.
 """
 
 import argparse
@@ -18,7 +18,7 @@ import tempfile
 import tracemalloc
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, thread_time
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -104,19 +104,23 @@ def _exponents(what: str, values: Sequence[int], rows: Sequence[Mapping[str, Any
 def _row(name: str, what: str, size: Size, n_seeds: int) -> dict[str, object]:
     """Cost of the last third of the evaluations, but at most 60: those at about this number of observations."""
     last = min(max(size.observations // 3, 1), 60)
-    latencies: list[float] = []
+    milliseconds: list[float] = []
     errors: list[float] = []
     for seed in range(n_seeds):
         retuner, samples, truth = synthetic(name, size, seed)
-        steps = [retuner.step(s.t, s, 0.0) for s in samples]
-        latencies += [1e3 * sum(step.latencies) for step in steps[-last:]]
-        estimates = [step.estimate for step in steps if step.estimate is not None]
-        errors.append(float(np.max(np.abs(estimates[-1].theta / truth - 1.0))))
+        estimate = None
+        for k, sample in enumerate(samples):
+            begun = thread_time()
+            estimate = retuner.step(sample.t, sample, 0.0).estimate
+            if k >= len(samples) - last:
+                milliseconds.append(1e3 * (thread_time() - begun))
+        assert estimate is not None
+        errors.append(float(np.max(np.abs(estimate.theta / truth - 1.0))))
     return {
         "estimator": name,
         "varied": what,
         **size._asdict(),
-        "ms": spread(latencies),
+        "ms": spread(milliseconds),
         "error": spread(errors),
         "memory [KiB]": _memory(name, size),
     }

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.stats import qmc
+import scipy  # its stats, which takes 0.3 s, is loaded when it is used
 
 from .acquisition import Acquisition, expected_improvement, lower_confidence_bound, probability_of_improvement
 from .contract import Estimate, NoEstimateError
@@ -51,7 +51,7 @@ class PaperBO:
     ) -> None:
         self._space, self._rng, self._settings = space, rng, settings or PaperSettings()
         self._surrogate = ScalarSurrogate(len(space))
-        self._sobol = qmc.Sobol(len(space), rng=rng)
+        self._sobol = scipy.stats.qmc.Sobol(len(space), rng=rng)
         self.restart(start)
 
     def restart(self, start: Vector) -> None:

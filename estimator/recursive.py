@@ -4,14 +4,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy  # its stats, which takes 0.3 s, is loaded when it is used
 from scipy import optimize
-from scipy.stats import qmc
 
 from .contract import Estimate
 from .objective import LinearForm, Objective
 from .space import ParameterSpace, Vector
 
-if TYPE_CHECKING:  # loaded on first use: the other estimators do without
+if TYPE_CHECKING:  # filterpy imports scipy.stats
     from filterpy.kalman import KalmanFilter, UnscentedKalmanFilter
 
 
@@ -89,7 +89,7 @@ class RecursiveLeastSquares:
         from filterpy.kalman import KalmanFilter
 
         psi = linear.coefficients(self._space.from_unit(self._z))
-        cube = qmc.Halton(len(self._space), scramble=False).random(64)
+        cube = scipy.stats.qmc.Halton(len(self._space), scramble=False).random(64)
         anywhere = np.array([linear.coefficients(self._space.from_unit(z)) for z in cube])
         self._start_std = self._settings.spread * np.std(anywhere, axis=0)
         kalman = KalmanFilter(dim_x=len(psi), dim_z=1)

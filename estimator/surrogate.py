@@ -7,7 +7,6 @@ GPy owns the kernels, their priors, bounds and hyperparameters; likelihood and p
 from dataclasses import dataclass
 from typing import Any, Final
 
-import GPy
 import numpy as np
 from scipy.optimize import minimize
 
@@ -37,6 +36,8 @@ class VectorSurrogate:
     """
 
     def __init__(self, n_dimensions: int) -> None:
+        import GPy  # takes 0.4 s: not before it is needed, while the FMUs of a run start
+
         self.kernel = GPy.kern.RBF(n_dimensions, variance=1.0, lengthscale=np.ones(n_dimensions), ARD=True)
         self.kernel.lengthscale.set_prior(GPy.priors.LogGaussian(*LENGTHSCALE_PRIOR), warning=False)
         self.kernel.lengthscale.constrain_bounded(*LENGTHSCALE_BOUNDS, warning=False)
@@ -81,6 +82,8 @@ class ScalarSurrogate:
     """A GP for one noisy output: GPy's Matern-5/2 with a lengthscale a dimension, fitted by maximum likelihood."""
 
     def __init__(self, n_dimensions: int, bounds: MaternBounds | None = None) -> None:
+        import GPy
+
         bounds = bounds or MaternBounds()
         self.kernel = GPy.kern.Matern52(n_dimensions, ARD=True)
         self.likelihood = GPy.likelihoods.Gaussian()

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # its stats, which takes 0.3 s, is loaded when it is used
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
-from scipy.stats import qmc
 
 from .acquisition import log_target_vector_improvement
 from .contract import Estimate, NoEstimateError
@@ -72,7 +72,7 @@ class TargetVector:
         d = len(space)
         self._step = self._settings.initial_step / max(d, 2)
         self._n_modelled = self._settings.n_modelled or 3 * d + 2
-        self._global = qmc.Sobol(d, rng=rng).random(128)
+        self._global = scipy.stats.qmc.Sobol(d, rng=rng).random(128)
         self._surrogate = VectorSurrogate(d)
         self._theta = np.empty((0, d))
         self._residuals: Vector | None = None

@@ -54,6 +54,12 @@ def test_importing_the_estimators_brings_in_no_fmu_and_no_co_simulation():
     assert loaded.isdisjoint({"fmpy", "pythonfmu", "cosim", "fmu_models"})
 
 
+def test_importing_the_estimators_waits_for_neither_gpy_nor_statistics_nor_plots():
+    program = "import sys, estimator; print(*sys.modules)"
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
+    assert set(run.stdout.split()).isdisjoint({"GPy", "scipy.stats", "matplotlib", "pandas"})
+
+
 def test_no_source_imports_an_fmu_or_the_co_simulation():
     for name, source in _sources().items():
         assert {"fmpy", "pythonfmu", "cosim", "fmu_models"}.isdisjoint(_imported(source)), name

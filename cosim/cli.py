@@ -152,6 +152,7 @@ def _estimator_builder(options: argparse.Namespace) -> Callable[[Path], Mapping[
 
 
 def _run(options: argparse.Namespace) -> int:
+    from .errors import SspError
     from .estimators import check_estimator
     from .record import ESTIMATES, to_json, write_bytes
     from .report import ending, report
@@ -161,6 +162,8 @@ def _run(options: argparse.Namespace) -> int:
     is_package = options.scenario.lower().endswith(".ssp") and Path(options.scenario).is_file()
     if is_package and not options.tables and _has_no_scenario(Path(options.scenario)):
         return _run_plainly(options)
+    if options.tables and not is_package:
+        raise SspError(f"--scenario goes with an SSP package, got '{options.scenario}'.")
     source, system = (options.tables, options.scenario) if options.tables else (options.scenario, None)
     scenario = Scenario.load(source, dict(options.overrides), system)
     if options.start_values:

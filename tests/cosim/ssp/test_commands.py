@@ -152,6 +152,12 @@ def test_a_fault_keeps_the_rows_so_far(called, package, workplace):
     assert 10 <= len(read_series(workplace / "plain")["time"]) <= 12
 
 
+def test_a_scenario_file_goes_with_a_package(called, workplace):
+    refused = called("run", "pendulum", "--scenario", "tuning.toml")
+    assert refused == (2, "", "retune: --scenario goes with an SSP package, got 'pendulum'.\n")
+    assert called("run", "none.ssp")[2].startswith("retune: no scenario 'none.ssp': neither a file nor one of")
+
+
 def test_an_export_needs_a_file(called):
     code, _, err = called("export", "pendulum")
     assert (code, err.count("\n")) == (2, 1)

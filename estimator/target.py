@@ -20,7 +20,7 @@ _FAR = 50.0
 """Root mean square residual [standard deviations] above which old candidates, which lie where the optimum was, tell
 little of the slopes: they are learnt anew."""
 _MOST = 128
-"""Candidates that are judged anew at each sample, however long an episode lasts."""
+"""Candidates that are remembered, and judged anew at each sample, however long an episode lasts."""
 _LOCAL_RADII = (0.2, 0.05, 0.01, 0.002)
 """Of the unit cube: standard deviations of the candidates drawn round the incumbent."""
 
@@ -124,6 +124,8 @@ class TargetVector:
             self._queue = one_at_a_time(self._space.to_unit(theta), self._step)
         self._theta = np.vstack([self._theta, theta])
         self._residuals = told if self._residuals is None else np.vstack([self._residuals, told])
+        if len(self._theta) > _MOST:
+            self._forget()
         self._model_now = None
 
     def rescore(self, residuals: Vector) -> None:

@@ -84,11 +84,12 @@ def diagnose(fmu: Path) -> Diagnosis:
     description = read_any(fmu)
     with TemporaryDirectory(prefix="fmu-retune-") as folder:
         unpack(fmu, folder)
-        binary = _binary(Path(folder), description)
+        identifiers = _identifiers(description)
+        binary = _binary(Path(folder), identifiers)
         library = _read_library(binary) if sys.platform == "linux" else None
         script = Path(folder, "resources", "slavemodule.txt")
         is_python = script.is_file() or (library is not None and library.has_open_python)
-        findings = [_found(binary.relative_to(folder).as_posix(), library)]
+        findings = [_found(binary.relative_to(folder).as_posix(), identifiers, library)]
         if library is not None:
             findings += _libraries(binary, library)
         libpython = find_libpython() if is_python else None
@@ -106,16 +107,21 @@ def _kind(description: ModelDescription) -> str:
     return " and ".join(kind for kind, interface in kinds.items() if interface is not None) or "scheduled execution"
 
 
-def _binary(folder: Path, description: ModelDescription) -> Path:
-    """The shared library of an FMU that has one for this platform."""
+def _identifiers(description: ModelDescription) -> list[str]:
     interfaces: tuple[Any, ...] = (description.coSimulation, description.modelExchange, description.scheduledExecution)
-    names = [f"{interface.modelIdentifier}{fmpy.sharedLibraryExtension}" for interface in interfaces if interface]
+    return [str(interface.modelIdentifier) for interface in interfaces if interface is not None]
+
+
+def _binary(folder: Path, identifiers: list[str]) -> Path:
+    """The shared library of an FMU that has one for this platform; another, where none has the model's name."""
     places = [folder / "binaries" / place for place in (fmpy.platform, fmpy.platform_tuple)]
     found = [path for place in places for path in sorted(place.glob(f"*{fmpy.sharedLibraryExtension}"))]
-    return next((path for path in found if path.name in names), found[0])
+    return next((path for path in found if path.stem in identifiers), found[0])
 
 
-def _found(binary: str, library: _Library | None) -> Finding:
+def _found(binary: str, identifiers: list[str], library: _Library | None) -> Finding:
+    if Path(binary).stem not in identifiers:
+        return Finding("binary", False, f"{' or '.join(identifiers)} by the model description, but here is {binary}")
     if library is None and sys.platform == "linux":
         return Finding("binary", False, f"{binary} is no shared library for Linux")
     return Finding("binary", True, binary if library else f"{binary}, which is not examined on this platform")

@@ -284,6 +284,7 @@ def test_thrust_needs_neither_rates_nor_yaw_nor_higher_derivatives():
 
 
 @fmu
+@pytest.mark.interop
 @each_model
 def test_it_runs_in_fmpy_and_on_its_command_line(fmus, tmp_path, name):
     # In a process of its own, which ends before pythonfmu's exit handler.

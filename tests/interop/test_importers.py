@@ -89,7 +89,7 @@ CASES = (
     ),
     Case(
         "gemseo", "MDAGaussSeidel: plant, controller", one_by_one("reference", "plant", "controller"),
-        ordered("plant", "controller", "reference", mda_name="MDAGaussSeidel"), "model",
+        ordered("plant", "controller", "reference", mda_name="MDAGaussSeidel", is_function=True), "model",
     ),
 )  # fmt: skip
 IMPORTERS = tuple(dict.fromkeys(case.importer for case in CASES))

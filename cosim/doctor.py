@@ -12,7 +12,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib.metadata import packages_distributions, version
+from importlib.metadata import distributions, packages_distributions, version
 from importlib.util import find_spec
 from modulefinder import ModuleFinder
 from pathlib import Path
@@ -174,7 +174,13 @@ def _libpython(path: str | None) -> Finding:
 
 
 def _modules(script: Path) -> Finding:
-    """The modules that the FMU imports and does not bring along; those imported by a computed name are not seen."""
+    """The packages that the FMU asks for, or else the modules that it imports and does not bring along.
+
+    Modules imported by a computed name are not seen.
+    """
+    requirements = script.with_name("requirements.txt")
+    if requirements.is_file():
+        return _requirements(requirements.read_text(encoding="utf-8", errors="replace"))
     entry = script.with_name(f"{script.read_text(encoding='utf-8').strip()}.py")
     finder = ModuleFinder(path=[str(script.parent)])
     try:
@@ -187,9 +193,21 @@ def _modules(script: Path) -> Finding:
     lacking = ", ".join(sorted(names - set(here)))
     if lacking:
         return Finding("modules", False, f"{lacking} cannot be imported in {sys.prefix}")
-    distributions = packages_distributions() if here else {}
-    versions = [f"{name} {version(distributions[name][0])}" if name in distributions else name for name in here]
+    known = packages_distributions() if here else {}
+    versions = [f"{name} {version(known[name][0])}" if name in known else name for name in here]
     return Finding("modules", True, ", ".join(versions) or "none but those of Python and its own")
+
+
+def _requirements(text: str) -> Finding:
+    """Packages by name; of versions and other conditions nothing is said."""
+    names = [match[0] for line in text.splitlines() if (match := re.match(r"\s*[A-Za-z][\w.-]*", line))]
+    found = {distribution.name.lower(): distribution.version for distribution in distributions()}
+    lacking = ", ".join(name for name in names if name.lower() not in found)
+    if lacking:
+        return Finding(
+            "modules", False, f"{lacking} not installed in {sys.prefix}; python -m pythonfmu deploy -f FMU does it"
+        )
+    return Finding("modules", True, ", ".join(f"{name} {found[name.lower()]}" for name in names) or "none")
 
 
 def _advice(is_python: bool, libpython: str | None, is_pythonfmu: bool) -> str:

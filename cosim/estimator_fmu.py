@@ -27,8 +27,9 @@ from .scenario import Scenario
 from .schema import Innovation, Tracking
 from .system import Plant, check_parameters, fmu_paths, plant_of, start_value, wire
 
-_SHIPPED = ("__init__", "estimator_loop", "estimator_slave", "reconfigure")
+_SHIPPED = ("estimator_loop", "estimator_slave", "reconfigure")
 """The modules of this package that an estimator FMU imports: they need no more than `estimator` does."""
+_INIT = b'"""What an estimator FMU has of cosim."""\n'
 _OURS = ("cosim", "estimator", "fmu_models")
 
 
@@ -49,12 +50,14 @@ def build_estimator(scenario: Scenario, out_dir: Path, method: str = "target") -
     script = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower() + "_fmu"
     own = Path(__file__).parent
     files = {
+        "cosim/__init__.py": _INIT,
         **{f"cosim/{module}.py": (own / f"{module}.py").read_bytes() for module in _SHIPPED},
         **sources(Path(estimator.__path__[0])),
         **sources(Path(fmu_models.__path__[0])),
         **_user_sources(settings, scenario.folder),
     }
     tops = sorted({path.partition("/")[0].removesuffix(".py") for path in files})
+    files["requirements.txt"] = "".join(f"{package}\n" for package in settings["requires"]).encode()
     files[f"{script}.py"] = _entry(name, scenario, settings | {"ships": tops}).encode()
     try:
         return assemble(name, script, files, out_dir)

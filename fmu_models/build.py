@@ -60,7 +60,10 @@ def build(name: str, out_dir: Path | str) -> Path:
 
 
 def assemble(name: str, script: str, files: Mapping[str, bytes], out_dir: Path | str) -> Path:
-    """Build an FMU from its files, by their paths: the entry script, `<script>.py`, and all that it imports."""
+    """Build an FMU from its files, by their paths: the entry script, `<script>.py`, and all that it imports.
+
+    A requirements.txt among them says what else it needs, for `python -m pythonfmu deploy -f FMU`.
+    """
     out_dir = Path(out_dir)
     out_dir.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="fmu_models_") as directory:
@@ -129,7 +132,7 @@ def _rewrite(raw: Path, target: Path, identity: str, script: str, files: Iterabl
     look for a package in the folder of the one that came first, which may be gone or of another version.
     """
     suffix = f"_{identity[:8]}"
-    tops = {path: re.match(r"\w+", path)[0] for path in files}
+    tops = {path: re.match(r"\w+", path)[0] for path in files if path.endswith(".py")}
     own = {f"resources/{path}": f"resources/{top}{suffix}{path[len(top) :]}" for path, top in tops.items()}
     with zipfile.ZipFile(raw) as source, zipfile.ZipFile(target, "x", zipfile.ZIP_DEFLATED) as copy:
         for path in sorted(set(source.namelist()), key=lambda path: own.get(path, path)):

@@ -6,7 +6,7 @@ A model is a subclass of one of them: a table of variables, and one hook that is
 from collections.abc import Callable
 from typing import Any, ClassVar
 
-from .description import Variable, output, parameter, per_second
+from .description import TIME, Variable, output, parameter, per_second
 from .ode import Vector, integrate
 from .slave import Slave
 
@@ -88,14 +88,18 @@ class Controller(Slave):
 
 
 class Reference(Slave):
-    """A function of time and parameters."""
+    """A function of time and parameters. Time is added to its table."""
+
+    @classmethod
+    def _complete(cls, table: tuple[Variable, ...]) -> tuple[Variable, ...]:
+        return (*super()._complete(table), TIME) if table else ()
 
     def outputs(self, time: float, parameters: Vector) -> Vector:
         """The hook: time [s]; parameters and the returned outputs in the table's order."""
         raise NotImplementedError
 
     def _refresh(self) -> None:
-        self._values[self._outputs] = self.outputs(self._time, tuple(self._values[self._parameters]))
+        self._values[self._outputs] = (*self.outputs(self._time, tuple(self._values[self._parameters])), self._time)
 
     def _advance(self, step_size: float) -> None:
         self._update()

@@ -66,7 +66,7 @@ class Slave(Fmi2Slave):
             _retain(vars(sys.modules[cls.__module__]))
         cls.variables = cls._complete(cls.table)
         n_parameters, n_inputs = (sum(v.causality == c for v in cls.variables) for c in ("parameter", "input"))
-        n_exact = sum(v.initial != "calculated" for v in cls.variables)
+        n_exact = sum(v.start is not None for v in cls.variables)
         cls._parameters, cls._inputs = slice(0, n_parameters), slice(n_parameters, n_parameters + n_inputs)
         cls._states, cls._outputs = slice(n_parameters + n_inputs, n_exact), slice(n_exact, None)
         cls._given = slice(0, n_exact)  # what is set from outside: parameters, inputs, states

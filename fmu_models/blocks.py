@@ -4,11 +4,14 @@ A model is a subclass of one of them: a table of variables, and one hook that is
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, ClassVar
 
 from .description import TIME, Variable, output, parameter, per_second
 from .ode import Vector, integrate
 from .slave import Slave
+
+HELD = ", with the inputs held"
 
 
 class Plant(Slave):
@@ -36,7 +39,7 @@ class Plant(Slave):
         )
         rates = [
             output(
-                f"der({v.name})", per_second(v.unit or "1"), f"Time derivative of {v.name}, with the inputs held",
+                f"der({v.name})", per_second(v.unit or "1"), f"Time derivative of {v.name}{HELD}",
                 depends=v.dependencies, derivative=v.name,
             ) for v in states
         ]  # fmt: skip
@@ -47,6 +50,15 @@ class Plant(Slave):
             ) for v in inputs
         ]  # fmt: skip
         return (*parameters, max_step, *inputs, *states, *rates, *held) if table else ()
+
+    @classmethod
+    def exchange_table(cls) -> tuple[Variable, ...]:
+        """The variables where somebody else integrates: no max_step, nothing is held, derivatives are local."""
+        kept = [v for i, v in enumerate(cls.variables[: cls._held.start]) if i != cls._max_step]
+        texts = {v.name: v.description.removesuffix(HELD) for v in kept}
+        return tuple(
+            replace(v, causality="local", description=texts[v.name]) if v.derivative else v for v in kept
+        )  # fmt: skip
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 from xml.etree.ElementTree import Element, SubElement
 
-Causality = Literal["parameter", "input", "output", "independent"]
+Causality = Literal["parameter", "input", "output", "local", "independent"]
 Variability = Literal["fixed", "tunable", "discrete", "continuous"]
 Initial = Literal["exact", "calculated"]
 
@@ -39,7 +39,7 @@ class Variable:
     derivative: str | None = None
     """Name of the state whose time derivative this is."""
     dependencies: tuple[str, ...] = ()
-    """Names of the parameters, inputs and states (or time) that a calculated value or a state's derivative depends on."""
+    """Names of all that a calculated value, or a state's derivative, depends on."""
 
     def __post_init__(self) -> None:
         lower = float("-inf") if self.min is None else self.min
@@ -122,9 +122,7 @@ def base_unit(unit: str) -> dict[str, int]:
     return {base: exponents[base] for base in ("kg", "m", "s", "rad") if exponents[base]}
 
 
-TIME = Variable(
-    name="time", unit="s", description="Simulation time", causality="independent", variability="continuous"
-)
+TIME = Variable(name="time", unit="s", description="Simulation time", causality="independent", variability="continuous")
 """The independent variable, where something depends on it."""
 
 

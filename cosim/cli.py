@@ -51,6 +51,8 @@ def _parser() -> argparse.ArgumentParser:
     build = commands.add_parser("build", help="build the FMUs that come with the package")
     build.add_argument("--out", type=Path, default=Path("fmus"), metavar="DIR", help="where to (default: fmus)")
     build.add_argument("--force", action="store_true", help="replace FMUs that differ")
+    build.add_argument("--fmi", type=int, choices=(2, 3), default=2, help="FMI version (default: 2)")
+    build.add_argument("--model-exchange", action="store_true", help="the plants for model exchange, FMI 3.0")
     build.set_defaults(command=_build)
 
     run = commands.add_parser("run", help="simulate a scenario with its controller re-tuned", allow_abbrev=False)
@@ -107,7 +109,8 @@ def _add_set(parser: argparse.ArgumentParser) -> None:
 def _build(options: argparse.Namespace) -> int:
     from .library import build_into
 
-    for path, verb in build_into(options.out, options.force):
+    fmi, interface = (3, "ModelExchange") if options.model_exchange else (options.fmi, "CoSimulation")
+    for path, verb in build_into(options.out, options.force, fmi, interface):
         print(f"{path}  {verb}")
     return DONE
 

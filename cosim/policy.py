@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
 from typing import Protocol
 
@@ -11,6 +12,7 @@ from estimator import DerivativeResidual, LinearForm, ResidualWindow, Sample, Ve
 
 from .errors import CosimError, ScenarioError, one_line, seconds
 from .estimators import find_method, load, make_estimator
+from .fmu_model import opened_model
 from .reconfigure import (
     AlwaysTrigger,
     Budget,
@@ -90,8 +92,10 @@ def make_policy(
     truth: Callable[[float], Vector],
     first: Sample,
     rng: np.random.Generator,
+    stack: ExitStack,
 ) -> Policy:
     """The policy of that name; theta (d,): what the controller holds; first: a sample to try the model on.
+    stack closes the model, where it is an FMU.
 
     Raises ScenarioError for an unknown name, or a model or estimator that cannot be loaded or called.
     """
@@ -101,7 +105,7 @@ def make_policy(
         return TellTruth(truth)
     method = find_method(estimator, scenario)
     search, loop = make_estimator(estimator, method, scenario, theta, rng)
-    whitened = _residual(scenario, plant, first, theta)
+    whitened = _residual(scenario, plant, first, theta, stack)
     judged = whitened if search.is_whitened else replace(whitened, noise=(1.0,) * len(whitened.noise))
     linear = scenario.estimation.linear if method.needs_linear_form else None
     trigger = _trigger(loop, whitened)
@@ -126,10 +130,10 @@ def _trigger(loop: Loop, residual: DerivativeResidual) -> Trigger:
             return AlwaysTrigger()
 
 
-def _residual(scenario: Scenario, plant: Plant, first: Sample, theta: Vector) -> DerivativeResidual:
+def _residual(scenario: Scenario, plant: Plant, first: Sample, theta: Vector, stack: ExitStack) -> DerivativeResidual:
     """The whitened residual of the scenario's model, tried once. Raises ScenarioError."""
     settings = scenario.estimation
-    model = load(settings.model, scenario.folder)
+    model = stack.enter_context(opened_model(scenario, plant))
     sigma = tuple(n.noise for n in scenario.sampling.derivatives.values())
     residual = DerivativeResidual(model, settings.space, plant.channels, sigma)
     try:

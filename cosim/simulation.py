@@ -17,6 +17,7 @@ from time import perf_counter
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from .aliases import as_the_fmus_have_it
 from .errors import ScenarioError, SlaveError, WiringError
 from .estimators import check_estimator
 from .master import Master
@@ -57,7 +58,8 @@ def run(
             name: stack.enter_context(open_slave(path, name, isolation=settings.isolation, timeout=settings.timeout))
             for name, path in paths.items()
         }
-        loop = _Loop(scenario, slaves, estimator, seed)
+        scenario = as_the_fmus_have_it(scenario, slaves)
+        loop = _Loop(scenario, slaves, estimator, seed, stack)
         fault = loop.initialize()
         if out is not None:
             begin_folder(out, scenario, estimator, seed, paths, loop.plant)
@@ -79,8 +81,10 @@ def run(
 class _Loop:
     """One run in progress: the FMUs by way of the master, and what the controller holds."""
 
-    def __init__(self, scenario: Scenario, slaves: Mapping[str, Slave], estimator: str, seed: int) -> None:
-        """Raises ScenarioError, WiringError."""
+    def __init__(
+        self, scenario: Scenario, slaves: Mapping[str, Slave], estimator: str, seed: int, stack: ExitStack
+    ) -> None:
+        """stack: closes what the run has opened. Raises ScenarioError, WiringError."""
         plant = plant_of(scenario, slaves[scenario.plant])
         check_parameters(scenario, slaves)
         wiring, groups = wire(scenario, slaves)
@@ -92,7 +96,9 @@ class _Loop:
         self._theta = np.array([start_value(scenario, slaves, p.writes) for p in scenario.estimation.parameters])
         self._truth = true_parameters(scenario, slaves)
         self.policy: Policy = LeaveAlone()
-        self._make_policy = partial(make_policy, scenario, estimator, plant, self._theta, self._true_theta, rng=search)
+        self._make_policy = partial(
+            make_policy, scenario, estimator, plant, self._theta, self._true_theta, rng=search, stack=stack
+        )
         self.latencies: list[tuple[float, ...]] = []
         self._writes = [p.writes for p in scenario.estimation.parameters]
         self._written: dict[str, list[float]] = {}

@@ -84,7 +84,8 @@ EQUATIONS: Mapping[str, tuple[tuple[str, ...], str, str]] = {
             " − J (Ω̂ Rᵀ R<sub>d</sub> Ω<sub>d</sub> − Rᵀ R<sub>d</sub> Ω̇<sub>d</sub>)",
             "R<sub>d</sub>: third axis −A/|A|, heading ψ<sub>d</sub>; Ω<sub>d</sub> and Ω̇<sub>d</sub> from Ȧ and Ä",
             "e<sub>r</sub> = r − r<sub>d</sub>,  e<sub>v</sub> = v − v<sub>d</sub>,"
-            "  ê<sub>R</sub> = (R<sub>d</sub>ᵀ R − Rᵀ R<sub>d</sub>)/2,  e<sub>Ω</sub> = Ω − Rᵀ R<sub>d</sub> Ω<sub>d</sub>",
+            "  ê<sub>R</sub> = (R<sub>d</sub>ᵀ R − Rᵀ R<sub>d</sub>)/2,"
+            "  e<sub>Ω</sub> = Ω − Rᵀ R<sub>d</sub> Ω<sub>d</sub>",
         ),
         "Ȧ and Ä carry the error terms, with the acceleration that the controller's own m, F and R predict. "
         "Undefined, and an error, where A = 0 or A is along the heading.",

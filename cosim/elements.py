@@ -6,7 +6,7 @@ no variable of a name, r_x is another name of r[1] and R_12 of R[1,2]: scenarios
 
 import copy
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import product
 from math import prod
 from typing import Final
@@ -42,7 +42,7 @@ def scalarized(description: ModelDescription) -> ModelDescription:
     return result
 
 
-def starts_of(variable: ModelVariable) -> list[str | None]:
+def starts_of(variable: ModelVariable) -> Sequence[str | None]:
     """The start value of each element: one value is that of all."""
     n = prod(variable.shape or ())
     if not variable.shape or variable.start is None:

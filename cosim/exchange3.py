@@ -39,6 +39,9 @@ class Exchange3:
         self._tunables: list[Block3] = []
         self._state_places: list[int] = []
         self._rate_places: list[int] = []
+        self._enter_event_mode = fmi.raw("fmi3EnterEventMode")
+        self._enter_continuous_time = fmi.raw("fmi3EnterContinuousTimeMode")
+        self._update = fmi.raw("fmi3UpdateDiscreteStates", *[c_void_p] * 6)
         self._set_states = fmi.raw("fmi3SetContinuousStates", c_void_p, c_size_t)
         self._get_rates = fmi.raw("fmi3GetContinuousStateDerivatives", c_void_p, c_size_t)
 
@@ -65,7 +68,7 @@ class Exchange3:
         fmi = self._fmi
         fmi.log.clear()
         if tunables is not None:
-            fmi.call("enter_event_mode", fmi.raw("fmi3EnterEventMode"))
+            fmi.call("enter_event_mode", self._enter_event_mode)
             fmi.set(self._tunables, tunables)
             self._leave_event_mode()
         n = len(self._state_places)
@@ -88,11 +91,10 @@ class Exchange3:
     def _leave_event_mode(self) -> None:
         fmi = self._fmi
         flags, next_time = [c_bool() for _ in range(5)], c_double()
-        update = fmi.raw("fmi3UpdateDiscreteStates", *[c_void_p] * 6)
         for _ in range(_MOST_UPDATES):
-            fmi.call("update_discrete_states", update, *map(byref, flags), byref(next_time))
+            fmi.call("update_discrete_states", self._update, *map(byref, flags), byref(next_time))
             if not flags[0].value:
                 break
         else:
             raise SlaveError(fmi.name, "update_discrete_states", fmi.time, f"has not ended after {_MOST_UPDATES} calls")
-        fmi.call("enter_continuous_time_mode", fmi.raw("fmi3EnterContinuousTimeMode"))
+        fmi.call("enter_continuous_time_mode", self._enter_continuous_time)

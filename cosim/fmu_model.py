@@ -5,7 +5,7 @@ An FMU is read the FMI way: set continuous states, inputs and parameters, get th
 
 import shutil
 import weakref
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ from .worker import Worker
 
 
 @contextmanager
-def opened_model(scenario: Scenario, plant: Plant) -> Iterator[Any]:
+def opened_model(scenario: Scenario, plant: Plant) -> Generator[Any]:
     """xdot (n,) = model(x, u, **parameters): see DerivativeResidual. Raises ScenarioError."""
     reference = scenario.estimation.model
     if ":" in reference and not reference.endswith(".fmu"):

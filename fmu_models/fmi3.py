@@ -5,9 +5,9 @@ the FMI 2.0 FMU is; a value reference stands for the places of its elements in t
 needs it for its own variables, which are not used.
 """
 
-import traceback
 from collections.abc import Callable, Iterable
 from functools import wraps
+from math import nan
 from typing import Any, ClassVar, TypeVar
 from xml.etree.ElementTree import Element
 
@@ -22,30 +22,17 @@ from .slave import Slave, retain
 _Method = TypeVar("_Method", bound=Callable[..., Any])
 
 
-class _Fault(Exception):
-    """What the loader gets of an exception: it logs the repr, and nothing else that is safe.
-
-    Whatever is queued for the logger then is logged with the exception still pending, in which a logger that is
-    written in Python cannot run.
-    """
-
-    def __repr__(self) -> str:
-        return str(self)
-
-
-def _logged(method: _Method) -> _Method:
-    """The method, with the traceback of whatever it raises sent to the FMI logger."""
+def _retaining(method: _Method) -> _Method:
+    """The method; when it raises, its instance is kept for ever: the loader drops its references then, and again."""
 
     @wraps(method)
     def call(self: "Fmi3Model", *arguments: Any) -> Any:
         try:
             return method(self, *arguments)
-        except BaseException as error:
-            if not self._is_hosted:
-                raise
-            retain(self, type(self), self.log_queue)  # the loader drops its references now, and again at the end
-            self.log_queue.clear()
-            raise _Fault("".join(traceback.format_exception(error))) from error
+        except BaseException:
+            if self._is_hosted:
+                retain(self, type(self), self.log_queue)
+            raise
 
     return call  # type: ignore[return-value]
 
@@ -65,7 +52,7 @@ class Fmi3Model(Fmi3SlaveBase):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self._slave = self.model(**kwargs)
-        self._slave.log_queue, self._slave.per_cent = self.log_queue, "%"  # texts are no formats in FMI 3.0
+        self._slave.log, self._slave.per_cent = self.log, "%"  # texts are no formats in FMI 3.0
         self._is_hosted = "logger" in kwargs
         self.time = 0.0
         self.modelName = self._slave.modelName
@@ -79,12 +66,12 @@ class Fmi3Model(Fmi3SlaveBase):
 
     # -- FMI calls --------------------------------------------------------------------------------------------
 
-    @_logged
+    @_retaining
     def exit_initialization_mode(self) -> None:
         """Freeze what only initialisation may set, and compute the initial outputs."""
         self._slave.exit_initialization_mode()
 
-    @_logged
+    @_retaining
     def get_float64(self, vrs: list[int]) -> list[float]:
         """Values of these variables, element by element."""
         places = self._expanded(vrs)
@@ -93,26 +80,26 @@ class Fmi3Model(Fmi3SlaveBase):
         values = iter(self._slave.get_real([i for i in places if i >= 0]))
         return [self.time if i < 0 else next(values) for i in places]
 
-    @_logged
+    @_retaining
     def set_float64(self, vrs: list[int], values: list[float]) -> None:
         """Set inputs, tunable parameters and, before the end of initialisation, everything with a start."""
         self._slave.set_real(self._expanded(vrs, len(values)), values)
 
-    @_logged
+    @_retaining
     def get_boolean(self, vrs: list[int]) -> list[bool]:
         """Values of these Boolean parameters."""
         return self._slave.get_boolean(self._expanded(vrs))
 
-    @_logged
+    @_retaining
     def set_boolean(self, vrs: list[int], values: list[bool]) -> None:
         """Set these Boolean parameters."""
         self._slave.set_boolean(self._expanded(vrs, len(values)), values)
 
-    @_logged
+    @_retaining
     def _get_fmu_state(self) -> bytes:
         return self._slave._get_fmu_state()
 
-    @_logged
+    @_retaining
     def _set_fmu_state(self, state: bytes) -> None:
         self._slave._set_fmu_state(state)
 
@@ -162,7 +149,7 @@ class Fmi3CoSimulation(Fmi3Model, CoSimulation):
         super().__init_subclass__(**kwargs)
         cls.has_feedthrough = cls.model.has_feedthrough
 
-    @_logged
+    @_retaining
     def do_step(self, current_time: float, step_size: float) -> bool:
         """Hold the inputs and go on to `current_time + step_size` [s]."""
         done = self._slave.do_step(current_time, step_size)
@@ -190,14 +177,14 @@ class Fmi3ModelExchange(Fmi3Model, ModelExchange):
         """The variables that this interface shows, as scalars."""
         return cls.model.exchange_table()
 
-    @_logged
+    @_retaining
     def exit_initialization_mode(self) -> None:
         """Freeze what only initialisation may set. To the Slave it never ends: its derivatives follow the inputs."""
         self._slave.get_real(self._rates)
         variables = enumerate(self.model.variables)
         self._later = frozenset(i for i, v in variables if v.causality == "input" or v.variability == "tunable")
 
-    @_logged
+    @_retaining
     def set_float64(self, vrs: list[int], values: list[float]) -> None:
         """Set inputs, tunable parameters and, before the end of initialisation, states."""
         places = self._expanded(vrs, len(values))
@@ -207,7 +194,7 @@ class Fmi3ModelExchange(Fmi3Model, ModelExchange):
             raise ValueError(f"{self.modelName}: {name} must not be set after initialisation.")
         self._slave.set_real(places, values)
 
-    @_logged
+    @_retaining
     def set_time(self, time: float) -> None:
         """The time [s], on which no plant depends."""
         self.time = time
@@ -216,20 +203,22 @@ class Fmi3ModelExchange(Fmi3Model, ModelExchange):
         """n, every element counted."""
         return len(self._states)
 
-    @_logged
+    @_retaining
     def get_continuous_states(self) -> list[float]:
         """x (n,), in the order of the model structure."""
         return self._slave.get_real(self._states)
 
-    @_logged
+    @_retaining
     def set_continuous_states(self, values: list[float]) -> None:
         """x (n,)."""
         self._slave.set_real(self._states, values)
 
-    @_logged
     def get_continuous_state_derivatives(self) -> list[float]:
-        """x_dot (n,) = f(x, u; theta)."""
-        return self._slave.get_real(self._rates)
+        """x_dot (n,) = f(x, u; theta); NaN where it has no value, which is logged: the loader dies of an exception."""
+        try:
+            return self._slave.get_real(self._rates)
+        except Exception:  # logged by the Slave
+            return [nan] * len(self._rates)
 
     def get_nominals_of_continuous_states(self, size: int) -> list[float]:
         """Typical sizes (n,)."""

@@ -16,7 +16,10 @@ from .errors import COLON, SlaveError
 from .instance import Identity
 from .transport import CALL, FAULT, RESULT, Channel, StepCodec, decode, encode, open_channel
 
-_CALLS: Final = frozenset({"bind", "initialize", "get", "get_state", "set_state", "close"})
+_CALLS: Final = frozenset(
+    {"bind", "initialize", "enter_initialization", "propagate", "exit_initialization", "get", "get_state", "set_state"}
+    | {"close"}
+)
 
 
 def main(channel_argument: str) -> NoReturn:

@@ -60,7 +60,8 @@ class Exchange3:
         """Set start values (name, type, handle, value), and go on to continuous-time mode; times in s."""
         self._fmi.time = start_time
         self._fmi.set_start(start)
-        self._fmi.initialize(start_time, stop_time)
+        self._fmi.enter_initialization(start_time, stop_time)
+        self._fmi.exit_initialization()
         self._leave_event_mode()
 
     def step(self, t: float, h: float, inputs: Sequence[float], tunables: Sequence[float] | None) -> tuple[float, ...]:

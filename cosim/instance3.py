@@ -80,11 +80,14 @@ class Fmi3:
         reason = self.log.reason()
         return SlaveError(self.name, function, self.time, f"returned {word}{': ' if reason else ''}{reason}")
 
-    def initialize(self, start_time: float, stop_time: float | None) -> None:
-        """Enter and exit initialization mode; times in s."""
+    def enter_initialization(self, start_time: float, stop_time: float | None) -> None:
+        """Enter initialization mode; times in s."""
         enter = self.raw("fmi3EnterInitializationMode", c_bool, c_double, c_double, c_bool, c_double)
         end = 0.0 if stop_time is None else stop_time
         self.call("enter_initialization_mode", enter, False, 0.0, start_time, stop_time is not None, end)
+
+    def exit_initialization(self) -> None:
+        """Exit initialization mode."""
         self.call("exit_initialization_mode", self.raw("fmi3ExitInitializationMode"))
 
     def close(self) -> None:
@@ -138,10 +141,27 @@ class Instance3:
         self, start: Sequence[tuple[str, str, int, Value]], start_time: float, stop_time: float | None
     ) -> None:
         """Set start values (name, type, handle, value), go through initialization mode; times in s."""
+        self.enter_initialization(start, start_time, stop_time)
+        self.exit_initialization()
+
+    def enter_initialization(
+        self, start: Sequence[tuple[str, str, int, Value]], start_time: float, stop_time: float | None
+    ) -> None:
+        """The first half of initialize."""
         self._fmi.time = start_time
         self._fmi.set_start(start)
         self._start_blocks()
-        self._fmi.initialize(start_time, stop_time)
+        self._fmi.enter_initialization(start_time, stop_time)
+
+    def propagate(self, inputs: Sequence[float] | None) -> tuple[float, ...]:
+        """In initialization mode: set the inputs, where given, and get the outputs."""
+        if inputs is not None:
+            self._fmi.set(self._inputs, inputs)
+        return self.get()
+
+    def exit_initialization(self) -> None:
+        """The second half of initialize."""
+        self._fmi.exit_initialization()
 
     def step(self, t: float, h: float, inputs: Sequence[float], tunables: Sequence[float] | None) -> tuple[float, ...]:
         """Set tunables (if given) and inputs, step from t to t + h [s], get the outputs, all in bound order."""

@@ -58,6 +58,19 @@ def test_elements_that_nobody_names_keep_their_values(quadrotor):
     assert quadrotor(3, start={"J[1]": 5.0, "Omega[1]": 1.0, "Omega[3]": 1.0}).get()[3] == pytest.approx(-2.8 / 1.1)
 
 
+def test_inputs_reach_the_outputs_in_initialization_mode(tmp_path):
+    """The controller of a hovering quadrotor asks for m (g - a_d_z): F = -A . R e3, with no error of position."""
+    path = find_fmu("QuadrotorController", tmp_path, 3)
+    with open_slave(path, "controller") as slave:
+        slave.bind(["a_d[3]"], [], ["F"])
+        call = slave._home.call
+        call("enter_initialization", None, [], 0.0, 1.0)
+        for a_d in (0.0, 1.0):
+            assert call("propagate", 0.0, [a_d]) == [pytest.approx(1.25 * (9.81 - a_d))]
+        call("exit_initialization", 0.0)
+        assert slave.step([2.0], 0.0, 0.01) == (pytest.approx(1.25 * 7.81),)
+
+
 def test_a_state_is_gone_back_to(quadrotor):
     slave = quadrotor()
     steps(slave, 3)

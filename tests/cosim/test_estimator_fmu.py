@@ -422,7 +422,7 @@ def test_the_archive_holds_no_more_of_the_co_simulation_than_is_loaded(tmp_path)
 
 @fmu
 def test_the_readme_s_script_re_tunes_the_pendulum(tmp_path):
-    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    readme = (Path(__file__).parents[2] / "docs" / "estimator-fmu.md").read_text(encoding="utf-8")
     (script,) = [
         block for block in re.findall(r"```python\n(.*?)```", readme, re.DOTALL) if "PendulumEstimator" in block
     ]

@@ -173,6 +173,18 @@ def _libpython(path: str | None) -> Finding:
     return Finding("libpython", True, f"{path}, of {python}")
 
 
+class _Imports(ModuleFinder):
+    """Finds what is imported by its whole name; a relative import never leads out of the FMU."""
+
+    def import_hook(self, name: str, caller: Any = None, fromlist: Any = None, level: int = -1) -> Any:
+        try:
+            return super().import_hook(name, caller, fromlist, level)
+        except ImportError:
+            if level > 0:
+                return None
+            raise
+
+
 def _modules(script: Path) -> Finding:
     """The packages that the FMU asks for, or else the modules that it imports and does not bring along.
 
@@ -182,7 +194,7 @@ def _modules(script: Path) -> Finding:
     if requirements.is_file():
         return _requirements(requirements.read_text(encoding="utf-8", errors="replace"))
     entry = script.with_name(f"{script.read_text(encoding='utf-8').strip()}.py")
-    finder = ModuleFinder(path=[str(script.parent)])
+    finder = _Imports(path=[str(script.parent)])
     try:
         finder.run_script(str(entry))
     except (OSError, SyntaxError, ValueError) as error:

@@ -130,6 +130,10 @@ def alone(name):
     return jobs.Job(0.01, 40, {"model": str(path)}, start, {}, {"15": change}, outputs, {})
 
 
+def has_boolean_input(name):
+    return any(v.causality == "input" and v.type == "Boolean" for v in variables_of(find_fmu(name, Path())))
+
+
 @cache
 def closed_loop(name, start="consistent", at=50):
     """A named scenario's FMUs and connections; plant and controller change at t_50."""
@@ -208,7 +212,7 @@ def python_of(importer):
 
 
 def jobs_of(importer):
-    mine = {name: alone(name) for name in NAMES}
+    mine = {name: alone(name) for name in NAMES if not (importer == "pathsim" and has_boolean_input(name))}
     for case in CASES:
         for loop in LOOPS if case.importer == importer else ():
             mine[f"{case.order} {loop}"] = replace(closed_loop(loop, case.start), options=case.options)
@@ -248,6 +252,8 @@ def expected(loop, start, groups):
 @pytest.mark.parametrize("name", NAMES)
 def test_an_fmu_alone_gives_the_same_outputs(simulated, importer, name):
     """Its inputs and tunable parameters change at t_15."""
+    if importer == "pathsim" and has_boolean_input(name):
+        pytest.skip("pathsim-fmi sets every input as a Real")
     np.testing.assert_allclose(simulated(importer)[name], ours_alone(alone(name)), rtol=0.0, atol=1e-9)
 
 

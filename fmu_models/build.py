@@ -70,8 +70,7 @@ class {name}(Fmi3{interface}, Fmi3SlaveBase):
 
 def guid(name: str, fmi: int = 2, interface: Interface = "CoSimulation") -> str:
     """The GUID that `build` gives: it depends on what is built, the files in it and the libraries' versions."""
-    _, files, extra = _contents(name, fmi, interface)
-    return _identity(name, fmi, files | extra)
+    return _identity(name, fmi, _files(name, fmi, interface)[1])
 
 
 def build(name: str, out_dir: Path | str, fmi: int = 2, interface: Interface = "CoSimulation") -> Path:
@@ -80,7 +79,11 @@ def build(name: str, out_dir: Path | str, fmi: int = 2, interface: Interface = "
     The file appears at once and whole, so builds may run at the same time. Raises ValueError for an unknown name, and
     for model exchange of what is no plant, or in FMI 2.0.
     """
-    script, files, extra = _contents(name, fmi, interface)
+    script, files = _files(name, fmi, interface)
+    model = getattr(import_module(f"{__package__}.{_SCRIPTS[name]}"), name)
+    variables = model.exchange_table() if interface == "ModelExchange" else model.variables
+    libraries = ("pythonfmu",) if fmi == 2 else ("pythonfmu", "pythonfmu3")
+    extra = documentation.files(name, model.__doc__, variables, fmi, libraries)
     return assemble(name, script, files, extra, out_dir, fmi)
 
 
@@ -89,7 +92,7 @@ def assemble(
 ) -> Path:
     """Build an FMU from its files, by their paths: the entry script, `<script>.py`, and all that it imports.
 
-    extra: files beside the resources, by their paths in the FMU.
+    extra: files beside the resources, by their paths in the FMU; they follow from the others, and the GUID is without.
     A requirements.txt among them says what else it needs, for `python -m pythonfmu deploy -f FMU`.
     """
     out_dir = Path(out_dir)
@@ -105,7 +108,7 @@ def assemble(
             raw = (FmuBuilder if fmi == 2 else Fmi3Builder).build_FMU(entry, dest=stage / "raw", project_files=others)
         target, temporary = out_dir / f"{name}.fmu", out_dir / f".{name}.{uuid4().hex}.tmp"
         try:
-            _rewrite(raw, temporary, _identity(name, fmi, {**files, **extra}), script, files, extra)
+            _rewrite(raw, temporary, _identity(name, fmi, files), script, files, extra)
             os.replace(temporary, target)
         finally:
             temporary.unlink(missing_ok=True)
@@ -123,8 +126,8 @@ def sources(package: Path) -> dict[str, bytes]:
     return {f"{package.name}/{path.name}": path.read_bytes() for path in sorted(package.glob("*.py"))}
 
 
-def _contents(name: str, fmi: int, interface: Interface) -> tuple[str, dict[str, bytes], dict[str, bytes]]:
-    """Entry script, what it is and imports, and the files for people, by their paths."""
+def _files(name: str, fmi: int, interface: Interface) -> tuple[str, dict[str, bytes]]:
+    """Entry script, and the files of what it is and imports, by their paths."""
     if name not in _SCRIPTS:
         raise ValueError(f"name must be one of {', '.join(NAMES)}, got {name!r}.")
     if fmi not in (2, 3):
@@ -132,15 +135,11 @@ def _contents(name: str, fmi: int, interface: Interface) -> tuple[str, dict[str,
     if interface == "ModelExchange" and (name not in PLANTS or fmi != 3):
         raise ValueError(f"model exchange is for {', '.join(PLANTS)} in FMI 3.0, got {name} in FMI {fmi}.0.")
     script = _SCRIPTS[name]
-    model = getattr(import_module(f"{__package__}.{script}"), name)
-    variables = model.exchange_table() if interface == "ModelExchange" else model.variables
-    libraries = ("pythonfmu",) if fmi == 2 else ("pythonfmu", "pythonfmu3")
-    extra = documentation.files(name, model.__doc__, variables, fmi, libraries)
     if fmi == 2:
-        return script, sources(PACKAGE) | {f"{script}.py": (PACKAGE / f"{script}.py").read_bytes()}, extra
+        return script, sources(PACKAGE) | {f"{script}.py": (PACKAGE / f"{script}.py").read_bytes()}
     entry = f"{script}3_{interface.lower()}"  # the Slave inside needs the Python part of pythonfmu too
     text = _ENTRY.format(name=name, script=script, interface=interface).encode()
-    return entry, sources(PACKAGE) | sources(Path(pythonfmu.__file__).parent) | {f"{entry}.py": text}, extra
+    return entry, sources(PACKAGE) | sources(Path(pythonfmu.__file__).parent) | {f"{entry}.py": text}
 
 
 def _identity(name: str, fmi: int, files: Mapping[str, bytes]) -> str:

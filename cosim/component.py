@@ -8,6 +8,7 @@ from fmpy.model_description import ModelDescription
 from fmpy.model_description import ModelVariable as ModelVariable
 
 from .archive import read_description
+from .table import describe, is_table, read_table
 from .units import Unit, defined_units
 
 
@@ -16,7 +17,7 @@ class Component:
     """An FMU in a system."""
 
     fmu: Path
-    """Its file."""
+    """Its file, or a table's."""
     description: ModelDescription
     """Its model description."""
     variables: Mapping[str, ModelVariable]
@@ -32,7 +33,7 @@ class Component:
 
 
 def read_component(fmu: Path) -> Component:
-    """An FMU as an element of a system. Raises ModelDescriptionError."""
-    description = read_description(fmu)
+    """An FMU, or a table, as an element of a system. Raises ModelDescriptionError, ScenarioError for a bad table."""
+    description = describe(fmu, read_table(fmu)) if is_table(fmu) else read_description(fmu)
     variables = {v.name: v for v in description.modelVariables}
     return Component(fmu, description, variables, defined_units(description.unitDefinitions))

@@ -8,13 +8,15 @@ from typing import Any
 
 from .archive import FmuFile
 from .errors import ScenarioError, WiringError, seconds
-from .library import find_fmu
+from .library import find_fmu, find_table
 from .master import Wiring
 from .names import did_you_mean
 from .scenario import Scenario
+from .schema import Component
 from .slave import Slave
+from .table import TableSlave
 
-Described = Slave | FmuFile
+Described = Slave | FmuFile | TableSlave
 
 
 @dataclass(frozen=True)
@@ -32,8 +34,15 @@ class Plant:
 
 
 def fmu_paths(scenario: Scenario) -> dict[str, Path]:
-    """File of each component's FMU, built where need be. Raises ScenarioError."""
-    return {name: find_fmu(c.fmu, scenario.folder) for name, c in scenario.components.items()}
+    """File of each component's FMU, built where need be, or table. Raises ScenarioError."""
+    return {name: component_path(c, scenario.folder) for name, c in scenario.components.items()}
+
+
+def component_path(component: Component, folder: Path) -> Path:
+    """File of a component's FMU, built where need be, or table. Raises ScenarioError."""
+    if component.fmu is not None:
+        return find_fmu(component.fmu, folder)
+    return find_table(component.table or "", folder)
 
 
 def wire(scenario: Scenario, slaves: Mapping[str, Described]) -> tuple[dict[str, Wiring], list[list[str]]]:

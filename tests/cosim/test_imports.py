@@ -95,7 +95,7 @@ def test_only_the_co_simulation_joins_the_packages():
 
 def test_only_the_modules_of_one_fmu_import_fmpy():
     users = {name.removesuffix(".py") for name, modules in imports_of("cosim").items() if "fmpy" in modules}
-    assert users <= {"slave", "instance", "worker", "archive", "component", "fmu_log", "ports", "doctor"}
+    assert users <= {"slave", "instance", "worker", "archive", "component", "fmu_log", "ports", "doctor", "table"}
     assert "fmpy" in set().union(*imports_of("cosim").values())
     for package in ("estimator", "fmu_models"):
         assert all("fmpy" not in modules for modules in imports_of(package).values())

@@ -98,6 +98,11 @@ def _parser() -> argparse.ArgumentParser:
     figures.add_argument("--jobs", type=_count, metavar="N", help="runs at a time (default: one a processor)")
     figures.set_defaults(command=_figures)
 
+    info = commands.add_parser("info", help="what is in an FMU: parameters, inputs, outputs, states, capabilities")
+    info.add_argument("fmu", type=Path, metavar="FMU", help="any FMU, ours or not")
+    info.add_argument("--json", action="store_true", help="print one JSON object")
+    info.set_defaults(command=_info)
+
     doctor = commands.add_parser("doctor", help="what an FMU needs here, and how to start an importer for it")
     doctor.add_argument("fmu", type=Path, metavar="FMU", help="any FMU, ours or not")
     doctor.set_defaults(command=_doctor)
@@ -257,6 +262,17 @@ def _figures(options: argparse.Namespace) -> int:
         paths = figures(folder, options.seed, options.jobs, progress)
     for path in paths:
         print(path)
+    return DONE
+
+
+def _info(options: argparse.Namespace) -> int:
+    from dataclasses import asdict
+
+    from .info import info
+    from .record import to_json
+
+    found = info(options.fmu)
+    print(to_json(asdict(found)) if options.json else found)
     return DONE
 
 

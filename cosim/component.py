@@ -8,8 +8,11 @@ from fmpy.model_description import ModelDescription
 from fmpy.model_description import ModelVariable as ModelVariable
 
 from .archive import read_description
+from .errors import ModelDescriptionError
 from .table import describe, is_table, read_table
 from .units import Unit, defined_units
+
+_NO_NUMBER = ("String", "Binary", "Clock")
 
 
 @dataclass(frozen=True)
@@ -25,6 +28,19 @@ class Component:
     units: Mapping[str, Unit]
     """What the FMU says of its units."""
 
+    def having(self, causality: str, variability: str | None = None) -> list[ModelVariable]:
+        """Variables of a causality and, where given, a variability; what has no number left out."""
+        return [
+            v
+            for v in self.variables.values()
+            if v.causality == causality and variability in (None, v.variability) and v.type not in _NO_NUMBER
+        ]
+
+    @property
+    def derivatives(self) -> dict[str, str]:
+        """The declared derivative of each continuous state, by the state's name."""
+        return {v.derivative.name: v.name for v in self.variables.values() if v.derivative is not None}
+
     def unit(self, variable: str) -> Unit | None:
         """Unit of a variable, where it has one."""
         v = self.variables[variable]
@@ -34,6 +50,14 @@ class Component:
 
 def read_component(fmu: Path) -> Component:
     """An FMU, or a table, as an element of a system. Raises ModelDescriptionError, ScenarioError for a bad table."""
-    description = describe(fmu, read_table(fmu)) if is_table(fmu) else read_description(fmu)
+    return component_of(fmu, describe(fmu, read_table(fmu)) if is_table(fmu) else read_description(fmu))
+
+
+def component_of(fmu: Path, description: ModelDescription) -> Component:
+    """An FMU whose description has been read. Raises ModelDescriptionError for a unit that is none."""
     variables = {v.name: v for v in description.modelVariables}
-    return Component(fmu, description, variables, defined_units(description.unitDefinitions))
+    try:
+        units = defined_units(description.unitDefinitions)
+    except ValueError as e:
+        raise ModelDescriptionError(f"{fmu}: {e}.") from e
+    return Component(fmu, description, variables, units)

@@ -3,11 +3,12 @@
 FMI 2.0.4, section 2.2.8 (ModelStructure): an output without `dependencies` may depend on every input.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from fmpy.model_description import Unknown
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
@@ -26,13 +27,16 @@ class Loop:
     """Components on it that do not declare what their outputs depend on: there may be no loop."""
 
 
-def declared(component: Component) -> dict[str, list[str] | None]:
-    """The variables that each output depends on, by its name; None where the FMU does not say."""
+def declared(component: Component, unknowns: Iterable[Unknown] | None = None) -> dict[str, list[str] | None]:
+    """The variables that each output depends on, by its name; None where the FMU does not say.
+
+    unknowns: another list of its ModelStructure than the outputs.
+    """
     names: dict[Any, list[str]] = {}
     for v in component.variables.values():
         names.setdefault(_key(component, v), []).append(v.name)
     said: dict[Any, list[str] | None] = {}
-    for unknown in component.description.outputs:
+    for unknown in component.description.outputs if unknowns is None else unknowns:
         on = unknown.dependencies
         said[_key(component, unknown.variable)] = (
             None if on is None else [name for v in on for name in names.get(_key(component, v), [])]

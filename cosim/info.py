@@ -4,8 +4,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from fmpy.model_description import InterfaceType, ModelDescription
-
 from .archive import look_into
 from .block import Value
 from .component import Component, ModelVariable, component_of
@@ -74,7 +72,7 @@ def info(fmu: Path) -> Info:
     """What is in an FMU. Raises ModelDescriptionError."""
     description, platforms = look_into(fmu)
     component = component_of(fmu, description)
-    interfaces: dict[str, InterfaceType | None] = {
+    interfaces: dict[str, object] = {
         "co-simulation": description.coSimulation,
         "model exchange": description.modelExchange,
         "scheduled execution": description.scheduledExecution,
@@ -88,21 +86,14 @@ def info(fmu: Path) -> Info:
         one_line(description.description or ""),
         one_line(description.generationTool or ""),
         platforms,
-        _experiment(description),
+        component.experiment,
         tuple([_variable(component, v, on.get(v.name)) for v in component.variables.values()]),
     )
 
 
-def _capabilities(interface: InterfaceType) -> list[str]:
+def _capabilities(interface: object) -> list[str]:
     found = [text for name, text in _CAPABILITIES.items() if getattr(interface, name, False) in (True, "true", "1")]
     return list(dict.fromkeys(found))
-
-
-def _experiment(description: ModelDescription) -> dict[str, float]:
-    experiment = description.defaultExperiment
-    names = {"startTime": "start_time", "stopTime": "stop_time", "stepSize": "step_size", "tolerance": "tolerance"}
-    found = {name: getattr(experiment, attribute, None) for attribute, name in names.items()}
-    return {name: float(value) for name, value in found.items() if value is not None}
 
 
 def _variable(component: Component, v: ModelVariable, on: Sequence[str] | None) -> Variable:

@@ -35,7 +35,8 @@ def check(source: str | Path, overrides: Mapping[str, str] | None = None) -> lis
     except ScenarioError as e:
         if not isinstance(e.__cause__, ValidationError):
             raise
-        return [_split(text) for text in error_texts(e.__cause__)]
+        found = [_split(text) for text in error_texts(e.__cause__)]
+        return [f for f in found if not any(other.where.startswith(f"{f.where}.") for other in found)]  # what follows
     components: dict[str, Component] = {}
     findings: list[Finding] = []
     for name, c in scenario.components.items():

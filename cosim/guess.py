@@ -102,7 +102,7 @@ def is_desired(name: str) -> bool:
 
 def _guess(name: str, v: ModelVariable, components: Mapping[str, Component]) -> Guess:
     target = f"{name}.{v.name}"
-    found: list[tuple[int, int, float, str, str, bool]] = []
+    found: list[tuple[bool, int, int, float, str, str, bool]] = []
     for role, other in enumerate(_sources(name, v.name)):
         for o in components[other].having("output") if other in components else ():
             how, unit = alike(v.name, o.name), have_one_unit(components[name], v.name, components[other], o.name)
@@ -111,12 +111,13 @@ def _guess(name: str, v: ModelVariable, components: Mapping[str, Component]) -> 
             ratio = SequenceMatcher(None, v.name, o.name).ratio()
             reason = f"{how}, {'same unit' if unit else 'no unit to compare'}"
             is_likely = bool(unit) and how in (SAME, SAME_WORDS)
-            found.append((_ORDER.index(how), role, -ratio, f"{other}.{o.name}", reason, is_likely))
+            is_crossed = is_desired(v.name) != is_desired(o.name)  # a measurement and a set point
+            found.append((is_crossed, _ORDER.index(how), role, -ratio, f"{other}.{o.name}", reason, is_likely))
     if not found:
         return Guess(target, None, "no output has a name like it", False)
     found.sort()
-    source, reason, is_likely = found[0][3:]
-    rival = next((f"; or {other[3]}" for other in found[1:] if other[:2] == found[0][:2]), "")
+    source, reason, is_likely = found[0][4:]
+    rival = next((f"; or {other[4]}" for other in found[1:] if other[:3] == found[0][:3]), "")
     return Guess(target, source, reason + rival, is_likely and not rival)
 
 

@@ -12,6 +12,7 @@ from pydantic import ValidationError
 
 from estimator import Sample
 
+from .aliases import as_the_fmus_have_it
 from .archive import FmuFile
 from .check_estimation import check_changes, check_parameters, check_sampling, check_tracking
 from .check_wiring import check_connections, check_inputs, check_loops, check_starts, check_steps
@@ -44,6 +45,12 @@ def check(source: str | Path, overrides: Mapping[str, str] | None = None) -> lis
             components[name] = read_component(component_path(c, scenario.folder))
         except CosimError as e:
             findings.append(Finding(f"components.{name}", _plain(e)))
+    if len(components) == len(scenario.components):
+        try:
+            files = {name: FmuFile(name, c.description) for name, c in components.items()}
+            scenario = as_the_fmus_have_it(scenario, files)
+        except CosimError as e:
+            return [Finding("connections", _plain(e))]
     findings += [finding for one in _CHECKS for finding in one(scenario, components)]
     if not any(f.is_error for f in findings):
         findings += _check_model(scenario, components)

@@ -11,8 +11,9 @@ import signal
 import threading
 from typing import Final, NoReturn
 
+from .bindings import load
 from .errors import COLON, SlaveError
-from .instance import Identity, Instance
+from .instance import Identity
 from .transport import CALL, FAULT, RESULT, Channel, StepCodec, decode, encode, open_channel
 
 _CALLS: Final = frozenset(
@@ -45,7 +46,7 @@ def main(channel_argument: str) -> NoReturn:
 
 def _serve(channel: Channel, identity: Identity) -> None:
     """Answer requests until the FMU is closed."""
-    instance = Instance(identity)
+    instance = load(identity)
     channel.send(encode(RESULT, None))
     codec = StepCodec(0, 0, 0)
     while True:

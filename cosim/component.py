@@ -9,11 +9,11 @@ from fmpy.model_description import ModelVariable as ModelVariable
 
 from .archive import read_description
 from .errors import ModelDescriptionError
+from .ports import is_numeric
 from .table import describe, is_table, read_table
 from .units import Unit, defined_units
 
 _EXPERIMENT = {"startTime": "start_time", "stopTime": "stop_time", "stepSize": "step_size", "tolerance": "tolerance"}
-_NO_NUMBER = ("String", "Binary", "Clock")
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Component:
         return [
             v
             for v in self.variables.values()
-            if v.causality == causality and variability in (None, v.variability) and v.type not in _NO_NUMBER
+            if v.causality == causality and variability in (None, v.variability) and is_numeric(v)
         ]
 
     @property

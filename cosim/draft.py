@@ -36,12 +36,19 @@ class Draft:
 def draft(fmus: Mapping[str, Path], folder: Path, model: str | None = None) -> Draft:
     """A scenario in folder for a plant and, by the same keys, a controller and a reference.
 
-    model: `module:function`, as in `estimation.model`. Raises ModelDescriptionError, ScenarioError, WiringError.
+    model: `module:function` or a path of a model-exchange FMU; a plant that is one too is its own.
+    Raises ModelDescriptionError, ScenarioError, WiringError.
     """
     components = {name: read_component(path) for name, path in fmus.items()}
     if not components[PLANT].having("output"):
         raise WiringError(f"{fmus[PLANT]} has no outputs: nothing of it can be tracked or measured.")
     pairs = parameter_pairs(components)
+    description = components[PLANT].description
+    if model is None and description.modelExchange is not None and str(description.fmiVersion).startswith("3"):
+        model = str(fmus[PLANT])
+    is_fmu = model is not None and model.lower().endswith(".fmu")
+    if model is not None and is_fmu:
+        model = _relative(Path(model), folder)
     blocks = [
         _LEGEND,
         _settings(components),
@@ -51,7 +58,7 @@ def draft(fmus: Mapping[str, Path], folder: Path, model: str | None = None) -> D
         _tracking(components),
         sampling(components[PLANT]),
         estimation(components[PLANT], model, pairs),
-        *parameters(components, pairs),
+        *parameters(components, pairs, is_fmu),
     ]
     return Draft("\n\n".join("\n".join(block) for block in blocks) + "\n")
 

@@ -88,12 +88,15 @@ def _labelled(component: Component, name: str) -> str:
 
 
 def parameters(
-    components: Mapping[str, Component], pairs: list[tuple[ModelVariable, ModelVariable]]
+    components: Mapping[str, Component], pairs: list[tuple[ModelVariable, ModelVariable]], is_fmu: bool
 ) -> Iterator[list[str]]:
-    """A table for each parameter that plant and controller share, comments on what else the controller offers."""
+    """A table for each parameter that plant and controller share, comments on what else the controller offers.
+
+    is_fmu: the model is an FMU, whose parameters have the plant's names.
+    """
     controller = components.get(CONTROLLER)
     if controller is not None:
-        yield from (_parameter(controller, own, its) for own, its in pairs)
+        yield from (_parameter(controller, own, its, is_fmu) for own, its in pairs)
     if not pairs:
         yield [
             "[[estimation.parameters]]",
@@ -109,9 +112,9 @@ def parameters(
         yield [f"# Tunable in the controller too, but not estimated: {names}"]
 
 
-def _parameter(controller: Component, own: ModelVariable, its: ModelVariable) -> list[str]:
+def _parameter(controller: Component, own: ModelVariable, its: ModelVariable, is_fmu: bool) -> list[str]:
     low, high, notes = _bounds(own, its)
-    name = identifier(own.name)
+    name = its.name if is_fmu else identifier(own.name)
     lines = [
         said("[[estimation.parameters]]", described(controller, own)),
         f"name = {quoted(name)}",

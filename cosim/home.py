@@ -3,8 +3,9 @@
 from collections.abc import Sequence
 from typing import Any, Protocol
 
+from .bindings import load
 from .block import Variable
-from .instance import Identity, Instance
+from .instance import Identity
 
 
 class Home(Protocol):
@@ -21,7 +22,7 @@ class SameProcess:
     """An Instance in this process: a call that hangs is waited for, and a crash ends this process."""
 
     def __init__(self, identity: Identity) -> None:
-        self._instance = Instance(identity)
+        self._instance = load(identity)
         self.bind = self._instance.bind
 
     def call(self, function: str, t: float | None, *arguments: object) -> Any:

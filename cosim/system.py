@@ -12,7 +12,7 @@ from .errors import ScenarioError, WiringError, seconds
 from .library import find_fmu, find_table
 from .master import Wiring
 from .names import did_you_mean
-from .ports import attribute
+from .ports import attribute, is_numeric
 from .scenario import Scenario
 from .schema import Component, EstimatedParameter
 from .slave import Slave
@@ -43,7 +43,7 @@ def fmu_paths(scenario: Scenario) -> dict[str, Path]:
 def component_path(component: Component, folder: Path) -> Path:
     """File of a component's FMU, built where need be, or table. Raises ScenarioError."""
     if component.fmu is not None:
-        return find_fmu(component.fmu, folder)
+        return find_fmu(component.fmu, folder, component.fmi)
     return find_table(component.table or "", folder)
 
 
@@ -158,7 +158,7 @@ def _constant(value: float, t: float) -> float:
 
 
 def _outputs(slave: Described) -> tuple[str, ...]:
-    return tuple(v.name for v in slave.description.modelVariables if v.causality == "output" and v.type != "String")
+    return tuple(v.name for v in slave.description.modelVariables if v.causality == "output" and is_numeric(v))
 
 
 def _groups(scenario: Scenario, names: Sequence[str]) -> list[list[str]]:

@@ -13,7 +13,7 @@ from typing import Final
 from .component import Component, ModelVariable, read_component
 from .draft_estimation import described, estimation, parameter_pairs, parameters, sampling, unit_name
 from .errors import WiringError, one_line
-from .guess import CONTROLLER, PLANT, REFERENCE, alike, best, guess_connections, have_one_unit
+from .guess import CONTROLLER, PLANT, REFERENCE, alike, best, guess_connections, have_one_unit, is_likely
 from .table import is_table
 from .toml_lines import key, quoted, said
 
@@ -39,6 +39,9 @@ def draft(fmus: Mapping[str, Path], folder: Path, model: str | None = None) -> D
     model: `module:function` or a path of a model-exchange FMU; a plant that is one too is its own.
     Raises ModelDescriptionError, ScenarioError, WiringError.
     """
+    played = next((path for name, path in fmus.items() if name != REFERENCE and is_table(path)), None)
+    if played is not None:
+        raise WiringError(f"{played} is a table: only the reference can be one.")
     components = {name: read_component(path) for name, path in fmus.items()}
     if not components[PLANT].having("output"):
         raise WiringError(f"{fmus[PLANT]} has no outputs: nothing of it can be tracked or measured.")
@@ -148,8 +151,8 @@ def _changes(components: Mapping[str, Component], pairs: list[tuple[ModelVariabl
 def _tracking(components: Mapping[str, Component]) -> list[str]:
     lines = ["[tracking]              # tracked output = its reference"]
     plant, found = components[PLANT], []
+    reference = components.get(REFERENCE, plant)
     if REFERENCE in components:
-        reference = components[REFERENCE]
         rates = set(plant.derivatives.values())
         outputs = [(plant, v) for v in plant.having("output") if v.name not in rates]
         for r in reference.having("output"):
@@ -159,12 +162,19 @@ def _tracking(components: Mapping[str, Component]) -> list[str]:
     for i, (tracked, r) in enumerate(found):
         is_one = i == 0 or have_one_unit(plant, tracked.name, plant, found[0][0].name) is not False
         text = f"{quoted(f'{PLANT}.{tracked.name}')} = {quoted(f'{REFERENCE}.{r.name}')}"
-        note = f"guess: {alike(r.name, tracked.name)}" if is_one else "possible too, in another unit"
+        note = _told(reference, r, plant, tracked) if is_one else "possible too, in another unit"
         lines.append(said(text if is_one else f"# {text}", f"[{unit_name(plant, tracked.name)}] {note}"))
     if not found:
         offered = ", ".join(one_line(v.name) for v in plant.having("output"))
         lines.append(said('"plant.FILL" = "reference.FILL"', f"FILL; the plant's outputs are {offered}"))
     return lines
+
+
+def _told(owner: Component, v: ModelVariable, other: Component, o: ModelVariable) -> str:
+    """How two variables were found to be one."""
+    how = alike(v.name, o.name)
+    mark = "guess" if is_likely(how, have_one_unit(owner, v.name, other, o.name)) else "GUESS"
+    return f"{mark}: {how}"
 
 
 def _relative(path: Path, folder: Path) -> str:

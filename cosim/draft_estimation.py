@@ -125,7 +125,7 @@ def _parameter(controller: Component, own: ModelVariable, its: ModelVariable, is
         f"writes = {quoted(f'{CONTROLLER}.{own.name}')}",
     ]
     if its.name != name:
-        lines.append(said(f"true = {quoted(f'{PLANT}.{its.name}')}", f"guess: {alike(own.name, its.name)}"))
+        lines.append(said(f"true = {quoted(f'{PLANT}.{its.name}')}", f"GUESS: {alike(own.name, its.name)}"))
     return lines
 
 

@@ -94,6 +94,11 @@ def best(name: str, owner: Component, others: Iterable[tuple[Component, ModelVar
     return min(found, key=lambda pair: pair[0])[1] if found else None
 
 
+def is_likely(how: str | None, has_one_unit: bool | None) -> bool:
+    """Whether nobody needs to look at a guess: the names have the same words, and the units are known to be one."""
+    return how in (SAME, SAME_WORDS) and bool(has_one_unit)
+
+
 def is_desired(name: str) -> bool:
     """Whether a name is that of a set point: phi_ref, r_d_x."""
     words = _words(name)
@@ -110,15 +115,16 @@ def _guess(name: str, v: ModelVariable, components: Mapping[str, Component]) -> 
                 continue
             ratio = SequenceMatcher(None, v.name, o.name).ratio()
             reason = f"{how}, {'same unit' if unit else 'no unit to compare'}"
-            is_likely = bool(unit) and how in (SAME, SAME_WORDS)
             is_crossed = is_desired(v.name) != is_desired(o.name)  # a measurement and a set point
-            found.append((is_crossed, _ORDER.index(how), role, -ratio, f"{other}.{o.name}", reason, is_likely))
+            found.append(
+                (is_crossed, _ORDER.index(how), role, -ratio, f"{other}.{o.name}", reason, is_likely(how, unit))
+            )
     if not found:
         return Guess(target, None, "no output has a name like it", False)
     found.sort()
-    source, reason, is_likely = found[0][4:]
+    source, reason, likely = found[0][4:]
     rival = next((f"; or {other[4]}" for other in found[1:] if other[:3] == found[0][:3]), "")
-    return Guess(target, source, reason + rival, is_likely and not rival)
+    return Guess(target, source, reason + rival, likely and not rival)
 
 
 def _sources(name: str, variable: str) -> tuple[str, ...]:

@@ -117,6 +117,7 @@ def test_names_units_and_bounds_are_those_of_the_fmus_and_guesses_are_marked(the
         < drafted.text.index("x[1]: mass.s [m]")
         < drafted.text.index("u[0]: f")
     )
+    assert {line.split()[0] for _, line in drafted.lines("GUESS")} >= {"true", "upper"}
     assert "# Tunable in the controller too, but not estimated: Kp, Kd" in drafted.text  # nor g, which is a constant
 
 
@@ -157,6 +158,12 @@ def test_a_plant_without_outputs_is_refused(described, tmp_path):
         draft({"plant": silent}, tmp_path)
 
 
+def test_only_the_reference_can_be_a_table(theirs, tmp_path, capsys):
+    assert new({**theirs, "controller": theirs["reference"]}, tmp_path / "axis.toml") == 2
+    assert "steps.csv is a table: only the reference can be one" in capsys.readouterr().err
+    assert not (tmp_path / "axis.toml").exists()
+
+
 def test_paths_are_those_from_the_files_folder(theirs, tmp_path):
     folder = tmp_path / "scenarios"
     folder.mkdir()
@@ -164,3 +171,17 @@ def test_paths_are_those_from_the_files_folder(theirs, tmp_path):
     components = tomllib.loads((folder / "axis.toml").read_text())["components"]
     assert components["reference"]["table"] == "../steps.csv"
     assert (folder / components["plant"]["fmu"]).resolve() == theirs["plant"].resolve()
+
+
+def test_a_model_exchange_fmu_as_the_model_leaves_only_the_change_to_fill_in(tmp_path, capsys):
+    names = {"plant": "Quadrotor", "controller": "QuadrotorController", "reference": "QuadrotorReference"}
+    fmus = {role: find_fmu(name, tmp_path, 3) for role, name in names.items()}
+    path = tmp_path / "quadrotor.toml"
+    model = find_fmu("Quadrotor", tmp_path, 3, "ModelExchange")
+    assert new(fmus, path, "--model", str(model)) == 0
+    assert [line.split(":")[3].split()[0] for line in capsys.readouterr().out.splitlines() if "to fill in" in line] == [
+        "[changes]"
+    ]
+    assert [f.where for f in check(path)] == ["changes"]  # the model is called with x, u and J[1] of the FMU
+    parameters = Scenario.load(path).estimation.parameters
+    assert [p.name for p in parameters] == ["m", "J[1]", "J[2]", "J[3]"]

@@ -1,7 +1,7 @@
-"""What is wrong or risky in a scenario, found before anything of an FMU runs.
+"""What is wrong or risky in a scenario, found before any of its components runs.
 
 An error is what `run` would refuse, or compute nonsense from; a warning is what may be meant. The estimator's model, a
-function of the user's, is the only code that is called.
+function of the user's or a model-exchange FMU, is the only code that is called.
 """
 
 from collections.abc import Callable, Iterator, Mapping

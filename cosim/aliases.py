@@ -10,10 +10,10 @@ from typing import Any
 from .elements import element_names, resolved
 from .errors import WiringError
 from .scenario import Scenario
-from .slave import Slave
+from .system import Described
 
 
-def as_the_fmus_have_it(scenario: Scenario, slaves: Mapping[str, Slave]) -> Scenario:
+def as_the_fmus_have_it(scenario: Scenario, slaves: Mapping[str, Described]) -> Scenario:
     """The scenario with every reference to a variable in its FMU's own spelling. Raises WiringError.
 
     A name that no FMU has stays: whoever looks for it says so.

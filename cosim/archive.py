@@ -56,6 +56,15 @@ def read_any(fmu: Path) -> ModelDescription:
 
     Raises ModelDescriptionError.
     """
+    description, platforms = look_into(fmu)
+    if fmpy.platform not in platforms:
+        offer = f"only for {', '.join(platforms)}" if platforms else "nor for any other platform"
+        raise ModelDescriptionError(f"{fmu} has no binary for {fmpy.platform}, {offer}.")
+    return description
+
+
+def look_into(fmu: Path) -> tuple[ModelDescription, list[str]]:
+    """The model description of an FMU of any version and kind, and its platforms. Raises ModelDescriptionError."""
     try:
         with open(fmu, "rb") as file:  # given a path, FMPy leaves the file open when the XML is damaged
             description = fmpy.read_model_description(file)
@@ -64,10 +73,7 @@ def read_any(fmu: Path) -> ModelDescription:
         raise ModelDescriptionError(f"{fmu} cannot be read: {error.strerror or error}") from error
     except Exception as error:  # FMPy raises what the zip, XML and validation code happens to raise
         raise ModelDescriptionError(f"{fmu} is not a usable FMU: {_text_of(error)}") from error
-    if fmpy.platform not in platforms:
-        offer = f"only for {', '.join(platforms)}" if platforms else "nor for any other platform"
-        raise ModelDescriptionError(f"{fmu} has no binary for {fmpy.platform}, {offer}.")
-    return description
+    return description, platforms
 
 
 def co_simulation(description: ModelDescription) -> CoSimulation:

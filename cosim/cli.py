@@ -101,6 +101,24 @@ def _parser() -> argparse.ArgumentParser:
     figures.add_argument("--jobs", type=_count, metavar="N", help="runs at a time (default: one a processor)")
     figures.set_defaults(command=_figures)
 
+    new = commands.add_parser("new", help="write a scenario for FMUs of yours, to look over", allow_abbrev=False)
+    new.add_argument("--plant", type=Path, required=True, metavar="FMU", help="the plant")
+    new.add_argument("--controller", type=Path, metavar="FMU", help="the controller that is to be re-tuned")
+    new.add_argument("--reference", type=Path, metavar="FILE", help="its set points: CSV file, or FMU")
+    new.add_argument("--model", metavar="MODEL", help="its equations: module:function, or a model-exchange FMU")
+    new.add_argument("-o", "--out", type=Path, required=True, metavar="FILE", help="TOML file to write, new")
+    new.set_defaults(command=_new)
+
+    check = commands.add_parser("check", help="what is wrong or risky in a scenario, before anything runs")
+    _add_scenario(check)
+    _add_set(check)
+    check.set_defaults(command=_check)
+
+    info = commands.add_parser("info", help="what is in an FMU: parameters, inputs, outputs, states, capabilities")
+    info.add_argument("fmu", type=Path, metavar="FMU", help="any FMU, ours or not")
+    info.add_argument("--json", action="store_true", help="print one JSON object")
+    info.set_defaults(command=_info)
+
     doctor = commands.add_parser("doctor", help="what an FMU needs here, and how to start an importer for it")
     doctor.add_argument("fmu", type=Path, metavar="FMU", help="any FMU, ours or not")
     doctor.set_defaults(command=_doctor)
@@ -271,6 +289,49 @@ def _figures(options: argparse.Namespace) -> int:
         paths = figures(folder, options.seed, options.jobs, progress)
     for path in paths:
         print(path)
+    return DONE
+
+
+def _new(options: argparse.Namespace) -> int:
+    from .draft import draft
+    from .record import write_text
+
+    _must_be_new(options.out, "-o")
+    given = {"plant": options.plant, "controller": options.controller, "reference": options.reference}
+    written = draft({name: path for name, path in given.items() if path}, options.out.parent, options.model)
+    write_text(options.out, written.text)
+    print(f"{options.out}  written")
+    for mark, what in (("FILL", "to fill in"), ("GUESS", "to look at")):
+        for number, line in written.lines(mark):
+            print(f"{options.out}:{number}: {what}: {' '.join(line.split())}")
+    print(f"then: retune check {options.out}")
+    return DONE
+
+
+def _check(options: argparse.Namespace) -> int:
+    from .check import check
+    from .errors import ScenarioError
+
+    if options.scenario.lower().endswith(".fmu"):
+        raise ScenarioError(f"'{options.scenario}' is an FMU: retune info and retune doctor look into one.")
+    findings = check(options.scenario, dict(options.overrides))
+    for finding in findings:
+        print(f"{options.scenario}: {finding}")
+    n_errors = sum(finding.is_error for finding in findings)
+    n_warnings = len(findings) - n_errors
+    plural = ["" if n == 1 else "s" for n in (n_errors, n_warnings)]
+    print(f"{options.scenario}: {n_errors} error{plural[0]}, {n_warnings} warning{plural[1]}")
+    return REFUSED if n_errors else DONE
+
+
+def _info(options: argparse.Namespace) -> int:
+    from dataclasses import asdict
+
+    from .info import info
+    from .record import to_json
+
+    found = info(options.fmu)
+    print(to_json(asdict(found)) if options.json else found)
     return DONE
 
 

@@ -20,7 +20,8 @@ from fmu_models import documentation
 from fmu_models.build import assemble, sources
 from fmu_models.description import base_unit
 
-from .archive import FmuFile, read_description
+from .archive import FmuFile
+from .component import read_component
 from .errors import ScenarioError
 from .estimator_slave import variable_table
 from .estimators import find_method
@@ -74,7 +75,7 @@ def estimator_settings(scenario: Scenario, method: str = "target") -> dict[str, 
     if ":" in method or method in ("none", "true"):
         raise ScenarioError(f"'{method}' cannot be built into an FMU; the estimators of the package can.")
     how = find_method(method, scenario)
-    fmus = {name: FmuFile(name, read_description(path)) for name, path in fmu_paths(scenario).items()}
+    fmus = {name: FmuFile(name, read_component(path).description) for name, path in fmu_paths(scenario).items()}
     plant = plant_of(scenario, fmus[scenario.plant])
     check_parameters(scenario, fmus)
     wire(scenario, fmus)

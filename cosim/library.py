@@ -30,6 +30,14 @@ def find_fmu(fmu: str, folder: Path, fmi: int = 2, interface: Interface = "CoSim
     return path
 
 
+def find_table(table: str, folder: Path) -> Path:
+    """The CSV file of a path relative to folder. Raises ScenarioError."""
+    path = folder / table
+    if not path.is_file():
+        raise ScenarioError(f"no table '{table}': {path} is not a file.")
+    return path
+
+
 def cache_folder() -> Path:
     """Where built FMUs and unpacked packages are kept."""
     return Path(os.environ.get("FMU_RETUNE_CACHE") or user_cache_path("fmu-retune"))

@@ -24,15 +24,15 @@ from .canvas import (
     value_range,
     with_unit,
 )  # fmt: skip
+from .component import read_component
 from .errors import CosimError
-from .library import find_fmu
 from .panels import Curve, Event, finish, line, panels
 from .parameters import draw_parameters
 from .record import EVENTS
 from .response import draw_response
 from .result import Run
 from .schema import Tracking
-from .slave import read_description
+from .system import component_path
 
 _BASELINES: Final = {"none": ("nominal", VERMILION), "true": ("true parameters", GREEN)}
 
@@ -163,9 +163,7 @@ def _units(run: Run) -> dict[str, str]:
     for reference in run.scenario.tracking:
         component, _, variable = reference.partition(".")
         with suppress(CosimError):
-            part = run.scenario.components[component]
-            description = read_description(find_fmu(part.fmu, run.scenario.folder, part.fmi))
-            found = {v.name: v.unit or getattr(v.declaredType, "unit", None) for v in description.modelVariables}
-            if found.get(variable):
-                units[reference] = str(found[variable])
+            found = read_component(component_path(run.scenario.components[component], run.scenario.folder))
+            if variable in found.variables and (unit := found.unit(variable)):
+                units[reference] = unit.name
     return units

@@ -121,6 +121,8 @@ def try_model(scenario: Scenario, estimator: str, plant: Plant, theta: Vector, f
     try:
         with ExitStack() as stack:
             _residual(scenario, plant, stack)(theta, first)
+    except CosimError:
+        raise
     except Exception as e:  # whatever a user's function raises
         call = f"{settings.model}(x ({len(first.x)},), u ({len(first.u)},), {', '.join(settings.space.names)})"
         raise ScenarioError(f"estimation.model: {call} failed: {type(e).__name__}: {e}.") from e

@@ -29,7 +29,7 @@ class Ports:
     def __init__(self, role: str, variables: Sequence[ModelVariable]) -> None:
         self.variables = [Variable(v.name, _type_of(v), v.valueReference) for v in variables]
         self._role = role
-        self._units = [_attribute(v, "unit") or "" for v in variables]
+        self._units = [attribute(v, "unit") or "" for v in variables]
         self._ranges = [_range_of(v) for v in variables]
         self._whole = [i for i, v in enumerate(self.variables) if v.type not in _NOT_WHOLE]
         self._bounded = [(i, *limits) for i, limits in enumerate(self._ranges) if limits != _ANY_NUMBER]
@@ -86,18 +86,18 @@ class Catalogue:
         variable = self._known(name)
         takes_start = variable.causality == "input" or variable.initial in ("exact", "approx")
         if not takes_start or variable.variability == "constant" or variable.causality == "independent":
-            kind = _with_article(_kind_of(variable))
+            kind = _with_article(kind_of(variable))
             initial = f", initial {variable.initial}" if variable.initial else ""
             raise WiringError(f"{name!r} of {self._fmu_name} takes no start value: it is {kind}{initial}.")
         its_type = _type_of(variable)
         is_fit = isinstance(value, str) if its_type in _NO_NUMBERS else isinstance(value, SupportsFloat)
         if not is_fit or (isinstance(value, bool) and its_type != "Boolean"):
             raise WiringError(f"{name!r} of {self._fmu_name} is a {its_type} and cannot start as {value!r}.")
-        return Ports(_kind_of(variable), [variable])
+        return Ports(kind_of(variable), [variable])
 
     def _in_role(self, name: str, role: str) -> ModelVariable:
         variable = self._known(name)
-        kind = _kind_of(variable)
+        kind = kind_of(variable)
         if role != "output" and kind != role:
             raise WiringError(f"{name!r} of {self._fmu_name} is {_with_article(kind)}, not {_with_article(role)}.")
         if not is_numeric(variable):
@@ -110,7 +110,7 @@ class Catalogue:
             return variable
         message = f"no variable {name!r} in {self._fmu_name}"
         for match in difflib.get_close_matches(name, self._variables, n=1):
-            message += f"; did you mean {match!r} ({_with_article(_kind_of(self._variables[match]))})?"
+            message += f"; did you mean {match!r} ({_with_article(kind_of(self._variables[match]))})?"
         raise WiringError(message)
 
 
@@ -119,7 +119,7 @@ def is_numeric(variable: ModelVariable) -> bool:
     return variable.type not in _NO_NUMBERS
 
 
-def _kind_of(variable: ModelVariable) -> str:
+def kind_of(variable: ModelVariable) -> str:
     """What a variable is, in words: 'input', 'tunable parameter', 'local variable', ..."""
     if variable.variability == "constant":
         return "constant"
@@ -138,7 +138,7 @@ def _type_of(variable: ModelVariable) -> str:
     return "Integer" if variable.type == "Enumeration" else str(variable.type)
 
 
-def _attribute(variable: ModelVariable, name: str) -> str | None:
+def attribute(variable: ModelVariable, name: str) -> str | None:
     """The unit, min or max of a variable: its own, or its declared type's."""
     own = getattr(variable, name)
     return own if own is not None or variable.declaredType is None else getattr(variable.declaredType, name)
@@ -147,7 +147,7 @@ def _attribute(variable: ModelVariable, name: str) -> str | None:
 def _range_of(variable: ModelVariable) -> tuple[float, float]:
     """The finite numbers that a variable may be."""
     low, high = _DEFAULT_RANGE.get(_type_of(variable), _ANY_NUMBER)
-    declared_low, declared_high = _attribute(variable, "min"), _attribute(variable, "max")
+    declared_low, declared_high = attribute(variable, "min"), attribute(variable, "max")
     return (
         low if declared_low is None else max(low, float(declared_low)),
         high if declared_high is None else min(high, float(declared_high)),

@@ -176,20 +176,29 @@ def _value(text: str) -> Any:
 
 def first_error(error: ValidationError) -> str:
     """Key and rule of the first error, in one line."""
-    first = error.errors()[0]
+    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+    text = error_texts(error)[0]
+    end = "" if text.endswith("?") else "."
+    return f"{text}{more}{end}"
+
+
+def error_texts(error: ValidationError) -> list[str]:
+    """Key and rule of each error, in one line."""
+    return [_told(details) for details in error.errors()]
+
+
+def _told(first: Mapping[str, Any]) -> str:
     key = ".".join(str(part) for part in first["loc"] if part != "[key]")
     key = re.sub(r"\.trigger\.(tracking|innovation|always)", ".trigger", key)  # pydantic names the kind
-    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
     if first["type"] == "extra_forbidden":
         parent, name = first["loc"][:-1], str(first["loc"][-1])
-        return f"{key}: unknown key{did_you_mean(name, _known_keys(parent))}{more}"
+        return f"{key}: unknown key{did_you_mean(name, _known_keys(parent))}"
     message = first["msg"].removeprefix("Value error, ").rstrip(".")
     value = first["input"]
     got = f", got {value!r}" if isinstance(value, Value) and "got" not in message else ""
-    end = "" if message.endswith("?") else "."
     if key and message.startswith(f"{key}."):  # the place is told already, and more closely
         key = ""
-    return f"{key + ': ' if key else ''}{message[:1].lower()}{message[1:]}{got}{more}{end}"
+    return f"{key + ': ' if key else ''}{message[:1].lower()}{message[1:]}{got}"
 
 
 def _known_keys(path: tuple[int | str, ...]) -> set[str]:

@@ -78,14 +78,24 @@ class Settings(Table):
 
 
 class Component(Table):
-    """One FMU."""
+    """One FMU, or a table that is played."""
 
-    fmu: str = Field(min_length=1)
+    fmu: str | None = Field(default=None, min_length=1)
     """Name of a built-in FMU, or a path to a file, relative to the scenario's."""
     fmi: Literal[2, 3] = 2
     """FMI version of a built-in FMU; a file says its own."""
+    table: str | None = Field(default=None, pattern=r"(?i)\.csv$")
+    """Instead of it: path of a CSV file, see `cosim.table`."""
     start: dict[str, Value] = {}
     """Start values set before initialisation."""
+
+    @model_validator(mode="after")
+    def _is_one_of_them(self) -> Self:
+        if (self.fmu is None) == (self.table is None):
+            raise ValueError("must have either 'fmu' or 'table'")
+        if self.table and self.start:
+            raise ValueError("a table takes no start values")
+        return self
 
 
 class Noise(Table):

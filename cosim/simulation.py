@@ -30,6 +30,7 @@ from .sampling import Sampler
 from .scenario import Scenario
 from .slave import Slave, open_slave
 from .system import check_parameters, fmu_paths, plant_of, start_value, true_parameters, wire
+from .table import TableSlave, is_table
 from .units import defined_units
 
 Progress = Callable[[float, Mapping[str, float]], None]
@@ -57,7 +58,11 @@ def run(
         begun = perf_counter()
         settings = scenario.scenario
         slaves = {
-            name: stack.enter_context(open_slave(path, name, isolation=settings.isolation, timeout=settings.timeout))
+            name: stack.enter_context(
+                TableSlave(path, name)
+                if is_table(path)
+                else open_slave(path, name, isolation=settings.isolation, timeout=settings.timeout)
+            )
             for name, path in paths.items()
         }
         scenario = as_the_fmus_have_it(scenario, slaves)
@@ -86,7 +91,12 @@ class _Loop:
     """One run in progress: the FMUs by way of the master, and what the controller holds."""
 
     def __init__(
-        self, scenario: Scenario, slaves: Mapping[str, Slave], estimator: str, seed: int, stack: ExitStack
+        self,
+        scenario: Scenario,
+        slaves: Mapping[str, Slave | TableSlave],
+        estimator: str,
+        seed: int,
+        stack: ExitStack,
     ) -> None:
         """stack: closes what the run has opened. Raises ScenarioError, WiringError."""
         plant = plant_of(scenario, slaves[scenario.plant])

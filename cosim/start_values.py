@@ -6,12 +6,12 @@ from pathlib import Path
 from .block import Value
 from .component import Component, read_component
 from .errors import SspError
-from .library import find_fmu
 from .names import did_you_mean
 from .scenario import Scenario
 from .ssp.connections import End
 from .ssp.parameters import variable_value
 from .ssv import read_ssv
+from .system import component_path
 
 
 def with_start_values(scenario: Scenario, path: Path) -> Scenario:
@@ -19,10 +19,13 @@ def with_start_values(scenario: Scenario, path: Path) -> Scenario:
 
     Raises SspError, one line with the file and the parameter, for one that no component has: nothing is passed over.
     """
-    found = {name: read_component(find_fmu(c.fmu, scenario.folder)) for name, c in scenario.components.items()}
+    found = {
+        name: read_component(component_path(c, scenario.folder)) for name, c in scenario.components.items() if c.fmu
+    }
     start = read_start_values(path, found)
     components = {
-        name: c.model_copy(update={"start": {**c.start, **start[name]}}) for name, c in scenario.components.items()
+        name: c.model_copy(update={"start": {**c.start, **start[name]}}) if name in start else c
+        for name, c in scenario.components.items()
     }
     return scenario.model_copy(update={"components": components})
 

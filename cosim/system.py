@@ -7,15 +7,18 @@ from pathlib import Path
 from typing import Any
 
 from .archive import FmuFile
+from .component import ModelVariable
 from .errors import ScenarioError, WiringError, seconds
-from .library import find_fmu
+from .library import find_fmu, find_table
 from .master import Wiring
 from .names import did_you_mean
-from .ports import is_numeric
+from .ports import attribute, is_numeric
 from .scenario import Scenario
+from .schema import Component, EstimatedParameter
 from .slave import Slave
+from .table import TableSlave
 
-Described = Slave | FmuFile
+Described = Slave | FmuFile | TableSlave
 
 
 @dataclass(frozen=True)
@@ -33,8 +36,15 @@ class Plant:
 
 
 def fmu_paths(scenario: Scenario) -> dict[str, Path]:
-    """File of each component's FMU, built where need be. Raises ScenarioError."""
-    return {name: find_fmu(c.fmu, scenario.folder, c.fmi) for name, c in scenario.components.items()}
+    """File of each component's FMU, built where need be, or table. Raises ScenarioError."""
+    return {name: component_path(c, scenario.folder) for name, c in scenario.components.items()}
+
+
+def component_path(component: Component, folder: Path) -> Path:
+    """File of a component's FMU, built where need be, or table. Raises ScenarioError."""
+    if component.fmu is not None:
+        return find_fmu(component.fmu, folder, component.fmi)
+    return find_table(component.table or "", folder)
 
 
 def wire(scenario: Scenario, slaves: Mapping[str, Described]) -> tuple[dict[str, Wiring], list[list[str]]]:
@@ -105,13 +115,20 @@ def check_parameters(scenario: Scenario, slaves: Mapping[str, Described]) -> Non
         found = {v.name: v for v in slaves[component].description.modelVariables}
         if name not in found:
             raise WiringError(f"no variable '{name}' in {component}{did_you_mean(name, found) or '.'}")
-        unit = found[name].unit or "1"
-        if unit != parameter.unit:
-            raise WiringError(f"'{parameter.writes}' has the unit {unit}, but '{parameter.name}' {parameter.unit}.")
-        low, high = (float(x) if x is not None else None for x in (found[name].min, found[name].max))
-        if (low is not None and parameter.lower < low) or (high is not None and parameter.upper > high):
-            bounds = f"[{parameter.lower:g}, {parameter.upper:g}] {unit}"
-            raise WiringError(f"'{parameter.writes}' takes {low} to {high} {unit}; '{parameter.name}' has {bounds}.")
+        if problem := parameter_problem(parameter, found[name]):
+            raise WiringError(problem)
+
+
+def parameter_problem(parameter: EstimatedParameter, variable: ModelVariable) -> str | None:
+    """Why a variable does not take every estimate of the parameter, in its unit; None where it does."""
+    unit = attribute(variable, "unit") or "1"
+    if unit != parameter.unit:
+        return f"'{parameter.writes}' has the unit {unit}, but '{parameter.name}' {parameter.unit}."
+    low, high = (float(x) if x is not None else None for x in (attribute(variable, "min"), attribute(variable, "max")))
+    if (low is not None and parameter.lower < low) or (high is not None and parameter.upper > high):
+        bounds = f"[{parameter.lower:g}, {parameter.upper:g}] {unit}"
+        return f"'{parameter.writes}' takes {low} to {high} {unit}; '{parameter.name}' has {bounds}."
+    return None
 
 
 def true_parameters(scenario: Scenario, slaves: Mapping[str, Described]) -> dict[str, Callable[[float], float]]:

@@ -39,6 +39,9 @@ def to_ssp(scenario: Scenario) -> bytes:
     Parameters are the scenario's start values, what its changes say of the start, and what it will estimate.
     Raises ScenarioError, ModelDescriptionError, WiringError; SspError where units do not agree, and for FMI 3.0 FMUs.
     """
+    for name, c in scenario.components.items():
+        if c.table:
+            raise SspError(f"component '{name}' is a table, which SSP has no words for: use an FMU that plays it.")
     components = {name: read_component(path) for name, path in fmu_paths(scenario).items()}
     newer = next((name for name, c in components.items() if c.description.fmiVersion != "2.0"), None)
     if newer is not None:

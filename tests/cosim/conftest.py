@@ -1,12 +1,16 @@
 """Where FMUs are kept and unpacked while the co-simulation is tested, and the proof that nothing of a run is left."""
 
 import os
+import shutil
+import subprocess
 import tempfile
 import time
+import zipfile
 from collections.abc import Callable, Iterator
 from importlib.resources import files
 from pathlib import Path
 
+import fmpy
 import pytest
 from pythonfmu import FmuBuilder
 
@@ -114,3 +118,48 @@ def faulty_toml(faulty_reference, tmp_path) -> Path:
     path = tmp_path / "faulty.toml"
     path.write_text(text.replace(old, f"reference = {{ fmu = '{faulty_reference}' }}"), encoding="utf-8")
     return path
+
+
+@pytest.fixture(scope="session")
+def foreign(tmp_path_factory) -> Path:
+    """A folder with Axis.fmu and AxisController.fmu, which are not of our making: tests/foreign/*.c, compiled here."""
+    gcc = shutil.which("gcc")
+    if gcc is None:
+        pytest.skip("no C compiler: gcc is not installed")
+    sources, folder = Path(__file__).parents[1] / "foreign", tmp_path_factory.mktemp("foreign")
+    headers = Path(fmpy.__file__).parent / "c-code"
+    for name in ("Axis", "AxisController"):
+        library = folder / f"{name}{fmpy.sharedLibraryExtension}"
+        options = ["-O2", f"-I{headers}", "-shared", "-fPIC", "-o", library, sources / f"{name}.c"]
+        subprocess.run([gcc, *options], check=True)
+        with zipfile.ZipFile(folder / f"{name}.fmu", "w") as fmu:
+            fmu.write(sources / f"{name}.xml", "modelDescription.xml")
+            fmu.write(library, f"binaries/{fmpy.platform}/{library.name}")
+    return folder
+
+
+UNITS = """<UnitDefinitions><Unit name="m"><BaseUnit m="1"/></Unit>
+<Unit name="mm"><BaseUnit m="1" factor="0.001"/></Unit>
+<Unit name="kg"><BaseUnit kg="1"/></Unit><Unit name="N"><BaseUnit kg="1" m="1" s="-2"/></Unit>
+<Unit name="W"><BaseUnit kg="1" m="2" s="-3"/></Unit><Unit name="K"><BaseUnit K="1"/></Unit>
+<Unit name="m/s"><BaseUnit m="1" s="-1"/></Unit><Unit name="tick"/></UnitDefinitions>"""
+
+
+@pytest.fixture
+def described(tmp_path) -> Callable[..., Path]:
+    """Writes an FMU that has a model description and an empty library, for what only reads it."""
+
+    def write(variables: str, structure: str = "", name: str = "Model", interface: str = "", library: str = "") -> Path:
+        path = tmp_path / f"{name}.fmu"
+        xml = (
+            f'<fmiModelDescription fmiVersion="2.0" modelName="{name}" guid="1">'
+            f'<CoSimulation modelIdentifier="{name}" {interface}/>'
+            f"{UNITS}<ModelVariables>{variables}</ModelVariables><ModelStructure>{structure}</ModelStructure></fmiModelDescription>"
+        )
+        with zipfile.ZipFile(path, "w") as fmu:
+            fmu.writestr("modelDescription.xml", xml)
+            library = library or f"{fmpy.platform}/{name}{fmpy.sharedLibraryExtension}"
+            fmu.writestr(f"binaries/{library}", b"")
+        return path
+
+    return write

@@ -1,0 +1,23 @@
+"""What `retune check` finds."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong or risky. As text, one line."""
+
+    where: str
+    """Key of the scenario, such as `connections.\"plant.u\"`."""
+    what: str
+    """What is wrong, and what to do where that is not plain."""
+    is_error: bool = True
+    """`run` would refuse it, or compute nonsense; otherwise it may be meant."""
+
+    def __str__(self) -> str:
+        return f"{self.where}: {'error' if self.is_error else 'warning'}: {self.what}"
+
+
+def warning(where: str, what: str) -> Finding:
+    """A finding that is no error."""
+    return Finding(where, what, is_error=False)

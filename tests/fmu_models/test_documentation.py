@@ -13,7 +13,7 @@ from lxml import etree
 from PIL import Image
 
 from fmu_models import build, documentation
-from fmu_models.equations import EQUATIONS
+from fmu_models.equations import EQUATIONS, described
 from fmu_models.icon import SIZE, Stroke, _rasterized, png
 from fmu_models.pendulum_fmu import Pendulum
 
@@ -97,8 +97,8 @@ def test_an_icon_says_plant_or_controller_or_reference():
 
 
 def test_every_model_has_its_equations():
-    assert set(EQUATIONS) == set(build.NAMES)
-    for equations, notes, _ in EQUATIONS.values():
+    assert set(EQUATIONS) == {name for name in build.NAMES if not name.endswith("Adaptive")} | {"Estimator"}
+    for equations, notes, _ in map(described, (*build.NAMES, "QuadrotorEstimator")):
         assert equations
         assert notes
 

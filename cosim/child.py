@@ -54,6 +54,11 @@ def _serve(channel: Channel, identity: Identity) -> None:
             channel.send(codec.encode_values(instance.step(*codec.decode_step(message))))
             continue
         (function, arguments), blob = decode(message)
+        if function == "restart":
+            instance.close()
+            instance = Instance(identity)
+            channel.send(encode(RESULT, None))
+            continue
         if function not in _CALLS:
             raise ValueError(f"no such call: {function!r}")
         result = getattr(instance, function)(*([blob] if blob is not None else arguments))

@@ -21,10 +21,17 @@ class SameProcess:
     """An Instance in this process: a call that hangs is waited for, and a crash ends this process."""
 
     def __init__(self, identity: Identity) -> None:
+        self._identity = identity
         self._instance = Instance(identity)
-        self.bind = self._instance.bind
+
+    def bind(self, inputs: Sequence[Variable], tunables: Sequence[Variable], outputs: Sequence[Variable]) -> None:
+        self._instance.bind(inputs, tunables, outputs)
 
     def call(self, function: str, t: float | None, *arguments: object) -> Any:
+        if function == "restart":
+            self._instance.close()
+            self._instance = Instance(self._identity)
+            return None
         return getattr(self._instance, function)(*arguments)
 
     def begin_step(self, t: float, h: float, inputs: Sequence[float], tunables: Sequence[float] | None) -> None:

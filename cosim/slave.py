@@ -130,6 +130,17 @@ class Slave:
         self._guarded(self._home.call, "exit_initialization", self._time)
         self._values = None
 
+    def restart(self) -> None:
+        """Free the FMU's instance and make a new one in its place, with the same variables bound; initialize follows.
+
+        Not fmi2Reset, which many FMUs do not have. Raises SlaveError. One that declares
+        canBeInstantiatedOnlyOncePerProcess may fail: it needs a new slave.
+        """
+        self._guarded(self._home.call, "restart", self._time)
+        self._time = self._values = None
+        ports = (self._inputs, self._tunables, self._outputs)
+        self._guarded(self._home.bind, *(port.variables for port in ports))
+
     def get(self) -> tuple[float, ...]:
         """The bound outputs at the present communication point. Raises SlaveError."""
         self._must_be_usable()

@@ -13,6 +13,7 @@ from typing import Final, NoReturn
 
 from .errors import COLON, SlaveError
 from .instance import Identity, Instance
+from .many_steps import take_steps
 from .transport import CALL, FAULT, RESULT, Channel, StepCodec, decode, encode, open_channel
 
 _CALLS: Final = frozenset(
@@ -58,6 +59,9 @@ def _serve(channel: Channel, identity: Identity) -> None:
             instance.close()
             instance = Instance(identity)
             channel.send(encode(RESULT, None))
+            continue
+        if function == "many_steps":
+            channel.send(encode(RESULT, None, take_steps(instance.step, blob or b"")))
             continue
         if function not in _CALLS:
             raise ValueError(f"no such call: {function!r}")

@@ -326,6 +326,9 @@ def _estimate(options: argparse.Namespace) -> int:
     except FailedError as e:
         print(f"retune: {e}", file=sys.stderr)
         return UNFINISHED
+    except KeyboardInterrupt:
+        print("retune: interrupted; there is no estimate yet", file=sys.stderr)
+        return INTERRUPTED
     if options.ssv:
         write_text(options.ssv, estimates_ssv(found))
     print(to_json(summary(found)) if options.json else f"{report(found)}\n\nwritten to {folder}")

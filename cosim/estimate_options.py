@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .estimate import Request, Sought
+    from .estimate import Request
 
 _Pair = tuple[str, str]
 
@@ -46,14 +46,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def request_of(options: argparse.Namespace) -> "Request":
     """What the options ask for. Raises EstimateError."""
-    from .estimate import EstimateError, Request
+    from .estimate import EstimateError, Request, Sought
 
     if options.evaluations < 1 or options.jobs == 0:
         raise EstimateError("--evaluations and --jobs must be 1 or more.")
     return Request(
         fmu=options.fmu,
         logs=tuple(options.logs),
-        parameters=tuple(options.parameters),
+        parameters=tuple(Sought(*p) for p in options.parameters),
         measured=_unique(options.measured, "--measured"),
         inputs=_unique(options.inputs, "--input"),
         start={name: _value(text) for name, text in _unique(options.start, "--start").items()},
@@ -97,14 +97,12 @@ def _pair(text: str) -> _Pair:
     return name.strip(), value.strip()
 
 
-def _sought(text: str) -> "Sought":
-    from .estimate import Sought
-
+def _sought(text: str) -> tuple[str, float, float, str]:
     name, bounds = _pair(text)
     low, *rest = bounds.split(":")
     if len(rest) not in (1, 2) or (len(rest) == 2 and rest[1] not in ("log", "linear")):
         raise argparse.ArgumentTypeError(f"must be NAME=LOW:HIGH or NAME=LOW:HIGH:log, got '{text}'")
-    return Sought(name, _number(low), _number(rest[0]), "log" if rest[1:] == ["log"] else "linear")
+    return name, _number(low), _number(rest[0]), "log" if rest[1:] == ["log"] else "linear"
 
 
 def _noise(text: str) -> tuple[str, float]:

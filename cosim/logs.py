@@ -20,6 +20,7 @@ from .names import did_you_mean
 
 _HEADING: Final = re.compile(r"(?P<name>.*\S)\s*\[(?P<unit>[^\[\]]*)\]")
 _TIMES: Final = ("time", "t", "timestamp", "time_s")
+_NEVER: Final = -(2**63)
 _MISSING: Final = ["", "nan", "NaN", "NAN", "-nan", "null", "NULL", "NA", "N/A", "#N/A", "None", "-"]
 
 
@@ -135,16 +136,22 @@ def _column(column: Any, unit: str | None) -> Column:
     if pa.types.is_null(kind):
         return Column(np.full(len(column), np.nan), unit)
     if pa.types.is_timestamp(kind):
-        count = _column(pc.cast(pc.cast(column, pa.timestamp("ns", tz=kind.tz)), pa.int64()), None).values
-        return Column((count - np.nanmin(count)) / 1e9 if np.isfinite(count).any() else count, "s")
+        count = pc.cast(pc.cast(column, pa.timestamp("ns", tz=kind.tz)), pa.int64())
+        values = _array(pc.fill_null(count, _NEVER))
+        known = values != _NEVER
+        return Column(np.where(known, (values - values[known][0]) / 1e9, np.nan), "s")
     if pa.types.is_boolean(kind):
         column, kind = pc.cast(column, pa.int8()), pa.int8()
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)):
         cells = (str(cell) for cell in column.to_pylist() if cell is not None)
         return Column(np.empty(0), unit, next((cell for cell in cells if not _is_number(cell)), str(kind)))
-    filled = pc.fill_null(pc.cast(column, pa.float64(), safe=False), float("nan"))
-    chunks: list[Any] = [np.from_dlpack(chunk) for chunk in filled.chunks]
-    return Column(np.concatenate(chunks, dtype=np.float64) if chunks else np.empty(0), unit)
+    return Column(_array(pc.fill_null(pc.cast(column, pa.float64(), safe=False), float("nan"))), unit)
+
+
+def _array(column: Any) -> Any:
+    """A chunked Arrow column without nulls as one NumPy array."""
+    chunks: list[Any] = [np.from_dlpack(chunk) for chunk in column.chunks]
+    return np.concatenate(chunks) if chunks else np.empty(0)
 
 
 def _read_mat(path: Path) -> tuple[Sequence[str], Sequence[Any]]:

@@ -96,7 +96,7 @@ def fit(
     A third of the evaluations, at most ten a parameter, look at places all over the bounds; the estimator goes on from
     the best. Gauss-Newton steps with central differences, not counted in n_evaluations, end at the bottom. Directions
     in which the data say nothing go back to nominal (d,) where that costs less than a standard deviation.
-    Raises NoFitError where no evaluation succeeds.
+    Raises NoFitError where none of the places all over the bounds can be evaluated.
     """
     rng = rng or np.random.default_rng(0)
     seen = _Best(residual, space, progress)
@@ -151,7 +151,9 @@ class _Best:
 
 def _search(seen: _Best, method: str, space: ParameterSpace, n_evaluations: int, rng: np.random.Generator) -> None:
     """Let the estimator of that name spend the evaluations that are left, from the best place so far."""
-    start = space.from_unit(seen.best.z if seen.best else np.full(len(space), 0.5))
+    if seen.best is None:  # nowhere within the bounds
+        raise NoFitError
+    start = space.from_unit(seen.best.z)
     known = METHODS[method]
     settings = known.settings()
     if method != "target":
@@ -166,8 +168,6 @@ def _search(seen: _Best, method: str, space: ParameterSpace, n_evaluations: int,
     while seen.n_evaluations < n_evaluations and idle < patience:
         theta = made.ask()
         made.tell(theta, seen.residual(theta))
-        if seen.best is None:
-            continue
         enough = _misfit(seen.best, len(space)) ** 2
         idle, least = (0, seen.best.cost) if seen.best.cost < least - enough else (idle + 1, least)
 
@@ -179,8 +179,7 @@ def _descend(seen: _Best, d: int) -> tuple[_State, float, Vector]:
     taken over about the standard deviation that each parameter alone would have.
     """
     state = seen.best
-    if state is None:
-        raise NoFitError
+    assert state is not None  # or the search would not have ended
     steps = np.full(d, 1e-3)
     jacobian = _jacobian(seen, state, steps)
     for _ in range(_ROUNDS):

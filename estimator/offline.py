@@ -19,6 +19,8 @@ IDENTIFIABLE_BELOW: Final = 0.05
 """Standard deviation, as a share of the scaled bounds, of a parameter that counts as identifiable; as in the loop."""
 _UNSEEN: Final = 0.3
 """Standard deviation, as a share of the cube, along a direction in which the data say nothing."""
+_EXPLAINED: Final = 2.0
+"""Root mean square residual [standard deviations of the noise] below which no better place is looked for."""
 _ROUNDS: Final = 8
 """Most Gauss-Newton steps."""
 _DAMPINGS: Final = (1e-2, 1e2, 1e4, 1e6)
@@ -94,16 +96,22 @@ def fit(
     """The parameters that explain the data best.
 
     A third of the evaluations, at most ten a parameter, look at places all over the bounds; the estimator goes on from
-    the best. Gauss-Newton steps with central differences, not counted in n_evaluations, end at the bottom. Directions
-    in which the data say nothing go back to nominal (d,) where that costs less than a standard deviation.
+    the best, and where it comes to rest with residuals of twice the noise or more, anew from the next best.
+    Gauss-Newton steps with central differences, not counted in n_evaluations, end at the bottom. Directions in which
+    the data say nothing go back to nominal (d,) where that costs less than a standard deviation.
     Raises NoFitError where none of the places all over the bounds can be evaluated.
     """
     rng = rng or np.random.default_rng(0)
     seen = _Best(residual, space, progress)
     n_scouts = min(n_evaluations // 3, 10 * len(space))
     scouts = scipy.stats.qmc.Halton(len(space), rng=rng).random(n_scouts)
-    seen.many([space.to_unit(nominal), *scouts])
-    _search(seen, method, space, n_evaluations, rng)
+    scouted = seen.many([space.to_unit(nominal), *scouts])
+    for start in sorted(scouted, key=lambda state: state.cost):
+        if not np.isfinite(start.cost) or seen.n_evaluations >= n_evaluations:
+            break
+        _search(seen, start.z, method, space, n_evaluations, rng)
+        if seen.best is not None and _misfit(seen.best, len(space)) < _EXPLAINED:
+            break
     state, misfit, jacobian = _descend(seen, len(space))
     sight = _sight(jacobian, misfit)
     held = _held(seen, state, sight, space.to_unit(nominal), misfit)
@@ -144,32 +152,32 @@ class _Best:
         self._progress(self.n_evaluations, self.best.cost if self.best else np.inf)
         return states
 
+    def at(self, theta: Vector) -> _State:
+        """State at theta (d,)."""
+        return self.many([self._space.to_unit(theta)])[0]
+
     def residual(self, theta: Vector) -> Vector:
-        """For estimators: residual (D,) at theta (d,)."""
-        return self.many([self._space.to_unit(theta)])[0].r
+        """Residual (D,) at theta (d,), for solvers."""
+        return self.at(theta).r
 
 
-def _search(seen: _Best, method: str, space: ParameterSpace, n_evaluations: int, rng: np.random.Generator) -> None:
-    """Let the estimator of that name spend the evaluations that are left, from the best place so far."""
-    if seen.best is None:  # nowhere within the bounds
-        raise NoFitError
-    start = space.from_unit(seen.best.z)
+def _search(seen: _Best, z: Vector, method: str, space: ParameterSpace, n_evaluations: int, rng: Any) -> None:
+    """Let the estimator of that name go on from z (d,) while it gets better and evaluations are left."""
     known = METHODS[method]
     settings = known.settings()
     if method != "target":
-        remaining = max(n_evaluations - seen.n_evaluations, 1)
-        settings = replace(settings, **known.defaults, max_evaluations=remaining)
-    made: Any = known.estimator(space, start, rng, settings)
+        settings = replace(settings, **known.defaults, max_evaluations=n_evaluations - seen.n_evaluations)
+    made: Any = known.estimator(space, space.from_unit(z), rng, settings)
     if not isinstance(made, AskTell):
         made.solve(seen)  # which counts and evaluates like an Objective
         return
-    patience = 3 * len(space) + 6
-    idle, least = 0, np.inf
+    patience, idle, least = 3 * len(space) + 6, 0, np.inf
     while seen.n_evaluations < n_evaluations and idle < patience:
         theta = made.ask()
-        made.tell(theta, seen.residual(theta))
-        enough = _misfit(seen.best, len(space)) ** 2
-        idle, least = (0, seen.best.cost) if seen.best.cost < least - enough else (idle + 1, least)
+        state = seen.at(theta)
+        made.tell(theta, state.r)
+        enough = max(_misfit(state, len(space)), 1.0) ** 2 if np.isfinite(state.cost) else 0.0
+        idle, least = (0, state.cost) if state.cost < least - enough else (idle + 1, least)
 
 
 def _descend(seen: _Best, d: int) -> tuple[_State, float, Vector]:
@@ -179,7 +187,8 @@ def _descend(seen: _Best, d: int) -> tuple[_State, float, Vector]:
     taken over about the standard deviation that each parameter alone would have.
     """
     state = seen.best
-    assert state is not None  # or the search would not have ended
+    if state is None:
+        raise NoFitError
     steps = np.full(d, 1e-3)
     jacobian = _jacobian(seen, state, steps)
     for _ in range(_ROUNDS):

@@ -114,7 +114,7 @@ def test_every_third_party_import_is_a_declared_dependency(package):
         "pandas",
         "cyipopt",
         "elftools",  # pyelftools
-    }  # the first two are optional
+    }  # the first three are optional
     for name, modules in imports_of(package).items():
         assert modules <= {*sys.stdlib_module_names, *declared, *WORKSHOP}, name
 

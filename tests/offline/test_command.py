@@ -155,7 +155,14 @@ def _children(process_id):
     """Ids of the processes of FMUs that it has started."""
     tasks = Path(f"/proc/{process_id}/task").glob("*/children")
     children = [int(child) for task in tasks for child in task.read_text().split()]
-    return [child for child in children if b"cosim.child" in Path(f"/proc/{child}/cmdline").read_bytes()]
+    return [child for child in children if b"cosim.child" in _command_of(child)]
+
+
+def _command_of(process_id):
+    try:
+        return Path(f"/proc/{process_id}/cmdline").read_bytes()
+    except OSError:  # it has ended
+        return b""
 
 
 def _is_running(process_id):

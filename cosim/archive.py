@@ -1,14 +1,26 @@
-"""An FMU as a file: the zip archive, and the description in it."""
+"""An FMU as a file: the zip archive, the description in it, and a folder to unpack it into."""
 
+import re
+import sys
+import tempfile
 import zipfile
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final, Literal
 
 import fmpy
-from fmpy.model_description import CoSimulation, ModelDescription
+from fmpy.model_description import CoSimulation, ModelDescription, ModelExchange
 
+from .elements import scalarized
 from .errors import ModelDescriptionError, one_line
+
+Interface = Literal["co-simulation", "model-exchange"]
+
+# What a file URI keeps as it is, and the space, which every loader decodes: pythonfmu's crashes on anything else.
+_SAFE: Final = re.compile(r"[A-Za-z0-9._~/ -]*" if sys.platform != "win32" else r"[A-Za-z0-9._~/\\: -]*")
+_VERSIONS: Final[dict[str, tuple[str, ...]]] = {"co-simulation": ("2.0", "3.0"), "model-exchange": ("3.0",)}
+_OTHER_FOLDERS: Final = ("/tmp", "/var/tmp") if sys.platform != "win32" else (r"C:\Users\Public", r"C:\Temp")
 
 
 @dataclass(frozen=True)
@@ -21,16 +33,22 @@ class FmuFile:
     """What it declares."""
 
 
-def read_description(fmu: Path) -> ModelDescription:
-    """The model description of an FMU that this machine can co-simulate. Raises ModelDescriptionError."""
+def read_description(fmu: Path, interface: Interface = "co-simulation") -> ModelDescription:
+    """The model description of an FMU that this machine can load, arrays as their elements.
+
+    Raises ModelDescriptionError.
+    """
     description = read_any(fmu)
-    interface = description.coSimulation
-    if description.fmiVersion != "2.0" or interface is None:
-        kind = "co-simulation" if interface is not None else "model-exchange"
-        raise ModelDescriptionError(f"{fmu} is an FMI {description.fmiVersion} {kind} FMU, not FMI 2.0 co-simulation.")
-    if not str(interface.modelIdentifier).isidentifier():  # it becomes a file name
-        raise ModelDescriptionError(f"{fmu} has the model identifier {interface.modelIdentifier!r}, not a C name.")
-    return description
+    version = str(description.fmiVersion)
+    offered = {"co-simulation": description.coSimulation, "model-exchange": description.modelExchange}
+    if not version.startswith(_VERSIONS[interface]) or offered[interface] is None:
+        kind = next((kind for kind, part in offered.items() if part is not None), "scheduled-execution")
+        asked = " or ".join(_VERSIONS[interface])
+        raise ModelDescriptionError(f"{fmu} is an FMI {version} {kind} FMU, not FMI {asked} {interface}.")
+    identifier = str(getattr(offered[interface], "modelIdentifier", None))
+    if not identifier.isidentifier():  # it becomes a file name
+        raise ModelDescriptionError(f"{fmu} has the model identifier {identifier!r}, not a C name.")
+    return description if version == "2.0" else scalarized(description)
 
 
 def read_any(fmu: Path) -> ModelDescription:
@@ -56,6 +74,29 @@ def co_simulation(description: ModelDescription) -> CoSimulation:
     """The co-simulation part of a description that read_description has let through."""
     assert description.coSimulation is not None
     return description.coSimulation
+
+
+def model_exchange(description: ModelDescription) -> ModelExchange:
+    """The model-exchange part of a description that read_description has let through."""
+    assert description.modelExchange is not None
+    return description.modelExchange
+
+
+def private_folder() -> str:
+    """A new folder for an FMU, which can be loaded from there whatever the folder of temporary files is called.
+
+    Raises ModelDescriptionError where no folder has a name that every FMU can read.
+    """
+    for parent in (tempfile.gettempdir(), *_OTHER_FOLDERS):
+        if _SAFE.fullmatch(parent):
+            try:
+                return tempfile.mkdtemp(prefix="fmu-retune-", dir=parent)
+            except OSError:
+                continue
+    raise ModelDescriptionError(
+        f"no FMU can be unpacked: {tempfile.gettempdir()} is not a name that FMUs can be loaded from; "
+        "set TMPDIR to a folder of plain letters, digits and -_.~ only."
+    )
 
 
 def unpack(fmu: Path, folder: str) -> None:

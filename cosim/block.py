@@ -7,7 +7,10 @@ from ctypes import c_double, c_int, c_size_t, c_uint
 from typing import Any, Final, NamedTuple, TypeAlias
 
 Value: TypeAlias = float | int | bool | str
-PYTHON_TYPE: Final[dict[str, type]] = {"Real": float, "Integer": int, "Boolean": bool, "String": str}
+PYTHON_TYPE: Final[dict[str, type]] = {"Real": float, "Integer": int, "Boolean": bool, "String": str} | {
+    **dict.fromkeys(("Float32", "Float64"), float),
+    **{f"{sign}Int{bits}": int for sign in ("", "U") for bits in (8, 16, 32, 64)},
+}
 """Of a Value, by the type of its variable."""
 
 _UNFILLED: Final = -(2**31)  # what an Integer or Boolean that a get left alone reads as; reported as NaN
@@ -18,9 +21,9 @@ class Variable(NamedTuple):
 
     name: str
     type: str
-    """'Real', 'Integer', 'Boolean' or 'String'; an enumeration is an Integer."""
+    """'Real', 'Integer', 'Boolean' or 'String', an enumeration an Integer; or a type of FMI 3.0."""
     reference: int
-    """The value reference."""
+    """The value reference; of FMI 3.0, with the place in an array: `elements.handle`."""
 
 
 class Block:

@@ -11,8 +11,9 @@ import signal
 import threading
 from typing import Final, NoReturn
 
+from .bindings import load
 from .errors import COLON, SlaveError
-from .instance import Identity, Instance
+from .instance import Identity
 from .many_steps import take_steps
 from .transport import CALL, FAULT, RESULT, Channel, StepCodec, decode, encode, open_channel
 
@@ -46,7 +47,7 @@ def main(channel_argument: str) -> NoReturn:
 
 def _serve(channel: Channel, identity: Identity) -> None:
     """Answer requests until the FMU is closed."""
-    instance = Instance(identity)
+    instance = load(identity)
     channel.send(encode(RESULT, None))
     codec = StepCodec(0, 0, 0)
     while True:
@@ -57,7 +58,7 @@ def _serve(channel: Channel, identity: Identity) -> None:
         (function, arguments), blob = decode(message)
         if function == "restart":
             instance.close()
-            instance = Instance(identity)
+            instance = load(identity)
             channel.send(encode(RESULT, None))
             continue
         if function == "many_steps":

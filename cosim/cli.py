@@ -6,6 +6,7 @@ import signal
 import sys
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
@@ -57,6 +58,8 @@ def _parser() -> argparse.ArgumentParser:
     build.add_argument("--estimator", metavar="SCENARIO", help="build this scenario's estimator instead, as one FMU")
     build.add_argument("--method", metavar="NAME", help="the estimator's method (default: target)")
     _add_set(build)
+    build.add_argument("--fmi", type=int, choices=(2, 3), default=2, help="FMI version (default: 2)")
+    build.add_argument("--model-exchange", action="store_true", help="the plants for model exchange, FMI 3.0")
     build.set_defaults(command=_build)
 
     run = commands.add_parser("run", help="simulate a scenario with its controller re-tuned", allow_abbrev=False)
@@ -135,12 +138,23 @@ def _build(options: argparse.Namespace) -> int:
     from .errors import ScenarioError
     from .library import build_into
 
-    builder = [_estimator_builder(options)] if options.estimator else []
-    if not builder and (options.method or options.overrides):
+    is_ours = options.fmi == 2 and not options.model_exchange
+    if options.estimator and not is_ours:
+        raise ScenarioError("--fmi and --model-exchange are of the built-in FMUs: leave out --estimator.")
+    if not options.estimator and (options.method or options.overrides):
         raise ScenarioError("--method and --set are of an estimator: give --estimator SCENARIO.")
-    for path, verb in build_into(options.out, options.force, *builder):
+    builder = _estimator_builder(options) if options.estimator else _builder(options)
+    for path, verb in build_into(options.out, options.force, builder):
         print(f"{path}  {verb}")
     return DONE
+
+
+def _builder(options: argparse.Namespace) -> Callable[[Path], Mapping[str, Path]]:
+    from fmu_models.build import build_all
+
+    if options.model_exchange:
+        return partial(build_all, fmi=3, interface="ModelExchange")
+    return partial(build_all, fmi=options.fmi)
 
 
 def _estimator_builder(options: argparse.Namespace) -> Callable[[Path], Mapping[str, Path]]:

@@ -7,7 +7,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any, Final, NamedTuple, NoReturn
 
 import numpy as np
 
+from .archive import private_folder
 from .errors import CosimError, one_line
 from .result import Run
 from .scenario import Scenario
@@ -121,7 +121,7 @@ class _Member:
 
     def __init__(self, scenario: Scenario) -> None:
         root = str(Path(__file__).resolve().parents[1])
-        self._temporary = tempfile.mkdtemp(prefix="fmu-retune-")  # an interrupt may come before FMUs clear up theirs
+        self._temporary = private_folder()  # an interrupt may come before FMUs clear up theirs
         self._channel, theirs = channel_pair()
         group: dict[str, Any] = {} if sys.platform == "win32" else {"process_group": 0}  # Ctrl-C is not for it
         try:

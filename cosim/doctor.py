@@ -12,7 +12,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib.metadata import packages_distributions, version
+from importlib.metadata import distributions, packages_distributions, version
 from importlib.util import find_spec
 from modulefinder import ModuleFinder
 from pathlib import Path
@@ -84,11 +84,12 @@ def diagnose(fmu: Path) -> Diagnosis:
     description = read_any(fmu)
     with TemporaryDirectory(prefix="fmu-retune-") as folder:
         unpack(fmu, folder)
-        binary = _binary(Path(folder), description)
+        identifiers = _identifiers(description)
+        binary = _binary(Path(folder), identifiers)
         library = _read_library(binary) if sys.platform == "linux" else None
         script = Path(folder, "resources", "slavemodule.txt")
         is_python = script.is_file() or (library is not None and library.has_open_python)
-        findings = [_found(binary.relative_to(folder).as_posix(), library)]
+        findings = [_found(binary.relative_to(folder).as_posix(), identifiers, library)]
         if library is not None:
             findings += _libraries(binary, library)
         libpython = find_libpython() if is_python else None
@@ -106,16 +107,21 @@ def _kind(description: ModelDescription) -> str:
     return " and ".join(kind for kind, interface in kinds.items() if interface is not None) or "scheduled execution"
 
 
-def _binary(folder: Path, description: ModelDescription) -> Path:
-    """The shared library of an FMU that has one for this platform."""
+def _identifiers(description: ModelDescription) -> list[str]:
     interfaces: tuple[Any, ...] = (description.coSimulation, description.modelExchange, description.scheduledExecution)
-    names = [f"{interface.modelIdentifier}{fmpy.sharedLibraryExtension}" for interface in interfaces if interface]
+    return [str(interface.modelIdentifier) for interface in interfaces if interface is not None]
+
+
+def _binary(folder: Path, identifiers: list[str]) -> Path:
+    """The shared library of an FMU that has one for this platform; another, where none has the model's name."""
     places = [folder / "binaries" / place for place in (fmpy.platform, fmpy.platform_tuple)]
     found = [path for place in places for path in sorted(place.glob(f"*{fmpy.sharedLibraryExtension}"))]
-    return next((path for path in found if path.name in names), found[0])
+    return next((path for path in found if path.stem in identifiers), found[0])
 
 
-def _found(binary: str, library: _Library | None) -> Finding:
+def _found(binary: str, identifiers: list[str], library: _Library | None) -> Finding:
+    if Path(binary).stem not in identifiers:
+        return Finding("binary", False, f"{' or '.join(identifiers)} by the model description, but here is {binary}")
     if library is None and sys.platform == "linux":
         return Finding("binary", False, f"{binary} is no shared library for Linux")
     return Finding("binary", True, binary if library else f"{binary}, which is not examined on this platform")
@@ -167,10 +173,28 @@ def _libpython(path: str | None) -> Finding:
     return Finding("libpython", True, f"{path}, of {python}")
 
 
+class _Imports(ModuleFinder):
+    """Finds what is imported by its whole name; a relative import never leads out of the FMU."""
+
+    def import_hook(self, name: str, caller: Any = None, fromlist: Any = None, level: int = -1) -> Any:
+        try:
+            return super().import_hook(name, caller, fromlist, level)
+        except ImportError:
+            if level > 0:
+                return None
+            raise
+
+
 def _modules(script: Path) -> Finding:
-    """The modules that the FMU imports and does not bring along; those imported by a computed name are not seen."""
+    """The packages that the FMU asks for, or else the modules that it imports and does not bring along.
+
+    Modules imported by a computed name are not seen.
+    """
+    requirements = script.with_name("requirements.txt")
+    if requirements.is_file():
+        return _requirements(requirements.read_text(encoding="utf-8", errors="replace"))
     entry = script.with_name(f"{script.read_text(encoding='utf-8').strip()}.py")
-    finder = ModuleFinder(path=[str(script.parent)])
+    finder = _Imports(path=[str(script.parent)])
     try:
         finder.run_script(str(entry))
     except (OSError, SyntaxError, ValueError) as error:
@@ -181,9 +205,21 @@ def _modules(script: Path) -> Finding:
     lacking = ", ".join(sorted(names - set(here)))
     if lacking:
         return Finding("modules", False, f"{lacking} cannot be imported in {sys.prefix}")
-    distributions = packages_distributions() if here else {}
-    versions = [f"{name} {version(distributions[name][0])}" if name in distributions else name for name in here]
+    known = packages_distributions() if here else {}
+    versions = [f"{name} {version(known[name][0])}" if name in known else name for name in here]
     return Finding("modules", True, ", ".join(versions) or "none but those of Python and its own")
+
+
+def _requirements(text: str) -> Finding:
+    """Packages by name; of versions and other conditions nothing is said."""
+    names = [match[0] for line in text.splitlines() if (match := re.match(r"\s*[A-Za-z][\w.-]*", line))]
+    found = {distribution.name.lower(): distribution.version for distribution in distributions()}
+    lacking = ", ".join(name for name in names if name.lower() not in found)
+    if lacking:
+        return Finding(
+            "modules", False, f"{lacking} not installed in {sys.prefix}; python -m pythonfmu deploy -f FMU does it"
+        )
+    return Finding("modules", True, ", ".join(f"{name} {found[name.lower()]}" for name in names) or "none")
 
 
 def _advice(is_python: bool, libpython: str | None, is_pythonfmu: bool) -> str:

@@ -19,7 +19,7 @@ class CosimError(Exception):
 
 
 class ModelDescriptionError(CosimError):
-    """A file is not a usable FMI 2.0 co-simulation FMU."""
+    """A file is not an FMU that can be used here."""
 
 
 class WiringError(CosimError):

@@ -4,6 +4,7 @@ import ast
 import re
 from collections import Counter
 from collections.abc import Collection, Mapping
+from contextlib import ExitStack
 from dataclasses import asdict
 from modulefinder import ModuleFinder
 from pathlib import Path
@@ -15,6 +16,7 @@ import numpy as np
 import estimator
 import fmu_models
 from estimator import Sample, Vector
+from fmu_models import documentation
 from fmu_models.build import assemble, sources
 from fmu_models.description import base_unit
 
@@ -27,8 +29,9 @@ from .scenario import Scenario
 from .schema import Innovation, Tracking
 from .system import Plant, check_parameters, fmu_paths, plant_of, start_value, wire
 
-_SHIPPED = ("__init__", "estimator_loop", "estimator_slave", "reconfigure")
+_SHIPPED = ("estimator_loop", "estimator_slave", "reconfigure")
 """The modules of this package that an estimator FMU imports: they need no more than `estimator` does."""
+_INIT = b'"""What an estimator FMU has of cosim."""\n'
 _OURS = ("cosim", "estimator", "fmu_models")
 
 
@@ -49,15 +52,19 @@ def build_estimator(scenario: Scenario, out_dir: Path, method: str = "target") -
     script = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower() + "_fmu"
     own = Path(__file__).parent
     files = {
+        "cosim/__init__.py": _INIT,
         **{f"cosim/{module}.py": (own / f"{module}.py").read_bytes() for module in _SHIPPED},
         **sources(Path(estimator.__path__[0])),
         **sources(Path(fmu_models.__path__[0])),
         **_user_sources(settings, scenario.folder),
     }
     tops = sorted({path.partition("/")[0].removesuffix(".py") for path in files})
+    files["requirements.txt"] = "".join(f"{package}\n" for package in settings["requires"]).encode()
     files[f"{script}.py"] = _entry(name, scenario, settings | {"ships": tops}).encode()
     try:
-        return assemble(name, script, files, out_dir)
+        summary = f"Estimator of the scenario {scenario.scenario.name}: {method}"
+        people = documentation.files(name, summary, variable_table(settings), 2, ("pythonfmu",))
+        return assemble(name, script, files, people, out_dir)
     except RuntimeError as e:  # the FMU is instantiated for its description
         raise ScenarioError(f"{e}.") from e
 
@@ -145,7 +152,8 @@ class _Variables:
 
 def _try(scenario: Scenario, method: str, plant: Plant, fmus: Mapping[str, FmuFile], theta: Vector) -> None:
     """Make what the FMU will make, and call the model once. Raises ScenarioError."""
-    make_policy(scenario, method, plant, theta, lambda _: theta, np.random.default_rng(0))
+    with ExitStack() as stack:
+        make_policy(scenario, method, plant, theta, lambda _: theta, np.random.default_rng(0), stack)
     x = tuple(start_value(scenario, fmus, f"{plant.name}.{name}") for name in plant.states)
     first = Sample(0.0, x, tuple(plant.inputs.values()), (0.0,) * len(plant.channels))
     try_model(scenario, method, plant, theta, first)

@@ -15,20 +15,47 @@ _ERROR: Final = 3
 _UNKNOWN: Final = re.compile(rb"Fatal py exception encountered.*\sunknown error\s*", re.DOTALL)
 
 
-class MessageLog:
+class Messages:
     """The FMU's gravest log message, and of equals the newest, since the last clear.
 
     PythonFMU's "unknown error" is fatal but says nothing: an error logged before it stays.
+    """
 
-    FMI's logger is variadic; FMPy's native proxy formats the message. PythonFMU however passes the model's own text as
+    def __init__(self) -> None:
+        self.text = ""
+        self._status = -1
+
+    def add(self, status: int, message: bytes) -> None:
+        if status < self._status or (self._status >= _ERROR and _UNKNOWN.fullmatch(message)):
+            return
+        self.text = message.decode("utf-8", "replace")
+        self._status = status
+
+    def clear(self) -> None:
+        self.text, self._status = "", -1
+
+    def reason(self) -> str:
+        """The message in one line: of a traceback what follows its frames, of a PythonFMU exception the exception."""
+        lines = [line for line in self.text.splitlines() if line.strip()]
+        if any(line.startswith("Traceback (most recent call last)") for line in lines):
+            after_frames = [*takewhile(lambda line: not line[0].isspace(), reversed(lines))]
+            lines = after_frames[::-1] or lines[-1:]
+        elif len(lines) > 1 and lines[0].startswith("Fatal py exception encountered"):
+            lines = lines[1:]
+        return one_line(" ".join(lines))
+
+
+class MessageLog(Messages):
+    """Messages of an FMI 2.0 FMU.
+
+    Its logger is variadic; FMPy's native proxy formats the message. PythonFMU however passes the model's own text as
     the format and never arguments, so that a "%s" in it would read random memory: its texts are taken as they are.
     """
 
     _open: "dict[int, MessageLog]" = {}
 
     def __init__(self, has_plain_text: bool) -> None:
-        self.text = ""
-        self._status = -1
+        super().__init__()
         self._has_plain_text = has_plain_text
         self._open[id(self)] = self
         self.callbacks = fmi2.fmi2CallbackFunctions()
@@ -42,27 +69,10 @@ class MessageLog:
             addLoggerProxy(byref(self.callbacks))
 
     def add(self, status: int, message: bytes) -> None:
-        if status < self._status or (self._status >= _ERROR and _UNKNOWN.fullmatch(message)):
-            return
-        text = message.decode("utf-8", "replace")
-        self.text = text.replace("%%", "%") if self._has_plain_text else text
-        self._status = status
-
-    def clear(self) -> None:
-        self.text, self._status = "", -1
+        super().add(status, message.replace(b"%%", b"%") if self._has_plain_text else message)
 
     def close(self) -> None:
         self._open.pop(id(self), None)
-
-    def reason(self) -> str:
-        """The message in one line: of a traceback what follows its frames, of a PythonFMU exception the exception."""
-        lines = [line for line in self.text.splitlines() if line.strip()]
-        if any(line.startswith("Traceback (most recent call last)") for line in lines):
-            after_frames = [*takewhile(lambda line: not line[0].isspace(), reversed(lines))]
-            lines = after_frames[::-1] or lines[-1:]
-        elif len(lines) > 1 and lines[0].startswith("Fatal py exception encountered"):
-            lines = lines[1:]
-        return one_line(" ".join(lines))
 
 
 def _receive_message(environment: int | None, instance: bytes, status: int, category: bytes, message: bytes) -> None:

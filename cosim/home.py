@@ -3,8 +3,9 @@
 from collections.abc import Sequence
 from typing import Any, Protocol
 
+from .bindings import load
 from .block import Variable
-from .instance import Identity, Instance
+from .instance import Identity
 from .many_steps import take_steps
 
 
@@ -23,7 +24,7 @@ class SameProcess:
 
     def __init__(self, identity: Identity) -> None:
         self._identity = identity
-        self._instance = Instance(identity)
+        self._instance = load(identity)
 
     def bind(self, inputs: Sequence[Variable], tunables: Sequence[Variable], outputs: Sequence[Variable]) -> None:
         self._instance.bind(inputs, tunables, outputs)
@@ -31,7 +32,7 @@ class SameProcess:
     def call(self, function: str, t: float | None, *arguments: object) -> Any:
         if function == "restart":
             self._instance.close()
-            self._instance = Instance(self._identity)
+            self._instance = load(self._identity)
             return None
         if function == "many_steps" and isinstance(arguments[0], bytes):
             return take_steps(self._instance.step, arguments[0])

@@ -32,6 +32,8 @@ class Identity(NamedTuple):
     instance_name: str
     has_plain_log: bool
     """Log texts are not formats with arguments; see MessageLog."""
+    binding: str = "fmi2"
+    """Which module's Instance loads it: see `load` in home."""
 
 
 class Instance:

@@ -8,24 +8,25 @@ from tempfile import TemporaryDirectory
 
 from platformdirs import user_cache_path
 
-from fmu_models.build import NAMES, build, build_all, guid
+from fmu_models.build import NAMES, PLANTS, Interface, build, build_all, guid
 
 from .errors import ScenarioError
 from .names import did_you_mean
 from .record import FolderError
 
 
-def find_fmu(fmu: str, folder: Path) -> Path:
+def find_fmu(fmu: str, folder: Path, fmi: int = 2, interface: Interface = "CoSimulation") -> Path:
     """The file of a built-in FMU's name (built where the cache lacks it), or of a path relative to folder.
 
-    Raises ScenarioError.
+    fmi (2 or 3) and interface are those of a built-in FMU. Raises ScenarioError.
     """
-    if fmu in NAMES:
-        return _cached(fmu)
+    names = PLANTS if interface == "ModelExchange" else NAMES
+    if fmu in names:
+        return _cached(fmu, fmi, interface)
     path = folder / fmu
     if not path.is_file():
-        known = f"; built-in FMUs are {', '.join(NAMES)}" if path.suffix != ".fmu" else ""
-        raise ScenarioError(f"no FMU '{fmu}': {path} is not a file{did_you_mean(fmu, NAMES) or known}")
+        known = f"; built-in FMUs are {', '.join(names)}" if path.suffix != ".fmu" else ""
+        raise ScenarioError(f"no FMU '{fmu}': {path} is not a file{did_you_mean(fmu, names) or known}")
     return path
 
 
@@ -34,14 +35,14 @@ def cache_folder() -> Path:
     return Path(os.environ.get("FMU_RETUNE_CACHE") or user_cache_path("fmu-retune"))
 
 
-def _cached(name: str) -> Path:
-    folder = cache_folder() / "fmus" / guid(name)
+def _cached(name: str, fmi: int, interface: Interface) -> Path:
+    folder = cache_folder() / "fmus" / guid(name, fmi, interface)
     path = folder / f"{name}.fmu"
     if path.is_file():
         return path
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        return build(name, folder)
+        return build(name, folder, fmi, interface)
     except OSError as e:
         raise ScenarioError(f"cannot build {name}.fmu in {folder}: {e.strerror or e}; set FMU_RETUNE_CACHE.") from e
 

@@ -163,7 +163,8 @@ def _units(run: Run) -> dict[str, str]:
     for reference in run.scenario.tracking:
         component, _, variable = reference.partition(".")
         with suppress(CosimError):
-            description = read_description(find_fmu(run.scenario.components[component].fmu, run.scenario.folder))
+            part = run.scenario.components[component]
+            description = read_description(find_fmu(part.fmu, run.scenario.folder, part.fmi))
             found = {v.name: v.unit or getattr(v.declaredType, "unit", None) for v in description.modelVariables}
             if found.get(variable):
                 units[reference] = str(found[variable])

@@ -1,6 +1,7 @@
 """What a run does about its controller's parameters: re-tune them, leave them, or tell the truth."""
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from typing import Protocol
 
 import numpy as np
@@ -9,6 +10,7 @@ from estimator import DerivativeResidual, LinearForm, Method, Sample, Vector
 
 from .errors import CosimError, ScenarioError, one_line, seconds
 from .estimators import find_method, load, make_estimator
+from .fmu_model import opened_model
 from .reconfigure import (
     AlwaysTrigger,
     Budget,
@@ -87,8 +89,9 @@ def make_policy(
     theta: Vector,
     truth: Callable[[float], Vector],
     rng: np.random.Generator,
+    stack: ExitStack,
 ) -> Policy:
-    """The policy of that name; theta (d,): what the controller holds.
+    """The policy of that name; theta (d,): what the controller holds; stack closes the model, where it is an FMU.
 
     Raises ScenarioError for an unknown name, or a model or estimator that cannot be loaded.
     """
@@ -98,7 +101,7 @@ def make_policy(
         return TellTruth(truth)
     method = find_method(estimator, scenario)
     search, loop = make_estimator(estimator, method, scenario, theta, rng)
-    whitened = _residual(scenario, plant)
+    whitened = _residual(scenario, plant, stack)
     return make_retuner(
         search,
         whitened,
@@ -116,7 +119,8 @@ def try_model(scenario: Scenario, estimator: str, plant: Plant, theta: Vector, f
         return
     settings = scenario.estimation
     try:
-        _residual(scenario, plant)(theta, first)
+        with ExitStack() as stack:
+            _residual(scenario, plant, stack)(theta, first)
     except Exception as e:  # whatever a user's function raises
         call = f"{settings.model}(x ({len(first.x)},), u ({len(first.u)},), {', '.join(settings.space.names)})"
         raise ScenarioError(f"estimation.model: {call} failed: {type(e).__name__}: {e}.") from e
@@ -141,11 +145,12 @@ def _trigger(loop: Loop, residual: DerivativeResidual) -> Trigger:
             return AlwaysTrigger()
 
 
-def _residual(scenario: Scenario, plant: Plant) -> DerivativeResidual:
-    """The whitened residual of the scenario's model. Raises ScenarioError."""
+def _residual(scenario: Scenario, plant: Plant, stack: ExitStack) -> DerivativeResidual:
+    """The whitened residual of the scenario's model, which stack closes. Raises ScenarioError."""
     settings = scenario.estimation
+    model = stack.enter_context(opened_model(scenario, plant))
     sigma = tuple(n.noise for n in scenario.sampling.derivatives.values())
-    return DerivativeResidual(load(settings.model, scenario.folder), settings.space, plant.channels, sigma)
+    return DerivativeResidual(model, settings.space, plant.channels, sigma)
 
 
 def _linear_form(method: Method, scenario: Scenario) -> LinearForm | None:

@@ -12,7 +12,15 @@ from .block import Value, Variable
 from .errors import WiringError
 
 _LARGEST: Final = sys.float_info.max
-_DEFAULT_RANGE: Final = {"Real": (-_LARGEST, _LARGEST), "Integer": (-(2.0**31) + 1, 2.0**31 - 1), "Boolean": (0.0, 1.0)}
+_DEFAULT_RANGE: Final = {
+    "Integer": (-(2.0**31) + 1, 2.0**31 - 1), "Boolean": (0.0, 1.0),
+    **{f"Int{bits}": (-(2.0 ** (bits - 1)), 2.0 ** (bits - 1) - 1) for bits in (8, 16, 32)},
+    **{f"UInt{bits}": (0.0, 2.0**bits - 1) for bits in (8, 16, 32)},
+    "Int64": (-(2.0**53), 2.0**53), "UInt64": (0.0, 2.0**53),  # what a double holds exactly
+}  # fmt: skip
+_ANY_NUMBER: Final = (-_LARGEST, _LARGEST)
+_NOT_WHOLE: Final = ("Real", "Float32", "Float64")
+_NO_NUMBERS: Final = ("String", "Binary", "Clock")
 
 
 class Ports:
@@ -23,8 +31,8 @@ class Ports:
         self._role = role
         self._units = [_attribute(v, "unit") or "" for v in variables]
         self._ranges = [_range_of(v) for v in variables]
-        self._whole = [i for i, v in enumerate(self.variables) if v.type != "Real"]
-        self._bounded = [(i, *limits) for i, limits in enumerate(self._ranges) if limits != _DEFAULT_RANGE["Real"]]
+        self._whole = [i for i, v in enumerate(self.variables) if v.type not in _NOT_WHOLE]
+        self._bounded = [(i, *limits) for i, limits in enumerate(self._ranges) if limits != _ANY_NUMBER]
 
     def problem(self, values: Sequence[float]) -> str | None:
         """What is wrong with the first value that is not finite, outside [min, max] or not of its type, or None."""
@@ -82,7 +90,7 @@ class Catalogue:
             initial = f", initial {variable.initial}" if variable.initial else ""
             raise WiringError(f"{name!r} of {self._fmu_name} takes no start value: it is {kind}{initial}.")
         its_type = _type_of(variable)
-        is_fit = isinstance(value, str) if its_type == "String" else isinstance(value, SupportsFloat)
+        is_fit = isinstance(value, str) if its_type in _NO_NUMBERS else isinstance(value, SupportsFloat)
         if not is_fit or (isinstance(value, bool) and its_type != "Boolean"):
             raise WiringError(f"{name!r} of {self._fmu_name} is a {its_type} and cannot start as {value!r}.")
         return Ports(_kind_of(variable), [variable])
@@ -92,8 +100,8 @@ class Catalogue:
         kind = _kind_of(variable)
         if role != "output" and kind != role:
             raise WiringError(f"{name!r} of {self._fmu_name} is {_with_article(kind)}, not {_with_article(role)}.")
-        if variable.type == "String":
-            raise WiringError(f"{name!r} of {self._fmu_name} is a String and cannot be exchanged.")
+        if not is_numeric(variable):
+            raise WiringError(f"{name!r} of {self._fmu_name} is a {variable.type} and cannot be exchanged.")
         return variable
 
     def _known(self, name: str) -> ModelVariable:
@@ -104,6 +112,11 @@ class Catalogue:
         for match in difflib.get_close_matches(name, self._variables, n=1):
             message += f"; did you mean {match!r} ({_with_article(_kind_of(self._variables[match]))})?"
         raise WiringError(message)
+
+
+def is_numeric(variable: ModelVariable) -> bool:
+    """Its values can be exchanged at communication points."""
+    return variable.type not in _NO_NUMBERS
 
 
 def _kind_of(variable: ModelVariable) -> str:
@@ -133,7 +146,7 @@ def _attribute(variable: ModelVariable, name: str) -> str | None:
 
 def _range_of(variable: ModelVariable) -> tuple[float, float]:
     """The finite numbers that a variable may be."""
-    low, high = _DEFAULT_RANGE.get(_type_of(variable), (-_LARGEST, _LARGEST))
+    low, high = _DEFAULT_RANGE.get(_type_of(variable), _ANY_NUMBER)
     declared_low, declared_high = _attribute(variable, "min"), _attribute(variable, "max")
     return (
         low if declared_low is None else max(low, float(declared_low)),

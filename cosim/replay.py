@@ -1,6 +1,7 @@
 """Other estimators on the recorded samples of an old run, open loop: all see identical data."""
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from math import hypot
 from pathlib import Path
@@ -67,16 +68,17 @@ def replayed(recorded: Run, estimator: str, seed: int) -> Run:
     # As `run` spawns them: the noise's stream, which is on record already, and the search's.
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(2)[1])
     begun = perf_counter()
-    policy = make_policy(scenario, estimator, recorded.plant, held[0], _no_truth, rng)
-    try_model(scenario, estimator, recorded.plant, held[0], samples[0])
     latencies: list[tuple[float, ...]] = []
     theta, thetas = held[0], [held[0]]
-    for sample, error in zip(samples[1:], errors[1:], strict=True):
-        decision = decide(policy, estimator, sample, sample.t, hypot(*error))
-        if decision.latencies:
-            latencies.append(decision.latencies)
-        theta = theta if decision.write is None else decision.write
-        thetas.append(theta)
+    with ExitStack() as stack:
+        policy = make_policy(scenario, estimator, recorded.plant, held[0], _no_truth, rng, stack)
+        try_model(scenario, estimator, recorded.plant, held[0], samples[0])
+        for sample, error in zip(samples[1:], errors[1:], strict=True):
+            decision = decide(policy, estimator, sample, sample.t, hypot(*error))
+            if decision.latencies:
+                latencies.append(decision.latencies)
+            theta = theta if decision.write is None else decision.write
+            thetas.append(theta)
     estimates = dict(zip(writes, np.array(thetas).T, strict=True))
     return replace(
         recorded, estimator=estimator, seed=seed, series={**recorded.series, **estimates}, status="done", error=None,

@@ -13,7 +13,7 @@ from estimator import DerivativeResidual, Sample, Vector
 
 from .canvas import BLUE, GREEN, VERMILION, label, new_figure, set_log, top_legend
 from .errors import CosimError
-from .estimators import load
+from .fmu_model import opened_model
 from .result import Run
 from .sampling import recorded_samples
 
@@ -64,14 +64,15 @@ def response_surface(run: Run, samples: Sequence[Sample]) -> tuple[Vector, Vecto
     scenario = run.scenario
     space = scenario.estimation.space
     noise = tuple(n.noise for n in scenario.sampling.derivatives.values())
-    residual = DerivativeResidual(load(scenario.estimation.model, scenario.folder), space, run.plant.channels, noise)
     z = np.linspace(0.0, 1.0, _N_GRID)
     thetas = space.from_unit(np.stack(np.meshgrid(z, z), axis=-1))
     mean_square = np.full((_N_GRID, _N_GRID), np.nan)
-    for place in np.ndindex(mean_square.shape):
-        with suppress(Exception):  # whatever a user's model raises: no value there
-            r = np.array([residual(thetas[place], sample) for sample in samples])
-            mean_square[place] = np.mean(r * r)
+    with opened_model(scenario, run.plant) as model:
+        residual = DerivativeResidual(model, space, run.plant.channels, noise)
+        for place in np.ndindex(mean_square.shape):
+            with suppress(Exception):  # whatever a user's model raises: no value there
+                r = np.array([residual(thetas[place], sample) for sample in samples])
+                mean_square[place] = np.mean(r * r)
     usable = np.isfinite(mean_square)
     level = 0.5 * np.log10(np.maximum(np.where(usable, mean_square, 1.0), 1e-12))
     return thetas[0, :, 0], thetas[:, 0, 1], np.where(usable, level, np.nan)

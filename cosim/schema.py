@@ -82,6 +82,8 @@ class Component(Table):
 
     fmu: str = Field(min_length=1)
     """Name of a built-in FMU, or a path to a file, relative to the scenario's."""
+    fmi: Literal[2, 3] = 2
+    """FMI version of a built-in FMU; a file says its own."""
     start: dict[str, Value] = {}
     """Start values set before initialisation."""
 
@@ -195,8 +197,9 @@ class LinearModel(Table):
 class Estimation(Loop):
     """What is estimated, by which model, and how."""
 
-    model: str = Field(pattern=r"^[\w.]+:\w+$")
-    """`module:function`, called as f(x, u, **parameters) for the plant's state derivatives."""
+    model: str = Field(pattern=r"^([\w.]+:\w+|.+\.fmu|[A-Za-z]\w*)$")
+    """`module:function`, called as f(x, u, **parameters) for the plant's state derivatives; or a model-exchange FMU:
+    a path relative to the scenario's, or the name of a built-in plant."""
     parameters: tuple[EstimatedParameter, ...] = Field(min_length=1)
     """In the order of theta."""
     instants: tuple[float, ...] = ()

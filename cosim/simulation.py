@@ -18,6 +18,7 @@ from time import perf_counter
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from .aliases import as_the_fmus_have_it
 from .errors import ScenarioError, SlaveError, WiringError
 from .estimators import check_estimator
 from .master import Master
@@ -59,7 +60,8 @@ def run(
             name: stack.enter_context(open_slave(path, name, isolation=settings.isolation, timeout=settings.timeout))
             for name, path in paths.items()
         }
-        loop = _Loop(scenario, slaves, estimator, seed)
+        scenario = as_the_fmus_have_it(scenario, slaves)
+        loop = _Loop(scenario, slaves, estimator, seed, stack)
         fault = loop.initialize()
         if out is not None:
             begin_folder(out, scenario, estimator, seed, paths, loop.plant)
@@ -83,8 +85,10 @@ def run(
 class _Loop:
     """One run in progress: the FMUs by way of the master, and what the controller holds."""
 
-    def __init__(self, scenario: Scenario, slaves: Mapping[str, Slave], estimator: str, seed: int) -> None:
-        """Raises ScenarioError, WiringError."""
+    def __init__(
+        self, scenario: Scenario, slaves: Mapping[str, Slave], estimator: str, seed: int, stack: ExitStack
+    ) -> None:
+        """stack: closes what the run has opened. Raises ScenarioError, WiringError."""
         plant = plant_of(scenario, slaves[scenario.plant])
         check_parameters(scenario, slaves)
         wiring, groups = wire(scenario, slaves)
@@ -96,7 +100,7 @@ class _Loop:
         self._theta = np.array([start_value(scenario, slaves, p.writes) for p in scenario.estimation.parameters])
         self._truth = true_parameters(scenario, slaves)
         # Here, while the FMUs are still starting: what an estimator imports takes as long as they do.
-        self.policy = make_policy(scenario, estimator, plant, self._theta, self._true_theta, search)
+        self.policy = make_policy(scenario, estimator, plant, self._theta, self._true_theta, search, stack)
         self._latencies, self._n_latencies = array("d"), array("L")  # an hour of tuples would be 30 MB
         self._writes = [p.writes for p in scenario.estimation.parameters]
         self._places: dict[str, list[int]] = {}

@@ -11,7 +11,6 @@ import logging
 import math
 import os
 import shutil
-import tempfile
 import weakref
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -19,7 +18,7 @@ from typing import Any, Literal, Self
 
 from fmpy.model_description import ModelDescription
 
-from .archive import co_simulation, read_description, unpack
+from .archive import co_simulation, private_folder, read_description, unpack
 from .block import PYTHON_TYPE, Value
 from .errors import COLON, SlaveError, WiringError
 from .home import Home, SameProcess
@@ -34,7 +33,7 @@ _log = logging.getLogger(__name__)
 
 
 def open_slave(fmu: Path, instance_name: str, *, isolation: Isolation = "process", timeout: float = 10.0) -> "Slave":
-    """An FMU 2.0 for co-simulation, unpacked into a private folder and loaded.
+    """An FMU for co-simulation, FMI 2.0 or 3.0, unpacked into a private folder and loaded.
 
     isolation "process" (the default) gives it a process of its own, and returns while it is still loading: open
     several and they load at the same time. "none" loads it into this process: for trusted native FMUs.
@@ -47,7 +46,7 @@ def open_slave(fmu: Path, instance_name: str, *, isolation: Isolation = "process
     if isolation not in ("process", "none"):
         raise ValueError(f"isolation must be 'process' or 'none', got {isolation!r}.")
     description = read_description(fmu)
-    folder = tempfile.mkdtemp(prefix="fmu-retune-")
+    folder = private_folder()
     try:
         unpack(fmu, folder)
         identity = Identity(
@@ -56,6 +55,7 @@ def open_slave(fmu: Path, instance_name: str, *, isolation: Isolation = "process
             str(description.guid),
             instance_name,
             "pythonfmu" in (description.generationTool or "").lower(),
+            "fmi2" if description.fmiVersion == "2.0" else "fmi3",
         )
         home = Worker(identity, timeout) if isolation == "process" else SameProcess(identity)
     except BaseException:

@@ -11,6 +11,7 @@ from .errors import ScenarioError, WiringError, seconds
 from .library import find_fmu
 from .master import Wiring
 from .names import did_you_mean
+from .ports import is_numeric
 from .scenario import Scenario
 from .slave import Slave
 
@@ -33,7 +34,7 @@ class Plant:
 
 def fmu_paths(scenario: Scenario) -> dict[str, Path]:
     """File of each component's FMU, built where need be. Raises ScenarioError."""
-    return {name: find_fmu(c.fmu, scenario.folder) for name, c in scenario.components.items()}
+    return {name: find_fmu(c.fmu, scenario.folder, c.fmi) for name, c in scenario.components.items()}
 
 
 def wire(scenario: Scenario, slaves: Mapping[str, Described]) -> tuple[dict[str, Wiring], list[list[str]]]:
@@ -140,7 +141,7 @@ def _constant(value: float, t: float) -> float:
 
 
 def _outputs(slave: Described) -> tuple[str, ...]:
-    return tuple(v.name for v in slave.description.modelVariables if v.causality == "output" and v.type != "String")
+    return tuple(v.name for v in slave.description.modelVariables if v.causality == "output" and is_numeric(v))
 
 
 def _groups(scenario: Scenario, names: Sequence[str]) -> list[list[str]]:

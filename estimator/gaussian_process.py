@@ -100,8 +100,7 @@ class Posterior:
         """Mean (k,) at z (d,) and its slope (k, d)."""
         scaled = (z - self._places) / self._lengthscales
         c = np.exp(-0.5 * np.einsum("ij,ij->i", scaled, scaled))
-        weighted = c[:, None] * self._alpha
-        return weighted.sum(axis=0), -weighted.T @ (scaled / self._lengthscales)
+        return c @ self._alpha, -(c * self._alpha.T) @ (scaled / self._lengthscales)
 
 
 # --- one noisy output, Matern-5/2 -----------------------------------------------------------------------------------

@@ -42,7 +42,7 @@ def principal_components(residuals: Vector, n_outputs: int) -> Vector:
     Uncentred, so that zero stays zero. Axes that hold less than 0.1 a candidate are left out.
     """
     U, s, _ = np.linalg.svd(residuals, full_matrices=False)
-    k = int(np.clip(np.sum(s > 0.1 * np.sqrt(len(residuals))), 1, n_outputs))
+    k = min(max(int((s > 0.1 * len(residuals) ** 0.5).sum()), 1), n_outputs)
     return U[:, :k] * s[:k]
 
 
@@ -77,9 +77,10 @@ def least_change(posterior: Posterior, z: Vector, n_moved: int) -> Vector:
     """
     for _ in range(8):
         r, slope = posterior.mean_and_jacobian(z)
-        seen = information(slope).directions[:n_moved]
-        step = seen.T @ np.linalg.lstsq(slope @ seen.T, r, rcond=None)[0]
-        z = np.clip(z - step, 0.0, 1.0)
+        sight = information(slope)
+        seen, s = sight.directions[:n_moved], sight.singular_values[:n_moved]
+        step = seen.T @ (seen @ (slope.T @ r) / (s * s))  # least squares: slope V_i = s_i U_i
+        z = np.minimum(np.maximum(z - step, 0.0), 1.0)
         if np.abs(step).max() < 1e-8:
             break
     return z

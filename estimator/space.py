@@ -89,13 +89,14 @@ class ParameterSpace:
 
     def to_unit(self, theta: ArrayLike) -> Vector:
         """Place in the unit cube of values (..., d); values outside the bounds go to the nearest bound."""
-        clipped = np.clip(np.asarray(theta, dtype=float), self._lower, self._upper)
+        clipped = np.minimum(np.maximum(np.asarray(theta, dtype=float), self._lower), self._upper)
         return (_scaled(clipped, self._is_log) - self._origin) / self._width
 
     def from_unit(self, z: ArrayLike) -> Vector:
         """Values of places (..., d) in the unit cube; never outside the bounds."""
-        raw = self._origin + self._width * np.asarray(z, dtype=float)
-        return np.clip(np.where(self._is_log, np.exp(np.where(self._is_log, raw, 0.0)), raw), self._lower, self._upper)
+        theta = self._origin + self._width * np.asarray(z, dtype=float)
+        theta[..., self._is_log] = np.exp(theta[..., self._is_log])
+        return np.minimum(np.maximum(theta, self._lower), self._upper)
 
     def slope(self, theta: ArrayLike) -> Vector:
         """d theta / d z at theta (d,): what a step in the unit cube is worth in each parameter's unit."""
@@ -111,4 +112,6 @@ class ParameterSpace:
 
 
 def _scaled(theta: Vector, is_log: NDArray[np.bool_]) -> Vector:
-    return np.where(is_log, np.log(np.where(is_log, theta, 1.0)), theta)
+    scaled = theta.copy()
+    scaled[..., is_log] = np.log(scaled[..., is_log])
+    return scaled

@@ -48,7 +48,7 @@ class VectorSurrogate:
         """(d,), in units of the cube."""
         return self._lengthscales
 
-    def fit(self, Z: Vector, Y: Vector, max_iterations: int = 15) -> None:
+    def fit(self, Z: Vector, Y: Vector, max_iterations: int = 8) -> None:
         """Refit the lengthscales to Y (n, k) at Z (n, d), from where they are."""
         prior = self.kernel.lengthscale.priors.properties()[0]
         found = minimize(
@@ -97,7 +97,7 @@ class ScalarSurrogate:
         """Hyperparameters back to GPy's start, one, or the bound nearest to it."""
         self._log_parameters = np.clip(0.0, *self._log_bounds.T)
 
-    def fit(self, Z: Vector, y: Vector, max_iterations: int = 20) -> None:
+    def fit(self, Z: Vector, y: Vector, max_iterations: int = 12) -> None:
         """Refit the hyperparameters to y (n,) at Z (n, d), from where they are."""
         found = minimize(
             negative_log_likelihood,

@@ -20,9 +20,11 @@ _FAR = 50.0
 """Root mean square residual [standard deviations] above which old candidates, which lie where the optimum was, tell
 little of the slopes: they are learnt anew."""
 _MOST = 128
-"""Candidates that are judged anew at each sample, however long an episode lasts."""
-_LOCAL_RADII = (0.2, 0.05, 0.01, 0.002)
-"""Of the unit cube: standard deviations of the candidates drawn round the incumbent."""
+"""Candidates that are remembered, and judged anew at each sample, however long an episode lasts."""
+_LOCAL_RADII = np.repeat([[0.2], [0.05], [0.01], [0.002]], 16, axis=0)
+"""Of the unit cube: standard deviation of each candidate drawn round the incumbent."""
+_NEAR_RADII = np.repeat([[0.003], [0.0005]], 8, axis=0)
+"""The same round the minimiser of the surrogate's mean."""
 
 
 @dataclass(frozen=True)
@@ -124,6 +126,8 @@ class TargetVector:
             self._queue = one_at_a_time(self._space.to_unit(theta), self._step)
         self._theta = np.vstack([self._theta, theta])
         self._residuals = told if self._residuals is None else np.vstack([self._residuals, told])
+        if len(self._theta) > _MOST:
+            self._forget()
         self._model_now = None
 
     def rescore(self, residuals: Vector) -> None:
@@ -223,13 +227,14 @@ class TargetVector:
         """Candidates to choose from: all over the cube, round the incumbent, and round the mean's minimiser."""
         d = len(best)
         minimiser = least_squares_of_mean(posterior, best)
-        local = [best + radius * self._rng.standard_normal((16, d)) for radius in _LOCAL_RADII]
-        near = [minimiser + radius * self._rng.standard_normal((8, d)) for radius in (0.003, 0.0005)]
-        return np.clip(np.vstack([self._global, *local, minimiser, *near]), 0.0, 1.0)
+        draws = self._rng.standard_normal((len(_LOCAL_RADII) + len(_NEAR_RADII), d))
+        local, near = draws[: len(_LOCAL_RADII)], draws[len(_LOCAL_RADII) :]
+        pool = np.vstack([self._global, best + _LOCAL_RADII * local, minimiser, minimiser + _NEAR_RADII * near])
+        return np.minimum(np.maximum(pool, 0.0), 1.0)
 
 
 def _is_near(residual: Vector) -> bool:
-    return float(np.mean(residual * residual)) <= _FAR**2
+    return float(residual @ residual) <= _FAR**2 * len(residual)
 
 
 class _Model(NamedTuple):

@@ -5,11 +5,14 @@ controller's parameters inputs, for an estimator that is an FMU itself.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, ClassVar
 
-from .description import Variable, input_variable, output, parameter, per_second
+from .description import TIME, Variable, input_variable, output, parameter, per_second
 from .ode import Vector, integrate
 from .slave import Slave
+
+HELD = ", with the inputs held"
 
 
 class Plant(Slave):
@@ -37,7 +40,7 @@ class Plant(Slave):
         )
         rates = [
             output(
-                f"der({v.name})", per_second(v.unit or "1"), f"Time derivative of {v.name}, with the inputs held",
+                f"der({v.name})", per_second(v.unit or "1"), f"Time derivative of {v.name}{HELD}",
                 depends=v.dependencies, derivative=v.name,
             ) for v in states
         ]  # fmt: skip
@@ -48,6 +51,15 @@ class Plant(Slave):
             ) for v in inputs
         ]  # fmt: skip
         return (*parameters, max_step, *inputs, *states, *rates, *held) if table else ()
+
+    @classmethod
+    def exchange_table(cls) -> tuple[Variable, ...]:
+        """The variables where somebody else integrates: no max_step, nothing is held, derivatives are local."""
+        kept = [v for i, v in enumerate(cls.variables[: cls._held.start]) if i != cls._max_step]
+        texts = {v.name: v.description.removesuffix(HELD) for v in kept}
+        return tuple(
+            replace(v, causality="local", description=texts[v.name]) if v.derivative else v for v in kept
+        )  # fmt: skip
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -149,14 +161,18 @@ class Adaptive(Controller):
 
 
 class Reference(Slave):
-    """A function of time and parameters."""
+    """A function of time and parameters. Time is added to its table."""
+
+    @classmethod
+    def _complete(cls, table: tuple[Variable, ...]) -> tuple[Variable, ...]:
+        return (*super()._complete(table), TIME) if table else ()
 
     def outputs(self, time: float, parameters: Vector) -> Vector:
         """The hook: time [s]; parameters and the returned outputs in the table's order."""
         raise NotImplementedError
 
     def _refresh(self) -> None:
-        self._values[self._outputs] = self.outputs(self._time, tuple(self._values[self._parameters]))
+        self._values[self._outputs] = (*self.outputs(self._time, tuple(self._values[self._parameters])), self._time)
 
     def _advance(self, step_size: float) -> None:
         self._update()

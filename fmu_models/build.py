@@ -9,14 +9,20 @@ import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from hashlib import sha256
+from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
+from typing import Literal
 from uuid import uuid4, uuid5
 from xml.etree import ElementTree
 
+import pythonfmu
 from pythonfmu import FmuBuilder
 from pythonfmu import __version__ as pythonfmu_version
+from pythonfmu3 import FmuBuilder as Fmi3Builder
+from pythonfmu3 import __version__ as pythonfmu3_version
 
+from . import documentation
 from .slave import NAMESPACE
 
 PACKAGE = Path(__file__).parent
@@ -45,22 +51,50 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)
 _imports = threading.Lock()
 
 
-def guid(name: str) -> str:
-    """The GUID that `build(name)` gives: it depends on the name, the shipped sources and pythonfmu's version."""
-    return _identity(name, _files(_script(name)))
+Interface = Literal["CoSimulation", "ModelExchange"]
+PLANTS = ("FrictionPendulum", "Pendulum", "Quadrotor", "RigidBody")
+"""What there is for model exchange, in FMI 3.0: the others have no states."""
+_ENTRY = """\"\"\"Entry script of {name}.fmu, FMI 3.0.\"\"\"
+
+from pythonfmu3 import Fmi3SlaveBase
+
+from fmu_models.fmi3 import Fmi3{interface}
+from fmu_models.{script} import {name} as Model
 
 
-def build(name: str, out_dir: Path | str) -> Path:
-    """Build one FMU into `out_dir`, made if it is not there; returns the path of `<name>.fmu`.
+class {name}(Fmi3{interface}, Fmi3SlaveBase):
+    __doc__ = Model.__doc__
+    model = Model
+"""
 
-    The file appears at once and whole, so builds may run at the same time. Raises ValueError for an unknown name.
+
+def guid(name: str, fmi: int = 2, interface: Interface = "CoSimulation") -> str:
+    """The GUID that `build` gives: it depends on what is built, the files in it and the libraries' versions."""
+    return _identity(name, fmi, _files(name, fmi, interface)[1])
+
+
+def build(name: str, out_dir: Path | str, fmi: int = 2, interface: Interface = "CoSimulation") -> Path:
+    """Build one FMU, FMI 2.0 or 3.0, into `out_dir`, made if it is not there; returns the path of `<name>.fmu`.
+
+    The file appears at once and whole, so builds may run at the same time. Raises ValueError for an unknown name, and
+    for model exchange of what is no plant, or in FMI 2.0.
     """
-    script = _script(name)
-    return assemble(name, script, _files(script), out_dir)
+    script, files = _files(name, fmi, interface)
+    model = getattr(import_module(f"{__package__}.{_SCRIPTS[name]}"), name)
+    variables = model.exchange_table() if interface == "ModelExchange" else model.variables
+    libraries = ("pythonfmu",) if fmi == 2 else ("pythonfmu", "pythonfmu3")
+    extra = documentation.files(name, model.__doc__, variables, fmi, libraries)
+    return assemble(name, script, files, extra, out_dir, fmi)
 
 
-def assemble(name: str, script: str, files: Mapping[str, bytes], out_dir: Path | str) -> Path:
-    """Build an FMU from its files, by their paths: the entry script, `<script>.py`, and all that it imports."""
+def assemble(
+    name: str, script: str, files: Mapping[str, bytes], extra: Mapping[str, bytes], out_dir: Path | str, fmi: int = 2
+) -> Path:
+    """Build an FMU from its files, by their paths: the entry script, `<script>.py`, and all that it imports.
+
+    extra: files beside the resources, by their paths in the FMU; they follow from the others, and the GUID is without.
+    A requirements.txt among them says what else it needs, for `python -m pythonfmu deploy -f FMU`.
+    """
     out_dir = Path(out_dir)
     out_dir.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="fmu_models_") as directory:
@@ -71,25 +105,20 @@ def assemble(name: str, script: str, files: Mapping[str, bytes], out_dir: Path |
         entry = stage / "source" / f"{script}.py"
         others = sorted(path for path in entry.parent.iterdir() if path != entry)
         with _imports_restored(script):
-            raw = FmuBuilder.build_FMU(entry, dest=stage / "raw", project_files=others)
+            raw = (FmuBuilder if fmi == 2 else Fmi3Builder).build_FMU(entry, dest=stage / "raw", project_files=others)
         target, temporary = out_dir / f"{name}.fmu", out_dir / f".{name}.{uuid4().hex}.tmp"
         try:
-            _rewrite(raw, temporary, _identity(name, files), script, files)
+            _rewrite(raw, temporary, _identity(name, fmi, files), script, files, extra)
             os.replace(temporary, target)
         finally:
             temporary.unlink(missing_ok=True)
     return target
 
 
-def build_all(out_dir: Path | str) -> dict[str, Path]:
-    """Build all FMUs into `out_dir`; returns their paths by name."""
-    return {name: build(name, out_dir) for name in NAMES}
-
-
-def _script(name: str) -> str:
-    if name not in _SCRIPTS:
-        raise ValueError(f"name must be one of {', '.join(NAMES)}, got {name!r}.")
-    return _SCRIPTS[name]
+def build_all(out_dir: Path | str, fmi: int = 2, interface: Interface = "CoSimulation") -> dict[str, Path]:
+    """Build all FMUs of that kind into `out_dir`; returns their paths by name."""
+    names = PLANTS if interface == "ModelExchange" else NAMES
+    return {name: build(name, out_dir, fmi, interface) for name in names}
 
 
 def sources(package: Path) -> dict[str, bytes]:
@@ -97,12 +126,25 @@ def sources(package: Path) -> dict[str, bytes]:
     return {f"{package.name}/{path.name}": path.read_bytes() for path in sorted(package.glob("*.py"))}
 
 
-def _files(script: str) -> dict[str, bytes]:
-    return sources(PACKAGE) | {f"{script}.py": (PACKAGE / f"{script}.py").read_bytes()}
+def _files(name: str, fmi: int, interface: Interface) -> tuple[str, dict[str, bytes]]:
+    """Entry script, and the files of what it is and imports, by their paths."""
+    if name not in _SCRIPTS:
+        raise ValueError(f"name must be one of {', '.join(NAMES)}, got {name!r}.")
+    if fmi not in (2, 3):
+        raise ValueError(f"fmi must be 2 or 3, got {fmi!r}.")
+    if interface == "ModelExchange" and (name not in PLANTS or fmi != 3):
+        raise ValueError(f"model exchange is for {', '.join(PLANTS)} in FMI 3.0, got {name} in FMI {fmi}.0.")
+    script = _SCRIPTS[name]
+    if fmi == 2:
+        return script, sources(PACKAGE) | {f"{script}.py": (PACKAGE / f"{script}.py").read_bytes()}
+    entry = f"{script}3_{interface.lower()}"  # the Slave inside needs the Python part of pythonfmu too
+    text = _ENTRY.format(name=name, script=script, interface=interface).encode()
+    return entry, sources(PACKAGE) | sources(Path(pythonfmu.__file__).parent) | {f"{entry}.py": text}
 
 
-def _identity(name: str, files: Mapping[str, bytes]) -> str:
-    digest = sha256(f"{name} {pythonfmu_version}\n".encode())
+def _identity(name: str, fmi: int, files: Mapping[str, bytes]) -> str:
+    libraries = pythonfmu_version if fmi == 2 else f"{pythonfmu_version} {pythonfmu3_version}"
+    digest = sha256(f"{name} {libraries}\n".encode())
     for path, text in files.items():
         digest.update(f"{path} {len(text)}\n".encode() + text)
     return str(uuid5(NAMESPACE, digest.hexdigest()))
@@ -122,22 +164,24 @@ def _imports_restored(module: str) -> Iterator[None]:
                 sys.modules[module] = loaded
 
 
-def _rewrite(raw: Path, target: Path, identity: str, script: str, files: Iterable[str]) -> None:
-    """Copy an FMU with its GUID set, its entries sorted, and no trace of when and where it was built.
+def _rewrite(
+    raw: Path, target: Path, identity: str, script: str, files: Iterable[str], extra: Mapping[str, bytes]
+) -> None:
+    """Copy an FMU with its GUID set, files added, entries sorted, and no trace of when and where it was built.
 
     Script and modules get names that no other FMU has: FMUs in one process share Python's modules, by name, and would
     look for a package in the folder of the one that came first, which may be gone or of another version.
     """
     suffix = f"_{identity[:8]}"
-    tops = {path: re.match(r"\w+", path)[0] for path in files}
+    tops = {path: re.match(r"\w+", path)[0] for path in files if path.endswith(".py")}
     own = {f"resources/{path}": f"resources/{top}{suffix}{path[len(top) :]}" for path, top in tops.items()}
     with zipfile.ZipFile(raw) as source, zipfile.ZipFile(target, "x", zipfile.ZIP_DEFLATED) as copy:
-        for path in sorted(set(source.namelist()), key=lambda path: own.get(path, path)):
-            content = source.read(path)
+        # Nobody builds this FMU from C++: FMI 3.0 asks for a build description beside sources.
+        kept = {path for path in source.namelist() if not path.startswith("sources/")}
+        for path in sorted(kept | set(extra), key=lambda path: own.get(path, path)):
+            content = extra[path] if path in extra else source.read(path)
             if path == "modelDescription.xml":
-                root = ElementTree.fromstring(content)
-                root.set("guid", identity)
-                content = ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
+                content = _identified(content, identity)
             elif path == "resources/slavemodule.txt":
                 content = f"{script}{suffix}".encode()
             elif path in own:
@@ -156,3 +200,9 @@ def _with_own_names(source: bytes, modules: Iterable[str], suffix: str) -> bytes
     source = re.sub(rb"^(\s*)import (%b)(?=\s*(#|$))" % names, rb"\1import \2 as \2", source, flags=re.MULTILINE)
     own = rb"\1\2%b" % suffix.encode()
     return re.sub(rb"^(\s*(?:from|import) )(%b)\b" % names, own, source, flags=re.MULTILINE)
+
+
+def _identified(description: bytes, identity: str) -> bytes:
+    root = ElementTree.fromstring(description)
+    root.set("guid" if root.get("fmiVersion") == "2.0" else "instantiationToken", identity)
+    return ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"

@@ -4,11 +4,11 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 from xml.etree.ElementTree import Element, SubElement
 
 Type = Literal["Real", "Integer", "Boolean"]
-Causality = Literal["parameter", "input", "output"]
+Causality = Literal["parameter", "input", "output", "local", "independent"]
 Variability = Literal["fixed", "tunable", "discrete", "continuous"]
 Initial = Literal["exact", "calculated"]
 
@@ -30,9 +30,9 @@ class Variable:
     type: Type = "Real"
     """FMI type."""
     initial: Initial | None = None
-    """How its initial value comes about; None for inputs, where FMI allows no such attribute."""
+    """How its initial value comes about; None for inputs and time, where FMI allows no such attribute."""
     start: float | bool | None = None
-    """Start value [unit]; None exactly where `initial` is "calculated"."""
+    """Start value [unit]; None exactly for time and where `initial` is "calculated"."""
     min: float | None = None
     """Smallest allowed value [unit]."""
     max: float | None = None
@@ -42,14 +42,14 @@ class Variable:
     derivative: str | None = None
     """Name of the state whose time derivative this is."""
     dependencies: tuple[str, ...] = ()
-    """Names of the parameters, inputs and states that a calculated value, or a state's derivative, depends on."""
+    """Names of all that a calculated value, or a state's derivative, depends on."""
     is_latched: bool = False
     """Whether an input takes effect at the next step only: no output depends on it directly."""
 
     def __post_init__(self) -> None:
         lower = float("-inf") if self.min is None else self.min
         upper = float("inf") if self.max is None else self.max
-        if (self.start is None) != (self.initial == "calculated"):
+        if (self.start is None) != (self.initial == "calculated" or self.causality == "independent"):
             raise ValueError(f"Variable {self.name!r} must have a start or be calculated, got start={self.start}.")
         if not lower <= (lower if self.start is None else self.start) <= upper:
             raise ValueError(
@@ -131,10 +131,44 @@ def base_unit(unit: str) -> dict[str, int]:
     return {base: exponents[base] for base in ("kg", "m", "s", "rad") if exponents[base]}
 
 
+TIME = Variable(name="time", unit="s", description="Simulation time", causality="independent", variability="continuous")
+"""The independent variable, where something depends on it."""
+
+
 def per_second(unit: str) -> str:
     """The unit of a time derivative: "m" -> "m/s" -> "m/s2"."""
     stem, slash, power = unit.partition("/s")
     return f"{stem}/s{int(power or 1) + 1}" if slash else f"{unit}/s"
+
+
+class Unknown(NamedTuple):
+    """One row of a model structure."""
+
+    section: Literal["Output", "ContinuousStateDerivative", "InitialUnknown"]
+    """Which list it belongs to."""
+    name: str
+    """The variable."""
+    dependencies: Mapping[str, str]
+    """Kind of the dependency on each known variable, by its name."""
+
+
+def unknowns(variables: Sequence[Variable], has_feedthrough: bool) -> list[Unknown]:
+    """The model structure: what is calculated, and from what. `has_feedthrough` as in `model_description`."""
+    states = {v.derivative for v in variables if v.derivative is not None}
+    inputs = {v.name for v in variables if v.causality == "input" and not v.is_latched}
+    at_once = states | {TIME.name} | (inputs if has_feedthrough else set())
+    initially = {v.name for v in variables}
+
+    def depends(v: Variable, known: set[str]) -> dict[str, str]:
+        if v.name in states:  # its own dependencies are those of its derivative
+            return {v.name: "constant"}
+        return {name: "dependent" for name in v.dependencies if name in known}
+
+    return [
+        *(Unknown("Output", v.name, depends(v, at_once)) for v in variables if v.causality == "output"),
+        *(Unknown("ContinuousStateDerivative", v.name, depends(v, at_once)) for v in variables if v.derivative),
+        *(Unknown("InitialUnknown", v.name, depends(v, initially)) for v in variables if v.initial == "calculated"),
+    ]
 
 
 def model_description(
@@ -148,8 +182,8 @@ def model_description(
     """The `fmiModelDescription` of a co-simulation FMU whose value references are the positions in `variables`.
 
     `has_feedthrough`: an output depends directly on the inputs among its dependencies that are not latched. Otherwise
-    the model holds its inputs over a step, and `dependencies` speak of the initial values only. FMI 2.0.4, sections
-    2.2 and 4.3.
+    the model holds its inputs over a step, and only the initial values depend on them. FMI 2.0.4, sections 2.2.8 and
+    4.3.
     """
     root = Element("fmiModelDescription", {"fmiVersion": "2.0", **attributes})
     SubElement(root, "CoSimulation", capabilities)
@@ -191,23 +225,14 @@ def _scalar_variable(v: Variable, index: Mapping[str, int]) -> Element:
 
 
 def _model_structure(variables: Sequence[Variable], index: Mapping[str, int], has_feedthrough: bool) -> Element:
-    by_name = {v.name: v for v in variables}
     structure = Element("ModelStructure")
-
-    def unknowns(section: str, members: list[Variable], known: set[str]) -> None:
-        if not members:
-            return
-        parent = SubElement(structure, section)
-        for v in members:
-            names = v.dependencies if v.initial == "calculated" else ()
-            depends = sorted(index[name] for name in names if name in known)
-            kinds = " ".join(["dependent"] * len(depends))
-            dependencies = {"dependencies": " ".join(map(str, depends)), "dependenciesKind": kinds}
-            SubElement(parent, "Unknown", {"index": str(index[v.name]), **dependencies})
-
-    inputs = {v.name for v in variables if v.causality == "input" and not v.is_latched}
-    states = {v.derivative for v in variables if v.derivative is not None}
-    unknowns("Outputs", [v for v in variables if v.causality == "output"], inputs if has_feedthrough else set())
-    unknowns("Derivatives", [v for v in variables if v.derivative is not None], states)
-    unknowns("InitialUnknowns", [v for v in variables if v.initial == "calculated"], set(by_name))
+    sections = {"Output": "Outputs", "ContinuousStateDerivative": "Derivatives", "InitialUnknown": "InitialUnknowns"}
+    for unknown in unknowns(variables, has_feedthrough):
+        section = sections[unknown.section]
+        parent = structure.find(section)
+        parent = SubElement(structure, section) if parent is None else parent
+        known = sorted((index[name], kind) for name, kind in unknown.dependencies.items())
+        depends, kinds = " ".join(str(i) for i, _ in known), " ".join(kind for _, kind in known)
+        attributes = {"index": str(index[unknown.name]), "dependencies": depends, "dependenciesKind": kinds}
+        SubElement(parent, "Unknown", attributes)
     return structure

@@ -14,7 +14,7 @@ class PendulumReference(Reference):
         parameter("phi_initial", "rad", 0.0, "Angle before the step"),
         parameter("phi_final", "rad", pi / 3.0, "Angle from the step on"),
         parameter("step_time", "s", 1.0, "Time of the step"),
-        output("phi_ref", "rad", "Desired angle", depends=("phi_initial", "phi_final", "step_time")),
+        output("phi_ref", "rad", "Desired angle", depends=("time", "phi_initial", "phi_final", "step_time")),
         output("phi_dot_ref", "rad/s", "Desired angular velocity, zero", depends=()),
     )
 

@@ -4,7 +4,7 @@ from fmu_models import references
 from fmu_models.blocks import Reference, Vector
 from fmu_models.description import output, parameter
 
-PARAMETERS = ("amplitude_1", "omega_1", "amplitude_2", "omega_2")
+NEEDED = ("time", "amplitude_1", "omega_1", "amplitude_2", "omega_2")
 
 
 class PendulumSine(Reference):
@@ -15,10 +15,10 @@ class PendulumSine(Reference):
         parameter("omega_1", "rad/s", 1.5, "Angular frequency of the first sinusoid", min=0.0),
         parameter("amplitude_2", "rad", 0.08, "Amplitude of the second sinusoid"),
         parameter("omega_2", "rad/s", 6.0, "Angular frequency of the second sinusoid", min=0.0),
-        output("phi_ref", "rad", "Desired angle", depends=PARAMETERS),
-        output("phi_dot_ref", "rad/s", "Desired angular velocity, the derivative of phi_ref", depends=PARAMETERS),
+        output("phi_ref", "rad", "Desired angle", depends=NEEDED),
+        output("phi_dot_ref", "rad/s", "Desired angular velocity, the derivative of phi_ref", depends=NEEDED),
         output("phi_ddot_ref", "rad/s2", "Desired angular acceleration, the derivative of phi_dot_ref",
-               depends=PARAMETERS),
+               depends=NEEDED),
     )  # fmt: skip
 
     def outputs(self, time: float, parameters: Vector) -> Vector:

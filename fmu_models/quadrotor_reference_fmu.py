@@ -13,7 +13,7 @@ POSITION = (
     ("j_d", "m/s3", "Desired jerk, the third derivative of r_d"),
     ("s_d", "m/s4", "Desired snap, the fourth derivative of r_d"),
 )
-YAW = ("amplitude_x", "amplitude_y", "omega")
+YAW = ("time", "amplitude_x", "amplitude_y", "omega")
 
 
 class QuadrotorReference(Reference):
@@ -27,7 +27,7 @@ class QuadrotorReference(Reference):
         parameter("omega", "rad/s", 0.4, "Angular frequency", min=0.0),
         parameter("smooth_yaw", None, False, "Smooth branch of the yaw, not atan2(y, x), which jumps by pi"),
         *(
-            output(f"{name}_{a}", unit, f"{text}, inertial {a}", depends=(f"amplitude_{a}", "omega"))
+            output(f"{name}_{a}", unit, f"{text}, inertial {a}", depends=("time", f"amplitude_{a}", "omega"))
             for name, unit, text in POSITION
             for a in "xyz"
         ),

@@ -30,20 +30,20 @@ class RigidBodyReference(Reference):
         parameter("amplitude_psi", "rad", 0.6, "Amplitude of the yaw angle", min=0.0),
         parameter("omega", "rad/s", 1.5, "Base angular frequency", min=1e-3),
         *(
-            output(f"{name}_{a}", unit, f"{text}, inertial {a}", depends=(f"amplitude_{a}", "omega"))
+            output(f"{name}_{a}", unit, f"{text}, inertial {a}", depends=("time", f"amplitude_{a}", "omega"))
             for name, unit, text in POSITION
             for a in "xyz"
         ),
         *(
             output(
                 f"R_d_{i}{j}", "1", f"Desired attitude, row {i}, column {j}",
-                depends=("omega", *(f"amplitude_{angle}" for angle in NEEDED.get(f"{i}{j}", ANGLES))),
+                depends=("time", "omega", *(f"amplitude_{angle}" for angle in NEEDED.get(f"{i}{j}", ANGLES))),
             ) for i in "123" for j in "123"
         ),
         *(
             output(
                 f"{name}_{a}", unit, f"{text}, body {a}",
-                depends=("omega", *(f"amplitude_{angle}" for angle in ANGLES)),
+                depends=("time", "omega", *(f"amplitude_{angle}" for angle in ANGLES)),
             ) for name, unit, text in RATES for a in "xyz"
         ),
     )  # fmt: skip

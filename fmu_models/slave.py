@@ -41,7 +41,7 @@ def _logged(method: _Method) -> _Method:
     return call  # type: ignore[return-value]
 
 
-def _retain(*objects: object) -> None:
+def retain(*objects: object) -> None:
     """Take one reference to each object and never give it back: pythonfmu's loader drops some that it has not got."""
     for obj in objects:
         pythonapi.Py_IncRef(py_object(obj))
@@ -58,15 +58,17 @@ class Slave(Fmi2Slave):
     """An output depends directly on inputs."""
     variables: ClassVar[tuple[Variable, ...]] = ()
     """The complete table; a position is a value reference."""
+    per_cent = "%%"
+    """A per cent sign in texts for the logger, which are printf formats in FMI 2.0."""
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
         if cls.__module__ in sys.modules:
             # At every load the loader runs the script once more, then drops a reference to its namespace.
-            _retain(vars(sys.modules[cls.__module__]))
+            retain(vars(sys.modules[cls.__module__]))
         cls.variables = cls._complete(cls.table)
         n_parameters, n_inputs = (sum(v.causality == c for v in cls.variables) for c in ("parameter", "input"))
-        n_exact = sum(v.initial != "calculated" for v in cls.variables)
+        n_exact = sum(v.start is not None for v in cls.variables)
         cls._parameters, cls._inputs = slice(0, n_parameters), slice(n_parameters, n_parameters + n_inputs)
         cls._states, cls._outputs = slice(n_parameters + n_inputs, n_exact), slice(n_exact, None)
         cls._given = slice(0, n_exact)  # what is set from outside: parameters, inputs, states
@@ -210,7 +212,6 @@ class Slave(Fmi2Slave):
 
     def to_xml(self, model_options: dict[str, str] | None = None) -> Element:
         """The model description; the same table gives the same element."""
-        times = type(self).default_experiment  # pythonfmu sets an empty one on the instance
         capabilities = {
             "modelIdentifier": self.modelName, "needsExecutionTool": "false",
             "canHandleVariableCommunicationStepSize": "true", "canBeInstantiatedOnlyOncePerProcess": "false",
@@ -218,21 +219,31 @@ class Slave(Fmi2Slave):
             "canGetAndSetFMUstate": "true", "canSerializeFMUstate": "true",
         }  # fmt: skip
         return model_description(
-            {
-                "modelName": self.modelName, "guid": str(self.guid), "description": self.description,
-                "author": "The fmu-retune authors", "license": "MIT",
-                "generationTool": f"PythonFMU {pythonfmu_version}", "variableNamingConvention": "structured",
-            },
+            self.about(f"PythonFMU {pythonfmu_version}"),
             capabilities | (model_options or {}),
             self.log_categories,
-            {"startTime": repr(times.start_time), "stopTime": repr(times.stop_time), "stepSize": repr(times.step_size)},
+            self.times(),
             self.variables,
             self.has_feedthrough,
-        )  # fmt: skip
+        )
+
+    def about(self, tool: str) -> dict[str, str]:
+        """Attributes of the model description that FMI 2.0 and 3.0 share, and the guid."""
+        return {
+            "modelName": self.modelName, "guid": str(self.guid), "description": self.description,
+            "author": "The fmu-retune authors", "copyright": "2026 The fmu-retune authors", "license": "MIT",
+            "generationTool": tool, "variableNamingConvention": "structured",
+        }  # fmt: skip
+
+    def times(self) -> dict[str, str]:
+        """Attributes of the default experiment."""
+        times = type(self).default_experiment  # pythonfmu sets an empty one on the instance
+        values = {"startTime": times.start_time, "stopTime": times.stop_time, "stepSize": times.step_size}
+        return {name: repr(value) for name, value in values.items()}
 
     def log(self, msg: str, status: Fmi2Status = Fmi2Status.ok, category: str | None = None, debug: Any = None) -> None:
-        """Send a message to the FMI logger, where it is a printf format: a per cent sign is doubled."""
-        super().log(msg.replace("%", "%%"), status, category, debug)
+        """Send a message to the FMI logger."""
+        super().log(msg.replace("%", self.per_cent), status, category, debug)
 
     # -- inside -----------------------------------------------------------------------------------------------
 
@@ -277,5 +288,5 @@ class Slave(Fmi2Slave):
         self.log("".join(traceback.format_exception(error)), Fmi2Status.error)
         if self._is_hosted:
             # The loader drops its references at every exception, and again at the end. It also logs repr(error).
-            _retain(self, type(self), self.log_queue)
-            error.args = tuple(a.replace("%", "%%") if isinstance(a, str) else a for a in error.args)
+            retain(self, type(self), self.log_queue)
+            error.args = tuple(a.replace("%", self.per_cent) if isinstance(a, str) else a for a in error.args)

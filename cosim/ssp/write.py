@@ -37,9 +37,12 @@ def to_ssp(scenario: Scenario) -> bytes:
     """The package: structure, FMUs, parameters and, for `retune run`, the scenario. Same input, same bytes.
 
     Parameters are the scenario's start values, what its changes say of the start, and what it will estimate.
-    Raises ScenarioError, ModelDescriptionError, WiringError; SspError where units do not agree.
+    Raises ScenarioError, ModelDescriptionError, WiringError; SspError where units do not agree, and for FMI 3.0 FMUs.
     """
     components = {name: read_component(path) for name, path in fmu_paths(scenario).items()}
+    newer = next((name for name, c in components.items() if c.description.fmiVersion != "2.0"), None)
+    if newer is not None:
+        raise SspError(f"{newer} is of FMI {components[newer].description.fmiVersion}: SSP 1.0 has no arrays.")
     places = _places(components)
     _check_connections(scenario, components)
     files: dict[str, bytes] = {STRUCTURE: document(_structure(scenario, components, places)).encode()}

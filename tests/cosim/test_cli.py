@@ -12,12 +12,13 @@ import zipfile
 from importlib.resources import files
 from pathlib import Path
 
+import fmpy
 import numpy as np
 import pytest
 
 from cosim.cli import main
 from cosim.record import read_series
-from fmu_models.build import NAMES
+from fmu_models.build import NAMES, PLANTS
 
 pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("leaves_nothing")]
 
@@ -169,7 +170,7 @@ def test_a_scenario_of_ones_own_finds_its_fmu_and_its_model_beside_it(called, wo
 def test_help_names_every_scenario(called, command):
     code, out, err = called(command, "--help")
     assert (code, err) == (0, "")
-    assert "pendulum, quadrotor, rigid-body, stiction, or a TOML file" in " ".join(out.split())
+    assert "pendulum, quadrotor, rigid-body, stiction, " in " ".join(out.split())
 
 
 # Refusals.
@@ -677,6 +678,33 @@ def test_build_builds_all_and_then_leaves_them_unchanged(called, workplace):
     assert (code, err) == (0, "")
     assert out.splitlines() == [f"fmus/{name}.fmu  unchanged" for name in NAMES]
     assert {p: (p.stat().st_mtime_ns, p.read_bytes()) for p in (workplace / "fmus").iterdir()} == before
+
+
+@pytest.mark.parametrize(
+    ("options", "names", "interface"),
+    [(["--fmi", "3"], NAMES, "coSimulation"), (["--model-exchange"], PLANTS, "modelExchange")],
+    ids=["co-simulation", "model exchange"],
+)
+def test_build_makes_fmi_3(called, workplace, options, names, interface):
+    code, out, err = called("build", "--out", "fmus", *options)
+    assert (code, err) == (0, "")
+    assert out.splitlines() == [f"fmus/{name}.fmu  built" for name in names]
+    for name in names:
+        description = fmpy.read_model_description(str(workplace / "fmus" / f"{name}.fmu"))
+        assert description.fmiVersion == "3.0"
+        assert getattr(description, interface).modelIdentifier == name
+
+
+def test_a_named_scenario_runs_on_fmi_3_and_is_read_back(called, workplace):
+    """Its folder holds the names that the FMUs have, and `replay` finds them there; the model is an FMU."""
+    settings = ("scenario.stop_time=0.1", "components.plant.fmi=3", "estimation.model=Quadrotor")
+    code, _, err = called("run", "quadrotor", "--only", "--out", "run", *(o for s in settings for o in ("--set", s)))
+    assert (code, err) == (0, "")
+    header = (workplace / "run" / "series.csv").read_text().splitlines()[0]
+    assert "plant.R[1,2]" in header
+    code, out, err = called("replay", "run", "--estimator", "least-squares", "--out", "again")
+    assert (code, err) == (0, "")
+    assert "least-squares" in out
 
 
 def test_build_replaces_a_different_file_only_when_forced(called, workplace):

@@ -123,6 +123,13 @@ def test_a_native_fmu_needs_no_python(tmp_path, fmi):
     assert diagnosis.title.endswith(f"FMI {fmi} for {kind[fmi]}")
 
 
+def test_a_library_of_another_name_is_told(tmp_path):
+    files = {"modelDescription.xml": DESCRIPTIONS["2.0"], "binaries/linux64/Other.so": b""}
+    found = finding(diagnose(zipped(tmp_path / "Native.fmu", files)), "binary")
+    text = "Native by the model description, but here is binaries/linux64/Other.so"
+    assert (found.is_well, found.text) == (False, text)
+
+
 @needs_gcc
 def test_a_library_that_is_not_here_is_named(tmp_path):
     compiled(tmp_path, "int gone(void) { return 1; }", "-Wl,-soname,libgone.so.1")

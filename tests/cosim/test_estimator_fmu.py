@@ -8,6 +8,7 @@ import subprocess
 import sys
 import sysconfig
 import zipfile
+from importlib.metadata import distributions, version
 from math import sin
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from fmpy.validation import validate_fmu
 
 from cosim import Scenario, ScenarioError
 from cosim.cli import main
+from cosim.doctor import diagnose
 from cosim.estimator_fmu import build_estimator, estimator_settings
 from cosim.estimator_slave import EstimatorSlave
 from cosim.scenario import named_scenarios
@@ -420,7 +422,7 @@ def test_the_archive_holds_no_more_of_the_co_simulation_than_is_loaded(tmp_path)
 
 @fmu
 def test_the_readme_s_script_re_tunes_the_pendulum(tmp_path):
-    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    readme = (Path(__file__).parents[2] / "docs" / "estimator-fmu.md").read_text(encoding="utf-8")
     (script,) = [
         block for block in re.findall(r"```python\n(.*?)```", readme, re.DOTALL) if "PendulumEstimator" in block
     ]
@@ -435,6 +437,18 @@ def test_the_readme_s_script_re_tunes_the_pendulum(tmp_path):
     assert done.returncode == 0, done.stderr
     held = ast.literal_eval(done.stdout)
     assert held == {"m_held": pytest.approx(4.271, abs=2e-3), "l_held": pytest.approx(0.981, abs=5e-4)}
+
+
+@fmu
+def test_the_doctor_knows_what_it_needs_and_what_of_that_is_missing(tmp_path, monkeypatch):
+    path = build_estimator(Scenario.load("pendulum"), tmp_path)
+    modules = diagnose(path).findings[-1]
+    expected = ", ".join(f"{name} {version(name)}" for name in ("numpy", "scipy", "GPy"))
+    assert (modules.subject, modules.is_well, modules.text) == ("modules", True, expected)
+    monkeypatch.setattr("cosim.doctor.distributions", lambda: [d for d in distributions() if d.name.lower() != "gpy"])
+    modules = diagnose(path).findings[-1]
+    assert not modules.is_well
+    assert modules.text.startswith("GPy not installed in ")
 
 
 # -- what is refused ------------------------------------------------------------------------------------------------

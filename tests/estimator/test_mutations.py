@@ -127,7 +127,7 @@ MUTANTS = [
      "Y, self._alpha) / (len(Z) - 1)", (VARIANCES, *BOTH)),
     ("variance-of-the-prior", GP, "1.0 - np.einsum", "1.0 - 0.0 * np.einsum", BOTH),
     ("variance-first-power", GP, "1.0 - np.einsum(\"ij,ij->j\", w, w)", "1.0 - np.sum(np.abs(w), axis=0)", BOTH),
-    ("slope-sign", GP, "-weighted.T @", "weighted.T @", SLOPES),
+    ("slope-sign", GP, "-(c * self._alpha.T)", "(c * self._alpha.T)", SLOPES),
     ("slope-in-lengthscales", GP, "(scaled / self._lengthscales)", "scaled", SLOPES),
     ("slope-of-another-kernel", GP, "c = np.exp(-0.5 *", "c = np.exp(-1.0 *", SLOPES),
     ("matern-of-another-order", GP, "(1.0 + s + s * s / 3.0) * np.exp(-s)", "(1.0 + s) * np.exp(-s)",

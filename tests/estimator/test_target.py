@@ -230,12 +230,14 @@ def test_a_restart_after_a_few_candidates_keeps_them_all(n):
     np.testing.assert_array_equal(estimator.candidates, asked)
 
 
-def test_an_endless_episode_keeps_a_bounded_number_of_candidates():
+@pytest.mark.parametrize("is_rescored", [True, False])
+def test_an_endless_episode_keeps_a_bounded_number_of_candidates(is_rescored):
     estimator, _ = run(BODY, (1.2, 1.2), body, 4)
     for _ in range(200):
         theta = estimator.ask()
         estimator.tell(theta, body(theta))
-        estimator.rescore(np.array([body(theta) for theta in estimator.candidates]))
+        if is_rescored:
+            estimator.rescore(np.array([body(theta) for theta in estimator.candidates]))
         assert len(estimator.candidates) <= 128
     assert_allclose(estimator.estimate().theta, [1.7, 3.0], atol=5e-3)
 

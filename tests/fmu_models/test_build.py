@@ -9,6 +9,7 @@ from hashlib import sha256
 from pathlib import Path
 from xml.etree import ElementTree
 
+import fmpy
 import pytest
 
 import fmu_models
@@ -16,6 +17,10 @@ from fmu_models import build
 
 PACKAGE = Path(fmu_models.__file__).parent
 BUILD_ALL = "import sys; from fmu_models import build; build.build_all(sys.argv[1])"
+BUILD_FMI_3 = (
+    "import sys; from fmu_models import build; build.build_all(sys.argv[1], 3);"
+    "build.build_all(sys.argv[1] + '/me', 3, 'ModelExchange')"
+)
 
 
 def in_a_process(code, *arguments, root=PACKAGE.parent, **environment):
@@ -26,7 +31,8 @@ def in_a_process(code, *arguments, root=PACKAGE.parent, **environment):
 
 
 def digests(directory):
-    return {path.name: sha256(path.read_bytes()).hexdigest() for path in sorted(directory.iterdir())}
+    files = [path for path in sorted(directory.iterdir()) if path.is_file()]
+    return {path.name: sha256(path.read_bytes()).hexdigest() for path in files}
 
 
 def guid_of(fmu):
@@ -44,6 +50,38 @@ def test_two_processes_in_two_directories_build_the_same_bytes(tmp_path):
         in_a_process(BUILD_ALL, tmp_path / name, PYTHONHASHSEED=seed, TZ="Asia/Tokyo" if seed == "2" else "UTC")
     assert digests(tmp_path / "a") == digests(tmp_path / "somewhere" / "else")
     assert set(digests(tmp_path / "a")) == {f"{name}.fmu" for name in build.NAMES}
+
+
+def test_fmi_3_builds_are_the_same_bytes_too(tmp_path):
+    for name, seed in (("a", "1"), ("somewhere/else", "2")):
+        in_a_process(BUILD_FMI_3, tmp_path / name, PYTHONHASHSEED=seed, TZ="Asia/Tokyo" if seed == "2" else "UTC")
+    for folder, names in ((".", build.NAMES), ("me", build.PLANTS)):
+        assert set(digests(tmp_path / "a" / folder)) == {f"{name}.fmu" for name in names}
+        assert digests(tmp_path / "a" / folder) == digests(tmp_path / "somewhere" / "else" / folder)
+
+
+def test_every_kind_of_an_fmu_has_a_guid_of_its_own(tmp_path):
+    kinds = [("2.0", 2, "CoSimulation"), ("3.0", 3, "CoSimulation"), ("3.0", 3, "ModelExchange")]
+    assert len({build.guid("Pendulum", *kind) for _, *kind in kinds}) == 3
+    for version, *kind in kinds:
+        description = fmpy.read_model_description(str(build.build("Pendulum", tmp_path, *kind)))
+        assert (description.fmiVersion, description.guid) == (version, build.guid("Pendulum", *kind))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (("Pendulum", 1), "fmi must be 2 or 3, got 1"),
+        (("Pendulum", 2, "ModelExchange"), "got Pendulum in FMI 2.0"),
+        (
+            ("PendulumController", 3, "ModelExchange"),
+            "model exchange is for FrictionPendulum, .*, got PendulumController",
+        ),
+    ],
+)
+def test_what_there_is_not_is_refused(arguments, reason):
+    with pytest.raises(ValueError, match=reason):
+        build.guid(*arguments)
 
 
 def test_the_guid_is_known_before_the_build(tmp_path):

@@ -210,7 +210,7 @@ def random_values(model, rng):
     return [
         rng.random() < 0.5 if v.type == "Boolean" else (v.start or 0.0) * rng.uniform(0.7, 1.3) + rng.uniform(0.05, 0.4)
         for v in model.variables
-        if v.initial != "calculated"
+        if v.start is not None
     ]
 
 
@@ -225,11 +225,16 @@ def observed(model, outputs_of, among, n_points=60):
             if v.name not in among:
                 continue
             new = not values[i] if v.type == "Boolean" else values[i] + rng.uniform(0.1, 0.5) + 8.0 * (v.unit == "s")
-            perturbed = outputs_of(values, [*values[:i], new, *values[i + 1 :]], time)
-            for name, a, b in zip(changed, base, perturbed, strict=True):
-                if a != b:
-                    changed[name].add(v.name)
+            see(changed, v.name, base, outputs_of(values, [*values[:i], new, *values[i + 1 :]], time))
+        if "time" in among:
+            see(changed, "time", base, outputs_of(values, values, time + rng.uniform(-1.0, 1.0)))
     return changed
+
+
+def see(changed, cause, base, perturbed):
+    for name, a, b in zip(changed, base, perturbed, strict=True):
+        if a != b:
+            changed[name].add(cause)
 
 
 def declared(model, section):
@@ -241,26 +246,26 @@ def declared(model, section):
     }
 
 
+def names_of(model, *causalities):
+    return {v.name for v in model.variables if v.causality in causalities}
+
+
+def states_of(model):
+    return {v.derivative for v in model.variables if v.derivative is not None}
+
+
 def indices_of_outputs(model):
     return [i for i, v in enumerate(model.variables) if v.causality == "output"]
 
 
-@each_model
-def test_initial_dependencies_are_exactly_what_a_perturbation_shows(name):
-    model = MODELS[name]
-
+def observed_initially(model, among):
     def initial_outputs(_, values, time):
         return new_slave(model, values, time).get_real(indices_of_outputs(model))
 
-    seen = observed(model, initial_outputs, {v.name for v in model.variables})
-    assert declared(model, "InitialUnknowns") == {
-        k: v for k, v in seen.items() if k in declared(model, "InitialUnknowns")
-    }
+    return observed(model, initial_outputs, among)
 
 
-@each_model
-def test_direct_feedthrough_is_exactly_what_a_perturbation_shows(name):
-    model = MODELS[name]
+def observed_feedthrough(model):
     inputs = {i: v.name for i, v in enumerate(model.variables) if v.causality == "input"}
 
     def outputs_after_a_step(values, perturbed, time):
@@ -271,7 +276,27 @@ def test_direct_feedthrough_is_exactly_what_a_perturbation_shows(name):
             (slave.set_boolean if model.variables[i].type == "Boolean" else slave.set_real)([i], [perturbed[i]])
         return slave.get_real(indices_of_outputs(model))
 
-    assert declared(model, "Outputs") == observed(model, outputs_after_a_step, set(inputs.values()))
+    return observed(model, outputs_after_a_step, set(inputs.values()))
+
+
+@each_model
+def test_initial_dependencies_are_exactly_what_a_perturbation_shows(name):
+    model = MODELS[name]
+    seen = observed_initially(model, {v.name for v in model.variables})
+    unknowns = declared(model, "InitialUnknowns")
+    assert unknowns == {k: v for k, v in seen.items() if k in unknowns}
+    assert set(unknowns) == {v.name for v in model.variables if v.initial == "calculated"}
+
+
+@each_model
+def test_dependencies_at_communication_points_are_exactly_what_a_perturbation_shows(name):
+    """On inputs after a step, which a plant holds; on states and time at the start, where any may be set."""
+    model = MODELS[name]
+    on_inputs, on_states = observed_feedthrough(model), observed_initially(model, states_of(model) | {"time"})
+    seen = {output: on_inputs[output] | on_states[output] for output in on_inputs}
+    assert declared(model, "Outputs") == seen
+    rates = {v.name for v in model.variables if v.derivative is not None}
+    assert declared(model, "Derivatives") == {output: seen[output] for output in seen if output in rates}
 
 
 def test_thrust_needs_neither_rates_nor_yaw_nor_higher_derivatives():
@@ -284,6 +309,7 @@ def test_thrust_needs_neither_rates_nor_yaw_nor_higher_derivatives():
 
 
 @fmu
+@pytest.mark.interop
 @each_model
 def test_it_runs_in_fmpy_and_on_its_command_line(fmus, tmp_path, name):
     # In a process of its own, which ends before pythonfmu's exit handler.

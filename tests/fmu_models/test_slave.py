@@ -161,7 +161,10 @@ def test_the_description_says_what_the_table_says():
     assert variables["q_held"].attrib["initial"] == "calculated"
     assert xml.find("UnitDefinitions/Unit[@name='m3/s']/BaseUnit").attrib == {"m": "3", "s": "-1"}
     structure = {tag: [u.attrib for u in xml.find(f"ModelStructure/{tag}")] for tag in ("Outputs", "InitialUnknowns")}
-    assert [u["dependencies"] for u in structure["Outputs"]] == ["", "", ""]
+    assert [(u["dependencies"], u["dependenciesKind"]) for u in structure["Outputs"]] == [
+        ("4", "constant"),
+        *[("", "")] * 2,
+    ]
     assert [(u["index"], u["dependencies"]) for u in structure["InitialUnknowns"]] == [("5", "1 3"), ("6", "3")]
 
 
@@ -171,7 +174,8 @@ def test_start_values_keep_every_bit():
 
         table = (parameter("a", "1", 1.0 / 3.0, "A third"),)
 
-    (real,) = Third(instance_name="one").to_xml().iter("Real")
+    real, time = Third(instance_name="one").to_xml().iter("Real")
+    assert time.attrib == {"unit": "s"}
     assert float(real.get("start")) == 1.0 / 3.0
 
 
@@ -404,7 +408,7 @@ def test_only_the_standard_library_and_pythonfmu_are_imported():
 import json, sys
 sys.path.insert(0, sys.argv[1])
 from pathlib import Path
-import pythonfmu
+import pythonfmu, pythonfmu3
 before = set(sys.modules)
 for path in sorted(Path(sys.argv[1], "fmu_models").glob("*.py")):
     __import__("fmu_models" if path.stem == "__init__" else f"fmu_models.{path.stem}")

@@ -89,10 +89,11 @@ CASES = (
     ),
     Case(
         "gemseo", "MDAGaussSeidel: plant, controller", one_by_one("reference", "plant", "controller"),
-        ordered("plant", "controller", "reference", mda_name="MDAGaussSeidel"), "model",
+        ordered("plant", "controller", "reference", mda_name="MDAGaussSeidel", is_function=True), "model",
     ),
 )  # fmt: skip
 IMPORTERS = tuple(dict.fromkeys(case.importer for case in CASES))
+REALS_ONLY = ("pathsim", "cofmupy")
 LOOPS = ("pendulum", "quadrotor")
 TRACKED = {"pendulum": ["plant.phi"], "quadrotor": ["plant.r_x", "plant.r_y", "plant.r_z"]}
 CHANGES = {
@@ -128,6 +129,10 @@ def alone(name):
     change = {f"model.{v.name}": 1.05 * float(v.start) + 0.1 * (v.causality == "input") for v in settable}
     outputs = [f"model.{v.name}" for v in reals if v.causality == "output"]
     return jobs.Job(0.01, 40, {"model": str(path)}, start, {}, {"15": change}, outputs, {})
+
+
+def has_boolean_input(name):
+    return any(v.causality == "input" and v.type == "Boolean" for v in variables_of(find_fmu(name, Path())))
 
 
 @cache
@@ -208,7 +213,7 @@ def python_of(importer):
 
 
 def jobs_of(importer):
-    mine = {name: alone(name) for name in NAMES}
+    mine = {name: alone(name) for name in NAMES if not (importer in REALS_ONLY and has_boolean_input(name))}
     for case in CASES:
         for loop in LOOPS if case.importer == importer else ():
             mine[f"{case.order} {loop}"] = replace(closed_loop(loop, case.start), options=case.options)
@@ -248,6 +253,8 @@ def expected(loop, start, groups):
 @pytest.mark.parametrize("name", NAMES)
 def test_an_fmu_alone_gives_the_same_outputs(simulated, importer, name):
     """Its inputs and tunable parameters change at t_15."""
+    if importer in REALS_ONLY and has_boolean_input(name):
+        pytest.skip(f"{importer} sets every input as a Real")
     np.testing.assert_allclose(simulated(importer)[name], ours_alone(alone(name)), rtol=0.0, atol=1e-9)
 
 

@@ -37,6 +37,11 @@ def test_the_files_are_valid(export, name):
             read_ssv(str(path), binding.source)  # validates too
 
 
+def test_an_fmu_with_arrays_is_refused():
+    with pytest.raises(SspError, match=r"plant is of FMI 3\.0: SSP 1\.0 has no arrays"):
+        to_ssp(Scenario.load("quadrotor", {"components.plant.fmi": "3"}))
+
+
 def test_the_package_is_as_the_standard_wants_it(export):
     with zipfile.ZipFile(export(Scenario.load("pendulum"))) as archive:
         assert archive.testzip() is None

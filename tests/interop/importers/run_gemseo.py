@@ -14,7 +14,7 @@ def simulate(job: Job) -> list[list[float]]:
     read = {name: name for name in (*job.outputs, *job.connections.values())}
     disciplines = []
     options = dict(job.options)
-    lag = options.pop("lag", 0.5)
+    lag, is_function = options.pop("lag", 0.5), options.pop("is_function", False)
     for component in options.pop("order", list(job.fmus)):
         given = {name: name for name in (*job.start, *job.changed())} | job.connections
         inputs, outputs = job.of(component, given), job.of(component, read)
@@ -40,6 +40,8 @@ def simulate(job: Job) -> list[list[float]]:
             # A time series is evaluated at the end of a step: what is to act from t_k on has to come half a step later.
             points |= {(int(k) + lag) * h: change[name]} if name in change else {}
         series[name] = TimeSeries(list(points), list(points.values()))
+        if is_function:  # of the time: what a feedback from outside would be
+            series[name] = series[name].compute
     results = system.execute(series)
     return [[float(x) for x in row] for row in zip(*(results[name] for name in job.outputs))]
 

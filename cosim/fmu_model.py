@@ -1,0 +1,158 @@
+"""The estimator's model: a function of the user's or ours, or a plant as a model-exchange FMU.
+
+An FMU is read the FMI way: set continuous states, inputs and parameters, get the states' derivatives.
+"""
+
+import shutil
+import weakref
+from collections.abc import Generator, Iterable, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from fmpy.model_description import ModelVariable
+
+from estimator import Parameter
+
+from .archive import model_exchange, private_folder, read_description, unpack
+from .block import Variable
+from .elements import resolved
+from .errors import CosimError, ScenarioError, SlaveError
+from .estimators import load
+from .instance import Identity
+from .library import find_fmu
+from .names import did_you_mean
+from .ports import Catalogue
+from .scenario import Scenario
+from .system import Plant
+from .worker import Worker
+
+
+@contextmanager
+def opened_model(scenario: Scenario, plant: Plant) -> Generator[Any]:
+    """xdot (n,) = model(x, u, **parameters): see DerivativeResidual. Raises ScenarioError."""
+    reference = scenario.estimation.model
+    if ":" in reference and not reference.endswith(".fmu"):
+        yield load(reference, scenario.folder)
+        return
+    try:
+        fmu = find_fmu(reference, scenario.folder, 3, "ModelExchange")
+        model = FmuModel(fmu, plant, scenario.estimation.space.parameters, scenario.scenario.timeout)
+    except ScenarioError as e:
+        raise ScenarioError(f"estimation.model: {e}") from e
+    except CosimError as e:
+        raise ScenarioError(f"estimation.model: {str(e).rstrip('.')}.") from e
+    try:
+        yield model
+    finally:
+        model.close()
+
+
+class FmuModel:
+    """xdot (n,) = model(x, u, **parameters) of a model-exchange FMU of FMI 3.0, in a process of its own.
+
+    x and u are the plant's states and inputs, in its order; the FMU has them, and the parameters, under the same names.
+    What does not change over a call stays set: a call is one round trip. Where the FMU fails, the model has no value
+    (ValueError), and the FMU is started anew for the next call.
+    """
+
+    def __init__(self, fmu: Path, plant: Plant, parameters: Sequence[Parameter], timeout: float = 10.0) -> None:
+        """timeout of a call [s]. Raises CosimError."""
+        self._fmu, self._timeout = fmu, timeout
+        self._description = description = read_description(fmu, "model-exchange")
+        variables = {v.name: v for v in description.modelVariables}
+        self._rates = {v.derivative.name: v for v in description.modelVariables if v.derivative is not None}
+        states = _named(fmu, "state", plant.states, {name: variables[name] for name in self._rates})
+        inputs = _named(fmu, "input", plant.inputs, {n: v for n, v in variables.items() if v.causality == "input"})
+        if len(states) != len(self._rates):
+            missing = next(name for name in self._rates if name not in {v.name for v in states})
+            raise ScenarioError(f"{fmu.name} has the state {missing!r}, which {plant.name} has not.")
+        names = [resolved(p.name, variables) for p in parameters]
+        catalogue = Catalogue(fmu.name, description.modelVariables)
+        tunables = catalogue.ports("tunable parameter", names)
+        for p, name in zip(parameters, names, strict=True):
+            _check_bounds(p, variables[name], fmu)
+        self._parameters = [p.name for p in parameters]
+        self._bound = (
+            [_variable(v) for v in (*states, *inputs)],
+            tunables.variables,
+            [_variable(self._rates[v.name]) for v in states],
+        )
+        self._theta: tuple[float, ...] | None = None
+        self._folder = private_folder()
+        self._home: Worker | None = None
+        self._finalizer = weakref.finalize(self, shutil.rmtree, self._folder, True)
+        try:
+            unpack(fmu, self._folder)
+            self._home = self._started()
+        except BaseException:
+            self.close()
+            raise
+
+    def __call__(self, x: Sequence[float], u: Sequence[float], **parameters: float) -> tuple[float, ...]:
+        """The derivatives (n,) in the order of x. Raises ValueError where the FMU fails."""
+        theta = tuple([float(parameters[name]) for name in self._parameters])
+        try:
+            home = self._home = self._home or self._started()
+            home.begin_step(0.0, 0.0, (*x, *u), None if theta == self._theta else theta)
+            self._theta = theta
+            return home.end_step(0.0)
+        except SlaveError as error:
+            self._end()
+            raise ValueError(str(error)) from error
+
+    def close(self) -> None:
+        """End the FMU and remove its folder; idempotent."""
+        try:
+            if self._home is not None:
+                self._home.close(0.0, is_polite=True)
+        except SlaveError:  # it has ended, and what it has computed is not touched by it
+            pass
+        finally:
+            self._home = None
+            self._finalizer()
+
+    def _end(self) -> None:
+        if self._home is not None:
+            self._home.close(None, is_polite=False)
+        self._home = self._theta = None
+
+    def _started(self) -> Worker:
+        identity = Identity(
+            self._folder,
+            str(model_exchange(self._description).modelIdentifier),
+            str(self._description.guid),
+            self._fmu.stem,
+            True,
+            "fmi3-exchange",
+        )
+        home = Worker(identity, self._timeout)
+        try:
+            home.bind(*self._bound)
+            home.call("initialize", 0.0, (), 0.0, None)
+        except BaseException:
+            home.close(None, is_polite=False)
+            raise
+        return home
+
+
+def _variable(variable: ModelVariable) -> Variable:
+    return Variable(variable.name, variable.type, variable.valueReference)
+
+
+def _named(fmu: Path, kind: str, names: Iterable[str], known: Mapping[str, ModelVariable]) -> list[ModelVariable]:
+    """The variables of these names, in this order. Raises ScenarioError for one that the FMU has not."""
+    found = [resolved(name, known) for name in names]
+    for name in found:
+        if name not in known:
+            raise ScenarioError(
+                f"{fmu.name} has no {kind} {name!r}{did_you_mean(name, known) or ''}, as the plant has."
+            )
+    return [known[name] for name in found]
+
+
+def _check_bounds(parameter: Parameter, variable: ModelVariable, fmu: Path) -> None:
+    low, high = (float(x) if x is not None else None for x in (variable.min, variable.max))
+    if (low is not None and parameter.lower < low) or (high is not None and parameter.upper > high):
+        bounds = f"[{parameter.lower:g}, {parameter.upper:g}]"
+        raise ScenarioError(f"{variable.name!r} of {fmu.name} takes {low} to {high}; '{parameter.name}' has {bounds}.")

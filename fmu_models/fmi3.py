@@ -1,0 +1,225 @@
+"""The FMI 3.0 face of a Slave: the same model behind FMI 3.0's calls, with vectors and matrices as arrays.
+
+The entry script of an FMI 3.0 FMU derives from one of the two classes at the end, see `build`. It holds the Slave that
+the FMI 2.0 FMU is; a value reference stands for the places of its elements in the Slave's list. No NumPy: pythonfmu3
+needs it for its own variables, which are not used.
+"""
+
+from collections.abc import Callable, Iterable
+from functools import wraps
+from math import nan
+from typing import Any, ClassVar, TypeVar
+from xml.etree.ElementTree import Element
+
+from pythonfmu3 import CoSimulation, Fmi3SlaveBase, ModelExchange
+from pythonfmu3 import __version__ as pythonfmu3_version
+
+from .blocks import Plant
+from .description import Variable
+from .description3 import model_description, variables_of
+from .slave import Slave, retain
+
+_Method = TypeVar("_Method", bound=Callable[..., Any])
+
+
+def _retaining(method: _Method) -> _Method:
+    """The method; when it raises, its instance is kept for ever: the loader drops its references then, and again."""
+
+    @wraps(method)
+    def call(self: "Fmi3Model", *arguments: Any) -> Any:
+        try:
+            return method(self, *arguments)
+        except BaseException:
+            if self._is_hosted:
+                retain(self, type(self), self.log_queue)
+            raise
+
+    return call  # type: ignore[return-value]
+
+
+class Fmi3Model(Fmi3SlaveBase):
+    """What both interfaces have in common."""
+
+    model: ClassVar[type[Slave]]
+    """The model, as it is in the FMI 2.0 FMU."""
+    interface: ClassVar[str]
+    """The element of the model description."""
+    capabilities: ClassVar[dict[str, str]]
+    """Its attributes beyond the common ones."""
+    has_feedthrough: ClassVar[bool]
+    """An unknown depends directly on inputs."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(**kwargs)
+        self._slave = self.model(**kwargs)
+        self._slave.log, self._slave.per_cent = self.log, "%"  # texts are no formats in FMI 3.0
+        self._is_hosted = "logger" in kwargs
+        self.time = 0.0
+        self.modelName = self._slave.modelName
+        place = {v.name: i for i, v in enumerate(self.model.variables)}
+        self._places = [tuple(place.get(v.name, -1) for v in array.members) for array in variables_of(self.table())]
+
+    @classmethod
+    def table(cls) -> tuple[Variable, ...]:
+        """The variables that this interface shows, as scalars."""
+        return cls.model.variables
+
+    # -- FMI calls --------------------------------------------------------------------------------------------
+
+    @_retaining
+    def exit_initialization_mode(self) -> None:
+        """Freeze what only initialisation may set, and compute the initial outputs."""
+        self._slave.exit_initialization_mode()
+
+    @_retaining
+    def get_float64(self, vrs: list[int]) -> list[float]:
+        """Values of these variables, element by element."""
+        places = self._expanded(vrs)
+        if -1 not in places:
+            return self._slave.get_real(places)
+        values = iter(self._slave.get_real([i for i in places if i >= 0]))
+        return [self.time if i < 0 else next(values) for i in places]
+
+    @_retaining
+    def set_float64(self, vrs: list[int], values: list[float]) -> None:
+        """Set inputs, tunable parameters and, before the end of initialisation, everything with a start."""
+        self._slave.set_real(self._expanded(vrs, len(values)), values)
+
+    @_retaining
+    def get_boolean(self, vrs: list[int]) -> list[bool]:
+        """Values of these Boolean parameters."""
+        return self._slave.get_boolean(self._expanded(vrs))
+
+    @_retaining
+    def set_boolean(self, vrs: list[int], values: list[bool]) -> None:
+        """Set these Boolean parameters."""
+        self._slave.set_boolean(self._expanded(vrs, len(values)), values)
+
+    @_retaining
+    def _get_fmu_state(self) -> bytes:
+        return self._slave._get_fmu_state()
+
+    @_retaining
+    def _set_fmu_state(self, state: bytes) -> None:
+        self._slave._set_fmu_state(state)
+
+    _fmu_state_to_bytes = staticmethod(Slave._fmu_state_to_bytes)
+    _fmu_state_from_bytes = staticmethod(Slave._fmu_state_from_bytes)
+
+    def to_xml(self, model_options: dict[str, str] | None = None) -> Element:
+        """The model description; the same table gives the same element."""
+        attributes = self._slave.about(f"PythonFMU3 {pythonfmu3_version}")
+        attributes["instantiationToken"] = attributes.pop("guid")
+        common = {
+            "modelIdentifier": self.modelName, "needsExecutionTool": "false",
+            "canBeInstantiatedOnlyOncePerProcess": "false",
+            "canGetAndSetFMUState": "true", "canSerializeFMUState": "true",
+        }  # fmt: skip
+        return model_description(
+            attributes,
+            self.interface,
+            common | self.capabilities | (model_options or {}),
+            self.log_categories,
+            self._slave.times(),
+            self.table(),
+            self.has_feedthrough,
+        )
+
+    # -- inside -----------------------------------------------------------------------------------------------
+
+    def _expanded(self, vrs: Iterable[int], n_values: int | None = None) -> list[int]:
+        """Places of all elements, -1 for the time. Raises ValueError for no variable, or another number of values."""
+        known = range(len(self._places))
+        unknown = next((vr for vr in vrs if vr not in known), None)
+        if unknown is not None:
+            raise ValueError(f"{self.modelName}: no variable has the value reference {unknown}.")
+        places = [i for vr in vrs for i in self._places[vr]]
+        if n_values is not None and n_values != len(places):
+            raise ValueError(f"{self.modelName}: {len(places)} values must be set, got {n_values}.")
+        return places
+
+
+class Fmi3CoSimulation(Fmi3Model, CoSimulation):
+    """A Slave for FMI 3.0 co-simulation."""
+
+    interface = "CoSimulation"
+    capabilities = {"canHandleVariableCommunicationStepSize": "true"}
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        cls.has_feedthrough = cls.model.has_feedthrough
+
+    @_retaining
+    def do_step(self, current_time: float, step_size: float) -> bool:
+        """Hold the inputs and go on to `current_time + step_size` [s]."""
+        done = self._slave.do_step(current_time, step_size)
+        self.time = current_time + step_size
+        return done
+
+
+class Fmi3ModelExchange(Fmi3Model, ModelExchange):
+    """A plant's f(x, u; theta) for FMI 3.0 model exchange: no integrator here, and no input is held."""
+
+    model: ClassVar[type[Plant]]
+    interface = "ModelExchange"
+    capabilities = {"needsCompletedIntegratorStep": "false"}
+    has_feedthrough = True
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(**kwargs)
+        derivatives = {v.derivative: i for i, v in enumerate(self.model.variables) if v.derivative is not None}
+        self._rates = list(derivatives.values())
+        self._states = [i for i, v in enumerate(self.model.variables) if v.name in derivatives]
+        self._later: frozenset[int] | None = None
+
+    @classmethod
+    def table(cls) -> tuple[Variable, ...]:
+        """The variables that this interface shows, as scalars."""
+        return cls.model.exchange_table()
+
+    @_retaining
+    def exit_initialization_mode(self) -> None:
+        """Freeze what only initialisation may set. To the Slave it never ends: its derivatives follow the inputs."""
+        self._slave.get_real(self._rates)
+        variables = enumerate(self.model.variables)
+        self._later = frozenset(i for i, v in variables if v.causality == "input" or v.variability == "tunable")
+
+    @_retaining
+    def set_float64(self, vrs: list[int], values: list[float]) -> None:
+        """Set inputs, tunable parameters and, before the end of initialisation, states."""
+        places = self._expanded(vrs, len(values))
+        frozen = () if self._later is None else [i for i in places if i not in self._later]
+        if frozen:
+            name = "time" if frozen[0] < 0 else self.model.variables[frozen[0]].name
+            raise ValueError(f"{self.modelName}: {name} must not be set after initialisation.")
+        self._slave.set_real(places, values)
+
+    @_retaining
+    def set_time(self, time: float) -> None:
+        """The time [s], on which no plant depends."""
+        self.time = time
+
+    def get_number_of_continuous_states(self) -> int:
+        """n, every element counted."""
+        return len(self._states)
+
+    @_retaining
+    def get_continuous_states(self) -> list[float]:
+        """x (n,), in the order of the model structure."""
+        return self._slave.get_real(self._states)
+
+    @_retaining
+    def set_continuous_states(self, values: list[float]) -> None:
+        """x (n,)."""
+        self._slave.set_real(self._states, values)
+
+    def get_continuous_state_derivatives(self) -> list[float]:
+        """x_dot (n,) = f(x, u; theta); NaN where it has no value, which is logged: the loader dies of an exception."""
+        try:
+            return self._slave.get_real(self._rates)
+        except Exception:  # logged by the Slave
+            return [nan] * len(self._rates)
+
+    def get_nominals_of_continuous_states(self, size: int) -> list[float]:
+        """Typical sizes (n,)."""
+        return [self.model.variables[i].nominal or 1.0 for i in self._states]

@@ -183,8 +183,10 @@ def _space(request: Request, component: Component) -> tuple[ParameterSpace, Vect
     nominal: list[float] = []
     for p in request.parameters:
         port = catalogue.start_port(p.name, p.lower)
-        if port.variables[0].type != "Real":
-            raise WiringError(f"'{p.name}' of {request.fmu.name} is no Real; only such parameters can be estimated.")
+        if (kind := port.variables[0].type) not in ("Real", "Float64", "Float32"):
+            raise WiringError(
+                f"'{p.name}' of {request.fmu.name} is of type {kind}; only real numbers can be estimated."
+            )
         if problem := port.problem([p.lower]) or port.problem([p.upper]):
             raise EstimateError(f"bounds of {request.fmu.name}: {problem}.")
         unit = component.unit(p.name)

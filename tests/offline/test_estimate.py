@@ -238,7 +238,8 @@ def test_uneven_rows(compile_plant, ask, oracles):
     assert estimate(ask(columns, fmu=rigid, step=0.001)).fit.theta == pytest.approx(exact, rel=0.01)
 
 
-def test_a_pendulum_of_ours_against_dop853(tmp_path, oracles):
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_pendulum_of_ours_against_dop853(tmp_path, oracles, fmi):
     m, l, b, g = 1.3, 0.6, 0.1, 9.81
     t = np.arange(801) / 100.0
     u = 4.0 * np.sign(np.sin(1.3 * t)) + 2.0 * np.sin(5.0 * t)
@@ -251,7 +252,7 @@ def test_a_pendulum_of_ours_against_dop853(tmp_path, oracles):
         rows.append(solved.y[:, -1])
     phi = np.array(rows)[:, 0] + 2e-3 * np.random.default_rng(3).standard_normal(len(t))
     log = oracles.write_log(tmp_path / "log.csv", {"t": t, "u": u, "angle [deg]": np.degrees(phi)})
-    fmu = find_fmu("Pendulum", tmp_path)
+    fmu = find_fmu("Pendulum", tmp_path, fmi)
     parameters = (Sought("m", 0.5, 4.0), Sought("l", 0.1, 3.0, "log"))
     found = estimate(Request(fmu, (log,), parameters, {"phi": "angle"}, {"u": "u"}))
     assert np.abs((found.fit.theta - [m, l]) / found.fit.std).max() < 4.0

@@ -14,6 +14,7 @@ from typing import Final, NoReturn
 from .bindings import load
 from .errors import COLON, SlaveError
 from .instance import Identity
+from .many_steps import take_steps
 from .transport import CALL, FAULT, RESULT, Channel, StepCodec, decode, encode, open_channel
 
 _CALLS: Final = frozenset(
@@ -55,6 +56,14 @@ def _serve(channel: Channel, identity: Identity) -> None:
             channel.send(codec.encode_values(instance.step(*codec.decode_step(message))))
             continue
         (function, arguments), blob = decode(message)
+        if function == "restart":
+            instance.close()
+            instance = load(identity)
+            channel.send(encode(RESULT, None))
+            continue
+        if function == "many_steps":
+            channel.send(encode(RESULT, None, take_steps(instance.step, blob or b"")))
+            continue
         if function not in _CALLS:
             raise ValueError(f"no such call: {function!r}")
         result = getattr(instance, function)(*([blob] if blob is not None else arguments))

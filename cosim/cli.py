@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
+from .estimate_options import add_options, request_of
 from .names import named_scenarios
 
 if TYPE_CHECKING:
@@ -128,6 +129,10 @@ def _parser() -> argparse.ArgumentParser:
     export.add_argument("--force", action="store_true", help="replace a file that differs")
     _add_set(export)
     export.set_defaults(command=_export)
+
+    estimate = commands.add_parser("estimate", help="a plant's parameters from logs of it", allow_abbrev=False)
+    add_options(estimate)
+    estimate.set_defaults(command=_estimate)
 
     illustrate = commands.add_parser("illustrate", help="draw the one-dimensional illustration")
     illustrate.add_argument("--out", type=Path, default=Path("illustration.png"), metavar="FILE", help="PNG, new")
@@ -375,6 +380,33 @@ def _export(options: argparse.Namespace) -> int:
     if verb != "unchanged":
         write_bytes(options.ssp, content)
     print(f"{options.ssp}  {verb}")
+    return DONE
+
+
+def _estimate(options: argparse.Namespace) -> int:
+    from .estimate import FailedError, estimate
+    from .fit_plot import draw_fit
+    from .fit_report import estimates_ssv, report, summary, write_files
+    from .progress import bar_of_rollouts
+    from .record import to_json, write_text
+
+    request = request_of(options)
+    _must_be_new(options.ssv, "--ssv")
+    try:
+        with _new_folder(f"{request.fmu.stem}-estimate", options.out) as folder:
+            with bar_of_rollouts(request.fmu.stem, request.evaluations) as progress:
+                found = estimate(request, progress)
+            write_files(found, folder)
+            draw_fit(found, folder / "fit.png")
+    except FailedError as e:
+        print(f"retune: {e}", file=sys.stderr)
+        return UNFINISHED
+    except KeyboardInterrupt:
+        print("retune: interrupted; there is no estimate yet", file=sys.stderr)
+        return INTERRUPTED
+    if options.ssv:
+        write_text(options.ssv, estimates_ssv(found))
+    print(to_json(summary(found)) if options.json else f"{report(found)}\n\nwritten to {folder}")
     return DONE
 
 

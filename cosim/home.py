@@ -6,6 +6,7 @@ from typing import Any, Protocol
 from .bindings import load
 from .block import Variable
 from .instance import Identity
+from .many_steps import take_steps
 
 
 class Home(Protocol):
@@ -22,10 +23,19 @@ class SameProcess:
     """An Instance in this process: a call that hangs is waited for, and a crash ends this process."""
 
     def __init__(self, identity: Identity) -> None:
+        self._identity = identity
         self._instance = load(identity)
-        self.bind = self._instance.bind
+
+    def bind(self, inputs: Sequence[Variable], tunables: Sequence[Variable], outputs: Sequence[Variable]) -> None:
+        self._instance.bind(inputs, tunables, outputs)
 
     def call(self, function: str, t: float | None, *arguments: object) -> Any:
+        if function == "restart":
+            self._instance.close()
+            self._instance = load(self._identity)
+            return None
+        if function == "many_steps" and isinstance(arguments[0], bytes):
+            return take_steps(self._instance.step, arguments[0])
         return getattr(self._instance, function)(*arguments)
 
     def begin_step(self, t: float, h: float, inputs: Sequence[float], tunables: Sequence[float] | None) -> None:

@@ -1,6 +1,6 @@
 """Progress on a terminal."""
 
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -45,5 +45,24 @@ def bar_of_runs(title: str) -> Generator[ProgressOfRuns]:
             run = f"{record['scenario']} {record['estimator']} {record['seed']}"
             bar.set_postfix_str(f"{run} {record['status']}", refresh=False)
             bar.update(n_ended - bar.n)
+
+        yield show
+
+
+@contextmanager
+def bar_of_rollouts(title: str, n_search: int) -> Generator[Callable[[int, float], None]]:
+    """A bar of simulated candidates on standard error, with the least sum of squares; on terminals only.
+
+    n_search: the search's candidates; those after it make the bar longer.
+    """
+    form = "{desc} {percentage:3.0f}%|{bar}| {n_fmt} of {total_fmt} candidates, {remaining} left {postfix}"
+    with tqdm(total=n_search, desc=title, bar_format=form, disable=None, leave=False) as bar:
+
+        def show(n: int, cost: float) -> None:
+            if bar.disable:
+                return
+            bar.total = max(n_search, n)
+            bar.set_postfix_str(f"sum of squares {cost:.4g}", refresh=False)
+            bar.update(n - bar.n)
 
         yield show

@@ -23,6 +23,7 @@ from .block import PYTHON_TYPE, Value
 from .errors import COLON, SlaveError, WiringError
 from .home import Home, SameProcess
 from .instance import Identity
+from .many_steps import decode_outputs, encode_steps
 from .ports import Catalogue, Ports
 from .worker import Worker
 
@@ -130,6 +131,17 @@ class Slave:
         self._guarded(self._home.call, "exit_initialization", self._time)
         self._values = None
 
+    def restart(self) -> None:
+        """Free the FMU's instance and make a new one in its place, with the same variables bound; initialize follows.
+
+        Not fmi2Reset, which many FMUs do not have. Raises SlaveError. One that declares
+        canBeInstantiatedOnlyOncePerProcess may fail: it needs a new slave.
+        """
+        self._guarded(self._home.call, "restart", self._time)
+        self._time = self._values = None
+        ports = (self._inputs, self._tunables, self._outputs)
+        self._guarded(self._home.bind, *(port.variables for port in ports))
+
     def get(self) -> tuple[float, ...]:
         """The bound outputs at the present communication point. Raises SlaveError."""
         self._must_be_usable()
@@ -165,6 +177,20 @@ class Slave:
         """begin_step and end_step."""
         self.begin_step(inputs, t, h, tunables)
         return self.end_step()
+
+    def many_steps(self, times: Sequence[float], inputs: Sequence[Sequence[float]]) -> list[tuple[float, ...]]:
+        """Steps from each of times (n + 1,) [s] to the next with inputs (n, p); the bound outputs after each.
+
+        As n calls of step, but in one call of the FMU's process, which has the timeout for all of them.
+        """
+        for t, values in zip(times, inputs, strict=False):
+            self._refuse(self._inputs, values, t)
+        answer = self._guarded(self._home.call, "many_steps", times[0], encode_steps(times, inputs))
+        rows = decode_outputs(answer, len(inputs))
+        for t, row in zip(times[1:], rows, strict=True):
+            self._time = t
+            self._values = self._checked_outputs(row)
+        return rows
 
     def get_state(self) -> bytes:
         """The FMU's state, for set_state of a slave of the same FMU. Raises SlaveError."""

@@ -259,13 +259,14 @@ def test_an_error_inside_goes_to_the_caller_and_the_handlers_are_put_back(sigter
 
 
 def test_signals_that_python_does_not_handle_are_left_to_the_system():
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN), signal.signal(signal.SIGTERM, signal.SIG_DFL)
     try:
         with uninterrupted():
             assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
             assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, before[0])
+        signal.signal(signal.SIGTERM, before[1])
 
 
 def test_in_another_thread_nothing_is_put_off():

@@ -125,6 +125,38 @@ def test_a_step_sets_inputs_and_tunables_and_returns_the_outputs(mixer, isolatio
         assert slave.get() == (8.0,)
 
 
+def test_many_steps_are_as_many_single_ones(mixer, isolation):
+    times, inputs = [0.0, 0.5, 0.75, 1.0], [[1.0], [2.0], [3.0]]
+    with open_slave(mixer, "plant", isolation=isolation) as slave:
+        slave.bind(inputs=["u"], outputs=["y", "steps", "was_on"])
+        slave.initialize({"y": 0.0})
+        assert slave.many_steps(times, inputs) == [(0.5, 1.0, 1.0), (1.0, 2.0, 1.0), (1.75, 3.0, 1.0)]
+        assert slave.get() == (1.75, 3.0, 1.0)
+        assert slave.step([4.0], t=1.0, h=0.25) == (2.75, 4.0, 1.0)
+        assert slave.many_steps([1.25], []) == []
+
+
+def test_many_steps_keep_to_the_rules_of_one(mixer):
+    with open_slave(mixer, "plant") as slave:
+        slave.bind(inputs=["u"], outputs=["y"])
+        slave.initialize({})
+        with pytest.raises(
+            SlaveError, match=r"plant: set at t = 0\.500 s: input 'u' must be within \[-10, 10\] N, got 11"
+        ):
+            slave.many_steps([0.0, 0.5, 1.0], [[1.0], [11.0]])
+        assert slave.many_steps([0.0, 0.5], [[1.0]]) == [(0.5,)]  # nothing had happened
+
+
+def test_a_restart_makes_the_fmu_new_and_keeps_what_is_bound(mixer, isolation):
+    with open_slave(mixer, "plant", isolation=isolation) as slave:
+        slave.bind(inputs=["u"], tunables=["gain"], outputs=["y", "steps"])
+        for _ in range(3):
+            slave.initialize({"y": 1.0})
+            assert slave.step([2.0], t=0.0, h=0.5) == (2.0, 1.0)
+            slave.step([2.0], t=0.5, h=0.5, tunables=[7.0])  # the next one has a gain of 1 again
+            slave.restart()
+
+
 def test_values_cross_bit_for_bit(mixer, isolation):
     with open_slave(mixer, "plant", isolation=isolation) as slave:
         slave.bind(inputs=["u"], outputs=["y"])

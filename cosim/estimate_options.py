@@ -1,0 +1,130 @@
+"""The options of `retune estimate`. Imports nothing heavy: --help must not wait."""
+
+import argparse
+import os
+from collections.abc import Sequence
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .estimate import Request
+
+_Pair = tuple[str, str]
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Give the parser the options that `request_of` reads."""
+    add = parser.add_argument
+    add("fmu", type=Path, metavar="FMU", help="the plant, for co-simulation")
+    add("logs", type=Path, metavar="LOG", nargs="+", help=".csv, .parquet, .mat or .mf4; units in brackets")
+    add("--parameter", action="append", type=_sought, required=True, metavar="NAME=LOW:HIGH[:log]", dest="parameters",
+        help="parameter or start value of the FMU to estimate; several")  # fmt: skip
+    add("--measured", action="append", type=_pair, required=True, metavar="OUTPUT=COLUMN", help="several")
+    add("--input", action="append", type=_pair, default=[], metavar="INPUT=COLUMN", dest="inputs", help="several")
+    add("--start", action="append", type=_pair, default=[], metavar="VARIABLE=COLUMN|VALUE",
+        help="start value: a known parameter, or a state at the window's first row")  # fmt: skip
+    add("--noise", action="append", type=_noise, default=[], metavar="OUTPUT=STD",
+        help="standard deviation, in the FMU's unit (default: from the log)")  # fmt: skip
+    add("--time", metavar="COLUMN", help="time stamps (default: the column 'time' or 't')")
+    add("--window", action="append", type=_window, default=[], metavar="FROM:TO", dest="windows",
+        help="part of each log to use, in s; several")  # fmt: skip
+    add("--validate", action="append", type=Path, default=[], metavar="LOG", help="a log that is held out as a whole")
+    add("--holdout", type=_number, metavar="SHARE", help="last rows held out (default: 0.25; 0 with --validate)")
+    add("--step", type=_number, metavar="S", help="communication step (default: from row to row)")
+    add("--method", default="target", help="target (default), least-squares or multi-start")
+    add(
+        "--evaluations", type=_count, default=60, metavar="N", help="candidates to simulate in the search (default: 60)"
+    )
+    add("--seed", type=_count, default=0, metavar="N", help="of the search (default: 0)")
+    add("--jobs", type=_count, metavar="N", help="roll-outs at a time (default: one a processor)")
+    add("--timeout", type=_number, default=10.0, metavar="S", help="for each call of the FMU (default: 10)")
+    add("--out", type=Path, metavar="DIR", help="absent or empty (default: runs/FMU-estimate-n)")
+    add("--ssv", type=Path, metavar="FILE", help="write the estimates there too: SSV, a new file")
+    add("--json", action="store_true", help="print one JSON object")
+
+
+def request_of(options: argparse.Namespace) -> "Request":
+    """What the options ask for. Raises EstimateError."""
+    from .estimate import EstimateError, Request, Sought
+
+    if options.evaluations < 1 or options.jobs == 0:
+        raise EstimateError("--evaluations and --jobs must be 1 or more.")
+    return Request(
+        fmu=options.fmu,
+        logs=tuple(options.logs),
+        parameters=tuple(Sought(*p) for p in options.parameters),
+        measured=_unique(options.measured, "--measured"),
+        inputs=_unique(options.inputs, "--input"),
+        start={name: _value(text) for name, text in _unique(options.start, "--start").items()},
+        noise=dict(options.noise),
+        time=options.time,
+        windows=tuple(options.windows),
+        validation=tuple(options.validate),
+        holdout=options.holdout,
+        step=options.step,
+        method=options.method,
+        evaluations=options.evaluations,
+        seed=options.seed,
+        jobs=options.jobs or os.cpu_count() or 1,
+        timeout=options.timeout,
+    )
+
+
+def _unique(pairs: Sequence[_Pair], option: str) -> dict[str, str]:
+    from .estimate import EstimateError
+
+    names = [name for name, _ in pairs]
+    repeated = next((name for name in names if names.count(name) > 1), None)
+    if repeated is not None:
+        raise EstimateError(f"{option} {repeated} is given twice.")
+    return dict(pairs)
+
+
+def _value(text: str) -> str | float:
+    """The number that text is; or text, the name of a column."""
+    try:
+        value = float(text)
+    except ValueError:
+        return text
+    return value if isfinite(value) else text
+
+
+def _pair(text: str) -> _Pair:
+    name, equals, value = text.partition("=")
+    if not (equals and name.strip() and value.strip()):
+        raise argparse.ArgumentTypeError(f"must be NAME=..., got '{text}'")
+    return name.strip(), value.strip()
+
+
+def _sought(text: str) -> tuple[str, float, float, str]:
+    name, bounds = _pair(text)
+    low, *rest = bounds.split(":")
+    if len(rest) not in (1, 2) or (len(rest) == 2 and rest[1] not in ("log", "linear")):
+        raise argparse.ArgumentTypeError(f"must be NAME=LOW:HIGH or NAME=LOW:HIGH:log, got '{text}'")
+    return name, _number(low), _number(rest[0]), "log" if rest[1:] == ["log"] else "linear"
+
+
+def _noise(text: str) -> tuple[str, float]:
+    name, value = _pair(text)
+    return name, _number(value)
+
+
+def _window(text: str) -> tuple[float, float]:
+    low, colon, high = text.partition(":")
+    if not colon:
+        raise argparse.ArgumentTypeError(f"must be FROM:TO, got '{text}'")
+    return _number(low), _number(high)
+
+
+def _number(text: str) -> float:
+    value = _value(text)
+    if isinstance(value, str):
+        raise argparse.ArgumentTypeError(f"must be a number, got '{text}'")
+    return value
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"must be a whole number, got '{text}'")
+    return int(text)

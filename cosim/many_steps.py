@@ -1,0 +1,38 @@
+"""Many steps of an FMU as one call: the bytes that go to its process, and back. Nothing comes between the steps."""
+
+import struct
+from array import array
+from collections.abc import Callable, Sequence
+from typing import Final
+
+_HEAD: Final = struct.Struct("<QQ")
+Step = Callable[[float, float, Sequence[float], None], tuple[float, ...]]
+"""Instance.step."""
+
+
+def encode_steps(times: Sequence[float], inputs: Sequence[Sequence[float]]) -> bytes:
+    """n steps: from each of the times (n + 1,) [s] to the next with these inputs (n, p)."""
+    flat = array("d", times)
+    for values in inputs:
+        flat.extend(values)
+    return _HEAD.pack(len(inputs), len(inputs[0]) if inputs else 0) + flat.tobytes()
+
+
+def take_steps(step: Step, message: bytes) -> bytes:
+    """Do what encode_steps asks for; the outputs after each step."""
+    n, p = _HEAD.unpack_from(message)
+    values = array("d", message[_HEAD.size :])
+    outputs = array("d")
+    for k in range(n):
+        first = n + 1 + k * p
+        outputs.extend(step(values[k], values[k + 1] - values[k], values[first : first + p], None))
+    return outputs.tobytes()
+
+
+def decode_outputs(message: bytes, n_steps: int) -> list[tuple[float, ...]]:
+    """The outputs after each step. Raises ValueError for bytes that are none."""
+    values = array("d", message).tolist()
+    width, rest = divmod(len(values), max(n_steps, 1))
+    if rest:
+        raise ValueError(f"{n_steps} steps cannot have {len(values)} outputs.")
+    return [tuple(values[k * width : (k + 1) * width]) for k in range(n_steps)]

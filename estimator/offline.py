@@ -1,0 +1,257 @@
+"""The offline fit of parameters to residuals: an estimator's search, Gauss-Newton steps to the bottom, and what the
+data say of each parameter there. Knows nothing of logs and FMUs."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, Protocol
+
+import numpy as np
+import scipy  # its stats, which takes 0.3 s, is loaded when it is used
+
+from .contract import AskTell
+from .identifiability import Information, information
+from .methods import METHODS
+from .space import ParameterSpace, Vector
+
+OFFLINE: Final = ("target", "least-squares", "multi-start")
+"""Methods for a whole log: those that take residual vectors in standard deviations."""
+IDENTIFIABLE_BELOW: Final = 0.05
+"""Standard deviation, as a share of the scaled bounds, of a parameter that counts as identifiable; as in the loop."""
+_UNSEEN: Final = 0.3
+"""Standard deviation, as a share of the cube, along a direction in which the data say nothing."""
+_EXPLAINED: Final = 2.0
+"""Root mean square residual [standard deviations of the noise] below which no better place is looked for."""
+_ROUNDS: Final = 8
+"""Most Gauss-Newton steps."""
+_DAMPINGS: Final = (1e-2, 1e2, 1e4, 1e6)
+"""Of Gauss-Newton steps that are tried at once, in variances of the misfit."""
+Progress = Callable[[int, float], None]
+"""Called with the evaluations so far and the least sum of squares."""
+
+
+class Residual(Protocol):
+    """Residuals (D,) of theta (d,), in standard deviations of the noise; NaN where there are none."""
+
+    @property
+    def n_evaluations(self) -> int: ...
+    def __call__(self, theta: Vector) -> Vector: ...
+    def many(self, thetas: Sequence[Vector]) -> list[Vector]: ...
+
+
+class NoFitError(RuntimeError):
+    """No candidate could be evaluated."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Values of the parameters, and how well the residuals fix them."""
+
+    theta: Vector
+    """(d,), in each parameter's unit."""
+    std: Vector
+    """Standard deviations (d,), s^2 (J^T J)^-1; as wide as the bounds where the data say nothing."""
+    misfit: float
+    """s: root mean square residual, D - d degrees of freedom, in standard deviations of the noise."""
+    autocorrelation: float
+    """Of the residuals, from one row to the next."""
+    sight: Information
+    """Of the unit cube, the noise being that of the misfit."""
+    place: Vector
+    """theta in the unit cube (d,)."""
+
+    @property
+    def is_identifiable(self) -> tuple[bool, ...]:
+        """Whether the data fix each parameter (d,)."""
+        return tuple(bool(s <= IDENTIFIABLE_BELOW) for s in self.sight.std())
+
+    @property
+    def inflation(self) -> float:
+        """By how much correlated residuals widen the standard deviations, for a first-order process:
+        sqrt((1 + a)/(1 - a)), Bartlett (1946)."""
+        a = min(max(self.autocorrelation, 0.0), 0.999)
+        return float(np.sqrt((1.0 + a) / (1.0 - a)))
+
+
+@dataclass(frozen=True)
+class _State:
+    """A place, and the residuals there."""
+
+    z: Vector
+    r: Vector
+
+    @property
+    def cost(self) -> float:
+        return float(self.r @ self.r) if np.all(np.isfinite(self.r)) else np.inf
+
+
+def fit(
+    residual: Residual,
+    space: ParameterSpace,
+    nominal: Vector,
+    method: str = "target",
+    n_evaluations: int = 60,
+    rng: np.random.Generator | None = None,
+    progress: Progress = lambda n, cost: None,
+) -> Fit:
+    """The parameters that explain the data best.
+
+    A third of the evaluations, at most ten a parameter, look at places all over the bounds; the estimator goes on from
+    the best, and where it comes to rest with residuals of twice the noise or more, anew from the next best.
+    Gauss-Newton steps with central differences, not counted in n_evaluations, end at the bottom. Directions in which
+    the data say nothing go back to nominal (d,) where that costs less than a standard deviation.
+    Raises NoFitError where none of the places all over the bounds can be evaluated.
+    """
+    rng = rng or np.random.default_rng(0)
+    seen = _Best(residual, space, progress)
+    n_scouts = min(n_evaluations // 3, 10 * len(space))
+    scouts = scipy.stats.qmc.Halton(len(space), rng=rng).random(n_scouts)
+    scouted = seen.many([space.to_unit(nominal), *scouts])
+    for start in sorted(scouted, key=lambda state: state.cost):
+        if not np.isfinite(start.cost) or seen.n_evaluations >= n_evaluations:
+            break
+        _search(seen, start.z, method, space, n_evaluations, rng)
+        if seen.best is not None and _misfit(seen.best, len(space)) < _EXPLAINED:
+            break
+    state, misfit, jacobian = _descend(seen, len(space))
+    sight = _sight(jacobian, misfit)
+    held = _held(seen, state, sight, space.to_unit(nominal), misfit)
+    if held is not state:
+        state = held
+        misfit = _misfit(state, len(space))
+        sight = _sight(_jacobian(seen, state, _steps(jacobian, misfit)), misfit)
+    theta = space.from_unit(state.z)
+    power = float(state.r @ state.r)
+    return Fit(
+        theta=theta,
+        std=sight.std() * space.slope(theta),
+        misfit=misfit,
+        autocorrelation=float(state.r[1:] @ state.r[:-1]) / power if power else 0.0,
+        sight=sight,
+        place=state.z,
+    )
+
+
+class _Best:
+    """Residuals over the unit cube; remembers the best place."""
+
+    def __init__(self, residual: Residual, space: ParameterSpace, progress: Progress) -> None:
+        self._residual, self._space, self._progress = residual, space, progress
+        self.best: _State | None = None
+
+    @property
+    def n_evaluations(self) -> int:
+        return self._residual.n_evaluations
+
+    def many(self, places: Sequence[Vector]) -> list[_State]:
+        """States at places (d,)."""
+        residuals = self._residual.many([self._space.from_unit(z) for z in places])
+        states = [_State(np.asarray(z, dtype=float), r) for z, r in zip(places, residuals, strict=True)]
+        for state in states:
+            if np.isfinite(state.cost) and (self.best is None or state.cost < self.best.cost):
+                self.best = state
+        self._progress(self.n_evaluations, self.best.cost if self.best else np.inf)
+        return states
+
+    def at(self, theta: Vector) -> _State:
+        """State at theta (d,)."""
+        return self.many([self._space.to_unit(theta)])[0]
+
+    def residual(self, theta: Vector) -> Vector:
+        """Residual (D,) at theta (d,), for solvers."""
+        return self.at(theta).r
+
+
+def _search(seen: _Best, z: Vector, method: str, space: ParameterSpace, n_evaluations: int, rng: Any) -> None:
+    """Let the estimator of that name go on from z (d,) while it gets better and evaluations are left."""
+    known = METHODS[method]
+    settings = known.settings()
+    if method != "target":
+        settings = replace(settings, **known.defaults, max_evaluations=n_evaluations - seen.n_evaluations)
+    made: Any = known.estimator(space, space.from_unit(z), rng, settings)
+    if not isinstance(made, AskTell):
+        made.solve(seen)  # which counts and evaluates like an Objective
+        return
+    patience, idle, least = 3 * len(space) + 6, 0, np.inf
+    while seen.n_evaluations < n_evaluations and idle < patience:
+        theta = made.ask()
+        state = seen.at(theta)
+        made.tell(theta, state.r)
+        enough = max(_misfit(state, len(space)), 1.0) ** 2 if np.isfinite(state.cost) else 0.0
+        idle, least = (0, state.cost) if state.cost < least - enough else (idle + 1, least)
+
+
+def _descend(seen: _Best, d: int) -> tuple[_State, float, Vector]:
+    """The bottom near the best place, the misfit there, and the Jacobian (D, d) in the unit cube.
+
+    Of several dampings the best is taken: Levenberg (1944), Marquardt (1963). Differences are
+    taken over about the standard deviation that each parameter alone would have.
+    """
+    state = seen.best
+    if state is None:
+        raise NoFitError
+    steps = np.full(d, 1e-3)
+    jacobian = _jacobian(seen, state, steps)
+    for _ in range(_ROUNDS):
+        misfit = _misfit(state, d)
+        finer = _steps(jacobian, misfit)
+        if np.any(np.abs(np.log(finer / steps)) > 1.1):
+            steps = finer
+            jacobian = _jacobian(seen, state, steps)
+        trial = min(_trials(seen, state, jacobian, misfit), key=lambda s: s.cost)
+        gain = state.cost - trial.cost
+        if gain <= 0.0:
+            break
+        state = trial
+        jacobian = _jacobian(seen, state, steps)
+        if gain < 1e-3 * misfit**2:
+            break
+    return state, _misfit(state, d), jacobian
+
+
+def _trials(seen: _Best, state: _State, jacobian: Vector, misfit: float) -> list[_State]:
+    """States after steps of different damping, in the parameters that no bound stops."""
+    slope = jacobian.T @ state.r
+    is_free = ~(((state.z <= 0.0) & (slope > 0.0)) | ((state.z >= 1.0) & (slope < 0.0)))
+    trials: list[Vector] = []
+    if np.any(is_free):
+        U, s, directions = np.linalg.svd(jacobian[:, is_free], full_matrices=False)
+        for damping in _DAMPINGS:
+            step = np.zeros(len(state.z))
+            step[is_free] = -directions.T @ (s / (s * s + damping * misfit**2) * (U.T @ state.r))
+            trials.append(np.clip(state.z + step, 0.0, 1.0))
+    return seen.many(trials) or [state]
+
+
+def _jacobian(seen: _Best, state: _State, steps: Vector) -> Vector:
+    """d r / d z (D, d) by central differences, one-sided at a bound or beside a place that fails."""
+    offsets = np.diag(steps)
+    sides = seen.many(list(np.clip(np.vstack([state.z + offsets, state.z - offsets]), 0.0, 1.0)))
+    columns: list[Vector] = []
+    for i, (above, below) in enumerate(zip(sides[: len(steps)], sides[len(steps) :], strict=True)):
+        above, below = (s if np.isfinite(s.cost) else state for s in (above, below))
+        distance = above.z[i] - below.z[i]
+        columns.append((above.r - below.r) / distance if distance > 0.0 else np.zeros(len(state.r)))
+    return np.column_stack(columns)
+
+
+def _steps(jacobian: Vector, misfit: float) -> Vector:
+    """Differences (d,) over which the residuals change by about the misfit: linear there, and above rounding."""
+    return np.clip(misfit / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300), 1e-6, 1e-2)
+
+
+def _misfit(state: _State, d: int) -> float:
+    return max(float(np.sqrt(state.cost / max(len(state.r) - d, 1))), 1e-12)
+
+
+def _sight(jacobian: Vector, misfit: float) -> Information:
+    """Sight, from the Jacobian's triangular factor: the long one's left singular vectors are square."""
+    return information(np.linalg.qr(jacobian).R / misfit)
+
+
+def _held(seen: _Best, state: _State, sight: Information, nominal: Vector, misfit: float) -> _State:
+    """The state with the directions that are not seen put back where they were, if that costs next to nothing."""
+    flat = sight.directions[sight.singular_values < 1.0 / _UNSEEN]
+    if not len(flat):
+        return state
+    (back,) = seen.many([np.clip(state.z + flat.T @ flat @ (nominal - state.z), 0.0, 1.0)])
+    return back if back.cost <= state.cost + misfit**2 else state

@@ -69,11 +69,12 @@ EQUATIONS: Mapping[str, tuple[tuple[str, ...], str, str]] = {
         (
             "ṙ = v",
             "v̇ = g e<sub>3</sub> − (F/m) R e<sub>3</sub>",
-            "Ṙ = R Ω̂",
-            "J Ω̇ = M − Ω × J Ω,  J = diag(J<sub>x</sub>, J<sub>y</sub>, J<sub>z</sub>)",
+            "Ṙ = R [Ω]<sub>×</sub>",
+            "J dΩ/dt = M − Ω × J Ω,  J = diag(J<sub>x</sub>, J<sub>y</sub>, J<sub>z</sub>)",
         ),
         "Inertial frame: z down (north-east-down). Body frame: z down, thrust along −z. R takes body to inertial "
-        "vectors; Ω (Omega) and M are in body axes, and Ω̂ b = Ω × b. R is made orthogonal again after each step.",
+        "vectors; Ω (Omega) and M are in body axes, and [Ω]<sub>×</sub> b = Ω × b. R is made orthogonal again after "
+        "each step.",
         _LEE,
     ),
     "QuadrotorController": (
@@ -81,8 +82,8 @@ EQUATIONS: Mapping[str, tuple[tuple[str, ...], str, str]] = {
             "A = −K<sub>r</sub> e<sub>r</sub> − K<sub>v</sub> e<sub>v</sub> − m g e<sub>3</sub> + m a<sub>d</sub>,"
             "  F = −A · R e<sub>3</sub>",
             "M = −K<sub>R</sub> e<sub>R</sub> − K<sub>Ω</sub> e<sub>Ω</sub> + Ω × J Ω"
-            " − J (Ω̂ Rᵀ R<sub>d</sub> Ω<sub>d</sub> − Rᵀ R<sub>d</sub> Ω̇<sub>d</sub>)",
-            "R<sub>d</sub>: third axis −A/|A|, heading ψ<sub>d</sub>; Ω<sub>d</sub> and Ω̇<sub>d</sub> from Ȧ and Ä",
+            " − J ([Ω]<sub>×</sub> Rᵀ R<sub>d</sub> Ω<sub>d</sub> − Rᵀ R<sub>d</sub> dΩ<sub>d</sub>/dt)",
+            "R<sub>d</sub>: third axis −A/|A|, heading ψ<sub>d</sub>; Ω<sub>d</sub> and dΩ<sub>d</sub>/dt from Ȧ and Ä",
             "e<sub>r</sub> = r − r<sub>d</sub>,  e<sub>v</sub> = v − v<sub>d</sub>,"
             "  ê<sub>R</sub> = (R<sub>d</sub>ᵀ R − Rᵀ R<sub>d</sub>)/2,"
             "  e<sub>Ω</sub> = Ω − Rᵀ R<sub>d</sub> Ω<sub>d</sub>",
@@ -102,9 +103,9 @@ EQUATIONS: Mapping[str, tuple[tuple[str, ...], str, str]] = {
     ),
     "RigidBody": (
         (
-            "J Ω̇ = M − c × F − Ω × J Ω",
-            "v̇ = g e<sub>3</sub> + R (F/m − Ω̇ × c − Ω × (Ω × c))",
-            "ṙ = v,  Ṙ = R Ω̂",
+            "J dΩ/dt = M − c × F − Ω × J Ω",
+            "v̇ = g e<sub>3</sub> + R (F/m − dΩ/dt × c − Ω × (Ω × c))",
+            "ṙ = v,  Ṙ = R [Ω]<sub>×</sub>",
         ),
         "r and v are of the body's origin, where the wrench (F, M) acts, in body axes; c is the centre of mass from "
         "there, J the inertia about the centre of mass. Inertial frame: z down. R is made orthogonal again after each "
@@ -114,7 +115,7 @@ EQUATIONS: Mapping[str, tuple[tuple[str, ...], str, str]] = {
     "RigidBodyController": (
         (
             "a = a<sub>d</sub> − K<sub>r</sub> e<sub>r</sub> − K<sub>v</sub> e<sub>v</sub>",
-            "α = Q Ω̇<sub>d</sub> − Ω × Q Ω<sub>d</sub> − K<sub>R</sub> e<sub>R</sub> − K<sub>Ω</sub> e<sub>Ω</sub>,"
+            "α = Q dΩ<sub>d</sub>/dt − Ω × Q Ω<sub>d</sub> − K<sub>R</sub> e<sub>R</sub> − K<sub>Ω</sub> e<sub>Ω</sub>,"
             "  Q = Rᵀ R<sub>d</sub>",
             "F = m (Rᵀ (a − g e<sub>3</sub>) + α × c + Ω × (Ω × c))",
             "M = J α + Ω × J Ω + c × F",
@@ -127,7 +128,7 @@ EQUATIONS: Mapping[str, tuple[tuple[str, ...], str, str]] = {
         (
             "q(t) = s (sin at − (a/b) sin bt) for each of x, y, z, roll, pitch and yaw, s being its amplitude",
             "R<sub>d</sub> = R<sub>z</sub>(yaw) R<sub>y</sub>(pitch) R<sub>x</sub>(roll), and its exact"
-            " Ω<sub>d</sub> and Ω̇<sub>d</sub>",
+            " Ω<sub>d</sub> and dΩ<sub>d</sub>/dt",
         ),
         "a and b are multiples of omega that differ from coordinate to coordinate. The motion starts at rest and shows "
         "all ten parameters.",

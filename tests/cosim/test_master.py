@@ -258,8 +258,9 @@ def test_a_parallel_loop_is_the_matrix_power_of_the_loop_one_step_late():
 
 def variable(name, causality="output", start=None, derivative=None, unit="1"):
     return SimpleNamespace(
-        name=name, causality=causality, type="Real", start=start, unit=unit, min=None, max=None, derivative=derivative
-    )
+        name=name, causality=causality, type="Real", start=start, unit=unit, min=None, max=None, derivative=derivative,
+        declaredType=None,
+    )  # fmt: skip
 
 
 def described(stub, *variables):

@@ -57,7 +57,10 @@ def least_squares_of_mean(posterior: Posterior, z: Vector, n_iterations: int = 8
         H = slope.T @ slope
         scale = H.diagonal() + 1e-9 * H.trace() + 1e-12
         H.reshape(-1)[:: len(z) + 1] += damping * scale
-        _, step, _ = _posv(H, slope.T @ r)
+        _, step, failed = _posv(H, slope.T @ r)
+        if failed:  # too flat for so little damping
+            damping *= 10.0
+            continue
         trial = np.minimum(np.maximum(z - step, 0.0), 1.0)
         r_trial, slope_trial = posterior.mean_and_jacobian(trial)
         gain = r @ r - r_trial @ r_trial
@@ -79,6 +82,7 @@ def least_change(posterior: Posterior, z: Vector, n_moved: int) -> Vector:
         r, slope = posterior.mean_and_jacobian(z)
         sight = information(slope)
         seen, s = sight.directions[:n_moved], sight.singular_values[:n_moved]
+        s = np.maximum(s, 1e-7 * s[0] + 1e-150)  # where nothing is seen, nothing is moved
         step = seen.T @ (seen @ (slope.T @ r) / (s * s))  # least squares: slope V_i = s_i U_i
         z = np.minimum(np.maximum(z - step, 0.0), 1.0)
         if np.abs(step).max() < 1e-8:

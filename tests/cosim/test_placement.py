@@ -1,6 +1,7 @@
 """FMUs' processes share the caller's core while their steps are short, and are let go when they are not."""
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -58,6 +59,7 @@ def test_a_process_that_has_ended_is_no_error(process):
     process.wait()
     placement.follow()
     placement.review(1.0)
+    assert process.returncode == -signal.SIGKILL
 
 
 def test_the_callers_own_address_layout_stays_random():

@@ -10,28 +10,21 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from .estimate_options import add_options, request_of
-from .names import named_scenarios
+from .estimate_options import request_of
+from .options import REFUSED, parser_of
 
 if TYPE_CHECKING:
     from .result import Run
     from .scenario import Scenario
 
-DONE, UNFINISHED, REFUSED, INTERRUPTED = 0, 1, 2, 130
-
-
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        """One line, without the usage."""
-        print(f"{self.prog}: {message}; see {self.prog} --help", file=sys.stderr)
-        raise SystemExit(REFUSED)
+DONE, UNFINISHED, INTERRUPTED = 0, 1, 130
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # before NumPy: a second BLAS thread is slower and changes bits
-    options = _parser().parse_args(arguments)
+    options = parser_of(_COMMANDS).parse_args(arguments)
     signal.signal(signal.SIGTERM, _interrupt)
     from .errors import CosimError  # here and below: --help must not wait for NumPy and GPy
 
@@ -46,110 +39,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         sys.stderr.close()  # the reader of our output has gone
         return UNFINISHED
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(prog="retune", description="Re-tune a controller FMU while it runs.", allow_abbrev=False)
-    commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
-
-    build = commands.add_parser("build", help="build the FMUs that come with the package, or an estimator")
-    build.add_argument("--out", type=Path, default=Path("fmus"), metavar="DIR", help="where to (default: fmus)")
-    build.add_argument("--force", action="store_true", help="replace FMUs that differ")
-    build.add_argument("--estimator", metavar="SCENARIO", help="build this scenario's estimator instead, as one FMU")
-    build.add_argument("--method", metavar="NAME", help="the estimator's method (default: target)")
-    _add_set(build)
-    build.add_argument("--fmi", type=int, choices=(2, 3), default=2, help="FMI version (default: 2)")
-    build.add_argument("--model-exchange", action="store_true", help="the plants for model exchange, FMI 3.0")
-    build.set_defaults(command=_build)
-
-    run = commands.add_parser("run", help="simulate a scenario with its controller re-tuned", allow_abbrev=False)
-    _add_scenario(run, ", an SSP package")
-    run.add_argument("--estimator", default="target", help="target (default), none, true, another, or module:Class")
-    run.add_argument("--seed", type=_seed, default=0, metavar="N", help="of noise and search (default: 0)")
-    run.add_argument("--out", type=Path, metavar="DIR", help="run folder, absent or empty (default: runs/SCENARIO-n)")
-    _add_set(run)
-    run.add_argument("--scenario", type=Path, metavar="FILE", dest="tables", help="TOML file for an SSP without one")
-    run.add_argument("--start-values", type=Path, metavar="SSV", help="start values, named component.variable")
-    run.add_argument("--ssv", type=Path, metavar="FILE", help="write the estimates there too: SSV, a new file")
-    run.add_argument("--only", action="store_true", help="leave out the runs with nominal and true parameters")
-    run.add_argument("--json", action="store_true", help="print one JSON object")
-    run.set_defaults(command=_run)
-
-    compare = commands.add_parser("compare", help="every estimator on the same plant, noise and seeds")
-    _add_scenario(compare)
-    compare.add_argument(
-        "--estimators", type=_names, metavar="A,B,C", help="default: all that the scenario and this machine allow"
-    )
-    compare.add_argument("--seeds", type=_count, default=10, metavar="N", help="seeds 0 to N - 1 (default: 10)")
-    compare.add_argument("--jobs", type=_count, metavar="N", help="runs at a time (default: one a processor)")
-    compare.add_argument("--out", type=Path, metavar="DIR", help="absent or empty (default: runs/SCENARIO-compare-n)")
-    compare.add_argument("--keep", action="store_true", help="keep a run folder for each run")
-    _add_set(compare)
-    compare.add_argument("--json", action="store_true", help="print one JSON object")
-    compare.set_defaults(command=_compare)
-
-    replay = commands.add_parser("replay", help="other estimators on the recorded samples of a run, open loop")
-    replay.add_argument("run", type=Path, metavar="RUN", help="run folder")
-    replay.add_argument("--estimator", type=_names, required=True, metavar="A,B,C", help="one or several")
-    replay.add_argument("--seed", type=_seed, metavar="N", help="of the search (default: the run's)")
-    replay.add_argument("--out", type=Path, metavar="DIR", help="write the tables there too: absent or empty")
-    replay.add_argument("--json", action="store_true", help="print one JSON object")
-    replay.set_defaults(command=_replay)
-
-    figures = commands.add_parser("figures", help="the paper's figures and table from runs of ours")
-    figures.add_argument("--out", type=Path, default=Path("figures"), metavar="DIR", help="absent or empty")
-    figures.add_argument("--seed", type=_seed, default=0, metavar="N", help="of noise and search (default: 0)")
-    figures.add_argument("--jobs", type=_count, metavar="N", help="runs at a time (default: one a processor)")
-    figures.set_defaults(command=_figures)
-
-    new = commands.add_parser("new", help="write a scenario for FMUs of yours, to look over", allow_abbrev=False)
-    new.add_argument("--plant", type=Path, required=True, metavar="FMU", help="the plant")
-    new.add_argument("--controller", type=Path, metavar="FMU", help="the controller that is to be re-tuned")
-    new.add_argument("--reference", type=Path, metavar="FILE", help="its set points: CSV file, or FMU")
-    new.add_argument("--model", metavar="MODEL", help="its equations: module:function, or a model-exchange FMU")
-    new.add_argument("-o", "--out", type=Path, required=True, metavar="FILE", help="TOML file to write, new")
-    new.set_defaults(command=_new)
-
-    check = commands.add_parser("check", help="what is wrong or risky in a scenario, before anything runs")
-    _add_scenario(check)
-    _add_set(check)
-    check.set_defaults(command=_check)
-
-    info = commands.add_parser("info", help="what is in an FMU: parameters, inputs, outputs, states, capabilities")
-    info.add_argument("fmu", type=Path, metavar="FMU", help="any FMU, ours or not")
-    info.add_argument("--json", action="store_true", help="print one JSON object")
-    info.set_defaults(command=_info)
-
-    doctor = commands.add_parser("doctor", help="what an FMU needs here, and how to start an importer for it")
-    doctor.add_argument("fmu", type=Path, metavar="FMU", help="any FMU, ours or not")
-    doctor.set_defaults(command=_doctor)
-    export = commands.add_parser("export", help="a scenario's system for other tools", allow_abbrev=False)
-    _add_scenario(export)
-    export.add_argument("--ssp", type=Path, required=True, metavar="FILE", help="SSP package to write")
-    export.add_argument("--force", action="store_true", help="replace a file that differs")
-    _add_set(export)
-    export.set_defaults(command=_export)
-
-    estimate = commands.add_parser("estimate", help="a plant's parameters from logs of it", allow_abbrev=False)
-    add_options(estimate)
-    estimate.set_defaults(command=_estimate)
-
-    illustrate = commands.add_parser("illustrate", help="draw the one-dimensional illustration")
-    illustrate.add_argument("--out", type=Path, default=Path("illustration.png"), metavar="FILE", help="PNG, new")
-    illustrate.add_argument("--seed", type=_seed, default=0, metavar="N", help="of noise (default: 0)")
-    illustrate.set_defaults(command=_illustrate)
-    return parser
-
-
-def _add_scenario(parser: argparse.ArgumentParser, also: str = "") -> None:
-    parser.add_argument("scenario", metavar="SCENARIO", help=f"{', '.join(named_scenarios())}{also}, or a TOML file")
-
-
-def _add_set(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--set", action="append", default=[], type=_assignment, metavar="KEY=VALUE", dest="overrides",
-        help="replace a scenario's setting, such as estimation.budget=60",
-    )  # fmt: skip
 
 
 def _build(options: argparse.Namespace) -> int:
@@ -427,35 +316,25 @@ def _illustrate(options: argparse.Namespace) -> int:
     return DONE
 
 
-def _seed(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"must be a whole number from 0 on, got '{text}'")
-    return int(text)
-
-
-def _count(text: str) -> int:
-    if not text.isdecimal() or int(text) < 1:
-        raise argparse.ArgumentTypeError(f"must be a whole number from 1 on, got '{text}'")
-    return int(text)
-
-
-def _names(text: str) -> list[str]:
-    names = [name.strip() for name in text.split(",")]
-    if not all(names):
-        raise argparse.ArgumentTypeError(f"must be names separated by commas, got '{text}'")
-    return names
-
-
-def _assignment(text: str) -> tuple[str, str]:
-    key, equals, value = text.partition("=")
-    if not (key and equals):
-        raise argparse.ArgumentTypeError(f"must be KEY=VALUE, got '{text}'")
-    return key.strip(), value.strip()
-
-
 def _interrupt(*_: object) -> NoReturn:
     raise KeyboardInterrupt
 
 
 if __name__ == "__main__":
     sys.exit(main())
+
+
+_COMMANDS = {
+    "build": _build,
+    "run": _run,
+    "compare": _compare,
+    "replay": _replay,
+    "figures": _figures,
+    "new": _new,
+    "check": _check,
+    "info": _info,
+    "doctor": _doctor,
+    "export": _export,
+    "estimate": _estimate,
+    "illustrate": _illustrate,
+}

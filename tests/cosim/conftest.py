@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import signal
 import subprocess
 import tempfile
 import time
@@ -14,6 +15,7 @@ import fmpy
 import pytest
 from pythonfmu import FmuBuilder
 
+from cosim.cli import main
 from cosim.scenario import Scenario
 
 
@@ -163,3 +165,31 @@ def described(tmp_path) -> Callable[..., Path]:
         return path
 
     return write
+
+
+@pytest.fixture
+def workplace(tmp_path, monkeypatch):
+    """An empty folder to work in; what the command changes in this process is put back."""
+    folder = tmp_path / "work"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    handler, environment = signal.getsignal(signal.SIGTERM), dict(os.environ)
+    yield folder
+    signal.signal(signal.SIGTERM, handler)
+    os.environ.clear()
+    os.environ.update(environment)
+
+
+@pytest.fixture
+def called(capfd):
+    """The command in this process: exit code, standard output, standard error."""
+
+    def call(*arguments):
+        try:
+            code = main([str(a) for a in arguments])
+        except SystemExit as leaving:
+            code = leaving.code
+        output = capfd.readouterr()
+        return code, output.out, output.err
+
+    return call

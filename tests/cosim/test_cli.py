@@ -16,11 +16,10 @@ import fmpy
 import numpy as np
 import pytest
 
-from cosim.cli import main
 from cosim.record import read_series
 from fmu_models.build import NAMES, PLANTS
 
-pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("leaves_nothing")]
+pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("leaves_nothing", "workplace")]
 
 RETUNE = Path(sys.executable).parent / "retune"
 PENDULUM = (files("cosim") / "scenarios" / "pendulum.toml").read_text(encoding="utf-8")
@@ -32,37 +31,9 @@ KEYS = [
 ]  # fmt: skip
 
 
-@pytest.fixture(autouse=True)
-def workplace(tmp_path, monkeypatch):
-    """An empty folder to work in; what the command changes in this process is put back."""
-    folder = tmp_path / "work"
-    folder.mkdir()
-    monkeypatch.chdir(folder)
-    handler, environment = signal.getsignal(signal.SIGTERM), dict(os.environ)
-    yield folder
-    signal.signal(signal.SIGTERM, handler)
-    os.environ.clear()
-    os.environ.update(environment)
-
-
 def retune(*arguments):
     """The installed command in a process of its own."""
     return subprocess.run([RETUNE, *arguments], capture_output=True, text=True, timeout=120, stdin=subprocess.DEVNULL)
-
-
-@pytest.fixture
-def called(capfd):
-    """The command in this process: exit code, standard output, standard error."""
-
-    def call(*arguments):
-        try:
-            code = main([str(a) for a in arguments])
-        except SystemExit as leaving:
-            code = leaving.code
-        output = capfd.readouterr()
-        return code, output.out, output.err
-
-    return call
 
 
 # JSON.

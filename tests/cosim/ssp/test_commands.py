@@ -1,43 +1,15 @@
 """`retune export`, and `retune run` on packages."""
 
 import json
-import os
-import signal
 
 import pytest
 from fmpy.ssp.ssd import read_ssv
 
-from cosim.cli import main
 from cosim.record import read_series
 
-pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("leaves_nothing")]
+pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("leaves_nothing", "workplace")]
 SHORT = ["--set", "scenario.stop_time=0.2", "--only", "--json"]
 CHANGE = ["--set", 'changes."plant.m"=[[0.0, 1.75], [0.05, 4.271]]']
-
-
-@pytest.fixture(autouse=True)
-def workplace(tmp_path, monkeypatch):
-    folder = tmp_path / "work"
-    folder.mkdir()
-    monkeypatch.chdir(folder)
-    handler, environment = signal.getsignal(signal.SIGTERM), dict(os.environ)
-    yield folder
-    signal.signal(signal.SIGTERM, handler)
-    os.environ.clear()
-    os.environ.update(environment)
-
-
-@pytest.fixture
-def called(capfd):
-    def call(*arguments):
-        try:
-            code = main([str(a) for a in arguments])
-        except SystemExit as leaving:
-            code = leaving.code
-        output = capfd.readouterr()
-        return code, output.out, output.err
-
-    return call
 
 
 def test_an_export_is_not_overwritten(called, workplace):

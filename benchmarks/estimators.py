@@ -29,8 +29,8 @@ import numpy as np
 from benchmarks import report
 from benchmarks.estimator_peers import PEERS, UnitObjective
 from benchmarks.frozen import noisy_samples, residual_window, solve, truth_at
-from cosim.result import Run
-from cosim.scenario import Scenario
+from cosim.results.result import Run
+from cosim.scenarios.scenario import Scenario
 from cosim.simulation import run
 
 OURS = ("target", "bo-scalar", "paper")

@@ -21,10 +21,10 @@ import numpy as np
 from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
-from cosim.estimators import find_method, load
-from cosim.result import Run
+from cosim.results.result import Run
 from cosim.sampling import recorded_samples
-from cosim.scenario import Scenario
+from cosim.scenarios.estimators import find_method, load
+from cosim.scenarios.scenario import Scenario
 from cosim.simulation import run
 from estimator import AskTell, DerivativeResidual, LinearForm, Objective, ResidualWindow, Sample, Vector
 from estimator.baselines import LeastSquaresSettings

@@ -23,11 +23,11 @@ import numpy as np
 from benchmarks.report import spread, write
 from cosim import reconfigure, simulation
 from cosim.master import Master
-from cosim.record import Recorder
+from cosim.results.record import Recorder
 from cosim.sampling import Sampler
-from cosim.scenario import Scenario
-from cosim.slave import Slave, open_slave
-from cosim.system import fmu_paths
+from cosim.scenarios.scenario import Scenario
+from cosim.scenarios.system import fmu_paths
+from cosim.slaves.slave import Slave, open_slave
 from estimator import DerivativeResidual, PaperBO, ResidualWindow, TargetVector
 
 REACH = 6.0

@@ -26,7 +26,7 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.report import spread, write
 from cosim.reconfigure import AlwaysTrigger, Budget, Retuner
-from cosim.scenario import Scenario
+from cosim.scenarios.scenario import Scenario
 from cosim.simulation import run
 from estimator import METHODS, DerivativeResidual, Parameter, ParameterSpace, ResidualWindow, Sample
 

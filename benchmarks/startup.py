@@ -34,7 +34,7 @@ def main() -> None:
     options = parser.parse_args()
     if options.imports:
         print(f"retune run\n{slowest_imports([*_RETUNE[1:], *_RUN])}\n")
-        print(f"an FMU's process\n{slowest_imports(['-c', 'import cosim.child'])}")
+        print(f"an FMU's process\n{slowest_imports(['-c', 'import cosim.slaves.child'])}")
         return
     rows: list[dict[str, object]] = []
     cases: tuple[tuple[str, float, Callable[[], float]], ...] = (

@@ -10,11 +10,11 @@ if TYPE_CHECKING:
     from .errors import SlaveError as SlaveError
     from .errors import SspError as SspError
     from .errors import WiringError as WiringError
-    from .result import Run as Run
-    from .scenario import Scenario as Scenario
+    from .results.result import Run as Run
+    from .scenarios.scenario import Scenario as Scenario
     from .simulation import run as run
-    from .slave import Slave as Slave
-    from .slave import open_slave as open_slave
+    from .slaves.slave import Slave as Slave
+    from .slaves.slave import open_slave as open_slave
     from .ssp.package import System as System
 
 _HOMES = {
@@ -24,17 +24,17 @@ _HOMES = {
     "SlaveError": "errors",
     "SspError": "errors",
     "WiringError": "errors",
-    "Run": "result",
+    "Run": "results.result",
     "run": "simulation",
-    "Scenario": "scenario",
-    "Slave": "slave",
+    "Scenario": "scenarios.scenario",
+    "Slave": "slaves.slave",
     "System": "ssp.package",
-    "open_slave": "slave",
+    "open_slave": "slaves.slave",
 }
 
 
 def __getattr__(name: str) -> object:
-    # Loaded on first use: an FMU's process imports cosim.child and needs neither GPy nor pydantic.
+    # Loaded on first use: an FMU's process imports cosim.slaves.child and needs neither GPy nor pydantic.
     if name not in _HOMES:
         raise AttributeError(f"module 'cosim' has no attribute '{name}'")
     return getattr(import_module(f".{_HOMES[name]}", __name__), name)

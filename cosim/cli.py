@@ -10,12 +10,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
-from .estimate_options import request_of
+from .offline.estimate_options import request_of
 from .options import REFUSED, parser_of
 
 if TYPE_CHECKING:
-    from .result import Run
-    from .scenario import Scenario
+    from .results.result import Run
+    from .scenarios.scenario import Scenario
 
 DONE, UNFINISHED, INTERRUPTED = 0, 1, 130
 
@@ -43,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _build(options: argparse.Namespace) -> int:
     from .errors import ScenarioError
-    from .library import build_into
+    from .scenarios.library import build_into
 
     is_ours = options.fmi == 2 and not options.model_exchange
     if options.estimator and not is_ours:
@@ -65,8 +65,8 @@ def _builder(options: argparse.Namespace) -> Callable[[Path], Mapping[str, Path]
 
 
 def _estimator_builder(options: argparse.Namespace) -> Callable[[Path], Mapping[str, Path]]:
-    from .estimator_fmu import build_estimator
-    from .scenario import Scenario
+    from .estimator_fmu.build import build_estimator
+    from .scenarios.scenario import Scenario
 
     scenario = Scenario.load(options.estimator, dict(options.overrides))
 
@@ -79,11 +79,11 @@ def _estimator_builder(options: argparse.Namespace) -> Callable[[Path], Mapping[
 
 def _run(options: argparse.Namespace) -> int:
     from .errors import SspError
-    from .estimators import check_estimator
-    from .record import ESTIMATES, to_json, write_bytes
-    from .report import ending, report
-    from .scenario import Scenario
-    from .start_values import with_start_values
+    from .results.record import ESTIMATES, to_json, write_bytes
+    from .results.report import ending, report
+    from .scenarios.estimators import check_estimator
+    from .scenarios.scenario import Scenario
+    from .scenarios.start_values import with_start_values
 
     is_package = options.scenario.lower().endswith(".ssp") and Path(options.scenario).is_file()
     if is_package and not options.tables and _has_no_scenario(Path(options.scenario)):
@@ -101,7 +101,7 @@ def _run(options: argparse.Namespace) -> int:
     if options.ssv and len(result.time):
         write_bytes(options.ssv, (folder / ESTIMATES).read_bytes())
     if not options.only:
-        from .plots import draw_run
+        from .plots.runs import draw_run
 
         draw_run(result, baselines)
     print(to_json(result.summary()) if options.json else report(result, baselines))
@@ -120,7 +120,7 @@ def _has_no_scenario(package: Path) -> bool:
 def _run_plainly(options: argparse.Namespace) -> int:
     """A package made elsewhere, of which nobody has said what to estimate."""
     from .errors import SspError
-    from .record import to_json
+    from .results.record import to_json
     from .ssp.package import System
     from .ssp.run import report, simulate
     from .ssp.settings import overridden
@@ -154,9 +154,9 @@ def _simulate(scenario: "Scenario", options: argparse.Namespace, folder: Path) -
 
 
 def _compare(options: argparse.Namespace) -> int:
-    from .compare import compare
     from .progress import bar_of_runs
-    from .scenario import Scenario
+    from .results.compare import compare
+    from .scenarios.scenario import Scenario
 
     scenario = Scenario.load(options.scenario, dict(options.overrides))
     name = scenario.scenario.name
@@ -167,7 +167,7 @@ def _compare(options: argparse.Namespace) -> int:
 
 
 def _replay(options: argparse.Namespace) -> int:
-    from .replay import replay
+    from .results.replay import replay
 
     with _new_folder("replay", options.out) if options.out else nullcontext():
         result = replay(options.run, options.estimator, options.seed, options.out)
@@ -176,7 +176,7 @@ def _replay(options: argparse.Namespace) -> int:
 
 
 def _figures(options: argparse.Namespace) -> int:
-    from .figures import figures
+    from .plots.figures import figures
     from .progress import bar_of_runs
 
     with _new_folder("figures", options.out) as folder, bar_of_runs("figures") as progress:
@@ -187,8 +187,8 @@ def _figures(options: argparse.Namespace) -> int:
 
 
 def _new(options: argparse.Namespace) -> int:
-    from .draft import draft
-    from .record import write_text
+    from .authoring.draft import draft
+    from .results.record import write_text
 
     _must_be_new(options.out, "-o")
     given = {"plant": options.plant, "controller": options.controller, "reference": options.reference}
@@ -203,7 +203,7 @@ def _new(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> int:
-    from .check import check
+    from .authoring.check import check
     from .errors import ScenarioError
 
     if options.scenario.lower().endswith(".fmu"):
@@ -221,8 +221,8 @@ def _check(options: argparse.Namespace) -> int:
 def _info(options: argparse.Namespace) -> int:
     from dataclasses import asdict
 
-    from .info import info
-    from .record import to_json
+    from .authoring.info import info
+    from .results.record import to_json
 
     found = info(options.fmu)
     print(to_json(asdict(found)) if options.json else found)
@@ -230,7 +230,7 @@ def _info(options: argparse.Namespace) -> int:
 
 
 def _doctor(options: argparse.Namespace) -> int:
-    from .doctor import diagnose
+    from .authoring.doctor import diagnose
 
     diagnosis = diagnose(options.fmu)
     print(diagnosis)
@@ -240,7 +240,7 @@ def _doctor(options: argparse.Namespace) -> int:
 @contextmanager
 def _new_folder(name: str, out: Path | None) -> Generator[Path]:
     """The folder to write in, removed again where that fails before anything is in it."""
-    from .record import new_run_folder
+    from .results.record import new_run_folder
 
     place = out or Path("runs")
     there = {path for path in (place, *place.parents) if path.exists()}
@@ -256,8 +256,8 @@ def _new_folder(name: str, out: Path | None) -> Generator[Path]:
 
 
 def _export(options: argparse.Namespace) -> int:
-    from .record import FolderError, write_bytes
-    from .scenario import Scenario
+    from .results.record import FolderError, write_bytes
+    from .scenarios.scenario import Scenario
     from .ssp.write import to_ssp
 
     content = to_ssp(Scenario.load(options.scenario, dict(options.overrides)))
@@ -273,11 +273,11 @@ def _export(options: argparse.Namespace) -> int:
 
 
 def _estimate(options: argparse.Namespace) -> int:
-    from .estimate import FailedError, estimate
-    from .fit_plot import draw_fit
-    from .fit_report import estimates_ssv, report, summary, write_files
+    from .offline.estimate import FailedError, estimate
+    from .offline.fit_plot import draw_fit
+    from .offline.fit_report import estimates_ssv, report, summary, write_files
     from .progress import bar_of_rollouts
-    from .record import to_json, write_text
+    from .results.record import to_json, write_text
 
     request = request_of(options)
     _must_be_new(options.ssv, "--ssv")
@@ -301,7 +301,7 @@ def _estimate(options: argparse.Namespace) -> int:
 
 def _must_be_new(path: Path | None, option: str) -> None:
     """Raises FolderError, before anything is computed, where a file of the user's would be lost."""
-    from .record import FolderError
+    from .results.record import FolderError
 
     if path is not None and (path.exists() or not path.parent.is_dir()):
         problem = "exists" if path.exists() else "is in no folder that there is"
@@ -309,7 +309,7 @@ def _must_be_new(path: Path | None, option: str) -> None:
 
 
 def _illustrate(options: argparse.Namespace) -> int:
-    from .illustrate import illustrate
+    from .plots.illustrate import illustrate
 
     _must_be_new(options.out, "--out")
     print(illustrate(options.out, seed=options.seed))
@@ -318,10 +318,6 @@ def _illustrate(options: argparse.Namespace) -> int:
 
 def _interrupt(*_: object) -> NoReturn:
     raise KeyboardInterrupt
-
-
-if __name__ == "__main__":
-    sys.exit(main())
 
 
 _COMMANDS = {
@@ -338,3 +334,7 @@ _COMMANDS = {
     "estimate": _estimate,
     "illustrate": _illustrate,
 }
+
+
+if __name__ == "__main__":
+    sys.exit(main())

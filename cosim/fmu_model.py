@@ -14,18 +14,18 @@ from fmpy.model_description import ModelVariable
 
 from estimator import Parameter
 
-from .archive import model_exchange, private_folder, read_description, unpack
-from .block import Variable
-from .elements import resolved
 from .errors import CosimError, ScenarioError, SlaveError
-from .estimators import load
-from .instance import Identity
-from .library import find_fmu
+from .fmi.archive import model_exchange, private_folder, read_description, unpack
+from .fmi.block import Variable
+from .fmi.elements import resolved
+from .fmi.instance import Identity
+from .fmi.ports import Catalogue
 from .names import did_you_mean
-from .ports import Catalogue
-from .scenario import Scenario
-from .system import Plant
-from .worker import Worker
+from .scenarios.estimators import load
+from .scenarios.library import find_fmu
+from .scenarios.scenario import Scenario
+from .scenarios.system import Plant
+from .slaves.worker import Worker
 
 
 @contextmanager

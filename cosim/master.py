@@ -14,7 +14,7 @@ Value = float | int | bool | str
 
 
 class Steppable(Protocol):
-    """What the master needs of a slave; `cosim.slave.Slave` has it."""
+    """What the master needs of a slave; `cosim.slaves.slave.Slave` has it."""
 
     def bind(self, inputs: Sequence[str], tunables: Sequence[str], outputs: Sequence[str]) -> None: ...
     def initialize(self, start: Mapping[str, Value], start_time: float, stop_time: float | None) -> None: ...

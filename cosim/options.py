@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final, NoReturn
 
-from .estimate_options import add_options
 from .names import named_scenarios
+from .offline.estimate_options import add_options
 
 REFUSED: Final = 2
 """Exit code: the input was refused."""

@@ -9,7 +9,6 @@ import numpy as np
 from estimator import DerivativeResidual, LinearForm, Method, Sample, Vector
 
 from .errors import CosimError, ScenarioError, one_line, seconds
-from .estimators import find_method, load, make_estimator
 from .fmu_model import opened_model
 from .reconfigure import (
     AlwaysTrigger,
@@ -20,9 +19,10 @@ from .reconfigure import (
     Trigger,
     make_retuner,
 )
-from .scenario import Scenario
-from .schema import Innovation, Loop, Tracking
-from .system import Plant
+from .scenarios.estimators import find_method, load, make_estimator
+from .scenarios.scenario import Scenario
+from .scenarios.schema import Innovation, Loop, Tracking
+from .scenarios.system import Plant
 
 
 class Policy(Protocol):

@@ -6,8 +6,8 @@ from typing import Any
 
 from tqdm import tqdm
 
-from .crew import Progress as ProgressOfRuns
-from .scenario import Scenario
+from .results.crew import Progress as ProgressOfRuns
+from .scenarios.scenario import Scenario
 from .simulation import Progress
 
 

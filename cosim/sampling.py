@@ -8,8 +8,8 @@ import numpy as np
 
 from estimator import Sample
 
-from .scenario import Scenario
-from .system import Plant
+from .scenarios.scenario import Scenario
+from .scenarios.system import Plant
 
 
 class Sampler:

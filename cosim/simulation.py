@@ -18,19 +18,19 @@ from time import perf_counter
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from .aliases import as_the_fmus_have_it
 from .errors import ScenarioError, SlaveError, WiringError
-from .estimators import check_estimator
+from .fmi.table import TableSlave, is_table
 from .master import Master
 from .policy import decide, make_policy, try_model
 from .reconfigure import Reconfiguration
-from .record import Recorder, uninterrupted
-from .result import Run, Status, begin_folder, end_folder
+from .results.record import Recorder, uninterrupted
+from .results.result import Run, Status, begin_folder, end_folder
 from .sampling import Sampler
-from .scenario import Scenario
-from .slave import Slave, open_slave
-from .system import check_parameters, fmu_paths, plant_of, start_value, true_parameters, wire
-from .table import TableSlave, is_table
+from .scenarios.aliases import as_the_fmus_have_it
+from .scenarios.estimators import check_estimator
+from .scenarios.scenario import Scenario
+from .scenarios.system import check_parameters, fmu_paths, plant_of, start_value, true_parameters, wire
+from .slaves.slave import Slave, open_slave
 from .units import defined_units
 
 Progress = Callable[[float, Mapping[str, float]], None]

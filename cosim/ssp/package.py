@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree.ElementTree import Element
 
-from ..archive import unpack
-from ..block import Value
-from ..component import Component
 from ..errors import SspError
-from ..library import cache_folder
+from ..fmi.archive import unpack
+from ..fmi.block import Value
+from ..fmi.component import Component
+from ..scenarios.library import cache_folder
 from .connections import Connection, connect
 from .parameters import start_values
 from .tree import TreeReader

@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
-from ..block import Value
-from ..component import Component
 from ..errors import SspError
-from ..ssv import ParameterSet, ParameterValue, parameter_set
+from ..fmi.block import Value
+from ..fmi.component import Component
 from ..units import IDENTITY, Linear, Unit, conversion
 from .connections import End, Wiring, transformation
+from .ssv import ParameterSet, ParameterValue, parameter_set
 from .tree import Node, resource
 from .xml import attribute, check, parse
 

@@ -14,13 +14,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..block import Value
 from ..errors import SlaveError, WiringError
+from ..fmi.block import Value
 from ..master import Master, Wiring
-from ..record import MANIFEST, RESULT, Recorder, sha256, write_csv, write_json
-from ..report import aligned
-from ..schema import Settings
-from ..slave import Slave, open_slave
+from ..results.record import MANIFEST, RESULT, Recorder, sha256, write_csv, write_json
+from ..results.report import aligned
+from ..scenarios.schema import Settings
+from ..slaves.slave import Slave, open_slave
 from ..units import IDENTITY, Linear
 from .package import System
 

@@ -7,12 +7,12 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from ..block import Value
 from ..errors import SspError
+from ..fmi.block import Value
 from ..names import did_you_mean
-from ..scenario import first_error, override
-from ..schema import Settings, Table
-from ..start_values import read_start_values
+from ..scenarios.scenario import first_error, override
+from ..scenarios.schema import Settings, Table
+from ..scenarios.start_values import read_start_values
 from .package import System
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 from urllib.parse import unquote
 from xml.etree.ElementTree import Element
 
-from ..component import Component, read_component
 from ..errors import SspError, one_line
+from ..fmi.component import Component, read_component
 from ..names import did_you_mean
 from ..units import Unit, conversion
 from .xml import attribute

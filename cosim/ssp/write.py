@@ -14,16 +14,16 @@ from xml.etree.ElementTree import Element, SubElement
 
 import tomli_w
 
-from ..block import PYTHON_TYPE, Value
-from ..component import Component, ModelVariable, read_component
 from ..errors import SspError, WiringError
+from ..fmi.block import PYTHON_TYPE, Value
+from ..fmi.component import Component, ModelVariable, read_component
 from ..names import did_you_mean
-from ..scenario import Scenario
-from ..ssv import ParameterValue, add_units, document, ssv_element
-from ..system import fmu_paths, value_of_change
+from ..scenarios.scenario import Scenario
+from ..scenarios.system import fmu_paths, value_of_change
 from ..units import Unit, conversion
 from .package import STRUCTURE
 from .scenario import EXTRA, SCENARIO
+from .ssv import ParameterValue, add_units, document, ssv_element
 from .xml import NAMESPACES
 
 START_VALUES = "initialValues"

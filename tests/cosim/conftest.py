@@ -16,7 +16,7 @@ import pytest
 from pythonfmu import FmuBuilder
 
 from cosim.cli import main
-from cosim.scenario import Scenario
+from cosim.scenarios.scenario import Scenario
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -16,7 +16,7 @@ import fmpy
 import numpy as np
 import pytest
 
-from cosim.record import read_series
+from cosim.results.record import read_series
 from fmu_models.build import NAMES, PLANTS
 
 pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("leaves_nothing", "workplace")]
@@ -303,7 +303,7 @@ def test_figures_are_listed_as_they_are_written(called, workplace, monkeypatch):
         progress({"scenario": "pendulum", "estimator": "none", "seed": seed, "status": "done"}, 1, 2)
         return [folder / "a.png", folder / "b.svg"]
 
-    monkeypatch.setattr("cosim.figures.figures", made_up)
+    monkeypatch.setattr("cosim.plots.figures.figures", made_up)
     code, out, err = called("figures", "--seed", "4", "--jobs", "2")
     assert (code, out, err) == (0, "figures/a.png\nfigures/b.svg\n", "")
     assert given == [(Path("figures"), 4, 2)]

@@ -10,10 +10,10 @@ import pytest
 
 from cosim import ScenarioError, run
 from cosim.fmu_model import FmuModel, opened_model
-from cosim.library import find_fmu
-from cosim.scenario import Scenario
-from cosim.slave import open_slave
-from cosim.system import plant_of
+from cosim.scenarios.library import find_fmu
+from cosim.scenarios.scenario import Scenario
+from cosim.scenarios.system import plant_of
+from cosim.slaves.slave import open_slave
 from estimator import Parameter
 from fmu_models import friction_pendulum, pendulum, quadrotor, rigid_body
 

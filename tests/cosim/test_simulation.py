@@ -13,9 +13,9 @@ from scipy.integrate import solve_ivp
 from scipy.stats import kstest
 
 from cosim.errors import CosimError, ScenarioError, WiringError
-from cosim.record import FolderError, read_series, sha256
-from cosim.result import read_run
-from cosim.scenario import Scenario
+from cosim.results.record import FolderError, read_series, sha256
+from cosim.results.result import read_run
+from cosim.scenarios.scenario import Scenario
 from cosim.simulation import run
 
 pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("leaves_nothing")]
@@ -313,7 +313,12 @@ def test_an_interrupt_leaves_the_rows_and_goes_on_to_the_caller(pendulum, tmp_pa
 
 @pytest.mark.parametrize(
     "place",
-    ["cosim.record:Recorder.close", "cosim.result:write_csv", "cosim.simulation:end_folder", "cosim.slave:Slave.close"],
+    [
+        "cosim.results.record:Recorder.close",
+        "cosim.results.result:write_csv",
+        "cosim.simulation:end_folder",
+        "cosim.slaves.slave:Slave.close",
+    ],
 )
 def test_an_interrupt_while_a_run_ends_leaves_a_whole_folder(pendulum, tmp_path, monkeypatch, place):
     out, function, came = tmp_path / "run", resolve_name(place), []

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from cosim.reconfigure import AlwaysTrigger, Budget, Retuner, TrackingTrigger
-from cosim.schema import Estimation
+from cosim.scenarios.schema import Estimation
 from estimator import (
     METHODS,
     AskTell,

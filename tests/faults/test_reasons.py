@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from cosim.archive import read_description, unpack
-from cosim.block import Variable
 from cosim.errors import SlaveError
-from cosim.instance import Identity
-from cosim.slave import Slave, open_slave
-from cosim.worker import Worker
+from cosim.fmi.archive import read_description, unpack
+from cosim.fmi.block import Variable
+from cosim.fmi.instance import Identity
+from cosim.slaves.slave import Slave, open_slave
+from cosim.slaves.worker import Worker
 from fmu_models.build import build
 
 pytestmark = pytest.mark.fmu

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from cosim.errors import SlaveError
-from cosim.slave import Slave, open_slave
+from cosim.slaves.slave import Slave, open_slave
 
 pytestmark = [
     pytest.mark.fmu,
@@ -179,7 +179,7 @@ PROGRAM = """
     import sys, tempfile
     from pathlib import Path
     tempfile.tempdir = sys.argv[2]
-    from cosim.slave import open_slave
+    from cosim.slaves.slave import open_slave
     slave = open_slave(Path(sys.argv[1]), "plant", timeout=3600.0)
     slave.bind(inputs=["u"], outputs=["y"])
     slave.initialize({"how": sys.argv[3], "where": "do_step" if sys.argv[3] else ""})

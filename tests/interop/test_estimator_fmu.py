@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from cosim import Scenario, run
-from cosim.estimator_fmu import build_estimator
+from cosim.estimator_fmu.build import build_estimator
 from fmu_models.build import build
 
 HERE = Path(__file__).parent

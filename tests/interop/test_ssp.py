@@ -19,7 +19,7 @@ import pytest
 
 from cosim import Scenario, System
 from cosim.master import Master
-from cosim.slave import open_slave
+from cosim.slaves.slave import open_slave
 from cosim.ssp.run import wiring_of
 from cosim.ssp.write import to_ssp
 

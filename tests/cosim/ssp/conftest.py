@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from cosim.library import find_fmu
+from cosim.scenarios.library import find_fmu
 
 COMMON = "http://ssp-standard.org/SSP1/SystemStructureCommon"
 DESCRIPTION = "http://ssp-standard.org/SSP1/SystemStructureDescription"

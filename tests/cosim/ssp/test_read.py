@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cosim import ModelDescriptionError, SspError, System, WiringError
-from cosim.library import find_fmu
+from cosim.scenarios.library import find_fmu
 
 pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("leaves_nothing")]
 

@@ -10,7 +10,7 @@ from fmpy.ssp.ssd import read_ssd, read_ssv
 from lxml import etree
 
 from cosim import Scenario, ScenarioError, SspError, System, WiringError, run
-from cosim.library import find_fmu
+from cosim.scenarios.library import find_fmu
 from cosim.ssp.write import to_ssp
 
 pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("leaves_nothing")]

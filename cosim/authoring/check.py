@@ -1,0 +1,81 @@
+"""What is wrong or risky in a scenario, found before any of its components runs.
+
+An error is what `run` would refuse, or compute nonsense from; a warning is what may be meant. The estimator's model, a
+function of the user's or a model-exchange FMU, is the only code that is called.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+from pydantic import ValidationError
+
+from estimator import Sample
+
+from ..errors import CosimError, ScenarioError, one_line
+from ..fmi.archive import FmuFile
+from ..fmi.component import Component, read_component
+from ..policy import try_model
+from ..scenarios.aliases import as_the_fmus_have_it
+from ..scenarios.scenario import Scenario, error_texts
+from ..scenarios.system import component_path, plant_of, start_value
+from .check_estimation import check_changes, check_parameters, check_sampling, check_tracking
+from .check_wiring import check_connections, check_inputs, check_loops, check_starts, check_steps
+from .finding import Finding
+
+_CHECKS: tuple[Callable[[Scenario, Mapping[str, Component]], Iterator[Finding]], ...] = (
+    check_starts, check_connections, check_inputs, check_changes, check_tracking, check_sampling, check_parameters,
+    check_loops, check_steps,
+)  # fmt: skip
+
+
+def check(source: str | Path, overrides: Mapping[str, str] | None = None) -> list[Finding]:
+    """Everything that is to say about a scenario, errors and warnings. Raises ScenarioError for no TOML file."""
+    try:
+        scenario = Scenario.load(source, overrides)
+    except ScenarioError as e:
+        if not isinstance(e.__cause__, ValidationError):
+            raise
+        found = [_split(text) for text in error_texts(e.__cause__)]
+        return [f for f in found if not any(other.where.startswith(f"{f.where}.") for other in found)]  # what follows
+    components: dict[str, Component] = {}
+    findings: list[Finding] = []
+    for name, c in scenario.components.items():
+        try:
+            components[name] = read_component(component_path(c, scenario.folder))
+        except CosimError as e:
+            findings.append(Finding(f"components.{name}", _plain(e)))
+    if len(components) == len(scenario.components):
+        try:
+            files = {name: FmuFile(name, c.description) for name, c in components.items()}
+            scenario = as_the_fmus_have_it(scenario, files)
+        except CosimError as e:
+            return [Finding("connections", _plain(e))]
+    findings += [finding for one in _CHECKS for finding in one(scenario, components)]
+    if not any(f.is_error for f in findings):
+        findings += _check_model(scenario, components)
+    return findings
+
+
+def _check_model(scenario: Scenario, components: Mapping[str, Component]) -> Iterator[Finding]:
+    """Call the model once at the start values. Everything else is known to be well."""
+    files = {name: FmuFile(name, c.description) for name, c in components.items()}
+    try:
+        plant = plant_of(scenario, files[scenario.plant])
+        x = tuple([start_value(scenario, files, f"{plant.name}.{name}") for name in plant.states])
+        theta = np.array([start_value(scenario, files, p.writes) for p in scenario.estimation.parameters])
+        zeros = (0.0,) * len(scenario.sampling.derivatives)
+        sample = Sample(scenario.scenario.start_time, x, tuple(plant.inputs.values()), zeros)
+        try_model(scenario, "target", plant, theta, sample)
+    except CosimError as e:
+        yield _split(_plain(e)) if str(e).startswith("estimation.") else Finding("estimation.model", _plain(e))
+
+
+def _split(text: str) -> Finding:
+    """An error of the schema, `key: rule`."""
+    key, colon, rule = text.partition(": ")
+    return Finding(key, rule) if colon and " " not in key else Finding("scenario", text)
+
+
+def _plain(error: CosimError) -> str:
+    return one_line(str(error)).rstrip(".")

@@ -1,0 +1,106 @@
+"""What a scenario changes, tracks, samples and estimates, against what its FMUs declare."""
+
+from collections.abc import Iterator
+
+from ..fmi.ports import attribute
+from ..names import did_you_mean
+from ..scenarios.scenario import Scenario
+from ..scenarios.schema import EstimatedParameter
+from ..scenarios.system import parameter_problem
+from .check_wiring import Components, output_refusal, parts, refusal, unit_finding
+from .finding import Finding, warning
+
+
+def check_changes(scenario: Scenario, components: Components) -> Iterator[Finding]:
+    """Parameters that cannot change while the plant runs; an experiment in which nothing does."""
+    for reference in scenario.changes:
+        component, name = parts(reference, components)
+        problem = component and refusal(component, "tunable parameter", name)
+        if problem:
+            yield Finding(f'changes."{reference}"', problem)
+    if not scenario.changes:
+        yield warning("changes", "nothing happens to the plant: there is nothing to find")
+
+
+def check_tracking(scenario: Scenario, components: Components) -> Iterator[Finding]:
+    """Tracked variables and references that are no outputs, or in different units."""
+    for tracked, reference in scenario.tracking.items():
+        where = f'tracking."{tracked}"'
+        ends = [parts(r, components) for r in (tracked, reference)]
+        problems = [c and output_refusal(c, name) for c, name in ends]
+        yield from (Finding(where, problem) for problem in problems if problem)
+        yield from unit_finding(where, reference, tracked, components)
+
+
+def check_sampling(scenario: Scenario, components: Components) -> Iterator[Finding]:
+    """Sampled variables that are no derivative or state, and states that cannot be read."""
+    plant = components.get(scenario.plant)
+    if plant is None:
+        return
+    derivatives = plant.derivatives
+    for reference in scenario.sampling.derivatives:
+        where, name = f'sampling.derivatives."{reference}"', reference.partition(".")[2]
+        problem = output_refusal(plant, name)
+        if problem:
+            yield Finding(where, problem)
+        elif name not in derivatives.values():
+            hint = did_you_mean(name, derivatives.values())
+            yield Finding(where, f"'{name}' is not declared as a state's derivative{hint}")
+    for reference in scenario.sampling.states:
+        component, _, name = reference.partition(".")
+        if component != scenario.plant or name not in derivatives:
+            hint = did_you_mean(name, derivatives)
+            yield Finding(f'sampling.states."{reference}"', f"no state with a declared derivative{hint}")
+    for state in derivatives:
+        if problem := output_refusal(plant, state):
+            yield Finding("sampling", f"the model takes every state: {problem}")
+    for v in plant.having("input"):
+        try:
+            float(v.start or 0.0)
+        except ValueError:
+            yield Finding("sampling", f"the input '{v.name}' of {plant.fmu.name} starts as {v.start!r}")
+
+
+def check_parameters(scenario: Scenario, components: Components) -> Iterator[Finding]:
+    """Parameters that the controller does not take, or not all of, and those that the plant has not."""
+    for i, parameter in enumerate(scenario.estimation.parameters):
+        where = f"estimation.parameters.{i} ({parameter.name})"
+        yield from (Finding(where, text) if is_error else warning(where, text)
+                    for is_error, text in _problems(scenario, parameter, components))  # fmt: skip
+
+
+def _problems(scenario: Scenario, parameter: EstimatedParameter, components: Components) -> Iterator[tuple[bool, str]]:
+    true = scenario.true_reference(parameter)
+    plant, name = parts(true, components)
+    if plant is not None and name not in plant.variables:
+        hint = did_you_mean(name, plant.variables)
+        yield True, f"no variable '{name}' in {plant.fmu.name}{hint or '; say with true = ... which one it stands for'}"
+    elif plant is not None and true not in scenario.changes and _start(scenario, true, components) is None:
+        yield True, f"'{true}' has no start value; give it one under components.{scenario.plant}.start"
+    controller, name = parts(parameter.writes, components)
+    if controller is None:
+        return
+    problem = refusal(controller, "tunable parameter", name)
+    if problem:
+        yield True, problem
+        return
+    variable = controller.variables[name]
+    if problem := parameter_problem(parameter, variable):
+        yield True, problem.rstrip(".")
+    if attribute(variable, "min") is None and attribute(variable, "max") is None:
+        yield False, f"{controller.fmu.name} declares neither min nor max: lower and upper alone guard what is written"
+    start = _start(scenario, parameter.writes, components)
+    if start is None:
+        component = parameter.writes.partition(".")[0]
+        yield True, f"'{parameter.writes}' has no start value; give it one under components.{component}.start"
+    elif not parameter.lower <= start <= parameter.upper:
+        yield False, f"'{parameter.writes}' starts as {start:g}, outside [{parameter.lower:g}, {parameter.upper:g}]"
+
+
+def _start(scenario: Scenario, reference: str, components: Components) -> float | None:
+    component, _, name = reference.partition(".")
+    value = scenario.components[component].start.get(name, components[component].variables[name].start)
+    try:
+        return None if value is None else float(value)
+    except ValueError:
+        return None

@@ -1,0 +1,140 @@
+"""Start values, connections, inputs, loops and steps of a scenario, against what its FMUs declare."""
+
+from collections.abc import Iterator, Mapping
+
+from ..errors import WiringError
+from ..fmi.archive import co_simulation
+from ..fmi.component import Component
+from ..fmi.feedthrough import algebraic_loops
+from ..fmi.ports import Catalogue
+from ..fmi.table import is_table
+from ..names import did_you_mean
+from ..scenarios.scenario import Scenario
+from ..units import IDENTITY, conversion
+from .finding import Finding, warning
+
+Components = Mapping[str, Component]
+"""Those that could be read, by instance name."""
+
+
+def parts(reference: str, components: Components) -> tuple[Component | None, str]:
+    """The component of a reference, where it could be read, and the variable's name."""
+    name, _, variable = reference.partition(".")
+    return components.get(name), variable
+
+
+def refusal(component: Component, role: str, name: str) -> str | None:
+    """Why a variable cannot have a role ('input', 'tunable parameter', 'output'); None where it can."""
+    try:
+        Catalogue(component.fmu.name, component.variables.values()).ports(role, [name])
+    except WiringError as e:
+        return str(e).rstrip(".")
+    return None
+
+
+def output_refusal(component: Component, name: str) -> str | None:
+    """Why a variable is not read at communication points; None where it is."""
+    outputs = [v.name for v in component.having("output")]
+    if name in outputs:
+        return None
+    return refusal(component, "output", name) or f"'{name}' is no output of {component.fmu.name}" + did_you_mean(
+        name, outputs
+    )
+
+
+def unit_finding(where: str, source: str, target: str, components: Components) -> Iterator[Finding]:
+    """What the units of two variables whose numbers are taken for the same say of that."""
+    (a, name_a), (b, name_b) = parts(source, components), parts(target, components)
+    if a is None or b is None or name_a not in a.variables or name_b not in b.variables:
+        return
+    unit_a, unit_b = a.unit(name_a), b.unit(name_b)
+    if unit_a is None or unit_b is None:
+        if unit_a is not unit_b:
+            silent, unit = (source, unit_b) if unit_a is None else (target, unit_a)
+            yield warning(where, f"'{silent}' has no unit, the other end {unit.name if unit else ''}")
+        return
+    try:
+        if conversion(unit_a, unit_b) == IDENTITY:
+            return
+        reason = f"'{source}' is in {unit_a.name}, '{target}' in {unit_b.name}, and a scenario does not convert"
+        yield Finding(where, reason)
+    except ValueError as e:
+        is_known = unit_a.exponents is not None and unit_b.exponents is not None
+        yield Finding(where, f"'{source}' to '{target}': {e}", is_error=is_known or is_table(a.fmu))
+
+
+def check_starts(scenario: Scenario, components: Components) -> Iterator[Finding]:
+    """Start values that an FMU does not take, or that are outside its limits."""
+    for name, component in components.items():
+        catalogue = Catalogue(component.fmu.name, component.variables.values())
+        for variable, value in scenario.components[name].start.items():
+            where = f"components.{name}.start.{variable}"
+            try:
+                port = catalogue.start_port(variable, value)
+            except WiringError as e:
+                yield Finding(where, str(e).rstrip("."))
+                continue
+            problem = None if isinstance(value, str) else port.problem([float(value)])
+            if problem:
+                yield Finding(where, problem)
+
+
+def check_connections(scenario: Scenario, components: Components) -> Iterator[Finding]:
+    """Ends that are no input or no output, of different types or units."""
+    for target, source in scenario.connections.items():
+        where = f'connections."{target}"'
+        (to, to_name), (of, of_name) = parts(target, components), parts(source, components)
+        problems = [to and refusal(to, "input", to_name), of and output_refusal(of, of_name)]
+        yield from (Finding(where, problem) for problem in problems if problem)
+        if any(problems) or to is None or of is None:
+            continue
+        types = [str(of.variables[of_name].type), str(to.variables[to_name].type)]
+        if types[0] != types[1] and types[1] not in ("Real", "Float32", "Float64"):
+            yield warning(where, f"a {types[0]} goes to a {types[1]}: other than whole numbers end the run")
+        yield from unit_finding(where, source, target, components)
+
+
+def check_inputs(scenario: Scenario, components: Components) -> Iterator[Finding]:
+    """Inputs that nothing is connected to."""
+    for name, component in components.items():
+        for v in component.having("input"):
+            if f"{name}.{v.name}" not in scenario.connections:
+                start = scenario.components[name].start.get(v.name, v.start)
+                yield warning(f'connections."{name}.{v.name}"', f"the input is not connected: it stays {start}")
+
+
+def check_loops(scenario: Scenario, components: Components) -> Iterator[Finding]:
+    """Outputs that depend on themselves within a communication point."""
+    known = {
+        target: source
+        for target, source in scenario.connections.items()
+        if all(c is not None and name in c.variables for c, name in (parts(r, components) for r in (target, source)))
+    }
+    for loop in algebraic_loops(components, known):
+        way = " <- ".join([*loop.nodes, loop.nodes[0]])
+        if loop.undeclared:
+            silent = ", ".join(components[name].fmu.name for name in loop.undeclared)
+            yield warning("connections", f"there may be an algebraic loop, {silent} not saying by what it goes: {way}")
+        else:
+            yield warning("connections", f"algebraic loop, closed with a value of the macro step before: {way}")
+
+
+def check_steps(scenario: Scenario, components: Components) -> Iterator[Finding]:
+    """Steps and times that an FMU is not made for."""
+    settings = scenario.scenario
+    for name, component in components.items():
+        experiment = component.experiment
+        if is_table(component.fmu):
+            start, end = experiment["start_time"], experiment["stop_time"]
+            if start > settings.start_time or end < settings.stop_time:
+                text = f"its rows are from {start:g} to {end:g} s: the nearest is held outside"
+                yield warning(f"components.{name}", text)
+            continue
+        interface = co_simulation(component.description)
+        if interface.needsExecutionTool is True:
+            yield warning(f"components.{name}", f"{component.fmu.name} needs the tool that made it on this machine")
+        step = experiment.get("step_size")
+        is_fixed = interface.canHandleVariableCommunicationStepSize is False
+        if is_fixed and step is not None and abs(step - settings.macro_step) > 1e-9 * settings.macro_step:
+            text = f"{component.fmu.name} declares steps of {step:g} s, and no others"
+            yield warning("scenario.macro_step", text)

@@ -1,0 +1,235 @@
+"""What an FMU needs on this machine: its binary, the libraries behind it, and for one in Python, libpython and modules.
+
+Nothing of the FMU is executed: its library is read, not loaded, and its scripts are searched for import statements.
+"""
+
+import os
+import platform
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import distributions, packages_distributions, version
+from importlib.util import find_spec
+from modulefinder import ModuleFinder
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import fmpy
+from elftools.common.exceptions import ELFError
+from elftools.elf.elffile import ELFFile
+from find_libpython import find_libpython
+from fmpy.model_description import ModelDescription
+
+from ..errors import one_line
+from ..fmi.archive import read_any, unpack
+
+_EXIT_OF_PYTHONFMU = "GLIBC_TUNABLES=glibc.malloc.tcache_count=65535"  # its library uses freed memory as it is unloaded
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at."""
+
+    subject: str
+    """`glibc`, `libpython`, ..."""
+    is_well: bool
+    """Nothing is missing."""
+    text: str
+    """What is needed and what is here, in one line."""
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What an FMU needs, and whether it is here. As text, a report of several lines."""
+
+    title: str
+    """File, FMI version, kind, and the tool that made it."""
+    findings: tuple[Finding, ...]
+    """In the order of the report."""
+    advice: str
+    """How to start an importer."""
+
+    @property
+    def is_well(self) -> bool:
+        """Everything that was looked at is here."""
+        return all(finding.is_well for finding in self.findings)
+
+    def __str__(self) -> str:
+        lines = [f"  {'ok' if f.is_well else 'MISSING':7}  {f.subject:9}  {f.text}" for f in self.findings]
+        return "\n".join([self.title, *lines, "", self.advice])
+
+
+@dataclass(frozen=True)
+class _Library:
+    """What a shared library for Linux asks of the system."""
+
+    needed: tuple[str, ...]
+    """Libraries by name."""
+    glibc: str
+    """Least version; empty where none is asked for."""
+    has_open_python: bool
+    """It uses Python's functions and names no library that has them."""
+
+
+def diagnose(fmu: Path) -> Diagnosis:
+    """Examine an FMU of any FMI version, native or in Python.
+
+    Raises ModelDescriptionError where the file is no FMU or has no binary for this platform.
+    """
+    description = read_any(fmu)
+    with TemporaryDirectory(prefix="fmu-retune-") as folder:
+        unpack(fmu, folder)
+        identifiers = _identifiers(description)
+        binary = _binary(Path(folder), identifiers)
+        library = _read_library(binary) if sys.platform == "linux" else None
+        script = Path(folder, "resources", "slavemodule.txt")
+        is_python = script.is_file() or (library is not None and library.has_open_python)
+        findings = [_found(binary.relative_to(folder).as_posix(), identifiers, library)]
+        if library is not None:
+            findings += _libraries(binary, library)
+        libpython = find_libpython() if is_python else None
+        if is_python:
+            findings.append(_libpython(libpython))
+        if script.is_file():
+            findings.append(_modules(script))
+    tool = one_line(description.generationTool or "") or "a tool that it does not name"
+    title = f"{fmu}: FMI {description.fmiVersion} for {_kind(description)}, made by {tool}"
+    return Diagnosis(title, tuple(findings), _advice(is_python, libpython, "pythonfmu" in tool.lower()))
+
+
+def _kind(description: ModelDescription) -> str:
+    kinds = {"co-simulation": description.coSimulation, "model exchange": description.modelExchange}
+    return " and ".join(kind for kind, interface in kinds.items() if interface is not None) or "scheduled execution"
+
+
+def _identifiers(description: ModelDescription) -> list[str]:
+    interfaces: tuple[Any, ...] = (description.coSimulation, description.modelExchange, description.scheduledExecution)
+    return [str(interface.modelIdentifier) for interface in interfaces if interface is not None]
+
+
+def _binary(folder: Path, identifiers: list[str]) -> Path:
+    """The shared library of an FMU that has one for this platform; another, where none has the model's name."""
+    places = [folder / "binaries" / place for place in (fmpy.platform, fmpy.platform_tuple)]
+    found = [path for place in places for path in sorted(place.glob(f"*{fmpy.sharedLibraryExtension}"))]
+    return next((path for path in found if path.stem in identifiers), found[0])
+
+
+def _found(binary: str, identifiers: list[str], library: _Library | None) -> Finding:
+    if Path(binary).stem not in identifiers:
+        return Finding("binary", False, f"{' or '.join(identifiers)} by the model description, but here is {binary}")
+    if library is None and sys.platform == "linux":
+        return Finding("binary", False, f"{binary} is no shared library for Linux")
+    return Finding("binary", True, binary if library else f"{binary}, which is not examined on this platform")
+
+
+def _read_library(path: Path) -> _Library | None:
+    """None for what is no ELF file."""
+    try:
+        with path.open("rb") as file:
+            elf: Any = ELFFile(file)
+            dynamic, symbols = elf.get_section_by_name(".dynamic"), elf.get_section_by_name(".dynsym")
+            versions = elf.get_section_by_name(".gnu.version_r")
+            needed = tuple(tag.needed for tag in dynamic.iter_tags("DT_NEEDED")) if dynamic else ()
+            asked = [a.name for _, names in versions.iter_versions() for a in names] if versions else []
+            undefined = [s.name for s in symbols.iter_symbols() if s["st_shndx"] == "SHN_UNDEF"] if symbols else []
+    except (ELFError, ValueError, KeyError, AttributeError):  # a damaged file surprises the parser
+        return None
+    glibc = [tuple(map(int, name.removeprefix("GLIBC_").split("."))) for name in asked if re.match(r"GLIBC_\d", name)]
+    is_python = any(re.match(r"_?Py[A-Z_]", name) for name in undefined)
+    has_libpython = any(name.startswith("libpython") for name in needed)
+    return _Library(needed, ".".join(map(str, max(glibc, default=()))), is_python and not has_libpython)
+
+
+def _libraries(binary: Path, library: _Library) -> Iterator[Finding]:
+    here = platform.libc_ver()[1] or "not glibc"
+    if library.glibc:
+        is_enough = bool(re.match(r"\d", here)) and _numbers(here) >= _numbers(library.glibc)
+        yield Finding("glibc", is_enough, f"{library.glibc} or newer, here {here}")
+    if shutil.which("ldd"):
+        listing = subprocess.run(
+            ["ldd", binary], capture_output=True, text=True, errors="replace", env=os.environ | {"LC_ALL": "C"}
+        )
+        lines = (listing.stdout + listing.stderr).splitlines()
+        lacking = [one_line(line.split(": ", 1)[-1].split(" (", 1)[0]) for line in lines if "not found" in line]
+        if listing.returncode and not lacking:
+            lacking = [one_line(lines[-1].strip()) if lines else "ldd says nothing"]
+        names = ", ".join(library.needed) or "none"
+        yield Finding("libraries", not lacking, "; ".join(dict.fromkeys(lacking)) if lacking else names)
+
+
+def _numbers(text: str) -> tuple[int, ...]:
+    return tuple(map(int, re.findall(r"\d+", text)))
+
+
+def _libpython(path: str | None) -> Finding:
+    python = f"Python {platform.python_version()} in {sys.prefix}"
+    if path is None:
+        return Finding("libpython", False, f"none for {python}, which was built without a shared library")
+    return Finding("libpython", True, f"{path}, of {python}")
+
+
+class _Imports(ModuleFinder):
+    """Finds what is imported by its whole name; a relative import never leads out of the FMU."""
+
+    def import_hook(self, name: str, caller: Any = None, fromlist: Any = None, level: int = -1) -> Any:
+        try:
+            return super().import_hook(name, caller, fromlist, level)
+        except ImportError:
+            if level > 0:
+                return None
+            raise
+
+
+def _modules(script: Path) -> Finding:
+    """The packages that the FMU asks for, or else the modules that it imports and does not bring along.
+
+    Modules imported by a computed name are not seen.
+    """
+    requirements = script.with_name("requirements.txt")
+    if requirements.is_file():
+        return _requirements(requirements.read_text(encoding="utf-8", errors="replace"))
+    entry = script.with_name(f"{script.read_text(encoding='utf-8').strip()}.py")
+    finder = _Imports(path=[str(script.parent)])
+    try:
+        finder.run_script(str(entry))
+    except (OSError, SyntaxError, ValueError) as error:
+        return Finding("modules", False, f"{entry.name} cannot be read: {one_line(str(error))}")
+    own = {name.partition(".")[0] for name in finder.modules}
+    names = {name.partition(".")[0] for name in finder.any_missing()} - own - sys.stdlib_module_names
+    here = sorted(name for name in names if find_spec(name) is not None)
+    lacking = ", ".join(sorted(names - set(here)))
+    if lacking:
+        return Finding("modules", False, f"{lacking} cannot be imported in {sys.prefix}")
+    known = packages_distributions() if here else {}
+    versions = [f"{name} {version(known[name][0])}" if name in known else name for name in here]
+    return Finding("modules", True, ", ".join(versions) or "none but those of Python and its own")
+
+
+def _requirements(text: str) -> Finding:
+    """Packages by name; of versions and other conditions nothing is said."""
+    names = [match[0] for line in text.splitlines() if (match := re.match(r"\s*[A-Za-z][\w.-]*", line))]
+    found = {distribution.name.lower(): distribution.version for distribution in distributions()}
+    lacking = ", ".join(name for name in names if name.lower() not in found)
+    if lacking:
+        return Finding(
+            "modules", False, f"{lacking} not installed in {sys.prefix}; python -m pythonfmu deploy -f FMU does it"
+        )
+    return Finding("modules", True, ", ".join(f"{name} {found[name.lower()]}" for name in names) or "none")
+
+
+def _advice(is_python: bool, libpython: str | None, is_pythonfmu: bool) -> str:
+    if not is_python:
+        return "It is native: any importer loads it as it is."
+    if sys.platform != "linux" or libpython is None:
+        return "An importer that is Python itself loads it as it is."
+    path = f"{shlex.quote(str(Path(sys.executable).parent))}:$PATH"
+    command = ["env", f"LD_PRELOAD={shlex.quote(libpython)}", f"PATH={path}", *[_EXIT_OF_PYTHONFMU] * is_pythonfmu]
+    return (
+        "An importer that is Python itself loads it as it is, in this Python environment. Any other, on Linux:\n\n"
+        f"  {' '.join(command)} IMPORTER"
+    )

@@ -1,0 +1,184 @@
+"""A scenario written from what FMUs declare, for its author to look over: guesses are marked as such.
+
+`guess` in a comment is likely, `GUESS` is to be looked at, `FILL` is to be filled in.
+"""
+
+import os
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from ..errors import WiringError, one_line
+from ..fmi.component import Component, ModelVariable, read_component
+from ..fmi.table import is_table
+from .draft_estimation import described, estimation, parameter_pairs, parameters, sampling, unit_name
+from .guess import CONTROLLER, PLANT, REFERENCE, alike, best, guess_connections, have_one_unit, is_likely
+from .toml_lines import key, quoted, said
+
+_STOP_TIME, _MACRO_STEP = 10.0, 0.01  # s, where no FMU says any
+
+
+@dataclass(frozen=True)
+class Draft:
+    """The text of a scenario file."""
+
+    text: str
+
+    def lines(self, mark: str) -> list[tuple[int, str]]:
+        """Number and text of the lines with a mark: 'FILL', 'GUESS' or 'guess'."""
+        marked = re.compile(rf"#.*\b{mark}\b")
+        numbered = enumerate(self.text.splitlines(), 1)
+        return [(i, line) for i, line in numbered if i > len(_LEGEND) and marked.search(line)]
+
+
+def draft(fmus: Mapping[str, Path], folder: Path, model: str | None = None) -> Draft:
+    """A scenario in folder for a plant and, by the same keys, a controller and a reference.
+
+    model: `module:function` or a path of a model-exchange FMU; a plant that is one too is its own.
+    Raises ModelDescriptionError, ScenarioError, WiringError.
+    """
+    played = next((path for name, path in fmus.items() if name != REFERENCE and is_table(path)), None)
+    if played is not None:
+        raise WiringError(f"{played} is a table: only the reference can be one.")
+    components = {name: read_component(path) for name, path in fmus.items()}
+    if not components[PLANT].having("output"):
+        raise WiringError(f"{fmus[PLANT]} has no outputs: nothing of it can be tracked or measured.")
+    pairs = parameter_pairs(components)
+    description = components[PLANT].description
+    if model is None and description.modelExchange is not None and str(description.fmiVersion).startswith("3"):
+        model = str(fmus[PLANT])
+    is_fmu = model is not None and model.lower().endswith(".fmu")
+    if model is not None and is_fmu:
+        model = _relative(Path(model), folder)
+    blocks = [
+        _LEGEND,
+        _settings(components),
+        _components(components, folder),
+        _connections(components),
+        _changes(components, pairs),
+        _tracking(components),
+        sampling(components[PLANT]),
+        estimation(components[PLANT], model, pairs),
+        *parameters(components, pairs, is_fmu),
+    ]
+    return Draft("\n\n".join("\n".join(block) for block in blocks) + "\n")
+
+
+_LEGEND: Final = [
+    "# Written by `retune new` from what the FMUs declare. Look it over, then: retune check, retune run.",
+    "# guess: name and unit agree.  GUESS: look at it.  FILL: yours to say.",
+]
+
+
+def _settings(components: Mapping[str, Component]) -> list[str]:
+    stops = [(c.experiment["stop_time"], c.fmu.name) for c in _last_first(components) if "stop_time" in c.experiment]
+    steps = [(c.experiment["step_size"], c.fmu.name) for c in components.values() if "step_size" in c.experiment]
+    step, of_step = min((pair for pair in steps if pair[0] > 0.0), default=(_MACRO_STEP, ""))
+    stop, of_stop = next((pair for pair in stops if pair[0] > 0.0), (_STOP_TIME, ""))
+    stop = float(f"{max(1, round(stop / step)) * step:.12g}")
+    name = re.sub(r"[^A-Za-z0-9]+", "-", str(components[PLANT].description.modelName)).strip("-").lower()
+    return [
+        "[scenario]",
+        f"name = {quoted(name or 'scenario')}",
+        said(f"stop_time = {stop!r}", f"s, of {of_stop}" if of_stop else "s, GUESS"),
+        said(f"macro_step = {step!r}", f"s, of {of_step}" if of_step else "s, GUESS"),
+    ]
+
+
+def _last_first(components: Mapping[str, Component]) -> Iterator[Component]:
+    """A reference's own duration counts more than the plant's."""
+    for name in (REFERENCE, PLANT, CONTROLLER):
+        if name in components:
+            yield components[name]
+
+
+def _components(components: Mapping[str, Component], folder: Path) -> list[str]:
+    lines = ["[components]"]
+    for name in (PLANT, CONTROLLER, REFERENCE):
+        if name not in components:
+            file = 'table = "FILL.csv"' if name == REFERENCE else 'fmu = "FILL.fmu"'
+            what = "set points over time" if name == REFERENCE else "the FMU that is re-tuned"
+            lines.append(said(f"{name} = {{ {file} }}", f"FILL {what}"))
+            continue
+        component = components[name]
+        path = quoted(_relative(component.fmu, folder))
+        kind = "table" if is_table(component.fmu) else "fmu"
+        starts = [component.variables[state] for state in component.derivatives] if name == PLANT else []
+        given = [f"{key(v.name)} = {float(v.start)!r}" for v in starts if v.start is not None and _is_settable(v)]
+        start = f", start = {{ {', '.join(given)} }}" if given else ""
+        lines.append(f"{name} = {{ {kind} = {path}{start} }}")
+    return lines
+
+
+def _is_settable(v: ModelVariable) -> bool:
+    return v.initial in ("exact", "approx")
+
+
+def _connections(components: Mapping[str, Component]) -> list[str]:
+    lines = ["[connections]           # input = output"]
+    for guess in guess_connections(components):
+        name, _, variable = guess.target.partition(".")
+        unit = components[name].unit(variable)
+        of = f" [{unit.name}]" if unit else ""
+        if guess.source is None:
+            lines.append(
+                said(f'# {quoted(guess.target)} = ""', f"FILL{of}: {guess.reason}; as it is it stays at its start")
+            )
+        else:
+            mark = "guess" if guess.is_likely else "GUESS"
+            lines.append(said(f"{quoted(guess.target)} = {quoted(guess.source)}", f"{mark}{of}: {guess.reason}"))
+    return lines
+
+
+def _changes(components: Mapping[str, Component], pairs: list[tuple[ModelVariable, ModelVariable]]) -> list[str]:
+    lines = [said("[changes]", "FILL what happens to the plant: rows [time, value], or a formula in t")]
+    plant = components[PLANT]
+    stop = plant.experiment.get("stop_time", _STOP_TIME)
+    tunable = {v.name for v in plant.having("parameter", "tunable")}
+    for _, v in pairs:
+        if v.name in tunable and v.start is not None:
+            start = float(v.start)
+            other = 1.5 * start if start else 1.0
+            text = f"# {quoted(f'{PLANT}.{v.name}')} = [[0.0, {start!r}], [{stop / 3:.3g}, {other:.6g}]]"
+            lines.append(said(text, described(plant, v)))
+        elif v.name not in tunable:
+            lines.append(f"# {PLANT}.{one_line(v.name)} is fixed in {plant.fmu.name}: it cannot change in a run")
+    return lines
+
+
+def _tracking(components: Mapping[str, Component]) -> list[str]:
+    lines = ["[tracking]              # tracked output = its reference"]
+    plant, found = components[PLANT], []
+    reference = components.get(REFERENCE, plant)
+    if REFERENCE in components:
+        rates = set(plant.derivatives.values())
+        outputs = [(plant, v) for v in plant.having("output") if v.name not in rates]
+        for r in reference.having("output"):
+            tracked = best(r.name, reference, outputs)
+            if tracked is not None:
+                found.append((tracked, r))
+    for i, (tracked, r) in enumerate(found):
+        is_one = i == 0 or have_one_unit(plant, tracked.name, plant, found[0][0].name) is not False
+        text = f"{quoted(f'{PLANT}.{tracked.name}')} = {quoted(f'{REFERENCE}.{r.name}')}"
+        note = _told(reference, r, plant, tracked) if is_one else "possible too, in another unit"
+        lines.append(said(text if is_one else f"# {text}", f"[{unit_name(plant, tracked.name)}] {note}"))
+    if not found:
+        offered = ", ".join(one_line(v.name) for v in plant.having("output"))
+        lines.append(said('"plant.FILL" = "reference.FILL"', f"FILL; the plant's outputs are {offered}"))
+    return lines
+
+
+def _told(owner: Component, v: ModelVariable, other: Component, o: ModelVariable) -> str:
+    """How two variables were found to be one."""
+    how = alike(v.name, o.name)
+    mark = "guess" if is_likely(how, have_one_unit(owner, v.name, other, o.name)) else "GUESS"
+    return f"{mark}: {how}"
+
+
+def _relative(path: Path, folder: Path) -> str:
+    try:
+        return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
+    except ValueError:  # another drive
+        return path.resolve().as_posix()

@@ -1,0 +1,165 @@
+"""The part of a drafted scenario that is about sampling and estimation: see `draft`."""
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from typing import Final
+
+from ..errors import one_line
+from ..fmi.component import Component, ModelVariable
+from ..fmi.feedthrough import declared
+from ..fmi.ports import attribute
+from .guess import CONTROLLER, PLANT, alike, best
+from .toml_lines import quoted, said
+
+_NOISE: Final = 1e-3  # of the nominal value
+_WIDE: Final = 10.0  # a guessed bound is this many times the start value
+
+
+def parameter_pairs(components: Mapping[str, Component]) -> list[tuple[ModelVariable, ModelVariable]]:
+    """Tunable parameters of the controller, each with the parameter of the plant that it stands for."""
+    if CONTROLLER not in components:
+        return []
+    plant, controller = components[PLANT], components[CONTROLLER]
+    there = [(plant, v) for v in plant.having("parameter") if _is_real(v)]
+    own = [v for v in controller.having("parameter", "tunable") if _is_real(v) and not _is_gravity(controller, v)]
+    return [(v, its) for v in own if (its := best(v.name, controller, there)) is not None]
+
+
+def _is_real(v: ModelVariable) -> bool:
+    return v.type in ("Real", "Float64", "Float32")
+
+
+def sampling(plant: Component) -> list[str]:
+    """The derivatives that parameters or inputs enter; those of kinematics say nothing of a parameter."""
+    outputs = {v.name for v in plant.having("output")}
+    rates = {rate: state for state, rate in plant.derivatives.items() if rate in outputs}
+    telling = [rate for rate, depends in _dependencies(plant).items() if rate in rates and depends]
+    lines = ["[sampling.derivatives]  # what is measured, with the standard deviation of its noise"]
+    for rate in rates:
+        nominal = float(attribute(plant.variables[rate], "nominal") or 1.0)
+        text = f"{quoted(f'{PLANT}.{rate}')} = {{ noise = {_NOISE * abs(nominal):g} }}"
+        is_used = rate in telling or not telling
+        note = f"[{unit_name(plant, rate)}] " + ("GUESS of the noise" if is_used else "depends on states only")
+        lines.append(said(text if is_used else f"# {text}", note))
+    if not rates:
+        lines.append(said('"plant.FILL" = { noise = 1e-3 }', "FILL; no output is declared as a state's derivative"))
+    return lines
+
+
+def _dependencies(plant: Component) -> dict[str, bool]:
+    """Whether each output depends on inputs or parameters, as far as its FMU says; True where it does not."""
+    structure, enters = plant.description, {v.name for c in ("input", "parameter") for v in plant.having(c)}
+    lists = [declared(plant, u) for u in (structure.outputs, structure.derivatives, structure.initialUnknowns)]
+    found: dict[str, bool] = {}
+    for v in plant.having("output"):
+        known = [on for part in lists if (on := part[v.name]) is not None]
+        found[v.name] = not known or any(enters & set(on) for on in known)
+    return found
+
+
+def estimation(plant: Component, model: str | None, pairs: list[tuple[ModelVariable, ModelVariable]]) -> list[str]:
+    return [
+        "[estimation]",
+        *_model(plant, model, pairs),
+        said('trigger = { kind = "innovation" }', 'or { kind = "tracking", threshold = ... }: of the tracking error'),
+        said("budget = 30", "evaluations an episode"),
+        said("window = 10", "samples: more average more noise, fewer follow faster"),
+    ]
+
+
+def _model(plant: Component, model: str | None, pairs: list[tuple[ModelVariable, ModelVariable]]) -> list[str]:
+    if model is not None:
+        return [f"model = {quoted(model)}"]
+    states, inputs = list(plant.derivatives), [v.name for v in plant.having("input")]
+    arguments = ", ".join(["x", "u", *(identifier(v.name) for v, _ in pairs)])
+    return [
+        "# The plant's equations, a function in a Python file beside this one, plant_model.py:",
+        f"#   def derivative({arguments}):",
+        *(f"#       # x[{i}]: {_labelled(plant, name)}" for i, name in enumerate(states)),
+        *(f"#       # u[{i}]: {_labelled(plant, name)}" for i, name in enumerate(inputs)),
+        f"#       return ({', '.join(f'der_{identifier(name)}' for name in states)},)",
+        said('model = "plant_model:derivative"', "FILL"),
+    ]
+
+
+def _labelled(component: Component, name: str) -> str:
+    return f"{one_line(name)} [{unit_name(component, name)}]"
+
+
+def parameters(
+    components: Mapping[str, Component], pairs: list[tuple[ModelVariable, ModelVariable]], is_fmu: bool
+) -> Iterator[list[str]]:
+    """A table for each parameter that plant and controller share, comments on what else the controller offers.
+
+    is_fmu: the model is an FMU, whose parameters have the plant's names.
+    """
+    controller = components.get(CONTROLLER)
+    if controller is not None:
+        yield from (_parameter(controller, own, its, is_fmu) for own, its in pairs)
+    if not pairs:
+        yield [
+            "[[estimation.parameters]]",
+            said('name = "FILL"', "FILL the model's argument"),
+            said("lower = 0.1", "FILL"),
+            said("upper = 10.0", "FILL"),
+            said('unit = "1"', "FILL"),
+            said('writes = "controller.FILL"', "FILL a tunable parameter of the controller"),
+        ]
+    shared = [v.name for v, _ in pairs]
+    others = [v.name for v in controller.having("parameter", "tunable")] if controller else []
+    if names := ", ".join(one_line(name) for name in others if name not in shared):
+        yield [f"# Tunable in the controller too, but not estimated: {names}"]
+
+
+def _parameter(controller: Component, own: ModelVariable, its: ModelVariable, is_fmu: bool) -> list[str]:
+    low, high, notes = _bounds(own, its)
+    name = its.name if is_fmu else identifier(own.name)
+    lines = [
+        said("[[estimation.parameters]]", described(controller, own)),
+        f"name = {quoted(name)}",
+        said(f"lower = {low!r}", notes[0]),
+        said(f"upper = {high!r}", notes[1]),
+        f"unit = {quoted(attribute(own, 'unit') or '1')}",
+        f'scale = "{"log" if low > 0.0 and high >= 10.0 * low else "linear"}"',
+        f"writes = {quoted(f'{CONTROLLER}.{own.name}')}",
+    ]
+    if its.name != name:
+        lines.append(said(f"true = {quoted(f'{PLANT}.{its.name}')}", f"GUESS: {alike(own.name, its.name)}"))
+    return lines
+
+
+def _is_gravity(component: Component, v: ModelVariable) -> bool:
+    return v.start is not None and 9.7 < abs(float(v.start)) < 9.9 and unit_name(component, v.name) in ("m/s2", "m/s^2")
+
+
+def _bounds(own: ModelVariable, its: ModelVariable) -> tuple[float, float, tuple[str, str]]:
+    """Lower and upper bound, and where each is from: what both FMUs take, or a guess about the start value."""
+    lows = [float(x) for v in (own, its) if (x := attribute(v, "min")) is not None and math.isfinite(float(x))]
+    highs = [float(x) for v in (own, its) if (x := attribute(v, "max")) is not None and math.isfinite(float(x))]
+    start = float(own.start or its.start or 0.0)
+    wide = sorted(float(f"{x:.6g}") for x in (start / _WIDE, start * _WIDE)) if start else [-1.0, 1.0]
+    low = max(lows) if lows else wide[0]
+    high = min(highs) if highs else wide[1]
+    if low >= high:  # a guess that a declared bound has overtaken
+        low, high = (low, low + abs(low) + 1.0) if lows else (high - abs(high) - 1.0, high)
+    notes = (
+        "of the FMUs" if lows else "GUESS: none is declared",
+        "of the FMUs" if highs else "GUESS: none is declared",
+    )
+    return low, high, notes
+
+
+def described(component: Component, v: ModelVariable) -> str:
+    return f"[{unit_name(component, v.name)}] {one_line(v.description or '')}".rstrip()
+
+
+def unit_name(component: Component, name: str) -> str:
+    unit = component.unit(name)
+    return unit.name if unit else "1"
+
+
+def identifier(name: str) -> str:
+    """A name that can be a function's argument."""
+    plain = re.sub(r"\W+", "_", name).strip("_")
+    return plain if plain.isidentifier() else f"p_{plain}"

@@ -1,0 +1,158 @@
+"""What belongs together in FMUs that nobody has joined yet, guessed by names, units and roles.
+
+Names are compared by their words: `phiRef` and `phi_ref` are phi, ref. Words that only tell a variable's role are left
+out then, and the last words of a structured name count: `s_meas` is `mass.s`.
+"""
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from difflib import SequenceMatcher
+from typing import Final
+
+from ..fmi.component import Component, ModelVariable
+from ..units import IDENTITY, conversion
+
+PLANT, CONTROLLER, REFERENCE = "plant", "controller", "reference"
+"""Instance names."""
+
+_DESIRED: Final = {"ref", "reference", "set", "setpoint", "sp", "des", "desired", "target", "goal"}
+_ROLES: Final = _DESIRED | {"cmd", "command", "meas", "measured", "act", "actual", "sensor", "held", "in", "out"}
+_WORDS: Final = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+")
+_LIKE: Final = 0.75  # of SequenceMatcher: `position` and `pos` are 0.55, `force` and `force1` 0.91
+
+SAME, SAME_WORDS, LAST_WORDS, LIKE, ONLY_UNIT = (
+    "same name",
+    "same words",
+    "same last words",
+    "similar name",
+    "only unit",
+)
+_ORDER: Final = (SAME, SAME_WORDS, LAST_WORDS, LIKE)
+
+
+@dataclass(frozen=True)
+class Guess:
+    """An input and what may belong to it."""
+
+    target: str
+    """The input, `component.variable`."""
+    source: str | None
+    """The output, or None where nothing fits."""
+    reason: str
+    """How they are alike, or why there is none."""
+    is_likely: bool
+    """Name and unit agree; otherwise somebody should look at it."""
+
+
+def guess_connections(components: Mapping[str, Component]) -> list[Guess]:
+    """A guess for every input, those of the controller first."""
+    guesses: dict[str, Guess] = {}
+    for name in (CONTROLLER, PLANT, REFERENCE):
+        for v in components[name].having("input") if name in components else ():
+            guess = _guess(name, v, components)
+            guesses[guess.target] = guess
+    used = {g.source for g in guesses.values()}
+    for target, guess in guesses.items():
+        if guess.source is None:
+            guesses[target] = _by_unit(guess, used, components)
+    return list(guesses.values())
+
+
+def alike(name: str, other: str) -> str | None:
+    """How two names are alike: one of the constants above, or None."""
+    if name == other:
+        return SAME
+    words, others = _stem(name), _stem(other)
+    if words == others:
+        return SAME_WORDS
+    short, long = sorted((words, others), key=len)
+    if short and long[-len(short) :] == short and "der" not in long[: -len(short)]:
+        return LAST_WORDS
+    is_like = SequenceMatcher(None, " ".join(words), " ".join(others)).ratio() >= _LIKE
+    return LIKE if is_like and ("der" in words) == ("der" in others) else None
+
+
+def have_one_unit(a: Component, name: str, b: Component, other: str) -> bool | None:
+    """Whether two variables are in the same unit; None where that is not known."""
+    units = a.unit(name), b.unit(other)
+    if None in units:
+        return None
+    try:
+        return conversion(*units) == IDENTITY
+    except ValueError:
+        return False if all(u is not None and u.exponents is not None for u in units) else None
+
+
+def best(name: str, owner: Component, others: Iterable[tuple[Component, ModelVariable]]) -> ModelVariable | None:
+    """The variable that a name stands for in another FMU: alike up to the last words, and in no other unit."""
+    found: list[tuple[int, ModelVariable]] = []
+    for component, v in others:
+        how = alike(name, v.name)
+        if how in (SAME, SAME_WORDS, LAST_WORDS) and have_one_unit(owner, name, component, v.name) is not False:
+            found.append((_ORDER.index(how), v))
+    return min(found, key=lambda pair: pair[0])[1] if found else None
+
+
+def is_likely(how: str | None, has_one_unit: bool | None) -> bool:
+    """Whether nobody needs to look at a guess: the names have the same words, and the units are known to be one."""
+    return how in (SAME, SAME_WORDS) and bool(has_one_unit)
+
+
+def is_desired(name: str) -> bool:
+    """Whether a name is that of a set point: phi_ref, r_d_x."""
+    words = _words(name)
+    return bool(_DESIRED & set(words)) or "d" in words[1:]
+
+
+def _guess(name: str, v: ModelVariable, components: Mapping[str, Component]) -> Guess:
+    target = f"{name}.{v.name}"
+    found: list[tuple[bool, int, int, float, str, str, bool]] = []
+    for role, other in enumerate(_sources(name, v.name)):
+        for o in components[other].having("output") if other in components else ():
+            how, unit = alike(v.name, o.name), have_one_unit(components[name], v.name, components[other], o.name)
+            if how is None or unit is False:
+                continue
+            ratio = SequenceMatcher(None, v.name, o.name).ratio()
+            reason = f"{how}, {'same unit' if unit else 'no unit to compare'}"
+            is_crossed = is_desired(v.name) != is_desired(o.name)  # a measurement and a set point
+            found.append(
+                (is_crossed, _ORDER.index(how), role, -ratio, f"{other}.{o.name}", reason, is_likely(how, unit))
+            )
+    if not found:
+        return Guess(target, None, "no output has a name like it", False)
+    found.sort()
+    source, reason, likely = found[0][4:]
+    rival = next((f"; or {other[4]}" for other in found[1:] if other[:3] == found[0][:3]), "")
+    return Guess(target, source, reason + rival, likely and not rival)
+
+
+def _sources(name: str, variable: str) -> tuple[str, ...]:
+    """Whose outputs an input may be, the likeliest first."""
+    if name == CONTROLLER:
+        return (REFERENCE, PLANT) if is_desired(variable) else (PLANT, REFERENCE)
+    return (CONTROLLER,) if name == PLANT else (PLANT,)
+
+
+def _by_unit(guess: Guess, used: Iterable[str | None], components: Mapping[str, Component]) -> Guess:
+    """The only output left that is in the input's unit."""
+    name, _, variable = guess.target.partition(".")
+    other = _sources(name, variable)[0]
+    free = [
+        f"{other}.{o.name}"
+        for o in (components[other].having("output") if other in components else ())
+        if f"{other}.{o.name}" not in used and have_one_unit(components[name], variable, components[other], o.name)
+    ]
+    if len(free) != 1:
+        return guess
+    return Guess(guess.target, free[0], "the only output left in this unit, by another name", False)
+
+
+def _words(name: str) -> list[str]:
+    return [word.lower() for word in _WORDS.findall(name)]
+
+
+def _stem(name: str) -> list[str]:
+    """The words that say what it is."""
+    words = _words(name)
+    return [w for i, w in enumerate(words) if w not in _ROLES and not (i and w == "d")] or words

@@ -1,0 +1,1 @@
+"""The loop as an FMU for other masters."""

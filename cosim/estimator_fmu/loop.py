@@ -1,0 +1,116 @@
+"""The loop of `reconfigure` made from an estimator FMU's settings and parameters. Needs NumPy, SciPy and GPy."""
+
+import importlib
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any
+
+import numpy as np
+
+from estimator import METHODS, DerivativeResidual, LinearForm, Parameter, ParameterSpace, Sample
+
+from ..reconfigure import (
+    AlwaysTrigger,
+    Budget,
+    InnovationTrigger,
+    TrackingTrigger,
+    Trigger,
+    make_retuner,
+)
+
+try:
+    from threadpoolctl import ThreadpoolController
+except ImportError:
+    _threads = None
+else:
+    _threads = ThreadpoolController()
+
+
+class EstimatorLoop:
+    """Takes a sample at each communication point; holds what is in force, how well it is known, and the counts."""
+
+    def __init__(self, settings: Mapping[str, Any], value: Callable[[str], float]) -> None:
+        """settings: see `estimator_fmu`; value: the FMU's parameters by name. Raises ValueError for unsound ones."""
+        names = [p["name"] for p in settings["parameters"]]
+        space = ParameterSpace(
+            tuple(
+                Parameter(p["name"], value(f"{p['name']}_lower"), value(f"{p['name']}_upper"), p["unit"], p["scale"])
+                for p in settings["parameters"]
+            )
+        )
+        start = np.array([value(f"{name}_start") for name in names])
+        for p, theta in zip(space, start.tolist(), strict=True):
+            if not p.lower <= theta <= p.upper:
+                raise ValueError(f"{p.name}_start must be in [{p.lower:g}, {p.upper:g}] {p.unit}, got {theta:g}.")
+        derivatives = settings["derivatives"]
+        whitened = DerivativeResidual(
+            _load(settings["model"], settings["ships"]),
+            space,
+            tuple(d["channel"] for d in derivatives),
+            tuple(value(d["noise_name"]) for d in derivatives),
+        )
+        method = METHODS[settings["method"]]
+        # As `run` spawns them: the noise's stream, which is the sampling's here, and the search's.
+        rng = np.random.default_rng(np.random.SeedSequence(int(value("seed"))).spawn(2)[1])
+        self._retuner = make_retuner(
+            method.estimator(space, start, rng, method.settings(**settings["settings"])),
+            whitened,
+            _trigger(settings["trigger"], whitened, value),
+            Budget(value("budget"), int(value("evaluations_per_step")), settings["commit"]),
+            int(value("window")),
+            start,
+            LinearForm(space, *(_load(r, settings["ships"]) for r in settings["linear"]))
+            if settings["linear"]
+            else None,
+        )
+        self._theta, self._std = start, np.array([p.upper - p.lower for p in space])
+        self._is_identifiable: Sequence[bool] = (False,) * len(space)
+        self._is_updated = False
+        self._is_first = True
+
+    def step(
+        self, t: float, x: Sequence[float], u: Sequence[float], xdot: Sequence[float], tracking_error: float
+    ) -> None:
+        """Take the sample at t [s], but as in `run` for the first one; tracking_error: the norm."""
+        sample = Sample(t, tuple(x), tuple(u), tuple(xdot))
+        with _one_thread():
+            decision = self._retuner.step(t, None if self._is_first else sample, tracking_error)
+        self._is_first = False
+        if decision.estimate is not None:
+            self._std, self._is_identifiable = decision.estimate.std, decision.estimate.is_identifiable
+        if decision.write is not None:
+            self._theta, self._is_updated = decision.write, True
+
+    @property
+    def outputs(self) -> list[float]:
+        """What is in force, its standard deviations and flags, evaluations, episodes, whether there was an update."""
+        counts = (self._retuner.n_evaluations, self._retuner.n_episodes, self._is_updated)
+        return [*self._theta.tolist(), *self._std.tolist(), *self._is_identifiable, *counts]
+
+
+def _one_thread() -> AbstractContextManager[Any]:
+    """The number of BLAS threads changes bits, and a second one makes it slower."""
+    return nullcontext() if _threads is None else _threads.limit(limits=1)
+
+
+def module_of(reference: str, shipped: Sequence[str]) -> str:
+    """The module in `module:name`; one that is shipped has the suffix of this package's name in the FMU."""
+    module = reference.partition(":")[0]
+    top, dot, rest = module.partition(".")
+    return (
+        f"{top}{(__package__ or '').partition('.')[0].removeprefix('cosim')}{dot}{rest}" if top in shipped else module
+    )
+
+
+def _load(reference: str, shipped: Sequence[str]) -> Callable[..., Any]:
+    return getattr(importlib.import_module(module_of(reference, shipped)), reference.partition(":")[2])
+
+
+def _trigger(kind: str, whitened: DerivativeResidual, value: Callable[[str], float]) -> Trigger:
+    match kind:
+        case "innovation":
+            return InnovationTrigger(whitened, value("false_alarm"))
+        case "tracking":
+            return TrackingTrigger(value("threshold"))
+        case _:
+            return AlwaysTrigger()

@@ -1,0 +1,189 @@
+"""The estimator as an FMU: the loop of `reconfigure` behind the FMI calls of `fmu_models.slave`.
+
+It is shipped inside the FMU, and loads nothing but the standard library and pythonfmu before it has been seen that the
+rest is there. One communication point is one sample: inputs are what the plant's outputs are at that time.
+"""
+
+import importlib
+import pickle
+import platform
+import sys
+from collections.abc import Mapping
+from math import hypot
+from typing import Any, ClassVar
+from xml.etree.ElementTree import Element
+
+from pythonfmu import DefaultExperiment
+
+from fmu_models.description import Variable, input_variable, output, parameter
+from fmu_models.slave import Slave
+
+_LARGEST_INTEGER = 2**31 - 1
+
+
+def variable_table(settings: Mapping[str, Any]) -> tuple[Variable, ...]:
+    """The variables of an estimator FMU; settings: see `estimator_fmu`."""
+    return (*_parameters(settings), *_inputs(settings), *_outputs(settings)) if settings else ()
+
+
+class EstimatorSlave(Slave):
+    """Estimates a plant's parameters from its sampled states, held inputs and derivatives."""
+
+    has_feedthrough = False
+    settings: ClassVar[Mapping[str, Any]] = {}
+    """What to estimate, of what and how; made by `estimator_fmu`."""
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        cls.table = variable_table(cls.settings)
+        cls.default_experiment = DefaultExperiment(*cls.settings["experiment"])
+        super().__init_subclass__(**kwargs)
+        cls._place = {v.name: i for i, v in enumerate(cls.variables)}
+        derivatives = [d["name"] for d in cls.settings["derivatives"]]
+        cls._x, cls._u, cls._xdot = (
+            [cls._place[name] for name in names]
+            for names in ([s["name"] for s in cls.settings["states"]], cls.settings["held"], derivatives)
+        )
+        cls._tracked = [(cls._place[a], cls._place[b]) for a, b in cls.settings["tracking"]]
+
+    def _prepare(self) -> None:
+        """Load what is needed. Raises RuntimeError, which a host gets as a failed instantiation and a log message."""
+        for package in self.settings["requires"]:
+            self._require(package)
+        loop = importlib.import_module(".loop", __package__)
+        for reference in (self.settings["model"], *(self.settings["linear"] or ())):
+            self._require(loop.module_of(reference, self.settings["ships"]))
+        self._loop_type = loop.EstimatorLoop
+
+    def _enter(self, is_initialized: bool) -> None:
+        super()._enter(is_initialized)
+        if is_initialized:
+            self._must_be_in_range()
+            self._loop = self._loop_type(self.settings, lambda name: self._values[self._place[name]])
+
+    def _refresh(self) -> None:
+        if not self._is_initialized:
+            start = [self._values[self._place[f"{p['name']}_start"]] for p in self.settings["parameters"]]
+            widths = [
+                self._values[self._place[f"{p['name']}_upper"]] - self._values[self._place[f"{p['name']}_lower"]]
+                for p in self.settings["parameters"]
+            ]
+            self._values[self._outputs] = [*start, *widths, *(False for _ in start), 0, 0, False]
+
+    def _advance(self, step_size: float) -> None:
+        values = self._values
+        x, u, xdot = ([values[i] for i in places] for places in (self._x, self._u, self._xdot))
+        if values[self._place["tracking_error_is_input"]]:
+            error = abs(values[self._place["tracking_error"]])
+        else:
+            error = hypot(*(values[a] - values[b] for a, b in self._tracked))
+        self._loop.step(self._time - step_size, x, u, xdot, error)
+        values[self._outputs] = self._loop.outputs
+
+    def _get_fmu_state(self) -> Any:
+        """Variables and search, for this process only: to restore the search from bytes would be to run them."""
+        loop = pickle.dumps(self._loop) if self._is_initialized else None
+        return super()._get_fmu_state(), loop
+
+    def _set_fmu_state(self, state: Any) -> None:
+        variables, loop = state
+        super()._set_fmu_state(variables)
+        if loop is not None:
+            self._loop = pickle.loads(loop)
+
+    def to_xml(self, model_options: dict[str, str] | None = None) -> Element:
+        """The model description."""
+        return super().to_xml({"canSerializeFMUstate": "false"})
+
+    def _require(self, module: str) -> None:
+        try:
+            importlib.import_module(module)
+        except Exception as e:  # a broken installation raises anything
+            packages = self.settings["requires"]
+            where = f"Python {platform.python_version()} in {sys.prefix}"
+            raise RuntimeError(
+                f"{self.modelName} needs {', '.join(packages)} in the Python that loads it, {where}: "
+                f"{module} cannot be imported, {type(e).__name__}: {e}. "
+                f"Install them there: python -m pip install {' '.join(packages)}"
+            ) from e
+
+    def _must_be_in_range(self) -> None:
+        for v, value in zip(self.variables, self._values[self._parameters], strict=False):
+            lower, upper = v.min, v.max
+            if (lower is not None and value < lower) or (upper is not None and value > upper):
+                raise ValueError(f"{self.modelName}: {v.name} must be in [{lower}, {upper}], got {value:g}.")
+
+
+def _parameters(settings: Mapping[str, Any]) -> list[Variable]:
+    loop = settings["loop"]
+    table: list[Variable] = []
+    for p in settings["parameters"]:
+        name, unit = p["name"], p["fmi_unit"]
+        table += [
+            _fixed(f"{name}_lower", unit, p["lower"], f"Lower bound of {name}"),
+            _fixed(f"{name}_upper", unit, p["upper"], f"Upper bound of {name}"),
+            _fixed(f"{name}_start", unit, p["start"], f"Estimate of {name} before the first update"),
+        ]
+    for d in settings["derivatives"]:
+        text = f"Standard deviation of the noise on {d['name']}, by which its residual is weighed"
+        table.append(_fixed(d["noise_name"], d["unit"], d["noise"], text, min=sys.float_info.min))
+    if settings["trigger"] == "tracking":
+        text = "Tracking error at which an episode of estimation begins"
+        table.append(_fixed("threshold", settings["tracking_unit"], loop["threshold"], text, min=sys.float_info.min))
+    elif settings["trigger"] == "innovation":
+        text = "Probability that a sample begins an episode of estimation although nothing has changed"
+        table.append(_fixed("false_alarm", "1", loop["false_alarm"], text, min=sys.float_info.min, max=1.0 - 2**-53))
+    counts = (
+        ("budget", "Evaluations an episode", 1),
+        ("evaluations_per_step", "Evaluations a step", 1),
+        ("window", "Most samples that a residual is taken over", 1),
+        ("seed", "Seed of the search: the same inputs and seed give the same estimates", 0),
+    )
+    for name, text, least in counts:
+        table.append(_fixed(name, None, loop[name], text, type="Integer", min=least, max=_LARGEST_INTEGER))
+    text = "Take the input tracking_error instead of the difference of tracked outputs and references"
+    return [*table, _fixed("tracking_error_is_input", None, False, text)]
+
+
+def _inputs(settings: Mapping[str, Any]) -> list[Variable]:
+    return [
+        *(input_variable(s["name"], s["unit"], s["start"], f"Sampled state {s['name']}") for s in settings["states"]),
+        *(
+            input_variable(held, i["unit"], i["start"], f"{i['name']} as held over the last step")
+            for held, i in zip(settings["held"], settings["inputs"], strict=True)
+        ),
+        *(input_variable(d["name"], d["unit"], 0.0, "Sampled derivative") for d in settings["derivatives"]),
+        *(input_variable(v["name"], v["unit"], v["start"], v["text"]) for v in settings["watched"]),
+        input_variable(
+            "tracking_error", settings["tracking_unit"], 0.0,
+            "Norm of the tracking error, where tracking_error_is_input",
+        ),
+    ]  # fmt: skip
+
+
+def _outputs(settings: Mapping[str, Any]) -> list[Variable]:
+    parameters = [(p["name"], p["fmi_unit"]) for p in settings["parameters"]]
+
+    def real(name: str, unit: str, text: str, *depends: str) -> Variable:
+        return output(name, unit, text, depends=depends, variability="discrete")
+
+    def counted(name: str, text: str) -> Variable:
+        return output(name, None, f"{text} so far", depends=(), type="Integer")
+
+    def flag(name: str, text: str) -> Variable:
+        return output(name, None, text, depends=(), type="Boolean")
+
+    return [
+        *(real(name, unit, f"Estimate of {name}, the latest update", f"{name}_start") for name, unit in parameters),
+        *(
+            real(f"{name}_std", unit, f"Standard deviation of {name}", f"{name}_lower", f"{name}_upper")
+            for name, unit in parameters
+        ),
+        *(flag(f"{name}_identifiable", f"Whether the data fix {name}") for name, _ in parameters),
+        counted("n_evaluations", "Evaluations"),
+        counted("n_episodes", "Episodes of estimation"),
+        flag("update_ready", "Whether the estimates have been updated since the start"),
+    ]
+
+
+def _fixed(name: str, unit: str | None, start: float | bool, text: str, **options: Any) -> Variable:
+    return parameter(name, unit, start, text, variability="fixed", **options)

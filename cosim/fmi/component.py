@@ -1,0 +1,71 @@
+"""An FMU as an element of a system: its file, its variables and its units."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from fmpy.model_description import ModelDescription
+from fmpy.model_description import ModelVariable as ModelVariable
+
+from ..errors import ModelDescriptionError
+from ..units import Unit, defined_units
+from .archive import read_description
+from .ports import is_numeric
+from .table import describe, is_table, read_table
+
+_EXPERIMENT = {"startTime": "start_time", "stopTime": "stop_time", "stepSize": "step_size", "tolerance": "tolerance"}
+
+
+@dataclass(frozen=True)
+class Component:
+    """An FMU in a system."""
+
+    fmu: Path
+    """Its file, or a table's."""
+    description: ModelDescription
+    """Its model description."""
+    variables: Mapping[str, ModelVariable]
+    """By name."""
+    units: Mapping[str, Unit]
+    """What the FMU says of its units."""
+
+    def having(self, causality: str, variability: str | None = None) -> list[ModelVariable]:
+        """Variables of a causality and, where given, a variability; what has no number left out."""
+        return [
+            v
+            for v in self.variables.values()
+            if v.causality == causality and variability in (None, v.variability) and is_numeric(v)
+        ]
+
+    @property
+    def derivatives(self) -> dict[str, str]:
+        """The declared derivative of each continuous state, by the state's name, in the order of the states."""
+        rates = {v.derivative.name: v.name for v in self.variables.values() if v.derivative is not None}
+        return {name: rates[name] for name in self.variables if name in rates}
+
+    @property
+    def experiment(self) -> dict[str, float]:
+        """The default experiment's start_time, stop_time, step_size [s] and tolerance, as far as they are declared."""
+        found = {name: getattr(self.description.defaultExperiment, key, None) for key, name in _EXPERIMENT.items()}
+        return {name: float(value) for name, value in found.items() if value is not None}
+
+    def unit(self, variable: str) -> Unit | None:
+        """Unit of a variable, where it has one."""
+        v = self.variables[variable]
+        name = v.unit or (v.declaredType.unit if v.declaredType is not None else None)
+        return self.units.get(name, Unit(name)) if name else None
+
+
+def read_component(fmu: Path) -> Component:
+    """An FMU, or a table, as an element of a system. Raises ModelDescriptionError, ScenarioError for a bad table."""
+    return component_of(fmu, describe(fmu, read_table(fmu)) if is_table(fmu) else read_description(fmu))
+
+
+def component_of(fmu: Path, description: ModelDescription) -> Component:
+    """An FMU whose description has been read. Raises ModelDescriptionError for a unit that is none."""
+    variables = {v.name: v for v in description.modelVariables}
+    try:
+        units = defined_units(description.unitDefinitions)
+    except ValueError as e:
+        raise ModelDescriptionError(f"{fmu}: {e}.") from e
+    return Component(fmu, description, variables, units)

@@ -1,0 +1,247 @@
+"""Offline estimation: parameters of a plant FMU from logs of what was measured."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+
+from estimator import Parameter, ParameterSpace, Vector
+from estimator.offline import OFFLINE, Fit, NoFitError, Progress, fit
+from estimator.space import Scale
+
+from ..errors import CosimError, WiringError
+from ..fmi.component import Component, read_component
+from ..fmi.ports import Catalogue
+from .log_windows import Cut, LogWindow, Signals, windows_of
+from .logs import LogError, read_log
+from .rollout import Plant, RolloutResidual, Rollouts, noise_of
+
+HOLDOUT = 0.25
+"""Share of each log's rows, the last ones, that parameters are not fitted to."""
+
+
+class EstimateError(CosimError):
+    """Parameters cannot be sought as asked."""
+
+
+class FailedError(CosimError):
+    """Every roll-out failed."""
+
+
+@dataclass(frozen=True)
+class Sought:
+    """A parameter to estimate, as the user asks for it; its unit is the FMU's."""
+
+    name: str
+    lower: float
+    upper: float
+    scale: Scale = "linear"
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to estimate, and from what."""
+
+    fmu: Path
+    logs: tuple[Path, ...]
+    parameters: tuple[Sought, ...]
+    measured: Mapping[str, str]
+    """Column by output of the FMU."""
+    inputs: Mapping[str, str] = field(default_factory=dict[str, str])
+    """Column by input of the FMU."""
+    start: Mapping[str, str | float] = field(default_factory=dict[str, "str | float"])
+    """Column or value by variable: a state at the start of each window, or a parameter that is known."""
+    noise: Mapping[str, float] = field(default_factory=dict[str, float])
+    """Standard deviation by output, in its unit; estimated from the log where absent."""
+    time: str | None = None
+    """Column of time stamps."""
+    windows: tuple[Cut, ...] = ()
+    """Parts of each log to use [s]; none: all of it."""
+    validation: tuple[Path, ...] = ()
+    """Logs that are held out as a whole."""
+    holdout: float | None = None
+    """Share of each log that is held out; None: `HOLDOUT`, or 0 where there are logs for validation."""
+    step: float | None = None
+    """Communication step [s]; None: from row to row."""
+    method: str = "target"
+    evaluations: int = 60
+    """Candidates that the search may simulate."""
+    seed: int = 0
+    jobs: int = 1
+    """Roll-outs at a time."""
+    timeout: float = 10.0
+    """Time that each call of the FMU may take [s]."""
+
+    def __post_init__(self) -> None:
+        if self.method not in OFFLINE:
+            raise EstimateError(f"no method '{self.method}' for a log; there are {', '.join(OFFLINE)}.")
+        if not (self.measured and self.parameters and self.logs):
+            raise EstimateError("a log, a --parameter and a --measured output are needed, or more.")
+        if self.step is not None and not 0.0 < self.step < np.inf:
+            raise EstimateError(f"--step must be positive, got {self.step:g} s.")
+        if not 0.0 < self.timeout < np.inf:
+            raise EstimateError(f"--timeout must be positive, got {self.timeout:g} s.")
+        if self.holdout is not None and not 0.0 <= self.holdout < 1.0:
+            raise EstimateError(f"--holdout must be from 0 to below 1, got {self.holdout:g}.")
+        if low_high := next((w for w in self.windows if not w[0] < w[1]), None):
+            raise EstimateError(f"--window must be FROM:TO with FROM < TO, got {low_high[0]:g}:{low_high[1]:g}.")
+        bad = next((name for name, s in self.noise.items() if not (0.0 < s < np.inf and name in self.measured)), None)
+        if bad is not None:
+            raise EstimateError(f"--noise {bad} must be positive, and of a measured output.")
+
+
+@dataclass(frozen=True)
+class Estimation:
+    """What was estimated, and how well the plant then explains the logs."""
+
+    request: Request
+    component: Component
+    space: ParameterSpace
+    nominal: Vector
+    """Values (d,) before: the FMU's own, or the user's."""
+    fit: Fit
+    windows: tuple[LogWindow, ...]
+    noise: Vector
+    """Standard deviation (c,) of each output's noise."""
+    before: tuple[Vector | None, ...]
+    """Outputs (n, c) with the nominal parameters, by window; None where the simulation fails."""
+    after: tuple[Vector | None, ...]
+    """Outputs (n, c) with the estimated parameters, by window."""
+    warnings: tuple[str, ...]
+    """What was passed over in the logs."""
+    evaluations: tuple[tuple[Vector, float, str | None], ...]
+    """theta, sum of squares and, of one that failed, the reason: of each candidate, in order."""
+    seconds: float
+    """Time that it took."""
+
+    @property
+    def failures(self) -> Mapping[str, int]:
+        """How many candidates failed, by reason."""
+        return Counter(reason for _, _, reason in self.evaluations if reason is not None)
+
+    def rms(self, outputs: Sequence[Vector | None], is_held_out: bool) -> Vector:
+        """Root mean square error (c,) over the rows fitted to or those held out; NaN where there are none."""
+        errors = [
+            (y - w.measured)[w.n_fit :] if is_held_out else (y - w.measured)[: w.n_fit]
+            for y, w in zip(outputs, self.windows, strict=True)
+            if y is not None
+        ]
+        columns = np.concatenate(errors).T if errors else np.empty((len(self.noise), 0))
+        known = [e[np.isfinite(e)] for e in columns]
+        return np.array([np.sqrt(np.mean(e * e)) if len(e) else np.nan for e in known])
+
+
+def estimate(request: Request, progress: Progress = lambda n, cost: None) -> Estimation:
+    """Parameters of a plant FMU from logs.
+
+    Raises CosimError in one line for what is refused, FailedError where no roll-out succeeds.
+    """
+    began = perf_counter()
+    component = read_component(request.fmu)
+    space, nominal = _space(request, component)
+    signals = _signals(request, component)
+    windows, warnings = _windows(request, signals, component)
+    noise = _noise(request, windows)
+    constants = {name: float(value) for name, value in request.start.items() if not isinstance(value, str)}
+    plant = Plant(request.fmu, tuple(request.inputs), tuple(request.measured), constants, request.step, request.timeout)
+    with Rollouts(plant, component, windows, request.jobs) as rollouts:
+        residual = RolloutResidual(rollouts, space, windows, noise)
+        if residual.n_residuals <= len(space):
+            raise EstimateError(
+                f"{residual.n_residuals} measured values are too few for {len(space)} parameters; hold less of it out."
+            )
+        rng = np.random.default_rng(request.seed)
+        try:
+            found = fit(residual, space, nominal, request.method, request.evaluations, rng, progress)
+        except NoFitError as e:
+            raise FailedError(f"every roll-out failed, the first so: {residual.evaluations[0][2]}.") from e
+        named = [space.named(nominal), space.named(found.theta)]
+        before, after = ([r.outputs for r in row] for row in rollouts.simulate(named, is_whole=True))
+    return Estimation(
+        request,
+        component,
+        space,
+        nominal,
+        found,
+        tuple(windows),
+        noise,
+        tuple(before),
+        tuple(after),
+        tuple(warnings),
+        tuple(residual.evaluations),
+        perf_counter() - began,
+    )
+
+
+def _space(request: Request, component: Component) -> tuple[ParameterSpace, Vector]:
+    """The parameters with their units, and their values before. Raises CosimError."""
+    catalogue = Catalogue(request.fmu.name, component.description.modelVariables)
+    parameters: list[Parameter] = []
+    nominal: list[float] = []
+    for p in request.parameters:
+        port = catalogue.start_port(p.name, p.lower)
+        if (kind := port.variables[0].type) not in ("Real", "Float64", "Float32"):
+            raise WiringError(
+                f"'{p.name}' of {request.fmu.name} is of type {kind}; only real numbers can be estimated."
+            )
+        if problem := port.problem([p.lower]) or port.problem([p.upper]):
+            raise EstimateError(f"bounds of {request.fmu.name}: {problem}.")
+        unit = component.unit(p.name)
+        try:
+            parameters.append(Parameter(p.name, p.lower, p.upper, unit.name if unit else "1", p.scale))
+        except ValueError as e:
+            raise EstimateError(str(e).rstrip(".") + ".") from e
+        given = request.start.get(p.name, component.variables[p.name].start)
+        if isinstance(given, str) and p.name in request.start:
+            raise EstimateError(f"'{p.name}' is to be estimated: --start may give it a value, not column '{given}'.")
+        nominal.append(float(given) if given is not None else (p.lower + p.upper) / 2.0)
+    try:
+        space = ParameterSpace(tuple(parameters))
+    except ValueError as e:
+        raise EstimateError(str(e)) from e
+    return space, np.clip(nominal, [p.lower for p in parameters], [p.upper for p in parameters])
+
+
+def _signals(request: Request, component: Component) -> Signals:
+    """Which column is what, the FMU's side of it checked. Raises CosimError."""
+    catalogue = Catalogue(request.fmu.name, component.description.modelVariables)
+    catalogue.ports("input", tuple(request.inputs))
+    catalogue.ports("output", tuple(request.measured))
+    for name, value in request.start.items():
+        port = catalogue.start_port(name, 0.0 if isinstance(value, str) else value)
+        if not isinstance(value, str) and (problem := port.problem([value])):
+            raise EstimateError(f"--start of {request.fmu.name}: {problem}.")
+        if name in request.inputs:
+            raise EstimateError(f"input '{name}' starts as its column does; leave out its --start.")
+    columns = {name: value for name, value in request.start.items() if isinstance(value, str)}
+    return Signals(request.inputs, request.measured, columns, request.time)
+
+
+def _windows(request: Request, signals: Signals, component: Component) -> tuple[list[LogWindow], list[str]]:
+    """The windows of all logs, those of validation logs held out, and warnings. Raises LogError."""
+    holdout = request.holdout if request.holdout is not None else 0.0 if request.validation else HOLDOUT
+    windows: list[LogWindow] = []
+    warnings: list[str] = []
+    for paths, cuts, share in ((request.logs, request.windows, holdout), (request.validation, (), 1.0)):
+        for path in paths:
+            more, told = windows_of(read_log(path), signals, component, cuts, share)
+            windows += more
+            warnings += told
+    if not any(w.n_fit for w in windows):
+        raise LogError("no rows are left to fit to; give a smaller --holdout.")
+    return windows, warnings
+
+
+def _noise(request: Request, windows: Sequence[LogWindow]) -> Vector:
+    """Standard deviation (c,) of each output's noise, the user's or the log's. Raises EstimateError."""
+    estimated = noise_of(windows)
+    noise = np.array([request.noise.get(name, s) for name, s in zip(request.measured, estimated, strict=True)])
+    if np.any(noise <= 0.0):
+        name = list(request.measured)[int(np.argmax(noise <= 0.0))]
+        raise EstimateError(
+            f"measured {name} never changes in the log: its noise cannot be told; give --noise {name}=."
+        )
+    return noise

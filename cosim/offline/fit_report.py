@@ -1,0 +1,217 @@
+"""What an estimation from logs found: in words for the terminal, and as files."""
+
+from collections.abc import Sequence
+from math import floor, isfinite, log10
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from estimator import Parameter
+from estimator.offline import IDENTIFIABLE_BELOW
+
+from ..results.record import ESTIMATES, write_csv, write_json, write_text
+from ..results.report import aligned
+from ..ssp.ssv import ParameterValue, to_ssv
+from .estimate import Estimation
+
+_CORRELATED: Final = 0.3
+"""Autocorrelation of the residuals that is worth a word."""
+_PART: Final = 0.3
+"""Share of a direction from which a parameter counts as part of it."""
+_ALIKE: Final = 0.95
+"""Correlation of two estimates that is worth a word."""
+
+
+def report(found: Estimation) -> str:
+    """A page for the terminal."""
+    request, rows = found.request, sum(len(w.time) for w in found.windows)
+    n_fit = sum(w.n_fit for w in found.windows)
+    logs = ", ".join(path.name for path in (*request.logs, *request.validation))
+    split = (
+        f"{n_fit} of {rows} rows fitted to, {rows - n_fit} held out" if n_fit < rows else f"{rows} rows, all fitted to"
+    )
+    lines = [
+        f"{request.fmu.name}, {logs}: {split}",
+        f"{len(found.evaluations)} roll-outs, method {request.method}, seed {request.seed}, {found.seconds:.1f} s",
+    ]
+    lines += [f"warning: {warning}" for warning in found.warnings]
+    return "\n".join(
+        [*lines, "", *aligned(_parameter_rows(found)), "", *aligned(_output_rows(found)), "", *words(found)]
+    )
+
+
+def words(found: Estimation) -> list[str]:
+    """What to think of it, a sentence each."""
+    return [*_of_fit(found), *_of_identifiability(found)]
+
+
+def summary(found: Estimation) -> dict[str, Any]:
+    """Everything, as JSON values."""
+    fit, request = found.fit, found.request
+    return {
+        "fmu": str(request.fmu),
+        "logs": [str(path) for path in request.logs],
+        "validation": [str(path) for path in request.validation],
+        "method": request.method,
+        "seed": request.seed,
+        "parameters": {
+            p.name: {
+                "unit": p.unit, "value": float(value), "std": float(std), "is_identifiable": is_identifiable,
+                "before": float(before), "lower": p.lower, "upper": p.upper, "scale": p.scale,
+            }
+            for p, value, std, is_identifiable, before in zip(
+                found.space, fit.theta, fit.std, fit.is_identifiable, found.nominal, strict=True
+            )
+        },
+        "misfit": fit.misfit,
+        "autocorrelation": fit.autocorrelation,
+        "singular_values": fit.sight.singular_values.tolist(),
+        "directions": fit.sight.directions.tolist(),
+        "outputs": {
+            name: {
+                "noise": float(found.noise[i]),
+                "rms": {
+                    f"{part}_{when}": float(found.rms(outputs, part == "held_out")[i])
+                    for part in ("fit", "held_out")
+                    for when, outputs in (("before", found.before), ("after", found.after))
+                },
+            }
+            for i, name in enumerate(request.measured)
+        },
+        "windows": [{"name": w.name, "rows": len(w.time), "rows_fitted": w.n_fit} for w in found.windows],
+        "warnings": list(found.warnings),
+        "words": words(found),
+        "rollouts": len(found.evaluations),
+        "failures": dict(found.failures),
+        "seconds": found.seconds,
+    }  # fmt: skip
+
+
+def write_files(found: Estimation, folder: Path) -> None:
+    """estimate.json, estimates.ssv, candidates.csv, and fit.csv with what was measured and simulated.
+
+    Raises FolderError.
+    """
+    write_json(folder / "estimate.json", summary(found))
+    write_text(folder / ESTIMATES, estimates_ssv(found))
+    theta = np.array([candidate for candidate, _, _ in found.evaluations])
+    costs = [cost for _, cost, _ in found.evaluations]
+    write_csv(folder / "candidates.csv", dict(zip(found.space.names, theta.T, strict=True)) | {"sum_of_squares": costs})
+    write_csv(folder / "fit.csv", _series(found))
+
+
+def estimates_ssv(found: Estimation) -> str:
+    """The estimates as SSV, with their units."""
+    values = [ParameterValue(p.name, float(v), p.unit) for p, v in zip(found.space, found.fit.theta, strict=True)]
+    return to_ssv(f"{found.request.fmu.stem} estimates", values, found.component.units)
+
+
+def with_std(value: float, std: float) -> str:
+    """`1.3000 ± 0.0012`: as many digits as two of the standard deviation need."""
+    if not (isfinite(std) and std > 0.0):
+        return f"{value:.6g}"
+    digits = 1 - floor(log10(std))
+    if digits > 7 or max(abs(value), std) >= 1e6:
+        return f"{value:.{max(1, digits + floor(log10(abs(value) or 1.0)) + 1)}g} ± {std:.2g}"
+    return f"{value:.{max(digits, 0)}f} ± {std:.{max(digits, 0)}f}"
+
+
+def _series(found: Estimation) -> dict[str, Any]:
+    windows = found.windows
+    series: dict[str, Any] = {
+        "window": np.repeat(np.arange(len(windows)), [len(w.time) for w in windows]),
+        "time": np.concatenate([w.time for w in windows]),
+        "is_held_out": np.concatenate([(np.arange(len(w.time)) >= w.n_fit).astype(int) for w in windows]),
+    }
+    for i, name in enumerate(found.request.measured):
+        series[f"{name} measured"] = np.concatenate([w.measured[:, i] for w in windows])
+        for when, outputs in (("before", found.before), ("after", found.after)):
+            parts = [
+                np.full(len(w.time), np.nan) if y is None else y[:, i] for w, y in zip(windows, outputs, strict=True)
+            ]
+            series[f"{name} {when}"] = np.concatenate(parts)
+    return series
+
+
+def _parameter_rows(found: Estimation) -> list[list[str]]:
+    rows = [["parameter", "unit", "estimate ± std", "std / value", "before", "bounds"]]
+    for p, value, std, before in zip(found.space, found.fit.theta, found.fit.std, found.nominal, strict=True):
+        share = f"{100.0 * std / abs(value):.2g} %" if value else "-"
+        rows.append([p.name, p.unit, with_std(value, std), share, f"{before:.6g}", f"{p.lower:g} to {p.upper:g}"])
+    return rows
+
+
+def _output_rows(found: Estimation) -> list[list[str]]:
+    rows = [["rms error", "unit", "noise", "fit: before", "after", "held out: before", "after"]]
+    columns = [found.rms(y, is_held_out) for is_held_out in (False, True) for y in (found.before, found.after)]
+    for i, name in enumerate(found.request.measured):
+        unit = found.component.unit(name)
+        errors = [f"{column[i]:.3g}" if isfinite(column[i]) else "-" for column in columns]
+        rows.append([name, unit.name if unit else "1", f"{found.noise[i]:.2g}", *errors])
+    return rows
+
+
+def _of_fit(found: Estimation) -> list[str]:
+    fit = found.fit
+    told = [f"The residuals are {fit.misfit:.3g} times the noise (root mean square)."]
+    if fit.misfit > 2.0:
+        told = [
+            f"The residuals are {fit.misfit:.3g} times the noise: the model lacks something, the search has not found "
+            "the best place (--evaluations, --method multi-start), or a start value is wrong (--start)."
+        ]
+    if fit.autocorrelation > _CORRELATED:
+        told.append(
+            f"The residuals are correlated from row to row ({fit.autocorrelation:.2f}): more than noise is left, and "
+            f"the standard deviations, which take it for white, are too small, by about {fit.inflation:.1f} times."
+        )
+    inside, outside = (found.rms(found.after, is_held_out) for is_held_out in (False, True))
+    for name, fitted, held_out in zip(found.request.measured, inside, outside, strict=True):
+        if held_out > 2.0 * fitted:
+            told.append(
+                f"On the held-out rows {name} is missed by {held_out:.3g}, {held_out / fitted:.1f} times the error of "
+                "those fitted to: do not trust it beyond them."
+            )
+    n = sum(found.failures.values())
+    if n:
+        reason, _ = max(found.failures.items(), key=lambda item: item[1])
+        told.append(f"{n} of {len(found.evaluations)} roll-outs failed and count as bad, such as: {reason}.")
+    return told
+
+
+def _of_identifiability(found: Estimation) -> list[str]:
+    fit, parameters = found.fit, list(found.space)
+    told = [
+        f"{p.name} is at its bound, {value:g} {p.unit}: widen it, unless it is a physical limit."
+        for p, value, z in zip(parameters, fit.theta, fit.place, strict=True)
+        if not 1e-6 < z < 1.0 - 1e-6
+    ]
+    flat = fit.sight.directions[fit.sight.singular_values * IDENTIFIABLE_BELOW < 1.0]
+    told += [_flat(parameters, direction) for direction in flat]
+    if not len(flat):
+        told.append("Each parameter is identifiable." if len(parameters) > 1 else "The parameter is identifiable.")
+        told += _alike(found)
+    return told
+
+
+def _flat(parameters: Sequence[Parameter], direction: Any) -> str:
+    """A direction that the data do not fix, in words."""
+    parts = [p for p, share in zip(parameters, direction, strict=True) if abs(share) > _PART]
+    names = " and ".join(p.name for p in parts)
+    if len(parts) == 1:
+        return f"The data hardly see {names}: hold it (leave out its --parameter), or excite it more."
+    return f"{names} trade off: other values of both explain the data as well; hold one, or excite them more."
+
+
+def _alike(found: Estimation) -> list[str]:
+    """Pairs whose estimates are nearly one: fixed, but each only as well as the other."""
+    s = np.maximum(found.fit.sight.singular_values, 1e-12)
+    covariance = (found.fit.sight.directions.T / s**2) @ found.fit.sight.directions
+    deviation = np.sqrt(np.maximum(covariance.diagonal(), 1e-300))
+    correlation, names = covariance / np.outer(deviation, deviation), found.space.names
+    return [
+        f"The errors of {names[i]} and {names[j]} are correlated ({correlation[i, j]:.2f})."
+        for i in range(len(names))
+        for j in range(i)
+        if abs(correlation[i, j]) > _ALIKE
+    ]

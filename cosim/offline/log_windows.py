@@ -1,0 +1,194 @@
+"""Windows of a log: consecutive rows, with every input known, over which a plant can be simulated.
+
+What is wrong with a log is refused in one line or, where harmless, passed over with a warning that says how.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import ceil
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator.space import Vector
+
+from ..fmi.component import Component
+from ..units import Unit, conversion
+from .logs import Column, Log, LogError
+from .unit_text import understood
+
+GAP: Final = 10.0
+"""Median distances of time stamps between two rows that make a gap."""
+Cut = tuple[float, float]
+"""From, to: time of the log [s]."""
+
+
+@dataclass(frozen=True)
+class Signals:
+    """Which column of a log is what."""
+
+    inputs: Mapping[str, str]
+    """Column by input of the FMU."""
+    measured: Mapping[str, str]
+    """Column by output of the FMU."""
+    start: Mapping[str, str]
+    """Column by variable of the FMU that starts with its value in a window's first row."""
+    time: str | None = None
+    """Column of time stamps; None: the one called time or t."""
+
+
+@dataclass(frozen=True)
+class LogWindow:
+    """Rows of a log, in the FMU's units."""
+
+    name: str
+    """The log's file, and which part."""
+    time: Vector
+    """Time stamps (n,) [s], as in the log, n >= 2, increasing."""
+    origin: float
+    """The log's first time stamp [s], at which the FMU's time is 0."""
+    inputs: Vector
+    """(n, p), all known."""
+    measured: Vector
+    """(n, c); NaN where there is none."""
+    start: Mapping[str, float]
+    """Start values from the first row."""
+    n_fit: int
+    """First rows, to which parameters are fitted; the others are held out."""
+
+
+def windows_of(
+    log: Log, signals: Signals, component: Component, cuts: Sequence[Cut] = (), holdout: float = 0.0
+) -> tuple[list[LogWindow], list[str]]:
+    """The windows of a log, and what has been passed over on the way, in words.
+
+    cuts: parts of the log to use, all of it where there are none; holdout: share of the rows, the last ones, that is
+    held out. Raises LogError.
+    """
+    time, table, warnings = _table(log, signals, component)
+    limits = list(cuts) or [(float(time[0]), float(time[-1]))]
+    windows: list[LogWindow] = []
+    for low, high in limits:
+        rows = np.flatnonzero((time >= low) & (time <= high))
+        if len(rows) < 2:
+            span = f"{time[0]:g} to {time[-1]:g} s"
+            raise LogError(f"{log.path} has {len(rows)} rows in the window {low:g} to {high:g} s; it has {span}.")
+        parts = _unbroken(rows, time, table["input"], table["start"])
+        if not parts:
+            raise LogError(f"{log.path} has no two rows after one another that know all inputs and start values.")
+        warnings += _told(log, parts, rows, bool(signals.start))
+        for number, part in enumerate(parts if signals.start else parts[:1], start=1):
+            name = log.path.name + (f", {low:g} to {high:g} s" if cuts else "")
+            windows.append(
+                LogWindow(
+                    name if len(parts) == 1 else f"{name}, part {number}",
+                    time[part],
+                    float(time[0]),
+                    table["input"][part],
+                    table["measured"][part],
+                    dict(zip(signals.start, table["start"][part[0]].tolist(), strict=True)),
+                    len(part),
+                )
+            )
+    for i, (variable, column) in enumerate(signals.measured.items()):
+        if not any(np.isfinite(w.measured[:, i]).any() for w in windows):
+            raise LogError(f"{log.path}: column '{column}', measured for {variable}, has no values there.")
+    return _held_out(windows, holdout), warnings
+
+
+def _table(log: Log, signals: Signals, component: Component) -> tuple[Vector, dict[str, Vector], list[str]]:
+    """Increasing time stamps (n,), and the columns of each role (n, ...) in the FMU's units. Raises LogError."""
+    stamps = log.time_column(signals.time)
+    time = _converted(stamps, understood("s"), f"{log.path}: time", understood)
+    roles = {"input": signals.inputs, "measured": signals.measured, "start": signals.start}
+    table = {role: _columns(log, columns, component, len(time)) for role, columns in roles.items()}
+    warnings: list[str] = []
+    known = np.isfinite(time)
+    if n := np.count_nonzero(~known):
+        warnings.append(f"{log.path}: {n} rows without a time stamp are left out.")
+        time, table = time[known], {role: values[known] for role, values in table.items()}
+    if len(time) < 2:
+        raise LogError(f"{log.path} must have two rows or more, got {len(time)}.")
+    distance = np.diff(time)
+    if np.any(distance < 0.0):
+        i = int(np.argmax(distance < 0.0))
+        raise LogError(
+            f"{log.path}: time must not go back, as it does from {time[i]:g} to {time[i + 1]:g} s after row {i + 1}; "
+            "make it two logs, or sort it."
+        )
+    last = np.append(distance > 0.0, True)
+    if n := np.count_nonzero(~last):
+        warnings.append(f"{log.path}: {n} repeated time stamps; of rows with the same one the last is used.")
+        time, table = time[last], {role: values[last] for role, values in table.items()}
+    return time, table, warnings
+
+
+def _columns(log: Log, columns: Mapping[str, str], component: Component, n: int) -> Vector:
+    """Columns (n, k) in the units of the FMU's variables. Raises LogError."""
+
+    def unit_of(name: str) -> Unit:
+        return component.units.get(name) or understood(name)
+
+    values = np.empty((n, len(columns)))
+    for i, (variable, name) in enumerate(columns.items()):
+        declared = component.unit(variable)
+        if declared is not None and declared.exponents is None:
+            declared = replace(understood(declared.name), name=declared.name)
+        converted = _converted(log.column(name), declared, f"{log.path}: column '{name}' for {variable}", unit_of)
+        if len(converted) != n:
+            raise LogError(f"{log.path}: column '{name}' has {len(converted)} values, time has {n}.")
+        values[:, i] = np.where(np.isfinite(converted), converted, np.nan)
+    return values
+
+
+def _converted(column: Column, target: Unit | None, what: str, unit_of: Callable[[str], Unit]) -> Vector:
+    try:
+        linear = conversion(unit_of(column.unit) if column.unit else None, target)
+    except ValueError as e:
+        raise LogError(f"{what}: {e}.") from e
+    return linear.factor * column.values + linear.offset
+
+
+def _unbroken(rows: NDArray[np.intp], time: Vector, inputs: Vector, start: Vector) -> list[NDArray[np.intp]]:
+    """Rows without a gap in the inputs, each part beginning where the start values are known.
+
+    A plant without inputs is simulated across every gap.
+    """
+    known = np.all(np.isfinite(inputs[rows]), axis=1)
+    breaks = np.zeros(len(rows), dtype=bool)
+    if inputs.shape[1]:
+        distance = np.diff(time[rows])
+        breaks[1:] = (distance > GAP * float(np.median(distance))) | (known[1:] != known[:-1])
+    parts = [part for part in np.split(rows, np.flatnonzero(breaks)) if np.isfinite(inputs[part[0]]).all()]
+    begins = [np.flatnonzero(np.isfinite(start[part]).all(axis=1)) for part in parts]
+    trimmed = [part[begin[0] :] for part, begin in zip(parts, begins, strict=True) if len(begin)]
+    return [part for part in trimmed if len(part) > 1]
+
+
+def _told(log: Log, parts: Sequence[NDArray[np.intp]], rows: NDArray[np.intp], has_start: bool) -> list[str]:
+    n_left_out = len(rows) - sum(len(part) for part in (parts if has_start else parts[:1]))
+    warnings: list[str] = []
+    if len(parts) > 1 and has_start:
+        warnings.append(f"{log.path}: gaps split it into {len(parts)} windows; each starts from its own first row.")
+    elif len(parts) > 1:
+        warnings.append(
+            f"{log.path}: gaps split it into {len(parts)} windows; only the first is used, since nothing says in which "
+            "state the others start (--start VARIABLE=COLUMN)."
+        )
+    if n_left_out:
+        warnings.append(f"{log.path}: {n_left_out} of {len(rows)} rows are left out, inputs or start being unknown.")
+    if parts[0][0] > 0 and not has_start:
+        warnings.append(f"{log.path}: the window does not begin with the log, and starts in the FMU's own start state.")
+    return warnings
+
+
+def _held_out(windows: Sequence[LogWindow], holdout: float) -> list[LogWindow]:
+    """The windows with the last share of all their rows held out."""
+    remaining = ceil((1.0 - holdout) * sum(len(w.time) for w in windows))
+    shared: list[LogWindow] = []
+    for window in windows:
+        n_fit = min(remaining, len(window.time))
+        remaining -= n_fit
+        shared.append(replace(window, n_fit=n_fit if n_fit > 1 else 0))
+    return shared

@@ -1,0 +1,201 @@
+"""Measured data from files: CSV, Parquet, MAT and MDF4. Nothing is written here, and nothing is interpolated."""
+
+import csv
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.csv
+import pyarrow.parquet
+
+from estimator.space import Vector
+
+from ..errors import CosimError, one_line
+from ..names import did_you_mean
+
+_HEADING: Final = re.compile(r"(?P<name>.*\S)\s*\[(?P<unit>[^\[\]]*)\]")
+_TIMES: Final = ("time", "t", "timestamp", "time_s")
+_NEVER: Final = -(2**63)
+_MISSING: Final = ["", "nan", "NaN", "NAN", "-nan", "null", "NULL", "NA", "N/A", "#N/A", "None", "-"]
+
+
+class LogError(CosimError):
+    """A log cannot be read, or does not hold what is asked of it."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """One channel of a log."""
+
+    values: Vector
+    """(n,); NaN where there is none."""
+    unit: str | None = None
+    """As the log names it."""
+    text: str | None = None
+    """Its first cell that is no number; it has no values then."""
+
+
+@dataclass(frozen=True)
+class Log:
+    """A file of measurements."""
+
+    path: Path
+    columns: Mapping[str, Column]
+    """By name, without the unit."""
+
+    def column(self, name: str) -> Column:
+        """The column of that name, with or without its unit. Raises LogError where there is none of numbers."""
+        found = self.columns.get(name)
+        if found is None and (heading := _HEADING.fullmatch(name)):
+            found = self.columns.get(heading["name"])
+        if found is None:
+            known = ", ".join(self.columns) if len(self.columns) <= 12 else f"{len(self.columns)} others"
+            raise LogError(
+                f"{self.path} has no column '{name}'{did_you_mean(name, self.columns) or f', only {known}.'}"
+            )
+        if found.text is not None:
+            raise LogError(f"{self.path}: column '{name}' must hold numbers, got '{one_line(found.text)}'.")
+        return found
+
+    def time_column(self, name: str | None) -> Column:
+        """The column of time stamps: the one named, or else the one called time or t. Raises LogError."""
+        if name is None:
+            name = next((c for c in self.columns if c.strip().casefold() in _TIMES), None)
+        if name is None:
+            raise LogError(f"{self.path} has no column 'time' or 't'; give --time COLUMN.")
+        return self.column(name)
+
+
+def read_log(path: Path) -> Log:
+    """The log in a .csv, .txt, .tsv, .parquet, .mat, .mf4 or .mdf file. Raises LogError."""
+    readers = {".parquet": _read_parquet, ".pq": _read_parquet, ".mat": _read_mat, ".mf4": _read_mdf, ".mdf": _read_mdf}
+    try:
+        headings, columns = readers.get(path.suffix.lower(), _read_csv)(path)
+    except OSError as e:
+        raise LogError(f"{path} cannot be read: {one_line(e.strerror or str(e))}.") from e
+    except (pa.ArrowInvalid, pa.ArrowNotImplementedError) as e:
+        raise LogError(f"{path} cannot be read: {one_line(str(e))}") from e
+    named = [m.group("name", "unit") if (m := _HEADING.fullmatch(h.strip())) else (h.strip(), None) for h in headings]
+    names = [name for name, _ in named]
+    repeated = next((name for name in names if names.count(name) > 1), None)
+    if repeated is not None:
+        raise LogError(f"{path} has two columns '{repeated}'; rename one.")
+    table = {
+        name: values if isinstance(values, Column) else _column(values, unit)
+        for (name, unit), values in zip(named, columns, strict=True)
+    }
+    return Log(path, table)
+
+
+def _read_csv(path: Path) -> tuple[Sequence[str], Sequence[Any]]:
+    content = path.read_bytes()
+    encoding = "utf-8-sig"
+    try:
+        start = content[:100_000].decode(encoding, "ignore").splitlines()
+        content.decode(encoding)
+    except UnicodeDecodeError:  # spreadsheets of Western Europe
+        encoding = "cp1252"
+        start = content[:100_000].decode(encoding, "replace").splitlines()
+    if not start or b"\0" in content[:1000]:
+        raise LogError(f"{path} is {'no text file' if start else 'empty'}; a log is CSV, Parquet, MAT or MDF4.")
+    delimiter = max(",;\t", key=start[0].count)
+    heading = next(csv.reader(start, delimiter=delimiter))
+    if all(_is_number(cell) for cell in heading):
+        raise LogError(f"{path} must begin with a header that names its columns, got '{one_line(start[0])}'.")
+    is_decimal_comma = delimiter == ";" and any(re.search(r"\d,\d", line) for line in start[1:20])
+    table = pyarrow.csv.read_csv(
+        pa.py_buffer(content),
+        pyarrow.csv.ReadOptions(encoding="utf8" if encoding == "utf-8-sig" else encoding, use_threads=False),
+        pyarrow.csv.ParseOptions(delimiter=delimiter),
+        pyarrow.csv.ConvertOptions(null_values=_MISSING, decimal_point="," if is_decimal_comma else "."),
+    )
+    return table.column_names, table.columns
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell.replace(",", "."))
+    except ValueError:
+        return False
+    return True
+
+
+def _read_parquet(path: Path) -> tuple[Sequence[str], Sequence[Any]]:
+    table = pyarrow.parquet.ParquetFile(path).read()
+    return table.column_names, table.columns
+
+
+def _column(column: Any, unit: str | None) -> Column:
+    """An Arrow column as numbers; dates become seconds since the first. Not by to_numpy, which imports pandas."""
+    kind = column.type
+    if pa.types.is_null(kind):
+        return Column(np.full(len(column), np.nan), unit)
+    if pa.types.is_timestamp(kind):
+        count = pc.cast(pc.cast(column, pa.timestamp("ns", tz=kind.tz)), pa.int64())
+        values = _array(pc.fill_null(count, _NEVER))
+        known = values != _NEVER
+        return Column(np.where(known, (values - values[known][0]) / 1e9, np.nan), "s")
+    if pa.types.is_boolean(kind):
+        column, kind = pc.cast(column, pa.int8()), pa.int8()
+    if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)):
+        cells = (str(cell) for cell in column.to_pylist() if cell is not None)
+        return Column(np.empty(0), unit, next((cell for cell in cells if not _is_number(cell)), str(kind)))
+    return Column(_array(pc.fill_null(pc.cast(column, pa.float64(), safe=False), float("nan"))), unit)
+
+
+def _array(column: Any) -> Any:
+    """A chunked Arrow column without nulls as one NumPy array."""
+    chunks: list[Any] = [np.from_dlpack(chunk) for chunk in column.chunks]
+    return np.concatenate(chunks) if chunks else np.empty(0)
+
+
+def _read_mat(path: Path) -> tuple[Sequence[str], Sequence[Any]]:
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
+    try:
+        content = loadmat(path, simplify_cells=True)
+    except NotImplementedError as e:
+        raise LogError(f"{path} is a MAT file of version 7.3; save it with -v7.") from e
+    except (MatReadError, ValueError, TypeError) as e:
+        raise LogError(f"{path} is no MAT file: {one_line(str(e))}.") from e
+    arrays = _flat({name: value for name, value in content.items() if not name.startswith("__")})
+    return list(arrays), [Column(values) for values in arrays.values()]
+
+
+def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Vector]:
+    """Vectors by name, those in structs as `struct.field`, columns of a matrix as `x(1)`, `x(2)`, ..."""
+    found: dict[str, Vector] = {}
+    for name, value in tree.items():
+        if isinstance(value, dict):
+            found |= _flat(value, f"{prefix}{name}.")
+        elif isinstance(value, np.ndarray) and value.dtype.kind in "fiub" and value.ndim in (1, 2):
+            columns = value[:, None] if value.ndim == 1 else value
+            for i, column in enumerate(columns.T.astype(float), start=1):
+                found[f"{prefix}{name}" if value.ndim == 1 else f"{prefix}{name}({i})"] = column
+    return found
+
+
+def _read_mdf(path: Path) -> tuple[Sequence[str], Sequence[Any]]:
+    """The channels of the first group that has any, with its own time stamps: others have other stamps."""
+    try:
+        from asammdf import MDF  # pyright: ignore[reportMissingImports]  optional
+        from asammdf.blocks.utils import MdfException  # pyright: ignore[reportMissingImports]
+    except ImportError as e:
+        raise LogError(f"{path} is an MDF file: pip install 'fmu-retune[mdf]' reads it.") from e
+    try:
+        with MDF(path) as file:
+            group = next(i for i, g in enumerate(file.groups) if len(g.channels) > 1)
+            signals = [file.get(group=group, index=i) for i in range(len(file.groups[group].channels))]
+    except (MdfException, StopIteration) as e:
+        raise LogError(f"{path} is no MDF file with channels: {one_line(str(e))}.") from e
+    numeric = {
+        s.name: Column(s.samples.astype(float), s.unit or None) for s in signals if s.samples.dtype.kind in "fiub"
+    }
+    numeric["time"] = Column(np.asarray(signals[0].timestamps, dtype=float), "s")
+    return list(numeric), list(numeric.values())

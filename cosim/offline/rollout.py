@@ -1,0 +1,240 @@
+"""Roll-outs: the plant FMU simulated over windows of a log at candidate parameters, and what is left unexplained.
+
+Each roll-out begins in a newly made instance, in a process of its own; several processes work at the same time.
+"""
+
+from bisect import bisect_left
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from queue import SimpleQueue
+from threading import Event
+from time import perf_counter
+from typing import Any, Final, NamedTuple, Self
+
+import numpy as np
+
+from estimator.space import ParameterSpace, Vector
+
+from ..errors import SlaveError
+from ..fmi.archive import co_simulation
+from ..fmi.component import Component
+from ..slaves.slave import Slave, open_slave
+from .log_windows import LogWindow
+from .logs import LogError
+
+LARGEST: Final = 1e9
+"""Residual [standard deviations] beyond which a simulation has diverged, however far."""
+_TOGETHER_S: Final = 0.1
+"""Time [s] that steps asked for together may take, so that the timeout of a call is hardly more than that of a step.
+The results do not depend on it."""
+_UNEVEN: Final = 0.05
+"""Share of a step by which time stamps may miss an even grid, for an FMU that cannot vary its steps."""
+
+
+@dataclass(frozen=True)
+class Plant:
+    """What is simulated."""
+
+    fmu: Path
+    inputs: tuple[str, ...]
+    """Set at each row, and held until the next."""
+    outputs: tuple[str, ...]
+    """Compared with what was measured."""
+    start: Mapping[str, float]
+    """Start values that are the same in every roll-out."""
+    step: float | None = None
+    """Communication step [s]; None: from row to row."""
+    timeout: float = 10.0
+    """Time that each call of the FMU may take [s]."""
+
+
+class Rollout(NamedTuple):
+    """The outputs over a window's rows (n, c), or why there are none."""
+
+    outputs: Vector | None
+    reason: str | None = None
+
+
+class _Grid(NamedTuple):
+    """The communication points of a window, on the FMU's time."""
+
+    times: list[float]
+    """(N + 1,) [s]."""
+    inputs: list[list[float]]
+    """Held from each point to the next (N, p)."""
+    rows: Vector | None
+    """Time of each row (n,), to interpolate the outputs at; None where the points are the rows."""
+
+
+class Rollouts:
+    """The processes that simulate a plant over these windows. A context: leaving it ends them."""
+
+    def __init__(self, plant: Plant, component: Component, windows: Sequence[LogWindow], jobs: int) -> None:
+        """Raises LogError where the FMU cannot step as the log's rows ask."""
+        interface: Any = co_simulation(component.description)
+        is_even = not interface.canHandleVariableCommunicationStepSize
+        self._plant, self._grids = plant, [_grid(w, plant.step, is_even) for w in windows]
+        self._windows = tuple(windows)
+        self._is_restartable = not interface.canBeInstantiatedOnlyOncePerProcess
+        self._executor = ThreadPoolExecutor(jobs)
+        self._is_over = Event()
+        self._idle: SimpleQueue[Slave | None] = SimpleQueue()
+        for _ in range(jobs):
+            self._idle.put(None)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._is_over.set()
+        self._executor.shutdown(cancel_futures=True)
+        while not self._idle.empty():
+            if (slave := self._idle.get()) is not None:
+                slave.close()
+
+    def simulate(self, candidates: Sequence[Mapping[str, float]], is_whole: bool = False) -> list[list[Rollout]]:
+        """A roll-out of each candidate over each window: its rows to fit, or all of them. Several at a time.
+
+        candidates: start values by name.
+        """
+        numbers = [i for i, w in enumerate(self._windows) if is_whole or w.n_fit]
+        futures = [
+            [self._executor.submit(self._one, partial(self._rollout, i, is_whole, values)) for i in numbers]
+            for values in candidates
+        ]
+        return [[future.result() for future in row] for row in futures]
+
+    def _one(self, rollout: Callable[[Slave], Vector]) -> Rollout:
+        """A roll-out in an idle process; one whose FMU fails is ended, and another takes its place."""
+        slave, outputs, reason = self._renewed(self._idle.get()), None, None
+        try:
+            if slave is None:
+                slave = open_slave(self._plant.fmu, "plant", timeout=self._plant.timeout)
+                slave.bind(self._plant.inputs, (), self._plant.outputs)
+            outputs = rollout(slave)
+        except SlaveError as e:
+            reason = str(e)
+            if slave is not None:
+                slave.close()
+                slave = None
+        finally:
+            self._idle.put(slave)
+        return Rollout(outputs, reason)
+
+    def _renewed(self, slave: Slave | None) -> Slave | None:
+        """A slave that has been used, as new; None where it cannot be."""
+        if slave is None:
+            return None
+        if self._is_restartable:
+            try:
+                slave.restart()
+                return slave
+            except SlaveError:
+                pass  # the next roll-out tells, where a new process fails too
+        slave.close()
+        return None
+
+    def _rollout(self, number: int, is_whole: bool, values: Mapping[str, float], slave: Slave) -> Vector:
+        """Outputs (n, c) over a window. Raises SlaveError."""
+        window, (times, inputs, rows) = self._windows[number], self._grids[number]
+        n_rows = len(window.time) if is_whole else window.n_fit
+        end = times[n_rows - 1] if rows is None else float(rows[n_rows - 1])
+        inputs_at_start = zip(self._plant.inputs, inputs[0], strict=True)
+        slave.initialize({**dict(inputs_at_start), **self._plant.start, **window.start, **values}, times[0])
+        outputs, n, taken = [slave.get()], bisect_left(times, end), 0
+        room = 1
+        while taken < n and not self._is_over.is_set():
+            last, began = min(taken + room, n), perf_counter()
+            outputs += slave.many_steps(times[taken : last + 1], inputs[taken:last])
+            taken = last
+            if perf_counter() - began < _TOGETHER_S:
+                room *= 2
+        table = np.array(outputs)
+        if rows is None:
+            return table
+        return np.column_stack([np.interp(rows[:n_rows], times[: len(table)], y) for y in table.T])
+
+
+def _grid(window: LogWindow, step: float | None, is_even: bool) -> _Grid:
+    """Communication points from row to row, or step [s] apart. Raises LogError where it must be even and is not."""
+    t = window.time - window.origin
+    n = len(t)
+    even = np.linspace(t[0], t[-1], n)
+    h = (t[-1] - t[0]) / (n - 1)
+    if step is None and is_even and np.abs(t - even).max() > _UNEVEN * h:
+        raise LogError(
+            f"{window.name}: time stamps are {np.diff(t).min():g} to {np.diff(t).max():g} s apart, and the FMU cannot "
+            f"vary its step; give --step {float(f'{np.median(np.diff(t)):.2g}'):g}."
+        )
+    if step is None:
+        points = even if is_even or np.abs(t - even).max() < 1e-6 * h else t
+        return _Grid(points.tolist(), window.inputs[:-1].tolist(), None)
+    points = t[0] + step * np.arange(int(np.ceil((t[-1] - t[0]) / step - 1e-9)) + 1)
+    held = np.searchsorted(t, points[:-1] + 1e-9 * step, side="right") - 1
+    return _Grid(points.tolist(), window.inputs[held].tolist(), t)
+
+
+class RolloutResidual:
+    """Residuals of candidates over all windows: simulated minus measured, in standard deviations of the noise."""
+
+    def __init__(self, rollouts: Rollouts, space: ParameterSpace, windows: Sequence[LogWindow], noise: Vector) -> None:
+        """noise: (c,), standard deviation of each output, in its unit."""
+        self._rollouts, self._space, self._noise = rollouts, space, noise
+        self._measured = [w.measured[: w.n_fit] for w in windows if w.n_fit]
+        self.n_residuals = int(sum(np.isfinite(m).sum() for m in self._measured))
+        """D."""
+        self.evaluations: list[tuple[Vector, float, str | None]] = []
+        """theta (d,), sum of squares, and, of one that failed, the reason."""
+
+    @property
+    def n_evaluations(self) -> int:
+        """Candidates simulated so far."""
+        return len(self.evaluations)
+
+    def __call__(self, theta: Vector) -> Vector:
+        """Residual (D,) of theta (d,); NaN where the simulation failed."""
+        return self.many([theta])[0]
+
+    def many(self, thetas: Sequence[Vector]) -> list[Vector]:
+        """The residual of each theta, several at a time."""
+        found: list[Vector] = []
+        for theta, rollouts in zip(
+            thetas, self._rollouts.simulate([self._space.named(t) for t in thetas]), strict=True
+        ):
+            reason = next((r.reason for r in rollouts if r.reason is not None), None)
+            residual = np.full(self.n_residuals, np.nan) if reason else self._whitened(rollouts)
+            self.evaluations.append((theta, float(residual @ residual), reason))
+            found.append(residual)
+        return found
+
+    def _whitened(self, rollouts: Sequence[Rollout]) -> Vector:
+        with np.errstate(over="ignore"):
+            parts = [
+                np.clip((r.outputs - measured) / self._noise, -LARGEST, LARGEST).T.reshape(-1)
+                for r, measured in zip(rollouts, self._measured, strict=True)
+                if r.outputs is not None
+            ]
+        residual = np.concatenate(parts)
+        return residual[~np.isnan(residual)]
+
+
+def noise_of(windows: Sequence[LogWindow]) -> Vector:
+    """Standard deviation (c,) of the noise on each output, from what changes from row to row of those fitted to.
+
+    White noise of variance s^2 has third differences of variance 20 s^2, in which a signal that is well sampled is
+    small; their median absolute value, over 0.6745, is not led astray by jumps. At least a millionth of the signal's
+    range, and of a signal that mostly stays (it is quantised) the root mean square instead of the median. 0: constant.
+    """
+    noise: list[float] = []
+    for i in range(windows[0].measured.shape[1]):
+        fitted = [w.measured[: w.n_fit, i] for w in windows]
+        signals = [y[np.isfinite(y)] for y in fitted]
+        differences = np.concatenate([np.diff(y, 3) for y in signals]) / np.sqrt(20.0)
+        known = np.concatenate(signals)
+        robust = float(np.median(np.abs(differences))) / 0.6745 if len(differences) else 0.0
+        mean = float(np.sqrt(np.mean(differences**2))) if len(differences) else 0.0
+        noise.append(max(robust or mean, 1e-6 * float(np.ptp(known)) if len(known) else 0.0))
+    return np.array(noise)

@@ -1,0 +1,85 @@
+"""Figures over time: axes below one another, episodes shaded, a curve a run, one legend."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ..results.result import Run
+from .canvas import GREY, Limits, Series, new_figure, tidy, top_legend
+
+Event = Mapping[str, Any]
+"""One line of the record: `t` [s], `kind`, and what belongs to that kind."""
+
+_SHADE: Final = "0.93"
+
+
+class Curve(NamedTuple):
+    """One run's part in a figure."""
+
+    run: Run
+    text: str
+    """For the legend."""
+    colour: str
+    width: float
+    """Of the line [pt]."""
+
+
+def panels(run: Run, events: Sequence[Event], n: int) -> tuple[Figure, list[Axes]]:
+    """n axes over the scenario's time, in two columns where there are many; episodes shaded."""
+    n_columns = 1 if n <= 5 else 2
+    n_rows = -(-n // n_columns)
+    figure = new_figure(7.2 * (1.0 if n_columns == 1 else 1.5), 1.3 + (2.6 if n_rows == 1 else 1.7 * n_rows))
+    grid: Any = figure.subplots(n_rows, n_columns, sharex=True, squeeze=False)
+    for spare in grid.flat[n:]:
+        spare.set_visible(False)
+    shown: list[Axes] = list(grid.flat[:n])
+    settings = run.scenario.scenario
+    for axes in shown:
+        tidy(axes)
+        axes.set_xlim(settings.start_time, settings.stop_time)
+        for i, (begin, end) in enumerate(_episodes(run, events)):
+            axes.axvspan(begin, end, color=_SHADE, linewidth=0, zorder=-1, label="estimating" if i == 0 else None)
+        if run.status != "done":
+            axes.axvline(float(run.time[-1]), color=GREY, linewidth=1.0, label=run.status)
+    for axes in shown[-n_columns:]:
+        axes.set_xlabel("time [s]")
+        axes.tick_params(labelbottom=True)
+    return figure, shown
+
+
+def line(axes: Axes, curve: Curve, values: Series) -> None:
+    """Draw values (n,) as the curve's."""
+    axes.plot(curve.run.time, values, color=curve.colour, linewidth=curve.width, label=curve.text, **mark(curve.run))
+
+
+def mark(run: Run) -> dict[str, Any]:
+    """A line through one point is invisible."""
+    return {"marker": "o"} if len(run.time) == 1 else {}
+
+
+def finish(figure: Figure, shown: Sequence[Axes], n_columns: int | None = None) -> Figure:
+    """Legend of everything that any panel shows, above them all, in that many columns or as many as fit."""
+    handles = {text: h for axes in shown for h, text in zip(*axes.get_legend_handles_labels(), strict=True)}
+    top_legend(figure, handles, n_columns=n_columns or (6 if figure.get_figwidth() > 8 else 5))
+    figure.align_ylabels(list(shown))
+    return figure
+
+
+def _episodes(run: Run, events: Sequence[Event]) -> Iterator[Limits]:
+    """Begin and end [s] of each stretch of episodes; those that follow one another within two macro steps are one."""
+    gap = 2.0 * run.scenario.scenario.macro_step
+    begin = end = None
+    for event in events:
+        if event.get("kind") not in ("trigger", "candidate", "end"):
+            continue
+        t = float(event["t"])
+        if begin is None or end is None:
+            begin = t
+        elif t > end + gap:
+            yield begin, end
+            begin = t
+        end = t
+    if begin is not None and end is not None:
+        yield begin, end

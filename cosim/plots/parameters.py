@@ -1,0 +1,78 @@
+"""The figure of the estimated parameters over time."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
+
+from ..results.result import Run
+from ..scenarios.schema import EstimatedParameter
+from .canvas import BLACK, BLUE, ORANGE, Limits, Series, label, set_linear, set_log, tame, value_range
+from .panels import Event, finish, mark, panels
+
+
+def draw_parameters(run: Run, events: Sequence[Event]) -> Figure:
+    """Estimated parameters over time: truth, what the controller held and how surely, what was tried."""
+    parameters = run.scenario.estimation.parameters
+    figure, rows = panels(run, events, len(parameters))
+    truth, held = run.true_parameters, run.estimates
+    tried = [e for e in events if e.get("kind") == "candidate"]
+    writes = [e for e in events if e.get("kind") == "write"]
+    for i, (axes, p) in enumerate(zip(rows, parameters, strict=True)):
+        limits, is_log = _parameter_axis(axes, p, [truth[p.name], held[p.name]])
+        _draw_band(axes, run, p, writes, i)
+        places = tame(_column(tried, "theta", i), limits, is_log)
+        dots: dict[str, Any] = {"markersize": 5, "alpha": 0.55, "markeredgewidth": 0}
+        if tried:
+            axes.plot([e["t"] for e in tried], places, ".", color=ORANGE, label="candidates", **dots)
+        styles: list[tuple[Series, str, dict[str, Any]]] = [
+            (held[p.name], "controller", {"color": BLUE, "linewidth": _width(held[p.name])} | mark(run)),
+            (truth[p.name], "truth", {"color": BLACK, "linewidth": 1.0, "linestyle": "--"}),
+        ]
+        for values, text, style in styles:
+            if np.any(np.isfinite(values)):
+                axes.step(run.time, tame(values, limits, is_log), where="post", label=text, **style)
+        axes.set_ylabel(label(p.name, p.unit))
+    return finish(figure, rows)
+
+
+def _parameter_axis(axes: Axes, p: EstimatedParameter, curves: Sequence[ArrayLike]) -> tuple[Limits, bool]:
+    """As far as truth and controller go, with room to see candidates; on the scale of the search, and whether log."""
+    low, high = value_range(curves) or (p.lower, p.upper)
+    if p.scale == "log" and low > 0.0:
+        low, high = max(low, 0.1 * p.lower), min(max(high, p.lower), 10.0 * p.upper)
+        return set_log(axes, "y", (min(low, high / 1.1), max(high, low * 1.1)), margin=0.1), True
+    return set_linear(axes, (low, high), margin=0.1), False
+
+
+def _width(values: Series) -> float:
+    """Of a line [pt]: thin where it jumps so often that it would fill the axes."""
+    low, high = value_range([values]) or (0.0, 0.0)
+    with np.errstate(all="ignore"):
+        n_jumps = np.count_nonzero(np.abs(np.diff(values)) > 0.1 * (high - low))
+    return 0.5 if n_jumps > 150 else 1.8
+
+
+def _draw_band(axes: Axes, run: Run, p: EstimatedParameter, writes: Sequence[Event], i: int) -> None:
+    """Two standard deviations round each value written, until the next; on a log scale a factor either way."""
+    theta, std = _column(writes, "theta", i), _column(writes, "std", i)
+    if not np.any(np.isfinite(theta + std)):
+        return
+    if p.scale == "log":
+        factor = np.exp(np.minimum(2.0 * std / np.maximum(theta, p.lower), 50.0))
+        low, high = theta / factor, theta * factor
+    else:
+        low, high = theta - 2.0 * std, theta + 2.0 * std
+    times = np.array([*(e["t"] for e in writes), float(run.time[-1])])
+    below, above = (np.clip(np.append(edge, edge[-1]), p.lower, p.upper) for edge in (low, high))
+    axes.fill_between(times, below, above, step="post", color=BLUE, alpha=0.2, linewidth=0, label="± 2 std")
+
+
+def _column(events: Sequence[Event], key: str, i: int) -> Series:
+    """Entry i of a list that events carry (n,), NaN where it is absent or null."""
+    lists: list[list[float | None]] = [e.get(key) or [] for e in events]
+    entries = (values[i] if i < len(values) else None for values in lists)
+    return np.array([np.nan if v is None else v for v in entries], dtype=float)

@@ -1,0 +1,234 @@
+"""Run folders: what happened, readable whenever the writing stops."""
+
+import csv
+import hashlib
+import io
+import json
+import math
+import os
+import signal
+import tempfile
+import threading
+from array import array
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+import pyarrow as pa
+from pyarrow import csv as arrow_csv
+
+from ..errors import CosimError
+
+ROWS_PER_BATCH = 50
+SERIES, EVENTS, MANIFEST, RESULT = "series.arrow", "events.jsonl", "manifest.json", "result.json"
+ESTIMATES = "estimates.ssv"
+LATENCIES = "latencies.json"
+"""Wall time of each evaluation [s], a list a macro step that had any: no two runs agree in them."""
+
+
+class FolderError(CosimError):
+    """A run folder cannot be made, written or read."""
+
+
+def new_run_folder(scenario: str, out: Path | None) -> Path:
+    """Make the run folder: `out`, which must be absent or empty, or the next free runs/SCENARIO-n.
+
+    Raises FolderError.
+    """
+    try:
+        if out is not None:
+            out.mkdir(parents=True, exist_ok=True)
+            if any(out.iterdir()):
+                raise FolderError(f"{out} is not empty; give --out a new or empty folder.")
+            return out
+        for n in range(1, 1_000_000):
+            folder = Path("runs") / f"{scenario}-{n}"
+            try:
+                folder.mkdir(parents=True)
+            except FileExistsError:
+                continue
+            return folder
+    except OSError as e:
+        raise FolderError(f"cannot make the run folder {out or 'runs'}: {e.strerror or e}.") from e
+    raise FolderError("runs/ holds a million runs of this scenario.")
+
+
+class Recorder:
+    """Writes one run: rows to an Arrow IPC stream, events to JSON lines. Without a folder it only remembers rows.
+
+    With one it remembers only those that are not written yet: an hour of a quadrotor at 100 Hz is 230 MB.
+    """
+
+    def __init__(self, folder: Path | None, columns: Sequence[str]) -> None:
+        self.columns = tuple(columns)
+        self._folder = folder
+        self._values = array("d")  # of the rows held, one after the other
+        self._room = ROWS_PER_BATCH * len(self.columns) if folder is not None else math.inf
+        self._schema = pa.schema([(name, pa.float64()) for name in columns])
+        self._events: IO[str] | None = None
+        self._writer: Any = None
+        if folder is not None:
+            try:
+                self._file = open(folder / SERIES, "wb")  # noqa: SIM115  closed in close
+                self._events = open(folder / EVENTS, "w", encoding="utf-8")  # noqa: SIM115
+                self._writer = pa.ipc.new_stream(self._file, self._schema)
+            except OSError as e:
+                raise FolderError(f"cannot write in {folder}: {e.strerror or e}.") from e
+
+    def row(self, values: Sequence[float]) -> None:
+        """Take the values of one communication point, in the order of the columns."""
+        self._values.extend(values)
+        if len(self._values) >= self._room:
+            self.flush()
+
+    def event(self, t: float, kind: str, detail: Mapping[str, Any]) -> None:
+        """Write one event."""
+        if self._events is not None:
+            self._events.write(to_json({"t": t, "kind": kind, **detail}) + "\n")
+
+    def flush(self) -> None:
+        """Hand everything so far to the operating system."""
+        if self._writer is not None and self._events is not None:
+            if self._values:
+                table = self._table()
+                self._values = array("d")
+                self._writer.write_batch(pa.record_batch([_array(c) for c in table], schema=self._schema))
+            self._file.flush()
+            self._events.flush()
+
+    def close(self) -> dict[str, np.ndarray[Any, np.dtype[np.float64]]]:
+        """End the files; the recorded series by column."""
+        self.flush()
+        if self._writer is not None and self._events is not None:
+            self._writer.close()
+            self._file.close()
+            self._events.close()
+            self._writer = self._events = None
+        if self._folder is not None:
+            return read_series(self._folder)
+        return dict(zip(self.columns, self._table(), strict=True))
+
+    def _table(self) -> np.ndarray[Any, np.dtype[np.float64]]:
+        """The rows held, as contiguous columns."""
+        return np.ascontiguousarray(np.array(self._values).reshape(-1, len(self.columns)).T)
+
+
+@contextmanager
+def uninterrupted() -> Generator[None]:
+    """Put SIGINT and SIGTERM off until what is inside is done; the caller's handler gets the first one then.
+
+    Elsewhere than in the main thread, to which alone Python gives signals, there is nothing to put off.
+    """
+    came: list[int] = []
+    with ExitStack() as stack:
+        stack.callback(lambda: signal.raise_signal(came[0]) if came else None)
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                if callable(signal.getsignal(number)):  # else it ends the process or is ignored: no exception
+                    handler = signal.signal(number, lambda n, _: came.append(n))
+                    stack.callback(signal.signal, number, handler)
+        yield
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write a whole JSON file at once or not at all."""
+    write_text(path, to_json(content, indent=2) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a whole text file at once or not at all. Raises FolderError."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a whole file at once or not at all: temporary file, fsync, rename. Raises FolderError."""
+    try:
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-")
+        try:
+            with open(handle, "wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            os.chmod(name, 0o644)
+            os.replace(name, path)
+        except BaseException:
+            os.unlink(name)
+            raise
+    except OSError as e:
+        raise FolderError(f"cannot write {path}: {e.strerror or e}.") from e
+
+
+def write_csv(path: Path, series: Mapping[str, Sequence[float] | np.ndarray[Any, Any]]) -> None:
+    """The series as CSV, every digit kept."""
+    try:
+        header = io.StringIO()
+        csv.writer(header, lineterminator="\n").writerow(series)
+        rows = pa.RecordBatch.from_arrays([_array(c) for c in series.values()], names=list(series))
+        with open(path, "wb") as file:
+            file.write(header.getvalue().encode())
+            arrow_csv.write_csv(rows, file, arrow_csv.WriteOptions(include_header=False))
+    except OSError as e:
+        raise FolderError(f"cannot write {path}: {e.strerror or e}.") from e
+
+
+def read_series(folder: Path) -> dict[str, np.ndarray[Any, np.dtype[np.float64]]]:
+    """The recorded series of a run folder, also of a run that was killed: as far as it was written.
+
+    Raises FolderError where there is none.
+    """
+    batches: list[Any] = []
+    try:
+        with open(folder / SERIES, "rb") as file:
+            reader = pa.ipc.open_stream(file)
+            batches.extend(_readable(reader))
+    except (OSError, pa.ArrowInvalid) as e:
+        raise FolderError(f"{folder} has no readable {SERIES}: {e}.") from e
+    table = pa.Table.from_batches(batches, reader.schema)
+    return {name: _column(table[name].chunks) for name in table.column_names}
+
+
+def _array(column: Sequence[float] | np.ndarray[Any, Any]) -> Any:
+    """The column as Arrow's: pa.array imports pandas, 0.25 s, to see whether it was given one of its arrays."""
+    values = np.ascontiguousarray(column, dtype=np.float64)
+    return pa.Array.from_buffers(pa.float64(), len(values), [None, pa.py_buffer(values)])
+
+
+def _column(chunks: Sequence[Any]) -> np.ndarray[Any, np.dtype[np.float64]]:
+    parts = [np.from_dlpack(chunk) for chunk in chunks]  # to_numpy imports pandas too
+    return np.concatenate(parts, dtype=np.float64) if parts else np.empty(0)
+
+
+def _readable(reader: Any) -> Iterator[Any]:
+    """Batches up to where the writing stopped."""
+    while True:
+        try:
+            yield reader.read_next_batch()
+        except (StopIteration, pa.ArrowInvalid, OSError):
+            return
+
+
+def sha256(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def to_json(value: object, indent: int | None = None) -> str:
+    """JSON with null for what is not finite."""
+    try:
+        return json.dumps(value, indent=indent, allow_nan=False)
+    except (TypeError, ValueError):  # NumPy's types, or a number that is not finite
+        return json.dumps(_jsonable(value), indent=indent, allow_nan=False)
+
+
+def _jsonable(value: object) -> object:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(k): _jsonable(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_jsonable(v) for v in value]
+    if isinstance(value, np.generic | np.ndarray):
+        return _jsonable(value.tolist())
+    return value

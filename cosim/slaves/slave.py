@@ -1,0 +1,273 @@
+"""One FMU seen from outside: by variable names, in its own process unless told otherwise.
+
+with open_slave(Path("Pendulum.fmu"), "plant") as plant:
+    plant.bind(inputs=["u"], tunables=["m", "l"], outputs=["phi", "phi_dot"])
+    plant.initialize({"phi": 1.0}, start_time=0.0, stop_time=10.0)
+    phi, phi_dot = plant.get()
+    phi, phi_dot = plant.step([0.0], t=0.0, h=0.01)
+"""
+
+import logging
+import math
+import os
+import shutil
+import weakref
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, Self
+
+from fmpy.model_description import ModelDescription
+
+from ..errors import COLON, SlaveError, WiringError
+from ..fmi.archive import co_simulation, private_folder, read_description, unpack
+from ..fmi.block import PYTHON_TYPE, Value
+from ..fmi.instance import Identity
+from ..fmi.many_steps import decode_outputs, encode_steps
+from ..fmi.ports import Catalogue, Ports
+from .home import Home, SameProcess
+from .worker import Worker
+
+Isolation = Literal["process", "none"]
+
+_log = logging.getLogger(__name__)
+
+
+def open_slave(fmu: Path, instance_name: str, *, isolation: Isolation = "process", timeout: float = 10.0) -> "Slave":
+    """An FMU for co-simulation, FMI 2.0 or 3.0, unpacked into a private folder and loaded.
+
+    isolation "process" (the default) gives it a process of its own, and returns while it is still loading: open
+    several and they load at the same time. "none" loads it into this process: for trusted native FMUs.
+    timeout is the time each call may take [s]; only a process of its own can be held to it.
+
+    Raises ModelDescriptionError for a bad file, SlaveError when loading fails (isolated: in the first call).
+    """
+    if not (math.isfinite(timeout) and timeout > 0):
+        raise ValueError(f"timeout must be positive and finite, got {timeout} s.")
+    if isolation not in ("process", "none"):
+        raise ValueError(f"isolation must be 'process' or 'none', got {isolation!r}.")
+    description = read_description(fmu)
+    folder = private_folder()
+    try:
+        unpack(fmu, folder)
+        identity = Identity(
+            folder,
+            str(co_simulation(description).modelIdentifier),
+            str(description.guid),
+            instance_name,
+            "pythonfmu" in (description.generationTool or "").lower(),
+            "fmi2" if description.fmiVersion == "2.0" else "fmi3",
+        )
+        home = Worker(identity, timeout) if isolation == "process" else SameProcess(identity)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    return Slave(fmu, instance_name, description, home, folder)
+
+
+class Slave:
+    """One FMU. Its life: bind, initialize, any number of step (or begin_step, end_step) and get, close.
+
+    After a SlaveError that the FMU has caused only close may be called; a value that is refused before it reaches the
+    FMU leaves the slave as it was.
+    """
+
+    def __init__(self, fmu: Path, instance_name: str, description: ModelDescription, home: Home, folder: str) -> None:
+        """Made by open_slave."""
+        self.fmu = fmu
+        self.name = instance_name
+        self.description = description
+        self._catalogue = Catalogue(fmu.name, description.modelVariables)
+        self._home = home
+        self._time: float | None = None
+        self._fault: SlaveError | None = None
+        self._end_of_step: float | None = None
+        self._values: tuple[float, ...] | None = None
+        self._inputs, self._tunables, self._outputs = (Ports(role, ()) for role in ("input", "parameter", "output"))
+        self._finalizer = weakref.finalize(self, _release, home, folder, os.getpid())
+
+    def bind(self, inputs: Sequence[str] = (), tunables: Sequence[str] = (), outputs: Sequence[str] = ()) -> None:
+        """Say which variables are set and got at communication points, and in which order.
+
+        inputs must have causality input, tunables be tunable parameters; outputs may be anything but a String.
+        Raises WiringError, SlaveError.
+        """
+        for names in (inputs, tunables):
+            if len(set(names)) != len(names):
+                raise WiringError(f"{self.name}: a variable is bound twice in {', '.join(names)}")
+        self._inputs = self._catalogue.ports("input", inputs)
+        self._tunables = self._catalogue.ports("tunable parameter", tunables)
+        self._outputs = self._catalogue.ports("output", outputs)
+        self._values = None
+        ports = (self._inputs, self._tunables, self._outputs)
+        self._guarded(self._home.bind, *(port.variables for port in ports))
+
+    def initialize(self, start: Mapping[str, Value], start_time: float = 0.0, stop_time: float | None = None) -> None:
+        """Set start values by name and go through initialization mode; times in s.
+
+        Raises WiringError for a variable that takes no start value or one of another type, SlaveError.
+        """
+        values = [self._start_value(name, value, start_time) for name, value in start.items()]
+        self._guarded(self._home.call, "initialize", start_time, values, start_time, stop_time)
+        self._time = start_time
+        self._values = None
+
+    def enter_initialization(
+        self, start: Mapping[str, Value], start_time: float = 0.0, stop_time: float | None = None
+    ) -> None:
+        """As initialize, but stay in initialization mode, for propagate and exit_initialization."""
+        values = [self._start_value(name, value, start_time) for name, value in start.items()]
+        self._guarded(self._home.call, "enter_initialization", start_time, values, start_time, stop_time)
+        self._time = start_time
+
+    def propagate(self, inputs: Sequence[float] | None) -> tuple[float, ...]:
+        """The bound outputs in initialization mode, after setting the inputs unless they are None.
+
+        On the way to consistent values ranges are not looked at. Raises SlaveError.
+        """
+        return tuple(self._guarded(self._home.call, "propagate", self._time, inputs))
+
+    def exit_initialization(self) -> None:
+        """Leave initialization mode. Raises SlaveError."""
+        self._guarded(self._home.call, "exit_initialization", self._time)
+        self._values = None
+
+    def restart(self) -> None:
+        """Free the FMU's instance and make a new one in its place, with the same variables bound; initialize follows.
+
+        Not fmi2Reset, which many FMUs do not have. Raises SlaveError. One that declares
+        canBeInstantiatedOnlyOncePerProcess may fail: it needs a new slave.
+        """
+        self._guarded(self._home.call, "restart", self._time)
+        self._time = self._values = None
+        ports = (self._inputs, self._tunables, self._outputs)
+        self._guarded(self._home.bind, *(port.variables for port in ports))
+
+    def get(self) -> tuple[float, ...]:
+        """The bound outputs at the present communication point. Raises SlaveError."""
+        self._must_be_usable()
+        if self._values is None:
+            values = tuple(self._guarded(self._home.call, "get", self._time))
+            self._values = self._checked_outputs(values)
+        return self._values
+
+    def begin_step(self, inputs: Sequence[float], t: float, h: float, tunables: Sequence[float] | None = None) -> None:
+        """Start a step from t to t + h [s] with these inputs, after setting the tunables unless they are None.
+
+        Raises SlaveError, ValueError for another number of values than bound.
+        """
+        self._refuse(self._inputs, inputs, t)
+        if tunables is not None:
+            self._refuse(self._tunables, tunables, t)
+        self._guarded(self._home.begin_step, t, h, inputs, tunables)
+        self._time, self._end_of_step = t, t + h
+
+    def end_step(self) -> tuple[float, ...]:
+        """Wait for the step; the bound outputs after it. Raises SlaveError."""
+        end, self._end_of_step = self._end_of_step, None
+        if end is None:
+            raise RuntimeError(f"{self.name}: end_step must follow begin_step.")
+        values = self._guarded(self._home.end_step, self._time)
+        self._time = end
+        self._values = self._checked_outputs(values)
+        return values
+
+    def step(
+        self, inputs: Sequence[float], t: float, h: float, tunables: Sequence[float] | None = None
+    ) -> tuple[float, ...]:
+        """begin_step and end_step."""
+        self.begin_step(inputs, t, h, tunables)
+        return self.end_step()
+
+    def many_steps(self, times: Sequence[float], inputs: Sequence[Sequence[float]]) -> list[tuple[float, ...]]:
+        """Steps from each of times (n + 1,) [s] to the next with inputs (n, p); the bound outputs after each.
+
+        As n calls of step, but in one call of the FMU's process, which has the timeout for all of them.
+        """
+        for t, values in zip(times, inputs, strict=False):
+            self._refuse(self._inputs, values, t)
+        answer = self._guarded(self._home.call, "many_steps", times[0], encode_steps(times, inputs))
+        rows = decode_outputs(answer, len(inputs))
+        for t, row in zip(times[1:], rows, strict=True):
+            self._time = t
+            self._values = self._checked_outputs(row)
+        return rows
+
+    def get_state(self) -> bytes:
+        """The FMU's state, for set_state of a slave of the same FMU. Raises SlaveError."""
+        self._must_have_states("get_state")
+        return self._guarded(self._home.call, "get_state", self._time)
+
+    def set_state(self, state: bytes) -> None:
+        """Go back to a state. Raises SlaveError."""
+        self._must_have_states("set_state")
+        self._guarded(self._home.call, "set_state", self._time, state)
+        self._values = None
+
+    def close(self) -> None:
+        """Terminate and free the FMU, within a few seconds or by force, and remove its folder; idempotent.
+
+        An FMU that fails here is logged as a warning: what it has computed is not touched by it.
+        """
+        if not self._finalizer.alive:
+            return
+        try:
+            self._home.close(self._time, self._fault is None)
+        except SlaveError as error:
+            _log.warning("%s", error)
+        finally:
+            self._finalizer()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _must_be_usable(self) -> None:
+        if self._fault is not None or not self._finalizer.alive:
+            raise RuntimeError(f"{self.name} must not be called after {self._fault or 'close'}.")
+        if self._end_of_step is not None:
+            raise RuntimeError(f"{self.name}: begin_step must be followed by end_step.")
+
+    def _guarded(self, function: Any, *arguments: Any) -> Any:
+        """Call the FMU unless it is closed, has failed before, or is in a step."""
+        self._must_be_usable()
+        try:
+            return function(*arguments)
+        except SlaveError as error:
+            self._fault = error
+            raise
+
+    def _checked_outputs(self, values: tuple[float, ...]) -> tuple[float, ...]:
+        problem = self._outputs.problem(values)
+        if problem is not None:
+            self._fault = SlaveError(self.name, "get", self._time, problem, COLON)
+            raise self._fault
+        return values
+
+    def _refuse(self, ports: Ports, values: Sequence[float], t: float) -> None:
+        if len(values) != len(ports.variables):
+            raise ValueError(f"{self.name}: {len(ports.variables)} values must be set, got {len(values)}.")
+        problem = ports.problem(values)
+        if problem is not None:
+            raise SlaveError(self.name, "set", t, problem, COLON)
+
+    def _must_have_states(self, function: str) -> None:
+        interface = co_simulation(self.description)
+        if not (interface.canGetAndSetFMUstate and interface.canSerializeFMUstate):
+            reason = f"{self.fmu.name} cannot save and restore its state"
+            raise SlaveError(self.name, function, self._time, reason, COLON)
+
+    def _start_value(self, name: str, value: Value, t: float) -> tuple[str, str, int, Value]:
+        port = self._catalogue.start_port(name, value)
+        (variable,) = port.variables
+        if variable.type != "String":
+            self._refuse(port, [float(value)], t)
+        return variable.name, variable.type, variable.reference, PYTHON_TYPE[variable.type](value)
+
+
+def _release(home: Home, folder: str, process_id: int) -> None:
+    """Leave nothing behind: called by close, when a slave is forgotten, or at the end of the program."""
+    if os.getpid() == process_id:  # not in a fork of it
+        home.close(None, is_polite=False)
+        shutil.rmtree(folder, ignore_errors=True)

@@ -1,0 +1,243 @@
+"""`retune check`: each thing that is wrong or risky is found where it is, and a sound scenario has none."""
+
+from pathlib import Path
+
+import pytest
+
+from cosim.authoring.check import check
+from cosim.cli import main
+from cosim.errors import ScenarioError
+from cosim.names import named_scenarios
+
+pytestmark = pytest.mark.fmu
+
+AXIS = """
+[scenario]
+name = "axis"
+stop_time = 1.0
+macro_step = 0.01
+[components]
+plant = { fmu = "Axis.fmu" }
+controller = { fmu = "AxisController.fmu" }
+reference = { table = "steps.csv" }
+[connections]
+"controller.s_meas" = "plant.mass.s"
+"controller.v_meas" = "plant.mass.v"
+"controller.sRef" = "reference.s_ref"
+"controller.vRef" = "reference.v_ref"
+"plant.f" = "controller.f_cmd"
+[changes]
+"plant.mass.m" = [[0.0, 2.0], [0.3, 3.0]]
+[tracking]
+"plant.mass.s" = "reference.s_ref"
+[sampling.derivatives]
+"plant.der(mass.v)" = { noise = 1e-3 }
+[estimation]
+model = "axis_model:derivative"
+trigger = { kind = "innovation" }
+[[estimation.parameters]]
+name = "m"
+lower = 0.5
+upper = 10.0
+unit = "kg"
+writes = "controller.m"
+true = "plant.mass.m"
+"""
+MODEL = "def derivative(x, u, m):\n    return ((u[0] - 8.0 * x[1] - x[0]) / m, x[0])\n"
+
+
+@pytest.fixture
+def axis(foreign, tmp_path):
+    """Writes the scenario beside its FMUs and its table, with pairs of text replaced; its path."""
+    for name in ("Axis.fmu", "AxisController.fmu"):
+        (tmp_path / name).symlink_to(foreign / name)
+    (tmp_path / "steps.csv").write_text("time [s], s_ref [m], v_ref [m/s]\n0, 1, 0\n1, 1, 0\n")
+    (tmp_path / "axis_model.py").write_text(MODEL)
+
+    def write(*replacements: tuple[str, str]) -> Path:
+        text = AXIS
+        for old, new in replacements:
+            assert text.count(old) == 1, old
+            text = text.replace(old, new)
+        path = tmp_path / "axis.toml"
+        path.write_text(text)
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize("name", named_scenarios())
+def test_nothing_is_found_in_the_named_scenarios(name):
+    assert [str(f) for f in check(name)] == []
+
+
+def test_nothing_is_found_in_a_sound_scenario_of_foreign_fmus(axis, capsys):
+    assert check(axis()) == []
+    assert main(["check", str(axis())]) == 0
+    assert capsys.readouterr().out.endswith("axis.toml: 0 errors, 0 warnings\n")
+
+
+REMOVED = "nothing is said"
+CASES = {
+    "no such input": (('"controller.sRef" =', '"controller.s_ref" ='), "connections.controller.s_ref",
+        "error: no variable 's_ref' in AxisController.fmu"),
+    "an output as an input": (('"plant.f" =', '"plant.mass.s" ='), 'connections."plant.mass.s"',
+        "error: 'mass.s' of Axis.fmu is an output, not an input"),
+    "no such output": (('"controller.f_cmd"', '"controller.f_cmt"'), 'connections."plant.f"',
+        "error: no variable 'f_cmt' in AxisController.fmu; did you mean 'f_cmd' (an output)?"),
+    "a parameter as an output": (('"controller.f_cmd"', '"controller.m"'), 'connections."plant.f"',
+        "error: 'm' is no output of AxisController.fmu"),
+    "other dimensions": (('"plant.mass.v"', '"plant.der(mass.v)"'), 'connections."controller.v_meas"',
+        "error: 'plant.der(mass.v)' to 'controller.v_meas': 'm/s2' cannot be converted to 'm/s': the dimensions"),
+    "not connected": (('"plant.f" = "controller.f_cmd"\n', ""), 'connections."plant.f"',
+        "warning: the input is not connected: it stays 0"),
+    "a fixed parameter changes": (('"plant.mass.m" = [[', '"plant.damper.d" = [['), 'changes."plant.damper.d"',
+        "error: 'damper.d' of Axis.fmu is a fixed parameter, not a tunable parameter"),
+    "nothing changes": (('"plant.mass.m" = [[0.0, 2.0], [0.3, 3.0]]\n', ""), "changes",
+        "warning: nothing happens to the plant"),
+    "tracked in another unit": (('"plant.mass.s" = "reference.s_ref"\n[sampling',
+        '"plant.mass.s" = "reference.v_ref"\n[sampling'), 'tracking."plant.mass.s"',
+        "error: 'reference.v_ref' to 'plant.mass.s': 'm/s' cannot be converted to 'm': 'm/s' is not defined"),
+    "no derivative": (('"plant.der(mass.v)"', '"plant.mass.v"'), 'sampling.derivatives."plant.mass.v"',
+        "error: 'mass.v' is not declared as a state's derivative; did you mean 'der(mass.v)'?"),
+    "no state": (("noise = 1e-3 }\n", 'noise = 1e-3 }\n[sampling.states]\n"plant.f" = { noise = 1.0 }\n'),
+        'sampling.states."plant.f"', "error: no state with a declared derivative"),
+    "a fixed parameter is written": (('writes = "controller.m"', 'writes = "controller.d"'),
+        "estimation.parameters.0 (m)", "error: 'd' of AxisController.fmu is a fixed parameter, not a tunable"),
+    "another unit": (('unit = "kg"', 'unit = "g"'), "estimation.parameters.0 (m)",
+        "error: 'controller.m' has the unit kg, but 'm' g"),
+    "bounds beyond the FMU's": (("upper = 10.0", "upper = 11.0"), "estimation.parameters.0 (m)",
+        "error: 'controller.m' takes 0.1 to 10.0 kg; 'm' has [0.5, 11] kg"),
+    "no bounds": (("lower = 0.5\n", ""), "estimation.parameters.0.lower", "error: field required"),
+    "no limits in the FMU": (('unit = "kg"\nwrites = "controller.m"', 'unit = "N/m"\nwrites = "controller.c"'),
+        "estimation.parameters.0 (m)", "warning: AxisController.fmu declares neither min nor max"),
+    "starts outside": (("lower = 0.5", "lower = 2.5"), "estimation.parameters.0 (m)",
+        "warning: 'controller.m' starts as 2, outside [2.5, 10]"),
+    "not in the plant": (('true = "plant.mass.m"\n', ""), "estimation.parameters.0 (m)",
+        "error: no variable 'm' in Axis.fmu; say with true = ... which one it stands for"),
+    "takes no start": (('"Axis.fmu" }', '"Axis.fmu", start = { "der(mass.s)" = 1.0 } }'),
+        "components.plant.start.der(mass.s)", "error: 'der(mass.s)' of Axis.fmu takes no start value"),
+    "starts beyond the FMU's limits": (('"Axis.fmu" }', '"Axis.fmu", start = { "mass.m" = 30.0 } }'),
+        "components.plant.start.mass.m", "error: tunable parameter 'mass.m' must be within [0.5, 20] kg, got 30"),
+    "no such FMU": (('"Axis.fmu"', '"Axle.fmu"'), "components.plant", "error: no FMU 'Axle.fmu'"),
+    "a table that ends": (("stop_time = 1.0", "stop_time = 2.0"), "components.reference",
+        "warning: its rows are from 0 to 1 s"),
+    "no loop through a state": (('"plant.mass.v"', '"plant.der(mass.s)"'), REMOVED, ""),
+    "no module": (('"axis_model:derivative"', '"axle_model:derivative"'), "estimation.model",
+        "error: cannot load 'axle_model:derivative': ModuleNotFoundError"),
+    "an unknown key": (("macro_step = 0.01", "macro_step = 0.01\nmakro = 1"), "scenario.makro", "error: unknown key"),
+    "an unknown component": (('"reference.s_ref"\n[sampling', '"referenz.s_ref"\n[sampling'), "tracking",
+        "error: 'referenz.s_ref': no component 'referenz'; did you mean 'reference'?"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("replacement", "where", "what"), CASES.values(), ids=CASES)
+def test_what_is_wrong_or_risky_is_found_where_it_is(axis, replacement, where, what):
+    found = [str(f) for f in check(axis(replacement))]
+    if where == REMOVED:
+        assert found == []
+        return
+    hits = [f for f in found if f.replace('"', "").startswith(f"{where}: {what}".replace('"', ""))]
+    assert len(hits) == 1, found
+    assert all("\n" not in f for f in found)
+
+
+def test_several_findings_are_told_one_a_line_with_the_file_and_errors_refuse(axis, capsys):
+    path = axis(('"Axis.fmu"', '"Axle.fmu"'), ('unit = "kg"', 'unit = "g"'), ("stop_time = 1.0", "stop_time = 2.0"))
+    assert main(["check", str(path)]) == 2
+    out, err = capsys.readouterr()
+    lines = out.splitlines()
+    assert err == ""
+    assert [line.split(": ")[1:3] for line in lines[:-1]] == [
+        ["components.plant", "error"], ["estimation.parameters.0 (m)", "error"], ["components.reference", "warning"],
+    ]  # fmt: skip
+    assert all(line.startswith(f"{path}: ") for line in lines)
+    assert lines[-1] == f"{path}: 2 errors, 1 warning"
+
+
+def test_every_error_of_the_schema_is_told(axis):
+    found = check(axis(("stop_time = 1.0", "stop_time = -1.0"), ("lower = 0.5\n", ""), ('name = "axis"', 'name = ""')))
+    assert {f.where for f in found} == {"scenario.stop_time", "scenario.name", "estimation.parameters.0.lower"}
+
+
+@pytest.mark.parametrize(
+    ("model", "message"),
+    [
+        ("def derivative(x, u, mass):\n    return (0.0, x[0])\n", "unexpected keyword argument 'm'"),
+        ("def derivative(x, u, m):\n    return x[2] / m\n", "IndexError: tuple index out of range"),
+        ("def derivate(x, u, m):\n    return (0.0, x[0])\n", "has no attribute 'derivative'"),
+    ],
+)
+def test_a_model_that_does_not_fit_is_found(axis, tmp_path, model, message):
+    (tmp_path / f"m{abs(hash(model))}.py").write_text(model)
+    (found,) = check(axis(("axis_model", f"m{abs(hash(model))}")))
+    assert (found.where, found.is_error) == ("estimation.model", True)
+    assert message in found.what
+
+
+def test_feedthrough_that_closes_a_loop_is_a_warning_and_the_plants_inertia_none(axis, described):
+    gain = """<ScalarVariable name="u" valueReference="0" causality="input"><Real start="0" unit="N"/></ScalarVariable>
+    <ScalarVariable name="y" valueReference="1" causality="output"><Real unit="m/s"/></ScalarVariable>"""
+    described(gain, '<Outputs><Unknown index="2" dependencies="1"/></Outputs>', "Filter", 'needsExecutionTool="true"')
+    new = 'reference = { table = "steps.csv" }\nfilter = { fmu = "Filter.fmu" }'
+    wired = '"controller.v_meas" = "filter.y"\n"filter.u" = "controller.f_cmd"'
+    path = axis(
+        ('reference = { table = "steps.csv" }', new), ('"controller.v_meas" = "plant.mass.v"', wired)
+    )  # f_cmd depends on v_meas, that on f_cmd
+    found = {f.where: f for f in check(path)}
+    assert not any(f.is_error for f in found.values()), list(map(str, found.values()))
+    assert "AxisController.fmu not saying by what it goes" in found["connections"].what
+    assert "controller.f_cmd" in found["connections"].what
+    assert "filter.y" in found["connections"].what
+    assert "Filter.fmu needs the tool that made it" in found["components.filter"].what
+
+
+def test_units_that_are_not_given_or_not_defined_are_warnings_and_a_factor_is_an_error(axis, described):
+    outputs = "".join(
+        f'<ScalarVariable name="{name}" valueReference="{i}" causality="output"><Real {unit}/></ScalarVariable>'
+        for i, (name, unit) in enumerate({"a": "", "b": 'unit="tick"', "c": 'unit="mm"', "n": ""}.items())
+    ).replace('name="n" valueReference="3" causality="output"><Real />',
+              'name="n" valueReference="3" causality="output" variability="discrete"><Integer/>')  # fmt: skip
+    described(outputs, "", "Sensor", "")
+    new = (
+        'reference = { table = "steps.csv" }',
+        'reference = { table = "steps.csv" }\nsensor = { fmu = "Sensor.fmu" }',
+    )
+    found = {}
+    for output in "abc":
+        (found[output],) = check(
+            axis(new, ('"plant.mass.s"\n"controller.v_meas"', f'"sensor.{output}"\n"controller.v_meas"'))
+        )
+    assert [f.is_error for f in found.values()] == [False, False, True]
+    assert "'sensor.a' has no unit, the other end m" in found["a"].what
+    assert "'tick' is not defined" in found["b"].what
+    assert found["c"].what == "'sensor.c' is in mm, 'controller.s_meas' in m, and a scenario does not convert"
+
+
+def test_a_step_that_an_fmu_does_not_take_is_a_warning(axis, described):
+    import zipfile
+
+    path = described(
+        '<ScalarVariable name="y" valueReference="0" causality="output"><Real/></ScalarVariable>', "", "Fixed"
+    )
+    with zipfile.ZipFile(path) as fmu:
+        files = {name: fmu.read(name) for name in fmu.namelist()}
+    xml = files["modelDescription.xml"].decode()
+    files["modelDescription.xml"] = xml.replace(
+        "<ModelVariables>", '<DefaultExperiment stepSize="0.002"/><ModelVariables>'
+    )
+    with zipfile.ZipFile(path, "w") as fmu:
+        for name, content in files.items():
+            fmu.writestr(name, content)
+    new = ('reference = { table = "steps.csv" }', 'reference = { table = "steps.csv" }\nf = { fmu = "Fixed.fmu" }')
+    (found,) = check(axis(new))
+    assert str(found) == "scenario.macro_step: warning: Fixed.fmu declares steps of 0.002 s, and no others"
+    assert check(axis(new, ("macro_step = 0.01", "macro_step = 0.002"))) == []
+
+
+def test_what_is_no_scenario_is_refused_in_one_line(axis, capsys, tmp_path):
+    (tmp_path / "no.toml").write_text("[scenario\n")
+    with pytest.raises(ScenarioError, match="not a readable TOML file"):
+        check(tmp_path / "no.toml")
+    assert main(["check", "Axis.fmu"]) == 2
+    assert capsys.readouterr().err == "retune: 'Axis.fmu' is an FMU: retune info and retune doctor look into one.\n"

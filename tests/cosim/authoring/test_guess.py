@@ -1,0 +1,81 @@
+"""What is guessed of names and units."""
+
+import pytest
+
+from cosim.authoring.guess import LAST_WORDS, LIKE, SAME, SAME_WORDS, alike, guess_connections, is_desired
+from cosim.fmi.component import read_component
+
+
+@pytest.mark.parametrize(
+    ("name", "other", "how"),
+    [
+        ("phi", "phi", SAME),
+        ("phiRef", "phi_ref", SAME_WORDS),
+        ("phi_ref", "phi", SAME_WORDS),
+        ("r_d_x", "r_x", SAME_WORDS),
+        ("f_cmd", "f", SAME_WORDS),
+        ("s_meas", "mass.s", LAST_WORDS),
+        ("der_v", "mass.v", None),
+        ("v", "der(v)", None),
+        ("force1", "force", LIKE),
+        ("torque", "speed", None),
+        ("d", "d_ref", SAME_WORDS),
+        ("ref", "set", None),
+    ],
+)
+def test_names_are_alike_by_their_words(name, other, how):
+    assert alike(name, other) == alike(other, name) == how
+
+
+@pytest.mark.parametrize(("name", "yes"), [("phi_ref", True), ("r_d_x", True), ("d", False), ("phi", False)])
+def test_a_set_point_is_known_by_its_name(name, yes):
+    assert is_desired(name) is yes
+
+
+def variables(**units):
+    parts = []
+    for i, (name, (causality, unit)) in enumerate(units.items()):
+        attribute = f'unit="{unit}"' if unit else ""
+        start = 'start="0"' if causality == "input" else ""
+        parts.append(
+            f'<ScalarVariable name="{name}" valueReference="{i}" causality="{causality}"><Real {attribute} {start}/>'
+            "</ScalarVariable>"
+        )
+    return "".join(parts)
+
+
+@pytest.fixture
+def joined(described):
+    """What is guessed for a plant and a controller with these variables: source and likelihood by target."""
+
+    def guess(plant, controller):
+        components = {
+            "plant": read_component(described(variables(**plant), name="P")),
+            "controller": read_component(described(variables(**controller), name="C")),
+        }
+        return {g.target: (g.source, g.is_likely) for g in guess_connections(components)}
+
+    return guess
+
+
+def test_same_name_and_unit_is_likely_and_anything_less_is_to_be_looked_at(joined):
+    found = joined(
+        {"y": ("output", "m"), "speed": ("output", ""), "u": ("input", "N")},
+        {"y": ("input", "m"), "speed": ("input", ""), "u": ("output", "N")},
+    )
+    assert found == {
+        "controller.y": ("plant.y", True),
+        "controller.speed": ("plant.speed", False),
+        "plant.u": ("controller.u", True),
+    }
+
+
+def test_two_outputs_that_fit_alike_are_no_likely_guess(joined):
+    found = joined({"a.x": ("output", "m"), "b.x": ("output", "m")}, {"x": ("input", "m")})
+    assert found["controller.x"][0] in ("plant.a.x", "plant.b.x")
+    assert not found["controller.x"][1]
+
+
+def test_an_input_without_a_name_like_it_takes_the_only_output_left_in_its_unit(joined):
+    found = joined({"u": ("input", "N"), "w": ("input", "K")}, {"thrust": ("output", "N"), "heat": ("output", "W")})
+    assert found == {"plant.u": ("controller.thrust", False), "plant.w": (None, False)}

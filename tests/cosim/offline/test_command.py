@@ -1,0 +1,169 @@
+"""`retune estimate` from the command line."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+import pytest
+
+from cosim.cli import main
+from cosim.ssp.ssv import read_ssv
+
+pytestmark = pytest.mark.fmu
+SOUGHT = ["--parameter", "m=0.5:4", "--parameter", "c=0.05:5:log", "--parameter", "k=5:60:log"]
+ROLES = ["--input", "F=force", "--measured", "x=x", "--measured", "v=v"]
+
+
+@pytest.fixture
+def log(tmp_path, oracles):
+    return oracles.write_log(tmp_path / "log.csv", oracles.measure(0))
+
+
+@pytest.fixture
+def command(plant, log, monkeypatch, tmp_path):
+    """command(*options): the exit code of `retune estimate` on the log, in an empty folder."""
+    (tmp_path / "work").mkdir()
+    monkeypatch.chdir(tmp_path / "work")
+    return lambda *options, log=log: main(["estimate", str(plant), str(log), *options])
+
+
+def test_what_it_prints_and_writes(command, oracles, capsys, tmp_path):
+    ssv = tmp_path / "mine.ssv"
+    assert command(*SOUGHT, *ROLES, "--evaluations", "40", "--ssv", str(ssv)) == 0
+    printed = capsys.readouterr().out
+    assert "601 of 801 rows fitted to, 200 held out" in printed
+    assert "Each parameter is identifiable." in printed
+    assert "written to runs/Plant-estimate-1" in printed
+    folder = tmp_path / "work" / "runs" / "Plant-estimate-1"
+    assert {p.name for p in folder.iterdir()} == {
+        "estimate.json", "estimates.ssv", "candidates.csv", "fit.csv", "fit.png"
+    }  # fmt: skip
+    content = json.loads((folder / "estimate.json").read_text())
+    for parameter in read_ssv(ssv).values:
+        told = content["parameters"][parameter.name]
+        assert abs(parameter.value - getattr(oracles.TRUTH, parameter.name)) < 4.0 * told["std"]
+        assert parameter.unit == told["unit"]
+    assert ssv.read_text() == (folder / "estimates.ssv").read_text()
+    series = np.genfromtxt(folder / "fit.csv", delimiter=",", names=True, deletechars="")
+    assert np.sqrt(np.mean((series["x_after"] - series["x_measured"]) ** 2)) == pytest.approx(2e-3, rel=0.1)
+    assert matplotlib.image.imread(folder / "fit.png").std() > 0.05
+
+
+def test_json_is_one_object(command, capsys):
+    assert command(*SOUGHT, *ROLES, "--evaluations", "20", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["parameters"].keys() == {"m", "c", "k"}
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--parameter", "mass=1:2", *ROLES], "no variable 'mass' in Plant.fmu"),
+        (["--parameter", "m=1", *ROLES], "must be NAME=LOW:HIGH or NAME=LOW:HIGH:log, got 'm=1'"),
+        (["--parameter", "m=1:x", *ROLES], "must be a number, got 'x'"),
+        (["--parameter", "m=2:1", *ROLES], "lower < upper"),
+        (ROLES, "the following arguments are required: --parameter"),
+        ([*SOUGHT, "--input", "F=force"], "the following arguments are required: --measured"),
+        ([*SOUGHT, *ROLES, "--measured", "x=v"], "--measured x is given twice"),
+        ([*SOUGHT, *ROLES, "--input", "F=farce"], "--input F is given twice"),
+        ([*SOUGHT, "--measured", "x=y"], "no column 'y'"),
+        ([*SOUGHT, *ROLES, "--window", "1"], "must be FROM:TO, got '1'"),
+        ([*SOUGHT, *ROLES, "--noise", "x=-1"], "--noise x must be positive"),
+        ([*SOUGHT, *ROLES, "--holdout", "1"], "--holdout must be from 0 to below 1"),
+        ([*SOUGHT, *ROLES, "--method", "magic"], "no method 'magic' for a log"),
+        ([*SOUGHT, *ROLES, "--evaluations", "0"], "must be 1 or more"),
+        ([*SOUGHT, *ROLES, "--seed", "-1"], "must be a whole number"),
+        ([*SOUGHT, *ROLES, "--ssv", "/nowhere/at/all.ssv"], "is in no folder that there is"),
+    ],
+)
+def test_a_bad_command_is_refused_in_one_line(command, capsys, tmp_path, options, told):
+    try:
+        code = command(*options)
+    except SystemExit as refused:  # by the parser
+        code = refused.code
+    error = capsys.readouterr().err
+    assert (code, error.count("\n")) == (2, 1)
+    assert told in error
+    assert not (tmp_path / "work" / "runs").exists()
+
+
+@pytest.mark.parametrize(
+    ("damage", "told"),
+    [
+        (lambda rows: rows[:5] + rows[3:], "time must not go back, as it does from 0.03 to 0.02 s after row 4"),
+        (lambda rows: rows[:2], "must have two rows or more, got 1"),
+        (lambda rows: rows[1:], "must begin with a header"),
+        (lambda rows: [row.replace("x [m]", "x [kg]") for row in rows], "'kg' cannot be converted to 'm'"),
+        (lambda rows: [row.replace("x [m]", "x [smoot]") for row in rows], "'smoot' is not defined"),
+        (lambda rows: [*rows[:9], "0.5,oops,1,1\n", *rows[9:]], "column 'force' must hold numbers, got 'oops'"),
+        (lambda rows: [rows[0], *(f"{row.split(',')[0]},,1,1\n" for row in rows[1:])], "no two rows"),
+        (lambda rows: [rows[0], *(f"{row.split(',')[0]},1,,1\n" for row in rows[1:])], "'x', measured for x, has no"),
+        (lambda rows: [rows[0], *(f"{row.split(',')[0]},1,2,1\n" for row in rows[1:])], "never changes in the log"),
+    ],
+    ids=["back", "short", "headless", "dimension", "unit", "text", "no-input", "no-output", "constant"],
+)
+def test_a_bad_log_is_refused_in_one_line(command, log, capsys, damage, told):
+    rows = log.read_text().splitlines(keepends=True)
+    log.write_text("".join(damage(rows)))
+    assert command(*SOUGHT, *ROLES) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert told in error
+
+
+def test_a_plant_that_never_runs_is_exit_code_1(command, capsys):
+    assert command(*SOUGHT, *ROLES, "--start", "c_limit=0.01", "--evaluations", "6") == 1
+    error = capsys.readouterr().err
+    assert error.startswith("retune: every roll-out failed, the first so: plant: do_step at t = 0.000 s returned error")
+    assert error.count("\n") == 1
+
+
+def test_a_folder_in_use_and_an_ssv_that_exists_are_left_alone(command, capsys, tmp_path):
+    (tmp_path / "mine").mkdir()
+    kept = tmp_path / "mine" / "kept.ssv"
+    kept.write_text("dear")
+    assert command(*SOUGHT, *ROLES, "--out", str(tmp_path / "mine")) == 2
+    assert command(*SOUGHT, *ROLES, "--ssv", str(kept)) == 2
+    assert [p.name for p in (tmp_path / "mine").iterdir()] == ["kept.ssv"]
+    assert kept.read_text() == "dear"
+
+
+def test_an_fmu_that_is_none(command, log, capsys, tmp_path):
+    (tmp_path / "no.fmu").write_text("no")
+    assert main(["estimate", str(tmp_path / "no.fmu"), str(log), *SOUGHT, *ROLES]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_ctrl_c_ends_all_processes(plant, tmp_path, oracles):
+    log = oracles.write_log(tmp_path / "long.csv", oracles.measure(0, end=60.0, h=0.001))
+    command = [sys.executable, "-m", "cosim.cli", "estimate", str(plant), str(log), *SOUGHT, *ROLES, "--out", "out"]
+    with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
+        while not (children := _children(process.pid)):
+            assert process.poll() is None
+        process.send_signal(2)
+        error = process.communicate(timeout=60)[1]
+    assert process.returncode == 130, error
+    assert error.startswith("retune: interrupted; there is no estimate yet")
+    assert error.count("\n") == 1
+    assert not any(_is_running(child) for child in children)
+    assert not (tmp_path / "out").exists()
+
+
+def _children(process_id):
+    """Ids of the processes of FMUs that it has started."""
+    tasks = Path(f"/proc/{process_id}/task").glob("*/children")
+    children = [int(child) for task in tasks for child in task.read_text().split()]
+    return [child for child in children if b"cosim.slaves.child" in _command_of(child)]
+
+
+def _command_of(process_id):
+    try:
+        return Path(f"/proc/{process_id}/cmdline").read_bytes()
+    except OSError:  # it has ended
+        return b""
+
+
+def _is_running(process_id):
+    return Path(f"/proc/{process_id}").exists()

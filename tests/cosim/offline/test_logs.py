@@ -1,0 +1,128 @@
+"""Logs from files: what is read, what is refused in one line, what is passed over with a warning."""
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
+import pytest
+from scipy.io import savemat
+
+from cosim.offline.logs import LogError, read_log
+from cosim.offline.unit_text import understood
+from cosim.units import conversion
+
+ROWS = {"time": [0.0, 0.1, 0.25], "u": [1.0, 2.0, -3.5e-2]}
+
+
+@pytest.mark.parametrize(
+    ("content", "unit"),
+    [
+        (b"time,u\n0,1\n0.1,2\n0.25,-3.5e-2\n", None),
+        (b"time [s],u [N]\n0.0,1\n0.1,2.0\n0.25,-0.035\n", "N"),
+        (b"\xef\xbb\xbftime;u [kN.m]\r\n0;1\r\n0,1;2\r\n0,25;-0,035\r\n", "kN.m"),
+        (b'"time"\t"u [\xc2\xb0C]"\n0\t1\n0.1\t2\n0.25\t-0.035\n', "°C"),
+        (b"time,u [\xb0C]\n0,1\n0.1,2\n0.25,-0.035\n", "°C"),
+    ],
+    ids=["plain", "units", "decimal-comma", "tabs", "cp1252"],
+)
+def test_csv(tmp_path, content, unit):
+    path = tmp_path / "log.csv"
+    path.write_bytes(content)
+    log = read_log(path)
+    assert {name: c.values.tolist() for name, c in log.columns.items()} == ROWS
+    assert log.column("u").unit == unit
+    assert log.time_column(None) is log.columns["time"]
+
+
+def test_missing_cells_are_nan_and_dates_are_seconds(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("when,u\n2026-01-01 12:00:00.00,1\n2026-01-01 12:00:00.25,\n2026-01-01 12:00:01.50,NaN\n")
+    log = read_log(path)
+    assert log.column("when").values.tolist() == [0.0, 0.25, 1.5]
+    assert log.column("when").unit == "s"
+    assert np.isnan(log.column("u").values).tolist() == [False, True, True]
+
+
+def test_parquet_and_mat_hold_the_same(tmp_path):
+    pa.parquet.write_table(pa.table(ROWS | {"on": [True, False, True]}), tmp_path / "log.parquet")
+    log = read_log(tmp_path / "log.parquet")
+    assert log.column("u").values.tolist() == ROWS["u"]
+    assert log.column("on").values.tolist() == [1.0, 0.0, 1.0]
+    savemat(tmp_path / "log.mat", {"t": ROWS["time"], "rig": {"u": ROWS["u"]}, "y": np.arange(6.0).reshape(3, 2)})
+    log = read_log(tmp_path / "log.mat")
+    assert log.time_column(None).values.tolist() == ROWS["time"]
+    assert log.column("rig.u").values.tolist() == ROWS["u"]
+    assert log.column("y(2)").values.tolist() == [1.0, 3.0, 5.0]
+
+
+def test_mdf(tmp_path):
+    asammdf = pytest.importorskip("asammdf")
+    with asammdf.MDF(version="4.10") as file:
+        file.append([asammdf.Signal(np.array(ROWS["u"]), np.array(ROWS["time"]), name="u", unit="N")])
+        file.save(tmp_path / "log.mf4")
+    log = read_log(tmp_path / "log.mf4")
+    assert log.time_column(None).values.tolist() == ROWS["time"]
+    assert (log.column("u").values.tolist(), log.column("u").unit) == (ROWS["u"], "N")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "match"),
+    [
+        ("log.csv", b"", "is empty"),
+        ("log.csv", b"\x7fELF\0\0\0\0", "is no text file"),
+        ("log.csv", b"0,1\n0.1,2\n", "must begin with a header that names its columns, got '0,1'"),
+        ("log.csv", b"t,u\n0,1\n0.1\n", "cannot be read: CSV parse error: .*Expected 2 columns, got 1"),
+        ("log.csv", b"t,u,u [N]\n0,1,1\n", "has two columns 'u'"),
+        ("log.parquet", b"no", "cannot be read"),
+        ("log.mat", b"no MAT file at all, and it is long enough to be looked into" * 4, "is no MAT file"),
+    ],
+)
+def test_a_file_that_is_no_log_is_refused_in_one_line(tmp_path, name, content, match):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(LogError, match=match) as refused:
+        read_log(tmp_path / name)
+    assert "\n" not in str(refused.value)
+
+
+def test_columns_that_are_not_there_or_no_numbers(tmp_path):
+    (tmp_path / "log.csv").write_text("clock,speed\n0,fast\n1,2\n")
+    log = read_log(tmp_path / "log.csv")
+    with pytest.raises(LogError, match="'speed' must hold numbers, got 'fast'"):
+        log.column("speed")
+    with pytest.raises(LogError, match="no column 'sped'; did you mean 'speed'"):
+        log.column("sped")
+    with pytest.raises(LogError, match="no column 'time' or 't'; give --time"):
+        log.time_column(None)
+    with pytest.raises(LogError, match=r"none\.csv cannot be read: No such file"):
+        read_log(tmp_path / "none.csv")
+
+
+@pytest.mark.parametrize(
+    ("text", "si", "value"),
+    [  # by the SI brochure (2019) and the definitions of the other units
+        ("deg", "rad", 0.017453292519943295),
+        ("rpm", "rad/s", 0.10471975511965977),
+        ("km/h", "m/s", 0.2777777777777778),
+        ("kN", "kg.m/s2", 1000.0),
+        ("N.m", "kg.m2/s2", 1.0),
+        ("Nm", "J", 1.0),
+        ("mm", "m", 1e-3),
+        ("g.cm2", "kg.m2", 1e-7),
+        ("deg/s^2", "rad/s2", 0.017453292519943295),
+        ("bar", "Pa", 1e5),
+        ("min", "s", 60.0),
+        ("%", "1", 0.01),
+        ("mV", "kg.m2.s-3.A-1", 1e-3),
+        ("l/min", "m3/s", 1e-3 / 60.0),
+    ],
+)
+def test_units(text, si, value):
+    convert = conversion(understood(text), understood(si))
+    assert convert(1.0) == pytest.approx(value, rel=1e-14)
+    assert convert(0.0) == 0.0
+
+
+def test_temperatures_have_an_offset_and_unknown_units_no_definition():
+    assert conversion(understood("degC"), understood("K"))(20.0) == pytest.approx(293.15)
+    assert conversion(understood("degF"), understood("degC"))(212.0) == pytest.approx(100.0)
+    assert understood("furlong").exponents is None
+    assert understood("Hz").exponents is None  # a cycle or a radian?

@@ -1,0 +1,223 @@
+"""Figures: drawn for what a run can be at its worst, and the numbers behind them are right."""
+
+import json
+from itertools import pairwise
+from math import sin
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.optimize import minimize_scalar
+
+from cosim import Run, Scenario, run
+from cosim.plots.canvas import label, set_log, tame, value_range
+from cosim.plots.illustrate import global_minimum, illustrate, optimise, unknown
+from cosim.plots.panels import panels
+from cosim.plots.response import response_surface
+from cosim.plots.runs import draw_run
+from cosim.results.record import FolderError
+from cosim.scenarios.system import Plant
+from estimator import Sample
+
+OVER_TIME = {"tracking.png", "error.png", "parameters.png"}
+GONE = {f"components.{name}.fmu": "gone.fmu" for name in ("plant", "controller", "reference")}
+COLUMNS = (
+    "plant.phi", "plant.phi_dot", "plant.der(phi)", "plant.der(phi_dot)", "held.plant.u", "controller.u",
+    "reference.phi_ref", "plant.m", "plant.l", "controller.m", "controller.l", "sampled.plant.der(phi_dot)",
+)  # fmt: skip
+
+PLANT = Plant("plant", ("phi", "phi_dot"), {"u": 0.0}, (1,))
+
+
+def made_up_run(folder: Path | None, n: int = 50, scenario: Scenario | None = None, **columns: object) -> Run:
+    """A run of the pendulum scenario whose series are random but for the columns given by `component_variable`."""
+    rng = np.random.default_rng(0)
+    series = {"time": 0.01 * np.arange(n)} | {name: rng.uniform(0.5, 2.0, n) for name in COLUMNS}
+    given = {name: columns.get(name.replace(".", "_"), values) for name, values in series.items()}
+    return Run(
+        scenario=scenario or Scenario.load("pendulum", GONE), plant=PLANT, estimator="target", seed=0,
+        series={name: np.broadcast_to(np.asarray(v, dtype=float), (n,)) for name, v in given.items()},
+        status="done", error=None, n_evaluations=0, n_episodes=0, latencies=(), wall=0.0, folder=folder,
+    )  # fmt: skip
+
+
+def write_events(folder: Path, *events: object) -> None:
+    (folder / "events.jsonl").write_text("".join(json.dumps(e) + "\n" for e in events))
+
+
+def check_pictures(paths: list[Path]) -> set[str]:
+    """Names of files that are whole PNGs and larger than a thumbnail."""
+    for path in paths:
+        with Image.open(path) as image:
+            assert image.format == "PNG"
+            assert min(image.size) > 300
+            image.load()
+    return {path.name for path in paths}
+
+
+@pytest.mark.fmu
+def test_a_run_of_the_pendulum_has_all_four_figures(tmp_path: Path) -> None:
+    scenario = Scenario.load("pendulum", {"scenario.stop_time": "3.6"})
+    result = run(scenario, "target", 0, out=tmp_path)
+    baselines = {name: run(scenario, name, 0) for name in ("none", "true")}
+    before = {p.name for p in tmp_path.iterdir()}
+    paths = draw_run(result, baselines)
+    assert check_pictures(paths) == OVER_TIME | {"response.png"}
+    assert {p.name for p in tmp_path.iterdir()} == before | {p.name for p in paths}, "a temporary file is left"
+    first = [p.read_bytes() for p in paths]
+    assert [p.read_bytes() for p in draw_run(result, baselines)] == first
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_a_run_of_few_rows_is_drawn(tmp_path: Path, n: int) -> None:
+    assert check_pictures(draw_run(made_up_run(tmp_path, n), {})) == OVER_TIME
+
+
+def test_a_run_without_a_row_is_not_drawn(tmp_path: Path) -> None:
+    assert draw_run(made_up_run(tmp_path, 0), {}) == []
+
+
+def test_a_baseline_without_a_row_is_left_out(tmp_path: Path) -> None:
+    assert check_pictures(draw_run(made_up_run(tmp_path), {"none": made_up_run(None, 0)})) == OVER_TIME
+
+
+HUGE = np.where(np.arange(50) < 40, 1.0, 1e300)
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        {"plant_phi": np.nan, "controller_m": np.nan, "plant_m": np.nan},
+        {"plant_phi": HUGE, "controller_m": HUGE, "plant_l": HUGE},
+        {"plant_phi": -HUGE, "reference_phi_ref": HUGE},
+        {"plant_phi": np.inf, "controller_m": -np.inf, "controller_l": 0.0},
+        {"plant_phi": np.inf, "reference_phi_ref": np.inf},
+        {"plant_phi": 1.0, "reference_phi_ref": 1.0, "controller_m": 1.0, "plant_m": 1.0},
+        {"plant_phi": 0.0, "reference_phi_ref": 5e-324, "controller_l": -1.0},
+    ],
+    ids=["nan", "huge", "huge-difference", "infinite", "infinite-both", "constant", "denormal"],
+)
+def test_whatever_the_values_they_are_drawn(tmp_path: Path, columns: dict[str, object]) -> None:
+    bad = made_up_run(tmp_path, **columns)
+    assert check_pictures(draw_run(bad, {"none": bad, "true": made_up_run(None)})) == OVER_TIME
+
+
+def test_events_that_say_little_or_are_cut_short_are_survived(tmp_path: Path) -> None:
+    write_events(
+        tmp_path,
+        {"t": 0.1, "kind": "trigger"},
+        {"t": 0.1, "kind": "candidate", "theta": [1.0, None], "cost": None},
+        {"t": 0.1, "kind": "candidate"},
+        {"t": 0.1, "kind": "write", "theta": [1.0, 1.0], "std": [None, 1e300]},
+        {"t": None, "kind": "write"},
+        {"t": 0.2, "kind": "something new"},
+        [1, 2],
+    )
+    with open(tmp_path / "events.jsonl", "a", encoding="utf-8") as file:
+        file.write('{"t": 0.3, "kind": "cand')
+    assert check_pictures(draw_run(made_up_run(tmp_path), {})) == OVER_TIME | {"response.png"}
+
+
+def test_seven_outputs_with_long_and_odd_names_are_drawn(tmp_path: Path) -> None:
+    names = [f"plant.{'very_long_' * 6}name[{i}].$x^_{{" for i in range(7)]
+    tracking = dict.fromkeys(names, "reference.phi_ref")
+    scenario = Scenario.load("pendulum", GONE).model_copy(update={"tracking": tracking})
+    base = made_up_run(tmp_path, scenario=scenario)
+    series = dict(base.series) | dict.fromkeys(names, base["plant.phi"])
+    run_ = Run(**{f: getattr(base, f) for f in Run.__dataclass_fields__} | {"series": series})
+    assert check_pictures(draw_run(run_, {"none": run_})) == OVER_TIME
+
+
+def test_a_run_without_a_folder_is_refused() -> None:
+    with pytest.raises(ValueError, match="run it with `out`"):
+        draw_run(made_up_run(None), {})
+
+
+def test_a_folder_that_is_gone_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FolderError, match=r"cannot write .*tracking\.png: No such file"):
+        draw_run(made_up_run(tmp_path / "gone"), {})
+
+
+def test_episodes_that_follow_one_another_are_shaded_as_one(tmp_path: Path) -> None:
+    made_up = made_up_run(tmp_path)
+    events = [{"t": t, "kind": "candidate"} for t in (0.10, 0.11, 0.12, 0.30, 0.31)]
+    _, (axes,) = panels(made_up, events, 1)
+    assert [(p.get_x(), p.get_x() + p.get_width()) for p in axes.patches] == [
+        pytest.approx((0.10, 0.12)),
+        pytest.approx((0.30, 0.31)),
+    ]
+
+
+def test_the_response_surface_is_least_at_the_true_parameters() -> None:
+    scenario = Scenario.load("pendulum")
+    m, l, b, g = 2.0, 0.8, 0.1, 9.81
+    states = [(0.2, 1.0, 3.0), (1.0, -2.0, 10.0), (-0.7, 0.5, -6.0)]
+    samples = [Sample(0.0, (p, v), (u,), (-g / l * sin(p) - b / m * v + u / (m * l),)) for p, v, u in states]
+    masses, lengths, level = response_surface(made_up_run(None, scenario=scenario), samples)
+    row, column = np.unravel_index(np.argmin(level), level.shape)
+    assert masses[column] == pytest.approx(m, rel=np.log(50.0) / 59)  # half a step of the grid, and a valley
+    assert lengths[row] == pytest.approx(l, rel=np.log(30.0) / 59)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "text"),
+    [
+        ("phi", "rad", r"$\phi$ [rad]"),
+        ("J_x", "kg.m2", "$J_{x}$ [kg m²]"),
+        ("r_x", "m/s2", "$r_{x}$ [m/s²]"),
+        ("gain", "s-1", "gain [s⁻¹]"),
+        ("cost$", "1", r"cost\$"),
+        ("x" * 60, None, "x" * 14 + "…" + "x" * 13),
+    ],
+)
+def test_labels_are_set_as_in_print(name: str, unit: str | None, text: str) -> None:
+    assert label(name, unit) == text
+
+
+def test_values_off_the_axes_stay_finite_and_off_the_axes() -> None:
+    y = tame([np.nan, np.inf, -1e300, 0.5, 1e300], (0.0, 1.0))
+    assert np.isnan(y[:2]).all()
+    assert y[2] < 0.0
+    assert y[3] == 0.5
+    assert y[4] > 1.0
+    assert np.isnan(tame([-1.0, 0.0], (0.1, 1.0), is_log=True)).all()
+    assert value_range([[np.nan], [np.inf, 1e300]]) is None
+
+
+@pytest.mark.parametrize("limits", [(1.2, 1.3), (0.5, 4.0), (0.1, 12.0), (1e-9, 1.0), (1e-3, 1e30)])
+def test_a_logarithmic_axis_has_between_three_and_eight_ticks(limits: tuple[float, float], tmp_path: Path) -> None:
+    figure, (axes,) = panels(made_up_run(tmp_path), [], 1)
+    shown = set_log(axes, "y", limits)
+    figure.draw_without_rendering()
+    assert 3 <= sum(shown[0] <= t <= shown[1] for t in axes.get_yticks()) <= 8
+
+
+def test_the_illustrations_minimum_is_its_least() -> None:
+    found = minimize_scalar(unknown, bounds=(0.1, 0.4), method="bounded", options={"xatol": 1e-10})
+    place, value = global_minimum()
+    assert place == pytest.approx(found.x, abs=0.001)  # half a step of the grid
+    assert value == pytest.approx(found.fun, abs=1e-4)
+    x = np.linspace(0.0, 1.0, 5001)
+    assert unknown(x).min() >= found.fun - 1e-9
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_eight_evaluations_find_the_global_minimum(seed: int) -> None:
+    stages = optimise(seed, 8)
+    assert [len(s.x) for s in stages] == [3, 4, 5, 6, 7, 8]
+    assert stages[-1].best_place == pytest.approx(global_minimum()[0], abs=0.03)
+    for stage, later in pairwise(stages):
+        assert later.x[-1] == stage.next_place
+        assert np.all(stage.improvement >= -1e-12)
+
+
+def test_the_illustration_is_a_picture_and_the_same_for_the_same_seed(tmp_path: Path) -> None:
+    path = illustrate(tmp_path / "a.png")
+    assert check_pictures([path]) == {"a.png"}
+    assert illustrate(tmp_path / "b.png").read_bytes() == path.read_bytes()
+
+
+def test_too_few_evaluations_are_refused() -> None:
+    with pytest.raises(ValueError, match="at least 3"):
+        optimise(0, 2)

@@ -150,6 +150,8 @@ def _trigger(loop: Loop, residual: DerivativeResidual) -> Trigger:
 def _residual(scenario: Scenario, plant: Plant, stack: ExitStack) -> DerivativeResidual:
     """The whitened residual of the scenario's model, which stack closes. Raises ScenarioError."""
     settings = scenario.estimation
+    if not plant.channels:
+        raise ScenarioError("sampling.derivatives must have one at least: the model's are compared with it.")
     model = stack.enter_context(opened_model(scenario, plant))
     sigma = tuple(n.noise for n in scenario.sampling.derivatives.values())
     return DerivativeResidual(model, settings.space, plant.channels, sigma)

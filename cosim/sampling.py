@@ -1,7 +1,6 @@
-"""What the estimator gets to see of the plant: state, held input and derivatives, with measurement noise."""
+"""What the estimator gets to see of the plant: state, held input, derivatives and outputs, with measurement noise."""
 
 from collections.abc import Mapping, Sequence
-from operator import add, itemgetter
 from typing import Any
 
 import numpy as np
@@ -20,14 +19,17 @@ class Sampler:
         states = [f"{plant.name}.{name}" for name in plant.states]
         sampling = scenario.sampling
         self._plant, self._rng = plant, noise
-        self._n_derivatives = len(sampling.derivatives)
-        self._measured = itemgetter(*(place[name] for name in [*sampling.derivatives, *states]))
-        on_derivatives = [n.noise for n in sampling.derivatives.values()]
-        on_states = [sampling.states[name].noise if name in sampling.states else 0.0 for name in states]
-        self._sigma = np.array(on_derivatives + on_states)
-        x, u, xdot = sample_columns(scenario, plant)
+        measured = [*sampling.derivatives, *states, *(name for name in sampling.outputs if name not in states)]
+        self._measured = [place[name] for name in measured]
+        known = sampling.derivatives | sampling.outputs | sampling.states
+        self._sigma = np.array([known[name].noise if name in known else 0.0 for name in measured])
+        n = len(sampling.derivatives)
+        self._xdot, self._x = slice(n), slice(n, n + len(states))
+        self._y = [measured.index(name) for name in sampling.outputs]
+        x, u, xdot, y = sample_columns(scenario, plant)
         self._noisy = [i for i, name in enumerate(x) if name.startswith(SAMPLED)]
-        self.columns = (*xdot, *(x[i] for i in self._noisy), *u)
+        self._further = [i for i, name in enumerate(y) if name not in x]
+        self.columns = (*xdot, *(x[i] for i in self._noisy), *u, *(y[i] for i in self._further))
         """Names of what `row` gives."""
 
     def take(self, t: float, values: Sequence[float], held: Mapping[str, float]) -> Sample:
@@ -41,27 +43,29 @@ class Sampler:
 
     def row(self, sample: Sample) -> tuple[float, ...]:
         """What is recorded of a sample besides the plant's outputs."""
-        return (*sample.xdot, *(sample.x[i] for i in self._noisy), *sample.u)
+        noisy, further = [sample.x[i] for i in self._noisy], [sample.y[i] for i in self._further]
+        return (*sample.xdot, *noisy, *sample.u, *further)
 
     def _sample(self, t: float, values: Sequence[float], held: Mapping[str, float], noise: Sequence[float]) -> Sample:
-        n = self._n_derivatives
-        measured = tuple(map(add, self._measured(values), noise))
+        measured = tuple([values[i] + e for i, e in zip(self._measured, noise, strict=True)])
         u = tuple([held.get(name, start) for name, start in self._plant.inputs.items()])
-        return Sample(t, measured[n:], u, measured[:n])
+        return Sample(t, measured[self._x], u, measured[self._xdot], tuple([measured[i] for i in self._y]))
 
 
 SAMPLED, HELD = "sampled.", "held."
 """Prefixes of recorded columns."""
 
 
-def sample_columns(scenario: Scenario, plant: Plant) -> tuple[list[str], list[str], list[str]]:
-    """Recorded columns of a sample's x, u and xdot; a state without noise is the plant's output itself."""
+def sample_columns(scenario: Scenario, plant: Plant) -> tuple[list[str], list[str], list[str], list[str]]:
+    """Recorded columns of a sample's x, u, xdot and y; a state without noise is the plant's output itself."""
     states = [f"{plant.name}.{name}" for name in plant.states]
-    noisy = scenario.sampling.states
+    sampling = scenario.sampling
+    noisy = sampling.states | sampling.outputs
     return (
         [SAMPLED + name if name in noisy else name for name in states],
         [f"{HELD}{plant.name}.{name}" for name in plant.inputs],
-        [SAMPLED + name for name in scenario.sampling.derivatives],
+        [SAMPLED + name for name in sampling.derivatives],
+        [SAMPLED + name for name in sampling.outputs],
     )
 
 

@@ -16,7 +16,7 @@ Model = Callable[..., Sequence[float]]
 
 @dataclass(frozen=True)
 class Sample:
-    """State, input and derivatives at one time."""
+    """State, input, derivatives and outputs at one time."""
 
     t: float
     """Time [s]."""
@@ -26,6 +26,8 @@ class Sample:
     """Input (p,) that was held up to t."""
     xdot: tuple[float, ...]
     """Sampled derivatives (c,), a number a channel."""
+    y: tuple[float, ...] = ()
+    """Measured outputs (o,)."""
 
 
 @dataclass(frozen=True)

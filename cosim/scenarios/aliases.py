@@ -40,6 +40,7 @@ def as_the_fmus_have_it(scenario: Scenario, slaves: Mapping[str, Described]) -> 
         "sampling": scenario.sampling.model_copy(
             update={
                 "derivatives": {own(k): noise for k, noise in scenario.sampling.derivatives.items()},
+                "outputs": {own(k): noise for k, noise in scenario.sampling.outputs.items()},
                 "states": {own(k): noise for k, noise in scenario.sampling.states.items()},
             }
         ),

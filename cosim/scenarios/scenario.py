@@ -94,8 +94,8 @@ class Scenario(Table):
 
     @property
     def plant(self) -> str:
-        """Instance name of the component whose derivatives are sampled."""
-        return next(iter(self.sampling.derivatives)).partition(".")[0]
+        """Instance name of the component whose derivatives or outputs are sampled."""
+        return next(iter((*self.sampling.derivatives, *self.sampling.outputs))).partition(".")[0]
 
     def change_functions(self) -> dict[str, Callable[[float], float]]:
         """Each changed parameter as a function of t [s]."""
@@ -111,7 +111,7 @@ class Scenario(Table):
             "connections": [*self.connections, *self.connections.values()],
             "changes": self.changes,
             "tracking": [*self.tracking, *self.tracking.values()],
-            "sampling": [*self.sampling.derivatives, *self.sampling.states],
+            "sampling": [*self.sampling.derivatives, *self.sampling.outputs, *self.sampling.states],
             "estimation.parameters": [p.writes for p in self.estimation.parameters],
         }
         for table, references in named.items():

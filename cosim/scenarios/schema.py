@@ -108,20 +108,32 @@ class Noise(Table):
 class Sampling(Table):
     """What the estimator gets to see."""
 
-    derivatives: dict[Reference, Noise] = Field(min_length=1)
+    derivatives: dict[Reference, Noise] = {}
     """Derivatives that are compared with the model's, all of one component: the plant."""
+    outputs: dict[Reference, Noise] = {}
+    """Outputs of the plant that are compared with simulated ones."""
     states: dict[Reference, Noise] = {}
-    """Noise on states, where they are not measured exactly."""
+    """Noise on states, where they are not measured exactly; one that is among the outputs has that noise."""
 
-    @field_validator("derivatives")
+    @field_validator("derivatives", "outputs")
     @classmethod
-    def _one_plant(cls, value: dict[str, Noise]) -> dict[str, Noise]:
-        if len({name.partition(".")[0] for name in value}) > 1:
-            raise ValueError("all sampled derivatives must be of one component")
+    def _has_noise(cls, value: dict[str, Noise]) -> dict[str, Noise]:
         silent = next((name for name, n in value.items() if n.noise == 0.0), None)
         if silent:
             raise ValueError(f"'{silent}' must have noise > 0: it weighs the residual")
         return value
+
+    @model_validator(mode="after")
+    def _is_of_one_plant(self) -> Self:
+        compared = [*self.derivatives, *self.outputs]
+        if not compared:
+            raise ValueError("must have derivatives or outputs")
+        if len({name.partition(".")[0] for name in compared}) > 1:
+            raise ValueError("all sampled derivatives and outputs must be of one component")
+        twice = next((name for name in self.outputs if name in self.derivatives or name in self.states), None)
+        if twice:
+            raise ValueError(f"'{twice}' must have its noise once")
+        return self
 
 
 class Tracking(Table):

@@ -23,7 +23,7 @@ Described = Slave | FmuFile | TableSlave
 
 @dataclass(frozen=True)
 class Plant:
-    """The component whose derivatives are sampled, as the estimator's model sees it."""
+    """The component whose derivatives or outputs are sampled, as the estimator's model sees it."""
 
     name: str
     """Instance name."""
@@ -62,7 +62,8 @@ def wire(scenario: Scenario, slaves: Mapping[str, Described]) -> tuple[dict[str,
         tunables[component].append(variable)
     outputs = {name: _outputs(slave) for name, slave in slaves.items()}
     read = [*scenario.connections.values(), *scenario.tracking, *scenario.tracking.values()]
-    for reference in [*read, *scenario.sampling.derivatives, *scenario.sampling.states]:
+    sampling = scenario.sampling
+    for reference in [*read, *sampling.derivatives, *sampling.outputs, *sampling.states]:
         component, _, variable = reference.partition(".")
         if variable not in outputs[component]:
             known = outputs[component]

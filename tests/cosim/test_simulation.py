@@ -226,6 +226,16 @@ def test_noise_on_a_state_reaches_the_estimator_but_not_the_loop(pendulum):
     np.testing.assert_array_equal(noisy["plant.phi"], plain["plant.phi"])
 
 
+def test_measured_outputs_are_recorded_with_noise_of_their_own(pendulum):
+    outputs = {"sampling.outputs": "{'plant.phi' = {noise = 0.1}, 'plant.u_held' = {noise = 2.0}}"}
+    measured = run(pendulum(SWING | outputs), "none")
+    for name, sigma in (("plant.phi", 0.1), ("plant.u_held", 2.0)):
+        e = (measured[f"sampled.{name}"] - measured[name]) / sigma
+        assert kstest(e, "norm").pvalue > 1e-5
+    assert list(measured.series).count("sampled.plant.phi") == 1  # the state that is measured is the output
+    np.testing.assert_array_equal(measured["plant.phi"], run(pendulum(SWING), "none")["plant.phi"])
+
+
 @pytest.mark.parametrize("estimator", ["target", "paper"])
 def test_the_same_seed_gives_the_same_run_bit_for_bit_and_another_one_another(pendulum, tmp_path, estimator):
     series = []

@@ -270,7 +270,7 @@ def test_bad_bindings_are_refused_in_one_line(package, flat, binding, message):
 def test_no_file_is_put_outside_the_package(package, name, cache):
     with pytest.raises(ModelDescriptionError, match="would be put outside its folder"):
         System.from_ssp(package(files={name: "x"}))
-    assert not [p for p in (cache / "ssp").iterdir() if p.name.startswith(".unpacking")]
+    assert not list(cache.glob("ssp/.unpacking*"))
 
 
 def test_what_is_no_package_is_told(tmp_path):

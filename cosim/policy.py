@@ -8,6 +8,7 @@ import numpy as np
 
 from estimator import DerivativeResidual, LinearForm, Method, Sample, Vector
 
+from .derivative_filter import derivative_noise
 from .errors import CosimError, ScenarioError, one_line, seconds
 from .fmu_model import opened_model
 from .reconfigure import (
@@ -153,7 +154,7 @@ def _residual(scenario: Scenario, plant: Plant, stack: ExitStack) -> DerivativeR
     if not plant.channels:
         raise ScenarioError("sampling.derivatives must have one at least: the model's are compared with it.")
     model = stack.enter_context(opened_model(scenario, plant))
-    sigma = tuple(n.noise for n in scenario.sampling.derivatives.values())
+    sigma = derivative_noise(scenario.sampling, scenario.scenario.macro_step)
     return DerivativeResidual(model, settings.space, plant.channels, sigma)
 
 

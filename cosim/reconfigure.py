@@ -140,13 +140,17 @@ class Retuner:
         self.n_episodes = 0
 
     def step(self, t: float, sample: Sample | None, tracking_error: float) -> Reconfiguration:
-        """Take one communication point's sample, where there is one; returns what to write, and why."""
-        if sample is None:
-            return Reconfiguration()
+        """Take one communication point's sample, where there is one; returns what to write, and why.
+
+        A filter gives a sample every so many points, of a time before t: a search goes on between them.
+        """
         begun = perf_counter()
-        self._window.append(sample)
+        if sample is not None:
+            self._window.append(sample)
+        elif not self._remaining or self._solver is not None:  # an equal window has nothing new to solve
+            return Reconfiguration()
         events: list[Event] = []
-        if not self._remaining:
+        if sample is not None and not self._remaining:
             reason = self._trigger(sample, tracking_error, self._theta)
             if reason is None:
                 return Reconfiguration()

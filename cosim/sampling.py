@@ -1,12 +1,15 @@
 """What the estimator gets to see of the plant: state, held input, derivatives and outputs, with measurement noise."""
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from estimator import Sample
 
+from .derivative_filter import DerivativeFilter
 from .scenarios.scenario import Scenario
 from .scenarios.system import Plant
 
@@ -19,32 +22,47 @@ class Sampler:
         states = [f"{plant.name}.{name}" for name in plant.states]
         sampling = scenario.sampling
         self._plant, self._rng = plant, noise
-        measured = [*sampling.derivatives, *states, *(name for name in sampling.outputs if name not in states)]
+        self._filter, self._no_xdot = None, ()
+        derivatives = list(sampling.derivatives)
+        if sampling.filter is not None:
+            self._filter = DerivativeFilter(sampling.filter, scenario.scenario.macro_step, plant.channels)
+            derivatives, self._no_xdot = [], (0.0,) * len(derivatives)
+        measured = [*derivatives, *states, *(name for name in sampling.outputs if name not in states)]
         self._measured = [place[name] for name in measured]
         known = sampling.derivatives | sampling.outputs | sampling.states
         self._sigma = np.array([known[name].noise if name in known else 0.0 for name in measured])
-        n = len(sampling.derivatives)
+        n = len(derivatives)
         self._xdot, self._x = slice(n), slice(n, n + len(states))
         self._y = [measured.index(name) for name in sampling.outputs]
-        x, u, xdot, y = sample_columns(scenario, plant)
+        x, u, xdot, y = measured_columns(scenario, plant)
         self._noisy = [i for i, name in enumerate(x) if name.startswith(SAMPLED)]
         self._further = [i for i, name in enumerate(y) if name not in x]
-        self.columns = (*xdot, *(x[i] for i in self._noisy), *u, *(y[i] for i in self._further))
+        filtered = filtered_columns(scenario, plant)
+        self._nothing = (math.nan,) * len(filtered)
+        self.columns = (*xdot, *(x[i] for i in self._noisy), *u, *(y[i] for i in self._further), *filtered)
         """Names of what `row` gives."""
 
     def take(self, t: float, values: Sequence[float], held: Mapping[str, float]) -> Sample:
-        """The sample at t [s]; values of all outputs, and what the plant's connected inputs were held at up to t."""
+        """What is measured at t [s]; values of all outputs, what the plant's connected inputs were held at up to t."""
         noise = self._sigma * self._rng.standard_normal(len(self._sigma))
         return self._sample(t, values, held, noise.tolist())
 
+    def filtered(self, measured: Sample) -> Sample | None:
+        """The sample that the estimator gets: what is measured, or what the filter makes of it, of a time before."""
+        return measured if self._filter is None else self._filter(measured)
+
     def exact(self, t: float, values: Sequence[float]) -> Sample:
         """The sample before the first step: without noise, inputs at their start."""
-        return self._sample(t, values, {}, [0.0] * len(self._sigma))
+        sample = self._sample(t, values, {}, [0.0] * len(self._sigma))
+        return replace(sample, xdot=sample.xdot or self._no_xdot)
 
-    def row(self, sample: Sample) -> tuple[float, ...]:
-        """What is recorded of a sample besides the plant's outputs."""
-        noisy, further = [sample.x[i] for i in self._noisy], [sample.y[i] for i in self._further]
-        return (*sample.xdot, *noisy, *sample.u, *further)
+    def row(self, measured: Sample, sample: Sample | None) -> tuple[float, ...]:
+        """What is recorded of a point besides the plant's outputs: what was measured, what the filter made of it."""
+        noisy, further = [measured.x[i] for i in self._noisy], [measured.y[i] for i in self._further]
+        row = (*measured.xdot, *noisy, *measured.u, *further)
+        if self._filter is None:
+            return row
+        return row + ((sample.t, *sample.x, *sample.u, *sample.xdot) if sample else self._nothing)
 
     def _sample(self, t: float, values: Sequence[float], held: Mapping[str, float], noise: Sequence[float]) -> Sample:
         measured = tuple([values[i] + e for i, e in zip(self._measured, noise, strict=True)])
@@ -52,27 +70,46 @@ class Sampler:
         return Sample(t, measured[self._x], u, measured[self._xdot], tuple([measured[i] for i in self._y]))
 
 
-SAMPLED, HELD = "sampled.", "held."
+SAMPLED, HELD, FILTERED = "sampled.", "held.", "filtered."
 """Prefixes of recorded columns."""
 
 
-def sample_columns(scenario: Scenario, plant: Plant) -> tuple[list[str], list[str], list[str], list[str]]:
-    """Recorded columns of a sample's x, u, xdot and y; a state without noise is the plant's output itself."""
+def measured_columns(scenario: Scenario, plant: Plant) -> tuple[list[str], list[str], list[str], list[str]]:
+    """Recorded columns of x, u, xdot and y as measured; a state without noise is the plant's output itself."""
     states = [f"{plant.name}.{name}" for name in plant.states]
     sampling = scenario.sampling
     noisy = sampling.states | sampling.outputs
     return (
         [SAMPLED + name if name in noisy else name for name in states],
         [f"{HELD}{plant.name}.{name}" for name in plant.inputs],
-        [SAMPLED + name for name in sampling.derivatives],
+        [] if sampling.filter else [SAMPLED + name for name in sampling.derivatives],
         [SAMPLED + name for name in sampling.outputs],
     )
 
 
+def filtered_columns(scenario: Scenario, plant: Plant) -> list[str]:
+    """Recorded columns of the filter's time, x, u and xdot; without a filter none."""
+    if scenario.sampling.filter is None:
+        return []
+    names = [f"{plant.name}.{name}" for name in (*plant.states, *plant.inputs)]
+    return [FILTERED + name for name in ("time", *names, *scenario.sampling.derivatives)]
+
+
 def recorded_samples(
     scenario: Scenario, plant: Plant, series: Mapping[str, np.ndarray[Any, np.dtype[np.float64]]], rows: Sequence[int]
-) -> list[Sample]:
-    """The samples that a run's estimator got at these rows of its record. Raises KeyError for a missing column."""
-    parts = [[series[name].tolist() for name in names] for names in sample_columns(scenario, plant)]
-    t = series["time"].tolist()
-    return [Sample(t[k], *(tuple(column[k] for column in part) for part in parts)) for k in rows]
+) -> list[Sample | None]:
+    """The sample that a run's estimator got at each of these rows of its record; None where the filter had none.
+
+    Raises KeyError for a missing column.
+    """
+    x, u, xdot, y = measured_columns(scenario, plant)
+    time = "time"
+    if filtered := filtered_columns(scenario, plant):
+        n, m = 1 + len(x), 1 + len(x) + len(u)
+        time, x, u, xdot = filtered[0], filtered[1:n], filtered[n:m], filtered[m:]
+    parts = [[series[name].tolist() for name in names] for names in (x, u, xdot, y)]
+    t = series[time].tolist()
+    return [
+        None if math.isnan(t[k]) else Sample(t[k], *(tuple(column[k] for column in part) for part in parts))
+        for k in rows
+    ]

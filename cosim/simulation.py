@@ -166,7 +166,8 @@ class _Loop:
         settings, master = self._scenario.scenario, self._master
         errors = [master.values[a] - master.values[b] for a, b in self._tracked]
         has_diverged = not all(abs(e) <= self._scenario.limits.divergence for e in errors)
-        sample = self._sampler.take(t, master.values, master.inputs.get(self._scenario.plant, {}))
+        measured = self._sampler.take(t, master.values, master.inputs.get(self._scenario.plant, {}))
+        sample = self._sampler.filtered(measured)
         decision = decide(self.policy, self._estimator, sample if k else None, t, hypot(*errors))
         self._take(decision, recorder)
         truth = {reference: f(t) for reference, f in self._truth.items()}
@@ -174,7 +175,7 @@ class _Loop:
         tunables = self._tunables(truth)
         if is_stepping:
             master.begin(t, settings.macro_step, tunables)
-        recorder.row([t, *master.values, *truth.values(), *self._theta.tolist(), *self._sampler.row(sample)])
+        recorder.row([t, *master.values, *truth.values(), *self._theta.tolist(), *self._sampler.row(measured, sample)])
         if is_stepping:
             master.finish(t, settings.macro_step, tunables)
         return has_diverged

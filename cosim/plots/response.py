@@ -11,6 +11,7 @@ from matplotlib.ticker import MaxNLocator
 
 from estimator import DerivativeResidual, Sample, Vector
 
+from ..derivative_filter import derivative_noise
 from ..errors import CosimError
 from ..fmu_model import opened_model
 from ..results.result import Run
@@ -52,10 +53,10 @@ def _samples(run: Run, begin: float, end: float) -> list[Sample]:
     rows = np.flatnonzero((run.time >= begin - 1e-9) & (run.time <= end + 1e-9))
     if not len(rows):
         return []
-    rows = rows[np.unique(np.linspace(0, len(rows) - 1, _N_SAMPLES).round().astype(int))]
     with suppress(KeyError):
-        samples = recorded_samples(run.scenario, run.plant, run.series, rows.tolist())
-        return [s for s in samples if np.all(np.isfinite([*s.x, *s.u, *s.xdot]))]
+        samples = [s for s in recorded_samples(run.scenario, run.plant, run.series, rows.tolist()) if s is not None]
+        some = np.unique(np.linspace(0, len(samples) - 1, _N_SAMPLES).round().astype(int)) if samples else ()
+        return [s for s in (samples[i] for i in some) if np.all(np.isfinite([*s.x, *s.u, *s.xdot]))]
     return []
 
 
@@ -63,7 +64,7 @@ def response_surface(run: Run, samples: Sequence[Sample]) -> tuple[Vector, Vecto
     """Values of both parameters and log10 of the residual's root mean square (n, n), in standard deviations."""
     scenario = run.scenario
     space = scenario.estimation.space
-    noise = tuple(n.noise for n in scenario.sampling.derivatives.values())
+    noise = derivative_noise(scenario.sampling, scenario.scenario.macro_step)
     z = np.linspace(0.0, 1.0, _N_GRID)
     thetas = space.from_unit(np.stack(np.meshgrid(z, z), axis=-1))
     mean_square = np.full((_N_GRID, _N_GRID), np.nan)

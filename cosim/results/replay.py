@@ -72,9 +72,11 @@ def replayed(recorded: Run, estimator: str, seed: int) -> Run:
     theta, thetas = held[0], [held[0]]
     with ExitStack() as stack:
         policy = make_policy(scenario, estimator, recorded.plant, held[0], _no_truth, rng, stack)
-        try_model(scenario, estimator, recorded.plant, held[0], samples[0])
-        for sample, error in zip(samples[1:], errors[1:], strict=True):
-            decision = decide(policy, estimator, sample, sample.t, hypot(*error))
+        first = next((sample for sample in samples if sample is not None), None)
+        if first is not None:
+            try_model(scenario, estimator, recorded.plant, held[0], first)
+        for t, sample, error in zip(recorded.time[1:].tolist(), samples[1:], errors[1:], strict=True):
+            decision = decide(policy, estimator, sample, t, hypot(*error))
             if decision.latencies:
                 latencies.append(decision.latencies)
             theta = theta if decision.write is None else decision.write

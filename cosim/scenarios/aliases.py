@@ -39,7 +39,10 @@ def as_the_fmus_have_it(scenario: Scenario, slaves: Mapping[str, Described]) -> 
         "tracking": {own(k): own(value) for k, value in scenario.tracking.items()},
         "sampling": scenario.sampling.model_copy(
             update={
-                "derivatives": {own(k): noise for k, noise in scenario.sampling.derivatives.items()},
+                "derivatives": {
+                    own(k): d.model_copy(update={"of": own(d.of)}) if d.of else d
+                    for k, d in scenario.sampling.derivatives.items()
+                },
                 "outputs": {own(k): noise for k, noise in scenario.sampling.outputs.items()},
                 "states": {own(k): noise for k, noise in scenario.sampling.states.items()},
             }

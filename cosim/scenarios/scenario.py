@@ -17,6 +17,7 @@ from .changes import Change, change_functions
 from .schema import (
     Always,
     Component,
+    Derivative,
     EstimatedParameter,
     Estimation,
     Innovation,
@@ -25,7 +26,9 @@ from .schema import (
     Noise,
     Reference,
     Sampling,
+    SavitzkyGolay,
     Settings,
+    StateVariable,
     Table,
     Tracking,
     Value,
@@ -189,7 +192,8 @@ def error_texts(error: ValidationError) -> list[str]:
 
 def _told(first: Mapping[str, Any]) -> str:
     key = ".".join(str(part) for part in first["loc"] if part != "[key]")
-    key = re.sub(r"\.trigger\.(tracking|innovation|always)", ".trigger", key)  # pydantic names the kind
+    kinds = r"\.(trigger|filter)\.(tracking|innovation|always|savitzky-golay|state-variable)"
+    key = re.sub(kinds, r".\1", key)  # pydantic names the kind
     if first["type"] == "extra_forbidden":
         parent, name = first["loc"][:-1], str(first["loc"][-1])
         return f"{key}: unknown key{did_you_mean(name, _known_keys(parent))}"
@@ -208,7 +212,9 @@ def _known_keys(path: tuple[int | str, ...]) -> set[str]:
         ("limits",): Limits, ("components",): Component, ("estimation", "parameters"): EstimatedParameter,
         ("estimation", "trigger", "tracking"): Tracking, ("estimation", "trigger", "innovation"): Innovation,
         ("estimation", "trigger", "always"): Always, ("estimation", "linear"): LinearModel,
-        ("sampling", "derivatives"): Noise, ("sampling", "states"): Noise,
+        ("sampling", "derivatives"): Derivative, ("sampling", "states"): Noise, ("sampling", "outputs"): Noise,
+        ("sampling", "filter", "savitzky-golay"): SavitzkyGolay,
+        ("sampling", "filter", "state-variable"): StateVariable,
     }  # fmt: skip
     names = tuple(str(part) for part in path)
     model = tables.get(names) or tables.get(names[:-1])

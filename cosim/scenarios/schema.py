@@ -105,11 +105,52 @@ class Noise(Table):
     """Standard deviation, in the variable's unit."""
 
 
+class Derivative(Noise):
+    """A state's derivative, measured or made by the filter."""
+
+    of: Reference | None = None
+    """The state that the filter differentiates; its noise gives the derivative's, unless `noise` does."""
+
+
+class SavitzkyGolay(Table):
+    """The slope of the polynomial through the newest points that fits them best, at their middle."""
+
+    kind: Literal["savitzky-golay"]
+    """savitzky-golay"""
+    points: int = Field(default=11, ge=3)
+    """How many; odd."""
+    order: int = Field(default=3, ge=1)
+    """Of the polynomial."""
+    every: int | None = Field(default=None, ge=1)
+    """A sample every so many points; by default so many that no noise is in two of them."""
+
+    @model_validator(mode="after")
+    def _fits_a_polynomial(self) -> Self:
+        if self.points % 2 == 0 or self.points <= self.order:
+            raise ValueError(f"points must be odd and more than order, got {self.points} and {self.order}")
+        return self
+
+
+class StateVariable(Table):
+    """Low-pass filters (cutoff / (s + cutoff))^order of state, derivative and input."""
+
+    kind: Literal["state-variable"]
+    """state-variable"""
+    cutoff: float = Field(gt=0.0)
+    """[rad/s]"""
+    order: int = Field(default=2, ge=1, le=10)
+    """How many low-passes follow one another."""
+    every: int | None = Field(default=None, ge=1)
+    """A sample every so many points; by default so many that little noise is in two of them."""
+
+
 class Sampling(Table):
     """What the estimator gets to see."""
 
-    derivatives: dict[Reference, Noise] = {}
+    derivatives: dict[Reference, Derivative] = {}
     """Derivatives that are compared with the model's, all of one component: the plant."""
+    filter: Annotated[SavitzkyGolay | StateVariable, Field(discriminator="kind")] | None = None
+    """Makes the derivatives from sampled states, where they are not measured."""
     outputs: dict[Reference, Noise] = {}
     """Outputs of the plant that are compared with simulated ones."""
     states: dict[Reference, Noise] = {}
@@ -118,7 +159,7 @@ class Sampling(Table):
     @field_validator("derivatives", "outputs")
     @classmethod
     def _has_noise(cls, value: dict[str, Noise]) -> dict[str, Noise]:
-        silent = next((name for name, n in value.items() if n.noise == 0.0), None)
+        silent = next((name for name, n in value.items() if n.noise == 0.0 and not getattr(n, "of", None)), None)
         if silent:
             raise ValueError(f"'{silent}' must have noise > 0: it weighs the residual")
         return value
@@ -133,6 +174,24 @@ class Sampling(Table):
         twice = next((name for name in self.outputs if name in self.derivatives or name in self.states), None)
         if twice:
             raise ValueError(f"'{twice}' must have its noise once")
+        return self
+
+    @model_validator(mode="after")
+    def _is_filtered_or_not(self) -> Self:
+        if self.filter is None:
+            loose = next((name for name, d in self.derivatives.items() if d.of), None)
+            if loose:
+                raise ValueError(f"'{loose}' of a state needs sampling.filter, which makes it")
+            return self
+        if self.outputs:
+            raise ValueError("filter makes derivatives, outputs are for roll-outs, which need every point: have one")
+        for name, d in self.derivatives.items():
+            if d.of is None:
+                raise ValueError(f"'{name}' must say of which state the filter makes it: of = \"plant.x\"")
+            if d.of.partition(".")[0] != name.partition(".")[0]:
+                raise ValueError(f"'{name}' and '{d.of}' must be of one component")
+            if d.of not in self.states or not self.states[d.of].noise:
+                raise ValueError(f"'{d.of}' must have noise > 0 in sampling.states: it weighs the residual")
         return self
 
 

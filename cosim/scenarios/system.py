@@ -63,7 +63,8 @@ def wire(scenario: Scenario, slaves: Mapping[str, Described]) -> tuple[dict[str,
     outputs = {name: _outputs(slave) for name, slave in slaves.items()}
     read = [*scenario.connections.values(), *scenario.tracking, *scenario.tracking.values()]
     sampling = scenario.sampling
-    for reference in [*read, *sampling.derivatives, *sampling.outputs, *sampling.states]:
+    measured = [name for name, d in sampling.derivatives.items() if not d.of]
+    for reference in [*read, *measured, *sampling.outputs, *sampling.states]:
         component, _, variable = reference.partition(".")
         if variable not in outputs[component]:
             known = outputs[component]
@@ -76,21 +77,30 @@ def wire(scenario: Scenario, slaves: Mapping[str, Described]) -> tuple[dict[str,
 
 
 def plant_of(scenario: Scenario, slave: Described) -> Plant:
-    """The plant's states, inputs and sampled channels. Raises WiringError where a derivative has no state."""
+    """The plant's states, inputs and sampled channels. Raises WiringError where a derivative has no state.
+
+    States are those that it declares; with a filter, which needs none declared, those of them that are outputs, and
+    what the scenario lists as such.
+    """
     variables = slave.description.modelVariables
     state_of = {v.name: v.derivative.name for v in variables if v.derivative is not None}
-    states = tuple(v.name for v in variables if v.name in set(state_of.values()))
+    sampling = scenario.sampling
+    is_state = set(state_of.values())
+    if sampling.filter is not None:
+        outputs = set(_outputs(slave))
+        is_state = (is_state & outputs) | {name.partition(".")[2] for name in sampling.states}
+    states = tuple(v.name for v in variables if v.name in is_state)
+    for reference in sampling.states:
+        if reference not in {f"{slave.name}.{name}" for name in states}:
+            raise WiringError(f"'{reference}' is no state of {slave.name}{did_you_mean(reference, states) or '.'}")
     channels: list[int] = []
-    for reference in scenario.sampling.derivatives:
+    for reference, derivative in sampling.derivatives.items():
         name = reference.partition(".")[2]
-        if name not in state_of:
+        if derivative.of is None and name not in state_of:
             raise WiringError(
                 f"'{reference}' is not declared as a state's derivative{did_you_mean(name, state_of) or '.'}"
             )
-        channels.append(states.index(state_of[name]))
-    for reference in scenario.sampling.states:
-        if reference not in {f"{slave.name}.{name}" for name in states}:
-            raise WiringError(f"'{reference}' is no state of {slave.name}{did_you_mean(reference, states) or '.'}")
+        channels.append(states.index(derivative.of.partition(".")[2] if derivative.of else state_of[name]))
     inputs = {v.name: float(v.start or 0.0) for v in variables if v.causality == "input"}
     return Plant(slave.name, states, inputs, tuple(channels))
 

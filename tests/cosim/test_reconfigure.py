@@ -81,7 +81,7 @@ def test_an_idle_loop_asks_nothing_and_writes_nothing():
     assert (estimator.script, estimator.restarts, loop.n_evaluations, loop.n_episodes) == ([1], [], 0, 0)
 
 
-def test_a_point_without_a_sample_does_nothing_even_where_the_error_is_large():
+def test_a_point_without_a_sample_triggers_nothing_even_where_the_error_is_large():
     estimator, seen = Scripted(1, 2, 3), []
 
     def trigger(*arguments):
@@ -91,9 +91,34 @@ def test_a_point_without_a_sample_does_nothing_even_where_the_error_is_large():
     loop = retuner(estimator, Budget(3, 1), trigger)
     decision = loop.step(0.0, None, 99.0)
     assert (decision.write, decision.events, decision.latencies, seen, estimator.restarts) == (None, (), (), [], [])
+
+
+def test_a_search_goes_on_between_samples_on_those_that_it_has():
+    estimator = Scripted(1, 9, 3)
+    loop = retuner(estimator, Budget(3, 1))
     loop.step(0.01, sample(), 99.0)
-    decision = loop.step(0.02, None, 99.0)  # in the middle of an episode
-    assert (decision.write, decision.events, loop.n_evaluations) == (None, (), 1)
+    decision = loop.step(0.02, None, 99.0)
+    assert decision.write.tolist() == [9.0]
+    assert {event.t for event in decision.events} == {0.02}
+    assert [kind for event in loop.step(0.03, None, 99.0).events if (kind := event.kind) == "end"] == ["end"]
+    assert loop.step(0.04, None, 99.0).events == ()  # the next episode waits for a sample
+    assert (loop.n_episodes, loop.n_evaluations) == (1, 3)
+
+
+def test_a_solver_solves_each_window_once():
+    class Counting(Scripted):
+        n_solved = 0
+
+        def solve(self, objective):
+            self.n_solved += 1
+            self.told = [(objective.residual(START) @ objective.residual(START), 0.0)]
+
+    estimator = Counting()
+    loop = retuner(estimator, Budget(3, 1))
+    loop.step(0.01, sample(), 99.0)
+    assert loop.step(0.02, None, 99.0).events == ()
+    loop.step(0.03, sample(), 99.0)
+    assert estimator.n_solved == 2
 
 
 def test_an_episode_ends_when_its_evaluations_are_spent():

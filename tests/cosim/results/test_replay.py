@@ -23,10 +23,17 @@ EARLY_CHANGE = {
 }
 INNOVATION = {"estimation.trigger": '{ kind = "innovation" }'}
 NOISY_STATES = {'sampling.states."plant.phi".noise': "1e-4", 'sampling.states."plant.phi_dot".noise': "1e-3"}
+FILTER = NOISY_STATES | {
+    "sampling.derivatives": '{ "plant.der(phi_dot)" = { of = "plant.phi_dot" } }',
+    "sampling.filter": '{ kind = "savitzky-golay", points = 5, order = 2 }',
+}
 OWN = {
     "innovation": ("least-squares", INNOVATION),
     "noise on the states": ("target", INNOVATION | NOISY_STATES),
     "tracking": ("target", {}),
+    "derivatives from a filter": ("target", FILTER),
+    "a solver on them": ("least-squares", FILTER),
+    "each of them once": ("rls", FILTER),
     "each candidate written": ("paper", {}),
     "a solver": ("sqp", INNOVATION),
     "always": ("rls", {}),

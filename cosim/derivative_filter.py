@@ -41,12 +41,12 @@ class Kernel:
     @cached_property
     def difference(self) -> Vector:
         """d (n + 1,) [1/s]: the derivative is the sum of d times the samples, the newest first."""
-        return np.convolve(self.weights, np.array([1.0, -1.0])) / self.macro_step
+        return (np.append(self.weights, 0.0) - np.append(0.0, self.weights)) / self.macro_step
 
     @cached_property
     def mean(self) -> Vector:
         """Coefficients (n + 1,) of the samples in their mean, by the trapezoidal rule."""
-        return np.convolve(self.weights, np.array([0.5, 0.5]))
+        return (np.append(self.weights, 0.0) + np.append(0.0, self.weights)) / 2.0
 
     @property
     def delay(self) -> float:
@@ -72,7 +72,7 @@ class Kernel:
     @property
     def _age(self) -> Vector:
         """How long ago each step's middle was (n,) [s]."""
-        return self.macro_step * (np.arange(len(self.weights)) + 0.5)
+        return self.macro_step * np.arange(0.5, len(self.weights))
 
 
 def savitzky_golay(points: int, order: int, macro_step: float) -> Kernel:

@@ -5,10 +5,11 @@ the newest value of its source: of this point where the source's group has stepp
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from .errors import WiringError
+from .units import IDENTITY, Linear
 
 Value = float | int | bool | str
 
@@ -38,6 +39,8 @@ class Wiring:
     """Variables read at every communication point."""
     start: Mapping[str, Value]
     """Start values."""
+    conversions: Mapping[str, Linear] = field(default_factory=dict[str, Linear])
+    """From the source's unit to the input's, by input, where they differ."""
 
 
 class Master:
@@ -56,7 +59,10 @@ class Master:
             unknown = next((source for source in w.sources.values() if source not in place), None)
             if unknown:
                 raise WiringError(f"{name}: no output '{unknown}' to take an input from.")
-        self._sources = {name: [place[source] for source in w.sources.values()] for name, w in wiring.items()}
+        self._sources = {
+            name: [(place[source], w.conversions.get(target, IDENTITY)) for target, source in w.sources.items()]
+            for name, w in wiring.items()
+        }
         self._first = {name: place[f"{name}.{w.outputs[0]}"] if w.outputs else 0 for name, w in wiring.items()}
 
     def initialize(self, start_time: float, stop_time: float, is_propagated: bool = False) -> None:
@@ -92,20 +98,23 @@ class Master:
         for name, slave in self._slaves.items():
             self._take(name, slave.propagate(None))
         for _ in self._slaves:
-            inputs = {name: [self.values[i] for i in sources] for name, sources in self._sources.items()}
+            inputs = {name: self._inputs(name) for name in self._slaves}
             for name, slave in self._slaves.items():
                 self._take(name, slave.propagate(inputs[name]))
         for slave in self._slaves.values():
             slave.exit_initialization()
 
     def _step(self, group: Sequence[str], t: float, h: float, tunables: Mapping[str, Sequence[float]]) -> None:
-        values = self.values
         for name in group:
-            inputs = [values[i] for i in self._sources[name]]
+            inputs = self._inputs(name)
             self.inputs[name] = dict(zip(self._wiring[name].sources, inputs, strict=True))
             self._slaves[name].begin_step(inputs, t, h, tunables.get(name))
         for name in group:
             self._take(name, self._slaves[name].end_step())
+
+    def _inputs(self, name: str) -> list[float]:
+        values = self.values
+        return [values[i] if to is IDENTITY else to(values[i]) for i, to in self._sources[name]]
 
     def _take(self, name: str, outputs: Sequence[float]) -> None:
         first = self._first[name]

@@ -77,6 +77,7 @@ def _problems(scenario: Scenario, parameter: EstimatedParameter, components: Com
         yield True, f"no variable '{name}' in {plant.fmu.name}{hint or '; say with true = ... which one it stands for'}"
     elif plant is not None and true not in scenario.changes and _start(scenario, true, components) is None:
         yield True, f"'{true}' has no start value; give it one under components.{scenario.plant}.start"
+    yield from ((f.is_error, f.what) for f in unit_finding("", true, parameter.writes, components) if f.is_error)
     controller, name = parts(parameter.writes, components)
     if controller is None:
         return

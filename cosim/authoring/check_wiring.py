@@ -10,6 +10,7 @@ from ..fmi.ports import Catalogue
 from ..fmi.table import is_table
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
+from ..scenarios.unit_conversions import different
 from ..units import IDENTITY, conversion
 from .finding import Finding, warning
 
@@ -42,8 +43,10 @@ def output_refusal(component: Component, name: str) -> str | None:
     )
 
 
-def unit_finding(where: str, source: str, target: str, components: Components) -> Iterator[Finding]:
-    """What the units of two variables whose numbers are taken for the same say of that."""
+def unit_finding(
+    where: str, source: str, target: str, components: Components, is_converted: bool = False
+) -> Iterator[Finding]:
+    """What the units of two variables say of taking the number of one for the other's, or of converting it."""
     (a, name_a), (b, name_b) = parts(source, components), parts(target, components)
     if a is None or b is None or name_a not in a.variables or name_b not in b.variables:
         return
@@ -56,8 +59,8 @@ def unit_finding(where: str, source: str, target: str, components: Components) -
     try:
         if conversion(unit_a, unit_b) == IDENTITY:
             return
-        reason = f"'{source}' is in {unit_a.name}, '{target}' in {unit_b.name}, and a scenario does not convert"
-        yield Finding(where, reason)
+        rule = "and is converted" if is_converted else "and both must be in one unit"
+        yield Finding(where, f"{different(source, target, components)}, {rule}", is_error=not is_converted)
     except ValueError as e:
         is_known = unit_a.exponents is not None and unit_b.exponents is not None
         yield Finding(where, f"'{source}' to '{target}': {e}", is_error=is_known or is_table(a.fmu))
@@ -91,7 +94,7 @@ def check_connections(scenario: Scenario, components: Components) -> Iterator[Fi
         types = [str(of.variables[of_name].type), str(to.variables[to_name].type)]
         if types[0] != types[1] and types[1] not in ("Real", "Float32", "Float64"):
             yield warning(where, f"a {types[0]} goes to a {types[1]}: other than whole numbers end the run")
-        yield from unit_finding(where, source, target, components)
+        yield from unit_finding(where, source, target, components, is_converted=True)
 
 
 def check_inputs(scenario: Scenario, components: Components) -> Iterator[Finding]:

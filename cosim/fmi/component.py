@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from fmpy.model_description import ModelDescription
+from fmpy.model_description import ModelDescription as ModelDescription
 from fmpy.model_description import ModelVariable as ModelVariable
 
 from ..errors import ModelDescriptionError

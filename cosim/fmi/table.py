@@ -16,9 +16,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Self
 
-from fmpy.model_description import DefaultExperiment, ModelDescription, ModelVariable, Unknown
+from fmpy.model_description import BaseUnit, DefaultExperiment, ModelDescription, ModelVariable, Unit, Unknown
 
 from ..errors import ScenarioError, WiringError, one_line
+from ..unit_text import understood
+from ..units import BASE_UNITS
 from .block import Value
 from .ports import Catalogue
 
@@ -112,10 +114,20 @@ def describe(path: Path, table: Table) -> ModelDescription:
         ) for i, (name, unit) in enumerate(table.units.items())
     ]  # fmt: skip
     description = ModelDescription("2.0", path.stem)
+    description.unitDefinitions = [_defined(unit) for unit in dict.fromkeys(table.units.values()) if unit]
     description.modelVariables = variables
     description.outputs = [Unknown(variable=v, dependencies=[]) for v in variables]
     description.defaultExperiment = DefaultExperiment(repr(table.times[0]), repr(table.times[-1]))
     return description
+
+
+def _defined(text: str) -> Unit:
+    """What a column's header says of its unit, as a model description would; undefined where it is not understood."""
+    unit = understood(text)
+    if unit.exponents is None:
+        return Unit(text)
+    exponents = dict(zip(BASE_UNITS, unit.exponents, strict=True))
+    return Unit(text, BaseUnit(**exponents, factor=unit.factor, offset=unit.offset))
 
 
 class TableSlave:

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from estimator.space import Vector
 
 from ..fmi.component import Component
+from ..unit_text import understood
 from ..units import Unit, conversion
 from .logs import Column, Log, LogError
-from .unit_text import understood
 
 GAP: Final = 10.0
 """Median distances of time stamps between two rows that make a gap."""

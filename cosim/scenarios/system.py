@@ -17,6 +17,7 @@ from ..slaves.slave import Slave
 from .library import find_fmu, find_table
 from .scenario import Scenario
 from .schema import Component, EstimatedParameter
+from .unit_conversions import unit_conversions
 
 Described = Slave | FmuFile | TableSlave
 
@@ -48,7 +49,7 @@ def component_path(component: Component, folder: Path) -> Path:
 
 
 def wire(scenario: Scenario, slaves: Mapping[str, Described]) -> tuple[dict[str, Wiring], list[list[str]]]:
-    """Each component's part in the co-simulation, and the groups in which they step.
+    """Each component's part in the co-simulation, and the groups in which they step. Raises WiringError.
 
     Sequential coupling: first those whose parameters are re-tuned, the controllers, then all others.
     """
@@ -69,8 +70,11 @@ def wire(scenario: Scenario, slaves: Mapping[str, Described]) -> tuple[dict[str,
         if variable not in outputs[component]:
             known = outputs[component]
             raise WiringError(f"'{reference}' is no output of {component}{did_you_mean(variable, known) or '.'}")
+    conversions = unit_conversions(scenario, {name: slave.description for name, slave in slaves.items()})
     wiring = {
-        name: Wiring(sources[name], tuple(tunables[name]), outputs[name], scenario.components[name].start)
+        name: Wiring(
+            sources[name], tuple(tunables[name]), outputs[name], scenario.components[name].start, conversions[name]
+        )
         for name in slaves
     }
     return wiring, _groups(scenario, list(slaves))

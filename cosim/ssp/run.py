@@ -82,9 +82,7 @@ def simulate(system: System, settings: Settings, out: Path | None = None) -> Sys
             for name, component in system.components.items()
         }
         wiring = wiring_of(system, slaves)
-        transforms = _transforms(system)
-        steppable = {name: _Transformed(s, transforms[name]) if transforms[name] else s for name, s in slaves.items()}
-        master = Master(steppable, wiring, [list(slaves)])  # type: ignore[arg-type]
+        master = Master(slaves, wiring, [list(slaves)])
         fault = _initialize(master, settings)
         if out is not None:
             write_json(out / MANIFEST, _manifest(system, settings, "running"))
@@ -100,47 +98,22 @@ def simulate(system: System, settings: Settings, out: Path | None = None) -> Sys
     return result
 
 
-class _Transformed:
-    """A slave whose inputs are converted on their way in."""
-
-    def __init__(self, slave: Slave, transforms: Mapping[str, Linear]) -> None:
-        self._slave, self._transforms = slave, transforms
-        self.initialize, self.get, self.end_step = slave.initialize, slave.get, slave.end_step
-        self.enter_initialization, self.exit_initialization = slave.enter_initialization, slave.exit_initialization
-
-    def bind(self, inputs: Any, tunables: Any, outputs: Any) -> None:
-        self._slave.bind(inputs, tunables, outputs)
-        self._in_order = [self._transforms.get(name, IDENTITY) for name in inputs]
-
-    def propagate(self, inputs: Any) -> Any:
-        return self._slave.propagate(None if inputs is None else self._converted(inputs))
-
-    def begin_step(self, inputs: Any, t: float, h: float, tunables: Any) -> None:
-        self._slave.begin_step(self._converted(inputs), t, h, tunables)
-
-    def _converted(self, inputs: Any) -> list[float]:
-        return [transform(x) for transform, x in zip(self._in_order, inputs, strict=True)]
-
-
-def _transforms(system: System) -> dict[str, dict[str, Linear]]:
-    found: dict[str, dict[str, Linear]] = {name: {} for name in system.components}
-    for connection in system.connections:
-        if connection.transform != IDENTITY:
-            found[connection.target.element][connection.target.connector] = connection.transform
-    return found
-
-
 def wiring_of(system: System, slaves: Mapping[str, Slave]) -> dict[str, Wiring]:
     """Each component's part. Outputs are all that the FMU declares, but Strings."""
     sources: dict[str, dict[str, str]] = {name: {} for name in slaves}
+    conversions: dict[str, dict[str, Linear]] = {name: {} for name in slaves}
     for connection in system.connections:
         sources[connection.target.element][connection.target.connector] = str(connection.source)
+        if connection.transform != IDENTITY:
+            conversions[connection.target.element][connection.target.connector] = connection.transform
     outputs: dict[str, tuple[str, ...]] = {}
     for name, slave in slaves.items():
         declared = [v.name for v in slave.description.modelVariables if v.causality == "output" and v.type != "String"]
         own = [c.source.connector for c in system.connections if c.source.element == name]
         outputs[name] = tuple(dict.fromkeys(chain(declared, own)))
-    return {name: Wiring(sources[name], (), outputs[name], system.start.get(name, {})) for name in slaves}
+    return {
+        name: Wiring(sources[name], (), outputs[name], system.start.get(name, {}), conversions[name]) for name in slaves
+    }
 
 
 def _initialize(master: Master, settings: Settings) -> str | None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from ..errors import SspError
-from ..units import IDENTITY
+from ..units import conversion
 from .package import System, unpacked
 
 EXTRA = "extra/org.fmu-retune"
@@ -30,9 +30,10 @@ def with_system(tree: Mapping[str, Any], system: System) -> dict[str, Any]:
     for name in system.components:
         if "." in name:
             raise SspError(f"{system.name}: component '{name}' of a nested system cannot be in a scenario.")
-    for connection in system.connections:
-        if connection.transform != IDENTITY:
-            raise SspError(f"{system.name}: '{connection.target}' takes a converted value, which no scenario can.")
+    for source, target, transform in system.connections:
+        units = [system.components[end.element].unit(end.connector) for end in (source, target)]
+        if transform != conversion(*units):
+            raise SspError(f"{system.name}: '{target}' takes a transformed value; a scenario converts units only.")
     changes = cast(dict[str, Any], tree.get("changes", {}))
     components = {
         name: {

@@ -264,7 +264,7 @@ def variable(name, causality="output", start=None, derivative=None, unit="1"):
 
 
 def described(stub, *variables):
-    stub.description = SimpleNamespace(modelVariables=list(variables))
+    stub.description = SimpleNamespace(modelVariables=list(variables), unitDefinitions=[])
     return stub
 
 

@@ -97,7 +97,7 @@ CASES = {
         "warning: nothing happens to the plant"),
     "tracked in another unit": (('"plant.mass.s" = "reference.s_ref"\n[sampling',
         '"plant.mass.s" = "reference.v_ref"\n[sampling'), 'tracking."plant.mass.s"',
-        "error: 'reference.v_ref' to 'plant.mass.s': 'm/s' cannot be converted to 'm': 'm/s' is not defined"),
+        "error: 'reference.v_ref' to 'plant.mass.s': 'm/s' cannot be converted to 'm': the dimensions differ"),
     "no derivative": (('"plant.der(mass.v)"', '"plant.mass.v"'), 'sampling.derivatives."plant.mass.v"',
         "error: 'mass.v' is not declared as a state's derivative; did you mean 'der(mass.v)'?"),
     "no state": (("noise = 1e-3 }\n", 'noise = 1e-3 }\n[sampling.states]\n"plant.f" = { noise = 1.0 }\n'),
@@ -192,7 +192,7 @@ def test_feedthrough_that_closes_a_loop_is_a_warning_and_the_plants_inertia_none
     assert "Filter.fmu needs the tool that made it" in found["components.filter"].what
 
 
-def test_units_that_are_not_given_or_not_defined_are_warnings_and_a_factor_is_an_error(axis, described):
+def test_units_that_are_not_given_not_defined_or_to_be_converted_are_warnings(axis, described):
     outputs = "".join(
         f'<ScalarVariable name="{name}" valueReference="{i}" causality="output"><Real {unit}/></ScalarVariable>'
         for i, (name, unit) in enumerate({"a": "", "b": 'unit="tick"', "c": 'unit="mm"', "n": ""}.items())
@@ -208,10 +208,10 @@ def test_units_that_are_not_given_or_not_defined_are_warnings_and_a_factor_is_an
         (found[output],) = check(
             axis(new, ('"plant.mass.s"\n"controller.v_meas"', f'"sensor.{output}"\n"controller.v_meas"'))
         )
-    assert [f.is_error for f in found.values()] == [False, False, True]
+    assert [f.is_error for f in found.values()] == [False, False, False]
     assert "'sensor.a' has no unit, the other end m" in found["a"].what
     assert "'tick' is not defined" in found["b"].what
-    assert found["c"].what == "'sensor.c' is in mm, 'controller.s_meas' in m, and a scenario does not convert"
+    assert found["c"].what == "'sensor.c' is in mm, 'controller.s_meas' in m (x mm = 0.001 x m), and is converted"
 
 
 def test_a_step_that_an_fmu_does_not_take_is_a_warning(axis, described):

@@ -7,7 +7,7 @@ import pytest
 from scipy.io import savemat
 
 from cosim.offline.logs import LogError, read_log
-from cosim.offline.unit_text import understood
+from cosim.unit_text import understood
 from cosim.units import conversion
 
 ROWS = {"time": [0.0, 0.1, 0.25], "u": [1.0, 2.0, -3.5e-2]}

@@ -1,10 +1,10 @@
-"""Units as people write them in the header of a log: `deg`, `km/h`, `kg.m2`, `kN`, `1/s`."""
+"""Units as people write them in the header of a log or a table: `deg`, `km/h`, `kg.m2`, `kN`, `1/s`."""
 
 import re
 from math import pi
 from typing import Final
 
-from ..units import BASE_UNITS, Unit
+from .units import BASE_UNITS, Unit
 
 _PREFIXES: Final = {"G": 1e9, "M": 1e6, "k": 1e3, "h": 1e2, "d": 1e-1, "c": 1e-2, "m": 1e-3, "u": 1e-6, "µ": 1e-6,
                     "μ": 1e-6, "n": 1e-9}  # fmt: skip

@@ -6,6 +6,7 @@ Khan and Chatterjee (2020), section III-C and algorithm 1.
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from time import perf_counter
 from typing import Any, Literal, Protocol, cast
 
@@ -149,7 +150,10 @@ class Retuner:
         budget: Budget,
         start: Vector,
         linear: LinearForm | None = None,
+        describe: Callable[[], str] = str,
     ) -> None:
+        """describe: how the window judges candidates, in a line."""
+        self.describe = describe
         self._estimator, self._window, self._trigger, self._budget = estimator, window, trigger, budget
         self._solver = estimator if isinstance(estimator, Solver) else None  # 20 us to ask a protocol
         self._rescoring = estimator if isinstance(estimator, Rescoring) else None
@@ -276,13 +280,15 @@ def make_retuner(
     max_length: int,
     start: Vector,
     linear: LinearForm | None = None,
+    text: str = "",
 ) -> Retuner:
     """The loop round an estimator, on windows of at most max_length samples; start (d,): what the controller holds.
 
     whitened: the residual in standard deviations of its noise; an estimator that wants physical units gets those.
+    text: what it is, for the report.
     """
     judged = whitened if estimator.is_whitened else replace(whitened, noise=(1.0,) * len(whitened.noise))
     window = ResidualWindow(judged, len(whitened.noise), max_length)
     if isinstance(trigger, AlwaysTrigger):
         budget = replace(budget, evaluations=math.inf)
-    return Retuner(estimator, window, trigger, budget, start, linear)
+    return Retuner(estimator, window, trigger, budget, start, linear, partial(str, text))

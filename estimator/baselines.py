@@ -158,11 +158,10 @@ class LeastSquares:
         search = _Counted(self._space, objective, self._settings.max_evaluations, self._z)
         std, converged = np.ones(len(self._space)), np.inf
         starts = [self._z, *self._rng.random((self._settings.n_starts - 1, len(self._space)))]
+        jacobian: Any = search.jacobian or "2-point"
         for z in starts:
             try:
-                result = optimize.least_squares(
-                    search.residual, np.clip(z, 0.0, 1.0), jac=search.jacobian or "2-point", bounds=(0.0, 1.0)
-                )
+                result = optimize.least_squares(search.residual, np.clip(z, 0.0, 1.0), jac=jacobian, bounds=(0.0, 1.0))
             except _SpentError:
                 break
             if 2.0 * result.cost <= search.cost * (1.0 + 1e-9):
@@ -220,7 +219,9 @@ class _Counted:
         self._remaining -= len(places)
         return [
             self._taken(z, told)
-            for z, told in zip(places, self._objective.residuals([self._space.from_unit(z) for z in places]), strict=True)
+            for z, told in zip(
+                places, self._objective.residuals([self._space.from_unit(z) for z in places]), strict=True
+            )
         ]
 
     def _taken(self, z: Vector, told: Vector) -> Vector:

@@ -83,7 +83,7 @@ class Objective:
 
     @property
     def difference_step(self) -> float | None:
-        """For gradients, of the unit cube: None where residuals are smooth and cheap, so that a solver's own will do."""
+        """For gradients, of the unit cube; None where residuals are smooth and cheap: a solver's own will do."""
         return None if self._window.is_rescoring_cheap else DIFFERENCE_STEP
 
     @property

@@ -86,7 +86,7 @@ class Rollouts:
         """
         numbers = [i for i, w in enumerate(self._windows) if is_whole or w.n_fit]
         tasks = [partial(self._rollout, i, is_whole, values) for values in candidates for i in numbers]
-        found = [Rollout(*outcome) for outcome in self._pool.map(tasks)]
+        found = [Rollout(outcome.result, outcome.reason) for outcome in self._pool.map(tasks)]
         return [found[k : k + len(numbers)] for k in range(0, len(found), len(numbers))]
 
     def _opened(self) -> Slave:

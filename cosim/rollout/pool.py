@@ -50,9 +50,7 @@ class Pool:
             if (slave := self._idle.get()) is not None:
                 slave.close()
 
-    def map(
-        self, tasks: Sequence[Callable[[Slave, bool], Result]], is_renewed: bool = True
-    ) -> list[Outcome[Result]]:
+    def map(self, tasks: Sequence[Callable[[Slave, bool], Result]], is_renewed: bool = True) -> list[Outcome[Result]]:
         """What each task returns of a slave and of whether that is new; several at a time.
 
         is_renewed: each gets a slave that was never initialised.

@@ -1,5 +1,6 @@
 """Target-vector Bayesian optimisation: a GP for the residual vector, minimising its squared norm."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -21,6 +22,8 @@ _FAR = 50.0
 little of the slopes: they are learnt anew."""
 _MOST = 128
 """Candidates that are remembered, and judged anew at each sample, however long an episode lasts."""
+_APART = 3e-4
+"""Of the unit cube: distance between candidates that are asked for at once; nearer ones tell the same."""
 _LOCAL_RADII = np.repeat([[0.2], [0.05], [0.01], [0.002]], 16, axis=0)
 """Of the unit cube: standard deviation of each candidate drawn round the incumbent."""
 _NEAR_RADII = np.repeat([[0.003], [0.0005]], 8, axis=0)
@@ -111,7 +114,7 @@ class TargetVector:
             return [self.ask() for _ in range(min(n, max(len(self._queue), 1)))]
         model, places = self._fitted(), list[Vector]()
         for _ in range(n):
-            places.append(self._most_promising(model))
+            places.append(self._most_promising(model, places))
             Z, mean = np.vstack([model.Z, places[-1]]), model.posterior.predict(places[-1][None])[0]
             Y = np.vstack([model.Y, mean])
             model = _Model(Z, Y, np.sum(Y * Y, axis=1), self._surrogate.condition(Z, Y))
@@ -223,11 +226,14 @@ class TargetVector:
             self._model_now, self._asks_since_fit = None, 0
         return self._model()
 
-    def _most_promising(self, model: "_Model") -> Vector:
-        """The place (d,) of largest expected improvement."""
+    def _most_promising(self, model: "_Model", others: Sequence[Vector] = ()) -> Vector:
+        """The place (d,) of largest expected improvement, away from the others that are asked for with it."""
         costs = np.sum(model.Y * model.Y, axis=1)
         best = int(np.argmin(costs))
         pool = self._hopeful(self._pool(model.posterior, model.Z[best]), model.Z)
+        if others:
+            apart = pool[cdist(pool, np.array(others)).min(axis=1) > _APART]
+            pool = apart if len(apart) else pool
         gain = log_target_vector_improvement(*model.posterior.predict(pool), max(float(costs[best]), 1e-12))
         return pool[int(np.argmax(gain))]
 

@@ -29,7 +29,8 @@ class Plant:
     name: str
     """Instance name."""
     states: tuple[str, ...]
-    """Its states, in the order of the model description: the model's x."""
+    """Its states, in the order of the model description: the model's x. None where there is no model and they are
+    not all outputs."""
     inputs: Mapping[str, float]
     """Its inputs with their start values, in the order of the model description: the model's u."""
     channels: tuple[int, ...]
@@ -89,10 +90,11 @@ def plant_of(scenario: Scenario, slave: Described) -> Plant:
     variables = slave.description.modelVariables
     state_of = {v.name: v.derivative.name for v in variables if v.derivative is not None}
     sampling = scenario.sampling
-    is_state = set(state_of.values())
+    outputs, is_state = set(_outputs(slave)), set(state_of.values())
     if sampling.filter is not None:
-        outputs = set(_outputs(slave))
         is_state = (is_state & outputs) | {name.partition(".")[2] for name in sampling.states}
+    elif not sampling.derivatives and not is_state <= outputs:
+        is_state = set()  # where no model takes them they need not be seen
     states = tuple(v.name for v in variables if v.name in is_state)
     for reference in sampling.states:
         if reference not in {f"{slave.name}.{name}" for name in states}:

@@ -9,7 +9,7 @@ controller's output after its step is the control law at x_k.
 
 from array import array
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack
 from itertools import islice
 from math import hypot
 from pathlib import Path
@@ -28,7 +28,7 @@ from .results.checkpoint import Checkpoint, Checkpoints, restore
 from .results.lock import locked
 from .results.record import FolderError, Recorder, recording, uninterrupted
 from .results.result import Run, Status, begin_folder, end_folder, read_manifest, scenario_of
-from .results.unfinished import read_unfinished
+from .results.unfinished import Unfinished, has_begun, read_unfinished
 from .sampling import Sampler
 from .scenarios.aliases import as_the_fmus_have_it
 from .scenarios.estimators import check_estimator
@@ -56,8 +56,7 @@ def run(
     Raises ScenarioError, ModelDescriptionError, WiringError or FolderError before any step; KeyboardInterrupt when
     interrupted and UnfinishedError when the disk is full, the rows so far recorded: `resume` goes on with them.
     """
-    with nullcontext() if out is None else locked(out):
-        return _simulated(scenario, estimator, seed, out, progress, None)
+    return _simulated(scenario, estimator, seed, out, progress)
 
 
 def resume(folder: Path, progress: Progress | None = None) -> Run:
@@ -69,9 +68,10 @@ def resume(folder: Path, progress: Progress | None = None) -> Run:
     read_manifest(folder)  # else a lock would be put into a folder of something else
     with locked(folder):
         try:
-            old, checkpoint = read_unfinished(folder)
-            scenario = scenario_of(folder, old)
-            return _simulated(scenario, old.estimator, old.seed, folder, progress, checkpoint)
+            old = read_unfinished(folder)
+            manifest = old.manifest
+            scenario = scenario_of(folder, manifest)
+            return _simulated(scenario, manifest.estimator, manifest.seed, folder, progress, old)
         except NotResumableError as e:
             raise FolderError(f"{folder} cannot be resumed: {e}.") from e
 
@@ -82,9 +82,9 @@ def _simulated(
     seed: int,
     out: Path | None,
     progress: Progress | None,
-    checkpoint: Checkpoint | None,
+    old: Unfinished | None = None,
 ) -> Run:
-    """What `run` and, with a checkpoint, `resume` do."""
+    """What `run` and, with an old record that goes on, `resume` do."""
     check_estimator(estimator, scenario)
     paths = fmu_paths(scenario)
     with threadpool_limits(1), ExitStack() as stack:  # the number of BLAS threads changes bits
@@ -101,11 +101,16 @@ def _simulated(
         scenario = as_the_fmus_have_it(scenario, slaves)
         loop = _Loop(scenario, slaves, estimator, seed, begun, stack)
         fault = loop.initialize()
-        if checkpoint is not None:
-            loop.go_to(checkpoint, fault)
+        if old is not None and old.checkpoint is not None:
+            loop.go_to(old.checkpoint, fault)
         if out is not None:
-            begin_folder(out, scenario, estimator, seed, paths, loop.plant)
-        recorder = Recorder(out, loop.columns, checkpoint and checkpoint.place)
+            stack.enter_context(locked(out))
+            if old is None and has_begun(out):
+                raise FolderError(f"{out} holds a run already.")
+        with recording(out):
+            if out is not None:
+                begin_folder(out, scenario, estimator, seed, paths, loop.plant)
+            recorder = Recorder(out, loop.columns, old and old.place)
         stack.callback(recorder.release)
         checkpoints = Checkpoints(out, settings.checkpoint)
         status, error = ("faulted", fault) if fault else loop.execute(recorder, checkpoints, progress)

@@ -28,6 +28,10 @@ class Prefix:
         return digest if not left and digest.hexdigest() == self.sha256 else None
 
 
+EMPTY: Final = Prefix(0, hashlib.sha256().hexdigest())
+"""Of any file."""
+
+
 class GrowingFile:
     """A file that only grows. What cannot be written whole is not in it: the disk may be full."""
 
@@ -36,11 +40,11 @@ class GrowingFile:
 
         Raises OSError: FileExistsError for a new one that is there; ValueError where the prefix is another.
         """
-        digest = hashlib.sha256() if prefix is None else prefix.digest_of(path)
+        digest = hashlib.sha256() if prefix in (None, EMPTY) else prefix.digest_of(path)
         if digest is None:
             raise ValueError(f"{path.name} has changed")
         self._digest, self._size = digest, prefix.size if prefix else 0
-        self._file = open(path, "xb" if prefix is None else "r+b", buffering=0)  # noqa: SIM115  closed in close
+        self._file = open(path, "xb" if prefix is None else "a+b", buffering=0)  # noqa: SIM115  closed in close
         self._file.truncate(self._size)
         self._file.seek(self._size)
 

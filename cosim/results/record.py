@@ -93,7 +93,7 @@ class Recorder:
         try:
             self._series = GrowingFile(folder / SERIES, place and place.series)
             self._events = GrowingFile(folder / EVENTS, place and place.events)
-            if place is None:
+            if place is None or not place.series.size:
                 self._series.append(self._schema.serialize())
         except ValueError as e:
             self.release()
@@ -166,7 +166,12 @@ def recording(folder: Path | None) -> Generator[None]:
         yield
     except (OSError, FolderError) as e:
         reason = f"cannot write in {folder}: {e.strerror or e}" if isinstance(e, OSError) else str(e).rstrip(".")
-        raise UnfinishedError(f"{reason}; what is written stays: make room, then retune resume {folder}.") from e
+        advice = f"; what is written stays: make room, then retune resume {folder}" if _is_begun(folder) else ""
+        raise UnfinishedError(f"{reason}{advice}.") from e
+
+
+def _is_begun(folder: Path | None) -> bool:
+    return folder is not None and (folder / MANIFEST).exists()
 
 
 @contextmanager

@@ -6,21 +6,17 @@ back: see `Alive`. A checkpoint is a program as far as safety goes: unpickling r
 """
 
 import hashlib
-import json
 import pickle
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Final, Protocol, cast
+from typing import Any, Protocol, cast
 
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 
 from ..errors import CosimError, NotResumableError, one_line
 from .record import CHECKPOINT, FolderError, Place, Recorder, recording, to_json, write_bytes
-
-_HEADER: Final = 1 << 16
-"""Bytes within which the first line of a checkpoint ends."""
 
 
 class Alive(Protocol):
@@ -54,11 +50,12 @@ class Checkpoint:
 
 @dataclass(frozen=True)
 class _Header:
-    """The first line of the file; behind it is the content."""
+    """The second line of the file. Before it is the SHA-256 of the rest, behind it the content."""
 
-    place: Place
-    n_parts: int
-    sha256: str
+    place: Place | None = None
+    n_parts: int = 0
+    reason: str = ""
+    """Why there is no content."""
 
 
 class Checkpoints:
@@ -78,33 +75,33 @@ class Checkpoints:
         path = self._folder / CHECKPOINT
         try:
             content, parts = _dumped(run)
-            header = asdict(_Header(recorder.place(), len(parts), hashlib.sha256(content).hexdigest()))
+            header = _Header(recorder.place(), len(parts))
         except NotResumableError as e:
             self._every = 0
             if path.exists():
                 return
-            header, content = {"reason": str(e)}, b""
+            header, content = _Header(reason=str(e)), b""
+        rest = to_json(asdict(header)).encode() + b"\n" + content
         with recording(self._folder):
-            write_bytes(path, to_json(header).encode() + b"\n" + content)
+            write_bytes(path, hashlib.sha256(rest).hexdigest().encode() + b"\n" + rest)
 
 
 def read_checkpoint(folder: Path) -> Checkpoint:
     """The last checkpoint of a run. Raises NotResumableError where there is none, FolderError for a damaged one."""
     try:
-        with open(folder / CHECKPOINT, "rb") as file:
-            head, content = file.readline(_HEADER), file.read()
-        fields = json.loads(head)
-        if set(fields) == {"reason"}:
-            raise NotResumableError(str(fields["reason"]))
-        header = TypeAdapter(_Header).validate_python(fields)
+        digest, _, rest = (folder / CHECKPOINT).read_bytes().partition(b"\n")
+        if hashlib.sha256(rest).hexdigest().encode() != digest:
+            raise FolderError(f"{folder} is damaged: {CHECKPOINT} is not as it was written.")
+        head, _, content = rest.partition(b"\n")
+        header = TypeAdapter(_Header).validate_json(head)
     except FileNotFoundError as e:
         raise NotResumableError("it has no checkpoint") from e
     except OSError as e:
         raise FolderError(f"{folder} is damaged: cannot read {CHECKPOINT}: {e.strerror or e}.") from e
-    except (ValueError, TypeError) as e:  # neither JSON nor a header
-        raise FolderError(f"{folder} is damaged: {CHECKPOINT} is not as it was written.") from e
-    if hashlib.sha256(content).hexdigest() != header.sha256:
-        raise FolderError(f"{folder} is damaged: {CHECKPOINT} is not as it was written.")
+    except ValidationError as e:
+        raise NotResumableError("its checkpoint is of another version") from e
+    if header.place is None:
+        raise NotResumableError(header.reason)
     return Checkpoint(header.place, header.n_parts, content)
 
 

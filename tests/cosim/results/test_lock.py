@@ -100,6 +100,6 @@ while done < 20:
 
 
 def test_a_folder_that_is_not_there_or_cannot_be_written_is_told(tmp_path):
-    with pytest.raises(FolderError, match="cannot write in .*gone: No such file"), locked(tmp_path / "gone"):
+    with pytest.raises(FolderError, match=r"cannot write in .*gone: No such file"), locked(tmp_path / "gone"):
         pass
     assert not is_locked(tmp_path / "gone")

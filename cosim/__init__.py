@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from .errors import WiringError as WiringError
     from .results.result import Run as Run
     from .scenarios.scenario import Scenario as Scenario
+    from .simulation import resume as resume
     from .simulation import run as run
     from .slaves.slave import Slave as Slave
     from .slaves.slave import open_slave as open_slave
@@ -25,6 +26,7 @@ _HOMES = {
     "SspError": "errors",
     "WiringError": "errors",
     "Run": "results.result",
+    "resume": "simulation",
     "run": "simulation",
     "Scenario": "scenarios.scenario",
     "Slave": "slaves.slave",

@@ -16,8 +16,11 @@ from .options import REFUSED, parser_of
 if TYPE_CHECKING:
     from .results.result import Run
     from .scenarios.scenario import Scenario
+    from .simulation import Progress
 
 DONE, UNFINISHED, INTERRUPTED = 0, 1, 130
+BASELINES = ("none", "true")
+"""What a run is compared with, each in a folder of its name inside the run's."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -26,13 +29,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.environ.setdefault(name, "1")  # before NumPy: a second BLAS thread is slower and changes bits
     options = parser_of(_COMMANDS).parse_args(arguments)
     signal.signal(signal.SIGTERM, _interrupt)
-    from .errors import CosimError  # here and below: --help must not wait for NumPy and GPy
+    from .errors import CosimError, UnfinishedError  # here and below: --help must not wait for NumPy and GPy
 
     try:
         return options.command(options)
     except CosimError as e:
         print(f"retune: {e}", file=sys.stderr)
-        return REFUSED
+        return UNFINISHED if isinstance(e, UnfinishedError) else REFUSED
     except KeyboardInterrupt:
         print("retune: interrupted; what there is so far is in the run folder", file=sys.stderr)
         return INTERRUPTED
@@ -79,11 +82,12 @@ def _estimator_builder(options: argparse.Namespace) -> Callable[[Path], Mapping[
 
 def _run(options: argparse.Namespace) -> int:
     from .errors import SspError
-    from .results.record import ESTIMATES, to_json, write_bytes
-    from .results.report import ending, report
+    from .results.lock import locked
+    from .results.record import ESTIMATES, recording, write_bytes
     from .scenarios.estimators import check_estimator
     from .scenarios.scenario import Scenario
     from .scenarios.start_values import with_start_values
+    from .simulation import run
 
     is_package = options.scenario.lower().endswith(".ssp") and Path(options.scenario).is_file()
     if is_package and not options.tables and _has_no_scenario(Path(options.scenario)):
@@ -96,15 +100,57 @@ def _run(options: argparse.Namespace) -> int:
         scenario = with_start_values(scenario, options.start_values)
     check_estimator(options.estimator, scenario)
     _must_be_new(options.ssv, "--ssv")
-    with _new_folder(scenario.scenario.name, options.out) as folder:
-        result, baselines = _simulate(scenario, options, folder)
-    if options.ssv and len(result.time):
-        write_bytes(options.ssv, (folder / ESTIMATES).read_bytes())
-    if not options.only:
+    is_alone = options.only or options.estimator in BASELINES
+    with _new_folder(scenario.scenario.name, options.out) as folder, locked(folder):
+        estimators = {folder: options.estimator} | ({} if is_alone else {folder / name: name for name in BASELINES})
+        for path in estimators:
+            path.mkdir(exist_ok=True)  # empty: a run that is still to be made, also by `resume`
+        runs = {
+            path: _simulated(scenario, name, partial(run, scenario, name, options.seed, path))
+            for path, name in estimators.items()
+        }
+        with recording(folder):
+            if options.ssv and len(runs[folder].time):
+                write_bytes(options.ssv, (folder / ESTIMATES).read_bytes())
+            return _tell(folder, runs, options.json, not options.only)
+
+
+def _resume(options: argparse.Namespace) -> int:
+    from .results.lock import locked
+    from .results.record import FolderError, recording
+    from .results.result import read_manifest, read_run, scenario_of
+    from .results.unfinished import has_begun, has_ended
+    from .simulation import resume, run
+
+    folder: Path = options.run
+    begun = read_manifest(folder)
+    scenario = scenario_of(folder, begun)
+    estimators = {folder: begun.estimator} | {folder / n: n for n in BASELINES if (folder / n).is_dir()}
+    if all(map(has_ended, estimators)):
+        raise FolderError(f"{folder} cannot be resumed: it is {begun.status}.")
+    runs: dict[Path, Run] = {}
+    with locked(folder):
+        for path, name in estimators.items():
+            if has_ended(path):
+                runs[path] = read_run(path)
+                continue
+            go_on = partial(resume, path) if has_begun(path) else partial(run, scenario, name, begun.seed, path)
+            runs[path] = _simulated(scenario, name, go_on)
+        with recording(folder):
+            return _tell(folder, runs, options.json, len(runs) > 1 or begun.estimator in BASELINES)
+
+
+def _tell(folder: Path, runs: "Mapping[Path, Run]", is_json: bool, is_drawn: bool) -> int:
+    """Draw and print the run of a folder, and those that it is compared with; the exit code."""
+    from .results.record import to_json
+    from .results.report import ending, report
+
+    result, baselines = runs[folder], {path.name: run for path, run in runs.items() if path != folder}
+    if is_drawn:
         from .plots.runs import draw_run
 
         draw_run(result, baselines)
-    print(to_json(result.summary()) if options.json else report(result, baselines))
+    print(to_json(result.summary()) if is_json else report(result, baselines))
     if why := ending(result):
         print(f"retune: {why}", file=sys.stderr)
         return UNFINISHED
@@ -137,20 +183,11 @@ def _run_plainly(options: argparse.Namespace) -> int:
     return DONE
 
 
-def _simulate(scenario: "Scenario", options: argparse.Namespace, folder: Path) -> tuple["Run", Mapping[str, "Run"]]:
-    """The run that was asked for and, unless told otherwise, those it is compared with."""
+def _simulated(scenario: "Scenario", estimator: str, simulate: "Callable[[Progress], Run]") -> "Run":
     from .progress import progress_bar
-    from .simulation import run
 
-    def simulate(estimator: str, out: Path) -> "Run":
-        out.mkdir(exist_ok=True)
-        with progress_bar(scenario, estimator) as progress:
-            return run(scenario, estimator, options.seed, out, progress)
-
-    result = simulate(options.estimator, folder)
-    is_alone = options.only or options.estimator in ("none", "true")
-    baselines = {} if is_alone else {name: simulate(name, folder / name) for name in ("none", "true")}
-    return result, baselines
+    with progress_bar(scenario, estimator) as progress:
+        return simulate(progress)
 
 
 def _compare(options: argparse.Namespace) -> int:
@@ -248,6 +285,10 @@ def _new_folder(name: str, out: Path | None) -> Generator[Path]:
     try:
         yield folder
     except BaseException:
+        below = list(folder.iterdir())
+        if not any(path.is_file() or any(path.iterdir()) for path in below):
+            for path in below:
+                path.rmdir()
         for path in (folder, *folder.parents):
             if path in there or any(path.iterdir()):
                 break
@@ -323,6 +364,7 @@ def _interrupt(*_: object) -> NoReturn:
 _COMMANDS = {
     "build": _build,
     "run": _run,
+    "resume": _resume,
     "compare": _compare,
     "replay": _replay,
     "figures": _figures,

@@ -34,6 +34,14 @@ class SspError(CosimError):
     """An SSP package, or a parameter file of that standard, is not understood."""
 
 
+class UnfinishedError(CosimError):
+    """A run cannot be recorded any further, through no fault of what was asked for."""
+
+
+class NotResumableError(CosimError):
+    """A run cannot go on from a checkpoint. The message is the reason, without a full stop."""
+
+
 class SlaveError(CosimError):
     """A running FMU failed."""
 

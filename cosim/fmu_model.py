@@ -14,13 +14,14 @@ from fmpy.model_description import ModelVariable
 
 from estimator import Parameter
 
-from .errors import CosimError, ScenarioError, SlaveError
+from .errors import CosimError, NotResumableError, ScenarioError, SlaveError
 from .fmi.archive import model_exchange, private_folder, read_description, unpack
 from .fmi.block import Variable
 from .fmi.elements import resolved
 from .fmi.instance import Identity
 from .fmi.ports import Catalogue
 from .names import did_you_mean
+from .results.record import sha256
 from .scenarios.estimators import load
 from .scenarios.library import find_fmu
 from .scenarios.scenario import Scenario
@@ -102,6 +103,17 @@ class FmuModel:
         except SlaveError as error:
             self._end()
             raise ValueError(str(error)) from error
+
+    checkpoint_name = "estimation.model"
+
+    def to_checkpoint(self) -> str:
+        """SHA-256 of the FMU: it keeps nothing from one call to the next."""
+        return sha256(self._fmu)
+
+    def from_checkpoint(self, saved: str) -> None:
+        """Raises NotResumableError for another FMU."""
+        if saved != sha256(self._fmu):
+            raise NotResumableError(f"{self._fmu} has changed")
 
     def close(self) -> None:
         """End the FMU and remove its folder; idempotent."""

@@ -58,6 +58,11 @@ def _run(parser: Parser) -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
+def _resume(parser: Parser) -> None:
+    parser.add_argument("run", type=Path, metavar="RUN", help="folder of a run that was killed, interrupted or faulted")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
 def _compare(parser: Parser) -> None:
     _add_scenario(parser)
     parser.add_argument(
@@ -159,6 +164,7 @@ def _assignment(text: str) -> tuple[str, str]:
 _OPTIONS: Final[Mapping[str, tuple[str, Callable[[Parser], None]]]] = {
     "build": ("build the FMUs that come with the package, or an estimator", _build),
     "run": ("simulate a scenario with its controller re-tuned", _run),
+    "resume": ("go on with a run from its last checkpoint, to the same bits", _resume),
     "compare": ("every estimator on the same plant, noise and seeds", _compare),
     "replay": ("other estimators on the recorded samples of a run, open loop", _replay),
     "figures": ("the paper's figures and table from runs of ours", _figures),

@@ -14,17 +14,21 @@ from itertools import islice
 from math import hypot
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from .errors import ScenarioError, SlaveError, WiringError
+from .errors import NotResumableError, ScenarioError, SlaveError, WiringError
 from .fmi.table import TableSlave, is_table
 from .master import Master, Wiring
 from .policy import decide, make_policy, try_model
 from .reconfigure import Reconfiguration
-from .results.record import Recorder, uninterrupted
-from .results.result import Run, Status, begin_folder, end_folder
+from .results.checkpoint import Checkpoint, Checkpoints, restore
+from .results.lock import locked
+from .results.record import FolderError, Recorder, recording, uninterrupted
+from .results.result import Run, Status, begin_folder, end_folder, read_manifest, scenario_of
+from .results.unfinished import Unfinished, has_begun, read_unfinished
 from .rollout.shadow import LivePlant
 from .sampling import Sampler
 from .scenarios.aliases import as_the_fmus_have_it
@@ -50,9 +54,38 @@ def run(
 
     The same seed gives the same run, bit for bit, on one machine. With `out`, an existing empty folder, everything is
     recorded there. A fault of an FMU ends the run with status `faulted`: the rows so far are kept.
-    Raises ScenarioError, ModelDescriptionError or WiringError before any step; KeyboardInterrupt when interrupted,
-    the rows so far recorded.
+    Raises ScenarioError, ModelDescriptionError, WiringError or FolderError before any step; KeyboardInterrupt when
+    interrupted and UnfinishedError when the disk is full, the rows so far recorded: `resume` goes on with them.
     """
+    return _simulated(scenario, estimator, seed, out, progress)
+
+
+def resume(folder: Path, progress: Progress | None = None) -> Run:
+    """Go on with a run that was killed, interrupted or faulted, from its last checkpoint, to the same bits as if
+    nothing had happened; wall times are added up.
+
+    Raises FolderError where that cannot be, with the reason, the folder being as it was; and what `run` raises.
+    """
+    read_manifest(folder)  # else a lock would be put into a folder of something else
+    with locked(folder):
+        try:
+            old = read_unfinished(folder)
+            manifest = old.manifest
+            scenario = scenario_of(folder, manifest)
+            return _simulated(scenario, manifest.estimator, manifest.seed, folder, progress, old)
+        except NotResumableError as e:
+            raise FolderError(f"{folder} cannot be resumed: {e}.") from e
+
+
+def _simulated(
+    scenario: Scenario,
+    estimator: str,
+    seed: int,
+    out: Path | None,
+    progress: Progress | None,
+    old: Unfinished | None = None,
+) -> Run:
+    """What `run` and, with an old record that goes on, `resume` do."""
     check_estimator(estimator, scenario)
     paths = fmu_paths(scenario)
     with threadpool_limits(1), ExitStack() as stack:  # the number of BLAS threads changes bits
@@ -67,15 +100,24 @@ def run(
             for name, path in paths.items()
         }
         scenario = as_the_fmus_have_it(scenario, slaves)
-        loop = _Loop(scenario, slaves, estimator, seed, stack)
+        loop = _Loop(scenario, slaves, estimator, seed, begun, stack)
         fault = loop.initialize()
+        if old is not None and old.checkpoint is not None:
+            loop.go_to(old.checkpoint, fault)
         if out is not None:
-            begin_folder(out, scenario, estimator, seed, paths, loop.plant)
-        recorder = Recorder(out, loop.columns)
-        status, error = ("faulted", fault) if fault else loop.execute(recorder, progress)
-        wall = perf_counter() - begun
+            stack.enter_context(locked(out))
+            if old is None and has_begun(out):
+                raise FolderError(f"{out} holds a run already.")
+        with recording(out):
+            if out is not None:
+                begin_folder(out, scenario, estimator, seed, paths, loop.plant)
+            recorder = Recorder(out, loop.columns, old and old.place)
+        stack.callback(recorder.release)
+        checkpoints = Checkpoints(out, settings.checkpoint)
+        status, error = ("faulted", fault) if fault else loop.execute(recorder, checkpoints, progress)
+        wall = perf_counter() - loop.begun
         policy = loop.policy
-        with uninterrupted():  # and before the FMUs are closed, which may take its time
+        with recording(out), uninterrupted():  # and before the FMUs are closed, which may take its time
             result = Run(
                 scenario, loop.plant, estimator, seed, recorder.close(), status, error, policy.n_evaluations,
                 policy.n_episodes, loop.latencies, wall, out, policy.n_model_calls, policy.describe(),
@@ -97,15 +139,17 @@ class _Loop:
         slaves: Mapping[str, Slave | TableSlave],
         estimator: str,
         seed: int,
+        begun: float,
         stack: ExitStack,
     ) -> None:
-        """stack: closes what the run has opened. Raises ScenarioError, WiringError."""
+        """begun: the clock then [s]; stack: closes what the run has opened. Raises ScenarioError, WiringError."""
         plant = plant_of(scenario, slaves[scenario.plant])
         check_parameters(scenario, slaves)
         wiring, groups = wire(scenario, slaves)
         noise, search = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
         self._scenario, self._estimator = scenario, estimator
-        self.plant = plant
+        self.plant, self.begun = plant, begun
+        self._k = 0
         self._master = Master(slaves, wiring, groups)
         self._sampler = Sampler(scenario, plant, self._master.names, noise)
         self._theta = np.array([start_value(scenario, slaves, p.writes) for p in scenario.estimation.parameters])
@@ -143,14 +187,43 @@ class _Loop:
         try_model(self._scenario, self._estimator, self.plant, self._theta, first)
         return None
 
-    def execute(self, recorder: Recorder, progress: Progress | None) -> tuple[Status, str | None]:
-        """Step to the end; returns how it ended and, for a fault, why."""
+    @property
+    def checkpoint_name(self) -> str:
+        """See `cosim.results.checkpoint.Alive`."""
+        return "loop"
+
+    def to_checkpoint(self) -> tuple[dict[str, Any], float]:
+        """All that it holds but what is made of the scenario alone; wall time so far [s]."""
+        held = {name: value for name, value in vars(self).items() if name not in ("_scenario", "_truth", "begun")}
+        return held, perf_counter() - self.begun
+
+    def from_checkpoint(self, saved: tuple[dict[str, Any], float]) -> None:
+        """Hold that instead."""
+        held, wall = saved
+        vars(self).update(held)
+        self.begun -= wall
+
+    def go_to(self, checkpoint: Checkpoint, fault: str | None) -> None:
+        """From the start to a checkpoint; fault: why there is no start. Raises NotResumableError."""
+        try:
+            if fault is None:
+                restore(self, checkpoint)
+        except SlaveError as e:
+            fault = str(e)
+        if fault is not None:
+            raise NotResumableError(fault.rstrip("."))
+
+    def execute(
+        self, recorder: Recorder, checkpoints: Checkpoints, progress: Progress | None
+    ) -> tuple[Status, str | None]:
+        """Step to the end; returns how it ended and, for a fault, why. Raises UnfinishedError."""
         settings = self._scenario.scenario
         names = self._scenario.estimation.space.names
         t = settings.start_time
         try:
-            for k in range(settings.n_steps + 1):
-                t = settings.time(k)
+            for k in range(self._k, settings.n_steps + 1):
+                self._k, t = k, settings.time(k)
+                checkpoints.offer(k, self, recorder)
                 if self._exchange(k, t, recorder):
                     return "diverged", None
                 if progress is not None:

@@ -176,6 +176,19 @@ class TableSlave:
         """As get."""
         return self.get()
 
+    @property
+    def checkpoint_name(self) -> str:
+        """See `cosim.results.checkpoint.Alive`."""
+        return f"table {self.name}"
+
+    def to_checkpoint(self) -> tuple[float, float]:
+        """Where it stands; its rows are in its file."""
+        return self._time, self._slack
+
+    def from_checkpoint(self, saved: tuple[float, float]) -> None:
+        """Go there."""
+        self._time, self._slack = saved
+
     def close(self) -> None:
         """Nothing."""
 

@@ -2,8 +2,9 @@
 
 import json
 import platform
+import sys
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -12,16 +13,22 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
-from ..errors import one_line
+from ..errors import NotResumableError, one_line
 from ..scenarios.scenario import Scenario
 from ..scenarios.system import Plant
 from ..ssp.ssv import ParameterValue, to_ssv
 from ..units import Unit
+from .checkpoint import read_checkpoint
+from .lock import is_locked
 from .record import (
+    CHECKPOINT,
+    CSV,
     ESTIMATES,
     LATENCIES,
+    LOCK,
     MANIFEST,
     RESULT,
+    SERIES,
     FolderError,
     read_series,
     sha256,
@@ -30,8 +37,10 @@ from .record import (
     write_json,
     write_text,
 )
+from .seal import check_file, check_manifest, write_manifest
 
-Status = Literal["done", "diverged", "faulted", "interrupted"]
+Status = Literal["done", "diverged", "faulted", "interrupted", "running", "unfinished"]
+"""The last two are those of a folder: its run goes on in another process, or was killed."""
 Series = NDArray[np.float64]
 PACKAGES = ("fmu-retune", "fmpy", "pythonfmu", "numpy", "scipy", "GPy", "pyarrow")
 
@@ -157,18 +166,22 @@ class Run:
 def begin_folder(
     folder: Path, scenario: Scenario, estimator: str, seed: int, fmus: Mapping[str, Path], plant: Plant
 ) -> None:
-    """Write the manifest of a run that starts now."""
+    """Write the manifest of a run that starts now, or goes on: what an earlier end has left is removed."""
     content = {
         "status": "running",
         "estimator": estimator,
         "seed": seed,
         "fmus": {name: {"file": str(path), "sha256": sha256(path)} for name, path in fmus.items()},
-        "versions": {"python": platform.python_version()} | {name: version(name) for name in PACKAGES},
+        "modules": _modules(scenario.folder),
+        "versions": versions(),
         "plant": asdict(plant),
         "folder": str(scenario.folder.resolve()),
         "scenario": scenario.model_dump(mode="json"),
     }
-    write_json(folder / MANIFEST, content)
+    write_manifest(folder, content)
+    half_written = (path for path in folder.glob(".*-????????") if path.is_file())
+    for path in (*(folder / name for name in (RESULT, LATENCIES, ESTIMATES, CSV)), *half_written):
+        path.unlink(missing_ok=True)
 
 
 def end_folder(run: Run, folder: Path, units: Mapping[str, Unit]) -> None:
@@ -181,28 +194,50 @@ def end_folder(run: Run, folder: Path, units: Mapping[str, Unit]) -> None:
     if len(run.time):
         held = [ParameterValue(p.writes, float(run[p.writes][-1]), p.unit) for p in run.scenario.estimation.parameters]
         write_text(folder / ESTIMATES, to_ssv(run.scenario.scenario.name, held, units))
-    write_csv(folder / "series.csv", run.series)
+    write_csv(folder / CSV, run.series)
     manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-    hashes = {path.name: sha256(path) for path in sorted(folder.iterdir()) if path.is_file() and path.name != MANIFEST}
-    write_json(folder / MANIFEST, manifest | {"status": run.status, "sha256": hashes})
+    final = (path for path in sorted(folder.iterdir()) if path.is_file())
+    hashes = {path.name: sha256(path) for path in final if path.name not in (MANIFEST, CHECKPOINT, LOCK)}
+    write_manifest(folder, manifest | {"status": run.status, "sha256": hashes})
+    if run.status in ("done", "diverged"):
+        (folder / CHECKPOINT).unlink(missing_ok=True)
+
+
+def versions() -> dict[str, str]:
+    """Of all that a run's bits depend on."""
+    return {"python": platform.python_version()} | {name: version(name) for name in PACKAGES}
+
+
+def _modules(folder: Path) -> dict[str, str]:
+    """SHA-256 of the modules that are loaded from where a scenario's model and estimator may be, by file."""
+    loaded = {Path(file) for module in list(sys.modules.values()) if (file := getattr(module, "__file__", None))}
+    places = {folder.resolve(), Path.cwd()}
+    return {
+        str(file): sha256(file)
+        for file in sorted(loaded)
+        if file.suffix == ".py" and file.is_file() and places.intersection(file.parents)
+        if not {"site-packages", "dist-packages"}.intersection(file.parts) and Path(sys.prefix) not in file.parents
+    }
 
 
 def read_run(folder: Path) -> Run:
-    """The run that a folder records, also one that was killed: as far as it was written, with status `interrupted`.
+    """The run that a folder records, also one that goes on or was killed, as far as it is written: status `running` or
+    `unfinished`.
 
     Raises FolderError for a folder that holds no run, or a damaged one.
     """
-    manifest = _read(folder, MANIFEST, _Manifest)
-    try:
-        scenario = Scenario.model_validate(manifest.scenario | {"folder": manifest.folder})
-    except ValidationError as e:
-        raise FolderError(f"{folder} holds a scenario of another version: {_first(e)}.") from e
-    series = read_series(folder)
+    manifest = read_manifest(folder)
+    scenario = scenario_of(folder, manifest)
     if manifest.status == "running":
-        status, result, latencies = "interrupted", _Result(), ()
+        status = "running" if is_locked(folder) else "unfinished"
+        _check_begun(folder)
+        result, latencies = _Result(), ()
     else:
+        for name in (SERIES, RESULT, LATENCIES):
+            check_file(folder, name, manifest.sha256)
         status, result = manifest.status, _read(folder, RESULT, _Result)
         latencies = _read(folder, LATENCIES, tuple[tuple[float, ...], ...])
+    series = read_series(folder)
     return Run(
         scenario, manifest.plant, manifest.estimator, manifest.seed, series, status, result.error, result.evaluations,
         result.episodes, latencies, result.wall_s, folder, result.model_calls,
@@ -210,15 +245,54 @@ def read_run(folder: Path) -> Run:
 
 
 @dataclass(frozen=True)
-class _Manifest:
+class Manifest:
     """What is read of a manifest."""
 
-    status: Status | Literal["running"]
+    status: Status
+    """How the run ended, or running."""
     estimator: str
+    """Who re-tuned."""
     seed: int
+    """Of noise and search."""
     plant: Plant
+    """The component whose derivatives were sampled."""
     folder: Path
+    """The scenario's."""
     scenario: dict[str, Any]
+    """Its tables."""
+    fmus: dict[str, dict[str, str]] = field(default_factory=dict[str, dict[str, str]])
+    """File and SHA-256 of each component."""
+    modules: dict[str, str] = field(default_factory=dict[str, str])
+    """SHA-256 of the user's Python files."""
+    versions: dict[str, str] = field(default_factory=dict[str, str])
+    """Of the packages."""
+    sha256: dict[str, str] = field(default_factory=dict[str, str])
+    """Of the files of a run that has ended."""
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """The manifest of a run folder. Raises FolderError."""
+    manifest = _read(folder, MANIFEST, Manifest)
+    check_manifest(folder, json.loads((folder / MANIFEST).read_bytes()))
+    return manifest
+
+
+def scenario_of(folder: Path, manifest: Manifest) -> Scenario:
+    """The scenario of a run folder's manifest. Raises FolderError."""
+    try:
+        return Scenario.model_validate(manifest.scenario | {"folder": manifest.folder})
+    except ValidationError as e:
+        raise FolderError(f"{folder} holds a scenario of another version: {_first(e)}.") from e
+
+
+def _check_begun(folder: Path) -> None:
+    """Raises FolderError where what was on the disk at the last checkpoint is not there any more."""
+    try:
+        is_whole = read_checkpoint(folder).place.series.digest_of(folder / SERIES) is not None
+    except (NotResumableError, OSError):  # nothing to compare with; who reads the series says what is wrong with it
+        return
+    if not is_whole:
+        raise FolderError(f"{folder} is damaged: {SERIES} is not as it was written.")
 
 
 @dataclass(frozen=True)

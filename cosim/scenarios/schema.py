@@ -56,6 +56,8 @@ class Settings(Table):
     """Each FMU in a process of its own, or all in this one."""
     timeout: float = Field(default=10.0, gt=0.0)
     """Longest time that one call of an FMU may take [s]."""
+    checkpoint: int = Field(default=500, ge=0)
+    """Communication points from one checkpoint of a run folder to the next, for `retune resume`; 0: none."""
 
     @model_validator(mode="after")
     def _spans_whole_steps(self) -> Self:

@@ -18,7 +18,7 @@ from typing import Any, Literal, Self
 
 from fmpy.model_description import ModelDescription
 
-from ..errors import COLON, SlaveError, WiringError
+from ..errors import COLON, NotResumableError, SlaveError, WiringError
 from ..fmi.archive import co_simulation, private_folder, read_description, unpack
 from ..fmi.block import PYTHON_TYPE, Value
 from ..fmi.instance import Identity
@@ -208,6 +208,24 @@ class Slave:
         self._guarded(self._home.call, "set_state", self._time, state)
         self._values = None
 
+    @property
+    def checkpoint_name(self) -> str:
+        """See `cosim.results.checkpoint.Alive`."""
+        return f"FMU {self.name}"
+
+    def to_checkpoint(self) -> tuple[bytes, float | None, tuple[float, ...] | None]:
+        """State, communication point and outputs. Raises NotResumableError, SlaveError."""
+        if not self._has_states():
+            raise NotResumableError(f"{self.fmu.name} cannot save and restore its state")
+        return self.get_state(), self._time, self._values
+
+    def from_checkpoint(self, saved: tuple[bytes, float | None, tuple[float, ...] | None]) -> None:
+        """Go back there. Raises NotResumableError where the FMU then gives other outputs, SlaveError."""
+        state, self._time, outputs = saved
+        self.set_state(state)
+        if outputs is not None and self.get() != outputs:
+            raise NotResumableError(f"{self.fmu.name} gives other outputs once its state is restored")
+
     def close(self) -> None:
         """Terminate and free the FMU, within a few seconds or by force, and remove its folder; idempotent.
 
@@ -258,10 +276,13 @@ class Slave:
             raise SlaveError(self.name, "set", t, problem, COLON)
 
     def _must_have_states(self, function: str) -> None:
-        interface = co_simulation(self.description)
-        if not (interface.canGetAndSetFMUstate and interface.canSerializeFMUstate):
+        if not self._has_states():
             reason = f"{self.fmu.name} cannot save and restore its state"
             raise SlaveError(self.name, function, self._time, reason, COLON)
+
+    def _has_states(self) -> bool:
+        interface = co_simulation(self.description)
+        return bool(interface.canGetAndSetFMUstate and interface.canSerializeFMUstate)
 
     def _start_value(self, name: str, value: Value, t: float) -> tuple[str, str, int, Value]:
         port = self._catalogue.start_port(name, value)

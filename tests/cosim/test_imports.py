@@ -14,7 +14,7 @@ import cosim
 
 PUBLIC = [
     "CosimError", "ModelDescriptionError", "Run", "Scenario", "ScenarioError", "Slave", "SlaveError", "SspError",
-    "System", "WiringError", "open_slave", "run",
+    "System", "WiringError", "open_slave", "resume", "run",
 ]  # fmt: skip
 WORKSHOP = {"cosim", "estimator", "fmu_models"}
 

@@ -9,9 +9,10 @@ import pytest
 
 from cosim import Run, ScenarioError, run
 from cosim.errors import CosimError
-from cosim.results.record import EVENTS, LATENCIES, MANIFEST, RESULT, SERIES, FolderError
+from cosim.results.record import EVENTS, LATENCIES, MANIFEST, RESULT, SERIES, FolderError, sha256
 from cosim.results.replay import replay, replayed
 from cosim.results.result import read_run
+from cosim.results.seal import write_manifest
 from cosim.scenarios.scenario import Scenario
 
 pytestmark = pytest.mark.fmu
@@ -91,7 +92,7 @@ def killed(folder: Path, n_bytes_lost: int) -> None:
     for name in (RESULT, LATENCIES, "series.csv", "estimates.ssv"):
         (folder / name).unlink()
     manifest = json.loads((folder / MANIFEST).read_text())
-    (folder / MANIFEST).write_text(json.dumps(manifest | {"status": "running"}))
+    write_manifest(folder, manifest | {"status": "running"})
     content = (folder / SERIES).read_bytes()
     (folder / SERIES).write_bytes(content[: len(content) - n_bytes_lost])
 
@@ -99,7 +100,7 @@ def killed(folder: Path, n_bytes_lost: int) -> None:
 def test_a_killed_run_is_replayed_as_far_as_it_was_written(recorded: Run, folder: Path, tmp_path: Path) -> None:
     killed(folder, 100)
     left = read_run(folder)
-    assert (left.status, left.error, left.latencies, len(left.time)) == ("interrupted", None, (), 50)
+    assert (left.status, left.error, left.latencies, len(left.time)) == ("unfinished", None, (), 50)
     again = replayed(left, "target", 5)
     np.testing.assert_array_equal(again.estimates["m"], recorded.estimates["m"][:50])
     comparison = replay(folder, ["target", "least-squares"], out=tmp_path / "out")
@@ -132,7 +133,7 @@ def test_a_replay_writes_nothing_into_the_run_and_overwrites_nothing(folder: Pat
 def rewrite(name: str, **changes: object):
     def spoil(folder: Path) -> None:
         content = json.loads((folder / name).read_text()) | changes
-        (folder / name).write_text(json.dumps({k: v for k, v in content.items() if v != "gone"}))
+        write_manifest(folder, {k: v for k, v in content.items() if v != "gone"})
 
     return spoil
 
@@ -145,6 +146,22 @@ def without_column(name: str):
             table = pa.ipc.open_stream(file).read_all()
         with pa.ipc.new_stream(folder / SERIES, table.drop_columns([name]).schema) as writer:
             writer.write_table(table.drop_columns([name]))
+        accepted(folder)
+
+    return spoil
+
+
+def accepted(folder: Path) -> None:
+    """Let the manifest say that its files are as they are."""
+    manifest = json.loads((folder / MANIFEST).read_text())
+    there = [path for path in folder.iterdir() if path.is_file() and path.name != MANIFEST]
+    write_manifest(folder, manifest | {"sha256": {path.name: sha256(path) for path in there}})
+
+
+def written(name: str, text: str):
+    def spoil(folder: Path) -> None:
+        (folder / name).write_text(text)
+        accepted(folder)
 
     return spoil
 
@@ -160,10 +177,10 @@ SPOILT = {
     "an unknown status": (rewrite(MANIFEST, status="gone fishing"), "manifest.json: status"),
     "an old scenario": (rewrite(MANIFEST, scenario={}), "scenario of another version: scenario: Field required"),
     "no result": (lambda f: (f / RESULT).unlink(), "cannot read result.json"),
-    "a result that is a list": (lambda f: (f / RESULT).write_text("[]"), "result.json: Input should be"),
-    "latencies that are none": (lambda f: (f / LATENCIES).write_text("{}"), "latencies.json: Input should be"),
-    "no series": (lambda f: (f / SERIES).unlink(), "no readable series.arrow"),
-    "a series that is none": (lambda f: (f / SERIES).write_text("x"), "no readable series.arrow"),
+    "a result that is a list": (written(RESULT, "[]"), "result.json: Input should be"),
+    "latencies that are none": (written(LATENCIES, "{}"), "latencies.json: Input should be"),
+    "no series": (lambda f: (f / SERIES).unlink(), "cannot read series.arrow"),
+    "a series that is none": (written(SERIES, "x"), "no readable series.arrow"),
     "no row": (lambda f: killed(f, (f / SERIES).stat().st_size - 3000), "has no rows"),
     "no held input": (without_column("held.plant.u"), "lacks the column 'held.plant.u'"),
     "no tracked output": (without_column("plant.phi"), "lacks the column 'plant.phi'"),

@@ -1,0 +1,81 @@
+"""Run folders that were left before their run was done: whether it can go on, and from where."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..errors import NotResumableError
+from ..scenarios.system import fmu_paths
+from .checkpoint import Checkpoint, read_checkpoint
+from .growing import EMPTY, Prefix
+from .record import CHECKPOINT, EVENTS, MANIFEST, SERIES, FolderError, Place, read_series, sha256
+from .result import Manifest, read_manifest, scenario_of, versions
+
+
+def has_begun(folder: Path) -> bool:
+    """Whether anything of a run may be in the folder."""
+    return (folder / MANIFEST).exists()
+
+
+def has_ended(folder: Path) -> bool:
+    """Whether a run is in the folder of which nothing is left to be done. Raises FolderError."""
+    return has_begun(folder) and read_manifest(folder).status in ("done", "diverged")
+
+
+@dataclass(frozen=True)
+class Unfinished:
+    """A run that was left before its end."""
+
+    manifest: Manifest
+    """What is run."""
+    checkpoint: Checkpoint | None
+    """How far it had come; None where it has not a row yet."""
+
+    @property
+    def place(self) -> Place:
+        """Where its record goes on."""
+        return self.checkpoint.place if self.checkpoint else Place(EMPTY, EMPTY)
+
+
+def read_unfinished(folder: Path) -> Unfinished:
+    """The run of a folder that can go on. Nothing but reading is done.
+
+    Raises FolderError for a folder that holds no run or a damaged one; NotResumableError where the same bits cannot
+    be had: the run has ended, it has no checkpoint, or what it depends on has changed.
+    """
+    manifest = read_manifest(folder)
+    if manifest.status in ("done", "diverged"):
+        raise NotResumableError(f"it is {manifest.status}")
+    now = versions()
+    for name, version in manifest.versions.items():
+        if now.get(name) != version:
+            raise NotResumableError(f"it was begun with {name} {version}, and this is {now.get(name, 'without')}")
+    files = {path: manifest.fmus[name]["sha256"] for name, path in fmu_paths(scenario_of(folder, manifest)).items()}
+    for path, digest in {**files, **{Path(file): digest for file, digest in manifest.modules.items()}}.items():
+        if not path.is_file() or sha256(path) != digest:
+            raise NotResumableError(f"{path} has changed since it was begun")
+    try:
+        checkpoint = read_checkpoint(folder)
+    except NotResumableError:
+        if (folder / CHECKPOINT).exists() or _has_rows(folder):
+            raise
+        return Unfinished(manifest, None)
+    for name, prefix in ((SERIES, checkpoint.place.series), (EVENTS, checkpoint.place.events)):
+        _check(folder, name, prefix)
+    return Unfinished(manifest, checkpoint)
+
+
+def _has_rows(folder: Path) -> bool:
+    try:
+        return any(map(len, read_series(folder).values()))
+    except FolderError:  # killed before the first word of it
+        return False
+
+
+def _check(folder: Path, name: str, prefix: Prefix) -> None:
+    """Raises FolderError for a file that does not begin with what it held at the checkpoint."""
+    try:
+        is_whole = prefix.digest_of(folder / name) is not None
+    except OSError as e:
+        raise FolderError(f"{folder} is damaged: cannot read {name}: {e.strerror or e}.") from e
+    if not is_whole:
+        raise FolderError(f"{folder} is damaged: {name} is not as it was written.")

@@ -204,11 +204,13 @@ def _new(options: argparse.Namespace) -> int:
 
 def _check(options: argparse.Namespace) -> int:
     from .authoring.check import check
+    from .authoring.check_fmu import check_fmu
     from .errors import ScenarioError
 
-    if options.scenario.lower().endswith(".fmu"):
-        raise ScenarioError(f"'{options.scenario}' is an FMU: retune info and retune doctor look into one.")
-    findings = check(options.scenario, dict(options.overrides))
+    is_fmu = options.scenario.lower().endswith(".fmu")
+    if is_fmu and options.overrides:
+        raise ScenarioError("--set is of a scenario, not of an FMU.")
+    findings = check_fmu(Path(options.scenario)) if is_fmu else check(options.scenario, dict(options.overrides))
     for finding in findings:
         print(f"{options.scenario}: {finding}")
     n_errors = sum(finding.is_error for finding in findings)

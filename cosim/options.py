@@ -94,7 +94,7 @@ def _new(parser: Parser) -> None:
 
 
 def _check(parser: Parser) -> None:
-    _add_scenario(parser)
+    _add_scenario(parser, ", an FMU")
     _add_set(parser)
 
 
@@ -163,7 +163,7 @@ _OPTIONS: Final[Mapping[str, tuple[str, Callable[[Parser], None]]]] = {
     "replay": ("other estimators on the recorded samples of a run, open loop", _replay),
     "figures": ("the paper's figures and table from runs of ours", _figures),
     "new": ("write a scenario for FMUs of yours, to look over", _new),
-    "check": ("what is wrong or risky in a scenario, before anything runs", _check),
+    "check": ("what is wrong or risky in a scenario or an FMU, before anything runs", _check),
     "info": ("what is in an FMU: parameters, inputs, outputs, states, capabilities", _info),
     "doctor": ("what an FMU needs here, and how to start an importer for it", _doctor),
     "export": ("a scenario's system for other tools", _export),

@@ -29,6 +29,7 @@ def parser_of(commands: Mapping[str, Callable[[argparse.Namespace], int]]) -> Pa
     for name, (text, add) in _OPTIONS.items():
         one = table.add_parser(name, help=text, allow_abbrev=False)
         add(one)
+        one.add_argument("--debug", action="store_true", help="show tracebacks, and all that the FMUs log")
         one.set_defaults(command=commands[name])
     return parser
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO, Final, Literal
+from xml.etree.ElementTree import Element
 
 import fmpy
 from fmpy.model_description import CoSimulation, ModelDescription, ModelExchange
@@ -25,6 +26,7 @@ Judge = Callable[[Iterable[Finding]], None]
 """Called with what one look at an FMU has found; may raise."""
 
 DESCRIPTION: Final = "modelDescription.xml"
+_BUILD: Final = "sources/buildDescription.xml"
 _VERSIONS: Final[dict[str, tuple[str, ...]]] = {"co-simulation": ("2.0", "3.0"), "model-exchange": ("3.0",)}
 
 
@@ -85,7 +87,7 @@ def look_into(fmu: Path, judge: Judge | None = None) -> tuple[ModelDescription, 
     judge = judge or partial(_refuse, f"{fmu} is not a usable FMU")
     try:
         with open(fmu, "rb") as file:
-            judge(index_findings(strict_root(_description_in(file, judge))))
+            judge(index_findings(_description_in(file, judge)))
             description = fmpy.read_model_description(file)
             judge(description_findings(description))
             platforms: list[str] = fmpy.supported_platforms(file)
@@ -164,17 +166,23 @@ def unpack(fmu: Path, folder: str) -> None:
         raise ModelDescriptionError(f"{fmu} cannot be unpacked: {_text_of(error)}") from error
 
 
-def _description_in(file: BinaryIO, judge: Judge) -> bytes:
-    """The bytes of the model description, of an archive that can be unpacked."""
+def _description_in(file: BinaryIO, judge: Judge) -> Element:
+    """The model description of an archive that can be unpacked. Raises KeyError, ValueError, what zipfile raises."""
     with zipfile.ZipFile(file) as archive:
         judge(archive_findings(archive.infolist()))
-        size = archive.getinfo(DESCRIPTION).file_size
-        if size > LARGEST:
-            raise ValueError(f"{DESCRIPTION} has {size >> 20} MiB; at most {LARGEST >> 20} MiB are read")
-        content = archive.read(DESCRIPTION)
-        if "sources/buildDescription.xml" in archive.namelist():  # FMPy reads it too
-            strict_root(archive.read("sources/buildDescription.xml"))
-    return content
+        if _BUILD in archive.namelist():  # FMPy reads it too
+            _strict(archive, _BUILD)
+        return _strict(archive, DESCRIPTION)
+
+
+def _strict(archive: zipfile.ZipFile, name: str) -> Element:
+    size = archive.getinfo(name).file_size
+    if size > LARGEST:
+        raise ValueError(f"{name}: it has {size >> 20} MiB; at most {LARGEST >> 20} MiB are read")
+    try:
+        return strict_root(archive.read(name))
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from error
 
 
 def _refuse(subject: str, findings: Iterable[Finding]) -> None:

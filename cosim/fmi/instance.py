@@ -183,9 +183,12 @@ class Instance:
     def _checked(self, name: str, function: Any, *arguments: object) -> Any:
         self._log.clear()
         try:
-            return function(*arguments)
+            result = function(*arguments)
         except fmi1.FMICallException as error:
             raise self._fault(name, error.status) from error
+        if isinstance(result, int) and result < 0:  # a status that is none, and that FMPy lets pass
+            raise self._fault(name, result)
+        return result
 
     def _fault(self, function: str, status: int) -> SlaveError:
         return SlaveError(self.name, function, self._time, returned(status, self._log.reason()))

@@ -66,20 +66,16 @@ def _identifiers(description: ModelDescription) -> Iterator[Finding]:
 
 
 def _sizes(variables: Sequence[ModelVariable]) -> Iterator[Finding]:
-    total = 0
-    for v in variables:
-        shape = v.shape or ()
-        n = prod(shape)
-        total += n
-        if n < 1:
-            yield Finding(_PLACE, f"{_named(v)} has the dimensions {list(shape)}; each must be at least 1")
-        n_starts = len(v.start.split()) if shape and isinstance(v.start, str) else 1
-        if n_starts not in (1, n):
-            yield Finding(
-                _PLACE, f"{_named(v)} has {n_starts} start values; its dimensions {list(shape)} need {n} or 1"
-            )
+    total = sum(prod(v.shape or ()) for v in variables)
     if total > MOST_ELEMENTS:
         yield Finding(_PLACE, f"its arrays have {total} elements; at most {MOST_ELEMENTS} are handled")
+    for v in variables:
+        shape = list(v.shape or ())
+        if shape and min(shape) < 1:
+            yield Finding(_PLACE, f"{_named(v)} has the dimensions {shape}; each must be at least 1")
+        n, n_starts = prod(shape), len(v.start.split()) if shape and isinstance(v.start, str) else 1
+        if n_starts not in (1, n):
+            yield Finding(_PLACE, f"{_named(v)} has {n_starts} start values; its dimensions {shape} need {n} or 1")
 
 
 def _aliases(variables: Iterable[ModelVariable]) -> Iterator[Finding]:

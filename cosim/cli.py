@@ -1,9 +1,11 @@
 """The command `retune`. Exit codes: 0 done; 1 the run did not finish; 2 the input was refused; 130 interrupted."""
 
 import argparse
+import logging
 import os
 import signal
 import sys
+import traceback
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from functools import partial
@@ -28,20 +30,47 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # before NumPy: a second BLAS thread is slower and changes bits
     options = parser_of(_COMMANDS).parse_args(arguments)
-    signal.signal(signal.SIGTERM, _interrupt)
+    _take_signals()
+    if options.debug:
+        _log_everything()
     from .errors import CosimError, UnfinishedError  # here and below: --help must not wait for NumPy and GPy
 
     try:
         return options.command(options)
     except CosimError as e:
-        print(f"retune: {e}", file=sys.stderr)
-        return UNFINISHED if isinstance(e, UnfinishedError) else REFUSED
+        return _end(options, str(e), UNFINISHED if isinstance(e, UnfinishedError) else REFUSED)
     except KeyboardInterrupt:
-        print("retune: interrupted; what there is so far is in the run folder", file=sys.stderr)
-        return INTERRUPTED
+        return _end(options, "interrupted; what there is so far is in the run folder", INTERRUPTED)
     except BrokenPipeError:
         sys.stderr.close()  # the reader of our output has gone
         return UNFINISHED
+    except Exception as e:  # nothing that we know of; it must not look like success, nor like a refusal
+        return _end(options, f"{type(e).__name__}: {e}; --debug shows where", UNFINISHED)
+
+
+def _end(options: argparse.Namespace, why: str, code: int) -> int:
+    """Say in one line why a command ends; the exit code."""
+    from .errors import one_line
+
+    if options.debug:
+        traceback.print_exc()
+    print(f"retune: {one_line(why, longest=4000)}", file=sys.stderr)
+    return code
+
+
+def _take_signals() -> None:
+    """What ends a process politely interrupts the command, so that it clears up: also a terminal that is closed."""
+    signal.signal(signal.SIGTERM, _interrupt)
+    if sys.platform != "win32" and signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:  # nohup has it ignored
+        signal.signal(signal.SIGHUP, _interrupt)
+
+
+def _log_everything() -> None:
+    """Show what the FMUs log that is no warning, too."""
+    log = logging.getLogger(__package__)
+    log.setLevel(logging.DEBUG)
+    if not log.handlers:
+        log.addHandler(logging.StreamHandler())
 
 
 def _build(options: argparse.Namespace) -> int:
@@ -241,11 +270,13 @@ def _new(options: argparse.Namespace) -> int:
 
 def _check(options: argparse.Namespace) -> int:
     from .authoring.check import check
+    from .authoring.check_fmu import check_fmu
     from .errors import ScenarioError
 
-    if options.scenario.lower().endswith(".fmu"):
-        raise ScenarioError(f"'{options.scenario}' is an FMU: retune info and retune doctor look into one.")
-    findings = check(options.scenario, dict(options.overrides))
+    is_fmu = options.scenario.lower().endswith(".fmu")
+    if is_fmu and options.overrides:
+        raise ScenarioError("--set is of a scenario, not of an FMU.")
+    findings = check_fmu(Path(options.scenario)) if is_fmu else check(options.scenario, dict(options.overrides))
     for finding in findings:
         print(f"{options.scenario}: {finding}")
     n_errors = sum(finding.is_error for finding in findings)

@@ -75,10 +75,10 @@ class SlaveError(CosimError):
         return SlaveError, (self.instance, self.function, self.time, self.reason, self.form)
 
 
-def one_line(text: str) -> str:
+def one_line(text: str, longest: int = _LONGEST_REASON) -> str:
     """text without line breaks or control characters, cut to a readable length."""
     line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
-    return line if len(line) <= _LONGEST_REASON else line[: _LONGEST_REASON - 3] + "..."
+    return line if len(line) <= longest else line[: longest - 3] + "..."
 
 
 def seconds(time: float) -> str:

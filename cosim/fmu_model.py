@@ -3,8 +3,6 @@
 An FMU is read the FMI way: set continuous states, inputs and parameters, get the states' derivatives.
 """
 
-import shutil
-import weakref
 from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,7 +13,7 @@ from fmpy.model_description import ModelVariable
 from estimator import Parameter
 
 from .errors import CosimError, NotResumableError, ScenarioError, SlaveError
-from .fmi.archive import model_exchange, private_folder, read_description, unpack
+from .fmi.archive import model_exchange, unpacked
 from .fmi.block import Variable
 from .fmi.elements import resolved
 from .fmi.instance import Identity
@@ -40,7 +38,9 @@ def opened_model(scenario: Scenario, plant: Plant) -> Generator[Any]:
         return
     try:
         fmu = find_fmu(reference, scenario.folder, 3, "ModelExchange")
-        model = FmuModel(fmu, plant, scenario.estimation.space.parameters, scenario.scenario.timeout)
+        settings = scenario.scenario
+        parameters = scenario.estimation.space.parameters
+        model = FmuModel(fmu, plant, parameters, settings.timeout, settings.memory_limit)
     except ScenarioError as e:
         raise ScenarioError(f"estimation.model: {e}") from e
     except CosimError as e:
@@ -59,34 +59,22 @@ class FmuModel:
     (ValueError), and the FMU is started anew for the next call.
     """
 
-    def __init__(self, fmu: Path, plant: Plant, parameters: Sequence[Parameter], timeout: float = 10.0) -> None:
-        """timeout of a call [s]. Raises CosimError."""
-        self._fmu, self._timeout = fmu, timeout
-        self._description = description = read_description(fmu, "model-exchange")
-        variables = {v.name: v for v in description.modelVariables}
-        self._rates = {v.derivative.name: v for v in description.modelVariables if v.derivative is not None}
-        states = _named(fmu, "state", plant.states, {name: variables[name] for name in self._rates})
-        inputs = _named(fmu, "input", plant.inputs, {n: v for n, v in variables.items() if v.causality == "input"})
-        if len(states) != len(self._rates):
-            missing = next(name for name in self._rates if name not in {v.name for v in states})
-            raise ScenarioError(f"{fmu.name} has the state {missing!r}, which {plant.name} has not.")
-        names = [resolved(p.name, variables) for p in parameters]
-        catalogue = Catalogue(fmu.name, description.modelVariables)
-        tunables = catalogue.ports("tunable parameter", names)
-        for p, name in zip(parameters, names, strict=True):
-            _check_bounds(p, variables[name], fmu)
+    def __init__(
+        self,
+        fmu: Path,
+        plant: Plant,
+        parameters: Sequence[Parameter],
+        timeout: float = 10.0,
+        memory_limit: float | None = None,
+    ) -> None:
+        """timeout of a call [s], memory_limit [MB]: see open_slave. Raises CosimError."""
+        self._fmu, self._timeout, self._memory_limit = fmu, timeout, memory_limit
         self._parameters = [p.name for p in parameters]
-        self._bound = (
-            [_variable(v) for v in (*states, *inputs)],
-            tunables.variables,
-            [_variable(self._rates[v.name]) for v in states],
-        )
         self._theta: tuple[float, ...] | None = None
-        self._folder = private_folder()
         self._home: Worker | None = None
-        self._finalizer = weakref.finalize(self, shutil.rmtree, self._folder, True)
+        self._description, self._folder = unpacked(fmu, "model-exchange")
         try:
-            unpack(fmu, self._folder)
+            self._bound = self._binding(plant, parameters)
             self._home = self._started()
         except BaseException:
             self.close()
@@ -124,7 +112,29 @@ class FmuModel:
             pass
         finally:
             self._home = None
-            self._finalizer()
+            self._folder.remove()
+
+    def _binding(
+        self, plant: Plant, parameters: Sequence[Parameter]
+    ) -> tuple[list[Variable], list[Variable], list[Variable]]:
+        """States and inputs, parameters, derivatives. Raises ScenarioError, WiringError."""
+        fmu, known = self._fmu, self._description.modelVariables
+        variables = {v.name: v for v in known}
+        rates = {v.derivative.name: v for v in known if v.derivative is not None}
+        states = _named(fmu, "state", plant.states, {name: variables[name] for name in rates})
+        inputs = _named(fmu, "input", plant.inputs, {n: v for n, v in variables.items() if v.causality == "input"})
+        if len(states) != len(rates):
+            missing = next(name for name in rates if name not in {v.name for v in states})
+            raise ScenarioError(f"{fmu.name} has the state {missing!r}, which {plant.name} has not.")
+        names = [resolved(p.name, variables) for p in parameters]
+        tunables = Catalogue(fmu.name, known).ports("tunable parameter", names)
+        for p, name in zip(parameters, names, strict=True):
+            _check_bounds(p, variables[name], fmu)
+        return (
+            [_variable(v) for v in (*states, *inputs)],
+            tunables.variables,
+            [_variable(rates[v.name]) for v in states],
+        )
 
     def _end(self) -> None:
         if self._home is not None:
@@ -133,14 +143,14 @@ class FmuModel:
 
     def _started(self) -> Worker:
         identity = Identity(
-            self._folder,
+            self._folder.path,
             str(model_exchange(self._description).modelIdentifier),
             str(self._description.guid),
             self._fmu.stem,
             self._description.fmiVersion != "2.0",
             "fmi2-exchange" if self._description.fmiVersion == "2.0" else "fmi3-exchange",
         )
-        home = Worker(identity, self._timeout)
+        home = Worker(identity, self._timeout, memory_limit=self._memory_limit)
         try:
             home.bind(*self._bound)
             home.call("initialize", 0.0, (), 0.0, None)

@@ -29,6 +29,7 @@ def parser_of(commands: Mapping[str, Callable[[argparse.Namespace], int]]) -> Pa
     for name, (text, add) in _OPTIONS.items():
         one = table.add_parser(name, help=text, allow_abbrev=False)
         add(one)
+        one.add_argument("--debug", action="store_true", help="show tracebacks, and all that the FMUs log")
         one.set_defaults(command=commands[name])
     return parser
 
@@ -99,7 +100,7 @@ def _new(parser: Parser) -> None:
 
 
 def _check(parser: Parser) -> None:
-    _add_scenario(parser)
+    _add_scenario(parser, ", an FMU")
     _add_set(parser)
 
 
@@ -169,7 +170,7 @@ _OPTIONS: Final[Mapping[str, tuple[str, Callable[[Parser], None]]]] = {
     "replay": ("other estimators on the recorded samples of a run, open loop", _replay),
     "figures": ("the paper's figures and table from runs of ours", _figures),
     "new": ("write a scenario for FMUs of yours, to look over", _new),
-    "check": ("what is wrong or risky in a scenario, before anything runs", _check),
+    "check": ("what is wrong or risky in a scenario or an FMU, before anything runs", _check),
     "info": ("what is in an FMU: parameters, inputs, outputs, states, capabilities", _info),
     "doctor": ("what an FMU needs here, and how to start an importer for it", _doctor),
     "export": ("a scenario's system for other tools", _export),

@@ -93,9 +93,7 @@ def _simulated(
         settings = scenario.scenario
         slaves = {
             name: stack.enter_context(
-                TableSlave(path, name)
-                if is_table(path)
-                else open_slave(path, name, isolation=settings.isolation, timeout=settings.timeout)
+                TableSlave(path, name) if is_table(path) else open_slave(path, name, **settings.slave_options)
             )
             for name, path in paths.items()
         }

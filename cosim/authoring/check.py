@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from estimator import Sample
 
 from ..errors import CosimError, ScenarioError, one_line
+from ..finding import Finding
 from ..fmi.archive import FmuFile
 from ..fmi.component import Component, read_component
 from ..objectives import check_objective, chosen
@@ -22,7 +23,6 @@ from ..scenarios.scenario import Scenario, error_texts
 from ..scenarios.system import component_path, plant_of, start_value
 from .check_estimation import check_changes, check_parameters, check_sampling, check_tracking
 from .check_wiring import check_connections, check_inputs, check_loops, check_starts, check_steps
-from .finding import Finding
 
 _CHECKS: tuple[Callable[[Scenario, Mapping[str, Component]], Iterator[Finding]], ...] = (
     check_starts, check_connections, check_inputs, check_changes, check_tracking, check_sampling, check_parameters,

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 
 from ..errors import WiringError
+from ..finding import Finding, warning
 from ..fmi.archive import co_simulation
 from ..fmi.component import Component
 from ..fmi.feedthrough import algebraic_loops
@@ -12,7 +13,6 @@ from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
 from ..scenarios.unit_conversions import different
 from ..units import IDENTITY, conversion
-from .finding import Finding, warning
 
 Components = Mapping[str, Component]
 """Those that could be read, by instance name."""

@@ -16,7 +16,6 @@ from importlib.metadata import distributions, packages_distributions, version
 from importlib.util import find_spec
 from modulefinder import ModuleFinder
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import fmpy
@@ -27,6 +26,7 @@ from fmpy.model_description import ModelDescription
 
 from ..errors import one_line
 from ..fmi.archive import read_any, unpack
+from ..fmi.folder import PrivateFolder
 
 _EXIT_OF_PYTHONFMU = "GLIBC_TUNABLES=glibc.malloc.tcache_count=65535"  # its library uses freed memory as it is unloaded
 
@@ -82,7 +82,7 @@ def diagnose(fmu: Path) -> Diagnosis:
     Raises ModelDescriptionError where the file is no FMU or has no binary for this platform.
     """
     description = read_any(fmu)
-    with TemporaryDirectory(prefix="fmu-retune-") as folder:
+    with PrivateFolder() as folder:
         unpack(fmu, folder)
         identifiers = _identifiers(description)
         binary = _binary(Path(folder), identifiers)

@@ -1,26 +1,33 @@
 """An FMU as a file: the zip archive, the description in it, and a folder to unpack it into."""
 
-import re
-import sys
-import tempfile
 import zipfile
 import zlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Final, Literal
+from typing import Any, BinaryIO, Final, Literal
+from xml.etree.ElementTree import Element
 
 import fmpy
 from fmpy.model_description import CoSimulation, ModelDescription, ModelExchange, ValidationError
 
 from ..errors import ModelDescriptionError, one_line
+from ..finding import Finding
 from .elements import scalarized
+from .folder import PrivateFolder
+from .preflight.archive import archive_findings
+from .preflight.description import description_findings, index_findings
+from .preflight.library import library_problem, needed_functions
+from .preflight.xml import LARGEST, strict_root
 
 Interface = Literal["co-simulation", "model-exchange"]
+Judge = Callable[[Iterable[Finding]], None]
+"""Called with what one look at an FMU has found; may raise."""
 
-# What a file URI keeps as it is, and the space, which every loader decodes: pythonfmu's crashes on anything else.
-_SAFE: Final = re.compile(r"[A-Za-z0-9._~/ -]*" if sys.platform != "win32" else r"[A-Za-z0-9._~/\\: -]*")
+DESCRIPTION: Final = "modelDescription.xml"
+_BUILD: Final = "sources/buildDescription.xml"
 _VERSIONS: Final[dict[str, tuple[str, ...]]] = {"co-simulation": ("2.0", "3.0"), "model-exchange": ("2.0", "3.0")}
-_OTHER_FOLDERS: Final = ("/tmp", "/var/tmp") if sys.platform != "win32" else (r"C:\Users\Public", r"C:\Temp")
 
 
 @dataclass(frozen=True)
@@ -39,16 +46,18 @@ def read_description(fmu: Path, interface: Interface = "co-simulation") -> Model
     Raises ModelDescriptionError.
     """
     description = read_any(fmu)
-    version = str(description.fmiVersion)
-    offered = {"co-simulation": description.coSimulation, "model-exchange": description.modelExchange}
-    if not version.startswith(_VERSIONS[interface]) or offered[interface] is None:
-        kind = next((kind for kind, part in offered.items() if part is not None), "scheduled-execution")
-        asked = " or ".join(_VERSIONS[interface])
-        raise ModelDescriptionError(f"{fmu} is an FMI {version} {kind} FMU, not FMI {asked} {interface}.")
-    identifier = str(getattr(offered[interface], "modelIdentifier", None))
-    if not identifier.isidentifier():  # it becomes a file name
-        raise ModelDescriptionError(f"{fmu} has the model identifier {identifier!r}, not a C name.")
-    return description if version == "2.0" else scalarized(description)
+    if problem := unusable(description, interface):
+        raise ModelDescriptionError(f"{fmu} {problem}.")
+    return description if description.fmiVersion == "2.0" else scalarized(description)
+
+
+def unusable(description: ModelDescription, interface: Interface) -> str | None:
+    """That an FMU is of another version or kind than is asked for, or None."""
+    version, offered = str(description.fmiVersion), interfaces(description)
+    if version.startswith(_VERSIONS[interface]) and interface in offered:
+        return None
+    kind = next(iter(offered), "scheduled-execution")
+    return f"is an FMI {version} {kind} FMU, not FMI {' or '.join(_VERSIONS[interface])} {interface}"
 
 
 def read_any(fmu: Path) -> ModelDescription:
@@ -57,18 +66,33 @@ def read_any(fmu: Path) -> ModelDescription:
     Raises ModelDescriptionError.
     """
     description, platforms = look_into(fmu)
-    if fmpy.platform not in platforms:
-        offer = f"only for {', '.join(platforms)}" if platforms else "nor for any other platform"
-        raise ModelDescriptionError(f"{fmu} has no binary for {fmpy.platform}, {offer}.")
+    if problem := no_binary(platforms):
+        raise ModelDescriptionError(f"{fmu} {problem}.")
     return description
 
 
-def look_into(fmu: Path) -> tuple[ModelDescription, list[str]]:
-    """The model description of an FMU of any version and kind, and its platforms. Raises ModelDescriptionError."""
+def no_binary(platforms: Sequence[str]) -> str | None:
+    """That an FMU, of these platforms, has no library for this one, or None."""
+    if fmpy.platform in platforms:
+        return None
+    others = ", ".join(platforms)
+    return f"has no binary for {fmpy.platform}, {f'only for {others}' if others else 'nor for any other platform'}"
+
+
+def look_into(fmu: Path, judge: Judge | None = None) -> tuple[ModelDescription, list[str]]:
+    """The model description of an FMU of any version and kind, and its platforms: all of preflight but its library.
+
+    judge: takes what is found; by default the first error ends it. Raises ModelDescriptionError.
+    """
+    judge = judge or partial(_refuse, f"{fmu} is not a usable FMU")
     try:
-        with open(fmu, "rb") as file:  # given a path, FMPy leaves the file open when the XML is damaged
+        with open(fmu, "rb") as file:
+            judge(index_findings(_description_in(file, judge)))
             description = fmpy.read_model_description(file)
+            judge(description_findings(description))
             platforms: list[str] = fmpy.supported_platforms(file)
+    except ModelDescriptionError:
+        raise
     except OSError as error:
         raise ModelDescriptionError(f"{fmu} cannot be read: {error.strerror or error}") from error
     except ValidationError as error:
@@ -78,6 +102,26 @@ def look_into(fmu: Path) -> tuple[ModelDescription, list[str]]:
     except Exception as error:  # FMPy raises what the zip, XML and validation code happens to raise
         raise ModelDescriptionError(f"{fmu} is not a usable FMU: {_text_of(error)}") from error
     return description, platforms
+
+
+def library_finding(library: BinaryIO, description: ModelDescription, interface: str) -> Iterable[Finding]:
+    """What is wrong with the library of an FMU."""
+    problem = library_problem(library, needed_functions(str(description.fmiVersion), interface))
+    if problem:
+        yield Finding(library_path(description, interface), problem)
+
+
+def library_path(description: ModelDescription, interface: str) -> str:
+    """Where in an FMU its library for this machine must be."""
+    place = fmpy.platform if str(description.fmiVersion).startswith("2") else fmpy.platform_tuple
+    identifier = interfaces(description)[interface].modelIdentifier
+    return f"binaries/{place}/{identifier}{fmpy.sharedLibraryExtension}"
+
+
+def interfaces(description: ModelDescription) -> Mapping[str, Any]:
+    """The interfaces that an FMU offers, of those that are used here."""
+    offered = {"co-simulation": description.coSimulation, "model-exchange": description.modelExchange}
+    return {name: part for name, part in offered.items() if part is not None}
 
 
 def co_simulation(description: ModelDescription) -> CoSimulation:
@@ -92,33 +136,64 @@ def model_exchange(description: ModelDescription) -> ModelExchange:
     return description.modelExchange
 
 
-def private_folder() -> str:
-    """A new folder for an FMU, which can be loaded from there whatever the folder of temporary files is called.
+def unpacked(fmu: Path, interface: Interface = "co-simulation") -> tuple[ModelDescription, PrivateFolder]:
+    """An FMU that this machine can load in a folder of its own, and what it declares: it has passed all of preflight.
 
-    Raises ModelDescriptionError where no folder has a name that every FMU can read.
+    Raises ModelDescriptionError; nothing is left then.
     """
-    for parent in (tempfile.gettempdir(), *_OTHER_FOLDERS):
-        if _SAFE.fullmatch(parent):
-            try:
-                return tempfile.mkdtemp(prefix="fmu-retune-", dir=parent)
-            except OSError:
-                continue
-    raise ModelDescriptionError(
-        f"no FMU can be unpacked: {tempfile.gettempdir()} is not a name that FMUs can be loaded from; "
-        "set TMPDIR to a folder of plain letters, digits and -_.~ only."
-    )
+    description = read_description(fmu, interface)
+    folder = PrivateFolder()
+    try:
+        unpack(fmu, folder.path)
+        place = library_path(description, interface)
+        try:
+            with open(Path(folder.path, place), "rb") as library:
+                _refuse(f"{fmu} is not a usable FMU", library_finding(library, description, interface))
+        except OSError as error:
+            raise ModelDescriptionError(f"{fmu} is not a usable FMU: it has no {place}.") from error
+    except BaseException:
+        folder.remove()
+        raise
+    return description, folder
 
 
 def unpack(fmu: Path, folder: str) -> None:
-    """Extract an FMU into folder. Raises ModelDescriptionError, for names that lead out of folder before any write."""
+    """Extract an FMU, or a package of FMUs, into folder.
+
+    Raises ModelDescriptionError, before any write where the archive is not what it should be.
+    """
     try:
         with zipfile.ZipFile(fmu) as archive:
-            for name in archive.namelist():
-                if name.startswith("/") or ".." in name.split("/") or "\\" in name or ":" in name:
-                    raise ModelDescriptionError(f"{fmu} holds a file that would be put outside its folder: {name!r}")
+            _refuse(f"{fmu} cannot be unpacked", archive_findings(archive.infolist()))
             archive.extractall(folder)
-    except (zipfile.BadZipFile, zlib.error, OSError, RuntimeError, ValueError) as error:
+    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, ValueError) as error:
         raise ModelDescriptionError(f"{fmu} cannot be unpacked: {_text_of(error)}") from error
+
+
+def _description_in(file: BinaryIO, judge: Judge) -> Element:
+    """The model description of an archive that can be unpacked. Raises KeyError, ValueError, what zipfile raises."""
+    with zipfile.ZipFile(file) as archive:
+        judge(archive_findings(archive.infolist()))
+        if _BUILD in archive.namelist():  # FMPy reads it too
+            _strict(archive, _BUILD)
+        return _strict(archive, DESCRIPTION)
+
+
+def _strict(archive: zipfile.ZipFile, name: str) -> Element:
+    size = archive.getinfo(name).file_size
+    if size > LARGEST:
+        raise ValueError(f"{name}: it has {size >> 20} MiB; at most {LARGEST >> 20} MiB are read")
+    try:
+        return strict_root(archive.read(name))
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from error
+
+
+def _refuse(subject: str, findings: Iterable[Finding]) -> None:
+    """Raises ModelDescriptionError for the first error."""
+    for finding in findings:
+        if finding.is_error:
+            raise ModelDescriptionError(f"{subject}: {finding.where}: {finding.what}.")
 
 
 def _text_of(error: Exception) -> str:

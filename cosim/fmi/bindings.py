@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from .block import Value, Variable
+from .fmu_log import Hear
 from .instance import Identity, Instance
 
 
@@ -20,14 +21,14 @@ class Binding(Protocol):
     def close(self) -> None: ...
 
 
-def load(identity: Identity) -> Binding:
-    """The FMU, loaded and instantiated. Raises SlaveError."""
+def load(identity: Identity, hear: Hear | None = None) -> Binding:
+    """The FMU, loaded and instantiated; hear gets what it logs. Raises SlaveError."""
     if identity.binding == "fmi3":
         from .instance3 import Instance3
 
-        return Instance3(identity)
+        return Instance3(identity, hear)
     if identity.binding == "fmi3-exchange":
         from .exchange3 import Exchange3
 
-        return Exchange3(identity)
-    return Instance(identity)
+        return Exchange3(identity, hear)
+    return Instance(identity, hear)

@@ -12,6 +12,7 @@ from ..errors import SlaveError
 from .block import Value, Variable
 from .block3 import Block3, blocks3_of
 from .elements import of_handle
+from .fmu_log import Hear
 from .instance import Identity
 from .instance3 import Fmi3
 
@@ -24,8 +25,8 @@ class Exchange3:
     bind: inputs are the continuous states, in any order, then the model's inputs; outputs are their derivatives.
     """
 
-    def __init__(self, identity: Identity) -> None:
-        self._fmi = fmi = Fmi3(identity, fmi3.FMU3Model)
+    def __init__(self, identity: Identity, hear: Hear | None = None) -> None:
+        self._fmi = fmi = Fmi3(identity, fmi3.FMU3Model, hear)
         rates = [unknown.variable for unknown in fmi.description.derivatives]
         self._first: dict[int, int] = {}  # where a state begins in x, and its derivative in xdot, by value reference
         n = 0

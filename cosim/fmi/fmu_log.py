@@ -1,6 +1,8 @@
 """What an FMU logs, and which line of it says why a call has failed."""
 
+import logging
 import re
+from collections.abc import Callable
 from ctypes import byref, c_void_p
 from itertools import takewhile
 from typing import Final
@@ -10,9 +12,18 @@ from fmpy import fmi1, fmi2
 
 from ..errors import one_line
 
-_ERROR: Final = 3
+Hear = Callable[[int, str], None]
+"""Called with status and text of each message, while the FMU's call goes on."""
+
+_WARNING, _ERROR = 1, 3
+_log: Final = logging.getLogger(__name__)
 # PythonFMU's words when the model has logged something, an exception's traceback for example, before it raised.
 _UNKNOWN: Final = re.compile(rb"Fatal py exception encountered.*\sunknown error\s*", re.DOTALL)
+
+
+def pass_on(name: str, status: int, text: str, is_told: bool = False) -> None:
+    """Log a message of the FMU `name`: a warning, or only information where it is that, or is_told otherwise."""
+    _log.log(logging.WARNING if status >= _WARNING and not is_told else logging.INFO, "%s: %s", name, text)
 
 
 class Messages:
@@ -21,11 +32,14 @@ class Messages:
     PythonFMU's "unknown error" is fatal but says nothing: an error logged before it stays.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, hear: Hear | None = None) -> None:
         self.text = ""
         self._status = -1
+        self._hear = hear
 
     def add(self, status: int, message: bytes) -> None:
+        if self._hear is not None:
+            self._hear(status, one_line(message.decode("utf-8", "replace")))
         if status < self._status or (self._status >= _ERROR and _UNKNOWN.fullmatch(message)):
             return
         self.text = message.decode("utf-8", "replace")
@@ -54,8 +68,8 @@ class MessageLog(Messages):
 
     _open: "dict[int, MessageLog]" = {}
 
-    def __init__(self, has_plain_text: bool) -> None:
-        super().__init__()
+    def __init__(self, has_plain_text: bool, hear: Hear | None = None) -> None:
+        super().__init__(hear)
         self._has_plain_text = has_plain_text
         self._open[id(self)] = self
         self.callbacks = fmi2.fmi2CallbackFunctions()

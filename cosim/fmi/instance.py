@@ -6,7 +6,7 @@ FMI 3.0 instance is a second class with the same methods.
 
 import os
 from collections.abc import Callable, Sequence
-from ctypes import c_double, c_int, c_void_p, cast
+from ctypes import c_double, c_int, c_uint, c_void_p, cast
 from functools import partial
 from typing import Any, Final, NamedTuple, TypeAlias
 
@@ -14,7 +14,7 @@ from fmpy import fmi1, fmi2
 
 from ..errors import SlaveError
 from .block import Block, Value, Variable, blocks_of
-from .fmu_log import MessageLog
+from .fmu_log import Hear, MessageLog
 
 STATUS: Final = ("ok", "warning", "discard", "error", "fatal", "pending")
 _WARNING: Final = 1
@@ -48,9 +48,10 @@ class Instance:
     Every call raises SlaveError when the FMU returns anything but OK and Warning; it must not be called afterwards.
     """
 
-    def __init__(self, identity: Identity) -> None:
+    def __init__(self, identity: Identity, hear: Hear | None = None) -> None:
+        """hear: gets what the FMU logs. Raises SlaveError."""
         self.name = identity.instance_name
-        self._log = MessageLog(identity.has_plain_log)
+        self._log = MessageLog(identity.has_plain_log, hear)
         self._time: float | None = None
         self._inputs: list[_Exchange] = []
         self._tunables: list[_Exchange] = []
@@ -176,17 +177,25 @@ class Instance:
         Without FMPy's checks, and with nothing to look up or convert: half the time of the call.
         """
         function = self._fmu.dll["fmi2" + name.title().replace("_", "")]  # a new object: FMPy's has argument types
-        function.restype = c_int
+        function.restype = c_uint  # a negative status is none either, and greater than a warning like this
         return partial(function, self._component, *arguments)
 
     def _checked(self, name: str, function: Any, *arguments: object) -> Any:
         self._log.clear()
         try:
-            return function(*arguments)
+            result = function(*arguments)
         except fmi1.FMICallException as error:
             raise self._fault(name, error.status) from error
+        if isinstance(result, int) and result < 0:  # a status that is none, and that FMPy lets pass
+            raise self._fault(name, result)
+        return result
 
     def _fault(self, function: str, status: int) -> SlaveError:
-        word = STATUS[status] if status < len(STATUS) else f"the illegal status {status}"
-        reason = self._log.reason()
-        return SlaveError(self.name, function, self._time, f"returned {word}{': ' if reason else ''}{reason}")
+        return SlaveError(self.name, function, self._time, returned(status, self._log.reason()))
+
+
+def returned(status: int, reason: str) -> str:
+    """What a status other than OK and Warning means, in words, with the reason that was logged."""
+    number = c_int(status).value
+    word = STATUS[number] if 0 <= number < len(STATUS) else f"the illegal status {number}"
+    return f"returned {word}{': ' if reason else ''}{reason}"

@@ -3,7 +3,7 @@
 import ctypes
 import os
 from collections.abc import Callable, Sequence
-from ctypes import byref, c_bool, c_double, c_int, c_size_t, c_uint, c_void_p
+from ctypes import byref, c_bool, c_double, c_size_t, c_uint, c_void_p
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,8 +12,8 @@ from fmpy import fmi3, read_model_description
 from ..errors import SlaveError
 from .block import Value, Variable
 from .block3 import Block3, blocks3_of, overlaid, start_arrays
-from .fmu_log import Messages
-from .instance import STATUS, Identity
+from .fmu_log import Hear, Messages
+from .instance import Identity, returned
 
 _WARNING = 1
 
@@ -21,11 +21,11 @@ _WARNING = 1
 class Fmi3:
     """What every interface of FMI 3.0 has in common: loading, and calls that are checked."""
 
-    def __init__(self, identity: Identity, make: Callable[..., Any]) -> None:
-        """make: FMPy's class for the interface. Raises SlaveError."""
+    def __init__(self, identity: Identity, make: Callable[..., Any], hear: Hear | None = None) -> None:
+        """make: FMPy's class for the interface; hear: gets what the FMU logs. Raises SlaveError."""
         self.name = identity.instance_name
         self.time: float | None = None
-        self.log = Messages()
+        self.log = Messages(hear)
         self.description = read_model_description(identity.folder, validate=False)
         self.start = start_arrays(self.description)
         self.fmu = self._load(identity, make)
@@ -75,14 +75,12 @@ class Fmi3:
             function = self.fmu.dll[name]  # a new object: FMPy's own keeps its argument types
         except AttributeError as error:
             raise SlaveError(self.name, "instantiate", None, f"failed: the FMU has no function {name}") from error
-        function.argtypes, function.restype = (c_void_p, *arguments), c_int
+        function.argtypes, function.restype = (c_void_p, *arguments), c_uint  # no negative status
         return function
 
     def fault(self, function: str, status: int) -> SlaveError:
         """What a status other than OK and Warning means, told in one line."""
-        word = STATUS[status] if status < len(STATUS) else f"the illegal status {status}"
-        reason = self.log.reason()
-        return SlaveError(self.name, function, self.time, f"returned {word}{': ' if reason else ''}{reason}")
+        return SlaveError(self.name, function, self.time, returned(status, self.log.reason()))
 
     def enter_initialization(self, start_time: float, stop_time: float | None) -> None:
         """Enter initialization mode; times in s."""
@@ -152,8 +150,8 @@ class _Library:
 class Instance3:
     """One FMU, from loading to freeing: see instance.Instance."""
 
-    def __init__(self, identity: Identity) -> None:
-        self._fmi = Fmi3(identity, fmi3.FMU3Slave)
+    def __init__(self, identity: Identity, hear: Hear | None = None) -> None:
+        self._fmi = Fmi3(identity, fmi3.FMU3Slave, hear)
         self._inputs: list[Block3] = []
         self._tunables: list[Block3] = []
         self._outputs: list[Block3] = []

@@ -3,7 +3,7 @@
 import difflib
 import math
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Final, SupportsFloat
 
 from fmpy.model_description import ModelVariable
@@ -26,11 +26,13 @@ _NO_NUMBERS: Final = ("String", "Binary", "Clock")
 class Ports:
     """Variables whose values cross together: their names, and the values they may have."""
 
-    def __init__(self, role: str, variables: Sequence[ModelVariable]) -> None:
+    def __init__(self, role: str, variables: Sequence[ModelVariable], is_lenient: bool = False) -> None:
+        """is_lenient: min and max are not looked at by `problem`, but by `strayed`."""
         self.variables = [Variable(v.name, _type_of(v), v.valueReference) for v in variables]
         self._role = role
         self._units = [attribute(v, "unit") or "" for v in variables]
-        self._ranges = [_range_of(v) for v in variables]
+        self._declared = [_range_of(v) for v in variables]
+        self._ranges = [_default_range(v) for v in variables] if is_lenient else self._declared
         self._whole = [i for i, v in enumerate(self.variables) if v.type not in _NOT_WHOLE]
         self._bounded = [(i, *limits) for i, limits in enumerate(self._ranges) if limits != _ANY_NUMBER]
 
@@ -44,10 +46,16 @@ class Ports:
                 return self._fraction(values) if self._whole else None
         return self._first_problem(values)
 
+    def strayed(self, values: Sequence[float]) -> Iterator[tuple[str, str]]:
+        """Name, and what is wrong, of each value outside the declared [min, max]."""
+        for i, (value, limits) in enumerate(zip(values, self._declared, strict=True)):
+            if not limits[0] <= value <= limits[1]:
+                yield self.variables[i].name, self._out_of_range(i, value, limits)
+
     def _first_problem(self, values: Sequence[float]) -> str | None:
         for i, (value, (low, high)) in enumerate(zip(values, self._ranges, strict=True)):
             if not low <= value <= high:  # NaN is in no range
-                return self._out_of_range(i, value)
+                return self._out_of_range(i, value, (low, high))
         return self._fraction(values)
 
     def _fraction(self, values: Sequence[float]) -> str | None:
@@ -56,11 +64,11 @@ class Ports:
                 return f"{self._role} {self.variables[i].name!r} must be a whole number, got {values[i]:g}"
         return None
 
-    def _out_of_range(self, i: int, value: float) -> str:
+    def _out_of_range(self, i: int, value: float, limits: tuple[float, float]) -> str:
         name = f"{self._role} {self.variables[i].name!r}"
         if not math.isfinite(value):
             return f"{name} is {value:g}"
-        low, high = map(_bound, self._ranges[i])
+        low, high = map(_bound, limits)
         return f"{name} must be within {f'[{low}, {high}] {self._units[i]}'.rstrip()}, got {value:.9g}"
 
 
@@ -71,12 +79,12 @@ class Catalogue:
         self._fmu_name = fmu_name
         self._variables = {v.name: v for v in variables}
 
-    def ports(self, role: str, names: Sequence[str]) -> Ports:
+    def ports(self, role: str, names: Sequence[str], is_lenient: bool = False) -> Ports:
         """The variables of these names, in the role 'input', 'tunable parameter' or 'output'.
 
         An input or tunable parameter must be one; an output may be anything but a String. Raises WiringError.
         """
-        return Ports(role.removeprefix("tunable "), [self._in_role(name, role) for name in names])
+        return Ports(role.removeprefix("tunable "), [self._in_role(name, role) for name in names], is_lenient)
 
     def start_port(self, name: str, value: Value) -> Ports:
         """The variable of that name, if it takes a start value of value's type; its range is not looked at.
@@ -144,9 +152,14 @@ def attribute(variable: ModelVariable, name: str) -> str | None:
     return own if own is not None or variable.declaredType is None else getattr(variable.declaredType, name)
 
 
+def _default_range(variable: ModelVariable) -> tuple[float, float]:
+    """The finite numbers that a variable of its type can be."""
+    return _DEFAULT_RANGE.get(_type_of(variable), _ANY_NUMBER)
+
+
 def _range_of(variable: ModelVariable) -> tuple[float, float]:
     """The finite numbers that a variable may be."""
-    low, high = _DEFAULT_RANGE.get(_type_of(variable), _ANY_NUMBER)
+    low, high = _default_range(variable)
     declared_low, declared_high = attribute(variable, "min"), attribute(variable, "max")
     return (
         low if declared_low is None else max(low, float(declared_low)),

@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple, NoReturn
 import numpy as np
 
 from ..errors import CosimError, one_line
-from ..fmi.archive import private_folder
+from ..fmi.folder import PrivateFolder
 from ..scenarios.scenario import Scenario
 from ..simulation import run
 from ..slaves.transport import CALL, FAULT, RESULT, channel_pair, decode, encode, open_channel
@@ -121,15 +121,16 @@ class _Member:
 
     def __init__(self, scenario: Scenario) -> None:
         root = str(Path(__file__).resolve().parents[2])
-        self._temporary = private_folder()  # an interrupt may come before FMUs clear up theirs
+        self._temporary = PrivateFolder()  # an interrupt may come before FMUs clear up theirs
+        temporary = self._temporary.path
         self._channel, theirs = channel_pair()
         group: dict[str, Any] = {} if sys.platform == "win32" else {"process_group": 0}  # Ctrl-C is not for it
         try:
             self._process = subprocess.Popen[bytes](
-                [sys.executable, "-P", "-c", _BOOT, root, theirs.argument, self._temporary, *filter(None, sys.path)],
+                [sys.executable, "-P", "-c", _BOOT, root, theirs.argument, temporary, *filter(None, sys.path)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
-                env=os.environ | _ONE_THREAD | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), self._temporary),
+                env=os.environ | _ONE_THREAD | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), temporary),
                 **group,
                 **theirs.popen_arguments(),
             )
@@ -175,7 +176,7 @@ class _Member:
     def close(self) -> None:
         """Give back our end of the channel, once no thread waits there, and the temporary folder."""
         self._channel.close()
-        shutil.rmtree(self._temporary, ignore_errors=True)
+        self._temporary.remove()
 
 
 def record_of(result: Run) -> dict[str, Any]:

@@ -58,6 +58,10 @@ class Settings(Table):
     """Longest time that one call of an FMU may take [s]."""
     checkpoint: int = Field(default=500, ge=0)
     """Communication points from one checkpoint of a run folder to the next, for `retune resume`; 0: none."""
+    memory_limit: float | None = Field(default=None, gt=0.0)
+    """Memory that the process of one FMU may hold [MB]; half of the machine's unless told. Linux only."""
+    out_of_range: Literal["fault", "warning"] = "fault"
+    """What an input or output outside its declared min and max is; one that is not finite is a fault."""
 
     @model_validator(mode="after")
     def _spans_whole_steps(self) -> Self:
@@ -68,6 +72,11 @@ class Settings(Table):
                 f"got {self.stop_time - self.start_time:g} s and {self.macro_step:g} s"
             )
         return self
+
+    @property
+    def slave_options(self) -> dict[str, Any]:
+        """Keywords of open_slave."""
+        return self.model_dump(include={"isolation", "timeout", "memory_limit", "out_of_range"})
 
     @property
     def n_steps(self) -> int:

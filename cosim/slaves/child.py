@@ -15,7 +15,8 @@ from ..errors import COLON, SlaveError
 from ..fmi.bindings import load
 from ..fmi.instance import Identity
 from ..fmi.many_steps import take_steps
-from .transport import CALL, FAULT, RESULT, Channel, StepCodec, decode, encode, open_channel
+from .orphans import VARIABLE, adopt_orphans, end_marked, has_children
+from .transport import CALL, FAULT, LOG, RESULT, Channel, StepCodec, decode, encode, open_channel
 
 _CALLS: Final = frozenset(
     {"bind", "initialize", "enter_initialization", "propagate", "exit_initialization", "get", "get_state", "set_state"}
@@ -23,9 +24,14 @@ _CALLS: Final = frozenset(
 )
 
 
+LINES_A_CALL: Final = 100
+"""Lines of an FMU's log that are passed on of one call."""
+
+
 def main(channel_argument: str) -> NoReturn:
     """Serve one FMU to the process that started this one."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    adopt_orphans()
     channel = open_channel(channel_argument)
     lifeline = _take_over_standard_streams()
     folder = None
@@ -41,24 +47,27 @@ def main(channel_argument: str) -> NoReturn:
         _report(channel, [error.function, error.time, error.reason, error.form])
     except Exception as error:  # whatever the FMU has caused, the other side must be told
         _report(channel, [None, None, f"{type(error).__name__}: {error}", COLON])
+    _end_children()
     # Not sys.exit: the FMU may have damaged this interpreter, and its clean-up could hang or crash.
     os._exit(0)
 
 
 def _serve(channel: Channel, identity: Identity) -> None:
     """Answer requests until the FMU is closed."""
-    instance = load(identity)
+    lines = _LogLines(channel)
+    instance = load(identity, lines)
     channel.send(encode(RESULT, None))
     codec = StepCodec(0, 0, 0)
     while True:
         message = channel.receive(None)
+        lines.n_left = LINES_A_CALL
         if message[0] != CALL:
             channel.send(codec.encode_values(instance.step(*codec.decode_step(message))))
             continue
         (function, arguments), blob = decode(message)
         if function == "restart":
             instance.close()
-            instance = load(identity)
+            instance = load(identity, lines)
             channel.send(encode(RESULT, None))
             continue
         if function == "many_steps":
@@ -72,6 +81,27 @@ def _serve(channel: Channel, identity: Identity) -> None:
         channel.send(encode(RESULT, None, result) if isinstance(result, bytes) else encode(RESULT, result))
         if function == "close":
             return
+
+
+class _LogLines:
+    """Passes on at once what the FMU logs, so that it is known even if its process dies in the same call."""
+
+    def __init__(self, channel: Channel) -> None:
+        self._channel = channel
+        self.n_left = LINES_A_CALL
+
+    def __call__(self, status: int, text: str) -> None:
+        self.n_left -= 1
+        if self.n_left < 0:
+            return
+        with contextlib.suppress(OSError):
+            self._channel.send(encode(LOG, [status, text if self.n_left else "(what it logs after this is left out)"]))
+
+
+def _end_children() -> None:
+    """End what the FMU has started and left behind."""
+    if has_children():
+        end_marked(os.environ.get(VARIABLE, ""))
 
 
 def _report(channel: Channel, fault: list[object]) -> None:
@@ -102,6 +132,7 @@ def _end_with(lifeline: int, folder: str) -> None:
 
 def _leave(folder: str | None) -> NoReturn:
     """End; nobody else is left to remove the FMU's folder."""
+    _end_children()
     if folder is not None:
         shutil.rmtree(folder, ignore_errors=True)
     os._exit(0)

@@ -1,12 +1,15 @@
 """Where an FMU lives: in a process of its own (a Worker), or in this one."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, Protocol
 
 from ..fmi.bindings import load
 from ..fmi.block import Variable
+from ..fmi.fmu_log import pass_on
 from ..fmi.instance import Identity
 from ..fmi.many_steps import take_steps
+from .surroundings import FloatingPoint, kept, tell_changes
 
 
 class Home(Protocol):
@@ -24,26 +27,38 @@ class SameProcess:
 
     def __init__(self, identity: Identity) -> None:
         self._identity = identity
-        self._instance = load(identity)
+        self._name = identity.instance_name
+        self._hear = partial(pass_on, self._name)
+        self._floating_point = FloatingPoint()
+        with kept(self._name):
+            self._instance = load(identity, self._hear)
 
     def bind(self, inputs: Sequence[Variable], tunables: Sequence[Variable], outputs: Sequence[Variable]) -> None:
         self._instance.bind(inputs, tunables, outputs)
 
     def call(self, function: str, t: float | None, *arguments: object) -> Any:
-        if function == "restart":
-            self._instance.close()
-            self._instance = load(self._identity)
-            return None
-        if function == "many_steps" and isinstance(arguments[0], bytes):
-            return take_steps(self._instance.step, arguments[0])
-        return getattr(self._instance, function)(*arguments)
+        with kept(self._name):
+            if function == "restart":
+                self._instance.close()
+                self._instance = load(self._identity, self._hear)
+                return None
+            if function == "many_steps" and isinstance(arguments[0], bytes):
+                return take_steps(self._instance.step, arguments[0])
+            return getattr(self._instance, function)(*arguments)
 
     def begin_step(self, t: float, h: float, inputs: Sequence[float], tunables: Sequence[float] | None) -> None:
         self._step = (t, h, tuple(inputs), None if tunables is None else tuple(tunables))
 
     def end_step(self, t: float) -> tuple[float, ...]:
-        return self._instance.step(*self._step)
+        floating_point = self._floating_point
+        floating_point.save()
+        try:
+            return self._instance.step(*self._step)
+        finally:
+            if floating_point.restore():
+                tell_changes(self._name, ["the floating-point state"])
 
     def close(self, t: float | None, is_polite: bool) -> None:
-        if is_polite:
-            self._instance.close()
+        if is_polite:  # one that has failed is not called again: a PythonFMU one that raised has damaged its memory
+            with kept(self._name):
+                self._instance.close()

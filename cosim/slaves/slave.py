@@ -10,7 +10,6 @@ with open_slave(Path("Pendulum.fmu"), "plant") as plant:
 import logging
 import math
 import os
-import shutil
 import weakref
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,9 +17,10 @@ from typing import Any, Literal, Self
 
 from fmpy.model_description import ModelDescription
 
-from ..errors import COLON, NotResumableError, SlaveError, WiringError
-from ..fmi.archive import co_simulation, private_folder, read_description, unpack
+from ..errors import COLON, NotResumableError, SlaveError, WiringError, seconds
+from ..fmi.archive import co_simulation, unpacked
 from ..fmi.block import PYTHON_TYPE, Value
+from ..fmi.folder import PrivateFolder
 from ..fmi.instance import Identity
 from ..fmi.many_steps import decode_outputs, encode_steps
 from ..fmi.ports import Catalogue, Ports
@@ -32,12 +32,25 @@ Isolation = Literal["process", "none"]
 _log = logging.getLogger(__name__)
 
 
-def open_slave(fmu: Path, instance_name: str, *, isolation: Isolation = "process", timeout: float = 10.0) -> "Slave":
+OutOfRange = Literal["fault", "warning"]
+
+
+def open_slave(
+    fmu: Path,
+    instance_name: str,
+    *,
+    isolation: Isolation = "process",
+    timeout: float = 10.0,
+    out_of_range: OutOfRange = "fault",
+    memory_limit: float | None = None,
+) -> "Slave":
     """An FMU for co-simulation, FMI 2.0 or 3.0, unpacked into a private folder and loaded.
 
     isolation "process" (the default) gives it a process of its own, and returns while it is still loading: open
     several and they load at the same time. "none" loads it into this process: for trusted native FMUs.
-    timeout is the time each call may take [s]; only a process of its own can be held to it.
+    timeout is the time each call may take [s], memory_limit what its process may hold [MB] (half of the machine's
+    memory unless told; Linux); only a process of its own can be held to them.
+    out_of_range is what an input or output outside its declared min and max is: a fault, or a warning, given once.
 
     Raises ModelDescriptionError for a bad file, SlaveError when loading fails (isolated: in the first call).
     """
@@ -45,23 +58,21 @@ def open_slave(fmu: Path, instance_name: str, *, isolation: Isolation = "process
         raise ValueError(f"timeout must be positive and finite, got {timeout} s.")
     if isolation not in ("process", "none"):
         raise ValueError(f"isolation must be 'process' or 'none', got {isolation!r}.")
-    description = read_description(fmu)
-    folder = private_folder()
+    description, folder = unpacked(fmu)
     try:
-        unpack(fmu, folder)
         identity = Identity(
-            folder,
+            folder.path,
             str(co_simulation(description).modelIdentifier),
             str(description.guid),
             instance_name,
             "pythonfmu" in (description.generationTool or "").lower(),
             "fmi2" if description.fmiVersion == "2.0" else "fmi3",
         )
-        home = Worker(identity, timeout) if isolation == "process" else SameProcess(identity)
+        home = Worker(identity, timeout, memory_limit=memory_limit) if isolation == "process" else SameProcess(identity)
     except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
+        folder.remove()
         raise
-    return Slave(fmu, instance_name, description, home, folder)
+    return Slave(fmu, instance_name, description, home, folder, out_of_range)
 
 
 class Slave:
@@ -71,7 +82,15 @@ class Slave:
     FMU leaves the slave as it was.
     """
 
-    def __init__(self, fmu: Path, instance_name: str, description: ModelDescription, home: Home, folder: str) -> None:
+    def __init__(
+        self,
+        fmu: Path,
+        instance_name: str,
+        description: ModelDescription,
+        home: Home,
+        folder: PrivateFolder,
+        out_of_range: OutOfRange = "fault",
+    ) -> None:
         """Made by open_slave."""
         self.fmu = fmu
         self.name = instance_name
@@ -81,6 +100,8 @@ class Slave:
         self._time: float | None = None
         self._fault: SlaveError | None = None
         self._end_of_step: float | None = None
+        self._is_lenient = out_of_range == "warning"
+        self._strayed: set[str] = set()
         self._values: tuple[float, ...] | None = None
         self._inputs, self._tunables, self._outputs = (Ports(role, ()) for role in ("input", "parameter", "output"))
         self._finalizer = weakref.finalize(self, _release, home, folder, os.getpid())
@@ -94,9 +115,9 @@ class Slave:
         for names in (inputs, tunables):
             if len(set(names)) != len(names):
                 raise WiringError(f"{self.name}: a variable is bound twice in {', '.join(names)}")
-        self._inputs = self._catalogue.ports("input", inputs)
+        self._inputs = self._catalogue.ports("input", inputs, self._is_lenient)
         self._tunables = self._catalogue.ports("tunable parameter", tunables)
-        self._outputs = self._catalogue.ports("output", outputs)
+        self._outputs = self._catalogue.ports("output", outputs, self._is_lenient)
         self._values = None
         ports = (self._inputs, self._tunables, self._outputs)
         self._guarded(self._home.bind, *(port.variables for port in ports))
@@ -266,6 +287,8 @@ class Slave:
         if problem is not None:
             self._fault = SlaveError(self.name, "get", self._time, problem, COLON)
             raise self._fault
+        if self._is_lenient:
+            self._warn(self._outputs, values)
         return values
 
     def _refuse(self, ports: Ports, values: Sequence[float], t: float) -> None:
@@ -274,6 +297,14 @@ class Slave:
         problem = ports.problem(values)
         if problem is not None:
             raise SlaveError(self.name, "set", t, problem, COLON)
+        if self._is_lenient:
+            self._warn(ports, values)
+
+    def _warn(self, ports: Ports, values: Sequence[float]) -> None:
+        for name, text in ports.strayed(values):
+            if name not in self._strayed:
+                self._strayed.add(name)
+                _log.warning("%s at t = %s s: %s", self.name, seconds(self._time or 0.0), text)
 
     def _must_have_states(self, function: str) -> None:
         if not self._has_states():
@@ -292,8 +323,8 @@ class Slave:
         return variable.name, variable.type, variable.reference, PYTHON_TYPE[variable.type](value)
 
 
-def _release(home: Home, folder: str, process_id: int) -> None:
+def _release(home: Home, folder: PrivateFolder, process_id: int) -> None:
     """Leave nothing behind: called by close, when a slave is forgotten, or at the end of the program."""
     if os.getpid() == process_id:  # not in a fork of it
         home.close(None, is_polite=False)
-        shutil.rmtree(folder, ignore_errors=True)
+        folder.remove()

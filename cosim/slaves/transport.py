@@ -5,6 +5,7 @@ AF_UNIX SOCK_SEQPACKET sockets (a third of the round trip of a stream with lengt
 multiprocessing pipe. The content is JSON, raw bytes and IEEE doubles: nothing from an FMU's process is unpickled.
 """
 
+import contextlib
 import json
 import os
 import socket
@@ -34,6 +35,10 @@ class Channel(Protocol):
 
     def receive(self, timeout_s: float | None) -> bytes:
         """The next message. Raises TimeoutError, EOFError when the other side is gone, OSError."""
+        ...
+
+    def hang_up(self) -> None:
+        """Make a receive of this end, in any thread, see the end after what has come; the other side may live on."""
         ...
 
     def close(self) -> None:
@@ -70,6 +75,10 @@ class PacketChannel:
             self._set_timeout(timeout_s)
         packet = self._packet()
         return packet if len(packet) < PACKET_SIZE else self._rest(packet, timeout_s)
+
+    def hang_up(self) -> None:
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
         self._socket.close()
@@ -123,6 +132,9 @@ class PipeChannel:
             return self._connection.recv_bytes(LARGEST_MESSAGE)
         except (BrokenPipeError, ConnectionResetError) as error:
             raise EOFError("the other side has closed the channel") from error
+
+    def hang_up(self) -> None:
+        """Not for a pipe: a wait goes on to its limit."""
 
     def close(self) -> None:
         self._connection.close()
@@ -184,6 +196,7 @@ def open_channel(argument: str) -> Channel:
 # The first byte of a message.
 STEP, STEP_TUNED, CALL = 1, 2, 3  # requests
 VALUES, RESULT, FAULT = 16, 17, 18  # replies
+LOG = 32  # a line that the FMU logs, before the reply
 
 _HEAD = struct.Struct("<BI")
 

@@ -12,17 +12,23 @@ import sys
 from collections.abc import Sequence
 from math import inf
 from pathlib import Path
-from time import perf_counter
+from time import monotonic, perf_counter
 from typing import Any, Final
 
-from ..errors import COLON, IN_THE_CALL, SlaveError
+from ..errors import COLON, IN_THE_CALL, SlaveError, one_line
 from ..fmi.block import Variable
+from ..fmi.fmu_log import pass_on
 from ..fmi.instance import Identity
+from .orphans import VARIABLE, end_marked, new_mark
+from .output import Output
 from .placement import REVIEW, Placement, same_addresses
-from .transport import CALL, FAULT, KIND, RESULT, VALUES, StepCodec, channel_pair, decode, encode
+from .transport import CALL, FAULT, KIND, LOG, RESULT, VALUES, StepCodec, channel_pair, decode, encode
+from .watch import Watch, half_of_memory
 
 START_TIMEOUT_S: Final = 60.0
 """For Python itself to start and import, however busy the machine; the FMU's own calls have their own limit."""
+MOST_LINES: Final = 1000
+"""Lines of one FMU's log that are passed on."""
 CLOSE_TIMEOUT_S: Final = 2.0
 """For an FMU to terminate politely, and for its process to end."""
 
@@ -48,22 +54,34 @@ class Worker:
     Every method but close may raise SlaveError; the process has been killed then, and only close may follow.
     """
 
-    def __init__(self, identity: Identity, timeout_s: float, kind: str = KIND) -> None:
-        """timeout_s is the time each call may take [s]; kind is that of channel_pair."""
+    def __init__(
+        self, identity: Identity, timeout_s: float, kind: str = KIND, memory_limit: float | None = None
+    ) -> None:
+        """timeout_s is the time each call may take [s]; kind is that of channel_pair.
+
+        memory_limit: resident memory that the process may have [MB], half of the machine's unless told (Linux).
+        """
         self._name = identity.instance_name
         self._timeout_s = timeout_s
         self._codec = StepCodec(0, 0, 0)
         self._is_loaded = False
         self._is_answer_due = False
         self._is_ended = False
+        self._lines: list[tuple[int, str]] = []
+        self._n_lines = 0
+        self._mark = new_mark()
+        self._output = Output(self._name)
         self._channel, theirs = channel_pair(kind)
         try:
-            self._process = _start(theirs.argument, theirs.popen_arguments())
+            self._process = _start(theirs.argument, self._mark, self._output.descriptor, theirs.popen_arguments())
         except BaseException:
             self._channel.close()
+            self._output.abandon()
             raise
         finally:
             theirs.close()
+        self._output.start()
+        self._watch = Watch(self._process.pid, self._channel, memory_limit or half_of_memory())
         self._placement = Placement(self._process.pid)
         self._n_steps, self._begun, self._shortest_s = 0, 0.0, 0.0
         self._send("instantiate", None, encode(CALL, list(identity)))
@@ -114,6 +132,7 @@ class Worker:
             if is_polite and self._is_loaded and not self._is_answer_due and not self._is_ended:
                 self._timeout_s = min(self._timeout_s, CLOSE_TIMEOUT_S)
                 self.call("close", t)
+                self._watch.end()
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     self._process.wait(CLOSE_TIMEOUT_S)
         finally:
@@ -137,19 +156,47 @@ class Worker:
     def _receive(self, function: str, t: float | None, kind: int, timeout_s: float) -> bytes:
         try:
             message = self._channel.receive(timeout_s)
+            if message[0] == LOG:
+                message = self._after_lines(message, timeout_s)
         except TimeoutError as error:
-            self._kill()
+            self._end_by_force()
             raise SlaveError(self._name, function, t, f"did not return within {timeout_s:g} s") from error
         except (EOFError, OSError) as error:
             raise self._death(function, t) from error
+        except ValueError as error:
+            raise self._nonsense(function, t) from error
         if message[0] != kind:
             raise self._fault(function, t, message)
         self._is_answer_due = False
+        if self._lines:
+            self._pass_on_lines()
         return message
+
+    def _after_lines(self, message: bytes, timeout_s: float) -> bytes:
+        """The first message that is no line of the FMU's log. Raises as Channel.receive, ValueError for nonsense."""
+        deadline = monotonic() + timeout_s  # an FMU that logs without end does not put it off
+        while message[0] == LOG:
+            (status, text), _ = decode(message)
+            self._lines.append((int(status), one_line(str(text))))
+            message = self._channel.receive(timeout_s)
+            if monotonic() > deadline:
+                raise TimeoutError(f"no answer within {timeout_s} s")
+        return message
+
+    def _pass_on_lines(self, is_told: bool = False) -> None:
+        """Log what the FMU has logged; is_told: the fault that it has caused says what matters."""
+        for status, text in self._lines:
+            self._n_lines += 1
+            if self._n_lines == MOST_LINES:
+                text = "(what it logs from here on is left out)"
+            if self._n_lines <= MOST_LINES:
+                pass_on(self._name, status, text, is_told)
+        self._lines.clear()
 
     def _fault(self, function: str, t: float | None, message: bytes) -> SlaveError:
         """The error that the process has reported, in a message that is not to be trusted."""
-        self._kill()
+        self._pass_on_lines(is_told=True)
+        self._end_by_force()
         try:
             (its_function, its_t, reason, form), _ = decode(message)
             if message[0] == FAULT:
@@ -160,22 +207,32 @@ class Worker:
         return self._nonsense(function, t)
 
     def _nonsense(self, function: str, t: float | None) -> SlaveError:
-        self._kill()
+        self._end_by_force()
         return SlaveError(self._name, function, t, "the FMU's process gave an answer of the wrong form", COLON)
 
     def _death(self, function: str, t: float | None) -> SlaveError:
+        self._watch.end()
         try:
             how = _ending(self._process.wait(CLOSE_TIMEOUT_S))
         except subprocess.TimeoutExpired:
             how = "closed its channel"
-        self._kill()
+        how = self._watch.reason or how
+        self._end_by_force()
         return SlaveError(self._name, function, t, f"the FMU's process {how}", IN_THE_CALL)
 
+    def _end_by_force(self) -> None:
+        """After a fault: end the process and all that the FMU has started in its turn."""
+        if not self._is_ended:
+            self._kill()
+            end_marked(self._mark)
+            self._pass_on_lines()
+
     def _kill(self) -> None:
-        """End the process and what the FMU has started in its turn."""
+        """End the process and its group."""
         if self._is_ended:
             return
         self._is_ended = True
+        self._watch.end()
         if sys.platform == "win32":
             self._process.kill()
         else:
@@ -185,9 +242,10 @@ class Worker:
         self._channel.close()
         if self._process.stdin is not None:
             self._process.stdin.close()
+        self._output.wait()
 
 
-def _start(channel: str, handles: dict[str, Any]) -> "subprocess.Popen[bytes]":
+def _start(channel: str, mark: str, output: int, handles: dict[str, Any]) -> "subprocess.Popen[bytes]":
     """A fresh interpreter, not a fork: this process has threads. Its own process group: Ctrl-C is not for it."""
     root = str(Path(__file__).resolve().parents[2])
     group: dict[str, Any] = {} if sys.platform == "win32" else {"process_group": 0}
@@ -196,7 +254,8 @@ def _start(channel: str, handles: dict[str, Any]) -> "subprocess.Popen[bytes]":
             [sys.executable, "-u", "-P", "-c", _BOOT, root, channel, *filter(None, sys.path)],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
-            env=os.environ | _ONE_THREAD,
+            stderr=output,
+            env=os.environ | _ONE_THREAD | {VARIABLE: mark},
             **group,
             **handles,
         )

@@ -76,9 +76,7 @@ def simulate(system: System, settings: Settings, out: Path | None = None) -> Sys
     begun = perf_counter()
     with ExitStack() as stack:
         slaves = {
-            name: stack.enter_context(
-                open_slave(component.fmu, name, isolation=settings.isolation, timeout=settings.timeout)
-            )
+            name: stack.enter_context(open_slave(component.fmu, name, **settings.slave_options))
             for name, component in system.components.items()
         }
         wiring = wiring_of(system, slaves)

@@ -2,9 +2,10 @@
 
 import re
 from collections.abc import Mapping
-from xml.etree.ElementTree import Element, ParseError, TreeBuilder, XMLParser, fromstring
+from xml.etree.ElementTree import Element
 
 from ..errors import SspError, one_line
+from ..fmi.preflight.xml import strict_root
 from ..units import Unit, make_unit
 
 NAMESPACES: Mapping[str, str] = {
@@ -19,21 +20,14 @@ _NAMESPACE = re.compile(r"\{http://ssp-standard\.org/SSP\d/\w+\}")
 _VERSION = re.compile(r"[12]\.\d+(-.*)?")
 
 
-class _NoDoctype(TreeBuilder):
-    """Refuses document types: no SSP file has one, and entities declared in one can grow without bound."""
-
-    def doctype(self, name: str, public_id: str | None, system_id: str | None) -> None:
-        raise ValueError("it has a document type (DOCTYPE), which is refused")
-
-
 def parse(content: bytes, where: str, kind: str) -> Element:
     """The root of a file of SSP 1.x or 2.x, its elements named without a namespace; others keep theirs.
 
     where: for the messages; kind: what the root must be, such as `SystemStructureDescription`. Raises SspError.
     """
     try:
-        root = fromstring(content, XMLParser(target=_NoDoctype()))
-    except (ParseError, ValueError, LookupError) as e:  # the last: an encoding that there is not
+        root = strict_root(content)
+    except ValueError as e:
         raise SspError(f"{where} is not readable XML: {one_line(str(e))}.") from e
     for element in root.iter():
         element.tag = _NAMESPACE.sub("", element.tag)

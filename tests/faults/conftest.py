@@ -1,26 +1,79 @@
-"""One FMU that fails in any way asked of it, and the proof that nothing of it is left after each test."""
+"""FMUs that fail in any way asked of them, and what must hold after every fault, whatever it is.
 
+A test of any kind of fault has the latter by itself: it ends in time, nothing is left, nothing of ours is changed.
+"""
+
+import ctypes
+import fcntl
+import locale
 import os
+import shutil
+import signal
+import subprocess
+import sys
 import tempfile
 import time
-from collections.abc import Iterator
+import zipfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+import fmpy
 import pytest
 from pythonfmu import FmuBuilder
 
+from cosim.cli import main
+
+HERE = Path(__file__).parent
+LONGEST_S = 60  # of a test: only one that hangs takes it
+
 FAULTY = '''
 import ctypes
+import locale
 import os
+import signal
 import sys
+import threading
 import time
 
 from pythonfmu import *
+from pythonfmu.enums import Fmi2Status
 
 
 def loop():
     while True:
         pass
+
+
+def recurse(n):
+    return recurse(n + 1) + 1
+
+
+def throw(error):
+    raise error
+
+
+def allocate():
+    kept = []
+    while True:
+        kept.append(bytearray(b"x") * (1 << 24))
+
+
+def change_everything():
+    os.chdir("/")
+    os.environ.clear()
+    os.umask(0)
+    locale.setlocale(locale.LC_ALL, "C")
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    sys.path.clear()
+    sys.setrecursionlimit(100)
+    sys.modules.pop("cosim.errors", None)
+    ctypes.CDLL("libm.so.6").fesetround(0x800)
+
+
+def break_output():
+    sys.stdout = sys.stderr = None
+    sys.excepthook = None
 
 
 def fail(how):
@@ -37,6 +90,17 @@ def fail(how):
         "name": lambda: print("cosim is", sys.modules["cosim"].__file__),
         "child": lambda: os.spawnlp(os.P_NOWAIT, "sleep", "sleep", "3600") and os._exit(0),
         "garbage": lambda: [os.write(fd, b"garbage") for fd in sockets()],
+        "leave": lambda: sys.exit(0),
+        "interrupt": lambda: throw(KeyboardInterrupt("mine")),
+        "out of memory": lambda: throw(MemoryError("mine")),
+        "recurse": lambda: recurse(0),
+        "kill itself": lambda: (os.kill(os.getpid(), signal.SIGTERM), time.sleep(100)),
+        "close descriptors": lambda: (os.closerange(0, 256), time.sleep(100)),
+        "allocate": allocate,
+        "read input": lambda: input(),
+        "change everything": change_everything,
+        "break Python's output": break_output,
+        "start a thread": lambda: threading.Thread(target=loop, daemon=False).start(),
     }[how]()
 
 
@@ -71,9 +135,12 @@ class Faulty(Fmi2Slave):
 
     def get_y(self):
         self.at("get")
-        return float("nan") if self.is_due and self.how == "nan" else self.y
+        odd = {"nan": float("nan"), "text": "seven", "None": None}
+        return odd[self.how] if self.is_due and self.how in odd else self.y
 
     def at(self, where):
+        if self.where == where and self.how in ("nan", "text", "None"):
+            return None
         if self.where == where and (self.is_due or "init" in where or where == "terminate"):
             return fail(self.how)
 
@@ -92,7 +159,7 @@ class Faulty(Fmi2Slave):
         if self.how == "log":
             self.log("100 % of %s and %n and %d at t = %f")
         if self.how == "log a reason and return False" and self.is_due:
-            self.log("the step is %s too long", 2)
+            self.log("the step is %s too long", Fmi2Status.error)
             return False
         return self.at("do_step") is not False
 '''
@@ -139,14 +206,119 @@ def becomes_true(condition, within_s: float = 20.0) -> bool:
 
 @pytest.fixture(autouse=True)
 def temporary(tmp_path, monkeypatch) -> Iterator[Path]:
-    """Where unpacked FMUs go; afterwards neither a file of them nor a process is left."""
-    folder = tmp_path / "temporary"
+    """Where unpacked FMUs go; afterwards neither a file of them nor a process is left, and the test has ended in time.
+
+    Nor is a file left in the working directory, or is anything changed that belongs to this process.
+    """
+    folder, work = tmp_path / "temporary", tmp_path / "working directory"
     folder.mkdir()
+    work.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(folder))
-    before = children_of(os.getpid())
-    yield folder
-    assert list(folder.iterdir()) == []
+    monkeypatch.chdir(work)
+    mark = f"FAULT_TEST={tmp_path.name}-{os.getpid()}"
+    monkeypatch.setenv(*mark.split("="))
+    before, surroundings = children_of(os.getpid()), ours()
+    with ended_in_time():
+        yield folder
+    assert becomes_true(lambda: list(folder.iterdir()) == [], within_s=5.0)
+    assert list(work.iterdir()) == []
     assert children_of(os.getpid()) <= before
+    assert becomes_true(lambda: not marked(mark), within_s=5.0)
+    assert ours() == surroundings
+
+
+@pytest.fixture
+def command(monkeypatch, capfd) -> Callable[..., tuple[int, str, str]]:
+    """The command `retune` in this process: exit code, standard output, standard error. What it changes is put back."""
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        environment, names = dict(os.environ), (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        handlers = {number: signal.getsignal(number) for number in names}
+        capfd.readouterr()
+        try:
+            code = main([str(a) for a in arguments])
+        except SystemExit as leaving:
+            code = leaving.code
+        finally:
+            for number, handler in handlers.items():
+                signal.signal(number, handler)
+            for name in os.environ.keys() - environment.keys():
+                del os.environ[name]
+        return code, *capfd.readouterr()
+
+    return call
+
+
+@contextmanager
+def ended_in_time() -> Iterator[None]:
+    """Raises where what is inside takes LONGEST_S."""
+
+    def out_of_time(*_: object) -> None:
+        raise AssertionError(f"it has not ended within {LONGEST_S} s")
+
+    handler = signal.signal(signal.SIGALRM, out_of_time)
+    signal.alarm(LONGEST_S)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, handler)
+
+
+def marked(entry: str) -> set[int]:
+    """Ids of other processes with this in their environment: descendants of this test, however they were made."""
+    found = set()
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            is_one = entry.encode() in (folder / "environ").read_bytes().split(b"\0")
+        except OSError:
+            continue
+        if is_one and is_running(int(folder.name)) and int(folder.name) != os.getpid():
+            found.add(int(folder.name))
+    return found
+
+
+def ours() -> dict[str, object]:
+    """What an FMU must not change of this process."""
+    flags = {fd: fcntl.fcntl(fd, fcntl.F_GETFL) for fd in (0, 1, 2)}
+    return {
+        "environment": {k: v for k, v in os.environ.items() if k != "PYTEST_CURRENT_TEST"},
+        "directory": os.getcwd(),
+        "signals": [signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM, signal.SIGSEGV, signal.SIGFPE)],
+        "locale": locale.setlocale(locale.LC_ALL),
+        "rounding": ctypes.CDLL("libm.so.6").fegetround() if sys.platform == "linux" else 0,
+        "denormals": 5e-324 * 1.0 > 0.0,
+        "files": flags,
+    }
+
+
+@pytest.fixture(scope="session")
+def compiled(tmp_path_factory) -> Callable[..., bytes]:
+    """compiled(*options): the library of native.c, compiled with gcc's options."""
+    if shutil.which("gcc") is None:
+        pytest.skip("no C compiler: gcc is not installed")
+    folder, made = tmp_path_factory.mktemp("native"), {}
+
+    def library(*options: str) -> bytes:
+        if options not in made:
+            path = folder / f"{len(made)}.so"
+            headers = f"-I{Path(fmpy.__file__).parent / 'c-code'}"
+            common = ["-O1", "-w", "-fstack-protector-all", headers, "-o", path, HERE / "native.c", "-lm", "-lpthread"]
+            subprocess.run(["gcc", *(options or ("-shared", "-fPIC")), *common], check=True)
+            made[options] = path.read_bytes()
+        return made[options]
+
+    return library
+
+
+@pytest.fixture(scope="session")
+def native(compiled, tmp_path_factory) -> Path:
+    """A sound FMU in C, which fails as it is told."""
+    path = tmp_path_factory.mktemp("sound") / "Native.fmu"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as fmu:
+        fmu.write(HERE / "native.xml", "modelDescription.xml")
+        fmu.writestr(f"binaries/{fmpy.platform}/Native{fmpy.sharedLibraryExtension}", compiled())
+    return path
 
 
 @pytest.fixture

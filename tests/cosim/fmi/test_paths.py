@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from cosim import ModelDescriptionError, Scenario, open_slave, run
-from cosim.fmi.archive import private_folder
+from cosim.fmi.folder import PrivateFolder
 from cosim.scenarios.library import find_fmu
 
 ODD = ["a space", "Prüfstand", "c++", "100 %", "日本", "a#b"]
@@ -26,13 +26,12 @@ def odd(request, tmp_path, monkeypatch):
 
 
 def test_an_fmu_s_folder_has_a_name_that_a_uri_keeps(odd):
-    folder = Path(private_folder())
-    try:
+    with PrivateFolder() as path:
+        folder = Path(path)
         assert folder.as_uri().replace("%20", " ") == f"file://{folder}"
         assert folder.stat().st_mode & 0o077 == 0
         assert (folder.parent == odd) == (odd.name in ("a space folder",))
-    finally:
-        folder.rmdir()
+    assert not folder.exists()
 
 
 @pytest.mark.fmu
@@ -75,7 +74,7 @@ def made_by_this_process(folder):
 def test_where_no_folder_will_do_it_is_said_in_one_line(odd, tmp_path, monkeypatch):
     if odd.name == "a space folder":
         pytest.skip("a folder with a space will do")
-    monkeypatch.setattr("cosim.fmi.archive._OTHER_FOLDERS", (str(tmp_path / "nowhere"),))
+    monkeypatch.setattr("cosim.fmi.folder._OTHER_FOLDERS", (str(tmp_path / "nowhere"),))
     path = find_fmu("Pendulum", tmp_path)
     with pytest.raises(ModelDescriptionError, match=r"no FMU can be unpacked: .* set TMPDIR to a folder"):
         open_slave(path, "plant")

@@ -1,4 +1,4 @@
-"""What `retune check` finds."""
+"""What `retune check` finds, in a scenario or in an FMU."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ class Finding:
     """One thing that is wrong or risky. As text, one line."""
 
     where: str
-    """Key of the scenario, such as `connections.\"plant.u\"`."""
+    """Key of the scenario, such as `connections.\"plant.u\"`, or place in the FMU, such as `modelDescription.xml`."""
     what: str
     """What is wrong, and what to do where that is not plain."""
     is_error: bool = True

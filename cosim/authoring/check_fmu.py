@@ -1,0 +1,34 @@
+"""What is wrong or risky in an FMU, before any of its code runs: all of what a run stops at the first of."""
+
+from io import BytesIO
+from pathlib import Path
+from zipfile import ZipFile
+
+from ..errors import ModelDescriptionError
+from ..finding import Finding, warning
+from ..fmi.archive import DESCRIPTION, interfaces, library_finding, library_path, look_into, no_binary, unusable
+
+
+def check_fmu(fmu: Path) -> list[Finding]:
+    """Everything that is to say about an FMU. Raises ModelDescriptionError for what is none."""
+    found: list[Finding] = []
+    try:
+        description, platforms = look_into(fmu, found.extend)
+    except ModelDescriptionError:
+        if any(f.is_error for f in found):  # what has been found is why
+            return found
+        raise
+    if any(part.needsExecutionTool in ("true", "1", True) for part in interfaces(description).values()):
+        found.append(warning(DESCRIPTION, "the FMU needs the tool that made it to run (needsExecutionTool)"))
+    if unusable(description, "model-exchange") and (problem := unusable(description, "co-simulation")):
+        found.append(Finding(DESCRIPTION, problem))
+    if problem := no_binary(platforms):
+        return [*found, Finding("binaries", problem)]
+    with ZipFile(fmu) as archive:
+        for interface in interfaces(description):
+            place = library_path(description, interface)
+            if place in archive.namelist():
+                found += library_finding(BytesIO(archive.read(place)), description, interface)
+            else:
+                found.append(Finding(place, "is not there"))
+    return found

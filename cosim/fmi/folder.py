@@ -1,0 +1,128 @@
+"""The folder that an FMU is unpacked into: nobody else's, and gone afterwards however its process ends.
+
+A process that is killed cannot clear up. So each folder is locked (flock, which ends with its holder) for as long as it
+is used, and whoever makes one first removes those that nobody holds any more.
+"""
+
+import os
+import re
+import secrets
+import shutil
+import sys
+import tempfile
+import weakref
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import Final
+
+from ..errors import ModelDescriptionError
+
+PREFIX: Final = "fmu-retune-live-"
+
+# What a file URI keeps as it is, and the space, which every loader decodes: pythonfmu's crashes on anything else.
+_SAFE: Final = re.compile(r"[A-Za-z0-9._~/ -]*" if sys.platform != "win32" else r"[A-Za-z0-9._~/\\: -]*")
+_OTHER_FOLDERS: Final = ("/tmp", "/var/tmp") if sys.platform != "win32" else (r"C:\Users\Public", r"C:\Temp")
+
+
+class PrivateFolder:
+    """A new, empty folder, which FMUs can be loaded from whatever the folder of temporary files is called.
+
+    It is removed by `remove`, when it is forgotten, or at the end of the program.
+    """
+
+    path: str
+    """Absolute."""
+
+    def __init__(self) -> None:
+        """Raises ModelDescriptionError where no folder has a name that every FMU can read."""
+        for parent in (tempfile.gettempdir(), *_OTHER_FOLDERS):
+            if _SAFE.fullmatch(parent) and os.access(parent, os.W_OK | os.X_OK):
+                _remove_forsaken_once(parent)
+                with suppress(OSError):
+                    self._make(os.path.abspath(parent))
+                    return
+        raise ModelDescriptionError(
+            f"no FMU can be unpacked: {tempfile.gettempdir()} is not a name that FMUs can be loaded from; "
+            "set TMPDIR to a folder of plain letters, digits and -_.~ only."
+        )
+
+    def remove(self) -> None:
+        """Remove it with all that is in it; idempotent."""
+        self._finalizer()
+
+    def __enter__(self) -> str:
+        return self.path
+
+    def __exit__(self, *_: object) -> None:
+        self.remove()
+
+    def _make(self, parent: str) -> None:
+        """Raises OSError."""
+        for _ in range(3):  # who clears up may take it for forsaken before it is locked
+            self.path = os.path.join(parent, PREFIX + secrets.token_hex(8))
+            # The finalizer first: an interrupt may come as soon as the folder is there.
+            self._finalizer = weakref.finalize(self, _remove, self.path, os.getpid(), lock := _Lock())
+            os.mkdir(self.path, 0o700)
+            if lock.take(self.path) or sys.platform == "win32":
+                return
+            self.remove()
+        raise OSError(f"no folder can be kept in {parent}")
+
+
+class _Lock:
+    """The lock of a folder; that of no folder where the system has none."""
+
+    def __init__(self) -> None:
+        self._descriptor: int | None = None
+
+    def take(self, folder: str) -> bool:
+        """Whether nobody else has it, and it is there. Raises OSError for one that is not ours."""
+        if sys.platform == "win32":
+            return False
+        import fcntl
+
+        try:
+            descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+        except FileNotFoundError:
+            return False
+        try:
+            if os.fstat(descriptor).st_uid != os.getuid():
+                raise PermissionError(f"{folder} belongs to somebody else")
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            is_there = os.path.samestat(os.fstat(descriptor), os.stat(folder))
+        except (BlockingIOError, FileNotFoundError):
+            is_there = False
+        except BaseException:
+            os.close(descriptor)
+            raise
+        if not is_there:
+            os.close(descriptor)
+            return False
+        self._descriptor = descriptor
+        return True
+
+    def give_back(self) -> None:
+        """Idempotent."""
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+        self._descriptor = None
+
+
+def remove_forsaken(parent: str) -> None:
+    """Remove the folders in parent that were made here and that no living process holds."""
+    for folder in Path(parent).glob(f"{PREFIX}*"):
+        lock = _Lock()
+        with suppress(OSError):
+            if lock.take(str(folder)):
+                shutil.rmtree(folder, ignore_errors=True)
+        lock.give_back()
+
+
+_remove_forsaken_once = cache(remove_forsaken)  # a process: the folder of temporary files may hold thousands
+
+
+def _remove(path: str, process_id: int, lock: _Lock) -> None:
+    if os.getpid() == process_id:  # not in a fork of it
+        shutil.rmtree(path, ignore_errors=True)
+        lock.give_back()

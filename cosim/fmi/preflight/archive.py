@@ -1,0 +1,86 @@
+"""Whether a zip archive can be unpacked safely, by what its directory says: nothing is decompressed."""
+
+import stat
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from typing import Final
+from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipInfo
+
+from ...finding import Finding, warning
+
+LARGEST: Final = 4 << 30
+"""Bytes of all files, unpacked."""
+MOST_FILES: Final = 50_000
+HIGHEST_RATIO: Final = 200
+"""Unpacked by packed bytes of an archive that unpacks to more than SMALL: text and tables reach 20, zeros 1000."""
+SMALL: Final = 256 << 20
+"""Bytes that do no harm, however well they are packed."""
+LONGEST_NAME: Final = 1000
+"""Characters: with the folder before it a path must stay below 4096 bytes."""
+
+_PLACE: Final = "archive"
+_ENCRYPTED: Final = 0x1
+_LOCAL_HEADER: Final = 30  # bytes before name and content of an entry
+
+
+def archive_findings(entries: Sequence[ZipInfo]) -> Iterator[Finding]:
+    """What is wrong with the entries of an archive."""
+    unpacked, packed = sum(e.file_size for e in entries), sum(e.compress_size for e in entries)
+    if len(entries) > MOST_FILES:
+        yield Finding(_PLACE, f"holds {len(entries)} files; at most {MOST_FILES} are unpacked")
+    if unpacked > LARGEST:
+        yield Finding(_PLACE, f"unpacks to {unpacked / 1e9:.3g} GB; at most {LARGEST / 1e9:.3g} GB are unpacked")
+    if unpacked > SMALL and unpacked > HIGHEST_RATIO * packed:
+        yield Finding(_PLACE, f"unpacks to {unpacked / max(packed, 1):.0f} times its size, as no FMU but a bomb does")
+    for entry in entries:
+        yield from _entry_findings(entry)
+    yield from _name_findings([e.filename for e in entries])
+    yield from _overlaps(entries)
+
+
+def _entry_findings(entry: ZipInfo) -> Iterator[Finding]:
+    name, kind = entry.orig_filename, stat.S_IFMT(entry.external_attr >> 16)
+    where = repr(name if len(name) <= LONGEST_NAME else f"{name[:50]}...")
+    if leads_out(name):
+        yield Finding(where, "would be put outside its folder; names must be relative, with '/' and without '..'")
+    if len(name) > LONGEST_NAME or any(len(part.encode()) > 255 for part in name.split("/")):
+        yield Finding(where, "has a name that is too long for a file")
+    if not name.isprintable():
+        yield Finding(where, "has a name with control characters")
+    if kind not in (0, stat.S_IFREG, stat.S_IFDIR):
+        what = "symbolic link" if kind == stat.S_IFLNK else "device or pipe"
+        yield Finding(where, f"is a {what}; an FMU must hold files and folders only")
+    if entry.flag_bits & _ENCRYPTED:
+        yield Finding(where, "is encrypted; an FMU must not be")
+    if entry.compress_type not in (ZIP_STORED, ZIP_DEFLATED):
+        yield warning(where, f"is packed by method {entry.compress_type}; FMI allows deflate (8) and stored (0) only")
+
+
+def leads_out(name: str) -> bool:
+    """Whether a file of this name in an archive might be put elsewhere than into the folder it is unpacked to."""
+    is_odd = any(c in name for c in "\\:\0")  # Windows' separator, its drives, and what ends a name in C
+    return is_odd or not name.strip("/") or name.startswith("/") or ".." in name.split("/")
+
+
+def _name_findings(names: Sequence[str]) -> Iterator[Finding]:
+    """Of names that are one file, in the archive or where the system has it so."""
+    counts, folded = Counter(names), dict[str, str]()
+    for name, count in counts.items():
+        if count > 1:
+            yield Finding(repr(name), f"is there {count} times; which one is meant cannot be known")
+        if (other := folded.setdefault(name.casefold(), name)) != name:
+            yield warning(repr(name), f"differs from {other!r} in case only: they are one file on Windows")
+    files = {name for name in counts if not name.endswith("/")}
+    for name in files:
+        parts = name.split("/")
+        for n in range(1, len(parts)):
+            if "/".join(parts[:n]) in files:
+                yield Finding(repr("/".join(parts[:n])), f"is a file, but {name!r} is in it")
+
+
+def _overlaps(entries: Sequence[ZipInfo]) -> Iterator[Finding]:
+    """Contents that share bytes: how an archive of some kB becomes one of some GB (Fifield 2019)."""
+    for one, following in pairwise(sorted(entries, key=lambda e: e.header_offset)):
+        if one.header_offset + _LOCAL_HEADER + one.compress_size > following.header_offset:
+            yield Finding(repr(one.filename), f"overlaps {following.filename!r} in the archive, as in a bomb")

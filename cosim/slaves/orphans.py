@@ -1,0 +1,49 @@
+"""Processes that an FMU has started and left behind, found by a mark in their environment.
+
+Most end with the FMU's process group. One that has made itself a session of its own (a daemon) has left the group, and
+its parent too; its environment it still has. Linux only.
+"""
+
+import ctypes
+import os
+import secrets
+import signal
+import sys
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final
+
+VARIABLE: Final = "FMU_RETUNE_PROCESS"
+_PR_SET_CHILD_SUBREAPER: Final = 36
+
+
+def new_mark() -> str:
+    """For the environment of one FMU's process."""
+    return secrets.token_hex(8)
+
+
+def adopt_orphans() -> None:
+    """Make this process the parent of descendants whose parents end, so that they can be seen."""
+    if sys.platform == "linux":
+        libc: Any = ctypes.CDLL(None)
+        libc.prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+
+
+def has_children() -> bool:
+    """Whether this process has any, its own or adopted."""
+    if sys.platform != "linux":
+        return False
+    with suppress(OSError):
+        return any(task.joinpath("children").read_text() for task in Path("/proc/self/task").iterdir())
+    return True
+
+
+def end_marked(mark: str) -> None:
+    """End every other process with this mark."""
+    if sys.platform != "linux":
+        return
+    entry = f"{VARIABLE}={mark}".encode()
+    for folder in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            if entry in (folder / "environ").read_bytes().split(b"\0") and int(folder.name) != os.getpid():
+                os.kill(int(folder.name), signal.SIGKILL)

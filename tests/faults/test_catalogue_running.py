@@ -1,0 +1,85 @@
+"""The rows `native` and `python` of catalogue.toml: what a running FMU does, and the one line that is told of it."""
+
+import re
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from cosim.errors import SlaveError
+from cosim.slaves.slave import open_slave
+
+pytestmark = [
+    pytest.mark.fmu,
+    pytest.mark.skipif(sys.platform != "linux", reason="looks for what is left in /proc"),
+]
+CATALOGUE = tomllib.loads(Path(__file__).with_name("catalogue.toml").read_text(encoding="utf-8"))
+H = 0.01  # s
+EXAMPLES = {"native": ("u", ["y", "limited"]), "python": ("u", ["y"])}
+
+
+@pytest.mark.parametrize("row", CATALOGUE["native"], ids=lambda row: row["inject"])
+def test_native(native, row, caplog, capfd):
+    check(native, "native", row, caplog, capfd)
+
+
+@pytest.mark.parametrize("row", CATALOGUE["python"], ids=lambda row: row["inject"])
+def test_python(faulty, row, caplog, capfd):
+    check(faulty, "python", row, caplog, capfd)
+
+
+def check(fmu, kind, row, caplog, capfd):
+    how, _, where = row["inject"].rpartition(" in ")
+    is_early = where == "instantiate"
+    name = f"instantiate: {how}" if is_early else "plant"
+    options = {"timeout": row.get("timeout", 30.0), "memory_limit": row.get("memory")}
+    fault, outputs = None, []
+    with open_slave(fmu, name, **options) as slave:
+        try:
+            run(slave, kind, outputs, "" if is_early else how, "" if is_early else where)
+        except SlaveError as error:
+            fault = error
+        if fault is not None:
+            with pytest.raises(RuntimeError, match="must not be called after"):
+                slave.get()
+    printed = capfd.readouterr()
+    told = str(fault)
+    if "expected" in row:
+        assert fault is not None, "it went on as if nothing had happened"
+        assert re.fullmatch(row["expected"], told), told
+        assert "\n" not in told
+        assert fault.instance == name
+        assert (fault.time is None) == is_early
+        assert outputs == [(float(k), *((0.0,) if kind == "native" else ())) for k in range(len(outputs))]
+    else:
+        assert fault is None, told
+        assert len(outputs) == 4
+    assert printed.out == ""
+    assert "Traceback" not in printed.err or kind == "python"  # what an FMU prints is its own
+    messages = [record.getMessage() for record in caplog.records if record.levelname != "INFO"]
+    if "logs" in row:
+        assert any(re.fullmatch(row["logs"], message) for message in messages), messages
+    else:
+        assert messages == []
+    assert len(messages) <= 200
+    assert re.search(row.get("prints", ""), printed.err), printed.err[:1000]
+    assert len(printed.err) < 2 << 20
+
+
+def run(slave, kind, outputs, how, where):
+    name, names = EXAMPLES[kind]
+    slave.bind(inputs=[name], outputs=names)
+    slave.initialize({"how": how, "where": where})
+    for k in range(4):
+        outputs.append(slave.step([float(k)], t=k * H, h=H))
+
+
+def test_the_catalogue_is_as_long_as_it_says():
+    of_fmus = [
+        row for kind in ("archive", "description", "arrays", "library", "native", "python") for row in CATALOGUE[kind]
+    ]
+    assert len(of_fmus) >= 190
+    for kind, rows in CATALOGUE.items():
+        names = [row.get("inject") or row["fault"] for row in rows]
+        assert len(set(names)) == len(names), kind

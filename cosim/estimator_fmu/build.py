@@ -74,6 +74,8 @@ def estimator_settings(scenario: Scenario, method: str = "target") -> dict[str, 
     """What the estimator FMU knows of the scenario, as JSON values. Raises what `build_estimator` does."""
     if ":" in method or method in ("none", "true"):
         raise ScenarioError(f"'{method}' cannot be built into an FMU; the estimators of the package can.")
+    if scenario.sampling.filter is not None:
+        raise ScenarioError("sampling.filter cannot be built into an FMU: its estimator takes measured derivatives.")
     how = find_method(method, scenario)
     fmus = {name: FmuFile(name, read_component(path).description) for name, path in fmu_paths(scenario).items()}
     plant = plant_of(scenario, fmus[scenario.plant])

@@ -1,6 +1,7 @@
 """Where FMUs are kept and unpacked while the co-simulation is tested, and the proof that nothing of a run is left."""
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -138,6 +139,23 @@ def foreign(tmp_path_factory) -> Path:
             fmu.write(sources / f"{name}.xml", "modelDescription.xml")
             fmu.write(library, f"binaries/{fmpy.platform}/{library.name}")
     return folder
+
+
+@pytest.fixture
+def bare_axis(foreign, tmp_path) -> Path:
+    """Axis.fmu as a tool leaves it that declares no derivatives: its outputs are position and velocity, no more."""
+    with zipfile.ZipFile(foreign / "Axis.fmu") as whole:
+        files = {name: whole.read(name) for name in whole.namelist()}
+    xml = files["modelDescription.xml"].decode()
+    for name in ("der(mass.s)", "der(mass.v)"):
+        xml, n = re.subn(rf'<ScalarVariable name="{re.escape(name)}".*?</ScalarVariable>', "", xml, flags=re.S)
+        assert n == 1
+    structure = '<ModelStructure><Outputs><Unknown index="2"/><Unknown index="3"/></Outputs></ModelStructure>'
+    files["modelDescription.xml"] = re.sub("<ModelStructure>.*</ModelStructure>", structure, xml, flags=re.S).encode()
+    with zipfile.ZipFile(tmp_path / "BareAxis.fmu", "w") as bare:
+        for name, content in files.items():
+            bare.writestr(name, content)
+    return tmp_path / "BareAxis.fmu"
 
 
 UNITS = """<UnitDefinitions><Unit name="m"><BaseUnit m="1"/></Unit>

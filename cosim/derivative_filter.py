@@ -117,7 +117,7 @@ def derivative_noise(sampling: Sampling, macro_step: float) -> tuple[float, ...]
 class DerivativeFilter:
     """Turns what is measured at every point into samples with derivatives, each of a time that has passed.
 
-    There is one every so many points, so that no noise is in two of them: a window of samples is judged as independent.
+    There is one every so many points that two share next to no noise: a window of samples is judged as independent.
     """
 
     def __init__(self, settings: SavitzkyGolay | StateVariable, macro_step: float, channels: Sequence[int]) -> None:

@@ -22,11 +22,12 @@ from ..scenarios.aliases import as_the_fmus_have_it
 from ..scenarios.scenario import Scenario, error_texts
 from ..scenarios.system import component_path, plant_of, start_value
 from .check_estimation import check_changes, check_parameters, check_sampling, check_tracking
+from .check_filter import check_filter, check_filtered_model
 from .check_wiring import check_connections, check_inputs, check_loops, check_starts, check_steps
 
 _CHECKS: tuple[Callable[[Scenario, Mapping[str, Component]], Iterator[Finding]], ...] = (
-    check_starts, check_connections, check_inputs, check_changes, check_tracking, check_sampling, check_parameters,
-    check_loops, check_steps,
+    check_starts, check_connections, check_inputs, check_changes, check_tracking, check_sampling, check_filter,
+    check_parameters, check_loops, check_steps,
 )  # fmt: skip
 
 
@@ -71,6 +72,8 @@ def _check_model(scenario: Scenario, components: Mapping[str, Component]) -> Ite
         if chosen(scenario).kind != "derivative":
             text = check_objective(scenario, plant)
             yield Finding("estimation.objective", text, is_error=False, is_note=True)
+        else:
+            yield from check_filtered_model(scenario, plant, np.array(x), theta)
     except CosimError as e:
         yield _split(_plain(e)) if str(e).startswith("estimation.") else Finding("estimation.model", _plain(e))
 

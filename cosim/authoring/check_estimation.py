@@ -38,7 +38,8 @@ def check_sampling(scenario: Scenario, components: Components) -> Iterator[Findi
     if plant is None:
         return
     derivatives = plant.derivatives
-    for reference in scenario.sampling.derivatives:
+    measured = [reference for reference, d in scenario.sampling.derivatives.items() if d.of is None]
+    for reference in measured:
         where, name = f'sampling.derivatives."{reference}"', reference.partition(".")[2]
         problem = output_refusal(plant, name)
         if problem:
@@ -46,12 +47,13 @@ def check_sampling(scenario: Scenario, components: Components) -> Iterator[Findi
         elif name not in derivatives.values():
             hint = did_you_mean(name, derivatives.values())
             yield Finding(where, f"'{name}' is not declared as a state's derivative{hint}")
-    for reference in scenario.sampling.states:
+    is_filtered = scenario.sampling.filter is not None  # `check_filter` looks at its states
+    for reference in () if is_filtered else scenario.sampling.states:
         component, _, name = reference.partition(".")
         if component != scenario.plant or name not in derivatives:
             hint = did_you_mean(name, derivatives)
             yield Finding(f'sampling.states."{reference}"', f"no state with a declared derivative{hint}")
-    for state in derivatives if scenario.sampling.derivatives else ():
+    for state in derivatives if scenario.sampling.derivatives and not is_filtered else ():
         if problem := output_refusal(plant, state):
             yield Finding("sampling", f"the model takes every state: {problem}")
     for v in plant.having("input"):

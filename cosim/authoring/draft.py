@@ -13,7 +13,7 @@ from typing import Final
 from ..errors import WiringError, one_line
 from ..fmi.component import Component, ModelVariable, read_component
 from ..fmi.table import is_table
-from .draft_estimation import described, estimation, parameter_pairs, parameters, sampling, unit_name
+from .draft_estimation import described, estimation, model_states, parameter_pairs, parameters, sampling, unit_name
 from .guess import CONTROLLER, PLANT, REFERENCE, alike, best, guess_connections, have_one_unit, is_likely
 from .toml_lines import key, quoted, said
 
@@ -105,7 +105,7 @@ def _components(components: Mapping[str, Component], folder: Path) -> list[str]:
         component = components[name]
         path = quoted(_relative(component.fmu, folder))
         kind = "table" if is_table(component.fmu) else "fmu"
-        starts = [component.variables[state] for state in component.derivatives] if name == PLANT else []
+        starts = [component.variables[state] for state in model_states(component)] if name == PLANT else []
         given = [f"{key(v.name)} = {float(v.start)!r}" for v in starts if v.start is not None and _is_settable(v)]
         start = f", start = {{ {', '.join(given)} }}" if given else ""
         lines.append(f"{name} = {{ {kind} = {path}{start} }}")

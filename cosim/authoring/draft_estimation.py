@@ -9,6 +9,7 @@ from ..errors import one_line
 from ..fmi.component import Component, ModelVariable
 from ..fmi.feedthrough import declared
 from ..fmi.ports import attribute
+from ..units import BASE_UNITS
 from .guess import CONTROLLER, PLANT, alike, best
 from .toml_lines import quoted, said
 
@@ -31,7 +32,10 @@ def _is_real(v: ModelVariable) -> bool:
 
 
 def sampling(plant: Component) -> list[str]:
-    """The derivatives that parameters or inputs enter; those of kinematics say nothing of a parameter."""
+    """The derivatives that parameters or inputs enter; those of kinematics say nothing of a parameter.
+
+    Where the plant has none among its outputs, a filter is offered.
+    """
     outputs = {v.name for v in plant.having("output")}
     rates = {rate: state for state, rate in plant.derivatives.items() if rate in outputs}
     telling = [rate for rate, depends in _dependencies(plant).items() if rate in rates and depends]
@@ -42,9 +46,68 @@ def sampling(plant: Component) -> list[str]:
         is_used = rate in telling or not telling
         note = f"[{unit_name(plant, rate)}] " + ("GUESS of the noise" if is_used else "depends on states only")
         lines.append(said(text if is_used else f"# {text}", note))
-    if not rates:
-        lines.append(said('"plant.FILL" = { noise = 1e-3 }', "FILL; no output is declared as a state's derivative"))
-    return lines
+    return lines if rates else _filtered(plant)
+
+
+def model_states(plant: Component) -> list[str]:
+    """The model's x: declared states; where no derivative is an output, those that are measured, or may be states."""
+    outputs = [v.name for v in plant.having("output") if _is_real(v)]
+    if not plant.derivatives:
+        return outputs
+    return [state for state in plant.derivatives if _has_rates(plant) or state in outputs] or outputs
+
+
+def _has_rates(plant: Component) -> bool:
+    """Whether derivatives are among the outputs, and can be measured."""
+    outputs = {v.name for v in plant.having("output")}
+    return any(rate in outputs for rate in plant.derivatives.values())
+
+
+def _filtered(plant: Component) -> list[str]:
+    """Derivatives made by a filter from the outputs that may be states."""
+    states = model_states(plant)
+    lines = ["[sampling.derivatives]  # no output is declared as one: the filter below makes them from sampled states"]
+    rates = {state: _rate_of(plant, state, states) for state in states}
+    is_any = any(rate is None for rate in rates.values())
+    for state, rate in rates.items():
+        text = f"{quoted(f'{PLANT}.der({state})')} = {{ of = {quoted(f'{PLANT}.{state}')} }}"
+        if rate is None or not is_any:
+            lines.append(said(text, "GUESS that a parameter or an input enters it"))
+        else:
+            lines.append(said(f"# {text}", f"GUESS: it is {one_line(rate)}, which says nothing of a parameter"))
+    is_declared = bool(plant.derivatives)
+    lines += [
+        "",
+        "[sampling.states]       # the model's x, in the FMU's order, with the standard deviation of the noise",
+    ]
+    for state in states:
+        nominal = float(attribute(plant.variables[state], "nominal") or 1.0)
+        text = f"{quoted(f'{PLANT}.{state}')} = {{ noise = {_NOISE * abs(nominal):g} }}"
+        note = "GUESS of the noise" if is_declared else "GUESS of the noise, and that it is a state"
+        lines.append(said(text, f"[{unit_name(plant, state)}] {note}"))
+    return [
+        *lines,
+        "",
+        "[sampling.filter]",
+        'kind = "savitzky-golay"',
+        said("points = 11", "GUESS: more smooth more, and are later by half a macro step each"),
+        said("# every = 5", "points: a sample sooner, at the price of noise that samples share"),
+        said("order = 3", "of the polynomial: 2 smooths more, and is biased where the plant is not linear"),
+    ]
+
+
+def _rate_of(plant: Component, state: str, others: list[str]) -> str | None:
+    """The one other output whose unit is the state's a second: its derivative by kinematics, likely."""
+    unit = plant.unit(state)
+    if unit is None or unit.exponents is None:
+        return None
+    per_second = [n - (base == "s") for base, n in zip(BASE_UNITS, unit.exponents, strict=True)]
+    found = [
+        other for other in others
+        if (its := plant.unit(other)) is not None and its.exponents is not None and its.factor == unit.factor
+        and list(its.exponents) == per_second
+    ]  # fmt: skip
+    return found[0] if found else None
 
 
 def _dependencies(plant: Component) -> dict[str, bool]:
@@ -63,7 +126,9 @@ def estimation(plant: Component, model: str | None, pairs: list[tuple[ModelVaria
         "[estimation]",
         *_model(plant, model, pairs),
         said('trigger = { kind = "innovation" }', 'or { kind = "tracking", threshold = ... }: of the tracking error'),
-        said("budget = 30", "evaluations an episode"),
+        said("budget = 30", "evaluations an episode")
+        if _has_rates(plant)
+        else said("budget = 100", "evaluations an episode, which shall see several of the filter's samples"),
         said("window = 10", "samples: more average more noise, fewer follow faster"),
     ]
 
@@ -71,7 +136,7 @@ def estimation(plant: Component, model: str | None, pairs: list[tuple[ModelVaria
 def _model(plant: Component, model: str | None, pairs: list[tuple[ModelVariable, ModelVariable]]) -> list[str]:
     if model is not None:
         return [f"model = {quoted(model)}"]
-    states, inputs = list(plant.derivatives), [v.name for v in plant.having("input")]
+    states, inputs = model_states(plant), [v.name for v in plant.having("input")]
     arguments = ", ".join(["x", "u", *(identifier(v.name) for v, _ in pairs)])
     return [
         "# The plant's equations, a function in a Python file beside this one, plant_model.py:",

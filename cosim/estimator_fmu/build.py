@@ -75,6 +75,8 @@ def estimator_settings(scenario: Scenario, method: str = "target") -> dict[str, 
     """What the estimator FMU knows of the scenario, as JSON values. Raises what `build_estimator` does."""
     if ":" in method or method in ("none", "true"):
         raise ScenarioError(f"'{method}' cannot be built into an FMU; the estimators of the package can.")
+    if scenario.sampling.filter is not None:
+        raise ScenarioError("sampling.filter cannot be built into an FMU: its estimator takes measured derivatives.")
     how = find_method(method, scenario)
     if chosen(scenario).kind != "derivative":
         raise ScenarioError("estimation.objective: an estimator FMU takes derivatives; it cannot hold other FMUs.")

@@ -133,7 +133,7 @@ class SavitzkyGolay(Table):
     order: int = Field(default=3, ge=1)
     """Of the polynomial."""
     every: int | None = Field(default=None, ge=1)
-    """A sample every so many points; by default so many that no noise is in two of them."""
+    """A sample every so many points; by default so many that two share at most 5 % of their noise."""
 
     @model_validator(mode="after")
     def _fits_a_polynomial(self) -> Self:
@@ -152,7 +152,7 @@ class StateVariable(Table):
     order: int = Field(default=2, ge=1, le=10)
     """How many low-passes follow one another."""
     every: int | None = Field(default=None, ge=1)
-    """A sample every so many points; by default so many that little noise is in two of them."""
+    """A sample every so many points; by default so many that two share at most 5 % of their noise."""
 
 
 class Sampling(Table):

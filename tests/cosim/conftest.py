@@ -142,6 +142,23 @@ def foreign(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.fixture
+def bare_axis(foreign, tmp_path) -> Path:
+    """Axis.fmu as a tool leaves it that declares no derivatives: its outputs are position and velocity, no more."""
+    with zipfile.ZipFile(foreign / "Axis.fmu") as whole:
+        files = {name: whole.read(name) for name in whole.namelist()}
+    xml = files["modelDescription.xml"].decode()
+    for name in ("der(mass.s)", "der(mass.v)"):
+        xml, n = re.subn(rf'<ScalarVariable name="{re.escape(name)}".*?</ScalarVariable>', "", xml, flags=re.S)
+        assert n == 1
+    structure = '<ModelStructure><Outputs><Unknown index="2"/><Unknown index="3"/></Outputs></ModelStructure>'
+    files["modelDescription.xml"] = re.sub("<ModelStructure>.*</ModelStructure>", structure, xml, flags=re.S).encode()
+    with zipfile.ZipFile(tmp_path / "BareAxis.fmu", "w") as bare:
+        for name, content in files.items():
+            bare.writestr(name, content)
+    return tmp_path / "BareAxis.fmu"
+
+
 UNITS = """<UnitDefinitions><Unit name="m"><BaseUnit m="1"/></Unit>
 <Unit name="mm"><BaseUnit m="1" factor="0.001"/></Unit>
 <Unit name="kg"><BaseUnit kg="1"/></Unit><Unit name="N"><BaseUnit kg="1" m="1" s="-2"/></Unit>

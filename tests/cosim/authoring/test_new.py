@@ -89,6 +89,23 @@ def test_foreign_fmus_run_once_model_and_change_are_filled_in(theirs, tmp_path, 
     assert result["controller.c"][-1] == pytest.approx(12.0, rel=5e-3)
 
 
+def test_a_plant_without_derivatives_is_drafted_with_a_filter_and_runs(theirs, bare_axis, tmp_path, capsys):
+    path = tmp_path / "axis.toml"
+    assert new(theirs | {"plant": bare_axis}, path) == 0
+    assert capsys.readouterr().out.count("to fill in") == 2  # the model and what changes, as with derivatives
+    text = uncommented(path.read_text(), "plant.mass.m", "plant.spring.c")
+    path.write_text(text)
+    (tmp_path / "plant_model.py").write_text(AXIS_MODEL)
+    tree = tomllib.loads(text)
+    assert tree["sampling"]["derivatives"] == {"plant.der(mass.v)": {"of": "plant.mass.v"}}  # der(mass.s) is mass.v
+    assert list(tree["sampling"]["states"]) == ["plant.mass.v", "plant.mass.s"]
+    assert tree["components"]["plant"]["start"] == {"mass.v": 0.0, "mass.s": 0.0}
+    assert not any(f.is_error for f in check(path)), check(path)
+    result = run(Scenario.load(path))  # noise of 1e-3 in the states is 0.025 m/s2 in the derivative
+    assert result["controller.m"][-1] == pytest.approx(3.0, rel=0.02)
+    assert result["controller.c"][-1] == pytest.approx(12.0, rel=0.01)
+
+
 def test_names_units_and_bounds_are_those_of_the_fmus_and_guesses_are_marked(theirs, tmp_path):
     drafted = draft(theirs, tmp_path)
     tree = tomllib.loads(drafted.text)
@@ -141,12 +158,12 @@ def test_what_is_not_given_is_to_be_filled_in(theirs, tmp_path, capsys):
     assert {"components.controller", "components.reference", 'tracking."plant.FILL"'} <= found
 
 
-def test_a_plant_that_declares_no_derivatives_is_drafted_for_its_author_to_fill_in(described, tmp_path):
+def test_a_name_of_several_lines_is_drafted_on_one(described, tmp_path):
     variables = """<ScalarVariable name="a b&#10;c" valueReference="0" causality="output" description="two&#10;lines">
     <Real/></ScalarVariable>
     <ScalarVariable name="u" valueReference="1" causality="input"><Real start="0"/></ScalarVariable>"""
     text = draft({"plant": described(variables, name="Plain")}, tmp_path).text
-    assert tomllib.loads(text)["sampling"]["derivatives"] == {"plant.FILL": {"noise": 1e-3}}
+    assert tomllib.loads(text)["sampling"]["derivatives"] == {"plant.der(a b\nc)": {"of": "plant.a b\nc"}}
     assert tomllib.loads(text)["scenario"]["name"] == "plain"
 
 

@@ -2,11 +2,19 @@
 
 from io import BytesIO
 from pathlib import Path
-from zipfile import ZipFile
 
 from ..errors import ModelDescriptionError
 from ..finding import Finding, warning
-from ..fmi.archive import DESCRIPTION, interfaces, library_finding, library_path, look_into, no_binary, unusable
+from ..fmi.archive import (
+    DESCRIPTION,
+    content,
+    interfaces,
+    library_finding,
+    library_path,
+    look_into,
+    no_binary,
+    unusable,
+)
 
 
 def check_fmu(fmu: Path) -> list[Finding]:
@@ -24,11 +32,10 @@ def check_fmu(fmu: Path) -> list[Finding]:
         found.append(Finding(DESCRIPTION, problem))
     if problem := no_binary(platforms):
         return [*found, Finding("binaries", problem)]
-    with ZipFile(fmu) as archive:
-        for interface in interfaces(description):
-            place = library_path(description, interface)
-            if place in archive.namelist():
-                found += library_finding(BytesIO(archive.read(place)), description, interface)
-            else:
-                found.append(Finding(place, "is not there"))
+    for interface in interfaces(description):
+        place = library_path(description, interface)
+        try:
+            found += library_finding(BytesIO(content(fmu, place)), description, interface)
+        except ModelDescriptionError as error:
+            found.append(Finding(place, str(error.__cause__)))
     return found

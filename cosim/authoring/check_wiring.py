@@ -11,13 +11,8 @@ from ..fmi.ports import Catalogue
 from ..fmi.table import is_table
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
-<<<<<<< HEAD
 from ..scenarios.unit_conversions import different
 from ..units import IDENTITY, conversion
-=======
-from ..scenarios.system import unit_problem
-from .finding import Finding, warning
->>>>>>> foreign
 
 Components = Mapping[str, Component]
 """Those that could be read, by instance name."""
@@ -55,7 +50,6 @@ def unit_finding(
     (a, name_a), (b, name_b) = parts(source, components), parts(target, components)
     if a is None or b is None or name_a not in a.variables or name_b not in b.variables:
         return
-<<<<<<< HEAD
     unit_a, unit_b = a.unit(name_a), b.unit(name_b)
     if unit_a is None or unit_b is None:
         if unit_a is not unit_b:
@@ -70,11 +64,6 @@ def unit_finding(
     except ValueError as e:
         is_known = unit_a.exponents is not None and unit_b.exponents is not None
         yield Finding(where, f"'{source}' to '{target}': {e}", is_error=is_known or is_table(a.fmu))
-=======
-    found = unit_problem(source, target, a.unit(name_a), b.unit(name_b), is_table(a.fmu))
-    if found is not None:
-        yield Finding(where, found.what, is_error=found.is_error)
->>>>>>> foreign
 
 
 def check_starts(scenario: Scenario, components: Components) -> Iterator[Finding]:

@@ -26,6 +26,7 @@ Judge = Callable[[Iterable[Finding]], None]
 """Called with what one look at an FMU has found; may raise."""
 
 DESCRIPTION: Final = "modelDescription.xml"
+_DAMAGED: Final = (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, ValueError)  # what zipfile raises
 _BUILD: Final = "sources/buildDescription.xml"
 _VERSIONS: Final[dict[str, tuple[str, ...]]] = {"co-simulation": ("2.0", "3.0"), "model-exchange": ("2.0", "3.0")}
 
@@ -157,6 +158,15 @@ def unpacked(fmu: Path, interface: Interface = "co-simulation") -> tuple[ModelDe
     return description, folder
 
 
+def content(fmu: Path, name: str) -> bytes:
+    """A file in an FMU. Raises ModelDescriptionError."""
+    try:
+        with zipfile.ZipFile(fmu) as archive:
+            return archive.read(name)
+    except (*_DAMAGED, KeyError) as error:
+        raise ModelDescriptionError(f"{fmu} has no sound {name}: {_text_of(error)}") from error
+
+
 def unpack(fmu: Path, folder: str) -> None:
     """Extract an FMU, or a package of FMUs, into folder.
 
@@ -166,7 +176,7 @@ def unpack(fmu: Path, folder: str) -> None:
         with zipfile.ZipFile(fmu) as archive:
             _refuse(f"{fmu} cannot be unpacked", archive_findings(archive.infolist()))
             archive.extractall(folder)
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, ValueError) as error:
+    except _DAMAGED as error:
         raise ModelDescriptionError(f"{fmu} cannot be unpacked: {_text_of(error)}") from error
 
 

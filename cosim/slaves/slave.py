@@ -12,6 +12,7 @@ import math
 import os
 import weakref
 from collections.abc import Mapping, Sequence
+from enum import Enum
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -75,11 +76,19 @@ def open_slave(
     return Slave(fmu, instance_name, description, home, folder, out_of_range)
 
 
+class _Phase(Enum):
+    """How far an FMU's life has come; the value says what brings it there."""
+
+    INSTANTIATED = "must come before initialize"
+    INITIALIZING = "must follow enter_initialization"
+    RUNNING = "must follow initialize"
+
+
 class Slave:
     """One FMU. Its life: bind, initialize, any number of step (or begin_step, end_step) and get, close.
 
     After a SlaveError that the FMU has caused only close may be called; a value that is refused before it reaches the
-    FMU leaves the slave as it was.
+    FMU leaves the slave as it was. A call out of order does not reach the FMU: it raises RuntimeError.
     """
 
     def __init__(
@@ -97,6 +106,7 @@ class Slave:
         self.description = description
         self._catalogue = Catalogue(fmu.name, description.modelVariables)
         self._home = home
+        self._phase = _Phase.INSTANTIATED
         self._time: float | None = None
         self._fault: SlaveError | None = None
         self._end_of_step: float | None = None
@@ -127,30 +137,35 @@ class Slave:
 
         Raises WiringError for a variable that takes no start value or one of another type, SlaveError.
         """
+        self._must_be("initialize", _Phase.INSTANTIATED)
         values = [self._start_value(name, value, start_time) for name, value in start.items()]
         self._guarded(self._home.call, "initialize", start_time, values, start_time, stop_time)
-        self._time = start_time
-        self._values = None
+        self._time, self._phase, self._values = start_time, _Phase.RUNNING, None
 
     def enter_initialization(
         self, start: Mapping[str, Value], start_time: float = 0.0, stop_time: float | None = None
     ) -> None:
         """As initialize, but stay in initialization mode, for propagate and exit_initialization."""
+        self._must_be("enter_initialization", _Phase.INSTANTIATED)
         values = [self._start_value(name, value, start_time) for name, value in start.items()]
         self._guarded(self._home.call, "enter_initialization", start_time, values, start_time, stop_time)
-        self._time = start_time
+        self._time, self._phase = start_time, _Phase.INITIALIZING
 
     def propagate(self, inputs: Sequence[float] | None) -> tuple[float, ...]:
         """The bound outputs in initialization mode, after setting the inputs unless they are None.
 
         On the way to consistent values ranges are not looked at. Raises SlaveError.
         """
+        self._must_be("propagate", _Phase.INITIALIZING)
+        if inputs is not None and len(inputs) != len(self._inputs.variables):
+            raise ValueError(f"{self.name}: {len(self._inputs.variables)} values must be set, got {len(inputs)}.")
         return tuple(self._guarded(self._home.call, "propagate", self._time, inputs))
 
     def exit_initialization(self) -> None:
         """Leave initialization mode. Raises SlaveError."""
+        self._must_be("exit_initialization", _Phase.INITIALIZING)
         self._guarded(self._home.call, "exit_initialization", self._time)
-        self._values = None
+        self._phase, self._values = _Phase.RUNNING, None
 
     def restart(self) -> None:
         """Free the FMU's instance and make a new one in its place, with the same variables bound; initialize follows.
@@ -160,12 +175,13 @@ class Slave:
         """
         self._guarded(self._home.call, "restart", self._time)
         self._time = self._values = None
+        self._phase = _Phase.INSTANTIATED
         ports = (self._inputs, self._tunables, self._outputs)
         self._guarded(self._home.bind, *(port.variables for port in ports))
 
     def get(self) -> tuple[float, ...]:
         """The bound outputs at the present communication point. Raises SlaveError."""
-        self._must_be_usable()
+        self._must_be("get", _Phase.RUNNING)
         if self._values is None:
             values = tuple(self._guarded(self._home.call, "get", self._time))
             self._values = self._checked_outputs(values)
@@ -176,6 +192,8 @@ class Slave:
 
         Raises SlaveError, ValueError for another number of values than bound.
         """
+        if self._phase is not _Phase.RUNNING:
+            self._must_be("begin_step", _Phase.RUNNING)
         self._refuse(self._inputs, inputs, t)
         if tunables is not None:
             self._refuse(self._tunables, tunables, t)
@@ -207,6 +225,7 @@ class Slave:
         As n calls of step, the first with the tunables, but in one call of the FMU's process, which has the timeout for
         all of them.
         """
+        self._must_be("many_steps", _Phase.RUNNING)
         if tunables is not None:
             self._refuse(self._tunables, tunables, times[0])
         for t, values in zip(times, inputs, strict=False):
@@ -227,7 +246,7 @@ class Slave:
         """Go back to a state. Raises SlaveError."""
         self._must_have_states("set_state")
         self._guarded(self._home.call, "set_state", self._time, state)
-        self._values = None
+        self._phase, self._values = _Phase.RUNNING, None  # the state of an FMU that was running
 
     @property
     def checkpoint_name(self) -> str:
@@ -266,6 +285,11 @@ class Slave:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _must_be(self, function: str, phase: _Phase) -> None:
+        self._must_be_usable()
+        if self._phase is not phase:
+            raise RuntimeError(f"{self.name}: {function} {phase.value}.")
 
     def _must_be_usable(self) -> None:
         if self._fault is not None or not self._finalizer.alive:

@@ -22,6 +22,7 @@ _SIGNALS: Final = () if sys.platform == "win32" else (
     signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGPIPE, signal.SIGCHLD, signal.SIGALRM, signal.SIGFPE,
     signal.SIGSEGV, signal.SIGABRT, signal.SIGBUS, signal.SIGILL, signal.SIGUSR1, signal.SIGUSR2,
 )  # fmt: skip
+_SIGACTION: Final = ((0, 16, 136), (136, 140, 256))  # handler and mask, flags in glibc's struct; the rest is chance
 _STICKY: Final = 0x3F  # of MXCSR: which exceptions there were; every inexact result sets one
 
 
@@ -87,14 +88,15 @@ def _directory() -> str:
 
 
 def _signal_actions() -> list[tuple[bytes, Any]]:
-    """Of each signal the C structure, whatever is in it, and Python's handler."""
+    """Of each signal what the C structure says, and Python's handler."""
     if _libc is None:
         return []
     actions: list[tuple[bytes, Any]] = []
     for number in _SIGNALS:
         action = ctypes.create_string_buffer(256)
         _libc.sigaction(int(number), None, action)
-        actions.append((action.raw, signal.getsignal(number)))
+        meant = b"".join(action.raw[a:b].ljust(c - a, b"\0") for a, b, c in _SIGACTION)
+        actions.append((meant, signal.getsignal(number)))
     return actions
 
 

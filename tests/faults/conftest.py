@@ -120,7 +120,7 @@ class Faulty(Fmi2Slave):
         super().__init__(**kwargs)
         self.how = self.where = ""
         self.u = self.y = 0.0
-        self.is_due = False
+        self.is_due = self.has_failed = False
         text = dict(causality=Fmi2Causality.parameter, variability=Fmi2Variability.fixed)
         self.register_variable(String("how", **text))
         self.register_variable(String("where", **text))
@@ -139,9 +139,13 @@ class Faulty(Fmi2Slave):
         return odd[self.how] if self.is_due and self.how in odd else self.y
 
     def at(self, where):
+        if self.has_failed:
+            with open(os.environ["FAULT_MARKER"], "a") as notes:
+                notes.write(where)
         if self.where == where and self.how in ("nan", "text", "None"):
             return None
         if self.where == where and (self.is_due or "init" in where or where == "terminate"):
+            self.has_failed = "FAULT_MARKER" in os.environ
             return fail(self.how)
 
     def enter_initialization_mode(self):
@@ -213,17 +217,18 @@ def temporary(tmp_path, monkeypatch) -> Iterator[Path]:
     folder, work = tmp_path / "temporary", tmp_path / "working directory"
     folder.mkdir()
     work.mkdir()
+    before, surroundings = children_of(os.getpid()), ours()
     monkeypatch.setattr(tempfile, "tempdir", str(folder))
     monkeypatch.chdir(work)
     mark = f"FAULT_TEST={tmp_path.name}-{os.getpid()}"
     monkeypatch.setenv(*mark.split("="))
-    before, surroundings = children_of(os.getpid()), ours()
     with ended_in_time():
         yield folder
     assert becomes_true(lambda: list(folder.iterdir()) == [], within_s=5.0)
     assert list(work.iterdir()) == []
     assert children_of(os.getpid()) <= before
     assert becomes_true(lambda: not marked(mark), within_s=5.0)
+    monkeypatch.undo()
     assert ours() == surroundings
 
 

@@ -1,0 +1,188 @@
+"""What is kept from an FMU in this process, what may stray, and what the command says of a run that faulted."""
+
+import inspect
+import json
+import re
+import sys
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+
+from cosim import cli
+from cosim.errors import SlaveError
+from cosim.results.record import read_series
+from cosim.scenarios.schema import Settings
+from cosim.slaves.slave import open_slave
+
+pytestmark = [
+    pytest.mark.fmu,
+    pytest.mark.skipif(sys.platform != "linux", reason="a library of Linux, and its /proc"),
+]
+H = 0.01  # s
+
+
+def steps(slave, how, where, n=4, u=0.0):
+    slave.bind(inputs=["u"], outputs=["y", "limited"])
+    slave.initialize({"how": how, "where": where})
+    return [slave.step([u], k * H, H) for k in range(n)]
+
+
+@pytest.mark.parametrize(
+    ("how", "what"),
+    [
+        ("round upwards", "the floating-point state"),
+        ("flush denormals", "the floating-point state"),
+        ("change directory", "the working directory"),
+        ("change environment", "the environment"),
+        ("change locale", "the locale"),
+        ("take signals", "the handling of signals"),
+    ],
+)
+def test_what_an_fmu_in_this_process_changes_is_put_back_and_told(native, caplog, how, what):
+    """That it is put back the fixture of this folder proves."""
+    with open_slave(native, "plant", isolation="none") as slave:
+        steps(slave, how, "exit_init")
+    (record,) = caplog.records
+    assert record.getMessage() == f"plant: has changed {what} of this process; put back."
+
+
+@pytest.mark.parametrize("how", ["round upwards", "flush denormals"])
+def test_the_floating_point_state_is_put_back_after_each_step(native, caplog, how):
+    with open_slave(native, "plant", isolation="none") as slave:
+        slave.bind(inputs=["u"], outputs=["y"])
+        slave.initialize({"how": how, "where": "do_step"})
+        third, tiny = 3.0, 5e-324
+        for k in range(4):
+            slave.step([0.0], k * H, H)
+            assert (1.0 / third, tiny * 1.0) == (0.3333333333333333, 5e-324)
+    assert {r.getMessage() for r in caplog.records} == {
+        "plant: has changed the floating-point state of this process; put back."
+    }
+
+
+@pytest.mark.parametrize("isolation", ["process", "none"])
+def test_what_has_failed_is_not_called_again(faulty, tmp_path, monkeypatch, isolation):
+    """Neither to terminate nor to be freed. It would note any call; that it notes calls is shown by one of ours."""
+    marker = tmp_path / "called"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("FAULT_MARKER", str(marker))
+        slave = open_slave(faulty, "plant", isolation=isolation)
+        slave.bind(inputs=["u"], outputs=["y"])
+        slave.initialize({"how": "return False", "where": "do_step"})
+        for k in range(2):
+            slave.step([0.0], k * H, H)
+        with pytest.raises(SlaveError, match="returned discard"):
+            slave.step([0.0], 2 * H, H)
+        if isolation == "none":
+            slave._home._instance.get()
+            assert marker.read_text() == "get"
+            marker.unlink()
+        slave.close()
+    assert not marker.exists()
+
+
+@pytest.mark.parametrize("isolation", ["process", "none"])
+def test_what_strays_is_a_warning_where_that_is_wanted(native, caplog, isolation):
+    with open_slave(native, "plant", isolation=isolation, out_of_range="warning") as slave:
+        found = steps(slave, "out of range", "do_step", u=101.0)
+    assert found == [(101.0, 0.0), (101.0, 0.0), (101.0, 11.0), (101.0, 11.0)]
+    assert [r.getMessage() for r in caplog.records] == [
+        "plant at t = 0.000 s: input 'u' must be within [-100, 100], got 101",
+        "plant at t = 0.030 s: output 'limited' must be within [0, 10], got 11",
+    ]
+
+
+@pytest.mark.parametrize("how", ["nan", "inf"])
+def test_what_is_not_finite_is_a_fault_even_so(native, how):
+    message = f"^plant: get at t = 0.030 s: output 'y' is {how}$"
+    with (
+        open_slave(native, "plant", out_of_range="warning") as slave,
+        pytest.raises(SlaveError, match=message),
+    ):
+        steps(slave, how, "do_step")
+
+
+def test_a_scenario_can_set_what_a_slave_can_be_told():
+    options = Settings(name="x", stop_time=1.0, macro_step=0.1).slave_options
+    parameters = inspect.signature(open_slave).parameters
+    assert options == {name: p.default for name, p in parameters.items() if p.kind is p.KEYWORD_ONLY}
+
+
+# The command.
+
+
+@pytest.fixture
+def scenario(native, tmp_path):
+    """The pendulum, its reference played by the faulty FMU."""
+
+    def write(how: str, where: str) -> Path:
+        text = (files("cosim") / "scenarios" / "pendulum.toml").read_text(encoding="utf-8")
+        old = next(line for line in text.splitlines() if line.startswith("reference = "))
+        start = f"start = {{ how = {how!r}, where = {where!r} }}"
+        text = text.replace(old, f"reference = {{ fmu = {str(native)!r}, {start} }}")
+        text = text.replace("reference.phi_dot_ref", "reference.limited").replace("reference.phi_ref", "reference.y")
+        path = tmp_path / "faulty.toml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("how", "where", "settings", "message"),
+    [
+        ("segfault", "do_step", (), r"reference: the FMU's process was ended by SIGSEGV in do_step at t = 0\.020 s"),
+        ("exit 0", "do_step", (), r"reference: the FMU's process ended with exit code 0 in do_step at t = 0\.020 s"),
+        ("loop", "do_step", ("timeout=0.5",), r"reference: do_step at t = 0\.020 s did not return within 0\.5 s"),
+        ("allocate", "do_step", ("memory_limit=400",), r"reference: the FMU's process took \d+ MB of memory, .*"),
+        ("error", "exit_init", (), r"reference: exit_initialization_mode at t = 0\.000 s returned error"),
+        (
+            "log and fail",
+            "do_step",
+            (),
+            r"reference: do_step at t = 0\.020 s returned error: step of 0\.01 s .*",
+        ),
+    ],
+    ids=["crash", "exit", "hang", "memory", "initialization", "status"],
+)
+def test_a_run_that_faults_says_so_and_keeps_its_rows(
+    scenario, command, tmp_path, monkeypatch, how, where, settings, message
+):
+    monkeypatch.setenv("FMU_RETUNE_CACHE", str(tmp_path / "cache"))
+    out = tmp_path / "out"
+    more = [option for s in settings for option in ("--set", f"scenario.{s}")]
+    code, printed, err = command("run", scenario(how, where), "--only", "--estimator", "none", "--out", out, *more)
+    assert code == 1
+    assert err.count("\n") == 1
+    assert re.match(f"retune: .*{message}", err), err
+    assert "Traceback" not in printed + err
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert manifest["status"] == "faulted"
+    if where == "do_step":
+        assert read_series(out)["time"].tolist() == [0.0, 0.01, 0.02]
+
+
+def test_a_traceback_is_for_those_who_ask(tmp_path, command):
+    path = tmp_path / "no.fmu"
+    code, out, err = command("check", path)
+    assert (code, out, err) == (2, "", f"retune: {path} cannot be read: No such file or directory\n")
+    code, out, err = command("check", path, "--debug")
+    assert (code, out) == (2, "")
+    assert err.startswith("Traceback")
+    assert err.endswith(f"retune: {path} cannot be read: No such file or directory\n")
+
+
+def test_what_nobody_has_thought_of_is_one_line_and_no_success(command, monkeypatch):
+    def fail(_):
+        raise ZeroDivisionError("of\nours")
+
+    monkeypatch.setitem(cli._COMMANDS, "doctor", fail)
+    assert command("doctor", "x") == (1, "", "retune: ZeroDivisionError: of ours; --debug shows where\n")
+
+
+def test_what_an_fmu_logs_is_shown_to_those_who_ask(native, caplog):
+    with caplog.at_level("INFO"), open_slave(native, "plant") as slave, pytest.raises(SlaveError):
+        steps(slave, "log and fail", "do_step")
+    (record,) = (r for r in caplog.records if "too long" in r.getMessage())
+    assert (record.levelname, record.getMessage()) == ("INFO", "plant: step of 0.01 s is too long")

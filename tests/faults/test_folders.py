@@ -1,0 +1,122 @@
+"""Folders of unpacked FMUs: gone however the process ends, and never another's."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+
+from cosim.fmi.folder import PREFIX, PrivateFolder, remove_forsaken
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="locks folders with flock")
+ROOT = Path(__file__).parents[2]
+
+
+def start(program: str, *arguments: object, stderr=None) -> subprocess.Popen:
+    """A program, up to its line 'ready'."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(program), *map(str, arguments)],
+        stdout=subprocess.PIPE, stderr=stderr, cwd=ROOT, text=True,
+    )  # fmt: skip
+    assert process.stdout.readline() == "ready\n"
+    return process
+
+
+HOLDER = """
+    import sys, tempfile, time
+    tempfile.tempdir = sys.argv[1]
+    from cosim.fmi.folder import PrivateFolder
+    folder = PrivateFolder()
+    open(folder.path + "/x", "w").close()
+    print("ready", flush=True)
+    time.sleep(1000)
+"""
+
+
+def test_what_a_killed_process_leaves_is_removed_by_the_next_and_not_before(temporary):
+    with start(HOLDER, temporary) as process:
+        (folder,) = temporary.iterdir()
+        assert folder.name.startswith(PREFIX)
+        remove_forsaken(str(temporary))
+        assert (folder / "x").exists()
+        process.kill()
+    assert (folder / "x").exists()  # nobody was left to do it
+    with start(HOLDER, temporary) as another:
+        (its_own,) = temporary.iterdir()
+        assert its_own != folder
+        another.kill()
+    remove_forsaken(str(temporary))
+    assert list(temporary.iterdir()) == []
+
+
+def test_what_is_not_ours_is_left_alone(temporary, tmp_path):
+    theirs = tmp_path / "theirs"
+    theirs.mkdir()
+    (theirs / "x").touch()
+    (temporary / f"{PREFIX}link").symlink_to(theirs)
+    (temporary / f"{PREFIX}file").touch()
+    (temporary / "fmu-retune-of-an-older-version").mkdir()
+    remove_forsaken(str(temporary))
+    assert (theirs / "x").exists()
+    assert len(list(temporary.iterdir())) == 3
+    for path in temporary.iterdir():
+        path.rmdir() if path.is_dir() and not path.is_symlink() else path.unlink()
+
+
+@pytest.mark.skipif(sys.platform == "win32" or os.getuid() != 0, reason="gives a folder to somebody else")
+def test_another_users_folder_is_left_alone_even_by_root(temporary):
+    folder = temporary / f"{PREFIX}0"
+    folder.mkdir()
+    os.chown(folder, 12345, 12345)
+    remove_forsaken(str(temporary))
+    assert folder.exists()
+    folder.rmdir()
+
+
+def test_a_forgotten_folder_is_removed(temporary):
+    folder = PrivateFolder()
+    assert len(list(temporary.iterdir())) == 1
+    del folder
+    assert list(temporary.iterdir()) == []
+
+
+def test_a_fork_removes_nothing_of_its_parent(temporary):
+    with PrivateFolder() as path:
+        if (child := os.fork()) == 0:
+            import atexit
+
+            atexit._run_exitfuncs()
+            os._exit(0)
+        os.waitpid(child, 0)
+        assert Path(path).is_dir()
+
+
+UNPACKING = """
+    import sys, tempfile, time, zipfile
+    tempfile.tempdir = sys.argv[1]
+    extract = zipfile.ZipFile.extractall
+
+    def slowly(self, *arguments):
+        extract(self, *arguments)
+        print("ready", flush=True)
+        time.sleep(1000)
+
+    from cosim.cli import main
+    zipfile.ZipFile.extractall = slowly
+    sys.exit(main(["doctor", sys.argv[2]]))
+"""
+
+
+@pytest.mark.fmu
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_command_that_is_ended_while_it_unpacks_leaves_nothing(native, temporary, number):
+    with start(UNPACKING, temporary, native, stderr=subprocess.PIPE) as process:
+        assert len(list(temporary.iterdir())) == 1
+        process.send_signal(number)
+        out, err = process.communicate(timeout=50)
+    assert (process.returncode, out, err.count("\n")) == (130, "", 1)
+    assert err.startswith("retune: interrupted")
+    assert list(temporary.iterdir()) == []

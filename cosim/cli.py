@@ -112,7 +112,7 @@ def _estimator_builder(options: argparse.Namespace) -> Callable[[Path], Mapping[
 def _run(options: argparse.Namespace) -> int:
     from .errors import SspError
     from .results.lock import locked
-    from .results.record import ESTIMATES, recording, write_bytes
+    from .results.record import ESTIMATES, write_bytes
     from .scenarios.estimators import check_estimator
     from .scenarios.scenario import Scenario
     from .scenarios.start_values import with_start_values
@@ -137,15 +137,14 @@ def _run(options: argparse.Namespace) -> int:
             path: _simulated(scenario, name, partial(run, scenario, name, options.seed, path))
             for path, name in estimators.items()
         }
-        with recording(folder):
-            if options.ssv and len(runs[folder].time):
-                write_bytes(options.ssv, (folder / ESTIMATES).read_bytes())
-            return _tell(folder, runs, options.json, not options.only)
+        if options.ssv and len(runs[folder].time):
+            write_bytes(options.ssv, (folder / ESTIMATES).read_bytes())
+        return _tell(folder, runs, options.json, not options.only)
 
 
 def _resume(options: argparse.Namespace) -> int:
     from .results.lock import locked
-    from .results.record import FolderError, recording
+    from .results.record import FolderError
     from .results.result import read_manifest, read_run, scenario_of
     from .results.unfinished import has_begun, has_ended
     from .simulation import resume, run
@@ -164,20 +163,23 @@ def _resume(options: argparse.Namespace) -> int:
                 continue
             go_on = partial(resume, path) if has_begun(path) else partial(run, scenario, name, begun.seed, path)
             runs[path] = _simulated(scenario, name, go_on)
-        with recording(folder):
-            return _tell(folder, runs, options.json, len(runs) > 1 or begun.estimator in BASELINES)
+        return _tell(folder, runs, options.json, len(runs) > 1 or begun.estimator in BASELINES)
 
 
 def _tell(folder: Path, runs: "Mapping[Path, Run]", is_json: bool, is_drawn: bool) -> int:
     """Draw and print the run of a folder, and those that it is compared with; the exit code."""
-    from .results.record import to_json
+    from .errors import UnfinishedError
+    from .results.record import FolderError, to_json
     from .results.report import ending, report
 
     result, baselines = runs[folder], {path.name: run for path, run in runs.items() if path != folder}
     if is_drawn:
         from .plots.runs import draw_run
 
-        draw_run(result, baselines)
+        try:
+            draw_run(result, baselines)
+        except FolderError as e:  # the disk is full
+            raise UnfinishedError(str(e)) from e
     print(to_json(result.summary()) if is_json else report(result, baselines))
     if why := ending(result):
         print(f"retune: {why}", file=sys.stderr)
@@ -221,11 +223,16 @@ def _simulated(scenario: "Scenario", estimator: str, simulate: "Callable[[Progre
 def _compare(options: argparse.Namespace) -> int:
     from .progress import bar_of_runs
     from .results.compare import compare
+    from .results.record import recording
     from .scenarios.scenario import Scenario
 
     scenario = Scenario.load(options.scenario, dict(options.overrides))
     name = scenario.scenario.name
-    with _new_folder(f"{name}-compare", options.out) as folder, bar_of_runs(f"compare {name}") as progress:
+    with (
+        _new_folder(f"{name}-compare", options.out) as folder,
+        recording(folder),
+        bar_of_runs(f"compare {name}") as progress,
+    ):
         result = compare(scenario, options.estimators, options.seeds, options.jobs, folder, options.keep, progress)
     print(result.to_json() if options.json else result.table())
     return DONE

@@ -166,12 +166,12 @@ def recording(folder: Path | None) -> Generator[None]:
         yield
     except (OSError, FolderError) as e:
         reason = f"cannot write in {folder}: {e.strerror or e}" if isinstance(e, OSError) else str(e).rstrip(".")
-        advice = f"; what is written stays: make room, then retune resume {folder}" if _is_begun(folder) else ""
+        advice = f"; what is written stays: make room, then retune resume {folder}" if _is_resumable(folder) else ""
         raise UnfinishedError(f"{reason}{advice}.") from e
 
 
-def _is_begun(folder: Path | None) -> bool:
-    return folder is not None and (folder / MANIFEST).exists()
+def _is_resumable(folder: Path | None) -> bool:
+    return folder is not None and all((folder / name).exists() for name in (MANIFEST, LOCK))
 
 
 @contextmanager

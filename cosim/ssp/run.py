@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..errors import SlaveError, WiringError
 from ..fmi.block import Value
 from ..master import Master, Wiring
-from ..results.record import MANIFEST, RESULT, Recorder, sha256, write_csv, write_json
+from ..results.record import CSV, MANIFEST, RESULT, Recorder, recording, sha256, write_csv, write_json
 from ..results.report import aligned
 from ..scenarios.schema import Settings
 from ..slaves.slave import Slave, open_slave
@@ -71,7 +71,8 @@ def simulate(system: System, settings: Settings, out: Path | None = None) -> Sys
     """Simulate the system; with `out`, an existing empty folder, everything is recorded there.
 
     A fault of an FMU ends the run with status `faulted`: the rows so far are kept. Raises WiringError,
-    ModelDescriptionError before any step; KeyboardInterrupt when interrupted, the rows so far recorded.
+    ModelDescriptionError before any step; KeyboardInterrupt when interrupted and UnfinishedError when the disk is full,
+    the rows so far recorded.
     """
     begun = perf_counter()
     with ExitStack() as stack:
@@ -85,12 +86,14 @@ def simulate(system: System, settings: Settings, out: Path | None = None) -> Sys
         if out is not None:
             write_json(out / MANIFEST, _manifest(system, settings, "running"))
         recorder = Recorder(out, ("time", *master.names))
+        stack.callback(recorder.release)
         status, error = ("faulted", fault) if fault else _execute(master, settings, recorder)
         result = SystemRun(system, settings, recorder.close(), status, error, perf_counter() - begun, out)
     if out is not None:
-        write_json(out / RESULT, result.summary())
-        write_csv(out / "series.csv", result.series)
-        write_json(out / MANIFEST, _manifest(system, settings, status))
+        with recording(out):
+            write_json(out / RESULT, result.summary())
+            write_csv(out / CSV, result.series)
+            write_json(out / MANIFEST, _manifest(system, settings, status))
     if status == "interrupted":
         raise KeyboardInterrupt
     return result

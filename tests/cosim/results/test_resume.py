@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from cosim import Run, Scenario, resume, run
+from cosim.errors import UnfinishedError
 from cosim.results.record import CHECKPOINT, EVENTS, LATENCIES, RESULT, SERIES, FolderError
 from cosim.results.result import read_run
+from cosim.results.seal import write_manifest
 from cosim.simulation import _Loop
 from cosim.slaves.slave import Slave
 from fmu_models.build import build
@@ -142,6 +144,28 @@ def test_an_interrupted_run_goes_on_and_its_end_is_written_anew(tmp_path):
     assert read_run(tmp_path / "interrupted").status == "interrupted"
     resume(tmp_path / "interrupted")
     assert_same(tmp_path / "undisturbed", tmp_path / "interrupted")
+
+
+@pytest.mark.parametrize("name", ["write_json", "write_text", "write_csv", "write_manifest"])
+def test_a_disk_that_is_full_at_the_end_leaves_a_run_that_goes_on(tmp_path, monkeypatch, name):
+    scenario = Scenario.load("pendulum", EARLY_CHANGE | IN_PROCESS)
+    for folder in ("undisturbed", "full"):
+        (tmp_path / folder).mkdir()
+    run(scenario, "least-squares", 5, tmp_path / "undisturbed")
+
+    def full(folder, *_):
+        if name != "write_manifest" or (tmp_path / "full" / RESULT).exists():
+            raise FolderError(f"cannot write {folder}: No space left on device.")
+        write_manifest(folder, *_)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(f"cosim.results.result.{name}", full)
+        with pytest.raises(UnfinishedError, match="No space left on device; what is written stays: make room, then"):
+            run(scenario, "least-squares", 5, tmp_path / "full")
+    left = read_run(tmp_path / "full")
+    assert (left.status, len(left.time)) == ("unfinished", 61)
+    resume(tmp_path / "full")
+    assert_same(tmp_path / "undisturbed", tmp_path / "full")
 
 
 def test_wall_times_add_up(tmp_path, monkeypatch):

@@ -1,0 +1,311 @@
+"""Damaged run folders: each is told in one line with exit code 2 and left as it was, or is none the worse for it.
+
+A row of the table is a fault, how it is injected, the command, and the expected outcome.
+"""
+
+import json
+import os
+import shutil
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from hashlib import sha256
+from pathlib import Path
+from typing import NamedTuple
+
+import pyarrow as pa
+import pytest
+
+from cosim import Scenario, run
+from cosim.cli import main
+from cosim.results.record import CHECKPOINT, EVENTS, LATENCIES, LOCK, MANIFEST, RESULT, SERIES, read_series
+from cosim.results.seal import write_manifest
+from fmu_models.build import build
+
+pytestmark = [
+    pytest.mark.fmu,
+    pytest.mark.skipif(sys.platform != "linux", reason="looks for what is left in /proc"),
+]
+MODEL = "model_of_a_damaged_run"
+SETTINGS = {
+    "scenario.stop_time": "0.5",
+    "scenario.checkpoint": "20",
+    "scenario.isolation": "none",
+    "estimation.model": f"{MODEL}:derivative",
+    "components.plant.fmu": "Pendulum.fmu",
+    'changes."plant.m"': "[[0.0, 1.75], [0.1, 4.271]]",
+}
+
+
+class Stopped(Exception):
+    """The run is left where it is, as when it is killed."""
+
+
+class Runs(NamedTuple):
+    """Folders of runs of one scenario, and what that is made of."""
+
+    scenario: Path
+    done: Path
+    left: Path
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory) -> Iterator[Runs]:
+    folder = tmp_path_factory.mktemp("runs")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("FMU_RETUNE_CACHE", str(folder / "cache"))
+        build("Pendulum", folder)
+        (folder / f"{MODEL}.py").write_text("from fmu_models.pendulum import derivative as derivative\n")
+        source = Path(main.__code__.co_filename).parent / "scenarios" / "pendulum.toml"
+        shutil.copy(source, folder / "mine.toml")
+        scenario = Scenario.load(folder / "mine.toml", SETTINGS)
+
+        def stop(t, _):
+            if t > 0.445:
+                raise Stopped
+
+        for name in ("done", "left"):
+            (folder / name).mkdir()
+        run(scenario, "target", 1, folder / "done")
+        with pytest.raises(Stopped):
+            run(scenario, "target", 1, folder / "left", stop)
+        yield Runs(folder, folder / "done", folder / "left")
+    sys.modules.pop(MODEL)
+
+
+@pytest.fixture(autouse=True)
+def restored(runs, monkeypatch) -> Iterator[None]:
+    """What the scenario is made of is put back after each row; so is what the command changes in this process."""
+    monkeypatch.setenv("FMU_RETUNE_CACHE", str(runs.scenario / "cache"))
+    kept = {path: path.read_bytes() for path in runs.scenario.iterdir() if path.is_file()}
+    handler, environment = signal.getsignal(signal.SIGTERM), dict(os.environ)
+    yield
+    signal.signal(signal.SIGTERM, handler)
+    os.environ.clear()
+    os.environ.update(environment)
+    for path, content in kept.items():
+        path.write_bytes(content)
+
+
+def flipped(name: str, at: float = 0.5):
+    """One bit, at a share of the file."""
+
+    def inject(folder: Path) -> None:
+        content = bytearray((folder / name).read_bytes())
+        content[int(at * (len(content) - 1))] ^= 1
+        (folder / name).write_bytes(content)
+
+    return inject
+
+
+def cut(name: str, keep: Callable[[int], int]):
+    def inject(folder: Path) -> None:
+        content = (folder / name).read_bytes()
+        (folder / name).write_bytes(content[: keep(len(content))])
+
+    return inject
+
+
+def grown(name: str, tail: bytes):
+    def inject(folder: Path) -> None:
+        (folder / name).write_bytes((folder / name).read_bytes() + tail)
+
+    return inject
+
+
+def filled(name: str, byte: bytes):
+    return lambda folder: (folder / name).write_bytes(byte * (folder / name).stat().st_size)
+
+
+def gone(name: str):
+    return lambda folder: (folder / name).unlink()
+
+
+def folder_instead(name: str):
+    def inject(folder: Path) -> None:
+        (folder / name).unlink()
+        (folder / name).mkdir()
+
+    return inject
+
+
+def edited(name: str, old: str, new: str):
+    def inject(folder: Path) -> None:
+        text = (folder / name).read_text()
+        assert old in text
+        (folder / name).write_text(text.replace(old, new, 1))
+
+    return inject
+
+
+def resealed(**changes: object):
+    """A manifest that another version might have written."""
+
+    def inject(folder: Path) -> None:
+        manifest = json.loads((folder / MANIFEST).read_text())
+        for key, value in changes.items():
+            manifest[key] = manifest[key] | value if isinstance(value, dict) else value
+        write_manifest(folder, manifest)
+
+    return inject
+
+
+def beside(name: str, tail: bytes):
+    """Something at the end of a file that the scenario needs."""
+    return lambda folder: grown(name, tail)(Path(json.loads((folder / MANIFEST).read_text())["folder"]))
+
+
+def swapped_rows(folder: Path) -> None:
+    """A sound series, but of other numbers."""
+    with open(folder / SERIES, "rb") as file:
+        table = pa.ipc.open_stream(file).read_all()
+    with pa.ipc.new_stream(folder / SERIES, table.schema) as writer:
+        writer.write_table(table.slice(1))
+
+
+def pickled_elsewhere(folder: Path) -> None:
+    """The estimator's class is not where it was."""
+    _, _, rest = (folder / CHECKPOINT).read_bytes().partition(b"\n")
+    rest = rest.replace(b"TargetVector", b"TurgetVictor")
+    (folder / CHECKPOINT).write_bytes(sha256(rest).hexdigest().encode() + b"\n" + rest)
+
+
+OTHER = "is not as it was written"
+DAMAGED = [
+    # A run that is done, read by `retune replay`.
+    ("a bit of the series", flipped(SERIES), "replay", f"series.arrow {OTHER}"),
+    ("a bit of the series' last number", flipped(SERIES, 0.999), "replay", f"series.arrow {OTHER}"),
+    ("a series cut by a byte", cut(SERIES, lambda n: n - 1), "replay", f"series.arrow {OTHER}"),
+    ("half a series", cut(SERIES, lambda n: n // 2), "replay", f"series.arrow {OTHER}"),
+    ("an empty series", cut(SERIES, lambda n: 0), "replay", f"series.arrow {OTHER}"),
+    ("a series of zeros", filled(SERIES, b"\0"), "replay", f"series.arrow {OTHER}"),
+    ("a longer series", grown(SERIES, b"\0" * 8), "replay", f"series.arrow {OTHER}"),
+    ("another series", swapped_rows, "replay", f"series.arrow {OTHER}"),
+    ("no series", gone(SERIES), "replay", "cannot read series.arrow: No such file"),
+    ("a folder for a series", folder_instead(SERIES), "replay", "cannot read series.arrow: Is a directory"),
+    ("a digit of the result", edited(RESULT, '"evaluations": 3', '"evaluations": 4'), "replay", f"result.json {OTHER}"),
+    ("half a result", cut(RESULT, lambda n: n // 2), "replay", f"result.json {OTHER}"),
+    ("no result", gone(RESULT), "replay", "cannot read result.json: No such file"),
+    ("latencies cut short", cut(LATENCIES, lambda n: n - 2), "replay", f"latencies.json {OTHER}"),
+    ("no latencies", gone(LATENCIES), "replay", "cannot read latencies.json: No such file"),
+    ("half a manifest", cut(MANIFEST, lambda n: n // 2), "replay", "manifest.json: Invalid JSON"),
+    ("an empty manifest", cut(MANIFEST, lambda n: 0), "replay", "manifest.json: Invalid JSON"),
+    ("a manifest of zeros", filled(MANIFEST, b"\0"), "replay", "manifest.json: Invalid JSON"),
+    ("no manifest", gone(MANIFEST), "replay", "is no run folder: cannot read manifest.json"),
+    ("a folder for a manifest", folder_instead(MANIFEST), "replay", "cannot read manifest.json: Is a directory"),
+    ("another seed", edited(MANIFEST, '"seed": 1', '"seed": 2'), "replay", f"manifest.json {OTHER}"),
+    ("another ending", edited(MANIFEST, '"done"', '"faulted"'), "replay", f"manifest.json {OTHER}"),
+    ("another plant", edited(MANIFEST, '"u": 0.0', '"u": 1.0'), "replay", f"manifest.json {OTHER}"),
+    # One that was left before its end.
+    ("a bit of the series that the checkpoint vouches for", flipped(SERIES), "replay left", f"series.arrow {OTHER}"),
+    ("a bit of the series, to go on with", flipped(SERIES), "resume", f"series.arrow {OTHER}"),
+    ("a series shorter than the checkpoint's", cut(SERIES, lambda n: n // 3), "resume", f"series.arrow {OTHER}"),
+    ("no series to go on with", gone(SERIES), "resume", "cannot read series.arrow: No such file"),
+    ("a bit of the events", flipped(EVENTS), "resume", f"events.jsonl {OTHER}"),
+    ("no events to go on with", gone(EVENTS), "resume", "cannot read events.jsonl: No such file"),
+    ("a bit of the checkpoint", flipped(CHECKPOINT), "resume", f"checkpoint.bin {OTHER}"),
+    ("a bit of its digest", flipped(CHECKPOINT, 0.0), "resume", f"checkpoint.bin {OTHER}"),
+    ("half a checkpoint", cut(CHECKPOINT, lambda n: n // 2), "resume", f"checkpoint.bin {OTHER}"),
+    ("an empty checkpoint", cut(CHECKPOINT, lambda n: 0), "resume", f"checkpoint.bin {OTHER}"),
+    ("a folder for a checkpoint", folder_instead(CHECKPOINT), "resume", "cannot read checkpoint.bin: Is a directory"),
+    ("no checkpoint", gone(CHECKPOINT), "resume", "cannot be resumed: it has no checkpoint"),
+    ("a class that is not there", pickled_elsewhere, "resume", "its checkpoint is of another version: AttributeError"),
+    ("a half manifest to go on with", cut(MANIFEST, lambda n: n // 2), "resume", "manifest.json: Invalid JSON"),
+    ("another seed to go on with", edited(MANIFEST, '"seed": 1', '"seed": 2'), "resume", f"manifest.json {OTHER}"),
+    ("another NumPy", resealed(versions={"numpy": "1.0"}), "resume", "it was begun with numpy 1.0, and this is "),
+    ("a scenario of another version", resealed(scenario={"new": 1}), "resume", "holds a scenario of another version"),
+    ("another FMU", beside("Pendulum.fmu", b"\0"), "resume", "Pendulum.fmu has changed since it was begun"),
+    ("another model", beside(f"{MODEL}.py", b"# new\n"), "resume", f"{MODEL}.py has changed since it was begun"),
+    ("nothing left to do", lambda f: None, "resume done", "cannot be resumed: it is done"),
+    ("no folder", shutil.rmtree, "resume", "is no run folder: cannot read manifest.json"),
+]
+
+
+def called(capfd, *arguments: object) -> tuple[int, str, str]:
+    code = main([str(a) for a in arguments])
+    printed = capfd.readouterr()
+    return code, printed.out, printed.err
+
+
+def command(name: str, folder: Path) -> list[object]:
+    return ["resume", folder] if "resume" in name else ["replay", folder, "--estimator", "least-squares"]
+
+
+@pytest.fixture
+def copied(runs, tmp_path) -> Callable[[str], Path]:
+    """A copy of a run to be spoilt: of the one that is done where the command says so."""
+
+    def copy(name: str) -> Path:
+        source = runs.done if name in ("replay", "resume done") else runs.left
+        return Path(shutil.copytree(source, tmp_path / "run"))
+
+    return copy
+
+
+def contents(folder: Path) -> dict[Path, bytes | None]:
+    return {path: path.read_bytes() if path.is_file() else None for path in folder.rglob("*")}
+
+
+@pytest.mark.parametrize(("inject", "how", "outcome"), [d[1:] for d in DAMAGED], ids=[d[0] for d in DAMAGED])
+def test_a_damaged_folder_is_told_in_one_line_and_left_as_it_is(copied, capfd, inject, how, outcome):
+    folder = copied(how)
+    inject(folder)
+    before = contents(folder)
+    code, out, err = called(capfd, *command(how, folder))
+    assert (code, out, len(err.splitlines())) == (2, "", 1)
+    assert err.startswith("retune: ")
+    assert str(folder) in err
+    assert outcome in err
+    assert contents(folder) == before
+
+
+def stale_lock(folder: Path) -> None:
+    (folder / LOCK).write_text("process 1 on somewhere")
+
+
+def torn(folder: Path) -> None:
+    """What a killed process leaves: half a batch and half a line."""
+    grown(SERIES, (folder / SERIES).read_bytes()[-100:])(folder)
+    grown(EVENTS, b'{"t": 0.4, "ki')(folder)
+
+
+HARMLESS = [
+    ("no CSV", gone("series.csv"), "replay"),
+    ("no events", gone(EVENTS), "replay"),
+    ("somebody's file", lambda f: (f / "notes.txt").write_text("mine"), "replay"),
+    ("the lock of a dead process, read", stale_lock, "replay left"),
+    ("a torn end, read", torn, "replay left"),
+    ("no checkpoint, read", gone(CHECKPOINT), "replay left"),
+    ("a torn end", torn, "resume"),
+    ("the lock of a dead process", stale_lock, "resume"),
+    ("a whole file that was half written", lambda f: (f / ".checkpoint.bin-ab3_x9zq").write_bytes(b"half"), "resume"),
+    ("rows after the checkpoint", lambda f: None, "resume"),
+]
+
+
+@pytest.mark.parametrize(("inject", "how"), [h[1:] for h in HARMLESS], ids=[h[0] for h in HARMLESS])
+def test_what_does_no_harm_is_passed_over(runs, copied, capfd, inject, how):
+    folder = copied(how)
+    inject(folder)
+    code, out, err = called(capfd, *command(how, folder))
+    assert (code, err) == (0, "")
+    assert out
+    if how == "resume":
+        for name in (SERIES, EVENTS, "series.csv", "estimates.ssv"):
+            assert (folder / name).read_bytes() == (runs.done / name).read_bytes(), name
+        assert {p.name for p in folder.iterdir()} == {p.name for p in runs.done.iterdir()}
+
+
+def test_a_run_recorded_without_checkpoints_says_so(runs, tmp_path, capfd):
+    scenario = Scenario.load(runs.scenario / "mine.toml", SETTINGS | {"scenario.checkpoint": "0"})
+
+    def stop(t, _):
+        if t > 0.495:
+            raise Stopped
+
+    (tmp_path / "run").mkdir()
+    with pytest.raises(Stopped):
+        run(scenario, "none", 1, tmp_path / "run", stop)
+    assert len(read_series(tmp_path / "run")["time"]) == 50
+    code, out, err = called(capfd, "resume", tmp_path / "run")
+    assert (code, out, err) == (2, "", f"retune: {tmp_path / 'run'} cannot be resumed: it has no checkpoint.\n")

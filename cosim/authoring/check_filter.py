@@ -9,11 +9,11 @@ import numpy as np
 from estimator import Vector
 
 from ..derivative_filter import Kernel, derivative_noise, kernel_of
+from ..finding import Finding, warning
 from ..fmu_model import opened_model
 from ..scenarios.scenario import Scenario
 from ..scenarios.system import Plant
 from .check_wiring import Components, output_refusal
-from .finding import Finding, warning
 
 _LITTLE: Final = 0.5  # of the noise of a plain difference
 _SHARE: Final = 0.3  # of the derivative's noise: with more the residual's variance is 9 % larger than judged

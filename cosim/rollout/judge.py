@@ -168,13 +168,18 @@ class RolloutJudge:
     def _go_on(self, theta: Vector, stretch: Stretch, is_begun: bool, slave: Slave, is_new: bool) -> Outputs:
         """Outputs up to the newest sample, by stepping on from the newest that was reached."""
         samples, at, tunables = stretch.samples, self._followed, None
+        times: Sequence[float]
+        inputs: Sequence[Sequence[float]]
         if at is None or is_new or not is_begun:
             plan = plan_of(self._decided(), self._shadow, self._history, theta.tolist(), stretch)
             plan.begin(self._follower, slave, is_new)
             at = _Followed(theta.tobytes(), stretch.origin, stretch.origin.place, [])
             tunables = plan.last.tunables
         n = stretch.origin.place + stretch.n_steps - at.place
-        times, inputs = [s.t for s in samples[-n - 1 :]], [s.u for s in samples[-n:]]
+        if self.way == "replay":  # it may have begun before the stretch
+            times, inputs = self._history.times[-n - 1 :], self._history.inputs[-n:]
+        else:
+            times, inputs = [s.t for s in samples[-n - 1 :]], [s.u for s in samples[-n:]]
         outputs = [*at.outputs, *self._follower.through(slave, times, inputs, tunables)]
         self._followed = at._replace(place=at.place + n, outputs=outputs[-stretch.n_steps :])
         return outputs

@@ -1,6 +1,7 @@
 """Where FMUs are kept and unpacked while the co-simulation is tested, and the proof that nothing of a run is left."""
 
 import os
+import re
 import shutil
 import signal
 import tempfile

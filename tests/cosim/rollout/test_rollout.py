@@ -400,7 +400,9 @@ def test_what_cannot_be_rolled_out_is_refused_in_one_line_by_run_and_check(tmp_p
     options = [text for key, value in settings.items() for text in ("--set", f"{key}={value}")]
     assert main(["run", str(path), "--only", "--out", str(tmp_path / "out"), *options]) == 2
     lines = capfd.readouterr().err.splitlines()
-    assert len(lines) == 1 and lines[0].startswith("retune: ") and told in lines[0], lines
+    assert len(lines) == 1
+    assert lines[0].startswith("retune: ")
+    assert told in lines[0]
     assert main(["check", str(path), *options]) == 2
     assert told in capfd.readouterr().out.replace(": error", "")
 

@@ -10,6 +10,7 @@ import pytest
 
 from cosim import ModelDescriptionError, SspError, System, WiringError
 from cosim.scenarios.library import find_fmu
+from cosim.ssp.scenario import with_system
 
 pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("leaves_nothing")]
 
@@ -184,6 +185,16 @@ def test_a_connection_is_transformed(package, flat):
     half = System.from_ssp(package(bound(halved, "top", values(real("reference.phi_initial", 0.6))))).simulate()
     whole = bound(flat, "top", values(real("reference.phi_initial", 0.4)))
     assert half["plant.phi"].tolist() == System.from_ssp(package(whole, name="b.ssp")).simulate()["plant.phi"].tolist()
+
+
+def test_a_scenario_takes_converted_units_and_no_other_transformation(package, flat):
+    fmu = {"resources/models/PendulumReference.fmu": zipped(in_degrees("PendulumReference"))}
+    tree = with_system({}, System.from_ssp(package(flat, fmu, "degrees.ssp")))
+    assert tree["connections"]["controller.phi_ref"] == "reference.phi_ref"
+    place = '"reference" startConnector="phi_ref"'
+    raw = System.from_ssp(package(flat.replace(place, f'{place} suppressUnitConversion="true"'), fmu, "raw.ssp"))
+    with pytest.raises(SspError, match=r"'controller\.phi_ref' takes a transformed value; a scenario converts units"):
+        with_system({}, raw)
 
 
 def test_the_step_is_that_of_libcosims_annotation(package, flat):

@@ -1,15 +1,21 @@
 """Bayesian estimation of parameters from residual vectors. Knows nothing of FMI, plants or controllers."""
 
 from .contract import AskTell as AskTell
+from .contract import Batching as Batching
 from .contract import Estimate as Estimate
 from .contract import Estimator as Estimator
 from .contract import NoEstimateError as NoEstimateError
 from .contract import Rescoring as Rescoring
 from .contract import Solver as Solver
+from .episode import EpisodeWindow as EpisodeWindow
+from .episode import Judge as Judge
+from .episode import Judged as Judged
+from .episode import Stretch as Stretch
 from .methods import METHODS as METHODS
 from .methods import Method as Method
 from .objective import LinearForm as LinearForm
 from .objective import Objective as Objective
+from .objective import Window as Window
 from .paper import PaperBO as PaperBO
 from .paper import PaperSettings as PaperSettings
 from .space import Parameter as Parameter

@@ -1,6 +1,7 @@
 """What is commonly used instead of Bayesian optimisation: adapters round SciPy and Ipopt."""
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -64,13 +65,20 @@ class NoisyNorm:
     def solve(self, objective: Objective) -> None:
         """Minimise the noisy norm over the present samples."""
 
+        least, best = np.inf, self._nominal
+
         def norm(theta: Vector) -> float:
+            nonlocal least, best
             value = float(np.linalg.norm(objective.residual(theta)))
-            return (value if np.isfinite(value) else _FAILED) + self._settings.noise * self._rng.standard_normal()
+            value = (value if np.isfinite(value) else _FAILED) + self._settings.noise * self._rng.standard_normal()
+            if value < least:
+                least, best = value, theta.copy()
+            return value
 
         result = _minimize(norm, self._nominal, self._bounds, self._settings)
-        self._theta = self._clipped(result.x)
-        self._cost = float(result.fun)
+        is_cut = objective.is_spent and least < _FAILED / 2  # its last steps saw no values
+        self._theta = self._clipped(best if is_cut else result.x)
+        self._cost = least if is_cut else float(result.fun)
         self._n_evaluations += objective.n_evaluations
 
     def estimate(self) -> Estimate:
@@ -150,9 +158,10 @@ class LeastSquares:
         search = _Counted(self._space, objective, self._settings.max_evaluations, self._z)
         std, converged = np.ones(len(self._space)), np.inf
         starts = [self._z, *self._rng.random((self._settings.n_starts - 1, len(self._space)))]
+        jacobian: Any = search.jacobian or "2-point"
         for z in starts:
             try:
-                result = optimize.least_squares(search.residual, np.clip(z, 0.0, 1.0), bounds=(0.0, 1.0))
+                result = optimize.least_squares(search.residual, np.clip(z, 0.0, 1.0), jac=jacobian, bounds=(0.0, 1.0))
             except _SpentError:
                 break
             if 2.0 * result.cost <= search.cost * (1.0 + 1e-9):
@@ -184,15 +193,38 @@ class _Counted:
 
     def __init__(self, space: ParameterSpace, objective: Objective, max_evaluations: int, start: Vector) -> None:
         self._space, self._objective = space, objective
-        self._remaining = max_evaluations
+        self._remaining = min(max_evaluations, objective.max_evaluations)
+        self._step = objective.difference_step
+        self._newest = np.empty(0)
         self.z, self.cost = start, np.inf
+
+    @property
+    def jacobian(self) -> Callable[[Vector], Vector] | None:
+        """Forward differences (D, d) at the place that was evaluated last, all at a time; None: SciPy's own."""
+        return self._differences if self._step else None
 
     def residual(self, z: Vector) -> Vector:
         """Residual (D,) at z (d,). Raises _SpentError when none are left."""
-        if not self._remaining:
+        (self._newest,) = self._residuals([z])
+        return self._newest
+
+    def _differences(self, z: Vector) -> Vector:
+        steps = np.where(z < 0.5, 1.0, -1.0) * (self._step or 0.0)
+        beside = self._residuals(list(z + np.diag(steps)))
+        return np.column_stack([(r - self._newest) / h for r, h in zip(beside, steps, strict=True)])
+
+    def _residuals(self, places: list[Vector]) -> list[Vector]:
+        if self._remaining < len(places):
             raise _SpentError
-        self._remaining -= 1
-        told = self._objective.residual(self._space.from_unit(z))
+        self._remaining -= len(places)
+        return [
+            self._taken(z, told)
+            for z, told in zip(
+                places, self._objective.residuals([self._space.from_unit(z) for z in places]), strict=True
+            )
+        ]
+
+    def _taken(self, z: Vector, told: Vector) -> Vector:
         residual = np.clip(np.nan_to_num(told, nan=_FAILED), -_FAILED, _FAILED)
         cost = float(residual @ residual)
         if cost < self.cost:

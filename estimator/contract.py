@@ -74,6 +74,15 @@ class Rescoring(AskTell, Protocol):
 
 
 @runtime_checkable
+class Batching(AskTell, Protocol):
+    """It can ask for several candidates before it is told of any, so that they are judged at the same time."""
+
+    def ask_many(self, n: int) -> list[Vector]:
+        """One candidate theta (d,) at least, n at most."""
+        ...
+
+
+@runtime_checkable
 class Solver(Estimator, Protocol):
     """Evaluates as many candidates as it likes at once: an optimiser, or a filter that takes the newest sample."""
 

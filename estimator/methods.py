@@ -24,6 +24,8 @@ class Method:
     """What it sets otherwise than its settings' class, or than the loop: `trigger`, `window`, ..."""
     needs_linear_form: bool = False
     """Whether it works only where the model's linear form is known."""
+    needs_derivatives: bool = False
+    """Whether it takes each sample once, and so its derivatives."""
     needs_package: str | None = None
     """Package that it imports beside NumPy, SciPy and GPy."""
 
@@ -53,6 +55,6 @@ METHODS: dict[str, Method] = {
     "sqp-wide-step": Method(NoisyNorm, NormSettings, "sqp", _WIDE_STEP),
     "least-squares": Method(LeastSquares, LeastSquaresSettings),
     "multi-start": Method(LeastSquares, LeastSquaresSettings, "least-squares", {"n_starts": 8}),
-    "rls": Method(RecursiveLeastSquares, RecursiveSettings, None, _RECURSIVE, True, "filterpy"),
-    "ukf": Method(UnscentedKalman, UnscentedSettings, None, _RECURSIVE, needs_package="filterpy"),
+    "rls": Method(RecursiveLeastSquares, RecursiveSettings, None, _RECURSIVE, True, True, "filterpy"),
+    "ukf": Method(UnscentedKalman, UnscentedSettings, None, _RECURSIVE, False, True, "filterpy"),
 }

@@ -134,6 +134,9 @@ def fit(
 class _Best:
     """Residuals over the unit cube; remembers the best place."""
 
+    difference_step = None
+    max_evaluations = np.inf
+
     def __init__(self, residual: Residual, space: ParameterSpace, progress: Progress) -> None:
         self._residual, self._space, self._progress = residual, space, progress
         self.best: _State | None = None
@@ -159,6 +162,10 @@ class _Best:
     def residual(self, theta: Vector) -> Vector:
         """Residual (D,) at theta (d,), for solvers."""
         return self.at(theta).r
+
+    def residuals(self, thetas: Sequence[Vector]) -> list[Vector]:
+        """The residual (D,) at each theta (d,)."""
+        return [self.residual(theta) for theta in thetas]
 
 
 def _search(seen: _Best, z: Vector, method: str, space: ParameterSpace, n_evaluations: int, rng: Any) -> None:

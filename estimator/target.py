@@ -1,5 +1,6 @@
 """Target-vector Bayesian optimisation: a GP for the residual vector, minimising its squared norm."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -21,6 +22,8 @@ _FAR = 50.0
 little of the slopes: they are learnt anew."""
 _MOST = 128
 """Candidates that are remembered, and judged anew at each sample, however long an episode lasts."""
+_APART = 3e-4
+"""Of the unit cube: distance between candidates that are asked for at once; nearer ones tell the same."""
 _LOCAL_RADII = np.repeat([[0.2], [0.05], [0.01], [0.002]], 16, axis=0)
 """Of the unit cube: standard deviation of each candidate drawn round the incumbent."""
 _NEAR_RADII = np.repeat([[0.003], [0.0005]], 8, axis=0)
@@ -102,17 +105,20 @@ class TargetVector:
             return self._space.from_unit(self._queue.pop(0))
         if self._residuals is None:  # every candidate has failed
             return self._space.from_unit(self._rng.random(len(self._space)))
-        self._asks_since_fit += 1
-        if self._asks_since_fit >= max(2, len(self._theta) // 5):
-            model = self._model()
-            self._surrogate.fit(model.Z, model.Y)
-            self._model_now, self._asks_since_fit = None, 0
-        model = self._model()
-        costs = np.sum(model.Y * model.Y, axis=1)
-        best = int(np.argmin(costs))
-        pool = self._hopeful(self._pool(model.posterior, model.Z[best]), model.Z)
-        gain = log_target_vector_improvement(*model.posterior.predict(pool), max(float(costs[best]), 1e-12))
-        return self._space.from_unit(pool[int(np.argmax(gain))])
+        return self._space.from_unit(self._most_promising(self._fitted()))
+
+    def ask_many(self, n: int) -> list[Vector]:
+        """Candidates to be judged at the same time: of the initial design, else each as if those before it had turned
+        out as the surrogate expects (the kriging believer of Ginsbourger, Le Riche, Carraro (2010))."""
+        if self._queue or self._residuals is None:
+            return [self.ask() for _ in range(min(n, max(len(self._queue), 1)))]
+        model, places = self._fitted(), list[Vector]()
+        for _ in range(n):
+            places.append(self._most_promising(model, places))
+            Z, mean = np.vstack([model.Z, places[-1]]), model.posterior.predict(places[-1][None])[0]
+            Y = np.vstack([model.Y, mean])
+            model = _Model(Z, Y, np.sum(Y * Y, axis=1), self._surrogate.condition(Z, Y))
+        return [self._space.from_unit(z) for z in places]
 
     def tell(self, theta: Vector, residual: Vector) -> None:
         """The residual (D,) of a candidate. Where a non-finite one is nearest, nothing is asked in this episode."""
@@ -210,6 +216,26 @@ class TargetVector:
             Y = principal_components(self._told()[chosen], self._settings.n_outputs)
             self._model_now = _Model(Z, Y, self._costs()[chosen], self._surrogate.condition(Z, Y))
         return self._model_now
+
+    def _fitted(self) -> "_Model":
+        """The model, its lengthscales refitted every few asks."""
+        self._asks_since_fit += 1
+        if self._asks_since_fit >= max(2, len(self._theta) // 5):
+            model = self._model()
+            self._surrogate.fit(model.Z, model.Y)
+            self._model_now, self._asks_since_fit = None, 0
+        return self._model()
+
+    def _most_promising(self, model: "_Model", others: Sequence[Vector] = ()) -> Vector:
+        """The place (d,) of largest expected improvement, away from the others that are asked for with it."""
+        costs = np.sum(model.Y * model.Y, axis=1)
+        best = int(np.argmin(costs))
+        pool = self._hopeful(self._pool(model.posterior, model.Z[best]), model.Z)
+        if others:
+            apart = pool[cdist(pool, np.array(others)).min(axis=1) > _APART]
+            pool = apart if len(apart) else pool
+        gain = log_target_vector_improvement(*model.posterior.predict(pool), max(float(costs[best]), 1e-12))
+        return pool[int(np.argmax(gain))]
 
     def _modelled(self, residuals: Vector) -> NDArray[np.intp]:
         """Places, in the order of telling, of the best candidates that differ and the newest: failures teach too."""

@@ -64,6 +64,8 @@ class ResidualWindow:
     candidate, a new candidate one for each sample of the window.
     """
 
+    is_rescoring_cheap = is_ready = True
+
     def __init__(self, residual: Callable[[Vector, Sample], Vector], n_channels: int, max_length: int = 10) -> None:
         if max_length < 1:
             raise ValueError(f"max_length must be at least 1 sample, got {max_length}.")
@@ -95,6 +97,15 @@ class ResidualWindow:
             del self._samples[:excess]
             for rows in self._rows.values():
                 del rows[:excess]
+
+    def begin(self, theta: Vector) -> None:
+        """The window slides, whether there is an episode or not."""
+
+    def end(self, theta: Vector) -> None:
+        """As begin."""
+
+    def why_failed(self, theta: Vector) -> None:
+        """A model has no value there, and no more to say."""
 
     def clear(self) -> None:
         """Forget every sample, as at a jump of the parameters."""

@@ -5,27 +5,32 @@ from array import array
 from collections.abc import Callable, Sequence
 from typing import Final
 
-_HEAD: Final = struct.Struct("<QQ")
-Step = Callable[[float, float, Sequence[float], None], tuple[float, ...]]
+_HEAD: Final = struct.Struct("<QQQ")
+Step = Callable[[float, float, Sequence[float], Sequence[float] | None], tuple[float, ...]]
 """Instance.step."""
 
 
-def encode_steps(times: Sequence[float], inputs: Sequence[Sequence[float]]) -> bytes:
-    """n steps: from each of the times (n + 1,) [s] to the next with these inputs (n, p)."""
+def encode_steps(
+    times: Sequence[float], inputs: Sequence[Sequence[float]], tunables: Sequence[float] | None = None
+) -> bytes:
+    """n steps: from each of the times (n + 1,) [s] to the next with these inputs (n, p); tunables are set before."""
     flat = array("d", times)
     for values in inputs:
         flat.extend(values)
-    return _HEAD.pack(len(inputs), len(inputs[0]) if inputs else 0) + flat.tobytes()
+    flat.extend(tunables or ())
+    return _HEAD.pack(len(inputs), len(inputs[0]) if inputs else 0, len(tunables or ())) + flat.tobytes()
 
 
 def take_steps(step: Step, message: bytes) -> bytes:
     """Do what encode_steps asks for; the outputs after each step."""
-    n, p = _HEAD.unpack_from(message)
+    n, p, n_tunables = _HEAD.unpack_from(message)
     values = array("d", message[_HEAD.size :])
     outputs = array("d")
+    tunables = values[len(values) - n_tunables :] if n_tunables else None
     for k in range(n):
         first = n + 1 + k * p
-        outputs.extend(step(values[k], values[k + 1] - values[k], values[first : first + p], None))
+        outputs.extend(step(values[k], values[k + 1] - values[k], values[first : first + p], tunables))
+        tunables = None
     return outputs.tobytes()
 
 

@@ -4,32 +4,25 @@ Each roll-out begins in a newly made instance, in a process of its own; several 
 """
 
 from bisect import bisect_left
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from queue import SimpleQueue
-from threading import Event
-from time import perf_counter
 from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 
 from estimator.space import ParameterSpace, Vector
 
-from ..errors import SlaveError
 from ..fmi.archive import co_simulation
 from ..fmi.component import Component
+from ..rollout.pool import Pool
 from ..slaves.slave import Slave, open_slave
 from .log_windows import LogWindow
 from .logs import LogError
 
 LARGEST: Final = 1e9
 """Residual [standard deviations] beyond which a simulation has diverged, however far."""
-_TOGETHER_S: Final = 0.1
-"""Time [s] that steps asked for together may take, so that the timeout of a call is hardly more than that of a step.
-The results do not depend on it."""
 _UNEVEN: Final = 0.05
 """Share of a step by which time stamps may miss an even grid, for an FMU that cannot vary its steps."""
 
@@ -78,22 +71,13 @@ class Rollouts:
         is_even = not interface.canHandleVariableCommunicationStepSize
         self._plant, self._grids = plant, [_grid(w, plant.step, is_even) for w in windows]
         self._windows = tuple(windows)
-        self._is_restartable = not interface.canBeInstantiatedOnlyOncePerProcess
-        self._executor = ThreadPoolExecutor(jobs)
-        self._is_over = Event()
-        self._idle: SimpleQueue[Slave | None] = SimpleQueue()
-        for _ in range(jobs):
-            self._idle.put(None)
+        self._pool = Pool(self._opened, jobs, not interface.canBeInstantiatedOnlyOncePerProcess)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._is_over.set()
-        self._executor.shutdown(cancel_futures=True)
-        while not self._idle.empty():
-            if (slave := self._idle.get()) is not None:
-                slave.close()
+        self._pool.__exit__()
 
     def simulate(self, candidates: Sequence[Mapping[str, float]], is_whole: bool = False) -> list[list[Rollout]]:
         """A roll-out of each candidate over each window: its rows to fit, or all of them. Several at a time.
@@ -101,58 +85,24 @@ class Rollouts:
         candidates: start values by name.
         """
         numbers = [i for i, w in enumerate(self._windows) if is_whole or w.n_fit]
-        futures = [
-            [self._executor.submit(self._one, partial(self._rollout, i, is_whole, values)) for i in numbers]
-            for values in candidates
-        ]
-        return [[future.result() for future in row] for row in futures]
+        tasks = [partial(self._rollout, i, is_whole, values) for values in candidates for i in numbers]
+        found = [Rollout(outcome.result, outcome.reason) for outcome in self._pool.map(tasks)]
+        return [found[k : k + len(numbers)] for k in range(0, len(found), len(numbers))]
 
-    def _one(self, rollout: Callable[[Slave], Vector]) -> Rollout:
-        """A roll-out in an idle process; one whose FMU fails is ended, and another takes its place."""
-        slave, outputs, reason = self._renewed(self._idle.get()), None, None
-        try:
-            if slave is None:
-                slave = open_slave(self._plant.fmu, "plant", timeout=self._plant.timeout)
-                slave.bind(self._plant.inputs, (), self._plant.outputs)
-            outputs = rollout(slave)
-        except SlaveError as e:
-            reason = str(e)
-            if slave is not None:
-                slave.close()
-                slave = None
-        finally:
-            self._idle.put(slave)
-        return Rollout(outputs, reason)
+    def _opened(self) -> Slave:
+        slave = open_slave(self._plant.fmu, "plant", timeout=self._plant.timeout)
+        slave.bind(self._plant.inputs, (), self._plant.outputs)
+        return slave
 
-    def _renewed(self, slave: Slave | None) -> Slave | None:
-        """A slave that has been used, as new; None where it cannot be."""
-        if slave is None:
-            return None
-        if self._is_restartable:
-            try:
-                slave.restart()
-                return slave
-            except SlaveError:
-                pass  # the next roll-out tells, where a new process fails too
-        slave.close()
-        return None
-
-    def _rollout(self, number: int, is_whole: bool, values: Mapping[str, float], slave: Slave) -> Vector:
+    def _rollout(self, number: int, is_whole: bool, values: Mapping[str, float], slave: Slave, _: bool) -> Vector:
         """Outputs (n, c) over a window. Raises SlaveError."""
         window, (times, inputs, rows) = self._windows[number], self._grids[number]
         n_rows = len(window.time) if is_whole else window.n_fit
         end = times[n_rows - 1] if rows is None else float(rows[n_rows - 1])
         inputs_at_start = zip(self._plant.inputs, inputs[0], strict=True)
         slave.initialize({**dict(inputs_at_start), **self._plant.start, **window.start, **values}, times[0])
-        outputs, n, taken = [slave.get()], bisect_left(times, end), 0
-        room = 1
-        while taken < n and not self._is_over.is_set():
-            last, began = min(taken + room, n), perf_counter()
-            outputs += slave.many_steps(times[taken : last + 1], inputs[taken:last])
-            taken = last
-            if perf_counter() - began < _TOGETHER_S:
-                room *= 2
-        table = np.array(outputs)
+        n = bisect_left(times, end)
+        table = np.array([slave.get(), *self._pool.through(slave, times[: n + 1], inputs[:n])])
         if rows is None:
             return table
         return np.column_stack([np.interp(rows[:n_rows], times[: len(table)], y) for y in table.T])

@@ -178,14 +178,19 @@ class Slave:
         self.begin_step(inputs, t, h, tunables)
         return self.end_step()
 
-    def many_steps(self, times: Sequence[float], inputs: Sequence[Sequence[float]]) -> list[tuple[float, ...]]:
+    def many_steps(
+        self, times: Sequence[float], inputs: Sequence[Sequence[float]], tunables: Sequence[float] | None = None
+    ) -> list[tuple[float, ...]]:
         """Steps from each of times (n + 1,) [s] to the next with inputs (n, p); the bound outputs after each.
 
-        As n calls of step, but in one call of the FMU's process, which has the timeout for all of them.
+        As n calls of step, the first with the tunables, but in one call of the FMU's process, which has the timeout for
+        all of them.
         """
+        if tunables is not None:
+            self._refuse(self._tunables, tunables, times[0])
         for t, values in zip(times, inputs, strict=False):
             self._refuse(self._inputs, values, t)
-        answer = self._guarded(self._home.call, "many_steps", times[0], encode_steps(times, inputs))
+        answer = self._guarded(self._home.call, "many_steps", times[0], encode_steps(times, inputs, tunables))
         rows = decode_outputs(answer, len(inputs))
         for t, row in zip(times[1:], rows, strict=True):
             self._time = t

@@ -365,3 +365,51 @@ def test_settings_of_the_noisy_norm_are_checked():
         NormSettings(difference_step=-0.1)
     with pytest.raises(ValueError, match="max_iterations must be positive, got 0"):
         NormSettings(max_iterations=0)
+
+
+class Costly:
+    """A window whose residuals cost much: what least squares and the norms do within a budget. Keeps the batches."""
+
+    is_rescoring_cheap = False
+
+    def __init__(self, residual):
+        self._residual, self.batches = residual, []
+
+    def residual(self, theta):
+        return self.residuals([theta])[0]
+
+    def residuals(self, thetas):
+        self.batches.append(len(thetas))
+        return [self._residual(theta) for theta in thetas]
+
+
+def test_differences_of_costly_residuals_are_taken_at_a_time_and_lead_to_the_regression():
+    y = X @ [0.9, 1.3]
+    window = Costly(lambda theta: (y - X @ theta) / SIGMA)
+    estimator = LeastSquares(PLANE, np.array([0.1, 4.0]), np.random.default_rng(0))
+    estimator.solve(Objective(window, None, 30))
+    assert_allclose(estimator.estimate().theta, [0.9, 1.3], atol=1e-6)
+    assert set(window.batches) == {1, 2}
+    assert sum(window.batches) <= 30
+    std = SIGMA * np.sqrt(np.diag(np.linalg.inv(X.T @ X)))
+    assert_allclose(estimator.estimate().std, std, rtol=1e-4)
+
+
+@pytest.mark.parametrize("n", [1, 2, 4, 7, 30])
+def test_no_more_costly_residuals_are_taken_than_the_budget_has(n):
+    for make in (
+        lambda: LeastSquares(PLANE, np.array([0.1, 4.0]), np.random.default_rng(0), LeastSquaresSettings(n_starts=5)),
+        *(
+            lambda m=m: NoisyNorm(PLANE, np.array([0.1, 4.0]), np.random.default_rng(0), NormSettings(m, 0.0))
+            for m in ("SLSQP", "trust-constr")
+        ),
+    ):
+        asked = []
+        window = Costly(lambda theta, asked=asked: asked.append(theta) or valley(theta))
+        objective, estimator = Objective(window, None, n), make()
+        estimator.solve(objective)
+        assert objective.n_evaluations == len(asked) <= n
+        best = min(float(np.sum(valley(theta) ** 2)) for theta in asked)
+        if objective.is_spent:
+            cost = estimator.estimate().cost
+            assert_allclose(cost if estimator.is_whitened else cost**2, best, rtol=1e-9)

@@ -10,9 +10,13 @@ import estimator
 PUBLIC = [
     "METHODS",
     "AskTell",
+    "Batching",
     "DerivativeResidual",
+    "EpisodeWindow",
     "Estimate",
     "Estimator",
+    "Judge",
+    "Judged",
     "LinearForm",
     "Method",
     "Model",
@@ -26,9 +30,11 @@ PUBLIC = [
     "ResidualWindow",
     "Sample",
     "Solver",
+    "Stretch",
     "TargetSettings",
     "TargetVector",
     "Vector",
+    "Window",
     "chi2_limit",
 ]
 

@@ -407,3 +407,47 @@ def test_residuals_that_are_all_nil_leave_finite_scores():
     # As wide as the cube, whose sides are ln 100, at a value of 1.
     assert_allclose(estimate.std, np.log(100.0), rtol=1e-12)
     assert 0.0 <= estimate.cost < 1e-12
+
+
+def in_batches(space, start, residual, n, each, seed=0):
+    """The estimator after n evaluations, asked for several at a time, and the sizes of the batches."""
+    estimator, sizes = TargetVector(space, np.asarray(start, dtype=float), np.random.default_rng(seed)), []
+    while n:
+        batch = estimator.ask_many(min(each, n))
+        sizes.append(len(batch))
+        for theta in batch:
+            estimator.tell(theta, residual(theta))
+        n -= len(batch)
+    return estimator, sizes
+
+
+def test_asked_for_one_at_a_time_it_asks_the_same_as_ever():
+    one_by_one, asked = run(BODY, (1.0, 1.0), body, 20)
+    batched, sizes = in_batches(BODY, (1.0, 1.0), body, 20, 1)
+    np.testing.assert_array_equal(batched.candidates, one_by_one.candidates)
+    assert sizes == [1] * 20
+    assert len(asked) == 20
+
+
+@pytest.mark.parametrize("each", [2, 3, 5])
+def test_asked_for_several_at_a_time_it_finds_the_same(each):
+    """The start alone comes first, since the others of the initial design are made from it."""
+    estimator, sizes = in_batches(BODY, (1.0, 1.0), body, 30, each)
+    solution = np.linalg.lstsq(ROWS, DATA, rcond=None)[0]
+    theta = np.array([1.0 / solution[0], solution[1]])
+    std = NOISE * np.sqrt(np.diag(np.linalg.inv(ROWS.T @ ROWS))) * [theta[0] ** 2, 1.0]
+    assert np.all(np.abs(estimator.estimate().theta - theta) < 0.1 * std)
+    assert sizes[:2] == [1, 2]
+    assert max(sizes) == each
+
+
+def test_candidates_asked_for_at_once_differ():
+    estimator, _ = in_batches(BODY, (1.0, 1.0), body, 4, 1)
+    batch = np.log(estimator.ask_many(4)) / np.log(100.0)  # the cube, but for its origin
+    distances = np.linalg.norm(batch[:, None] - batch, axis=2)[np.triu_indices(4, 1)]
+    assert np.all(distances > 2e-4)
+
+
+def test_where_every_candidate_failed_another_is_asked_for():
+    estimator, _ = in_batches(BODY, (1.0, 1.0), lambda theta: np.array([np.nan]), 6, 3)
+    assert len(estimator.ask_many(3)) == 1

@@ -212,7 +212,7 @@ def _check(options: argparse.Namespace) -> int:
     for finding in findings:
         print(f"{options.scenario}: {finding}")
     n_errors = sum(finding.is_error for finding in findings)
-    n_warnings = len(findings) - n_errors
+    n_warnings = sum(not (finding.is_error or finding.is_note) for finding in findings)
     plural = ["" if n == 1 else "s" for n in (n_errors, n_warnings)]
     print(f"{options.scenario}: {n_errors} error{plural[0]}, {n_warnings} warning{plural[1]}")
     return REFUSED if n_errors else DONE

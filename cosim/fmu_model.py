@@ -32,6 +32,8 @@ from .slaves.worker import Worker
 def opened_model(scenario: Scenario, plant: Plant) -> Generator[Any]:
     """xdot (n,) = model(x, u, **parameters): see DerivativeResidual. Raises ScenarioError."""
     reference = scenario.estimation.model
+    if reference is None:
+        raise ScenarioError("estimation.model: derivatives need it.")
     if ":" in reference and not reference.endswith(".fmu"):
         yield load(reference, scenario.folder)
         return

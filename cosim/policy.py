@@ -6,22 +6,26 @@ from typing import Protocol
 
 import numpy as np
 
-from estimator import DerivativeResidual, LinearForm, Method, Sample, Vector
+from estimator import DerivativeResidual, EpisodeWindow, LinearForm, Method, Sample, Vector
 
 from .errors import CosimError, ScenarioError, one_line, seconds
 from .fmu_model import opened_model
+from .objectives import ENDLESS, chosen, open_judge
 from .reconfigure import (
     AlwaysTrigger,
     Budget,
     InnovationTrigger,
     Reconfiguration,
+    Retuner,
     TrackingTrigger,
     Trigger,
+    WindowTrigger,
     make_retuner,
 )
+from .rollout.shadow import LivePlant
 from .scenarios.estimators import find_method, load, make_estimator
 from .scenarios.scenario import Scenario
-from .scenarios.schema import Innovation, Loop, Tracking
+from .scenarios.schema import Always, Innovation, Loop, Tracking
 from .scenarios.system import Plant
 
 
@@ -43,6 +47,10 @@ class Policy(Protocol):
         """Samples at which a candidate was judged so far."""
         ...
 
+    def describe(self) -> str:
+        """How candidates are judged, in a line; empty where there are none."""
+        ...
+
     def step(self, t: float, sample: Sample | None, tracking_error: float) -> Reconfiguration:
         """t [s]; the sample there, but for the first point, whose u is unknown; norm of the tracking error."""
         ...
@@ -52,6 +60,10 @@ class LeaveAlone:
     """The nominal controller."""
 
     n_evaluations = n_episodes = n_model_calls = 0
+
+    def describe(self) -> str:
+        """Nothing is judged."""
+        return ""
 
     def step(self, t: float, sample: Sample | None, tracking_error: float) -> Reconfiguration:
         """Nothing."""
@@ -65,6 +77,10 @@ class TellTruth:
 
     def __init__(self, truth: Callable[[float], Vector]) -> None:
         self._truth = truth
+
+    def describe(self) -> str:
+        """Nothing is judged."""
+        return ""
 
     def step(self, t: float, sample: Sample | None, tracking_error: float) -> Reconfiguration:
         """The parameters in force at t."""
@@ -90,32 +106,46 @@ def make_policy(
     truth: Callable[[float], Vector],
     rng: np.random.Generator,
     stack: ExitStack,
+    live: LivePlant | None = None,
 ) -> Policy:
-    """The policy of that name; theta (d,): what the controller holds; stack closes the model, where it is an FMU.
+    """The policy of that name; theta (d,): what the controller holds; stack closes what it opens; live: the plant,
+    where it runs.
 
-    Raises ScenarioError for an unknown name, or a model or estimator that cannot be loaded.
+    Raises ScenarioError for an unknown name, or a model, objective or estimator that cannot be loaded or do not fit.
     """
     if estimator == "none":
         return LeaveAlone()
     if estimator == "true":
         return TellTruth(truth)
     method = find_method(estimator, scenario)
+    choice = chosen(scenario)
     search, loop = make_estimator(estimator, method, scenario, theta, rng)
-    whitened = _residual(scenario, plant, stack)
-    return make_retuner(
-        search,
-        whitened,
-        _trigger(loop, whitened),
-        Budget(loop.budget, loop.evaluations_per_step, loop.commit),
-        loop.window,
-        theta,
-        _linear_form(method, scenario),
-    )
+    budget = Budget(loop.budget, loop.evaluations_per_step, loop.commit)
+    form = _linear_form(method, scenario)
+    if choice.kind == "derivative":
+        whitened = _residual(scenario, plant, stack)
+        text = f"derivatives of {scenario.estimation.model} ({choice.why})"
+        return make_retuner(search, whitened, _trigger(loop, whitened), budget, loop.window, theta, form, text)
+    if method.needs_derivatives:
+        raise ScenarioError(
+            f"estimator '{estimator}' takes derivatives sample by sample: no estimation.objective else."
+        )
+    if isinstance(loop.trigger, Always):
+        raise ScenarioError(ENDLESS)
+    judge = open_judge(scenario, plant, theta, live, stack)
+    is_rollout = choice.kind == "rollout"
+    noise = [n.noise for n in scenario.sampling.outputs.values()] if is_rollout and not search.is_whitened else None
+    window = EpisodeWindow(judge, loop.window, noise)
+    if isinstance(loop.trigger, Innovation):
+        trigger: Trigger = WindowTrigger(window.follow, loop.trigger.false_alarm)
+    else:
+        trigger = TrackingTrigger(loop.trigger.threshold)
+    return Retuner(search, window, trigger, budget, theta, form, judge.describe)
 
 
 def try_model(scenario: Scenario, estimator: str, plant: Plant, theta: Vector, first: Sample) -> None:
     """Call the scenario's model, and its linear form where the estimator uses it, once. Raises ScenarioError."""
-    if estimator in ("none", "true"):
+    if estimator in ("none", "true") or chosen(scenario).kind != "derivative":
         return
     settings = scenario.estimation
     try:
@@ -150,8 +180,6 @@ def _trigger(loop: Loop, residual: DerivativeResidual) -> Trigger:
 def _residual(scenario: Scenario, plant: Plant, stack: ExitStack) -> DerivativeResidual:
     """The whitened residual of the scenario's model, which stack closes. Raises ScenarioError."""
     settings = scenario.estimation
-    if not plant.channels:
-        raise ScenarioError("sampling.derivatives must have one at least: the model's are compared with it.")
     model = stack.enter_context(opened_model(scenario, plant))
     sigma = tuple(n.noise for n in scenario.sampling.derivatives.values())
     return DerivativeResidual(model, settings.space, plant.channels, sigma)

@@ -6,6 +6,7 @@ Khan and Chatterjee (2020), section III-C and algorithm 1.
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from time import perf_counter
 from typing import Any, Literal, Protocol, cast
 
@@ -13,6 +14,7 @@ import numpy as np
 
 from estimator import (
     AskTell,
+    Batching,
     DerivativeResidual,
     Estimate,
     LinearForm,
@@ -23,6 +25,7 @@ from estimator import (
     Sample,
     Solver,
     Vector,
+    Window,
     chi2_limit,
 )
 
@@ -69,6 +72,24 @@ class InnovationTrigger:
         if squared <= limit:
             return None
         return f"normalised innovation squared {squared:.4g} exceeds {limit:.4g}"
+
+
+@dataclass(frozen=True)
+class WindowTrigger:
+    """The same for residuals of several samples: those since some place contradict the parameters in force."""
+
+    residual: Callable[[Vector], Vector]
+    """Whitened residual (D,) of theta, on as many samples as there are; empty where it cannot be told."""
+    false_alarm: float
+    """Probability of firing on these samples where nothing has changed."""
+
+    def __call__(self, sample: Sample, tracking_error: float, theta: Vector) -> str | None:
+        """A reason where |r|^2 exceeds the limit."""
+        r = self.residual(theta)
+        squared, limit = float(r @ r), chi2_limit(self.false_alarm, len(r)) if len(r) else math.inf
+        if squared <= limit:
+            return None
+        return f"squared residuals of {len(r)} values, {squared:.4g}, exceed {limit:.4g}"
 
 
 @dataclass(frozen=True)
@@ -124,15 +145,20 @@ class Retuner:
     def __init__(
         self,
         estimator: AskTell | Solver,
-        window: ResidualWindow,
+        window: Window,
         trigger: Trigger,
         budget: Budget,
         start: Vector,
         linear: LinearForm | None = None,
+        describe: Callable[[], str] = str,
     ) -> None:
+        """describe: how the window judges candidates, in a line."""
+        self.describe = describe
         self._estimator, self._window, self._trigger, self._budget = estimator, window, trigger, budget
         self._solver = estimator if isinstance(estimator, Solver) else None  # 20 us to ask a protocol
         self._rescoring = estimator if isinstance(estimator, Rescoring) else None
+        is_batching = isinstance(estimator, Batching) and not window.is_rescoring_cheap
+        self._batching = cast(Batching, estimator) if is_batching else None
         self._linear = linear
         self._theta = start
         self._remaining = 0.0
@@ -150,27 +176,35 @@ class Retuner:
             reason = self._trigger(sample, tracking_error, self._theta)
             if reason is None:
                 return Reconfiguration()
-            self._begin()
-            events.append(Event(t, "trigger", {"reason": reason, "episode": self.n_episodes}))
+            samples = self._begin()
+            on = {} if samples is None else {"samples": samples}
+            events.append(Event(t, "trigger", {"reason": reason, "episode": self.n_episodes, **on}))
+        if not self._window.is_ready:
+            return Reconfiguration(events=tuple(events))
         latencies: list[float] = []
         candidate = self._theta
         for candidate, cost, seconds in self._evaluate():
             latencies.append(seconds)
-            events.append(Event(t, "candidate", {"theta": candidate.tolist(), "cost": cost}))
+            why = self._window.why_failed(candidate)
+            failed = {} if why is None else {"failed": why}
+            events.append(Event(t, "candidate", {"theta": candidate.tolist(), "cost": cost, **failed}))
         estimate = self._believe()
         latencies[-1] += perf_counter() - begun - sum(latencies)
         if self._remaining == 0:
             cost = None if estimate is None else estimate.cost
             events.append(Event(t, "end", {"episode": self.n_episodes, "cost": cost}))
-        if estimate is None:
-            return Reconfiguration(None, None, tuple(events), tuple(latencies))
-        is_candidate = self._budget.commit == "candidate" and self._remaining > 0
-        theta = candidate if is_candidate else estimate.theta
-        write = None if np.array_equal(theta, self._theta) else theta
-        if write is not None:
-            why = "candidate" if is_candidate else estimate.reason
-            events.append(Event(t, "write", {"theta": theta.tolist(), "std": estimate.std.tolist(), "reason": why}))
-        self._theta = theta
+        write = None
+        if estimate is not None:
+            is_candidate = self._budget.commit == "candidate" and self._remaining > 0
+            theta = candidate if is_candidate else estimate.theta
+            write = None if np.array_equal(theta, self._theta) else theta
+            if write is not None:
+                why = "candidate" if is_candidate else estimate.reason
+                detail = {"theta": theta.tolist(), "std": estimate.std.tolist(), "reason": why}
+                events.append(Event(t, "write", detail))
+            self._theta = theta
+        if self._remaining == 0:
+            self._window.end(self._theta)
         return Reconfiguration(write, estimate, tuple(events), tuple(latencies))
 
     @property
@@ -188,12 +222,18 @@ class Retuner:
             self._window.explain(estimate.theta)
         return estimate
 
-    def _begin(self) -> None:
+    def _begin(self) -> str | None:
+        """Begin an episode; on which samples, where that is not simply the newest ones."""
         self.n_episodes += 1
         self._remaining = self._budget.evaluations
         self._estimator.restart(self._theta)
+        if self._rescoring is not None and not self._window.is_rescoring_cheap:
+            # What was told of them belongs to other samples: as failures they are forgotten.
+            self._rescoring.rescore(np.full((len(self._rescoring.candidates), 1), np.nan))
+        samples = self._window.begin(self._theta)
         if self._estimator.is_whitened:
             self._window.explain(self._theta, patient=False)
+        return samples
 
     def _evaluate(self) -> Iterator[tuple[Vector, float, float]]:
         """Evaluate this step's candidates: (theta, |residual|^2, wall time [s]) of each."""
@@ -203,10 +243,11 @@ class Retuner:
 
     def _solve(self, solver: Solver) -> Iterator[tuple[Vector, float, float]]:
         begun = perf_counter()
-        objective = Objective(self._window, self._linear)
+        is_cheap = self._window.is_rescoring_cheap  # else a solve is an episode: its samples stay, and it cannot pause
+        objective = Objective(self._window, self._linear, math.inf if is_cheap else self._budget.evaluations)
         solver.solve(objective)
         self._window.keep(())
-        self._remaining = max(self._remaining - self._budget.evaluations_per_step, 0)
+        self._remaining = max(self._remaining - self._budget.evaluations_per_step, 0) if is_cheap else 0
         self.n_evaluations += objective.n_evaluations
         estimate = solver.estimate()
         yield estimate.theta, estimate.cost, perf_counter() - begun
@@ -215,17 +256,20 @@ class Retuner:
         begun = perf_counter()
         if self._rescoring is None:
             self._window.keep([self._theta])  # it would keep the residuals of every candidate of the run
-        elif len(candidates := self._rescoring.candidates):
-            self._rescoring.rescore(self._window.residuals(candidates))
-        for _ in range(int(min(self._budget.evaluations_per_step, self._remaining))):
-            theta = search.ask()
-            residual = self._window.residual(theta)
-            search.tell(theta, residual)
-            self._remaining -= 1
-            self.n_evaluations += 1
-            now = perf_counter()
-            yield theta, float(residual @ residual), now - begun
-            begun = now
+        elif self._window.is_rescoring_cheap and len(candidates := self._rescoring.candidates):
+            self._rescoring.rescore(np.asarray(self._window.residuals(candidates)))
+        n = int(min(self._budget.evaluations_per_step, self._remaining))
+        while n > 0:
+            thetas = [search.ask()] if self._batching is None else self._batching.ask_many(n)
+            n -= len(thetas)
+            residuals = [self._window.residual(thetas[0])] if len(thetas) == 1 else self._window.residuals(thetas)
+            for theta, residual in zip(thetas, residuals, strict=True):
+                search.tell(theta, residual)
+                self._remaining -= 1
+                self.n_evaluations += 1
+                now = perf_counter()
+                yield theta, float(residual @ residual), now - begun
+                begun = now
 
 
 def make_retuner(
@@ -236,13 +280,15 @@ def make_retuner(
     max_length: int,
     start: Vector,
     linear: LinearForm | None = None,
+    text: str = "",
 ) -> Retuner:
     """The loop round an estimator, on windows of at most max_length samples; start (d,): what the controller holds.
 
     whitened: the residual in standard deviations of its noise; an estimator that wants physical units gets those.
+    text: what it is, for the report.
     """
     judged = whitened if estimator.is_whitened else replace(whitened, noise=(1.0,) * len(whitened.noise))
     window = ResidualWindow(judged, len(whitened.noise), max_length)
     if isinstance(trigger, AlwaysTrigger):
         budget = replace(budget, evaluations=math.inf)
-    return Retuner(estimator, window, trigger, budget, start, linear)
+    return Retuner(estimator, window, trigger, budget, start, linear, partial(str, text))

@@ -20,11 +20,12 @@ from threadpoolctl import threadpool_limits
 
 from .errors import ScenarioError, SlaveError, WiringError
 from .fmi.table import TableSlave, is_table
-from .master import Master
+from .master import Master, Wiring
 from .policy import decide, make_policy, try_model
 from .reconfigure import Reconfiguration
 from .results.record import Recorder, uninterrupted
 from .results.result import Run, Status, begin_folder, end_folder
+from .rollout.shadow import LivePlant
 from .sampling import Sampler
 from .scenarios.aliases import as_the_fmus_have_it
 from .scenarios.estimators import check_estimator
@@ -77,7 +78,7 @@ def run(
         with uninterrupted():  # and before the FMUs are closed, which may take its time
             result = Run(
                 scenario, loop.plant, estimator, seed, recorder.close(), status, error, policy.n_evaluations,
-                policy.n_episodes, loop.latencies, wall, out, policy.n_model_calls,
+                policy.n_episodes, loop.latencies, wall, out, policy.n_model_calls, policy.describe(),
             )  # fmt: skip
             if out is not None:
                 declared = [s.description.unitDefinitions for s in slaves.values()]
@@ -110,7 +111,8 @@ class _Loop:
         self._theta = np.array([start_value(scenario, slaves, p.writes) for p in scenario.estimation.parameters])
         self._truth = true_parameters(scenario, slaves)
         # Here, while the FMUs are still starting: what an estimator imports takes as long as they do.
-        self.policy = make_policy(scenario, estimator, plant, self._theta, self._true_theta, search, stack)
+        live = _live(scenario, slaves[scenario.plant], wiring[scenario.plant], self._truth)
+        self.policy = make_policy(scenario, estimator, plant, self._theta, self._true_theta, search, stack, live)
         self._latencies, self._n_latencies = array("d"), array("L")  # an hour of tuples would be 30 MB
         self._writes = [p.writes for p in scenario.estimation.parameters]
         self._places: dict[str, list[int]] = {}
@@ -199,3 +201,13 @@ class _Loop:
     def _true_theta(self, t: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
         references = (self._scenario.true_reference(p) for p in self._scenario.estimation.parameters)
         return np.array([self._truth[reference](t) for reference in references])
+
+
+def _live(
+    scenario: Scenario, slave: Slave | TableSlave, wiring: Wiring, truth: Mapping[str, Callable[[float], float]]
+) -> LivePlant | None:
+    """The running plant, for shadows of it."""
+    if isinstance(slave, TableSlave):
+        return None
+    changes = [r for r in scenario.changes if r.partition(".")[0] == scenario.plant]
+    return LivePlant(slave, wiring.outputs, {r.partition(".")[2]: truth[r] for r in changes})

@@ -15,6 +15,7 @@ from estimator import Sample
 from ..errors import CosimError, ScenarioError, one_line
 from ..fmi.archive import FmuFile
 from ..fmi.component import Component, read_component
+from ..objectives import check_objective, chosen
 from ..policy import try_model
 from ..scenarios.aliases import as_the_fmus_have_it
 from ..scenarios.scenario import Scenario, error_texts
@@ -58,7 +59,7 @@ def check(source: str | Path, overrides: Mapping[str, str] | None = None) -> lis
 
 
 def _check_model(scenario: Scenario, components: Mapping[str, Component]) -> Iterator[Finding]:
-    """Call the model once at the start values. Everything else is known to be well."""
+    """Call the model once at the start values, or tell the objective. Everything else is known to be well."""
     files = {name: FmuFile(name, c.description) for name, c in components.items()}
     try:
         plant = plant_of(scenario, files[scenario.plant])
@@ -67,6 +68,9 @@ def _check_model(scenario: Scenario, components: Mapping[str, Component]) -> Ite
         zeros = (0.0,) * len(scenario.sampling.derivatives)
         sample = Sample(scenario.scenario.start_time, x, tuple(plant.inputs.values()), zeros)
         try_model(scenario, "target", plant, theta, sample)
+        if chosen(scenario).kind != "derivative":
+            text = check_objective(scenario, plant)
+            yield Finding("estimation.objective", text, is_error=False, is_note=True)
     except CosimError as e:
         yield _split(_plain(e)) if str(e).startswith("estimation.") else Finding("estimation.model", _plain(e))
 

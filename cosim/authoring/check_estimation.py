@@ -51,7 +51,7 @@ def check_sampling(scenario: Scenario, components: Components) -> Iterator[Findi
         if component != scenario.plant or name not in derivatives:
             hint = did_you_mean(name, derivatives)
             yield Finding(f'sampling.states."{reference}"', f"no state with a declared derivative{hint}")
-    for state in derivatives:
+    for state in derivatives if scenario.sampling.derivatives else ():
         if problem := output_refusal(plant, state):
             yield Finding("sampling", f"the model takes every state: {problem}")
     for v in plant.having("input"):

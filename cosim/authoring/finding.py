@@ -13,9 +13,11 @@ class Finding:
     """What is wrong, and what to do where that is not plain."""
     is_error: bool = True
     """`run` would refuse it, or compute nonsense; otherwise it may be meant."""
+    is_note: bool = False
+    """It is neither: what `run` will do, said beforehand."""
 
     def __str__(self) -> str:
-        return f"{self.where}: {'error' if self.is_error else 'warning'}: {self.what}"
+        return f"{self.where}: {'note' if self.is_note else 'error' if self.is_error else 'warning'}: {self.what}"
 
 
 def warning(where: str, what: str) -> Finding:

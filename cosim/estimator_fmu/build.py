@@ -23,6 +23,7 @@ from fmu_models.description import base_unit
 from ..errors import ScenarioError
 from ..fmi.archive import FmuFile
 from ..fmi.component import read_component
+from ..objectives import chosen
 from ..policy import make_policy, try_model
 from ..scenarios.estimators import find_method
 from ..scenarios.scenario import Scenario
@@ -75,6 +76,8 @@ def estimator_settings(scenario: Scenario, method: str = "target") -> dict[str, 
     if ":" in method or method in ("none", "true"):
         raise ScenarioError(f"'{method}' cannot be built into an FMU; the estimators of the package can.")
     how = find_method(method, scenario)
+    if chosen(scenario).kind != "derivative":
+        raise ScenarioError("estimation.objective: an estimator FMU takes derivatives; it cannot hold other FMUs.")
     fmus = {name: FmuFile(name, read_component(path).description) for name, path in fmu_paths(scenario).items()}
     plant = plant_of(scenario, fmus[scenario.plant])
     check_parameters(scenario, fmus)

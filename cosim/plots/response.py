@@ -13,6 +13,7 @@ from estimator import DerivativeResidual, Sample, Vector
 
 from ..errors import CosimError
 from ..fmu_model import opened_model
+from ..objectives import chosen
 from ..results.result import Run
 from ..sampling import recorded_samples
 from .canvas import BLUE, GREEN, VERMILION, label, new_figure, set_log, top_legend
@@ -26,8 +27,10 @@ _N_SAMPLES: Final = 8
 
 
 def draw_response(run: Run, events: Sequence[Event]) -> Figure | None:
-    """The response surface of the first episode; None where there are not two parameters, no episode or no model."""
+    """The response surface of the first episode; None where there are not two parameters, no episode or model."""
     episode = _first_episode(events)
+    if chosen(run.scenario).kind != "derivative":
+        return None
     if len(run.scenario.estimation.parameters) != 2 or len(episode) < 2:
         return None
     samples = _samples(run, float(episode[0]["t"]), float(episode[-1]["t"]))

@@ -15,8 +15,13 @@ def report(run: Run, baselines: Mapping[str, Run]) -> str:
     title = f"{scenario.name}: {scenario.description}" if scenario.description else scenario.name
     duration = float(run.time[-1]) - scenario.start_time if len(run.time) else 0.0
     pace = f", {duration / run.wall:.1f} times real time" if duration else ""
+    judged = [f"candidates judged by {run.objective}"] if run.objective else []
     blocks = [
-        [title, f"estimator {run.estimator}, seed {run.seed}; {duration:g} s simulated in {run.wall:.1f} s{pace}"],
+        [
+            title,
+            f"estimator {run.estimator}, seed {run.seed}; {duration:g} s simulated in {run.wall:.1f} s{pace}",
+            *judged,
+        ],
         _errors([*baselines.values(), run]),
         _parameters(run),
         _latency(run),

@@ -66,6 +66,8 @@ class Run:
     """Run folder, where there is one."""
     n_model_calls: int = 0
     """Samples at which a candidate was judged."""
+    objective: str = ""
+    """How candidates were judged, and why so."""
 
     @property
     def time(self) -> Series:
@@ -132,6 +134,7 @@ class Run:
             "evaluations": self.n_evaluations,
             "episodes": self.n_episodes,
             "model_calls": self.n_model_calls,
+            "objective": self.objective or None,
             "latency_ms": _quantiles(evaluations),
             "deadline_ms": 1e3 * deadline,
             "missed_deadlines": sum(sum(step) > deadline for step in self.latencies),

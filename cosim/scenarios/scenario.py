@@ -24,6 +24,7 @@ from .schema import (
     LinearModel,
     Noise,
     Reference,
+    RolloutSettings,
     Sampling,
     Settings,
     Table,
@@ -208,6 +209,7 @@ def _known_keys(path: tuple[int | str, ...]) -> set[str]:
         ("limits",): Limits, ("components",): Component, ("estimation", "parameters"): EstimatedParameter,
         ("estimation", "trigger", "tracking"): Tracking, ("estimation", "trigger", "innovation"): Innovation,
         ("estimation", "trigger", "always"): Always, ("estimation", "linear"): LinearModel,
+        ("estimation", "rollout"): RolloutSettings,
         ("sampling", "derivatives"): Noise, ("sampling", "states"): Noise,
     }  # fmt: skip
     names = tuple(str(part) for part in path)

@@ -216,12 +216,28 @@ class LinearModel(Table):
     """`module:function`, called as f(**parameters) for the coefficients (p,)."""
 
 
+class RolloutSettings(Table):
+    """How candidates are simulated, where the objective is `rollout`. Budgets are the loop's, in roll-outs."""
+
+    fmu: str | None = Field(default=None, min_length=1)
+    """What is simulated: by default the plant's FMU; else a built-in one, or a path relative to the scenario's."""
+    start: Literal["auto", "state", "measured", "replay"] = "auto"
+    """How a roll-out begins: in the plant's saved FMU state, in measured states, or simulated from the start."""
+    jobs: int = Field(default=2, ge=1, le=256)
+    """Processes; the results do not depend on it."""
+
+
 class Estimation(Loop):
     """What is estimated, by which model, and how."""
 
-    model: str = Field(pattern=r"^([\w.]+:\w+|.+\.fmu|[A-Za-z]\w*)$")
+    objective: str = Field(default="auto", pattern=r"^(auto|derivative|rollout|[\w.]+:\w+)$")
+    """What a candidate is judged by: sampled derivatives against the model's, outputs measured against simulated, or
+    `module:function`, called as f(theta, samples) for residuals in standard deviations. See `objectives`."""
+    model: str | None = Field(default=None, pattern=r"^([\w.]+:\w+|.+\.fmu|[A-Za-z]\w*)$")
     """`module:function`, called as f(x, u, **parameters) for the plant's state derivatives; or a model-exchange FMU:
-    a path relative to the scenario's, or the name of a built-in plant."""
+    a path relative to the scenario's, or the name of a built-in plant. Needed for derivatives only."""
+    rollout: RolloutSettings = RolloutSettings()
+    """How candidates are simulated."""
     parameters: tuple[EstimatedParameter, ...] = Field(min_length=1)
     """In the order of theta."""
     instants: tuple[float, ...] = ()

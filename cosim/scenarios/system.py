@@ -28,7 +28,8 @@ class Plant:
     name: str
     """Instance name."""
     states: tuple[str, ...]
-    """Its states, in the order of the model description: the model's x."""
+    """Its states, in the order of the model description: the model's x. None where there is no model and they are
+    not all outputs."""
     inputs: Mapping[str, float]
     """Its inputs with their start values, in the order of the model description: the model's u."""
     channels: tuple[int, ...]
@@ -80,6 +81,8 @@ def plant_of(scenario: Scenario, slave: Described) -> Plant:
     variables = slave.description.modelVariables
     state_of = {v.name: v.derivative.name for v in variables if v.derivative is not None}
     states = tuple(v.name for v in variables if v.name in set(state_of.values()))
+    if not scenario.sampling.derivatives and not set(states) <= set(_outputs(slave)):
+        states = ()  # where no model takes them they need not be seen
     channels: list[int] = []
     for reference in scenario.sampling.derivatives:
         name = reference.partition(".")[2]

@@ -204,10 +204,10 @@ def _tables(scenario: Scenario, places: Mapping[str, str]) -> dict[str, Any]:
 def _modules(scenario: Scenario) -> Iterator[tuple[str, bytes]]:
     """Sources of the user's modules that the scenario names, found beside it or in the working directory."""
     estimation = scenario.estimation
-    references = [estimation.model, *(name for name in estimation.methods if ":" in name)]
+    references = [estimation.model, estimation.objective, *(name for name in estimation.methods if ":" in name)]
     if estimation.linear is not None:
         references += [estimation.linear.rows, estimation.linear.coefficients]
-    for name in dict.fromkeys(reference.partition(":")[0].partition(".")[0] for reference in references):
+    for name in dict.fromkeys(r.partition(":")[0].partition(".")[0] for r in references if r is not None):
         for folder in (scenario.folder, Path.cwd()) if name not in _OWN_PACKAGES else ():
             found = [folder / f"{name}.py", *sorted((folder / name).rglob("*.py"))]
             found = [path for path in found if path.is_file()]

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from cosim.reconfigure import Budget, InnovationTrigger, Retuner, TrackingTrigger
-from estimator import Estimate, NoEstimateError, ResidualWindow, Sample
+from cosim.reconfigure import Budget, InnovationTrigger, Retuner, TrackingTrigger, WindowTrigger
+from estimator import EpisodeWindow, Estimate, Judged, NoEstimateError, ResidualWindow, Sample
 
 START = np.array([0.0])
 
@@ -290,3 +290,123 @@ def test_the_latencies_of_a_step_add_up_to_all_of_it(monkeypatch):
     decision = retuner(Scripted(4, 6), Budget(2, 2)).step(0.0, sample(), 2.0)
     assert len(decision.latencies) == 2
     assert sum(decision.latencies) == 4.0
+
+
+# -- windows that stay as they are for an episode -----------------------------------------------------------------
+
+
+class Judge:
+    """Residual 10 - theta at every sample; fails above 100. The log is what it was asked, a list a call."""
+
+    is_ready = True
+
+    def __init__(self):
+        self.log = []
+
+    def hear(self, sample): ...
+    def believe(self, theta, stretch): ...
+    def origin(self, is_needed):
+        return True
+
+    def judge(self, thetas, stretch):
+        self.log.append([float(theta[0]) for theta in thetas])
+        return [self.one(theta, stretch) for theta in thetas]
+
+    def one(self, theta, stretch):
+        if theta[0] > 100.0:
+            return Judged(np.array([np.nan]), "too large")
+        return Judged(np.full(stretch.n_steps, 10.0 - theta[0]))
+
+    def follow(self, theta, stretch):
+        return self.one(theta, stretch).residual
+
+
+class Batches(Rescored):
+    """Asks for as many as it may."""
+
+    def ask_many(self, n):
+        return [self.ask() for _ in range(min(n, len(self.script)))]
+
+
+def episodic(estimator, budget, trigger=None, window=3):
+    judge = Judge()
+    loop = Retuner(estimator, EpisodeWindow(judge, window), trigger or TrackingTrigger(1.0), budget, START)
+    return loop, judge
+
+
+def test_an_episode_waits_for_its_samples_and_then_all_candidates_see_the_same():
+    estimator = Rescored(4, 9, 7)
+    loop, judge = episodic(estimator, Budget(3, 1))
+    decisions = steps(loop, [0.0] * 4 + [2.0] + [0.0] * 6)
+    assert [kinds(d) for d in decisions[4:]] == [
+        ["trigger"], [], [], ["candidate", "write"], ["candidate", "write"], ["candidate", "end"], [],
+    ]  # fmt: skip
+    assert decisions[4].events[0].detail["samples"] == "the next 3"
+    assert judge.log == [[0.0], [4.0], [9.0], [7.0]]  # that in force, on the samples of before; then each once
+    assert all(len(r) == 0 or np.all(np.isnan(r)) for r in estimator.rescored)
+    assert loop.n_evaluations == 3
+
+
+def test_candidates_of_earlier_episodes_are_forgotten():
+    estimator = Rescored(4, 9, 8, 6)
+    loop, _ = episodic(estimator, Budget(2, 2))
+    steps(loop, [0.0] * 4 + [2.0] + [0.0] * 3)
+    assert len(estimator.candidates) == 2
+    loop.step(0.08, sample(0.08), 2.0)
+    assert all(np.isnan(r) for rows in estimator.rescored[-1:] for row in rows for r in row)
+
+
+def test_candidates_of_a_step_are_judged_together_where_the_estimator_can_ask_for_several():
+    loop, judge = episodic(Batches(4, 9, 7, 8, 6), Budget(5, 3))
+    steps(loop, [0.0] * 4 + [2.0] + [0.0] * 6)
+    assert judge.log[1:] == [[4.0, 9.0, 7.0], [8.0, 6.0]]
+    one_by_one, judge = episodic(Rescored(4, 9, 7, 8, 6), Budget(5, 3))
+    steps(one_by_one, [0.0] * 4 + [2.0] + [0.0] * 6)
+    assert judge.log[1:] == [[4.0], [9.0], [7.0], [8.0], [6.0]]
+
+
+def test_a_candidate_that_failed_is_in_the_record_with_its_reason():
+    loop, _ = episodic(Scripted(4, 200, 7), Budget(3, 3))
+    (decision,) = [d for d in steps(loop, [0.0] * 4 + [2.0] + [0.0] * 6) if d.latencies]
+    candidates = [e.detail for e in decision.events if e.kind == "candidate"]
+    assert [c.get("failed") for c in candidates] == [None, "too large", None]
+    assert decision.write is not None
+    assert loop.n_evaluations == 3
+
+
+class Solves:
+    """Evaluates 1, 2, 3, ... as long as it is let."""
+
+    is_whitened = True
+
+    def __init__(self):
+        self.costs = {}
+
+    def restart(self, start): ...
+    def solve(self, objective):
+        for k in range(1, 1000):
+            r = objective.residual(np.array([0.01 * k]))
+            if not np.all(np.isfinite(r)):
+                break
+            self.costs[0.01 * k] = float(r @ r)
+
+    def estimate(self):
+        best = min(self.costs, key=self.costs.get)
+        return Estimate(np.array([best]), np.array([0.5]), (True,), self.costs[best], len(self.costs), "solved")
+
+
+def test_a_solver_spends_the_budget_of_an_episode_in_one_solve():
+    loop, judge = episodic(Solves(), Budget(7, 2))
+    decisions = steps(loop, [0.0] * 4 + [2.0] + [0.0] * 6)
+    assert loop.n_evaluations == 7
+    assert len(judge.log) == 8
+    assert [kinds(d) for d in decisions if d.latencies] == [["candidate", "end", "write"]]
+
+
+def test_the_innovation_of_a_window_is_judged_by_its_chi_square_limit():
+    """0.9999 quantiles of chi-square: 15.14 for one degree, 18.42 for two (Abramowitz and Stegun, table 26.8)."""
+    for n, limit in ((1, 15.137), (2, 18.421)):
+        for squared, fires in ((limit - 0.01, False), (limit + 0.01, True)):
+            trigger = WindowTrigger(lambda theta, r=np.full(n, np.sqrt(squared / n)): r, 1e-4)
+            assert (trigger(sample(), 0.0, START) is not None) == fires
+    assert WindowTrigger(lambda theta: np.empty(0), 1e-4)(sample(), 0.0, START) is None

@@ -147,7 +147,8 @@ ROWS = {
 
 def test_the_undamaged_files_are_well(files, called):
     for command in SOUND.values():
-        assert called(*command)[0] == 0
+        code, out, err = called(*command)
+        assert code == 0, out + err
 
 
 @pytest.mark.parametrize(("file", "damage", "command", "code", "told"), ROWS.values(), ids=ROWS)

@@ -27,6 +27,7 @@ from cosim.slaves.slave import open_slave
 from estimator import EpisodeWindow, Sample, Stretch
 
 pytestmark = pytest.mark.fmu
+slow = pytest.mark.slow
 
 H, SIGMA = 0.01, (1e-3, 2e-3)
 OUTPUTS = {"sampling.outputs": '{"plant.phi" = {noise = 1e-3}, "plant.phi_dot" = {noise = 2e-3}}'}
@@ -169,7 +170,7 @@ def test_a_changed_pendulum_is_found_from_its_outputs_alone(pendulum, leaves_not
     assert "as asked" in result.objective
 
 
-@pytest.mark.parametrize("trigger", ["tracking", "innovation"])
+@pytest.mark.parametrize("trigger", [pytest.param("tracking", marks=slow), "innovation"])
 def test_the_same_bits_come_of_any_number_of_processes_and_of_the_same_seed(
     pendulum, tmp_path, leaves_nothing, trigger
 ):
@@ -207,7 +208,14 @@ def test_a_jump_in_mid_window_is_made_good_by_the_next_episode(pendulum, tmp_pat
     np.testing.assert_allclose(end(result), [2.3, 0.8], rtol=0.1)
 
 
-@pytest.mark.parametrize("name", ["target", "bo-scalar", "paper", "least-squares", "multi-start", "sqp", "ipm-scipy"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "paper",
+        "least-squares",
+        *(pytest.param(n, marks=slow) for n in ("bo-scalar", "multi-start", "sqp", "ipm-scipy")),
+    ],
+)
 def test_every_estimator_of_episodes_takes_roll_outs_within_its_budget(pendulum, leaves_nothing, name):
     settings = EARLY | SHORT | {f"estimation.{name}.budget": "12", f"estimation.{name}.window": "10"}
     result = run(pendulum(settings, 0.7), name)
@@ -317,7 +325,10 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize("fault", FAULTS.values(), ids=FAULTS)
+@pytest.mark.parametrize(
+    "fault",
+    [pytest.param(f, id=n, marks=slow if n in ("exits", "is not finite") else ()) for n, f in FAULTS.items()],
+)
 def test_a_roll_out_that_fails_is_a_bad_candidate_with_a_reason_and_the_run_goes_on(tmp_path, leaves_nothing, fault):
     scenario = Scenario.load(toml(tmp_path, spoilt(tmp_path, fault=fault), "replay"))
     folder = tmp_path / "out"
@@ -399,10 +410,9 @@ def test_what_cannot_be_rolled_out_is_refused_in_one_line_by_run_and_check(tmp_p
     path = toml(tmp_path, spoilt(tmp_path, declared=declared))
     options = [text for key, value in settings.items() for text in ("--set", f"{key}={value}")]
     assert main(["run", str(path), "--only", "--out", str(tmp_path / "out"), *options]) == 2
-    lines = capfd.readouterr().err.splitlines()
-    assert len(lines) == 1
-    assert lines[0].startswith("retune: ")
-    assert told in lines[0]
+    (line,) = capfd.readouterr().err.splitlines()
+    assert line.startswith("retune: ")
+    assert told in line
     assert main(["check", str(path), *options]) == 2
     assert told in capfd.readouterr().out.replace(": error", "")
 

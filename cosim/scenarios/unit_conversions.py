@@ -19,7 +19,8 @@ def unit_conversions(scenario: Scenario, descriptions: Mapping[str, ModelDescrip
     components = {name: component_of(Path(name), description) for name, description in descriptions.items()}
     found: dict[str, dict[str, Linear]] = {name: {} for name in components}
     for target, source in scenario.connections.items():
-        convert = _conversion(f'connections."{target}"', source, target, components)
+        is_ours = scenario.components[source.partition(".")[0]].table is not None
+        convert = _conversion(f'connections."{target}"', source, target, components, is_ours)
         if convert != IDENTITY:
             component, _, variable = target.partition(".")
             found[component][variable] = convert
@@ -47,11 +48,14 @@ def _unit(reference: str, components: Mapping[str, Component]) -> Unit | None:
     return component.unit(variable) if variable in component.variables else None
 
 
-def _conversion(where: str, source: str, target: str, components: Mapping[str, Component]) -> Linear:
+def _conversion(
+    where: str, source: str, target: str, components: Mapping[str, Component], is_ours: bool = False
+) -> Linear:
+    """is_ours: the source's unit is the user's own word, which is to be understood."""
     units = [_unit(reference, components) for reference in (source, target)]
     try:
         return conversion(*units)
     except ValueError as e:
-        if any(unit is not None and unit.exponents is None for unit in units):
+        if not is_ours and any(unit is not None and unit.exponents is None for unit in units):
             return IDENTITY
         raise WiringError(f"{where}: '{source}' to '{target}': {e}.") from e

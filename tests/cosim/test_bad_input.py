@@ -111,7 +111,8 @@ CASES = {
             "estimate": (with_parameter("mass.n=1:2"), 2, "no variable 'mass.n' in Axis.fmu; did you mean 'mass")}),
     ],
     "a parameter that is fixed": [
-        ("axis.toml", [('unit = "kg"', 'unit = "N.s/m"'), ('writes = "controller.m"', 'writes = "controller.d"')], {
+        ("axis.toml", [('unit = "kg"', 'unit = "N.s/m"'),
+                       ('writes = "controller.m"', 'writes = "controller.d"\ntrue = "plant.damper.d"')], {
             "check": (CHECK, 2, "'d' of AxisController.fmu is a fixed parameter, not a tunable parameter"),
             "run": (RUN, 2, "'d' of AxisController.fmu is a fixed parameter, not a tunable parameter")}),
         ("axis.toml", [('"plant.mass.m" = ', '"plant.damper.d" = ')], {

@@ -33,7 +33,7 @@ def check(fmu, kind, row, caplog, capfd):
     how, _, where = row["inject"].rpartition(" in ")
     is_early = where == "instantiate"
     name = f"instantiate: {how}" if is_early else "plant"
-    options = {"timeout": row.get("timeout", 30.0), "memory_limit": row.get("memory")}
+    options = {"timeout": row.get("timeout", 30.0), "memory_limit": row.get("memory", 0.0)}
     fault, outputs = None, []
     with open_slave(fmu, name, **options) as slave:
         try:

@@ -65,7 +65,7 @@ class FmuModel:
         plant: Plant,
         parameters: Sequence[Parameter],
         timeout: float = 10.0,
-        memory_limit: float | None = None,
+        memory_limit: float = 0.0,
     ) -> None:
         """timeout of a call [s], memory_limit [MB]: see open_slave. Raises CosimError."""
         self._fmu, self._timeout, self._memory_limit = fmu, timeout, memory_limit

@@ -64,7 +64,10 @@ class PrivateFolder:
             # The finalizer first: an interrupt may come as soon as the folder is there.
             self._finalizer = weakref.finalize(self, _remove, self.path, os.getpid(), lock := _Lock())
             os.mkdir(self.path, 0o700)
-            if lock.take(self.path) or sys.platform == "win32":
+            try:
+                if lock.take(self.path) or sys.platform == "win32":
+                    return
+            except OSError:  # a file system without locks: nobody can take it for forsaken there either
                 return
             self.remove()
         raise OSError(f"no folder can be kept in {parent}")

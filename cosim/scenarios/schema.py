@@ -58,8 +58,8 @@ class Settings(Table):
     """Longest time that one call of an FMU may take [s]."""
     checkpoint: int = Field(default=500, ge=0)
     """Communication points from one checkpoint of a run folder to the next, for `retune resume`; 0: none."""
-    memory_limit: float | None = Field(default=None, gt=0.0)
-    """Memory that the process of one FMU may hold [MB]; half of the machine's unless told. Linux only."""
+    memory_limit: float = Field(default=0.0, ge=0.0)
+    """Memory that the process of one FMU may hold [MB]; 0: half of the machine's. Linux only."""
     out_of_range: Literal["fault", "warning"] = "fault"
     """What an input or output outside its declared min and max is; one that is not finite is a fault."""
 

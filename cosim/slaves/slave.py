@@ -43,14 +43,14 @@ def open_slave(
     isolation: Isolation = "process",
     timeout: float = 10.0,
     out_of_range: OutOfRange = "fault",
-    memory_limit: float | None = None,
+    memory_limit: float = 0.0,
 ) -> "Slave":
     """An FMU for co-simulation, FMI 2.0 or 3.0, unpacked into a private folder and loaded.
 
     isolation "process" (the default) gives it a process of its own, and returns while it is still loading: open
     several and they load at the same time. "none" loads it into this process: for trusted native FMUs.
-    timeout is the time each call may take [s], memory_limit what its process may hold [MB] (half of the machine's
-    memory unless told; Linux); only a process of its own can be held to them.
+    timeout is the time each call may take [s], memory_limit what its process may hold [MB] (0: half of the
+    machine's memory; Linux); only a process of its own can be held to them.
     out_of_range is what an input or output outside its declared min and max is: a fault, or a warning, given once.
 
     Raises ModelDescriptionError for a bad file, SlaveError when loading fails (isolated: in the first call).

@@ -54,12 +54,10 @@ class Worker:
     Every method but close may raise SlaveError; the process has been killed then, and only close may follow.
     """
 
-    def __init__(
-        self, identity: Identity, timeout_s: float, kind: str = KIND, memory_limit: float | None = None
-    ) -> None:
+    def __init__(self, identity: Identity, timeout_s: float, kind: str = KIND, memory_limit: float = 0.0) -> None:
         """timeout_s is the time each call may take [s]; kind is that of channel_pair.
 
-        memory_limit: resident memory that the process may have [MB], half of the machine's unless told (Linux).
+        memory_limit: resident memory that the process may have [MB], 0 for half of the machine's (Linux).
         """
         self._name = identity.instance_name
         self._timeout_s = timeout_s

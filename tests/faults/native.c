@@ -90,7 +90,7 @@ static fmi2Status fail(Model *m, const char *how) {
     if (IS("allocate once")) { char *p = malloc(1 << 28); memset(p, 1, 1 << 28); sleep(1000); sink = p[9]; }
     if (IS("double free")) { char *p = malloc(4000); sink = (double)(size_t)p; free(p); free(p); }
     if (IS("free the stack")) { char p[64]; memset(p, 0, 64); sink = p[3]; free((void *)(p + 16)); }
-    if (IS("overrun the heap")) { char *p = malloc(24); memset(p, 'x', 1 << 28); sink = p[9]; free(p); }
+    if (IS("overrun the heap")) { volatile char *p = malloc(24); for (long i = 0; i < 1L << 30; i++) p[i] = 'x'; }
     if (IS("smash the stack")) smash(4096);
     if (IS("divide by zero")) sink = (7 * one) / zero;
     if (IS("illegal instruction")) __builtin_trap();

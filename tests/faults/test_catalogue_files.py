@@ -102,10 +102,6 @@ def damage(path: Path, what: str) -> None:
     path.write_bytes(data)
 
 
-def replace_file(path: Path, content: bytes) -> None:
-    path.write_bytes(content)
-
-
 def as_folder(path: Path) -> None:
     path.unlink()
     path.mkdir()

@@ -33,11 +33,13 @@ def check(fmu, kind, row, caplog, capfd):
     how, _, where = row["inject"].rpartition(" in ")
     is_early = where == "instantiate"
     name = f"instantiate: {how}" if is_early else "plant"
-    options = {"timeout": row.get("timeout", 30.0), "memory_limit": row.get("memory")}
     fault, outputs = None, []
-    with open_slave(fmu, name, **options) as slave:
+    with open_slave(fmu, name, timeout=30.0, memory_limit=row.get("memory", 0.0)) as slave:
         try:
-            run(slave, kind, outputs, "" if is_early else how, "" if is_early else where)
+            name_of_input, names = EXAMPLES[kind]
+            slave.bind(inputs=[name_of_input], outputs=names)
+            slave._home._timeout_s = row.get("timeout", 30.0)  # now: a busy machine may take its time to load an FMU
+            run(slave, outputs, "" if is_early else how, "" if is_early else where)
         except SlaveError as error:
             fault = error
         if fault is not None:
@@ -67,9 +69,7 @@ def check(fmu, kind, row, caplog, capfd):
     assert len(printed.err) < 2 << 20
 
 
-def run(slave, kind, outputs, how, where):
-    name, names = EXAMPLES[kind]
-    slave.bind(inputs=[name], outputs=names)
+def run(slave, outputs, how, where):
     slave.initialize({"how": how, "where": where})
     for k in range(4):
         outputs.append(slave.step([float(k)], t=k * H, h=H))

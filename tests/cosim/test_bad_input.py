@@ -112,7 +112,8 @@ CASES = {
     ],
     "a parameter that is fixed": [
         ("axis.toml", [('unit = "kg"', 'unit = "N.s/m"'),
-                       ('writes = "controller.m"', 'writes = "controller.d"\ntrue = "plant.damper.d"')], {
+                       ('writes = "controller.m"', 'writes = "controller.d"'),
+                       ('true = "plant.mass.m"', 'true = "plant.damper.d"')], {
             "check": (CHECK, 2, "'d' of AxisController.fmu is a fixed parameter, not a tunable parameter"),
             "run": (RUN, 2, "'d' of AxisController.fmu is a fixed parameter, not a tunable parameter")}),
         ("axis.toml", [('"plant.mass.m" = ', '"plant.damper.d" = ')], {

@@ -21,7 +21,7 @@ from typing import Any
 from fmpy import extract, platform, read_model_description
 from fmpy.fmi2 import FMU2Slave
 
-from benchmarks.native_fmus import compile_c
+from benchmarks.native_fmus import SOURCES, compile_c
 from benchmarks.report import spread, write
 from fmu_models import quadrotor
 from fmu_models.build import build
@@ -80,7 +80,7 @@ class Importer:
     """importer.c, compiled. Raises RuntimeError where it cannot be, or cannot find libpython."""
 
     def __init__(self, fmu: Path, folder: Path) -> None:
-        self._program = compile_c("importer.c", folder / "importer", "-ldl")
+        self._program = compile_c(SOURCES / "importer.c", folder / "importer", "-ldl")
         library = Path(sysconfig.get_config_var("LIBDIR") or "", sysconfig.get_config_var("INSTSONAME") or "none")
         if not library.exists() or ".so" not in library.name:
             raise RuntimeError("this Python has no shared libpython")

@@ -1,8 +1,10 @@
-"""The FMUs of the benchmarks that are not of fmu_models: one small model, in C and by pythonfmu."""
+"""FMUs that are not of fmu_models: models in C, the tests' too, and one by pythonfmu."""
 
+import re
 import shutil
 import subprocess
 import sys
+import tempfile
 import zipfile
 from pathlib import Path
 
@@ -12,15 +14,32 @@ SOURCES = Path(__file__).parent / "native"
 HEADERS = Path(fmpy.__file__).parent / "c-code"
 
 
-def compile_c(source: str, target: Path, *options: str) -> Path:
-    """A file of native/ compiled with gcc; returns target. Raises RuntimeError where it cannot be."""
+def compile_c(source: Path, target: Path, *options: str) -> Path:
+    """A C file compiled with gcc; returns target. Raises RuntimeError where it cannot be."""
     gcc = shutil.which("gcc")
     if gcc is None:
         raise RuntimeError("gcc is not installed")
-    command = [gcc, "-O2", f"-I{HEADERS}", "-o", target, SOURCES / source, *options]
+    command = [gcc, "-O2", f"-I{HEADERS}", f"-I{SOURCES}", "-o", target, source, *options]
     result = subprocess.run(command, capture_output=True, text=True)
     if result.returncode:
         raise RuntimeError(f"gcc failed: {result.stderr.strip().splitlines()[-1]}")
+    return target
+
+
+def build_c(source: Path, description: str, target: Path, *options: str) -> Path:
+    """A model that native/fmi_model.h makes an FMU of, and its modelDescription.xml, as target; raises RuntimeError.
+
+    The FMI version is that of the description.
+    """
+    identifier = re.search(r'modelIdentifier="(\w+)"', description)
+    is_fmi_3 = 'fmiVersion="3' in description
+    assert identifier
+    library = f"{identifier[1]}{fmpy.sharedLibraryExtension}"
+    with tempfile.TemporaryDirectory() as folder, zipfile.ZipFile(target, "w") as fmu:
+        options = ("-shared", "-fPIC", f"-DFMI={3 if is_fmi_3 else 2}", *options, "-lm")
+        compiled = compile_c(source, Path(folder) / library, *options)
+        fmu.writestr("modelDescription.xml", description)
+        fmu.write(compiled, f"binaries/{fmpy.platform_tuple if is_fmi_3 else fmpy.platform}/{library}")
     return target
 
 
@@ -28,11 +47,7 @@ def build_native(folder: Path) -> Path:
     """oscillator.c as folder/native/Oscillator.fmu. Raises RuntimeError where it cannot be compiled."""
     target = folder / "native" / "Oscillator.fmu"
     target.parent.mkdir(parents=True, exist_ok=True)
-    library = compile_c("oscillator.c", target.with_suffix(fmpy.sharedLibraryExtension), "-shared", "-fPIC")
-    with zipfile.ZipFile(target, "w") as fmu:
-        fmu.write(SOURCES / "modelDescription.xml", "modelDescription.xml")
-        fmu.write(library, f"binaries/{fmpy.platform}/Oscillator{library.suffix}")
-    return target
+    return build_c(SOURCES / "oscillator.c", (SOURCES / "modelDescription.xml").read_text(), target)
 
 
 def build_python(folder: Path) -> Path:

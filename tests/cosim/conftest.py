@@ -3,7 +3,6 @@
 import os
 import shutil
 import signal
-import subprocess
 import tempfile
 import time
 import zipfile
@@ -15,6 +14,7 @@ import fmpy
 import pytest
 from pythonfmu import FmuBuilder
 
+from benchmarks.native_fmus import build_c
 from cosim.cli import main
 from cosim.scenarios.scenario import Scenario
 
@@ -124,19 +124,13 @@ def faulty_toml(faulty_reference, tmp_path) -> Path:
 
 @pytest.fixture(scope="session")
 def foreign(tmp_path_factory) -> Path:
-    """A folder with Axis.fmu and AxisController.fmu, which are not of our making: tests/foreign/*.c, compiled here."""
-    gcc = shutil.which("gcc")
-    if gcc is None:
+    """A folder with FMUs that are not of our making, compiled here from tests/foreign: one for each description."""
+    if shutil.which("gcc") is None:
         pytest.skip("no C compiler: gcc is not installed")
     sources, folder = Path(__file__).parents[1] / "foreign", tmp_path_factory.mktemp("foreign")
-    headers = Path(fmpy.__file__).parent / "c-code"
-    for name in ("Axis", "AxisController"):
-        library = folder / f"{name}{fmpy.sharedLibraryExtension}"
-        options = ["-O2", f"-I{headers}", "-shared", "-fPIC", "-o", library, sources / f"{name}.c"]
-        subprocess.run([gcc, *options], check=True)
-        with zipfile.ZipFile(folder / f"{name}.fmu", "w") as fmu:
-            fmu.write(sources / f"{name}.xml", "modelDescription.xml")
-            fmu.write(library, f"binaries/{fmpy.platform}/{library.name}")
+    for description in sources.glob("*.xml"):
+        source = sources / f"{description.stem.partition('-')[0]}.c"
+        build_c(source, description.read_text(), folder / f"{description.stem}.fmu")
     return folder
 
 

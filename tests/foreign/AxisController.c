@@ -10,6 +10,6 @@ static void refresh(double *v) {
                v[D] * v[V_MEAS];
 }
 
-static void step(double *v, double h) {}
+static int step(double *v, double t, double h) { return 1; }
 
-#include "fmi2_model.h"
+#include "fmi_model.h"

@@ -2,14 +2,13 @@
 
 import importlib.util
 import shutil
-import subprocess
-import zipfile
 from pathlib import Path
 
-import fmpy
 import pytest
 import scipy.linalg  # noqa: F401 -- its BLAS must be loaded to be limited
 from threadpoolctl import threadpool_limits
+
+from benchmarks.native_fmus import build_c
 
 HERE = Path(__file__).parent
 
@@ -21,21 +20,13 @@ def compile_plant(tmp_path_factory):
         pytest.skip("gcc is not installed")
 
     def compiled(*options, **attributes):
-        folder = tmp_path_factory.mktemp("plant")
-        library = folder / f"MassSpringDamper{fmpy.sharedLibraryExtension}"
-        headers = Path(fmpy.__file__).parent / "c-code"
-        command = ["gcc", "-O2", "-shared", "-fPIC", f"-I{headers}", *options, "-o", library]
-        subprocess.run([*command, HERE / "mass_spring_damper.c", "-lm"], check=True)
         description = (HERE / "modelDescription.xml").read_text()
         for name, value in attributes.items():
             other = "false" if value == "true" else "true"
             assert f'{name}="{other}"' in description
             description = description.replace(f'{name}="{other}"', f'{name}="{value}"')
-        path = folder / "Plant.fmu"
-        with zipfile.ZipFile(path, "w") as fmu:
-            fmu.writestr("modelDescription.xml", description)
-            fmu.write(library, f"binaries/{fmpy.platform}/{library.name}")
-        return path
+        path = tmp_path_factory.mktemp("plant") / "Plant.fmu"
+        return build_c(HERE / "mass_spring_damper.c", description, path, *options)
 
     return compiled
 

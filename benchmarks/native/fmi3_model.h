@@ -1,0 +1,94 @@
+/* The functions of FMI 3.0 over a Model: see fmi_model.h. Of what is optional nothing is offered. */
+
+#include "fmi3Functions.h"
+
+#define ANSWER(is_well) ((is_well) ? fmi3OK : fmi3Error)
+
+const char *fmi3GetVersion(void) { return fmi3Version; }
+
+fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
+                                          fmi3Boolean logging, fmi3InstanceEnvironment environment,
+                                          fmi3LogMessageCallback log) {
+    return N_STATES ? new_model(1) : NULL;
+}
+fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
+                                         fmi3Boolean logging, fmi3Boolean has_event_mode, fmi3Boolean may_return_early,
+                                         const fmi3ValueReference intermediate[], size_t n_intermediate,
+                                         fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
+                                         fmi3IntermediateUpdateCallback update) {
+    return new_model(0);
+}
+void fmi3FreeInstance(fmi3Instance c) { free(c); }
+fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n, const fmi3String categories[]) {
+    return fmi3OK;
+}
+fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean has_tolerance, fmi3Float64 tolerance,
+                                       fmi3Float64 from, fmi3Boolean has_stop, fmi3Float64 stop) {
+    ((Model *)c)->time = from;
+    return fmi3OK;
+}
+fmi3Status fmi3ExitInitializationMode(fmi3Instance c) {
+    refresh(((Model *)c)->v);
+    return fmi3OK;
+}
+fmi3Status fmi3EnterEventMode(fmi3Instance c) { return fmi3OK; }
+fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *again, fmi3Boolean *is_over, fmi3Boolean *nominals,
+                                    fmi3Boolean *states_changed, fmi3Boolean *has_next, fmi3Float64 *next) {
+    *again = *is_over = *nominals = *states_changed = *has_next = fmi3False;
+    return fmi3OK;
+}
+fmi3Status fmi3Terminate(fmi3Instance c) { return fmi3OK; }
+fmi3Status fmi3Reset(fmi3Instance c) { return fmi3Error; } /* nobody may rely on it */
+
+fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3Float64 value[], size_t size) {
+    return ANSWER(size == n && read_values(c, vr, n, value));
+}
+fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t n, const fmi3Float64 value[],
+                          size_t size) {
+    return ANSWER(size == n && write_values(c, vr, n, value));
+}
+
+/* Co-simulation */
+
+fmi3Status fmi3EnterStepMode(fmi3Instance c) { return fmi3OK; }
+fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean keeps_no_state, fmi3Boolean *has_event,
+                      fmi3Boolean *is_over, fmi3Boolean *is_early, fmi3Float64 *last) {
+    *has_event = *is_over = *is_early = fmi3False;
+    *last = t + h;
+    return ANSWER(step_model(c, t, h));
+}
+
+/* Model exchange */
+
+fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance c) { return fmi3OK; }
+fmi3Status fmi3CompletedIntegratorStep(fmi3Instance c, fmi3Boolean keeps_no_state, fmi3Boolean *has_event,
+                                       fmi3Boolean *is_over) {
+    *has_event = *is_over = fmi3False;
+    return fmi3OK;
+}
+fmi3Status fmi3SetTime(fmi3Instance c, fmi3Float64 t) {
+    ((Model *)c)->time = t;
+    return fmi3OK;
+}
+fmi3Status fmi3SetContinuousStates(fmi3Instance c, const fmi3Float64 x[], size_t n) {
+    return ANSWER(n == N_STATES && write_values(c, states, n, x));
+}
+fmi3Status fmi3GetContinuousStates(fmi3Instance c, fmi3Float64 x[], size_t n) {
+    return ANSWER(n == N_STATES && read_values(c, states, n, x));
+}
+fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance c, fmi3Float64 xdot[], size_t n) {
+    return ANSWER(n == N_STATES && read_values(c, rates, n, xdot));
+}
+fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance c, fmi3Float64 nominal[], size_t n) {
+    for (size_t i = 0; i < n; i++) nominal[i] = 1.0;
+    return fmi3OK;
+}
+fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance c, size_t *n) {
+    *n = N_STATES;
+    return fmi3OK;
+}
+fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance c, size_t *n) {
+    *n = 0;
+    return fmi3OK;
+}
+fmi3Status fmi3GetEventIndicators(fmi3Instance c, fmi3Float64 z[], size_t n) { return ANSWER(n == 0); }

@@ -1,0 +1,71 @@
+/* A small model in C as an FMU of FMI 2.0 or, with -DFMI=3, of FMI 3.0: for co-simulation and, where it has states, for
+   model exchange. The file that includes this at its end has defined
+
+     N_VARIABLES                                     all of them real; value references are places in v
+     static const double start[N_VARIABLES];         start values
+     static void refresh(double *v);                 outputs and derivatives from states, inputs and parameters
+     static int step(double *v, double t, double h); one communication step; 0 where it fails
+
+   and, for model exchange, N_STATES with the places of the states and of their derivatives, in the order of
+   ModelStructure:
+
+     static const unsigned states[N_STATES], rates[N_STATES];
+
+   In FMI 3.0 the value reference N_VARIABLES is the time. -DONCE: one instance a process, as some tools export.
+   The headers of the standard are FMPy's (fmpy/c-code). */
+
+#include <stdlib.h>
+#include <string.h>
+
+#ifndef N_STATES
+#define N_STATES 0
+static const unsigned states[1], rates[1];
+#endif
+
+typedef struct {
+    double v[N_VARIABLES];
+    double time;
+    int is_exchange;
+} Model;
+
+static Model *new_model(int is_exchange) {
+    Model *m;
+#ifdef ONCE
+    static int n_instances;
+    if (n_instances++) return NULL;
+#endif
+    m = calloc(1, sizeof *m);
+    if (m) memcpy(m->v, start, sizeof start);
+    if (m) m->is_exchange = is_exchange;
+    return m;
+}
+
+static int read_values(Model *m, const unsigned place[], size_t n, double value[]) {
+    if (m->is_exchange) refresh(m->v);
+    for (size_t i = 0; i < n; i++) {
+        if (place[i] > N_VARIABLES) return 0;
+        value[i] = place[i] == N_VARIABLES ? m->time : m->v[place[i]];
+    }
+    return 1;
+}
+
+static int write_values(Model *m, const unsigned place[], size_t n, const double value[]) {
+    for (size_t i = 0; i < n; i++) {
+        if (place[i] >= N_VARIABLES) return 0;
+        m->v[place[i]] = value[i];
+    }
+    return 1;
+}
+
+static int step_model(Model *m, double t, double h) {
+    m->time = t + h;
+    if (!step(m->v, t, h)) return 0;
+    refresh(m->v);
+    return 1;
+}
+
+#if FMI == 3
+#include "fmi3_model.h"
+#else
+#include "fmi2_model.h"
+#endif

@@ -1,4 +1,4 @@
-"""A minimal FMI 2.0 host on ctypes: `python -I -S fmu_host.py TASK '{"argument": ...}'` prints JSON.
+"""A minimal FMI 2.0 and 3.0 host on ctypes: `python -I -S fmu_host.py TASK '{"argument": ...}'` prints JSON.
 
 It needs only the standard library, so an FMU that runs here has brought everything else along. It leaves with
 os._exit, because a pythonfmu library touches freed memory in its exit handler.
@@ -13,47 +13,55 @@ import zipfile
 from pathlib import Path
 from xml.etree import ElementTree
 
-LOGGER = c.CFUNCTYPE(None, c.c_void_p, c.c_char_p, c.c_int, c.c_char_p, c.c_char_p)
+LOGGER2 = c.CFUNCTYPE(None, c.c_void_p, c.c_char_p, c.c_int, c.c_char_p, c.c_char_p)
+LOGGER3 = c.CFUNCTYPE(None, c.c_void_p, c.c_int, c.c_char_p, c.c_char_p)
 
 
 class Callbacks(c.Structure):
     """fmi2CallbackFunctions."""
 
     _fields_ = (
-        ("logger", LOGGER), ("allocate", c.c_void_p), ("free", c.c_void_p),
+        ("logger", LOGGER2), ("allocate", c.c_void_p), ("free", c.c_void_p),
         ("step_finished", c.c_void_p), ("environment", c.c_void_p),
     )  # fmt: skip
 
 
 class Instance:
-    """One instance of an FMU; every call returns its FMI status, and `set` and `get` go by name."""
+    """One co-simulation instance, initialised; every call returns its FMI status, and `set` and `get` go by name."""
 
-    def __init__(self, fmu: str, directory: str, start_time: float = 0.0, start: dict | None = None) -> None:
+    prefix, platform = "fmi2", "linux64"
+    get_state, size_state, bytes_of_state = "GetFMUstate", "SerializedFMUstateSize", "SerializeFMUstate"
+    free_state, read_state, set_state = "FreeFMUstate", "DeSerializeFMUstate", "SetFMUstate"
+
+    def __init__(self, root, directory: str, start_time: float, start: dict) -> None:
         self.messages: list[tuple[int, str]] = []
-        if not Path(directory).exists():  # writing over a library that is in use is fatal
-            with zipfile.ZipFile(fmu) as archive:
-                archive.extractall(directory)
-        root = ElementTree.parse(Path(directory) / "modelDescription.xml").getroot()
-        self.types = {v.get("name"): v[0].tag for v in root.iter("ScalarVariable")}
-        self.references = {v.get("name"): int(v.get("valueReference")) for v in root.iter("ScalarVariable")}
-        self.outputs = [v.get("name") for v in root.iter("ScalarVariable") if v.get("causality") == "output"]
+        self.describe(root)
         identifier = root.find("CoSimulation").get("modelIdentifier")
-        self._dll = c.CDLL(str(Path(directory) / "binaries" / "linux64" / f"{identifier}.so"))
-        self._callbacks = Callbacks(LOGGER(lambda e, i, status, k, text: self.messages.append((status, text.decode()))))
-        self._dll.fmi2Instantiate.restype = c.c_void_p
-        resources = (Path(directory) / "resources").as_uri().encode()
-        component = self._dll.fmi2Instantiate(
-            identifier.encode(), 1, root.get("guid").encode(), resources, c.byref(self._callbacks), 0, 1
-        )
-        assert component, self.messages
-        self._component = c.c_void_p(component)
-        self.call("SetupExperiment", 0, c.c_double(0.0), c.c_double(start_time), 0, c.c_double(0.0))
-        self.call("EnterInitializationMode")
-        self.set(start or {})
+        self.dll = c.CDLL(str(Path(directory) / "binaries" / self.platform / f"{identifier}.so"))
+        self.instance = c.c_void_p(self.instantiate(root, Path(directory) / "resources"))
+        assert self.instance.value, self.messages
+        self.enter_initialization(start_time)
+        assert self.set(start) == 0, self.messages
         self.call("ExitInitializationMode")
 
+    def describe(self, root) -> None:
+        variables = list(root.iter("ScalarVariable"))
+        self.types = {v.get("name"): v[0].tag for v in variables}
+        self.references = {v.get("name"): int(v.get("valueReference")) for v in variables}
+        self.outputs = [v.get("name") for v in variables if v.get("causality") == "output"]
+
+    def instantiate(self, root, resources: Path):
+        self.callbacks = Callbacks(LOGGER2(lambda e, i, status, k, text: self.messages.append((status, text.decode()))))
+        self.dll.fmi2Instantiate.restype = c.c_void_p
+        guid, where = root.get("guid").encode(), resources.as_uri().encode()
+        return self.dll.fmi2Instantiate(b"one", 1, guid, where, c.byref(self.callbacks), 0, 1)
+
+    def enter_initialization(self, start_time: float) -> None:
+        self.call("SetupExperiment", 0, c.c_double(0.0), c.c_double(start_time), 0, c.c_double(0.0))
+        self.call("EnterInitializationMode")
+
     def call(self, function: str, *arguments) -> int:
-        return getattr(self._dll, f"fmi2{function}")(self._component, *arguments)
+        return getattr(self.dll, f"{self.prefix}{function}")(self.instance, *arguments)
 
     def set(self, values: dict) -> int:
         status = 0
@@ -74,17 +82,85 @@ class Instance:
 
     def serialized_state(self) -> bytes:
         state, size = c.c_void_p(), c.c_size_t()
-        assert self.call("GetFMUstate", c.byref(state)) == 0
-        assert self.call("SerializedFMUstateSize", state, c.byref(size)) == 0
+        assert self.call(self.get_state, c.byref(state)) == 0
+        assert self.call(self.size_state, state, c.byref(size)) == 0
         buffer = c.create_string_buffer(size.value)
-        assert self.call("SerializeFMUstate", state, buffer, size) == 0
-        assert self.call("FreeFMUstate", c.byref(state)) == 0
+        assert self.call(self.bytes_of_state, state, buffer, size) == 0
+        assert self.call(self.free_state, c.byref(state)) == 0
         return buffer.raw
 
     def restore(self, serialized: bytes) -> int:
         state = c.c_void_p()
-        assert self.call("DeSerializeFMUstate", serialized, c.c_size_t(len(serialized)), c.byref(state)) == 0
-        return self.call("SetFMUstate", state) or self.call("FreeFMUstate", c.byref(state))
+        assert self.call(self.read_state, serialized, c.c_size_t(len(serialized)), c.byref(state)) == 0
+        return self.call(self.set_state, state) or self.call(self.free_state, c.byref(state))
+
+
+class Instance3(Instance):
+    """The same of FMI 3.0, with arrays."""
+
+    prefix, platform = "fmi3", "x86_64-linux"
+    get_state, size_state, bytes_of_state = "GetFMUState", "SerializedFMUStateSize", "SerializeFMUState"
+    free_state, read_state, set_state = "FreeFMUState", "DeserializeFMUState", "SetFMUState"
+
+    def describe(self, root) -> None:
+        variables = list(root.find("ModelVariables"))
+        self.types = {v.get("name"): v.tag for v in variables}
+        self.references = {v.get("name"): int(v.get("valueReference")) for v in variables}
+        self.sizes = {v.get("name"): product(int(d.get("start")) for d in v.iter("Dimension")) for v in variables}
+        self.outputs = [v.get("name") for v in variables if v.get("causality") == "output"]
+
+    def instantiate(self, root, resources: Path):
+        self.logger = LOGGER3(lambda e, status, k, text: self.messages.append((status, text.decode())))
+        self.dll.fmi3InstantiateCoSimulation.restype = c.c_void_p
+        token, where = root.get("instantiationToken").encode(), f"{resources}/".encode()
+        return self.dll.fmi3InstantiateCoSimulation(
+            b"one", token, where, False, True, False, False, None, c.c_size_t(0), None, self.logger, None
+        )
+
+    def enter_initialization(self, start_time: float) -> None:
+        self.call("EnterInitializationMode", False, c.c_double(0.0), c.c_double(start_time), False, c.c_double(0.0))
+
+    def set(self, values: dict) -> int:
+        status = 0
+        for name, value in values.items():
+            flat = flattened(value)
+            cells = ((c.c_bool if self.types[name] == "Boolean" else c.c_double) * len(flat))(*flat)
+            reference = c.byref(c.c_uint(self.references[name]))
+            status |= self.call(f"Set{self.types[name]}", reference, c.c_size_t(1), cells, c.c_size_t(len(flat)))
+        return status
+
+    def get(self, names: list[str]) -> list[float]:
+        references = (c.c_uint * len(names))(*(self.references[name] for name in names))
+        n = sum(self.sizes[name] for name in names)
+        values = (c.c_double * n)(*[float("nan")] * n)
+        assert self.call("GetFloat64", references, c.c_size_t(len(names)), values, c.c_size_t(n)) == 0, self.messages
+        return list(values)
+
+    def step(self, time: float, step_size: float) -> int:
+        flags, end = (c.c_bool * 3)(), c.c_double()
+        at = [c.byref(flags, i) for i in range(3)]
+        return self.call("DoStep", c.c_double(time), c.c_double(step_size), True, *at, c.byref(end))
+
+
+def instance_of(fmu: str, directory: str, start_time: float = 0.0, start: dict | None = None) -> Instance:
+    """An instance of the FMU, unpacked into directory once: writing over a library that is in use is fatal."""
+    if not Path(directory).exists():
+        with zipfile.ZipFile(fmu) as archive:
+            archive.extractall(directory)
+    root = ElementTree.parse(Path(directory) / "modelDescription.xml").getroot()
+    kind = Instance3 if root.get("fmiVersion").startswith("3") else Instance
+    return kind(root, directory, start_time, start or {})
+
+
+def product(numbers) -> int:
+    result = 1
+    for number in numbers:
+        result *= number
+    return result
+
+
+def flattened(value) -> list:
+    return [x for part in value for x in flattened(part)] if isinstance(value, list) else [value]
 
 
 def run(instance: Instance, first: int, last: int, macro_step: float = 0.01, script: dict | None = None) -> list:
@@ -125,7 +201,7 @@ def together(new, fmus: list[str], n_steps: int) -> dict:
     return {"rows": [instance.get(instance.outputs) for instance in instances]}
 
 
-def fault(new, fmu: str, start: dict | None, values: dict, n_times: int) -> dict:
+def fault(new, fmu: str, values: dict, n_times: int, start: dict | None = None) -> dict:
     """Statuses and messages of a set and a step, in fresh instances in turn; each is freed afterwards."""
     import gc
 
@@ -149,12 +225,11 @@ def modules(new, fmu: str) -> dict:
 def main() -> None:
     task, arguments = globals()[sys.argv[1]], json.loads(sys.argv[2])
     with tempfile.TemporaryDirectory() as directory:
-        n_instances = iter(range(1000))
         extracted: dict[str, str] = {}
 
         def new(fmu: str, **options) -> Instance:
-            where = extracted.setdefault(fmu, str(Path(directory) / str(next(n_instances))))
-            return Instance(fmu, where, **options)
+            where = extracted.setdefault(fmu, str(Path(directory) / str(len(extracted))))
+            return instance_of(fmu, where, **options)
 
         result = task(new, **arguments)
         print(json.dumps(result), flush=True)

@@ -74,9 +74,9 @@ def fmus(tmp_path_factory):
     }
 
 
-def host(task, version=3, **arguments):
+def host(task, **arguments):
     """What the task returned in an interpreter without site-packages."""
-    script = Path(__file__).with_name("fmi3_host.py" if version == 3 else "fmu_host.py")
+    script = Path(__file__).with_name("fmu_host.py")
     done = subprocess.run(
         [sys.executable, "-I", "-S", str(script), task, json.dumps(arguments)], capture_output=True, text=True
     )
@@ -232,7 +232,7 @@ def test_it_computes_bit_for_bit_what_the_fmi_2_fmu_does(fmus, name):
     script, start = SCRIPTS[name], STARTS.get(name, {})
     ours = host("simulate", fmu=fmus[3][name], n_steps=50, start=start, script=script)
     flat = {k: scalars(name, values) for k, values in script.items()}
-    theirs = host("simulate", version=2, fmu=fmus[2][name], n_steps=50, start=scalars(name, start), script=flat)
+    theirs = host("simulate", fmu=fmus[2][name], n_steps=50, start=scalars(name, start), script=flat)
     assert ours["rows"] == theirs["rows"]
     assert ours["rows"][0] != ours["rows"][-1]
 

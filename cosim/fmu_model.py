@@ -49,7 +49,7 @@ def opened_model(scenario: Scenario, plant: Plant) -> Generator[Any]:
 
 
 class FmuModel:
-    """xdot (n,) = model(x, u, **parameters) of a model-exchange FMU of FMI 3.0, in a process of its own.
+    """xdot (n,) = model(x, u, **parameters) of a model-exchange FMU, in a process of its own.
 
     x and u are the plant's states and inputs, in its order; the FMU has them, and the parameters, under the same names.
     What does not change over a call stays set: a call is one round trip. Where the FMU fails, the model has no value
@@ -123,8 +123,8 @@ class FmuModel:
             str(model_exchange(self._description).modelIdentifier),
             str(self._description.guid),
             self._fmu.stem,
-            True,
-            "fmi3-exchange",
+            self._description.fmiVersion != "2.0",
+            "fmi2-exchange" if self._description.fmiVersion == "2.0" else "fmi3-exchange",
         )
         home = Worker(identity, self._timeout)
         try:

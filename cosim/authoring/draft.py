@@ -47,7 +47,7 @@ def draft(fmus: Mapping[str, Path], folder: Path, model: str | None = None) -> D
         raise WiringError(f"{fmus[PLANT]} has no outputs: nothing of it can be tracked or measured.")
     pairs = parameter_pairs(components)
     description = components[PLANT].description
-    if model is None and description.modelExchange is not None and str(description.fmiVersion).startswith("3"):
+    if model is None and description.modelExchange is not None:
         model = str(fmus[PLANT])
     is_fmu = model is not None and model.lower().endswith(".fmu")
     if model is not None and is_fmu:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 import fmpy
-from fmpy.model_description import CoSimulation, ModelDescription, ModelExchange
+from fmpy.model_description import CoSimulation, ModelDescription, ModelExchange, ValidationError
 
 from ..errors import ModelDescriptionError, one_line
 from .elements import scalarized
@@ -19,7 +19,7 @@ Interface = Literal["co-simulation", "model-exchange"]
 
 # What a file URI keeps as it is, and the space, which every loader decodes: pythonfmu's crashes on anything else.
 _SAFE: Final = re.compile(r"[A-Za-z0-9._~/ -]*" if sys.platform != "win32" else r"[A-Za-z0-9._~/\\: -]*")
-_VERSIONS: Final[dict[str, tuple[str, ...]]] = {"co-simulation": ("2.0", "3.0"), "model-exchange": ("3.0",)}
+_VERSIONS: Final[dict[str, tuple[str, ...]]] = {"co-simulation": ("2.0", "3.0"), "model-exchange": ("2.0", "3.0")}
 _OTHER_FOLDERS: Final = ("/tmp", "/var/tmp") if sys.platform != "win32" else (r"C:\Users\Public", r"C:\Temp")
 
 
@@ -71,6 +71,10 @@ def look_into(fmu: Path) -> tuple[ModelDescription, list[str]]:
             platforms: list[str] = fmpy.supported_platforms(file)
     except OSError as error:
         raise ModelDescriptionError(f"{fmu} cannot be read: {error.strerror or error}") from error
+    except ValidationError as error:
+        n = len(error.problems) - 1
+        more = f" (and {n} more, which `fmpy validate` lists)" if n else ""
+        raise ModelDescriptionError(f"{fmu} is not a usable FMU: {one_line(error.problems[0])}{more}") from error
     except Exception as error:  # FMPy raises what the zip, XML and validation code happens to raise
         raise ModelDescriptionError(f"{fmu} is not a usable FMU: {_text_of(error)}") from error
     return description, platforms

@@ -30,4 +30,8 @@ def load(identity: Identity) -> Binding:
         from .exchange3 import Exchange3
 
         return Exchange3(identity)
+    if identity.binding == "fmi2-exchange":
+        from .exchange2 import Exchange2
+
+        return Exchange2(identity)
     return Instance(identity)

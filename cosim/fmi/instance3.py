@@ -4,6 +4,7 @@ import ctypes
 import os
 from collections.abc import Callable, Sequence
 from ctypes import byref, c_bool, c_double, c_int, c_size_t, c_uint, c_void_p
+from types import SimpleNamespace
 from typing import Any
 
 from fmpy import fmi3, read_model_description
@@ -70,7 +71,10 @@ class Fmi3:
 
     def raw(self, name: str, *arguments: Any) -> Any:
         """The FMU's C function without FMPy's checks; arguments: types behind the instance."""
-        function = self.fmu.dll[name]  # a new object: FMPy's own keeps its argument types
+        try:
+            function = self.fmu.dll[name]  # a new object: FMPy's own keeps its argument types
+        except AttributeError as error:
+            raise SlaveError(self.name, "instantiate", None, f"failed: the FMU has no function {name}") from error
         function.argtypes, function.restype = (c_void_p, *arguments), c_int
         return function
 
@@ -104,7 +108,7 @@ class Fmi3:
     def _load(self, identity: Identity, make: Callable[..., Any]) -> Any:
         directory = os.getcwd()
         try:
-            fmu = make(
+            fmu = _lenient(make)(
                 guid=identity.guid,
                 modelIdentifier=identity.model_identifier,
                 unzipDirectory=identity.folder,
@@ -116,6 +120,33 @@ class Fmi3:
         finally:
             os.chdir(directory)  # FMPy stays in the FMU's folder when loading fails
         return fmu
+
+
+def _lenient(make: Any) -> Any:
+    """FMPy's class, for an FMU that lacks functions which are not called.
+
+    The standard wants all of them, those of other interfaces too; Simulink's FMUs, for one, have only their own.
+    """
+
+    def load(self: Any) -> None:
+        dll, self.dll = self.dll, _Library(self.dll)
+        make._loadFunctions(self)
+        self.dll = dll
+
+    return type(make.__name__, (make,), {"_loadFunctions": load})
+
+
+class _Library:
+    """A shared library, with a stand-in for each function that it lacks."""
+
+    def __init__(self, dll: ctypes.CDLL) -> None:
+        self._dll = dll
+
+    def __getattr__(self, name: str) -> Any:
+        try:
+            return getattr(self._dll, name)
+        except AttributeError:
+            return SimpleNamespace()
 
 
 class Instance3:

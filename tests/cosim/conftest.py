@@ -1,6 +1,7 @@
 """Where FMUs are kept and unpacked while the co-simulation is tested, and the proof that nothing of a run is left."""
 
 import os
+import re
 import shutil
 import signal
 import tempfile
@@ -124,13 +125,20 @@ def faulty_toml(faulty_reference, tmp_path) -> Path:
 
 @pytest.fixture(scope="session")
 def foreign(tmp_path_factory) -> Path:
-    """A folder with FMUs that are not of our making, compiled here from tests/foreign: one for each description."""
+    """A folder with FMUs that are not of our making, compiled here from tests/foreign.
+
+    Axis (FMI 2.0), Axis-3 (FMI 3.0, model exchange too), Axis-ME (FMI 2.0, model exchange only) and AxisController.
+    """
     if shutil.which("gcc") is None:
         pytest.skip("no C compiler: gcc is not installed")
     sources, folder = Path(__file__).parents[1] / "foreign", tmp_path_factory.mktemp("foreign")
     for description in sources.glob("*.xml"):
         source = sources / f"{description.stem.partition('-')[0]}.c"
         build_c(source, description.read_text(), folder / f"{description.stem}.fmu")
+    exchange = re.sub(
+        "<CoSimulation.*?>", '<ModelExchange modelIdentifier="Axis"/>', (sources / "Axis.xml").read_text()
+    )
+    build_c(sources / "Axis.c", exchange, folder / "Axis-ME.fmu")
     return folder
 
 

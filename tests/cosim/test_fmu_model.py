@@ -12,7 +12,7 @@ from cosim import ScenarioError, run
 from cosim.fmu_model import FmuModel, opened_model
 from cosim.scenarios.library import find_fmu
 from cosim.scenarios.scenario import Scenario
-from cosim.scenarios.system import plant_of
+from cosim.scenarios.system import Plant, plant_of
 from cosim.slaves.slave import open_slave
 from estimator import Parameter
 from fmu_models import friction_pendulum, pendulum, quadrotor, rigid_body
@@ -139,3 +139,26 @@ def test_a_parameter_that_the_fmu_does_not_take_is_refused(tmp_path, leaves_noth
     path = find_fmu("Pendulum", tmp_path, 3, "ModelExchange")
     with pytest.raises(ScenarioError, match=re.escape("'m' of Pendulum.fmu takes 0.1 to 5.0; 'm' has [0.05, 5].")):
         FmuModel(path, plant, [Parameter("m", 0.05, 5.0)])
+
+
+@pytest.fixture
+def axis(foreign, leaves_nothing):
+    """The model of the axis that was compiled from C, by the name of its FMU."""
+    opened = []
+
+    def of(name):
+        plant = Plant("plant", ("mass.v", "mass.s"), {"f": 0.0}, (0,))  # the states in another order than the FMU's
+        opened.append(FmuModel(foreign / f"{name}.fmu", plant, [Parameter("mass.m", 0.5, 20.0)]))
+        return opened[-1]
+
+    yield of
+    for one in opened:
+        one.close()
+
+
+@pytest.mark.parametrize("name", ["Axis-ME", "Axis-3"], ids=["FMI 2.0", "FMI 3.0"])
+def test_an_fmu_of_another_tool_gives_newton_s_derivatives(axis, name):
+    model, rng = axis(name), np.random.default_rng(0)
+    for _ in range(5):
+        v, s, f, m = rng.uniform(0.5, 3.0, 4)
+        assert model((v, s), (f,), **{"mass.m": m}) == pytest.approx(((f - 8.0 * s - 1.0 * v) / m, v), rel=1e-14)

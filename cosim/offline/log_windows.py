@@ -99,6 +99,8 @@ def windows_of(
 
 def _table(log: Log, signals: Signals, component: Component) -> tuple[Vector, dict[str, Vector], list[str]]:
     """Increasing time stamps (n,), and the columns of each role (n, ...) in the FMU's units. Raises LogError."""
+    if signals.time is None:
+        log = log.on_one_raster(signals.inputs.values(), [*signals.measured.values(), *signals.start.values()])
     stamps = log.time_column(signals.time)
     time = _converted(stamps, understood("s"), f"{log.path}: time", understood)
     roles = {"input": signals.inputs, "measured": signals.measured, "start": signals.start}

@@ -2,7 +2,8 @@
 
 import csv
 import re
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -38,6 +39,8 @@ class Column:
     """As the log names it."""
     text: str | None = None
     """Its first cell that is no number; it has no values then."""
+    time: Vector | None = None
+    """Its own time stamps (n,) [s], in a log of several rasters."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +65,24 @@ class Log:
             raise LogError(f"{self.path}: column '{name}' must hold numbers, got '{one_line(found.text)}'.")
         return found
 
+    def on_one_raster(self, held: Iterable[str], others: Iterable[str]) -> "Log":
+        """The log with these columns at the time stamps of all of them, one of several rasters only.
+
+        held: columns that keep each value until their next, as an input does; the others are NaN between their values.
+        Raises LogError.
+        """
+        found = {name: self.column(name) for name in (*held, *others)}
+        if any(column.time is None for column in found.values()):
+            return self
+        rasters = {name: column.time for name, column in found.items() if column.time is not None}
+        time = np.unique(np.concatenate(list(rasters.values())))
+        table = {_TIMES[0]: Column(time, "s")}
+        for name, column in found.items():
+            last = np.searchsorted(rasters[name], time, side="right") - 1
+            known = last >= 0 if name in held else (last >= 0) & (np.append(rasters[name], np.nan)[last] == time)
+            table[name] = Column(np.where(known, np.append(column.values, np.nan)[last], np.nan), column.unit)
+        return Log(self.path, table)
+
     def time_column(self, name: str | None) -> Column:
         """The column of time stamps: the one named, or else the one called time or t. Raises LogError."""
         if name is None:
@@ -73,8 +94,10 @@ class Log:
 
 def read_log(path: Path) -> Log:
     """The log in a .csv, .txt, .tsv, .parquet, .mat, .mf4 or .mdf file. Raises LogError."""
-    readers = {".parquet": _read_parquet, ".pq": _read_parquet, ".mat": _read_mat, ".mf4": _read_mdf, ".mdf": _read_mdf}
+    readers = {".parquet": _read_parquet, ".pq": _read_parquet, ".mat": _read_mat}
     try:
+        if path.suffix.lower() in (".mf4", ".mdf"):
+            return Log(path, _read_mdf(path))
         headings, columns = readers.get(path.suffix.lower(), _read_csv)(path)
     except OSError as e:
         raise LogError(f"{path} cannot be read: {one_line(e.strerror or str(e))}.") from e
@@ -181,21 +204,53 @@ def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Vector]:
     return found
 
 
-def _read_mdf(path: Path) -> tuple[Sequence[str], Sequence[Any]]:
-    """The channels of the first group that has any, with its own time stamps: others have other stamps."""
+class _Channels(Mapping[str, Column]):
+    """The channels of an MDF file's groups, each read when it is asked for: there may be thousands.
+
+    A name that several groups have is followed by `@` and the group's number, from 0.
+    """
+
+    def __init__(self, path: Path, open_mdf: Any) -> None:
+        self._path, self._open, self._read = path, open_mdf, dict[str, Column]()
+        with open_mdf(path) as file:
+            groups: list[list[str]] = [[channel.name for channel in group.channels] for group in file.groups]
+            masters: Mapping[int, int] = dict(file.masters_db)
+        found = [(name, i, k) for i, names in enumerate(groups) for k, name in enumerate(names) if k != masters.get(i)]
+        counts = Counter(name for name, _, _ in found)
+        self._places = {name if counts[name] == 1 else f"{name}@{i}": (i, k) for name, i, k in found}
+
+    def __getitem__(self, name: str) -> Column:
+        if name not in self._read:
+            group, index = self._places[name]
+            with self._open(self._path) as file:
+                signal = file.get(group=group, index=index)
+            self._read[name] = _channel(signal)
+        return self._read[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._places)
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+
+def _read_mdf(path: Path) -> Mapping[str, Column]:
     try:
         from asammdf import MDF  # pyright: ignore[reportMissingImports]  optional
         from asammdf.blocks.utils import MdfException  # pyright: ignore[reportMissingImports]
     except ImportError as e:
         raise LogError(f"{path} is an MDF file: pip install 'fmu-retune[mdf]' reads it.") from e
     try:
-        with MDF(path) as file:
-            group = next(i for i, g in enumerate(file.groups) if len(g.channels) > 1)
-            signals = [file.get(group=group, index=i) for i in range(len(file.groups[group].channels))]
-    except (MdfException, StopIteration) as e:
-        raise LogError(f"{path} is no MDF file with channels: {one_line(str(e))}.") from e
-    numeric = {
-        s.name: Column(s.samples.astype(float), s.unit or None) for s in signals if s.samples.dtype.kind in "fiub"
-    }
-    numeric["time"] = Column(np.asarray(signals[0].timestamps, dtype=float), "s")
-    return list(numeric), list(numeric.values())
+        channels = _Channels(path, MDF)
+    except MdfException as e:
+        raise LogError(f"{path} is no MDF file: {one_line(str(e))}.") from e
+    if not channels:
+        raise LogError(f"{path} has no channels.")
+    return channels
+
+
+def _channel(signal: Any) -> Column:
+    time = np.asarray(signal.timestamps, dtype=float)
+    if signal.samples.dtype.kind in "fiub" and signal.samples.ndim == 1:
+        return Column(signal.samples.astype(float), signal.unit or None, time=time)
+    return Column(np.empty(0), signal.unit or None, f"{signal.samples.ravel()[:1].tolist()}", time)

@@ -54,14 +54,61 @@ def test_parquet_and_mat_hold_the_same(tmp_path):
     assert log.column("y(2)").values.tolist() == [1.0, 3.0, 5.0]
 
 
-def test_mdf(tmp_path):
+@pytest.fixture
+def mdf(tmp_path):
+    """mdf({group: {channel: (values, times)}}): the path of an MDF4 file."""
     asammdf = pytest.importorskip("asammdf")
-    with asammdf.MDF(version="4.10") as file:
-        file.append([asammdf.Signal(np.array(ROWS["u"]), np.array(ROWS["time"]), name="u", unit="N")])
-        file.save(tmp_path / "log.mf4")
-    log = read_log(tmp_path / "log.mf4")
+
+    def write(*groups):
+        with asammdf.MDF(version="4.10") as file:
+            for group in groups:
+                file.append([asammdf.Signal(np.array(y), np.array(t), name=n, unit="N") for n, (y, t) in group.items()])
+            file.save(tmp_path / "log.mf4")
+        return tmp_path / "log.mf4"
+
+    return write
+
+
+def test_mdf(mdf):
+    log = read_log(mdf({"u": (ROWS["u"], ROWS["time"])})).on_one_raster(["u"], [])
     assert log.time_column(None).values.tolist() == ROWS["time"]
     assert (log.column("u").values.tolist(), log.column("u").unit) == (ROWS["u"], "N")
+
+
+def test_groups_of_an_mdf_file_have_rasters_of_their_own(mdf):
+    """An input keeps its value until its next; what is measured is not made up between its samples."""
+    fast, slow = [0.0, 0.1, 0.2, 0.3], [0.1, 0.25]
+    log = read_log(mdf({"y": ([1.0, 2.0, 3.0, 4.0], fast)}, {"u": ([5.0, 6.0], slow), "v": ([7.0, 8.0], slow)}))
+    assert list(log.columns) == ["y", "u", "v"]
+    found = log.on_one_raster(["u"], ["y", "v"])
+    assert found.time_column(None).values.tolist() == [0.0, 0.1, 0.2, 0.25, 0.3]
+    for name, values in {
+        "u": [np.nan, 5.0, 5.0, 6.0, 6.0],
+        "y": [1.0, 2.0, 3.0, np.nan, 4.0],
+        "v": [np.nan, 7.0, np.nan, 8.0, np.nan],
+    }.items():
+        np.testing.assert_array_equal(found.column(name).values, values)
+    assert log.on_one_raster([], ["y"]).time_column(None).values.tolist() == fast  # no stamps of what is not used
+
+
+def test_a_group_of_an_mdf_file_may_be_empty(mdf):
+    log = read_log(mdf({"y": ([1.0], [0.5])}, {"u": ([], [])})).on_one_raster(["u"], ["y"])
+    assert np.isnan(log.column("u").values).tolist() == [True]
+
+
+def test_a_channel_that_two_groups_of_an_mdf_file_have(mdf):
+    log = read_log(mdf({"y": ([1.0, 2.0], [0.0, 0.1])}, {"y": ([3.0, 4.0], [0.0, 0.2])}))
+    assert log.column("y@1").values.tolist() == [3.0, 4.0]
+    with pytest.raises(LogError, match="no column 'y', only y@0, y@1"):
+        log.column("y")
+
+
+def test_what_is_no_mdf_file_is_one_line(tmp_path):
+    pytest.importorskip("asammdf")
+    (tmp_path / "log.mf4").write_bytes(b"no" * 100)
+    with pytest.raises(LogError, match=r"log\.mf4 is no MDF file: ") as refused:
+        read_log(tmp_path / "log.mf4")
+    assert "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize(

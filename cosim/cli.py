@@ -92,8 +92,7 @@ def _run(options: argparse.Namespace) -> int:
         raise SspError(f"--scenario goes with an SSP package, got '{options.scenario}'.")
     source, system = (options.tables, options.scenario) if options.tables else (options.scenario, None)
     scenario = Scenario.load(source, dict(options.overrides), system)
-    if options.start_values:
-        scenario = with_start_values(scenario, options.start_values)
+    scenario = with_start_values(scenario, options.start_values)
     check_estimator(options.estimator, scenario)
     _must_be_new(options.ssv, "--ssv")
     with _new_folder(scenario.scenario.name, options.out) as folder:
@@ -258,9 +257,10 @@ def _new_folder(name: str, out: Path | None) -> Generator[Path]:
 def _export(options: argparse.Namespace) -> int:
     from .results.record import FolderError, write_bytes
     from .scenarios.scenario import Scenario
+    from .scenarios.start_values import with_start_values
     from .ssp.write import to_ssp
 
-    content = to_ssp(Scenario.load(options.scenario, dict(options.overrides)))
+    content = to_ssp(with_start_values(Scenario.load(options.scenario, dict(options.overrides)), options.start_values))
     verb = "written"
     if options.ssp.exists():
         verb = "unchanged" if options.ssp.is_file() and options.ssp.read_bytes() == content else "replaced"

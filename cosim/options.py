@@ -52,7 +52,7 @@ def _run(parser: Parser) -> None:
     )
     _add_set(parser)
     parser.add_argument("--scenario", type=Path, metavar="FILE", dest="tables", help="TOML file for an SSP without one")
-    parser.add_argument("--start-values", type=Path, metavar="SSV", help="start values, named component.variable")
+    _add_start_values(parser)
     parser.add_argument("--ssv", type=Path, metavar="FILE", help="write the estimates there too: SSV, a new file")
     parser.add_argument("--only", action="store_true", help="leave out the runs with nominal and true parameters")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
@@ -112,6 +112,7 @@ def _export(parser: Parser) -> None:
     parser.add_argument("--ssp", type=Path, required=True, metavar="FILE", help="SSP package to write")
     parser.add_argument("--force", action="store_true", help="replace a file that differs")
     _add_set(parser)
+    _add_start_values(parser)
 
 
 def _illustrate(parser: Parser) -> None:
@@ -128,6 +129,18 @@ def _add_set(parser: argparse.ArgumentParser) -> None:
         "--set", action="append", default=[], type=_assignment, metavar="KEY=VALUE", dest="overrides",
         help="replace a scenario's setting, such as estimation.budget=60",
     )  # fmt: skip
+
+
+def _add_start_values(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--start-values", action="append", default=[], type=_start_values, metavar="[COMPONENT=]SSV",
+        help="start values named component.variable, or the component's own as `retune estimate` writes them; several",
+    )  # fmt: skip
+
+
+def _start_values(text: str) -> tuple[str | None, Path]:
+    component, equals, path = text.partition("=")
+    return (component, Path(path)) if equals and not Path(text).exists() else (None, Path(text))
 
 
 def _seed(text: str) -> int:

@@ -1,8 +1,7 @@
 """How a system is simulated: times and steps, from the package, from `--set` and from SSV files."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
@@ -12,7 +11,7 @@ from ..fmi.block import Value
 from ..names import did_you_mean
 from ..scenarios.scenario import first_error, override
 from ..scenarios.schema import Settings, Table
-from ..scenarios.start_values import read_start_values
+from ..scenarios.start_values import StartValues, read_start_values
 from .package import System
 
 
@@ -50,9 +49,9 @@ class _Overrides(Table):
 
 
 def overridden(
-    system: System, overrides: Mapping[str, str], start_values: Path | None = None
+    system: System, overrides: Mapping[str, str], start_values: Sequence[StartValues] = ()
 ) -> tuple[System, Settings]:
-    """A system with the start values of an SSV file and then of `components.NAME.start.VARIABLE = value`; and its
+    """A system with the start values of SSV files and then of `components.NAME.start.VARIABLE = value`; and its
     settings, with `scenario.KEY = value`. Raises SspError, ScenarioError.
     """
     tree: dict[str, Any] = {}
@@ -66,7 +65,7 @@ def overridden(
     if unknown is not None:
         hint = did_you_mean(unknown, system.components) or "."
         raise SspError(f"{system.name}: no component '{unknown}'{hint}")
-    bound = read_start_values(start_values, system.components) if start_values else {}
+    bound = read_start_values(start_values, system.components)
     own = {name: given.components[name].start if name in given.components else {} for name in system.components}
     start = {name: {**system.start.get(name, {}), **bound.get(name, {}), **own[name]} for name in system.components}
     return replace(system, start=start), settings_of(system, given.scenario)

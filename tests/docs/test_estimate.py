@@ -1,5 +1,6 @@
 """docs/estimate.md shows what its commands print."""
 
+import csv
 import re
 import runpy
 import shlex
@@ -7,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from cosim import System
 from cosim.cli import main
+from cosim.ssp.ssv import read_ssv
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "estimate.md"
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?")
@@ -16,7 +19,8 @@ pytestmark = pytest.mark.fmu
 
 
 def test_the_example_prints_what_the_document_shows(tmp_path, monkeypatch, capsys):
-    program, commands, shown = re.findall(r"```\w*\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)[:3]
+    blocks = re.findall(r"```\w*\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)
+    program, commands, shown, afterwards = blocks[:4]
     monkeypatch.chdir(tmp_path)
     (tmp_path / "make_log.py").write_text(program)
     runpy.run_path("make_log.py")
@@ -35,3 +39,12 @@ def test_the_example_prints_what_the_document_shows(tmp_path, monkeypatch, capsy
             next(NUMBER.search(r)[0] for r in rows if r.startswith(f"{name} ")) for rows in (printed, expected)
         )
         assert float(mine) == pytest.approx(float(theirs), rel=5e-5)
+    run, export = afterwards.splitlines()
+    found = {p.name: p.value for p in read_ssv(Path("runs/Pendulum-estimate-1/estimates.ssv")).values}
+    assert main([*shlex.split(run)[1:], "--out", "next", "--set", "scenario.stop_time=0.1"]) == 0
+    with open("next/series.csv", newline="") as file:
+        first = next(csv.DictReader(file))
+    assert all(float(first[f"controller.{name}"]) == found[name] for name in ("m", "l"))
+    assert main(shlex.split(export)[1:]) == 0
+    start = System.from_ssp(Path("pendulum.ssp")).start["controller"]
+    assert {name: start[name] for name in found} == found

@@ -78,7 +78,8 @@ def ssv(name, unit=""):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (ssv("m"), "start.ssv: parameter 'm' is no COMPONENT.VARIABLE"),
+        (ssv("m"), "'m' is no COMPONENT.VARIABLE; of plant alone? --start-values plant=start.ssv"),
+        (ssv("mm"), "start.ssv: parameter 'mm' is no COMPONENT.VARIABLE."),
         (ssv("plant.mm"), "start.ssv: no variable 'mm' in plant; did you mean 'm'?"),
         (ssv("plant.m", 'unit="lb"'), "start.ssv: parameter 'plant.m': 'lb' cannot be converted to 'kg'"),
         ("<a>", "start.ssv is not readable XML"),
@@ -90,6 +91,34 @@ def test_bad_start_values_are_refused_in_one_line(called, workplace, content, me
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert message in err
     assert list(workplace.iterdir()) == [workplace / "start.ssv"]
+
+
+@pytest.mark.parametrize(
+    ("files", "m"),
+    [(["controller=m.ssv"], 1.0), (["controller=m.ssv", "all.ssv"], 3.0), (["all.ssv", "controller=m.ssv"], 1.0)],
+    ids=["one", "a later one counts", "the other way round"],
+)
+def test_start_values_of_one_component_are_named_as_it_names_them(called, workplace, files, m):
+    (workplace / "m.ssv").write_text(ssv("m"))
+    (workplace / "all.ssv").write_text(ssv("controller.m").replace('value="1.0"', 'value="3.0"'))
+    options = [part for file in files for part in ("--start-values", file)]
+    code, _, err = called("run", "pendulum", *SHORT, "--estimator", "none", "--out", "out", *options)
+    assert (code, err) == (0, "")
+    assert read_series(workplace / "out")["controller.m"][0] == m
+
+
+@pytest.mark.parametrize(
+    ("component", "told"),
+    [
+        ("contoller", "no component 'contoller'; did you mean 'controller'"),
+        ("reference", "no variable 'm' in reference"),
+    ],
+)
+def test_start_values_that_the_component_does_not_have_are_refused(called, workplace, component, told):
+    (workplace / "m.ssv").write_text(ssv("m"))
+    code, _, err = called("run", "pendulum", *SHORT, "--start-values", f"{component}=m.ssv")
+    assert (code, err.count("\n")) == (2, 1)
+    assert told in err
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ from .sampling import Sampler
 from .scenarios.aliases import as_the_fmus_have_it
 from .scenarios.estimators import check_estimator
 from .scenarios.scenario import Scenario
-from .scenarios.system import check_parameters, fmu_paths, plant_of, start_value, true_parameters, wire
+from .scenarios.system import check_parameters, check_units, fmu_paths, plant_of, start_value, true_parameters, wire
 from .slaves.slave import Slave, open_slave
 from .units import defined_units
 
@@ -101,6 +101,7 @@ class _Loop:
         """stack: closes what the run has opened. Raises ScenarioError, WiringError."""
         plant = plant_of(scenario, slaves[scenario.plant])
         check_parameters(scenario, slaves)
+        check_units(scenario, slaves)
         wiring, groups = wire(scenario, slaves)
         noise, search = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
         self._scenario, self._estimator = scenario, estimator

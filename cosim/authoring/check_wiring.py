@@ -10,7 +10,7 @@ from ..fmi.ports import Catalogue
 from ..fmi.table import is_table
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
-from ..units import IDENTITY, conversion
+from ..scenarios.system import unit_problem
 from .finding import Finding, warning
 
 Components = Mapping[str, Component]
@@ -47,20 +47,9 @@ def unit_finding(where: str, source: str, target: str, components: Components) -
     (a, name_a), (b, name_b) = parts(source, components), parts(target, components)
     if a is None or b is None or name_a not in a.variables or name_b not in b.variables:
         return
-    unit_a, unit_b = a.unit(name_a), b.unit(name_b)
-    if unit_a is None or unit_b is None:
-        if unit_a is not unit_b:
-            silent, unit = (source, unit_b) if unit_a is None else (target, unit_a)
-            yield warning(where, f"'{silent}' has no unit, the other end {unit.name if unit else ''}")
-        return
-    try:
-        if conversion(unit_a, unit_b) == IDENTITY:
-            return
-        reason = f"'{source}' is in {unit_a.name}, '{target}' in {unit_b.name}, and a scenario does not convert"
-        yield Finding(where, reason)
-    except ValueError as e:
-        is_known = unit_a.exponents is not None and unit_b.exponents is not None
-        yield Finding(where, f"'{source}' to '{target}': {e}", is_error=is_known or is_table(a.fmu))
+    found = unit_problem(source, target, a.unit(name_a), b.unit(name_b), is_table(a.fmu))
+    if found is not None:
+        yield Finding(where, found.what, is_error=found.is_error)
 
 
 def check_starts(scenario: Scenario, components: Components) -> Iterator[Finding]:

@@ -4,16 +4,18 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ..errors import ScenarioError, WiringError, seconds
 from ..fmi.archive import FmuFile
-from ..fmi.component import ModelVariable
+from ..fmi.component import Component as FmuComponent
+from ..fmi.component import ModelVariable, component_of
 from ..fmi.ports import attribute, is_numeric
 from ..fmi.table import TableSlave
 from ..master import Wiring
 from ..names import did_you_mean
 from ..slaves.slave import Slave
+from ..units import IDENTITY, Unit, conversion
 from .library import find_fmu, find_table
 from .scenario import Scenario
 from .schema import Component, EstimatedParameter
@@ -118,6 +120,42 @@ def check_parameters(scenario: Scenario, slaves: Mapping[str, Described]) -> Non
             raise WiringError(f"no variable '{name}' in {component}{did_you_mean(name, found) or '.'}")
         if problem := parameter_problem(parameter, found[name]):
             raise WiringError(problem)
+
+
+def check_units(scenario: Scenario, slaves: Mapping[str, Described]) -> None:
+    """Raises WiringError where numbers in one unit would be taken for numbers in another."""
+    components = {name: component_of(Path(name), slave.description) for name, slave in slaves.items()}
+    for target, source in [*scenario.connections.items(), *scenario.tracking.items()]:
+        of, to = (_unit(reference, components) for reference in (source, target))
+        found = unit_problem(source, target, of, to, scenario.components[source.partition(".")[0]].table is not None)
+        if found is not None and found.is_error:
+            raise WiringError(f"{found.what}.")
+
+
+def _unit(reference: str, components: Mapping[str, FmuComponent]) -> Unit | None:
+    name, _, variable = reference.partition(".")
+    return components[name].unit(variable) if variable in components[name].variables else None
+
+
+class UnitProblem(NamedTuple):
+    """What the units of two ends say of numbers that go from one to the other unconverted."""
+
+    what: str
+    is_error: bool
+
+
+def unit_problem(source: str, target: str, a: Unit | None, b: Unit | None, is_of_table: bool) -> UnitProblem | None:
+    """None where the units are one, or neither end has any. is_of_table: the source's unit is the user's own word."""
+    if a is None or b is None:
+        silent, unit = (source, b) if a is None else (target, a)
+        return UnitProblem(f"'{silent}' has no unit, the other end {unit.name}", False) if unit else None
+    try:
+        if conversion(a, b) == IDENTITY:
+            return None
+    except ValueError as e:
+        is_known = a.exponents is not None and b.exponents is not None
+        return UnitProblem(f"'{source}' to '{target}': {e}", is_known or is_of_table)
+    return UnitProblem(f"'{source}' is in {a.name}, '{target}' in {b.name}, and a scenario does not convert", True)
 
 
 def parameter_problem(parameter: EstimatedParameter, variable: ModelVariable) -> str | None:

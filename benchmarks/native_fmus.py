@@ -1,4 +1,7 @@
-"""FMUs that are not of fmu_models: models in C, the tests' too, and one by pythonfmu."""
+"""FMUs that are not of fmu_models: models in C, and one by pythonfmu.
+
+`python -m benchmarks.native_fmus FOLDER` compiles those of docs/your-own-fmu.md, tests/foreign, into a folder.
+"""
 
 import re
 import shutil
@@ -11,6 +14,7 @@ from pathlib import Path
 import fmpy
 
 SOURCES = Path(__file__).parent / "native"
+FOREIGN = Path(__file__).parents[1] / "tests" / "foreign"
 HEADERS = Path(fmpy.__file__).parent / "c-code"
 
 
@@ -50,6 +54,19 @@ def build_native(folder: Path) -> Path:
     return build_c(SOURCES / "oscillator.c", (SOURCES / "modelDescription.xml").read_text(), target)
 
 
+def build_foreign(folder: Path) -> None:
+    """Axis (FMI 2.0), Axis-3 (FMI 3.0, model exchange too), Axis-ME (FMI 2.0, model exchange only), AxisController.
+
+    Raises RuntimeError where they cannot be compiled.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    for description in FOREIGN.glob("*.xml"):
+        source = FOREIGN / f"{description.stem.partition('-')[0]}.c"
+        build_c(source, description.read_text(), folder / f"{description.stem}.fmu")
+    interface, text = '<ModelExchange modelIdentifier="Axis"/>', (FOREIGN / "Axis.xml").read_text()
+    build_c(FOREIGN / "Axis.c", re.sub("<CoSimulation.*?>", interface, text), folder / "Axis-ME.fmu", "-DONLY_EXCHANGE")
+
+
 def build_python(folder: Path) -> Path:
     """oscillator_fmu.py built by pythonfmu, as folder/python/Oscillator.fmu."""
     target = folder / "python" / "Oscillator.fmu"
@@ -57,3 +74,7 @@ def build_python(folder: Path) -> Path:
     command = [sys.executable, "-m", "pythonfmu", "build", "-f", SOURCES / "oscillator_fmu.py", "-d", target.parent]
     subprocess.run(command, check=True, capture_output=True)  # a process of its own: the builder imports the script
     return target
+
+
+if __name__ == "__main__":
+    build_foreign(Path(sys.argv[1]))

@@ -1,7 +1,6 @@
 """Where FMUs are kept and unpacked while the co-simulation is tested, and the proof that nothing of a run is left."""
 
 import os
-import re
 import shutil
 import signal
 import tempfile
@@ -15,7 +14,7 @@ import fmpy
 import pytest
 from pythonfmu import FmuBuilder
 
-from benchmarks.native_fmus import build_c
+from benchmarks.native_fmus import build_foreign
 from cosim.cli import main
 from cosim.scenarios.scenario import Scenario
 
@@ -125,20 +124,11 @@ def faulty_toml(faulty_reference, tmp_path) -> Path:
 
 @pytest.fixture(scope="session")
 def foreign(tmp_path_factory) -> Path:
-    """A folder with FMUs that are not of our making, compiled here from tests/foreign.
-
-    Axis (FMI 2.0), Axis-3 (FMI 3.0, model exchange too), Axis-ME (FMI 2.0, model exchange only) and AxisController.
-    """
+    """A folder with FMUs that are not of our making, compiled here: see build_foreign."""
     if shutil.which("gcc") is None:
         pytest.skip("no C compiler: gcc is not installed")
-    sources, folder = Path(__file__).parents[1] / "foreign", tmp_path_factory.mktemp("foreign")
-    for description in sources.glob("*.xml"):
-        source = sources / f"{description.stem.partition('-')[0]}.c"
-        build_c(source, description.read_text(), folder / f"{description.stem}.fmu")
-    exchange = re.sub(
-        "<CoSimulation.*?>", '<ModelExchange modelIdentifier="Axis"/>', (sources / "Axis.xml").read_text()
-    )
-    build_c(sources / "Axis.c", exchange, folder / "Axis-ME.fmu")
+    folder = tmp_path_factory.mktemp("foreign")
+    build_foreign(folder)
     return folder
 
 

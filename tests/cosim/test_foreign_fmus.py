@@ -242,19 +242,9 @@ def test_the_heated_room_of_jmodelica_that_modestpy_ships(shipped, workplace):
     library = ["-Wl,--version-script=stub.map", "-Wl,-soname,libgfortran.so.3", "-o", "libgfortran.so.3"]
     subprocess.run(["gcc", "-shared", "-fPIC", "stub.c", *library], check=True)
     sought = ["--parameter", "R1=0.001:0.5:log", "--parameter", "R2=0.001:0.5:log", "--start", "C=2000"]
-    roles = [
-        "--input",
-        "Ti1=Ti1",
-        "--input",
-        "Ti2=Ti2",
-        "--measured",
-        "T=T",
-        "--start",
-        "Tstart=293.15",
-        "--evaluations",
-        "20",
-    ]
-    command = [sys.executable, "-m", "cosim.cli", "estimate", fmu, "log.csv", *sought, *roles, "--json"]
+    roles = ["--input", "Ti1=Ti1", "--input", "Ti2=Ti2", "--measured", "T=T", "--start", "Tstart=293.15"]
+    options = [*sought, *roles, "--evaluations", "20", "--json"]
+    command = [sys.executable, "-m", "cosim.cli", "estimate", fmu, "log.csv", *options]
     environment = os.environ | {"LD_LIBRARY_PATH": str(workplace)}
     without = subprocess.run(command, capture_output=True, text=True)
     if without.returncode:  # where there is no such library

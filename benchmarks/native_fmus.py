@@ -64,7 +64,7 @@ def build_foreign(folder: Path) -> None:
         source = FOREIGN / f"{description.stem.partition('-')[0]}.c"
         build_c(source, description.read_text(), folder / f"{description.stem}.fmu")
     interface, text = '<ModelExchange modelIdentifier="Axis"/>', (FOREIGN / "Axis.xml").read_text()
-    build_c(FOREIGN / "Axis.c", re.sub("<CoSimulation.*?>", interface, text), folder / "Axis-ME.fmu")
+    build_c(FOREIGN / "Axis.c", re.sub("<CoSimulation.*?>", interface, text), folder / "Axis-ME.fmu", "-DONLY_EXCHANGE")
 
 
 def build_python(folder: Path) -> Path:

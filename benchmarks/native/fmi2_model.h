@@ -9,6 +9,9 @@ const char *fmi2GetVersion(void) { return fmi2Version; }
 
 fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
                               const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean logging) {
+#ifdef ONLY_EXCHANGE
+    if (type == fmi2CoSimulation) return NULL;
+#endif
     return type == fmi2CoSimulation || N_STATES ? new_model(type == fmi2ModelExchange) : NULL;
 }
 void fmi2FreeInstance(fmi2Component c) { free(c); }

@@ -12,6 +12,7 @@
      static const unsigned states[N_STATES], rates[N_STATES];
 
    In FMI 3.0 the value reference N_VARIABLES is the time. -DONCE: one instance a process, as some tools export.
+   -DONLY_EXCHANGE: no co-simulation.
    The headers of the standard are FMPy's (fmpy/c-code). */
 
 #include <stdlib.h>

@@ -37,8 +37,8 @@ class Exchange2:
     def bind(self, inputs: Sequence[Variable], tunables: Sequence[Variable], outputs: Sequence[Variable]) -> None:
         """Say what a step sets (states, then inputs), which parameters may change, and which derivatives it returns."""
         n = len(outputs)
-        self._state_places = [self._places[v.reference] for v in inputs[:n]]
-        self._rate_places = [self._places[v.reference] for v in outputs]
+        self._state_places = [self._places[v[2]] for v in inputs[:n]]
+        self._rate_places = [self._places[v[2]] for v in outputs]
         self._inputs, self._tunables = blocks_of(inputs[n:]), blocks_of(tunables)
 
     def initialize(

@@ -88,9 +88,12 @@ def test_groups_of_an_mdf_file_have_rasters_of_their_own(mdf):
         "v": [np.nan, 7.0, np.nan, 8.0, np.nan],
     }.items():
         np.testing.assert_array_equal(found.column(name).values, values)
-    empty = read_log(mdf({"y": ([1.0], [0.5])}, {"u": ([], [])})).on_one_raster(["u"], ["y"])
-    assert np.isnan(empty.column("u").values).tolist() == [True]
     assert log.on_one_raster([], ["y"]).time_column(None).values.tolist() == fast  # no stamps of what is not used
+
+
+def test_a_group_of_an_mdf_file_may_be_empty(mdf):
+    log = read_log(mdf({"y": ([1.0], [0.5])}, {"u": ([], [])})).on_one_raster(["u"], ["y"])
+    assert np.isnan(log.column("u").values).tolist() == [True]
 
 
 def test_a_channel_that_two_groups_of_an_mdf_file_have(mdf):

@@ -144,8 +144,9 @@ def _run(options: argparse.Namespace) -> int:
 
 def _resume(options: argparse.Namespace) -> int:
     from .results.lock import locked
+    from .results.manifest import read_manifest, scenario_of
     from .results.record import FolderError
-    from .results.result import read_manifest, read_run, scenario_of
+    from .results.result import read_run
     from .results.unfinished import has_begun, has_ended
     from .simulation import resume, run
 

@@ -26,8 +26,9 @@ from .policy import decide, make_policy, try_model
 from .reconfigure import Reconfiguration
 from .results.checkpoint import Checkpoint, Checkpoints, restore
 from .results.lock import locked
+from .results.manifest import Status, read_manifest, scenario_of
 from .results.record import FolderError, Recorder, recording, uninterrupted
-from .results.result import Run, Status, begin_folder, end_folder, read_manifest, scenario_of
+from .results.result import Run, begin_folder, end_folder
 from .results.unfinished import Unfinished, has_begun, read_unfinished
 from .rollout.shadow import LivePlant
 from .sampling import Sampler

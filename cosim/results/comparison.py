@@ -3,10 +3,8 @@
 import math
 import os
 import os.path
-import platform
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from statistics import median
 from typing import Any, Final
@@ -15,8 +13,8 @@ import numpy as np
 
 from ..scenarios.scenario import Scenario
 from . import tables
+from .manifest import versions
 from .record import to_json, write_text
-from .result import PACKAGES
 
 ROUNDING: Final = 1e-18
 """A floor's mean squared error below this part of the reference's mean square is rounding; nothing is divided by it."""
@@ -95,7 +93,7 @@ class Comparison:
             "estimators": self.rows(),
             "runs": [{k: v for k, v in r.items() if k != "latencies_ms"} for r in self.runs],
             "settings": self.scenario.model_dump(mode="json"),
-            "versions": {"python": platform.python_version()} | {name: version(name) for name in PACKAGES},
+            "versions": versions(),
             "folder": str(self.folder) if self.folder else None,
         }
 

@@ -1,25 +1,31 @@
 """What a run came to: its series, its figures, and its folder."""
 
 import json
-import platform
-import sys
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
-from importlib.metadata import version
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import TypeAdapter, ValidationError
 
-from ..errors import NotResumableError, one_line
+from ..errors import NotResumableError
 from ..scenarios.scenario import Scenario
 from ..scenarios.system import Plant
 from ..ssp.ssv import ParameterValue, to_ssv
 from ..units import Unit
 from .checkpoint import read_checkpoint
 from .lock import is_locked
+from .manifest import (
+    Status,
+    check_file,
+    modules,
+    read_json,
+    read_manifest,
+    scenario_of,
+    versions,
+    write_manifest,
+)
 from .record import (
     CHECKPOINT,
     CSV,
@@ -37,12 +43,8 @@ from .record import (
     write_json,
     write_text,
 )
-from .seal import check_file, check_manifest, write_manifest
 
-Status = Literal["done", "diverged", "faulted", "interrupted", "running", "unfinished"]
-"""The last two are those of a folder: its run goes on in another process, or was killed."""
 Series = NDArray[np.float64]
-PACKAGES = ("fmu-retune", "fmpy", "pythonfmu", "numpy", "scipy", "GPy", "pyarrow")
 
 
 @dataclass(frozen=True)
@@ -172,7 +174,7 @@ def begin_folder(
         "estimator": estimator,
         "seed": seed,
         "fmus": {name: {"file": str(path), "sha256": sha256(path)} for name, path in fmus.items()},
-        "modules": _modules(scenario.folder),
+        "modules": modules(scenario.folder),
         "versions": versions(),
         "plant": asdict(plant),
         "folder": str(scenario.folder.resolve()),
@@ -203,23 +205,6 @@ def end_folder(run: Run, folder: Path, units: Mapping[str, Unit]) -> None:
         (folder / CHECKPOINT).unlink(missing_ok=True)
 
 
-def versions() -> dict[str, str]:
-    """Of all that a run's bits depend on."""
-    return {"python": platform.python_version()} | {name: version(name) for name in PACKAGES}
-
-
-def _modules(folder: Path) -> dict[str, str]:
-    """SHA-256 of the modules that are loaded from where a scenario's model and estimator may be, by file."""
-    loaded = {Path(file) for module in list(sys.modules.values()) if (file := getattr(module, "__file__", None))}
-    places = {folder.resolve(), Path.cwd()}
-    return {
-        str(file): sha256(file)
-        for file in sorted(loaded)
-        if file.suffix == ".py" and file.is_file() and places.intersection(file.parents)
-        if not {"site-packages", "dist-packages"}.intersection(file.parts) and Path(sys.prefix) not in file.parents
-    }
-
-
 def read_run(folder: Path) -> Run:
     """The run that a folder records, also one that goes on or was killed, as far as it is written: status `running` or
     `unfinished`.
@@ -235,54 +220,13 @@ def read_run(folder: Path) -> Run:
     else:
         for name in (SERIES, RESULT, LATENCIES):
             check_file(folder, name, manifest.sha256)
-        status, result = manifest.status, _read(folder, RESULT, _Result)
-        latencies = _read(folder, LATENCIES, tuple[tuple[float, ...], ...])
+        status, result = manifest.status, read_json(folder, RESULT, _Result)
+        latencies = read_json(folder, LATENCIES, tuple[tuple[float, ...], ...])
     series = read_series(folder)
     return Run(
         scenario, manifest.plant, manifest.estimator, manifest.seed, series, status, result.error, result.evaluations,
         result.episodes, latencies, result.wall_s, folder, result.model_calls,
     )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Manifest:
-    """What is read of a manifest."""
-
-    status: Status
-    """How the run ended, or running."""
-    estimator: str
-    """Who re-tuned."""
-    seed: int
-    """Of noise and search."""
-    plant: Plant
-    """The component whose derivatives were sampled."""
-    folder: Path
-    """The scenario's."""
-    scenario: dict[str, Any]
-    """Its tables."""
-    fmus: dict[str, dict[str, str]] = field(default_factory=dict[str, dict[str, str]])
-    """File and SHA-256 of each component."""
-    modules: dict[str, str] = field(default_factory=dict[str, str])
-    """SHA-256 of the user's Python files."""
-    versions: dict[str, str] = field(default_factory=dict[str, str])
-    """Of the packages."""
-    sha256: dict[str, str] = field(default_factory=dict[str, str])
-    """Of the files of a run that has ended."""
-
-
-def read_manifest(folder: Path) -> Manifest:
-    """The manifest of a run folder. Raises FolderError."""
-    manifest = _read(folder, MANIFEST, Manifest)
-    check_manifest(folder, json.loads((folder / MANIFEST).read_bytes()))
-    return manifest
-
-
-def scenario_of(folder: Path, manifest: Manifest) -> Scenario:
-    """The scenario of a run folder's manifest. Raises FolderError."""
-    try:
-        return Scenario.model_validate(manifest.scenario | {"folder": manifest.folder})
-    except ValidationError as e:
-        raise FolderError(f"{folder} holds a scenario of another version: {_first(e)}.") from e
 
 
 def _check_begun(folder: Path) -> None:
@@ -304,24 +248,6 @@ class _Result:
     episodes: int = 0
     model_calls: int = 0
     wall_s: float = float("nan")
-
-
-_T = TypeVar("_T")
-
-
-def _read(folder: Path, name: str, kind: type[_T]) -> _T:
-    """The content of a JSON file. Raises FolderError."""
-    try:
-        return TypeAdapter(kind).validate_json((folder / name).read_bytes())
-    except OSError as e:
-        raise FolderError(f"{folder} is no run folder: cannot read {name}: {e.strerror or e}.") from e
-    except ValidationError as e:
-        raise FolderError(f"{folder} holds no readable run: {name}: {_first(e)}.") from e
-
-
-def _first(error: ValidationError) -> str:
-    found = error.errors()[0]
-    return one_line(": ".join([*map(str, found["loc"]), found["msg"]]))
 
 
 def _quantiles(milliseconds: Series) -> dict[str, float | None]:

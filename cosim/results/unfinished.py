@@ -7,8 +7,8 @@ from ..errors import NotResumableError
 from ..scenarios.system import fmu_paths
 from .checkpoint import Checkpoint, read_checkpoint
 from .growing import EMPTY, Prefix
+from .manifest import Manifest, read_manifest, scenario_of, versions
 from .record import CHECKPOINT, EVENTS, MANIFEST, SERIES, FolderError, Place, read_series, sha256
-from .result import Manifest, read_manifest, scenario_of, versions
 
 
 def has_begun(folder: Path) -> bool:
@@ -49,8 +49,10 @@ def read_unfinished(folder: Path) -> Unfinished:
     for name, version in manifest.versions.items():
         if now.get(name) != version:
             raise NotResumableError(f"it was begun with {name} {version}, and this is {now.get(name, 'without')}")
-    files = {path: manifest.fmus[name]["sha256"] for name, path in fmu_paths(scenario_of(folder, manifest)).items()}
-    for path, digest in {**files, **{Path(file): digest for file, digest in manifest.modules.items()}}.items():
+    components = fmu_paths(scenario_of(folder, manifest))
+    files = {Path(file): digest for file, digest in manifest.modules.items()}
+    files |= {path: manifest.fmus.get(name, {}).get("sha256", "") for name, path in components.items()}
+    for path, digest in files.items():
         if not path.is_file() or sha256(path) != digest:
             raise NotResumableError(f"{path} has changed since it was begun")
     try:

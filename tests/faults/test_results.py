@@ -18,8 +18,8 @@ import pytest
 
 from cosim import Scenario, run
 from cosim.cli import main
+from cosim.results.manifest import write_manifest
 from cosim.results.record import CHECKPOINT, EVENTS, LATENCIES, LOCK, MANIFEST, RESULT, SERIES, read_series
-from cosim.results.seal import write_manifest
 from fmu_models.build import build
 
 pytestmark = [

@@ -9,10 +9,10 @@ import pytest
 
 from cosim import Run, ScenarioError, run
 from cosim.errors import CosimError
+from cosim.results.manifest import write_manifest
 from cosim.results.record import EVENTS, LATENCIES, MANIFEST, RESULT, SERIES, FolderError, sha256
 from cosim.results.replay import replay, replayed
 from cosim.results.result import read_run
-from cosim.results.seal import write_manifest
 from cosim.scenarios.scenario import Scenario
 
 pytestmark = pytest.mark.fmu

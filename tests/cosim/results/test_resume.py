@@ -11,9 +11,9 @@ import pytest
 
 from cosim import Run, Scenario, resume, run
 from cosim.errors import UnfinishedError
+from cosim.results.manifest import write_manifest
 from cosim.results.record import CHECKPOINT, EVENTS, LATENCIES, RESULT, SERIES, FolderError
 from cosim.results.result import read_run
-from cosim.results.seal import write_manifest
 from cosim.simulation import _Loop
 from cosim.slaves.slave import Slave
 from fmu_models.build import build

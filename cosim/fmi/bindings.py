@@ -30,14 +30,9 @@ def load(identity: Identity, hear: Hear | None = None) -> Binding:
     if identity.binding == "fmi3-exchange":
         from .exchange3 import Exchange3
 
-<<<<<<< ours
         return Exchange3(identity, hear)
-    return Instance(identity, hear)
-=======
-        return Exchange3(identity)
     if identity.binding == "fmi2-exchange":
         from .exchange2 import Exchange2
 
-        return Exchange2(identity)
-    return Instance(identity)
->>>>>>> theirs
+        return Exchange2(identity, hear)
+    return Instance(identity, hear)

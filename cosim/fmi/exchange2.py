@@ -9,7 +9,7 @@ from fmpy import fmi1, fmi2, read_model_description
 
 from ..errors import SlaveError
 from .block import Block, Value, Variable, blocks_of
-from .fmu_log import MessageLog
+from .fmu_log import Hear, MessageLog
 from .instance import STATUS, Identity
 
 _MOST_UPDATES = 100  # of the discrete states, at one time
@@ -21,10 +21,10 @@ class Exchange2:
     bind: inputs are the continuous states, in any order, then the model's inputs; outputs are their derivatives.
     """
 
-    def __init__(self, identity: Identity) -> None:
+    def __init__(self, identity: Identity, hear: Hear | None = None) -> None:
         self._name = identity.instance_name
         self._time: float | None = None
-        self._log = MessageLog(identity.has_plain_log)
+        self._log = MessageLog(identity.has_plain_log, hear)
         self._places = self._places_of(identity.folder)
         n = len(set(self._places.values()))
         self._x, self._rates = (c_double * n)(), (c_double * n)()

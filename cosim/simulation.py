@@ -10,26 +10,31 @@ controller's output after its step is the control law at x_k.
 from array import array
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from dataclasses import replace
 from itertools import islice
 from math import hypot
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from estimator import Sample
+
 from .errors import ScenarioError, SlaveError, WiringError
 from .fmi.table import TableSlave, is_table
 from .master import Master
+from .oversight import Oversight
 from .policy import decide, make_policy, try_model
-from .reconfigure import Reconfiguration
+from .reconfigure import Reconfiguration, Retuner
 from .results.record import Recorder, uninterrupted
 from .results.result import Run, Status, begin_folder, end_folder
 from .sampling import Sampler
 from .scenarios.aliases import as_the_fmus_have_it
 from .scenarios.estimators import check_estimator
 from .scenarios.scenario import Scenario
-from .scenarios.system import check_parameters, fmu_paths, plant_of, start_value, true_parameters, wire
+from .scenarios.system import check_parameters, fmu_paths, plant_of, start_value, true_parameters, wire, with_read_back
 from .slaves.slave import Slave, open_slave
 from .units import defined_units
 
@@ -66,7 +71,7 @@ def run(
             for name, path in paths.items()
         }
         scenario = as_the_fmus_have_it(scenario, slaves)
-        loop = _Loop(scenario, slaves, estimator, seed, stack)
+        loop = _Loop(scenario, slaves, paths, estimator, seed, stack)
         fault = loop.initialize()
         if out is not None:
             begin_folder(out, scenario, estimator, seed, paths, loop.plant)
@@ -77,7 +82,7 @@ def run(
         with uninterrupted():  # and before the FMUs are closed, which may take its time
             result = Run(
                 scenario, loop.plant, estimator, seed, recorder.close(), status, error, policy.n_evaluations,
-                policy.n_episodes, loop.latencies, wall, out, policy.n_model_calls,
+                policy.n_episodes, loop.latencies, wall, out, policy.n_model_calls, **loop.oversight_summary(),
             )  # fmt: skip
             if out is not None:
                 declared = [s.description.unitDefinitions for s in slaves.values()]
@@ -94,6 +99,7 @@ class _Loop:
         self,
         scenario: Scenario,
         slaves: Mapping[str, Slave | TableSlave],
+        paths: Mapping[str, Path],
         estimator: str,
         seed: int,
         stack: ExitStack,
@@ -102,15 +108,21 @@ class _Loop:
         plant = plant_of(scenario, slaves[scenario.plant])
         check_parameters(scenario, slaves)
         wiring, groups = wire(scenario, slaves)
-        noise, search = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
+        wiring = with_read_back(wiring, [p.writes for p in scenario.estimation.parameters])
+        noise, search, faults = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3))
         self._scenario, self._estimator = scenario, estimator
         self.plant = plant
         self._master = Master(slaves, wiring, groups)
-        self._sampler = Sampler(scenario, plant, self._master.names, noise)
+        self._sampler = Sampler(scenario, plant, self._master.names, noise, faults)
         self._theta = np.array([start_value(scenario, slaves, p.writes) for p in scenario.estimation.parameters])
         self._truth = true_parameters(scenario, slaves)
         # Here, while the FMUs are still starting: what an estimator imports takes as long as they do.
         self.policy = make_policy(scenario, estimator, plant, self._theta, self._true_theta, search, stack)
+        self._oversight = (
+            Oversight(scenario, plant, self.policy, self._theta, slaves, wiring, groups, paths, stack)
+            if isinstance(self.policy, Retuner)
+            else None
+        )
         self._latencies, self._n_latencies = array("d"), array("L")  # an hour of tuples would be 30 MB
         self._writes = [p.writes for p in scenario.estimation.parameters]
         self._places: dict[str, list[int]] = {}
@@ -119,7 +131,9 @@ class _Loop:
         self._written: dict[str, list[float]] = {}
         place = {name: i for i, name in enumerate(self._master.names)}
         self._tracked = [(place[a], place[b]) for a, b in scenario.tracking.items()]
-        self.columns = ("time", *self._master.names, *self._truth, *self._writes, *self._sampler.columns)
+        self._recorded = [i for i, name in enumerate(self._master.names) if name not in self._writes]
+        recorded = [self._master.names[i] for i in self._recorded]
+        self.columns = ("time", *recorded, *self._truth, *self._writes, *self._sampler.columns)
 
     @property
     def latencies(self) -> tuple[tuple[float, ...], ...]:
@@ -146,6 +160,8 @@ class _Loop:
         settings = self._scenario.scenario
         names = self._scenario.estimation.space.names
         t = settings.start_time
+        for event in self._oversight.begin(t) if self._oversight is not None else ():
+            recorder.event(t, event.kind, event.detail)
         try:
             for k in range(settings.n_steps + 1):
                 t = settings.time(k)
@@ -167,17 +183,35 @@ class _Loop:
         errors = [master.values[a] - master.values[b] for a, b in self._tracked]
         has_diverged = not all(abs(e) <= self._scenario.limits.divergence for e in errors)
         sample = self._sampler.take(t, master.values, master.inputs.get(self._scenario.plant, {}))
-        decision = decide(self.policy, self._estimator, sample if k else None, t, hypot(*errors))
-        self._take(decision, recorder)
+        self._take(self._decide(k, t, sample, hypot(*errors)), recorder)
         truth = {reference: f(t) for reference, f in self._truth.items()}
         is_stepping = k < settings.n_steps and not has_diverged
         tunables = self._tunables(truth)
         if is_stepping:
             master.begin(t, settings.macro_step, tunables)
-        recorder.row([t, *master.values, *truth.values(), *self._theta.tolist(), *self._sampler.row(sample)])
+        outputs = [master.values[i] for i in self._recorded]
+        recorder.row([t, *outputs, *truth.values(), *self._theta.tolist(), *self._sampler.row(sample)])
         if is_stepping:
             master.finish(t, settings.macro_step, tunables)
         return has_diverged
+
+    def _decide(self, k: int, t: float, sample: Sample, error: float) -> Reconfiguration:
+        """What the policy makes of the sample, as far as it is let through; error: norm of the tracking error."""
+        oversight = self._oversight
+        if oversight is None or not k:
+            return decide(self.policy, self._estimator, sample if k else None, t, error)
+        if oversight.has_stopped:
+            return Reconfiguration()
+        seen = oversight.seen(t, sample, self._theta)
+        decision = decide(self.policy, self._estimator, seen.sample, t, error)
+        if seen.is_suspect:
+            decision = oversight.withheld(decision, self._theta)
+        reviewed = oversight.review(k, t, error, sample, decision, self._master)
+        return replace(reviewed, events=(*seen.events, *reviewed.events)) if seen.events else reviewed
+
+    def oversight_summary(self) -> dict[str, Any]:
+        """What guard and screen have done, for the result."""
+        return {} if self._oversight is None else self._oversight.summary()
 
     def _take(self, decision: Reconfiguration, recorder: Recorder) -> None:
         for event in decision.events:

@@ -10,12 +10,15 @@ from time import perf_counter
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from estimator import Vector
+from estimator import Sample, Vector
 
 from ..errors import ScenarioError
+from ..oversight import Oversight
 from ..policy import decide, make_policy, try_model
+from ..reconfigure import Reconfiguration, Retuner
 from ..sampling import recorded_samples
 from ..scenarios.estimators import find_method
+from ..scenarios.schema import GuardSettings
 from .comparison import Comparison
 from .crew import record_of
 from .record import FolderError, new_run_folder
@@ -72,9 +75,13 @@ def replayed(recorded: Run, estimator: str, seed: int) -> Run:
     theta, thetas = held[0], [held[0]]
     with ExitStack() as stack:
         policy = make_policy(scenario, estimator, recorded.plant, held[0], _no_truth, rng, stack)
+        if not isinstance(policy, Retuner):
+            raise ScenarioError(f"'{estimator}' estimates nothing.")
         try_model(scenario, estimator, recorded.plant, held[0], samples[0])
+        unguarded = scenario.model_copy(update={"guard": GuardSettings(enabled=False)})
+        screen = Oversight(unguarded, recorded.plant, policy, held[0], {}, {}, (), {}, stack)
         for sample, error in zip(samples[1:], errors[1:], strict=True):
-            decision = decide(policy, estimator, sample, sample.t, hypot(*error))
+            decision = _decided(policy, screen, estimator, sample, hypot(*error), theta)
             if decision.latencies:
                 latencies.append(decision.latencies)
             theta = theta if decision.write is None else decision.write
@@ -86,6 +93,15 @@ def replayed(recorded: Run, estimator: str, seed: int) -> Run:
         latencies=tuple(latencies),
         wall=perf_counter() - begun, folder=None,
     )  # fmt: skip
+
+
+def _decided(
+    policy: Retuner, screen: Oversight, estimator: str, sample: Sample, error: float, theta: Vector
+) -> Reconfiguration:
+    """What is made of a sample that the screen lets through; there is no guard where nothing has consequences."""
+    seen = screen.seen(sample.t, sample, theta)
+    decision = decide(policy, estimator, seen.sample, sample.t, error)
+    return screen.withheld(decision, theta) if seen.is_suspect else decision
 
 
 def _no_truth(t: float) -> Vector:

@@ -66,6 +66,10 @@ class Run:
     """Run folder, where there is one."""
     n_model_calls: int = 0
     """Samples at which a candidate was judged."""
+    guard: Mapping[str, Any] | None = None
+    """How often it has let through, changed, refused and taken back; None without one."""
+    observations: Mapping[str, Any] | None = None
+    """Samples that were kept out, by what was wrong with them; None where nobody looked."""
 
     @property
     def time(self) -> Series:
@@ -132,6 +136,8 @@ class Run:
             "evaluations": self.n_evaluations,
             "episodes": self.n_episodes,
             "model_calls": self.n_model_calls,
+            "guard": self.guard,
+            "observations": self.observations,
             "latency_ms": _quantiles(evaluations),
             "deadline_ms": 1e3 * deadline,
             "missed_deadlines": sum(sum(step) > deadline for step in self.latencies),
@@ -202,7 +208,7 @@ def read_run(folder: Path) -> Run:
         latencies = _read(folder, LATENCIES, tuple[tuple[float, ...], ...])
     return Run(
         scenario, manifest.plant, manifest.estimator, manifest.seed, series, status, result.error, result.evaluations,
-        result.episodes, latencies, result.wall_s, folder, result.model_calls,
+        result.episodes, latencies, result.wall_s, folder, result.model_calls, result.guard, result.observations,
     )  # fmt: skip
 
 
@@ -226,6 +232,8 @@ class _Result:
     evaluations: int = 0
     episodes: int = 0
     model_calls: int = 0
+    guard: dict[str, Any] | None = None
+    observations: dict[str, Any] | None = None
     wall_s: float = float("nan")
 
 

@@ -19,12 +19,15 @@ from .schema import (
     Component,
     EstimatedParameter,
     Estimation,
+    GuardSettings,
     Innovation,
     Limits,
     LinearModel,
     Noise,
+    ObservationSettings,
     Reference,
     Sampling,
+    SensorFault,
     Settings,
     Table,
     Tracking,
@@ -53,6 +56,10 @@ class Scenario(Table):
     """What it does with it."""
     limits: Limits = Limits()
     """When the run is given up."""
+    observations: ObservationSettings = ObservationSettings()
+    """Which samples the estimator does not get."""
+    guard: GuardSettings = GuardSettings()
+    """What may be written into the controller, and what is taken back."""
     folder: Path = Field(default=Path(), exclude=True)
     """Where relative paths of FMUs begin."""
 
@@ -112,6 +119,7 @@ class Scenario(Table):
             "changes": self.changes,
             "tracking": [*self.tracking, *self.tracking.values()],
             "sampling": [*self.sampling.derivatives, *self.sampling.states],
+            "sampling.faults": [f.sensor for f in self.sampling.faults if f.sensor is not None],
             "estimation.parameters": [p.writes for p in self.estimation.parameters],
         }
         for table, references in named.items():
@@ -206,9 +214,10 @@ def _known_keys(path: tuple[int | str, ...]) -> set[str]:
     tables: dict[tuple[str, ...], type[BaseModel]] = {
         (): Scenario, ("scenario",): Settings, ("sampling",): Sampling, ("estimation",): Estimation,
         ("limits",): Limits, ("components",): Component, ("estimation", "parameters"): EstimatedParameter,
+        ("observations",): ObservationSettings, ("guard",): GuardSettings,
         ("estimation", "trigger", "tracking"): Tracking, ("estimation", "trigger", "innovation"): Innovation,
         ("estimation", "trigger", "always"): Always, ("estimation", "linear"): LinearModel,
-        ("sampling", "derivatives"): Noise, ("sampling", "states"): Noise,
+        ("sampling", "derivatives"): Noise, ("sampling", "states"): Noise, ("sampling", "faults"): SensorFault,
     }  # fmt: skip
     names = tuple(str(part) for part in path)
     model = tables.get(names) or tables.get(names[:-1])

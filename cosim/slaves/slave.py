@@ -192,6 +192,16 @@ class Slave:
             self._values = self._checked_outputs(row)
         return rows
 
+    @property
+    def has_states(self) -> bool:
+        """Whether the FMU can save and restore its state, serialised."""
+        interface = co_simulation(self.description)
+        return bool(interface.canGetAndSetFMUstate and interface.canSerializeFMUstate)
+
+    def check_tunables(self, names: Sequence[str]) -> None:
+        """Raises WiringError where one of them is no tunable parameter."""
+        self._catalogue.ports("tunable parameter", names)
+
     def get_state(self) -> bytes:
         """The FMU's state, for set_state of a slave of the same FMU. Raises SlaveError."""
         self._must_have_states("get_state")
@@ -253,8 +263,7 @@ class Slave:
             raise SlaveError(self.name, "set", t, problem, COLON)
 
     def _must_have_states(self, function: str) -> None:
-        interface = co_simulation(self.description)
-        if not (interface.canGetAndSetFMUstate and interface.canSerializeFMUstate):
+        if not self.has_states:
             reason = f"{self.fmu.name} cannot save and restore its state"
             raise SlaveError(self.name, function, self._time, reason, COLON)
 

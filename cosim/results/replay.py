@@ -28,6 +28,7 @@ from .result import Run, read_run
 def replay(folder: Path, estimators: Sequence[str], seed: int | None = None, out: Path | None = None) -> Comparison:
     """What each estimator would have made of a run's samples; the plant and its controller go on as recorded.
 
+    Samples are screened as in a run, but there is no guard: what is predicted or taken back has no consequences here.
     A tracking error that an estimator would have ended stays, so one that triggers on it is asked again and again.
     Each begins at what the controller held first. seed: of the search, by default the run's. With `out`, an absent or
     empty folder, the tables are written there.

@@ -108,9 +108,10 @@ def make_policy(
     rng: np.random.Generator,
     stack: ExitStack,
     live: LivePlant | None = None,
+    whitened: DerivativeResidual | None = None,
 ) -> Policy:
     """The policy of that name; theta (d,): what the controller holds; stack closes what it opens; live: the plant,
-    where it runs.
+    where it runs; whitened: see `whitened_residual`.
 
     Raises ScenarioError for an unknown name, or a model, objective or estimator that cannot be loaded or do not fit.
     """
@@ -124,7 +125,7 @@ def make_policy(
     budget = Budget(loop.budget, loop.evaluations_per_step, loop.commit)
     form = _linear_form(method, scenario)
     if choice.kind == "derivative":
-        whitened = _residual(scenario, plant, stack)
+        whitened = whitened or _residual(scenario, plant, stack)
         text = f"derivatives of {scenario.estimation.model} ({choice.why})"
         return make_retuner(search, whitened, _trigger(loop, whitened), budget, loop.window, theta, form, text)
     if method.needs_derivatives:
@@ -142,6 +143,16 @@ def make_policy(
     else:
         trigger = TrackingTrigger(loop.trigger.threshold)
     return Retuner(search, window, trigger, budget, theta, form, judge.describe)
+
+
+def whitened_residual(scenario: Scenario, estimator: str, plant: Plant, stack: ExitStack) -> DerivativeResidual | None:
+    """The residual of sampled derivatives, whose model stack closes; None where nothing, or something else, is judged.
+
+    Raises ScenarioError.
+    """
+    if estimator in ("none", "true") or chosen(scenario).kind != "derivative":
+        return None
+    return _residual(scenario, plant, stack)
 
 
 def try_model(scenario: Scenario, estimator: str, plant: Plant, theta: Vector, first: Sample) -> None:

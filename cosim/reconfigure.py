@@ -5,6 +5,7 @@ Khan and Chatterjee (2020), section III-C and algorithm 1.
 
 import math
 from collections.abc import Callable, Iterator
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import partial
 from time import perf_counter
@@ -107,8 +108,12 @@ class Event:
 
     t: float
     """Communication point [s]."""
-    kind: Literal["trigger", "candidate", "write", "end"]
-    """What it was."""
+    kind: Literal[
+        "trigger", "candidate", "write", "end",
+        "limit", "hold", "veto", "confirm", "revert", "stop", "guard",
+        "observation", "sensor",
+    ]  # fmt: skip
+    """What it was: the loop's, the guard's, the screen's of the samples."""
     detail: dict[str, Any] = field(default_factory=dict[str, Any])
     """JSON values."""
 
@@ -162,6 +167,7 @@ class Retuner:
         self._linear = linear
         self._theta = start
         self._remaining = 0.0
+        self._marked: tuple[ResidualWindow, float, Any] | None = None
         self.n_evaluations = 0
         self.n_episodes = 0
 
@@ -210,6 +216,28 @@ class Retuner:
         if self._remaining == 0:
             self._window.end(self._theta)
         return Reconfiguration(write, estimate, tuple(events), tuple(latencies))
+
+    def hold(self, theta: Vector) -> None:
+        """The controller holds theta (d,), whatever was to be written."""
+        self._theta = theta
+
+    def mark(self) -> None:
+        """Remember what is known, for `retract`: the next sample may be an outlier."""
+        kept = deepcopy(self._estimator) if self._solver is not None else None
+        if isinstance(self._window, ResidualWindow):  # an episode's own window cannot go back
+            self._marked = self._window.copy(), self._remaining, kept
+
+    def retract(self) -> None:
+        """Go back to the mark, as if the sample after it had not been taken; what was evaluated stays counted."""
+        if self._marked is None:
+            return
+        window, remaining, kept = self._marked
+        window.n_model_calls = self._window.n_model_calls
+        self._window, self._remaining = window, remaining
+        if isinstance(kept, Solver):
+            self._estimator = self._solver = kept
+        elif self._rescoring is None:
+            self._estimator.restart(self._theta)
 
     @property
     def n_model_calls(self) -> int:

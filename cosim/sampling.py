@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,21 @@ from estimator import Sample
 from .derivative_filter import DerivativeFilter
 from .scenarios.scenario import Scenario
 from .scenarios.system import Plant
+from .sensor_faults import SensorFaults
 
 
 class Sampler:
     """Takes samples from the outputs' values. The noise has its own stream, drawn at every point, used or not."""
 
-    def __init__(self, scenario: Scenario, plant: Plant, names: Sequence[str], noise: np.random.Generator) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        plant: Plant,
+        names: Sequence[str],
+        noise: np.random.Generator,
+        faults: np.random.Generator,
+    ) -> None:
+        """faults: the stream of the sensors' faults. Raises WiringError for a fault of an unknown sensor."""
         place = {name: i for i, name in enumerate(names)}
         states = [f"{plant.name}.{name}" for name in plant.states]
         sampling = scenario.sampling
@@ -27,6 +37,8 @@ class Sampler:
         if sampling.filter is not None:
             self._filter = DerivativeFilter(sampling.filter, scenario.scenario.macro_step, plant.channels)
             derivatives, self._no_xdot = [], (0.0,) * len(derivatives)
+        sensors = [*derivatives, *states, *sampling.outputs]
+        self._faults = SensorFaults(sampling.faults, sensors, faults) if sampling.faults else None
         measured = [*derivatives, *states, *(name for name in sampling.outputs if name not in states)]
         self._measured = [place[name] for name in measured]
         known = sampling.derivatives | sampling.outputs | sampling.states
@@ -35,7 +47,7 @@ class Sampler:
         self._xdot, self._x = slice(n), slice(n, n + len(states))
         self._y = [measured.index(name) for name in sampling.outputs]
         x, u, xdot, y = measured_columns(scenario, plant)
-        self._noisy = [i for i, name in enumerate(x) if name.startswith(SAMPLED)]
+        self._noisy = [i for i, name in enumerate(x) if name.startswith(SAMPLED)]  # or faulty
         self._further = [i for i, name in enumerate(y) if name not in x]
         filtered = filtered_columns(scenario, plant)
         self._nothing = (math.nan,) * len(filtered)
@@ -45,7 +57,8 @@ class Sampler:
     def take(self, t: float, values: Sequence[float], held: Mapping[str, float]) -> Sample:
         """What is measured at t [s]; values of all outputs, what the plant's connected inputs were held at up to t."""
         noise = self._sigma * self._rng.standard_normal(len(self._sigma))
-        return self._sample(t, values, held, noise.tolist())
+        sample = self._sample(t, values, held, noise.tolist())
+        return sample if self._faults is None else self._faults(sample)
 
     def filtered(self, measured: Sample) -> Sample | None:
         """The sample that the estimator gets: what is measured, or what the filter makes of it, of a time before."""
@@ -75,10 +88,11 @@ SAMPLED, HELD, FILTERED = "sampled.", "held.", "filtered."
 
 
 def measured_columns(scenario: Scenario, plant: Plant) -> tuple[list[str], list[str], list[str], list[str]]:
-    """Recorded columns of x, u, xdot and y as measured; a state without noise is the plant's output itself."""
+    """Recorded columns of x, u, xdot and y as measured; a state without noise or fault is the plant's output itself."""
     states = [f"{plant.name}.{name}" for name in plant.states]
     sampling = scenario.sampling
-    noisy = sampling.states | sampling.outputs
+    faulty = [states if f.sensor is None else [f.sensor] for f in sampling.faults]
+    noisy = {*sampling.states, *sampling.outputs, *chain.from_iterable(faulty)}
     return (
         [SAMPLED + name if name in noisy else name for name in states],
         [f"{HELD}{plant.name}.{name}" for name in plant.inputs],

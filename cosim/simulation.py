@@ -10,6 +10,7 @@ controller's output after its step is the control law at x_k.
 from array import array
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from dataclasses import replace
 from itertools import islice
 from math import hypot
 from pathlib import Path
@@ -19,11 +20,14 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from estimator import Sample
+
 from .errors import NotResumableError, ScenarioError, SlaveError, WiringError
 from .fmi.table import TableSlave, is_table
 from .master import Master, Wiring
-from .policy import decide, make_policy, try_model
-from .reconfigure import Reconfiguration
+from .oversight import Oversight
+from .policy import decide, make_policy, try_model, whitened_residual
+from .reconfigure import Reconfiguration, Retuner
 from .results.checkpoint import Checkpoint, Checkpoints, restore
 from .results.lock import locked
 from .results.manifest import Status, read_manifest, scenario_of
@@ -35,7 +39,7 @@ from .sampling import Sampler
 from .scenarios.aliases import as_the_fmus_have_it
 from .scenarios.estimators import check_estimator
 from .scenarios.scenario import Scenario
-from .scenarios.system import check_parameters, fmu_paths, plant_of, start_value, true_parameters, wire
+from .scenarios.system import check_parameters, fmu_paths, plant_of, start_value, true_parameters, wire, with_read_back
 from .slaves.slave import Slave, open_slave
 from .units import defined_units
 
@@ -99,7 +103,7 @@ def _simulated(
             for name, path in paths.items()
         }
         scenario = as_the_fmus_have_it(scenario, slaves)
-        loop = _Loop(scenario, slaves, estimator, seed, begun, stack)
+        loop = _Loop(scenario, slaves, paths, estimator, seed, begun, stack)
         fault = loop.initialize()
         if old is not None and old.checkpoint is not None:
             loop.go_to(old.checkpoint, fault)
@@ -120,6 +124,7 @@ def _simulated(
             result = Run(
                 scenario, loop.plant, estimator, seed, recorder.close(), status, error, policy.n_evaluations,
                 policy.n_episodes, loop.latencies, wall, out, policy.n_model_calls, policy.describe(),
+                **loop.oversight_summary(),
             )  # fmt: skip
             if out is not None:
                 declared = [s.description.unitDefinitions for s in slaves.values()]
@@ -136,6 +141,7 @@ class _Loop:
         self,
         scenario: Scenario,
         slaves: Mapping[str, Slave | TableSlave],
+        paths: Mapping[str, Path],
         estimator: str,
         seed: int,
         begun: float,
@@ -145,17 +151,26 @@ class _Loop:
         plant = plant_of(scenario, slaves[scenario.plant])
         check_parameters(scenario, slaves)
         wiring, groups = wire(scenario, slaves)
-        noise, search = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
+        wiring = with_read_back(wiring, [p.writes for p in scenario.estimation.parameters])
+        noise, search, faults = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3))
         self._scenario, self._estimator = scenario, estimator
         self.plant, self.begun = plant, begun
         self._k = 0
         self._master = Master(slaves, wiring, groups)
-        self._sampler = Sampler(scenario, plant, self._master.names, noise)
+        self._sampler = Sampler(scenario, plant, self._master.names, noise, faults)
         self._theta = np.array([start_value(scenario, slaves, p.writes) for p in scenario.estimation.parameters])
         self._truth = true_parameters(scenario, slaves)
         # Here, while the FMUs are still starting: what an estimator imports takes as long as they do.
         live = _live(scenario, slaves[scenario.plant], wiring[scenario.plant], self._truth)
-        self.policy = make_policy(scenario, estimator, plant, self._theta, self._true_theta, search, stack, live)
+        whitened = whitened_residual(scenario, estimator, plant, stack)
+        self.policy = make_policy(
+            scenario, estimator, plant, self._theta, self._true_theta, search, stack, live, whitened
+        )
+        self._oversight = (
+            Oversight(scenario, plant, self.policy, self._theta, whitened, slaves, wiring, groups, paths, stack)
+            if isinstance(self.policy, Retuner)
+            else None
+        )
         self._latencies, self._n_latencies = array("d"), array("L")  # an hour of tuples would be 30 MB
         self._writes = [p.writes for p in scenario.estimation.parameters]
         self._places: dict[str, list[int]] = {}
@@ -164,7 +179,9 @@ class _Loop:
         self._written: dict[str, list[float]] = {}
         place = {name: i for i, name in enumerate(self._master.names)}
         self._tracked = [(place[a], place[b]) for a, b in scenario.tracking.items()]
-        self.columns = ("time", *self._master.names, *self._truth, *self._writes, *self._sampler.columns)
+        self._recorded = [i for i, name in enumerate(self._master.names) if name not in self._writes]
+        recorded = [self._master.names[i] for i in self._recorded]
+        self.columns = ("time", *recorded, *self._truth, *self._writes, *self._sampler.columns)
 
     @property
     def latencies(self) -> tuple[tuple[float, ...], ...]:
@@ -223,6 +240,8 @@ class _Loop:
             for k in range(self._k, settings.n_steps + 1):
                 self._k, t = k, settings.time(k)
                 checkpoints.offer(k, self, recorder)
+                for event in self._oversight.begin(t) if self._oversight is not None and not k else ():
+                    recorder.event(t, event.kind, event.detail)
                 if self._exchange(k, t, recorder):
                     return "diverged", None
                 if progress is not None:
@@ -242,17 +261,36 @@ class _Loop:
         has_diverged = not all(abs(e) <= self._scenario.limits.divergence for e in errors)
         measured = self._sampler.take(t, master.values, master.inputs.get(self._scenario.plant, {}))
         sample = self._sampler.filtered(measured)
-        decision = decide(self.policy, self._estimator, sample if k else None, t, hypot(*errors))
-        self._take(decision, recorder)
+        self._take(self._decide(k, t, measured, sample, hypot(*errors)), recorder)
         truth = {reference: f(t) for reference, f in self._truth.items()}
         is_stepping = k < settings.n_steps and not has_diverged
         tunables = self._tunables(truth)
         if is_stepping:
             master.begin(t, settings.macro_step, tunables)
-        recorder.row([t, *master.values, *truth.values(), *self._theta.tolist(), *self._sampler.row(measured, sample)])
+        outputs = [master.values[i] for i in self._recorded]
+        row = self._sampler.row(measured, sample)
+        recorder.row([t, *outputs, *truth.values(), *self._theta.tolist(), *row])
         if is_stepping:
             master.finish(t, settings.macro_step, tunables)
         return has_diverged
+
+    def _decide(self, k: int, t: float, measured: Sample, sample: Sample | None, error: float) -> Reconfiguration:
+        """What the policy makes of the sample, as far as it is let through; error: norm of the tracking error."""
+        oversight = self._oversight
+        if oversight is None or not k:
+            return decide(self.policy, self._estimator, sample if k else None, t, error)
+        if oversight.has_stopped:
+            return Reconfiguration()
+        seen = oversight.seen(t, sample, self._theta)
+        decision = decide(self.policy, self._estimator, seen.sample, t, error)
+        if seen.is_suspect:
+            decision = oversight.withheld(decision, self._theta)
+        reviewed = oversight.review(k, t, error, measured, decision, self._master)
+        return replace(reviewed, events=(*seen.events, *reviewed.events)) if seen.events else reviewed
+
+    def oversight_summary(self) -> dict[str, Any]:
+        """What guard and screen have done, for the result."""
+        return {} if self._oversight is None else self._oversight.summary()
 
     def _take(self, decision: Reconfiguration, recorder: Recorder) -> None:
         for event in decision.events:

@@ -1,6 +1,7 @@
 """What was sampled from the plant, and the residuals of a model on a sliding window of it."""
 
 from collections.abc import Callable, Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cache
 
@@ -106,6 +107,13 @@ class ResidualWindow:
 
     def why_failed(self, theta: Vector) -> None:
         """A model has no value there, and no more to say."""
+
+    def copy(self) -> "ResidualWindow":
+        """The same window, which goes its own way from here."""
+        other = copy(self)
+        other._samples, other._lengths, other._is_explained = [*self._samples], [*self._lengths], [*self._is_explained]
+        other._rows = {key: [*rows] for key, rows in self._rows.items()}
+        return other
 
     def clear(self) -> None:
         """Forget every sample, as at a jump of the parameters."""

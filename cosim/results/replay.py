@@ -10,12 +10,15 @@ from time import perf_counter
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from estimator import Vector
+from estimator import Sample, Vector
 
 from ..errors import ScenarioError
-from ..policy import decide, make_policy, try_model
+from ..oversight import Oversight
+from ..policy import decide, make_policy, try_model, whitened_residual
+from ..reconfigure import Reconfiguration, Retuner
 from ..sampling import recorded_samples
 from ..scenarios.estimators import find_method
+from ..scenarios.schema import GuardSettings
 from .comparison import Comparison
 from .crew import record_of
 from .record import FolderError, new_run_folder
@@ -25,6 +28,7 @@ from .result import Run, read_run
 def replay(folder: Path, estimators: Sequence[str], seed: int | None = None, out: Path | None = None) -> Comparison:
     """What each estimator would have made of a run's samples; the plant and its controller go on as recorded.
 
+    Samples are screened as in a run, but there is no guard: what is predicted or taken back has no consequences here.
     A tracking error that an estimator would have ended stays, so one that triggers on it is asked again and again.
     Each begins at what the controller held first. seed: of the search, by default the run's. With `out`, an absent or
     empty folder, the tables are written there.
@@ -71,12 +75,17 @@ def replayed(recorded: Run, estimator: str, seed: int) -> Run:
     latencies: list[tuple[float, ...]] = []
     theta, thetas = held[0], [held[0]]
     with ExitStack() as stack:
-        policy = make_policy(scenario, estimator, recorded.plant, held[0], _no_truth, rng, stack)
+        whitened = whitened_residual(scenario, estimator, recorded.plant, stack)
+        policy = make_policy(scenario, estimator, recorded.plant, held[0], _no_truth, rng, stack, whitened=whitened)
+        if not isinstance(policy, Retuner):
+            raise ScenarioError(f"'{estimator}' estimates nothing.")
         first = next((sample for sample in samples if sample is not None), None)
         if first is not None:
             try_model(scenario, estimator, recorded.plant, held[0], first)
+        unguarded = scenario.model_copy(update={"guard": GuardSettings(enabled=False)})
+        screen = Oversight(unguarded, recorded.plant, policy, held[0], whitened, {}, {}, (), {}, stack)
         for t, sample, error in zip(recorded.time[1:].tolist(), samples[1:], errors[1:], strict=True):
-            decision = decide(policy, estimator, sample, t, hypot(*error))
+            decision = _decided(policy, screen, estimator, t, sample, hypot(*error), theta)
             if decision.latencies:
                 latencies.append(decision.latencies)
             theta = theta if decision.write is None else decision.write
@@ -88,6 +97,15 @@ def replayed(recorded: Run, estimator: str, seed: int) -> Run:
         latencies=tuple(latencies), objective=policy.describe(),
         wall=perf_counter() - begun, folder=None,
     )  # fmt: skip
+
+
+def _decided(
+    policy: Retuner, screen: Oversight, estimator: str, t: float, sample: Sample | None, error: float, theta: Vector
+) -> Reconfiguration:
+    """What is made of a sample that the screen lets through; there is no guard where nothing has consequences."""
+    seen = screen.seen(t, sample, theta)
+    decision = decide(policy, estimator, seen.sample, t, error)
+    return screen.withheld(decision, theta) if seen.is_suspect else decision
 
 
 def _no_truth(t: float) -> Vector:

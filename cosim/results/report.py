@@ -25,6 +25,7 @@ def report(run: Run, baselines: Mapping[str, Run]) -> str:
         _errors([*baselines.values(), run]),
         _parameters(run),
         _latency(run),
+        _oversight(run),
         [f"run folder {run.folder}"] if run.folder else [],
     ]
     return "\n\n".join("\n".join(block) for block in blocks if block)
@@ -66,6 +67,24 @@ def _latency(run: Run) -> list[str]:
         f"macro step {figures['deadline_ms']:g} ms: missed by {figures['missed_deadlines']} "
         f"of {len(run.latencies)} steps with evaluations",
     ]
+
+
+def _oversight(run: Run) -> list[str]:
+    """What was written, refused and taken back, and which samples were kept out."""
+    lines: list[str] = []
+    if guard := run.guard:
+        told = [f"{guard['written']} written", f"{guard['vetoed']} vetoed", f"{guard['reverted']} reverted"]
+        told += [f"{guard[kind]} {kind}" for kind in ("limited", "held") if guard[kind]]
+        stop = f"; re-tuning stopped at {guard['stopped_at']:g} s" if guard["stopped_at"] is not None else ""
+        blind = guard.get("not_rolled_ahead")
+        lines.append(f"guard: {', '.join(told)}{stop}{f'; the loop was not rolled ahead: {blind}' if blind else ''}")
+    if (seen := run.observations) and seen["kept_out"]:
+        most = sorted(seen["found"].items(), key=lambda item: -item[1])
+        told = ", ".join(f"{name} ({n})" for name, n in most[:4])
+        failed = f"; bad at the end, so that re-tuning rests: {', '.join(seen['failed'])}" if seen["failed"] else ""
+        more = f" and {len(most) - 4} more" if len(most) > 4 else ""
+        lines.append(f"samples kept out: {seen['kept_out']}: {told}{more}{failed}")
+    return lines
 
 
 def ending(run: Run) -> str | None:

@@ -79,6 +79,10 @@ class Run:
     """Samples at which a candidate was judged."""
     objective: str = ""
     """How candidates were judged, and why so."""
+    guard: Mapping[str, Any] | None = None
+    """How often it has let through, changed, refused and taken back; None without one."""
+    observations: Mapping[str, Any] | None = None
+    """Samples that were kept out, by what was wrong with them; None where nobody looked."""
 
     @property
     def time(self) -> Series:
@@ -146,6 +150,8 @@ class Run:
             "episodes": self.n_episodes,
             "model_calls": self.n_model_calls,
             "objective": self.objective or None,
+            "guard": self.guard,
+            "observations": self.observations,
             "latency_ms": _quantiles(evaluations),
             "deadline_ms": 1e3 * deadline,
             "missed_deadlines": sum(sum(step) > deadline for step in self.latencies),
@@ -226,6 +232,7 @@ def read_run(folder: Path) -> Run:
     return Run(
         scenario, manifest.plant, manifest.estimator, manifest.seed, series, status, result.error, result.evaluations,
         result.episodes, latencies, result.wall_s, folder, result.model_calls,
+        result.objective or "", result.guard, result.observations,
     )  # fmt: skip
 
 
@@ -247,6 +254,9 @@ class _Result:
     evaluations: int = 0
     episodes: int = 0
     model_calls: int = 0
+    objective: str | None = None
+    guard: dict[str, Any] | None = None
+    observations: dict[str, Any] | None = None
     wall_s: float = float("nan")
 
 

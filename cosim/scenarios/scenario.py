@@ -20,14 +20,17 @@ from .schema import (
     Derivative,
     EstimatedParameter,
     Estimation,
+    GuardSettings,
     Innovation,
     Limits,
     LinearModel,
     Noise,
+    ObservationSettings,
     Reference,
     RolloutSettings,
     Sampling,
     SavitzkyGolay,
+    SensorFault,
     Settings,
     StateVariable,
     Table,
@@ -57,6 +60,10 @@ class Scenario(Table):
     """What it does with it."""
     limits: Limits = Limits()
     """When the run is given up."""
+    observations: ObservationSettings = ObservationSettings()
+    """Which samples the estimator does not get."""
+    guard: GuardSettings = GuardSettings()
+    """What may be written into the controller, and what is taken back."""
     folder: Path = Field(default=Path(), exclude=True)
     """Where relative paths of FMUs begin."""
 
@@ -116,6 +123,7 @@ class Scenario(Table):
             "changes": self.changes,
             "tracking": [*self.tracking, *self.tracking.values()],
             "sampling": [*self.sampling.derivatives, *self.sampling.outputs, *self.sampling.states],
+            "sampling.faults": [f.sensor for f in self.sampling.faults if f.sensor is not None],
             "estimation.parameters": [p.writes for p in self.estimation.parameters],
         }
         for table, references in named.items():
@@ -211,10 +219,12 @@ def _known_keys(path: tuple[int | str, ...]) -> set[str]:
     tables: dict[tuple[str, ...], type[BaseModel]] = {
         (): Scenario, ("scenario",): Settings, ("sampling",): Sampling, ("estimation",): Estimation,
         ("limits",): Limits, ("components",): Component, ("estimation", "parameters"): EstimatedParameter,
+        ("observations",): ObservationSettings, ("guard",): GuardSettings,
         ("estimation", "trigger", "tracking"): Tracking, ("estimation", "trigger", "innovation"): Innovation,
         ("estimation", "trigger", "always"): Always, ("estimation", "linear"): LinearModel,
         ("estimation", "rollout"): RolloutSettings,
         ("sampling", "derivatives"): Derivative, ("sampling", "states"): Noise, ("sampling", "outputs"): Noise,
+        ("sampling", "faults"): SensorFault,
         ("sampling", "filter", "savitzky-golay"): SavitzkyGolay,
         ("sampling", "filter", "state-variable"): StateVariable,
     }  # fmt: skip

@@ -155,6 +155,39 @@ class StateVariable(Table):
     """A sample every so many points; by default so many that two share at most 5 % of their noise."""
 
 
+class SensorFault(Table):
+    """What goes wrong with a sensor, to try out a set-up; the estimator is not told."""
+
+    kind: Literal["dropout", "infinite", "bias", "noise", "spikes", "sign", "scale", "stuck", "delay", "late"]
+    """dropout: not a number. noise: Gaussian, of standard deviation size, added. spikes: +-size added, the sign at
+    random. sign: multiplied by -1; scale: by size. stuck: the value at the fault's beginning. delay: the value of
+    `steps` before; late: the whole sample of then, its time stamp and input included."""
+    sensor: Reference | None = None
+    """A sampled derivative or a state of the plant; none: all of them."""
+    start: float = 0.0
+    """In force from this time on [s]."""
+    stop: float | None = None
+    """Until before this time [s]; none: to the end."""
+    size: float = 0.0
+    """Of bias, noise, spikes, in the sensor's unit; of scale."""
+    steps: int = Field(default=1, ge=1, le=10_000)
+    """Of delay, late: macro steps."""
+    probability: float = Field(default=1.0, gt=0.0, le=1.0)
+    """That a sample in that time is hit."""
+
+    @model_validator(mode="after")
+    def _is_sound(self) -> Self:
+        if self.kind == "late" and self.sensor is not None:
+            raise ValueError("a whole sample is late: leave out 'sensor'")
+        if (self.kind in ("bias", "noise", "spikes", "scale")) != ("size" in self.model_fields_set):
+            raise ValueError(f"'size' belongs to bias, noise, spikes and scale, which need it, got kind '{self.kind}'")
+        return self
+
+    def is_in_force(self, t: float) -> bool:
+        """Whether a sample of t [s] may be hit; half a nanosecond late counts as in time."""
+        return t >= self.start - 5e-10 and (self.stop is None or t < self.stop - 5e-10)
+
+
 class Sampling(Table):
     """What the estimator gets to see."""
 
@@ -166,6 +199,8 @@ class Sampling(Table):
     """Outputs of the plant that are compared with simulated ones."""
     states: dict[Reference, Noise] = {}
     """Noise on states, where they are not measured exactly; one that is among the outputs has that noise."""
+    faults: tuple[SensorFault, ...] = ()
+    """Faults of the sensors, in the order in which they act."""
 
     @field_validator("derivatives", "outputs")
     @classmethod
@@ -383,3 +418,46 @@ class Limits(Table):
 
     divergence: float = Field(default=100.0, gt=0.0)
     """A tracked error above this ends the run as diverged, in the tracked output's unit."""
+
+
+class ObservationSettings(Table):
+    """Which samples the estimator does not get."""
+
+    enabled: bool = True
+    """Whether samples are looked at."""
+    outlier: float = Field(default=8.0, gt=0.0)
+    """Jump of the residual, in its usual standard deviations, that the next sample must confirm."""
+    inconsistent: float = Field(default=8.0, gt=0.0)
+    """Standard deviations by which a derivative, summed, may differ from the change of its state."""
+    stuck: int = Field(default=10, ge=2)
+    """Samples with the same bits, of a sensor that should move, that make it stuck."""
+    patience: int = Field(default=100, ge=2)
+    """Newest samples of which more than half must be bad for a sensor to count as failed."""
+
+
+class GuardSettings(Table):
+    """What may be written into the controller, and what is taken back. Shares are of the scaled bounds."""
+
+    enabled: bool = True
+    """Whether writes are guarded."""
+    rate: float = Field(default=0.5, gt=0.0, le=1.0)
+    """Most that a parameter may move in a macro step, as a share."""
+    material: float = Field(default=0.05, ge=0.0, le=1.0)
+    """Smaller changes since the last one looked into are neither predicted nor put on probation, as a share."""
+    unseen: float = Field(default=0.35, gt=0.0, le=1.0)
+    """A direction of which the standard deviation exceeds this share is not seen by the data, and not written."""
+    foresight: bool = True
+    """Whether the closed loop is rolled ahead before a material write."""
+    horizon: int = Field(default=50, ge=1)
+    """Macro steps that it is rolled ahead."""
+    n_std: float = Field(default=2.0, ge=0.0)
+    """Standard deviations by which the estimate is widened for it, along the worst direction."""
+    growth: float = Field(default=1.5, ge=1.0)
+    """Predicted peaks of the tracking error may exceed that without the write, and errors the predicted, by this."""
+    tolerance: float | None = Field(default=None, gt=0.0)
+    """A tracking error below it is never a reason to revert, in the norm of the tracked outputs; none: a hundredth of
+    limits.divergence."""
+    probation: int = Field(default=100, ge=1)
+    """Macro steps for which the tracking error is watched after a write."""
+    reverts: int = Field(default=3, ge=1)
+    """Reverts after which re-tuning stops, with the parameters of the start."""

@@ -1,7 +1,7 @@
 """From a scenario's names to wired FMUs: which variables are set and read, and in which groups the FMUs step."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -81,6 +81,15 @@ def wire(scenario: Scenario, slaves: Mapping[str, Described]) -> tuple[dict[str,
     return wiring, _groups(scenario, list(slaves))
 
 
+def with_read_back(wiring: Mapping[str, Wiring], writes: Sequence[str]) -> dict[str, Wiring]:
+    """The wiring with the re-tuned parameters among what is read, after the outputs."""
+    names = {name: [r.partition(".")[2] for r in writes if r.partition(".")[0] == name] for name in wiring}
+    return {
+        name: replace(w, outputs=(*w.outputs, *(n for n in names[name] if n not in w.outputs)))
+        for name, w in wiring.items()
+    }
+
+
 def plant_of(scenario: Scenario, slave: Described) -> Plant:
     """The plant's states, inputs and sampled channels. Raises WiringError where a derivative has no state.
 
@@ -88,7 +97,7 @@ def plant_of(scenario: Scenario, slave: Described) -> Plant:
     what the scenario lists as such.
     """
     variables = slave.description.modelVariables
-    state_of = {v.name: v.derivative.name for v in variables if v.derivative is not None}
+    state_of = derivatives_of(slave)
     sampling = scenario.sampling
     outputs, is_state = set(_outputs(slave)), set(state_of.values())
     if sampling.filter is not None:
@@ -109,6 +118,11 @@ def plant_of(scenario: Scenario, slave: Described) -> Plant:
         channels.append(states.index(derivative.of.partition(".")[2] if derivative.of else state_of[name]))
     inputs = {v.name: float(v.start or 0.0) for v in variables if v.causality == "input"}
     return Plant(slave.name, states, inputs, tuple(channels))
+
+
+def derivatives_of(slave: Described) -> dict[str, str]:
+    """Of which state each declared derivative is, by name."""
+    return {v.name: v.derivative.name for v in slave.description.modelVariables if v.derivative is not None}
 
 
 def start_value(scenario: Scenario, slaves: Mapping[str, Described], reference: str) -> float:

@@ -237,6 +237,16 @@ class Slave:
             self._values = self._checked_outputs(row)
         return rows
 
+    @property
+    def has_states(self) -> bool:
+        """Whether the FMU can save and restore its state, serialised."""
+        interface = co_simulation(self.description)
+        return bool(interface.canGetAndSetFMUstate and interface.canSerializeFMUstate)
+
+    def check_tunables(self, names: Sequence[str]) -> None:
+        """Raises WiringError where one of them is no tunable parameter."""
+        self._catalogue.ports("tunable parameter", names)
+
     def get_state(self) -> bytes:
         """The FMU's state, for set_state of a slave of the same FMU. Raises SlaveError."""
         self._must_have_states("get_state")
@@ -255,7 +265,7 @@ class Slave:
 
     def to_checkpoint(self) -> tuple[bytes, float | None, tuple[float, ...] | None]:
         """State, communication point and outputs. Raises NotResumableError, SlaveError."""
-        if not self._has_states():
+        if not self.has_states:
             raise NotResumableError(f"{self.fmu.name} cannot save and restore its state")
         return self.get_state(), self._time, self._values
 
@@ -331,13 +341,9 @@ class Slave:
                 _log.warning("%s at t = %s s: %s", self.name, seconds(self._time or 0.0), text)
 
     def _must_have_states(self, function: str) -> None:
-        if not self._has_states():
+        if not self.has_states:
             reason = f"{self.fmu.name} cannot save and restore its state"
             raise SlaveError(self.name, function, self._time, reason, COLON)
-
-    def _has_states(self) -> bool:
-        interface = co_simulation(self.description)
-        return bool(interface.canGetAndSetFMUstate and interface.canSerializeFMUstate)
 
     def _start_value(self, name: str, value: Value, t: float) -> tuple[str, str, int, Value]:
         port = self._catalogue.start_port(name, value)

@@ -1,0 +1,72 @@
+"""Whether sampled derivatives and the differences of their states tell the same motion.
+
+The sensor of a derivative that is biased, scaled, delayed or has the wrong sign is found so, as long as its state's is
+right, whatever the parameters are.
+"""
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from estimator import Sample, Vector
+
+_LENGTH: Final = 20
+"""Samples over which derivatives are summed."""
+_FEWEST: Final = 5
+"""Samples from which on their scatter says something of the noise."""
+
+
+class Consistency:
+    """Compares x_k - x_j with h sum xdot_i, i = j+1 .. k, over the newest samples, channel by channel.
+
+    A sample at the end of a step belongs to the input that was held over it. So the rectangle errs by h/2 times what
+    the derivative has changed over the step, of which the model tells the size. Limits are those of the noise, declared
+    or seen, whichever is larger, of twice that error, and of h/2 sum |xdot_i - xdot_(i-1)|, the last counted twice, so
+    that a spike is no bias.
+    """
+
+    def __init__(
+        self,
+        channels: tuple[int, ...],
+        noise: tuple[float, ...],
+        state_noise: tuple[float, ...],
+        slope: Callable[[Vector, Sample], Sequence[float]],
+        limit: float,
+        h: float,
+    ) -> None:
+        """channels (c,): the states' places in x; noise, state_noise (c,): standard deviations of the derivatives and
+        of these states; slope: modelled derivatives (n,); limit: in standard deviations; h: macro step [s]."""
+        self._channels, self._slope, self._h, self._limit = list(channels), slope, h, limit
+        self._noise, self._state_variance = np.array(noise), np.square(state_noise)
+        self._rows: deque[Vector] = deque(maxlen=_LENGTH + 1)
+        self._last: Sample | None = None
+
+    def step(self, sample: Sample, theta: Vector) -> NDArray[np.intp]:
+        """Channels whose derivative does not fit the state's motion; a gap in time begins anew.
+
+        theta (d,): what is in force.
+        """
+        last, self._last = self._last, sample
+        if last is None or abs(sample.t - last.t - self._h) > 0.5 * self._h:
+            self._rows.clear()
+            last = sample
+        x, z = (np.array([s.x[i] for i in self._channels]) for s in (sample, last))
+        now, before = (self._slope(theta, s) for s in (sample, replace(last, u=sample.u)))
+        drift = np.array([now[i] - before[i] for i in self._channels])
+        self._rows.append(np.array([x - z, sample.xdot, drift]))
+        if len(self._rows) <= _FEWEST:
+            return np.empty(0, dtype=np.intp)
+        moved, xdot, drift = np.array(self._rows).swapaxes(0, 1)
+        differs = np.abs(moved[1:].sum(axis=0) - self._h * xdot[1:].sum(axis=0))
+        return np.flatnonzero(differs > self._limits(xdot, drift[1:]))
+
+    def _limits(self, xdot: Vector, drift: Vector) -> Vector:
+        n, h = len(drift), self._h
+        changes = np.abs(np.diff(xdot, axis=0))
+        sigma = np.maximum(self._noise, 1.05 * np.median(changes, axis=0))  # of a difference: 0.954 sigma
+        noise = np.sqrt(n * h * h * sigma * sigma + 2.0 * self._state_variance)
+        return self._limit * noise + h * np.abs(drift).sum(axis=0) + 0.5 * h * (changes.sum(axis=0) + changes[-1])

@@ -1,0 +1,178 @@
+"""The closed loop rolled ahead from now, in FMUs of its own: what would happen if this were written.
+
+The shadows are brought to now by FMU state, so they know what the FMUs know; but the plant's estimated parameters are
+overwritten by those to be tried. A plant that cannot save its state is replaced by the scenario's model.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from math import hypot, inf
+from pathlib import Path
+from typing import Any
+
+from estimator import Sample, Vector
+
+from .errors import CosimError, SlaveError
+from .fmi.archive import co_simulation
+from .fmi.table import TableSlave
+from .master import Master, Steppable, Wiring
+from .model_plant import ModelPlant, not_given
+from .scenarios.scenario import Scenario
+from .scenarios.system import Plant, derivatives_of
+from .slaves.slave import Slave, open_slave
+
+
+class Foresight:
+    """Predicts tracking errors. Its FMUs begin to load at once, and are initialised when they are first needed."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        slaves: Mapping[str, Slave | TableSlave],
+        wiring: Mapping[str, Wiring],
+        groups: Sequence[Sequence[str]],
+        paths: Mapping[str, Path],
+        plant: Plant,
+        model: Callable[..., Sequence[float]] | None,
+        stack: ExitStack,
+    ) -> None:
+        """slaves: those of the run; model: the plant's, if any; stack closes the shadows. Raises CosimError with the reason
+        where the loop cannot be rolled ahead."""
+        self._scenario, self._slaves, self._groups, self._paths = scenario, slaves, groups, paths
+        self._plant, self._model = plant, model
+        true = [scenario.true_reference(p) for p in scenario.estimation.parameters]
+        self._places = {name: [i for i, r in enumerate(true) if r.partition(".")[0] == name] for name in slaves}
+        writes = [p.writes for p in scenario.estimation.parameters]
+        self._written = {name: [i for i, r in enumerate(writes) if r.partition(".")[0] == name] for name in slaves}
+        self._wiring = {
+            name: Wiring(
+                w.sources,
+                tuple(r.partition(".")[2] for r in [*true, *writes] if r.partition(".")[0] == name),
+                w.outputs,
+                w.start,
+            )
+            for name, w in wiring.items()
+        }
+        self._modelled = _modelled(scenario, slaves, wiring, plant, model)
+        for name, w in self._wiring.items():
+            slave = slaves[name]
+            if isinstance(slave, Slave) and name != self._modelled:
+                slave.check_tunables(w.tunables)
+        self._stack = stack.enter_context(ExitStack())
+        self._is_ready = False
+        self._shadows: dict[str, Steppable] = {}
+        self._open()
+        place = {name: i for i, name in enumerate(self._master.names)}
+        self._tracked = [(place[a], place[b]) for a, b in scenario.tracking.items()]
+        self.n_rolled = 0
+        """Times that the loop was rolled ahead."""
+
+    checkpoint_name = "loop rolled ahead"
+
+    def to_checkpoint(self) -> int:
+        """It is brought to now each time that it is needed: a count is all that it holds."""
+        return self.n_rolled
+
+    def from_checkpoint(self, saved: int) -> None:
+        """The count."""
+        self.n_rolled = saved
+
+    @property
+    def plant_is_modelled(self) -> bool:
+        """Whether the scenario's model stands for the plant."""
+        return self._modelled is not None
+
+    def now(self, sample: Sample) -> dict[str, Any]:
+        """The state of the run's FMUs at this communication point, to begin at. Raises SlaveError."""
+        states: dict[str, Any] = {}
+        for name, slave in self._slaves.items():
+            if name == self._modelled:
+                states[name] = sample.x
+            elif isinstance(slave, Slave):
+                states[name] = slave.get_state()
+        return states
+
+    def peak(
+        self, now: Mapping[str, Any], values: Sequence[float], k: int, controller: Vector, plant: Vector
+    ) -> float | None:
+        """Largest norm of the tracking error over the horizon: infinite where an FMU fails or the loop diverges.
+
+        values: of all outputs now, at communication point k; controller, plant: theta (d,) in each. None where the
+        plant does not take these parameters, so that nothing is known.
+        """
+        self.n_rolled += 1
+        try:
+            self._begin_at(now, values)
+            return self._roll(k, controller, plant)
+        except SlaveError as fault:
+            self._stack.close()
+            self._open()
+            return None if fault.function == "set" else inf  # a value that was refused before it reached the FMU
+
+    def _roll(self, k: int, controller: Vector, plant: Vector) -> float:
+        settings, master = self._scenario.scenario, self._master
+        h, horizon = settings.macro_step, min(self._scenario.guard.horizon, settings.n_steps - k)
+        tunables = {
+            name: [*(float(plant[i]) for i in self._places[name]), *(float(controller[i]) for i in written)]
+            for name, written in self._written.items()
+        }
+        tunables = {name: v for name, v in tunables.items() if v}
+        peak, limit = 0.0, self._scenario.limits.divergence
+        for j in range(k, k + horizon):
+            master.begin(settings.time(j), h, tunables if j == k else {})
+            master.finish(settings.time(j), h, tunables if j == k else {})
+            errors = [master.values[a] - master.values[b] for a, b in self._tracked]
+            if not all(abs(e) <= limit for e in errors):
+                return inf
+            peak = max(peak, hypot(*errors))
+        return peak
+
+    def _begin_at(self, now: Mapping[str, Any], values: Sequence[float]) -> None:
+        settings = self._scenario.scenario
+        if not self._is_ready:
+            self._master.initialize(settings.start_time, settings.stop_time)
+            self._is_ready = True
+        for name, state in now.items():
+            shadow = self._shadows[name]
+            assert isinstance(shadow, Slave | ModelPlant)
+            shadow.set_state(state)
+        self._master.values[:] = values
+
+    def _open(self) -> None:
+        options = self._scenario.scenario.slave_options
+        self._is_ready = False
+        for name, slave in self._slaves.items():
+            if name == self._modelled and self._model is not None:
+                space = self._scenario.estimation.space
+                self._shadows[name] = ModelPlant(self._plant, self._model, space.names, derivatives_of(slave))
+                continue
+            path, label = self._paths[name], f"{name} (rolled ahead)"
+            if isinstance(slave, TableSlave):
+                self._shadows[name] = TableSlave(path, label)
+                continue
+            once = bool(co_simulation(slave.description).canBeInstantiatedOnlyOncePerProcess)
+            own: dict[str, Any] = options | ({"isolation": "process"} if once else {})
+            self._shadows[name] = self._stack.enter_context(open_slave(path, label, **own))
+        self._master = Master(self._shadows, self._wiring, self._groups)
+
+
+def _modelled(
+    scenario: Scenario,
+    slaves: Mapping[str, Slave | TableSlave],
+    wiring: Mapping[str, Wiring],
+    plant: Plant,
+    model: Callable[..., Sequence[float]] | None,
+) -> str | None:
+    """The plant, where the model must stand for it; None where every FMU can save its state. Raises CosimError."""
+    lacking = [name for name, slave in slaves.items() if isinstance(slave, Slave) and not slave.has_states]
+    if not lacking:
+        return None
+    if lacking != [plant.name]:
+        others = ", ".join(name for name in lacking if name != plant.name)
+        raise CosimError(f"{others} cannot save and restore the state of the FMU")
+    if model is None:
+        raise CosimError(f"{plant.name} cannot save its state, and no model stands for it")
+    read = {s for w in wiring.values() for s in w.sources.values()} | {*scenario.tracking, *scenario.tracking.values()}
+    if missing := not_given(plant, derivatives_of(slaves[plant.name]), read):
+        raise CosimError(f"{plant.name} cannot save its state, and the model does not give '{missing}'")
+    return plant.name

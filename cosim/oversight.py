@@ -1,0 +1,177 @@
+"""Who looks after a run's estimator: the screen before it, the guard behind it, and the loop that is rolled ahead."""
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+from estimator import DerivativeResidual, Sample, Vector
+
+from .errors import CosimError
+from .fmi.table import TableSlave
+from .foresight import Foresight
+from .guard import Guard, Peak
+from .master import Master, Wiring
+from .observations import Screen, Seen, Sensors
+from .reconfigure import Event, Reconfiguration, Retuner
+from .scenarios.scenario import Scenario
+from .scenarios.system import Plant
+from .sight import Blind, Sight
+from .slaves.slave import Slave
+
+_FEWEST: Final = 30
+"""Samples that say what can be seen: a recursive estimator's window is one."""
+
+
+class Oversight:
+    """Of one run. Nothing of it is there for `none` and `true`, which estimate nothing."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        plant: Plant,
+        policy: Retuner,
+        start: Vector,
+        whitened: DerivativeResidual | None,
+        slaves: Mapping[str, Slave | TableSlave],
+        wiring: Mapping[str, Wiring],
+        groups: Sequence[Sequence[str]],
+        paths: Mapping[str, Path],
+        stack: ExitStack,
+    ) -> None:
+        """start (d,): what the controller holds; whitened: the residual of a sample, where derivatives are judged;
+        stack closes what is opened."""
+        self._policy = policy
+        self._has_mark = False
+        self._read: list[int] | None = None  # places of what the controller says that it holds
+        self._writes = [p.writes for p in scenario.estimation.parameters]
+        space = scenario.estimation.space
+        self._sight: Sight | Blind = (
+            Sight(whitened, space, len(whitened.noise), max(scenario.estimation.window, _FEWEST))
+            if whitened is not None
+            else Blind()
+        )
+        self._guard = (
+            Guard(scenario.guard, space, start, scenario.limits.divergence, self._sight)
+            if scenario.guard.enabled
+            else None
+        )
+        self._screen = (
+            Screen(scenario.observations, _sensors(scenario, plant, whitened), scenario.scenario.macro_step)
+            if scenario.observations.enabled and whitened is not None and scenario.sampling.filter is None
+            else None
+        )
+        self._foresight, self._why_blind = None, "guard.foresight is false"
+        if self._guard is not None and scenario.guard.foresight:
+            model = None if whitened is None else whitened.model
+            self._foresight, self._why_blind = _foresight(scenario, slaves, wiring, groups, paths, plant, model, stack)
+
+    @property
+    def has_stopped(self) -> bool:
+        """Whether re-tuning was given up."""
+        return self._guard is not None and self._guard.stopped_at is not None
+
+    def begin(self, t: float) -> list[Event]:
+        """What is to be said at the start."""
+        if self._guard is None or self._foresight is not None:
+            return []
+        return [Event(t, "guard", {"reason": f"the loop is not rolled ahead: {self._why_blind}"})]
+
+    def seen(self, t: float, sample: Sample | None, theta: Vector) -> Seen:
+        """What the estimator gets of the sample, if there is one; theta (d,): what the controller holds."""
+        if sample is None:
+            return Seen(None, False, False, ())
+        seen = Seen(sample, False, False, ()) if self._screen is None else self._screen.step(t, sample, theta)
+        if seen.was_outlier and self._has_mark:
+            self._policy.retract()
+            self._sight.retract()
+        if seen.sample is not None:
+            self._has_mark = seen.is_suspect
+            if seen.is_suspect:
+                self._policy.mark()
+            self._sight.append(seen.sample)
+        return seen
+
+    def review(
+        self, k: int, t: float, error: float, measured: Sample, decision: Reconfiguration, master: Master
+    ) -> Reconfiguration:
+        """The decision as far as the guard lets it through, at communication point k; measured: the plant there."""
+        if self._guard is None:
+            return decision
+        if self._read is None:
+            place = {name: i for i, name in enumerate(master.names)}
+            self._read = [place[name] for name in self._writes]
+        if refusal := self._guard.not_taken(t, [master.values[i] for i in self._read], self._writes):
+            return Reconfiguration(events=(refusal,))
+        reviewed = self._guard.step(k, t, error, decision, self._peak(k, measured, master))
+        if reviewed.write is not decision.write:
+            self._policy.hold(self._guard.held)
+        return reviewed
+
+    def withheld(self, decision: Reconfiguration, theta: Vector) -> Reconfiguration:
+        """The decision without its write: the newest sample is not confirmed; theta (d,): what the controller holds."""
+        if decision.write is None:
+            return decision
+        self._policy.hold(theta)
+        return replace(decision, write=None, events=tuple(e for e in decision.events if e.kind != "write"))
+
+    def summary(self) -> dict[str, Any]:
+        """Counts of guard and screen, as JSON values."""
+        rolled = None if self._foresight is None else self._foresight.n_rolled
+        guard = None if self._guard is None else self._guard.summary() | {"rolled_ahead": rolled}
+        if guard is not None and rolled is None:
+            guard["not_rolled_ahead"] = self._why_blind
+        return {"guard": guard, "observations": None if self._screen is None else self._screen.summary()}
+
+    def _peak(self, k: int, measured: Sample, master: Master) -> Peak | None:
+        foresight = self._foresight
+        if foresight is None:
+            return None
+        states: list[Mapping[str, Any]] = []  # read once, and only where they are needed
+        values = list(master.values)
+
+        def peak(controller: Vector, plant: Vector) -> float | None:
+            if not states:
+                states.append(foresight.now(measured))
+            return foresight.peak(states[0], values, k, controller, plant)
+
+        return peak
+
+
+def _foresight(
+    scenario: Scenario,
+    slaves: Mapping[str, Slave | TableSlave],
+    wiring: Mapping[str, Wiring],
+    groups: Sequence[Sequence[str]],
+    paths: Mapping[str, Path],
+    plant: Plant,
+    model: Callable[..., Sequence[float]] | None,
+    stack: ExitStack,
+) -> tuple[Foresight | None, str]:
+    try:
+        return Foresight(scenario, slaves, wiring, groups, paths, plant, model, stack), ""
+    except CosimError as e:
+        return None, str(e).rstrip(".")
+
+
+@dataclass(frozen=True)
+class _Slope:
+    """Modelled derivatives (n,) of the states at a sample."""
+
+    residual: DerivativeResidual
+
+    def __call__(self, theta: Vector, sample: Sample) -> Sequence[float]:
+        return self.residual.model(sample.x, sample.u, **self.residual.space.named(theta))
+
+
+def _sensors(scenario: Scenario, plant: Plant, residual: DerivativeResidual) -> Sensors:
+    states = [f"{plant.name}.{name}" for name in plant.states]
+    on_states = scenario.sampling.states
+    is_noisy = [name in on_states and on_states[name].noise > 0.0 for name in states]
+    n = len(scenario.sampling.derivatives)
+    on_channels = [on_states[states[i]].noise if states[i] in on_states else 0.0 for i in plant.channels]
+    return Sensors(
+        (*scenario.sampling.derivatives, *states), (*[True] * n, *is_noisy), residual.noise,
+        plant.channels, tuple(on_channels), residual, _Slope(residual),
+    )  # fmt: skip

@@ -36,8 +36,10 @@ class Foresight:
         model: Callable[..., Sequence[float]] | None,
         stack: ExitStack,
     ) -> None:
-        """slaves: those of the run; model: the plant's, if any; stack closes the shadows. Raises CosimError with the reason
-        where the loop cannot be rolled ahead."""
+        """slaves: those of the run; model: the plant's, if any; stack closes the shadows.
+
+        Raises CosimError with the reason where the loop cannot be rolled ahead.
+        """
         self._scenario, self._slaves, self._groups, self._paths = scenario, slaves, groups, paths
         self._plant, self._model = plant, model
         true = [scenario.true_reference(p) for p in scenario.estimation.parameters]

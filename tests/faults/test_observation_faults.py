@@ -183,7 +183,10 @@ def test_faults_leave_the_noise_what_it_is(tmp_path):
 @pytest.mark.parametrize(
     ("faults", "message"),
     [
-        ([fault("dropout", "plant.der(phi)")], r"'plant.der\(phi\)' is no sampled derivative or state; did you mean"),
+        (
+            [fault("dropout", "plant.der(phi)")],
+            r"'plant.der\(phi\)' is no sampled derivative, state or output; did you mean",
+        ),
         ([fault("dropout", "motor.u")], "no component 'motor'"),
         ([fault("late", RATE)], "a whole sample is late"),
         ([fault("bias", RATE)], "'size' belongs to bias"),

@@ -119,7 +119,7 @@ def _shown(events: Sequence[Event]) -> Iterator[tuple[Event, str]]:
         together = list(group)
         for event in together[-1:] if kind == "write" else together:
             if kind == "trigger":
-                yield event, f"{event.detail['reason']}; on {event.detail['samples']}"
+                yield event, event.detail["reason"]
             elif kind == "write":
                 yield event, f"the last of {len(together)}: {event.detail['reason']}"
             else:

@@ -16,6 +16,7 @@ from .offline.estimate_options import request_of
 from .options import REFUSED, parser_of
 
 if TYPE_CHECKING:
+    from .offline.estimate import Request
     from .results.result import Run
     from .scenarios.scenario import Scenario
     from .simulation import Progress
@@ -361,6 +362,8 @@ def _estimate(options: argparse.Namespace) -> int:
 
     request = request_of(options)
     _must_be_new(options.ssv, "--ssv")
+    if options.online:
+        return _online(options, request)
     try:
         with _new_folder(f"{request.fmu.stem}-estimate", options.out) as folder:
             with bar_of_rollouts(request.fmu.stem, request.evaluations) as progress:
@@ -376,6 +379,29 @@ def _estimate(options: argparse.Namespace) -> int:
     if options.ssv:
         write_text(options.ssv, estimates_ssv(found))
     print(to_json(summary(found)) if options.json else f"{report(found)}\n\nwritten to {folder}")
+    return DONE
+
+
+def _online(options: argparse.Namespace, request: "Request") -> int:
+    from .offline.online import run_online
+    from .offline.online_report import estimates_ssv, report, summary, write_files
+    from .progress import bar_of_samples
+    from .results.record import to_json, write_text
+
+    try:
+        with _new_folder(f"{request.fmu.stem}-online", options.out) as folder:
+            with bar_of_samples(request.fmu.stem) as progress:
+                found = run_online(request, options.samples or 50, progress)
+            write_files(found, folder)
+    except KeyboardInterrupt:
+        print("retune: interrupted; nothing is written", file=sys.stderr)
+        return INTERRUPTED
+    if options.ssv:
+        write_text(options.ssv, estimates_ssv(found))
+    print(to_json(summary(found)) if options.json else f"{report(found)}\n\nwritten to {folder}")
+    if found.failure is not None:
+        print(f"retune: {found.failure}; what there is so far is in {folder}", file=sys.stderr)
+        return UNFINISHED
     return DONE
 
 

@@ -66,3 +66,17 @@ def bar_of_rollouts(title: str, n_search: int) -> Generator[Callable[[int, float
             bar.update(n - bar.n)
 
         yield show
+
+
+@contextmanager
+def bar_of_samples(title: str) -> Generator[Callable[[int, int], None]]:
+    """A bar of the samples of a log on standard error, on terminals only."""
+    form = "{desc} {percentage:3.0f}%|{bar}| {n_fmt} of {total_fmt} samples, {remaining} left"
+    with tqdm(total=0, desc=title, bar_format=form, disable=None, leave=False) as bar:
+
+        def show(n: int, n_all: int) -> None:
+            if not bar.disable:
+                bar.total = n_all
+                bar.update(n - bar.n)
+
+        yield show

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -92,6 +93,11 @@ class Request:
         if bad is not None:
             raise EstimateError(f"--noise {bad} must be positive, and of a measured output.")
 
+    @property
+    def constants(self) -> dict[str, float]:
+        """Start values that are numbers, the same in every window."""
+        return {name: float(value) for name, value in self.start.items() if not isinstance(value, str)}
+
 
 @dataclass(frozen=True)
 class Estimation:
@@ -134,19 +140,38 @@ class Estimation:
         return np.array([np.sqrt(np.mean(e * e)) if len(e) else np.nan for e in known])
 
 
+class Understood(NamedTuple):
+    """What a request comes to, its FMU and logs having been read."""
+
+    component: Component
+    space: ParameterSpace
+    nominal: Vector
+    """Values (d,) before: the FMU's own, or the user's."""
+    windows: list[LogWindow]
+    noise: Vector
+    """Standard deviation (c,) of each output's noise."""
+    warnings: list[str]
+    """What was passed over in the logs."""
+
+
+def understand(request: Request) -> Understood:
+    """Read the FMU's description and the logs. Raises CosimError in one line for what is refused."""
+    component = read_component(request.fmu)
+    space, nominal = _space(request, component)
+    windows, warnings = _windows(request, _signals(request, component), component)
+    return Understood(component, space, nominal, windows, _noise(request, windows), warnings)
+
+
 def estimate(request: Request, progress: Progress = lambda n, cost: None) -> Estimation:
     """Parameters of a plant FMU from logs.
 
     Raises CosimError in one line for what is refused, FailedError where no roll-out succeeds.
     """
     began = perf_counter()
-    component = read_component(request.fmu)
-    space, nominal = _space(request, component)
-    signals = _signals(request, component)
-    windows, warnings = _windows(request, signals, component)
-    noise = _noise(request, windows)
-    constants = {name: float(value) for name, value in request.start.items() if not isinstance(value, str)}
-    plant = Plant(request.fmu, tuple(request.inputs), tuple(request.measured), constants, request.step, request.timeout)
+    component, space, nominal, windows, noise, warnings = understand(request)
+    plant = Plant(
+        request.fmu, tuple(request.inputs), tuple(request.measured), request.constants, request.step, request.timeout
+    )
     with Rollouts(plant, component, windows, request.jobs) as rollouts:
         residual = RolloutResidual(rollouts, space, windows, noise)
         if residual.n_residuals <= len(space):

@@ -33,9 +33,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--holdout", type=_number, metavar="SHARE", help="last rows held out (default: 0.25; 0 with --validate)")
     add("--step", type=_number, metavar="S", help="communication step (default: from row to row)")
     add("--method", default="target", help="target (default), least-squares or multi-start")
-    add(
-        "--evaluations", type=_count, default=60, metavar="N", help="candidates to simulate in the search (default: 60)"
-    )
+    add("--evaluations", type=_count, metavar="N",
+        help="candidates to simulate in the search (default: 60), or, --online, in an episode (30)")  # fmt: skip
+    add("--online", action="store_true",
+        help="sample by sample, as if the loop ran: when it triggers, what it writes")  # fmt: skip
+    add("--samples", type=_count, metavar="N", help="with --online: samples a candidate is judged on (default: 50)")
     add("--seed", type=_count, default=0, metavar="N", help="of the search (default: 0)")
     add("--jobs", type=_count, metavar="N", help="roll-outs at a time (default: one a processor)")
     add("--timeout", type=_number, default=10.0, metavar="S", help="for each call of the FMU (default: 10)")
@@ -48,7 +50,10 @@ def request_of(options: argparse.Namespace) -> "Request":
     """What the options ask for. Raises EstimateError."""
     from .estimate import EstimateError, Request, Sought
 
-    if options.evaluations < 1 or options.jobs == 0:
+    if options.samples is not None and not (options.online and options.samples):
+        raise EstimateError("--samples must be 1 or more, and goes with --online.")
+    evaluations = options.evaluations if options.evaluations is not None else 30 if options.online else 60
+    if evaluations < 1 or options.jobs == 0:
         raise EstimateError("--evaluations and --jobs must be 1 or more.")
     return Request(
         fmu=options.fmu,
@@ -64,7 +69,7 @@ def request_of(options: argparse.Namespace) -> "Request":
         holdout=options.holdout,
         step=options.step,
         method=options.method,
-        evaluations=options.evaluations,
+        evaluations=evaluations,
         seed=options.seed,
         jobs=options.jobs or os.cpu_count() or 1,
         timeout=options.timeout,

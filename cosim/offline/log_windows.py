@@ -54,6 +54,8 @@ class LogWindow:
     """(n, c); NaN where there is none."""
     start: Mapping[str, float]
     """Start values from the first row."""
+    states: Vector
+    """(n, s): the columns of those start values, row by row; NaN where there is none."""
     n_fit: int
     """First rows, to which parameters are fitted; the others are held out."""
 
@@ -88,6 +90,7 @@ def windows_of(
                     table["input"][part],
                     table["measured"][part],
                     dict(zip(signals.start, table["start"][part[0]].tolist(), strict=True)),
+                    table["start"][part],
                     len(part),
                 )
             )

@@ -51,7 +51,7 @@ class Rollout(NamedTuple):
     reason: str | None = None
 
 
-class _Grid(NamedTuple):
+class Grid(NamedTuple):
     """The communication points of a window, on the FMU's time."""
 
     times: list[float]
@@ -69,7 +69,7 @@ class Rollouts:
         """Raises LogError where the FMU cannot step as the log's rows ask."""
         interface: Any = co_simulation(component.description)
         is_even = not interface.canHandleVariableCommunicationStepSize
-        self._plant, self._grids = plant, [_grid(w, plant.step, is_even) for w in windows]
+        self._plant, self._grids = plant, [grid_of(w, plant.step, is_even) for w in windows]
         self._windows = tuple(windows)
         self._pool = Pool(self._opened, jobs, not interface.canBeInstantiatedOnlyOncePerProcess)
 
@@ -108,7 +108,7 @@ class Rollouts:
         return np.column_stack([np.interp(rows[:n_rows], times[: len(table)], y) for y in table.T])
 
 
-def _grid(window: LogWindow, step: float | None, is_even: bool) -> _Grid:
+def grid_of(window: LogWindow, step: float | None, is_even: bool) -> Grid:
     """Communication points from row to row, or step [s] apart. Raises LogError where it must be even and is not."""
     t = window.time - window.origin
     n = len(t)
@@ -121,10 +121,10 @@ def _grid(window: LogWindow, step: float | None, is_even: bool) -> _Grid:
         )
     if step is None:
         points = even if is_even or np.abs(t - even).max() < 1e-6 * h else t
-        return _Grid(points.tolist(), window.inputs[:-1].tolist(), None)
+        return Grid(points.tolist(), window.inputs[:-1].tolist(), None)
     points = t[0] + step * np.arange(int(np.ceil((t[-1] - t[0]) / step - 1e-9)) + 1)
     held = np.searchsorted(t, points[:-1] + 1e-9 * step, side="right") - 1
-    return _Grid(points.tolist(), window.inputs[held].tolist(), t)
+    return Grid(points.tolist(), window.inputs[held].tolist(), t)
 
 
 class RolloutResidual:

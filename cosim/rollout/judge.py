@@ -34,7 +34,8 @@ class _Followed(NamedTuple):
 
 
 class RolloutJudge:
-    """Residuals (D,) are simulated minus measured outputs in standard deviations of their noise, output by output.
+    """Residuals (D,) are simulated minus measured outputs in standard deviations of their noise, output by output;
+    0 where one was not measured (NaN).
 
     How roll-outs begin is decided once, by the first samples. Leaving the context ends the processes.
     """
@@ -55,6 +56,8 @@ class RolloutJudge:
         self._follower = Pool(shadow.opened, 1, shadow.is_restartable)
         self._followed: _Followed | None = None
         self._lost: Any = None
+        self.why_lost: str | None = None
+        """Why the parameters in force could not be followed when that was last tried; None: they were."""
 
     def __enter__(self) -> "RolloutJudge":
         return self
@@ -124,6 +127,7 @@ class RolloutJudge:
         is_begun = is_on_its_way and (at.origin is stretch.origin or way == "replay") if at else False
         task = partial(self._go_on, theta, stretch, is_begun)
         (outcome,) = self._follower.map([task], is_renewed=not is_begun and way != "state")
+        self.why_lost = outcome.reason
         if outcome.result is None:
             self._lost, self._followed = stretch.origin, None
             return np.empty(0)
@@ -188,6 +192,7 @@ class RolloutJudge:
         return Judged(residual, None, np.sum(residual.reshape(len(self._noise), -1) ** 2, axis=0))
 
     def _residual(self, outputs: Outputs, samples: Sequence[Sample]) -> Vector:
+        measured = np.array([s.y for s in samples])
         with np.errstate(over="ignore", invalid="ignore"):
-            r = (np.array(outputs) - np.array([s.y for s in samples])) / self._noise
+            r = np.where(np.isnan(measured), 0.0, (np.array(outputs) - measured) / self._noise)
         return np.clip(r, -LARGEST, LARGEST).T.reshape(-1)

@@ -52,6 +52,7 @@ def restarts_like_itself(shadow: Shadow, history: History) -> str | None:
     samples = [Sample(t, (), tuple(u), ()) for t, u in zip(times, [history.inputs[0], *history.inputs], strict=True)]
     with Pool(whole.opened, 1, shadow.is_restartable) as pool:
         plan = plan_of("replay", whole, history, history.theta, Stretch(tuple(samples), Origin(0, None)))
+        plan = replace(plan, last=plan.last._replace(tunables=None))  # it starts with them
         (one,) = pool.map([lambda slave, is_new: plan.run(pool, slave, is_new)])
         if one.result is None:
             return f"it cannot be simulated from the start: {one.reason}"

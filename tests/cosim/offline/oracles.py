@@ -45,6 +45,22 @@ def measure(seed=0, noise=2e-3, end=8.0, h=0.01, force=pushes, **truth):
     }
 
 
+def jump(seed=0, at=4.0, noise=2e-3, end=8.0, h=0.01, force=pushes, m=2.6, c=1.4, k=TRUTH.k):
+    """Such a log of a plant whose parameters are others from t = at [s] on."""
+    rng = np.random.default_rng(seed)
+    t, n = h * np.arange(round(end / h) + 1), round(at / h)
+    u = force(t)
+    before = response(t[: n + 1], u)
+    after = response(t[n:], u[n:], m, c, k, (before[0][-1], before[1][-1]))
+    x, v = (np.concatenate([a[:-1], b]) for a, b in zip(before, after, strict=True))
+    return {
+        "time [s]": t,
+        "force [N]": u,
+        "x [m]": x + noise * rng.standard_normal(len(t)),
+        "v [m/s]": v + noise * rng.standard_normal(len(t)),
+    }
+
+
 def write_log(path, columns):
     """The columns as CSV; NaN as an empty cell."""
     with open(path, "w", newline="") as file:

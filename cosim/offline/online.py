@@ -1,0 +1,179 @@
+"""A log taken sample by sample, as if the loop had run beside it: when it triggers, and what it would have written.
+
+Nothing is written into a controller, so what was measured stays as it is: it tells when, and what, not how well.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from time import perf_counter
+from typing import Any, Final
+
+import numpy as np
+
+from estimator import METHODS, EpisodeWindow, ParameterSpace, Sample, Vector
+
+from ..errors import ScenarioError, WiringError
+from ..fmi.archive import co_simulation
+from ..fmi.ports import Catalogue
+from ..reconfigure import Budget, Event, Retuner, WindowTrigger
+from ..rollout.judge import RolloutJudge
+from ..rollout.shadow import WAYS, Shadow, Way
+from ..rollout.shadow import told as said
+from ..rollout.start_noise import StartNoiseJudge
+from ..scenarios.schema import Innovation
+from .estimate import EstimateError, Request, Understood, understand
+from .log_windows import LogWindow
+from .rollout import grid_of, noise_of
+
+FALSE_ALARM: Final = float(Innovation.model_fields["false_alarm"].default)
+"""Probability of triggering on one sample where nothing has changed: a scenario's default."""
+Progress = Callable[[int, int], None]
+"""Called with the samples taken so far, and how many there are."""
+
+
+@dataclass(frozen=True)
+class Watched:
+    """What happened over a window of a log."""
+
+    window: LogWindow
+    events: tuple[Event, ...]
+    """In order, at the log's time; those of candidates left out."""
+    n_candidates: int
+    """Candidates judged."""
+    theta: Vector
+    """(d,), in force at the end."""
+    how: str
+    """What candidates were judged by."""
+    failure: str | None
+    """Why the FMU could not be followed to the end with the parameters in force."""
+
+
+@dataclass(frozen=True)
+class Online:
+    """What the loop would have done."""
+
+    request: Request
+    understood: Understood
+    n_samples: int
+    """Samples a candidate is judged on."""
+    watched: tuple[Watched, ...]
+    """By window."""
+    seconds: float
+    """Time that it took."""
+
+    @property
+    def failure(self) -> str | None:
+        """The first window's that has one."""
+        return next((f"{w.window.name}: {w.failure}" for w in self.watched if w.failure is not None), None)
+
+
+def run_online(request: Request, n_samples: int, progress: Progress = lambda n, n_all: None) -> Online:
+    """Take each window of the logs through algorithm 1, sample by sample, each from the start and all anew.
+
+    The parameters in force are at first the FMU's start values, or the request's. Candidates are judged on n_samples
+    samples: begun in measured states, where the request names their columns, else simulated from the window's first
+    row with what was believed. The request's evaluations are those of an episode; nothing is held out.
+    Raises CosimError in one line for what is refused.
+    """
+    began = perf_counter()
+    if request.holdout or request.validation:
+        raise EstimateError("--online takes all rows one after the other: leave out --holdout and --validate.")
+    request = replace(request, holdout=0.0)
+    understood = understand(request)
+    obstacles = _obstacles(request, understood)
+    n_all, n_done = sum(len(w.time) - 1 for w in understood.windows), 0
+    rngs = np.random.default_rng(request.seed).spawn(len(understood.windows))
+    watched: list[Watched] = []
+    for window, rng in zip(understood.windows, rngs, strict=True):
+        watched.append(
+            _watched(request, understood, obstacles, window, n_samples, rng, lambda n, m=n_done: progress(m + n, n_all))
+        )
+        n_done += len(window.time) - 1
+    return Online(request, understood, n_samples, tuple(watched), perf_counter() - began)
+
+
+def _watched(
+    request: Request,
+    understood: Understood,
+    obstacles: Mapping[Way, str],
+    window: LogWindow,
+    n_samples: int,
+    rng: np.random.Generator,
+    progress: Callable[[int], None],
+) -> Watched:
+    """One window, by a loop and an FMU of its own."""
+    theta, space = understood.nominal, understood.space
+    interface: Any = co_simulation(understood.component.description)
+    samples, u0 = _samples(window, request.step, not interface.canHandleVariableCommunicationStepSize)
+    names, states = set(space.names), _states(request)
+    start = dict(zip(request.inputs, u0, strict=True)) | request.constants | dict(window.start)
+    shadow = Shadow(
+        request.fmu, tuple(request.inputs), states, tuple(request.measured), tuple(understood.noise.tolist()),
+        space.names, {name: value for name, value in start.items() if name not in names}, samples[0].t,
+        not interface.canBeInstantiatedOnlyOncePerProcess, obstacles, request.timeout,
+    )  # fmt: skip
+    noise = noise_of([replace(w, measured=w.states) for w in understood.windows]).tolist()
+    events: list[Event] = []
+    with StartNoiseJudge(partial(RolloutJudge, shadow, theta, None, None, request.jobs), noise) as judge:
+        stretch = EpisodeWindow(judge, n_samples)
+        trigger, budget = WindowTrigger(stretch.follow, FALSE_ALARM), Budget(request.evaluations)
+        retuner = Retuner(_search(request, space, theta, rng), stretch, trigger, budget, theta)
+        for n, sample in enumerate(samples[1:], 2):
+            try:
+                done = retuner.step(window.origin + sample.t, sample, 0.0)
+            except ScenarioError as e:
+                raise EstimateError(f"--online: {str(e).removeprefix('estimation.rollout: ')}") from e
+            events += [event for event in done.events if event.kind != "candidate"]
+            theta = theta if done.write is None else done.write
+            progress(n)
+        failure = judge.why_lost if judge.is_ready else f"{len(samples)} rows are too few to begin"
+        return Watched(window, tuple(events), retuner.n_evaluations, theta, judge.describe(), failure)
+
+
+def _search(request: Request, space: ParameterSpace, theta: Vector, rng: np.random.Generator) -> Any:
+    method = METHODS[request.method]
+    of_method = {k: v for k, v in method.defaults.items() if k in method.setting_names}
+    return method.estimator(space, theta, rng, method.settings(**of_method))
+
+
+def _samples(window: LogWindow, step: float | None, is_even: bool) -> tuple[list[Sample], list[float]]:
+    """A sample a row, or a communication point, on the FMU's time; and the inputs in the first row."""
+    distance = float(np.median(np.diff(window.time)))
+    if step is not None and step < 0.99 * distance:
+        raise EstimateError(f"--online takes samples {distance:g} s apart: --step must be so long at least.")
+    times, inputs, rows = grid_of(window, step, is_even)
+    table = np.column_stack([window.states, window.measured])
+    if rows is not None:
+        table = np.column_stack([np.interp(times, rows, column, right=np.nan) for column in table.T])
+    held, n = [inputs[0], *inputs], window.states.shape[1]
+    return [
+        Sample(t, tuple(row[:n]), tuple(u), (), tuple(row[n:]))
+        for t, u, row in zip(times, held, table.tolist(), strict=True)
+    ], held[0]
+
+
+def _states(request: Request) -> tuple[str, ...]:
+    """The variables that start as their column does: the states, of which the FMU must prove that they are all."""
+    return tuple(name for name, value in request.start.items() if isinstance(value, str))
+
+
+def _obstacles(request: Request, understood: Understood) -> dict[Way, str]:
+    """Why some ways of beginning a roll-out are none. Raises EstimateError where there is none left."""
+    obstacles: dict[Way, str] = {"state": "there is only the log"}
+    if not _states(request):
+        obstacles["measured"] = "no --start names the columns of the states"
+    elif any(np.isnan(w.states).any() for w in understood.windows):
+        obstacles["measured"] = "values are missing in the columns of the states"
+    component = understood.component
+    if unknown := [p.name for p in understood.space if component.variables[p.name].causality != "parameter"]:
+        raise EstimateError(f"--online estimates parameters, and '{unknown[0]}' is none: leave out --online.")
+    try:
+        Catalogue(request.fmu.name, component.description.modelVariables).ports(
+            "tunable parameter", understood.space.names
+        )
+    except WiringError as e:
+        obstacles["replay"] = str(e).rstrip(".")
+    if len(obstacles) == len(WAYS):
+        raise EstimateError(f"--online has no way to begin a roll-out: {said(obstacles)}.")
+    return obstacles

@@ -1,0 +1,147 @@
+"""What the loop would have done over a log: in words for the terminal, and as files."""
+
+import csv
+import io
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from estimator import ParameterSpace, Vector
+
+from ..reconfigure import Event
+from ..results.record import ESTIMATES, write_json, write_text
+from ..results.report import aligned
+from ..ssp.ssv import ParameterValue, to_ssv
+from .fit_report import with_std
+from .online import Online, Watched
+
+
+def report(found: Online) -> str:
+    """A page for the terminal: of the writes that follow one another, the last."""
+    request, windows = found.request, found.watched
+    n_rows, n_candidates = sum(len(w.window.time) for w in windows), sum(w.n_candidates for w in windows)
+    lines = [
+        f"{request.fmu.name}, {', '.join(path.name for path in request.logs)}: {n_rows} rows as if online, "
+        f"triggered {_times(found, 'trigger')}, written {_times(found, 'write')}",
+        f"{n_candidates} candidates, each on {found.n_samples} samples, method {request.method}, seed {request.seed}, "
+        f"{found.seconds:.1f} s",
+        *dict.fromkeys(w.how for w in windows),
+        *(f"warning: {warning}" for warning in found.understood.warnings),
+    ]
+    for w in windows:
+        lines += ["", *([w.window.name] if len(windows) > 1 else []), *_table(found, w)]
+    return "\n".join(lines)
+
+
+def summary(found: Online) -> dict[str, Any]:
+    """Everything, as JSON values."""
+    request, space = found.request, found.understood.space
+    return {
+        "fmu": str(request.fmu),
+        "logs": [str(path) for path in request.logs],
+        "method": request.method,
+        "seed": request.seed,
+        "samples": found.n_samples,
+        "parameters": {p.name: {"unit": p.unit, "lower": p.lower, "upper": p.upper, "scale": p.scale} for p in space},
+        "noise": dict(zip(request.measured, found.understood.noise.tolist(), strict=True)),
+        "start": space.named(found.understood.nominal),
+        "windows": [
+            {
+                "name": w.window.name,
+                "rows": len(w.window.time),
+                "how": w.how,
+                "candidates": w.n_candidates,
+                "failure": w.failure,
+                "events": [{"time": e.t, "event": e.kind, **e.detail} for e in w.events],
+                "end": space.named(w.theta),
+            }
+            for w in found.watched
+        ],
+        "warnings": list(found.understood.warnings),
+        "seconds": found.seconds,
+    }
+
+
+def write_files(found: Online, folder: Path) -> None:
+    """online.json, online.csv with a row an event, and estimates.ssv. Raises FolderError."""
+    write_json(folder / "online.json", summary(found))
+    write_text(folder / "online.csv", _csv(found))
+    write_text(folder / ESTIMATES, estimates_ssv(found))
+
+
+def estimates_ssv(found: Online) -> str:
+    """The parameters in force at the end of the last window as SSV, with their units."""
+    understood = found.understood
+    end = found.watched[-1].theta.tolist()
+    values = [ParameterValue(p.name, v, p.unit) for p, v in zip(understood.space, end, strict=True)]
+    return to_ssv(f"{found.request.fmu.stem} online", values, understood.component.units)
+
+
+def _times(found: Online, kind: str) -> str:
+    n = sum(e.kind == kind for w in found.watched for e in w.events)
+    return ("never", "once", "twice")[n] if n < 3 else f"{n} times"
+
+
+def _table(found: Online, watched: Watched) -> list[str]:
+    space, n = found.understood.space, len(found.understood.space)
+    cells = [["time [s]", "event", *(f"{p.name} [{p.unit}]" for p in space)]]
+    texts = [""]
+    start = watched.window.time[0]
+    cells.append([f"{start:.6g}", "start", *(f"{v:.6g}" for v in found.understood.nominal)])
+    texts.append("in force")
+    for event, text in _shown(watched.events):
+        values = [""] * n
+        if event.kind == "write":
+            pairs = zip(event.detail["theta"], event.detail["std"], strict=True)
+            values = [_value(v, s, p.upper - p.lower) for (v, s), p in zip(pairs, space, strict=True)]
+        cells.append([f"{event.t:.6g}", event.kind, *values])
+        texts.append(text)
+    return [f"{line}  {text}".rstrip() for line, text in zip(_padded(aligned(cells)), texts, strict=True)]
+
+
+def _value(value: float, std: float, width: float) -> str:
+    """A standard deviation as wide as the bounds says nothing."""
+    return with_std(value, std) if std < 0.5 * width else f"{value:.4g} (held)"
+
+
+def _padded(lines: Sequence[str]) -> list[str]:
+    width = max(map(len, lines))
+    return [line.ljust(width) for line in lines]
+
+
+def _shown(events: Sequence[Event]) -> Iterator[tuple[Event, str]]:
+    """The events that a table shows, each with its reason."""
+    ordered = sorted(events, key=lambda e: (e.t, e.kind == "end"))  # an episode ends with its last write
+    for kind, group in groupby(ordered, key=lambda e: e.kind):
+        together = list(group)
+        for event in together[-1:] if kind == "write" else together:
+            if kind == "trigger":
+                yield event, event.detail["reason"]
+            elif kind == "write":
+                yield event, f"the last of {len(together)}: {event.detail['reason']}"
+            else:
+                yield event, f"episode {event.detail['episode']}"
+
+
+def _csv(found: Online) -> str:
+    space: ParameterSpace = found.understood.space
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    columns = [name for p in space for name in (f"{p.name} [{p.unit}]", f"std {p.name} [{p.unit}]")]
+    writer.writerow(["window", "time [s]", "event", "episode", *columns, "reason"])
+    for number, watched in enumerate(found.watched):
+        episode = 0
+        for event in watched.events:
+            episode = event.detail.get("episode", episode)
+            values = _interleaved(event.detail.get("theta"), event.detail.get("std"), len(space))
+            writer.writerow([number, f"{event.t:.12g}", event.kind, episode, *values, event.detail.get("reason", "")])
+    return text.getvalue()
+
+
+def _interleaved(theta: Vector | None, std: Vector | None, n: int) -> list[str]:
+    if theta is None or std is None:
+        return [""] * (2 * n)
+    return [repr(float(v)) for v in np.column_stack([theta, std]).reshape(-1)]

@@ -1,0 +1,210 @@
+"""Logs taken sample by sample, against closed forms and a Kalman filter."""
+
+import csv
+import json
+from functools import partial
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+from scipy.linalg import expm
+
+from cosim.cli import main
+from cosim.offline.estimate import EstimateError, Request, Sought
+from cosim.offline.online import run_online
+from cosim.rollout.judge import RolloutJudge
+from cosim.rollout.shadow import Shadow
+from cosim.rollout.start_noise import StartNoiseJudge
+from cosim.ssp.ssv import read_ssv
+from estimator import Sample, Stretch
+
+pytestmark = pytest.mark.fmu
+MASS, DAMPER, SPRING = Sought("m", 0.5, 4.0), Sought("c", 0.05, 5.0, "log"), Sought("k", 5.0, 60.0, "log")
+KNOWN = {"m": 1.7, "c": 0.9, "k": 23.0}
+STATES = {"x": "x", "v": "v"}
+
+
+@pytest.fixture
+def ask(plant, tmp_path, oracles):
+    """ask(columns, n_samples, **changes): what happens over a log of these columns, states measured."""
+
+    def asked(columns, n_samples=50, **changes):
+        path = oracles.write_log(tmp_path / f"{len(list(tmp_path.iterdir()))}.csv", columns)
+        settings = {
+            "fmu": plant, "logs": (path,), "parameters": (MASS, DAMPER), "measured": {"x": "x", "v": "v"},
+            "inputs": {"F": "force"}, "start": KNOWN | STATES, "evaluations": 30,
+        }  # fmt: skip
+        return run_online(Request(**settings | changes), n_samples)
+
+    return asked
+
+
+def of(watched, kind):
+    return [event for event in watched.events if event.kind == kind]
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_jump_is_seen_within_samples_and_the_new_values_are_written(ask, oracles, seed):
+    (watched,) = ask(oracles.jump(seed), seed=seed).watched
+    (trigger,) = of(watched, "trigger")
+    assert 4.0 < trigger.t <= 4.1  # not before, ten samples at most after; and once
+    last = of(watched, "write")[-1]
+    z = (np.array(last.detail["theta"]) - [2.6, 1.4]) / last.detail["std"]
+    assert np.abs(z).max() < 4.0  # the six numbers of all seeds: by chance once in 2500 suites
+    assert max(last.detail["std"]) < 0.05
+    assert watched.theta.tolist() == last.detail["theta"]
+    assert of(watched, "end")[0].t == pytest.approx(of(watched, "write")[0].t + 0.29)  # an evaluation a sample
+
+
+def test_without_a_jump_nothing_is_written(ask, oracles):
+    for seed in (0, 1, 2):
+        (watched,) = ask(oracles.measure(seed)).watched
+        assert watched.events == ()
+        assert watched.theta == pytest.approx([1.7, 0.9])
+        assert watched.failure is None
+
+
+def test_a_wrong_start_value_is_corrected_in_one_episode(ask, oracles):
+    (watched,) = ask(oracles.measure(0), start={"k": 23.0} | STATES).watched  # m and c as the FMU starts: 1 and 0.5
+    assert len(of(watched, "trigger")) == 1
+    last = of(watched, "write")[-1]
+    assert np.abs((watched.theta - [1.7, 0.9]) / last.detail["std"]).max() < 4.0
+
+
+def test_a_fixed_parameter_is_estimated_where_states_are_measured(ask, oracles):
+    (watched,) = ask(oracles.jump(0, m=1.7, c=0.9, k=30.0), parameters=(SPRING,)).watched
+    (trigger,) = of(watched, "trigger")
+    assert 4.0 < trigger.t <= 4.2
+    last = of(watched, "write")[-1]
+    assert abs(watched.theta[0] - 30.0) < 4.0 * last.detail["std"][0] < 2.0
+
+
+def test_without_states_it_is_simulated_from_the_start(ask, oracles):
+    columns = oracles.jump(0)
+    columns["v [m/s]"][100:140] = np.nan  # not compared
+    found = ask(columns, 100, start=KNOWN)
+    (watched,) = found.watched
+    assert "simulated again from the start" in watched.how
+    assert 4.0 < of(watched, "trigger")[0].t <= 4.1
+    assert watched.theta == pytest.approx([2.6, 1.4], rel=0.05)
+
+
+def test_what_cannot_be_is_refused(ask, oracles):
+    columns = oracles.measure(0, end=1.0)
+    with pytest.raises(EstimateError, match=r"no way to begin a roll-out: .*'k' of Plant.fmu is a fixed parameter"):
+        ask(columns, start=KNOWN, parameters=(SPRING,))
+    with pytest.raises(EstimateError, match="'x' is none"):
+        ask(columns, start=KNOWN, parameters=(MASS, Sought("x", -1.0, 1.0)))
+    with pytest.raises(EstimateError, match="leave out --holdout"):
+        ask(columns, holdout=0.5)
+    with pytest.raises(EstimateError, match=r"samples 0\.01 s apart: --step"):
+        ask(columns, step=0.005)
+    with pytest.raises(EstimateError, match="states are hidden"):
+        ask(columns, start=KNOWN | {"x": "x"}, parameters=(SPRING,))
+
+
+def test_each_window_begins_anew(ask, oracles):
+    columns = oracles.jump(0, end=12.0)
+    columns["force [N]"][600:620] = np.nan  # a gap after the jump
+    found = ask(columns)
+    first, second = found.watched
+    assert (len(first.window.time), len(second.window.time)) == (600, 581)
+    for watched, begins in ((first, 4.0), (second, 6.2)):
+        (trigger,) = of(watched, "trigger")
+        assert begins < trigger.t <= begins + 0.2  # the second with the old parameters in force, from the tenth sample
+        assert watched.theta == pytest.approx([2.6, 1.4], rel=0.05)
+
+
+def test_samples_are_taken_at_the_communication_step(ask, oracles):
+    columns = oracles.jump(0, force=lambda t: oracles.pushes(0.02 * np.floor(t / 0.02 + 1e-6)))  # changes there only
+    (watched,) = ask(columns, 25, step=0.02).watched
+    (trigger,) = of(watched, "trigger")
+    assert 4.0 < trigger.t <= 4.2
+    assert round(trigger.t / 0.02, 9).is_integer()
+
+
+def test_residuals_begun_in_noisy_states_are_a_kalman_filter_s_innovations(plant, oracles):
+    """For a linear plant without process noise the filter is exact. Its transition: a matrix exponential."""
+    noise, start_noise, n = (2e-3, 5e-3), (4e-3, 1e-2), 30
+    columns = oracles.measure(3, end=0.3)
+    m, c, k = 1.5, 0.8, 20.0  # not the truth
+    u, y = columns["force [N]"], np.column_stack([columns["x [m]"], columns["v [m/s]"]])
+    exponential = expm(0.01 * np.array([[0.0, 1.0, 0.0], [-k / m, -c / m, 1.0 / m], [0.0, 0.0, 0.0]]))
+    kalman = KalmanFilter(2, 2, 1)
+    kalman.F, kalman.B, kalman.H, kalman.Q = exponential[:2, :2], exponential[:2, 2:], np.eye(2), np.zeros((2, 2))
+    kalman.x, kalman.P, kalman.R = y[0][:, None], np.diag(np.square(start_noise)), np.diag(np.square(noise))
+    squares = []
+    for force, measured in zip(u[:n], y[1:], strict=True):
+        kalman.predict(np.array([[force]]))
+        kalman.update(measured[:, None])
+        squares.append(float((kalman.y.T @ np.linalg.inv(kalman.S) @ kalman.y).item()))
+    samples = [
+        Sample(t, tuple(row), (force,), (), tuple(row))
+        for t, row, force in zip(columns["time [s]"].tolist(), y.tolist(), [u[0], *u.tolist()], strict=False)
+    ]
+    shadow = Shadow(
+        plant, ("F",), ("x", "v"), ("x", "v"), noise, ("m", "c"), {"k": k}, 0.0, True, {"state": "", "replay": ""}
+    )
+    with StartNoiseJudge(partial(RolloutJudge, shadow, np.array([m, c]), "measured", None, 1), start_noise) as judge:
+        judge.hear(samples[1])
+        stretch = Stretch(tuple(samples), judge.origin(True))
+        (judged,) = judge.judge([np.array([m, c])], stretch)
+        assert judged.squares == pytest.approx(squares, rel=1e-6)
+        followed = [
+            judge.follow(np.array([m, c]), Stretch(tuple(samples[: i + 1]), stretch.origin)) for i in range(1, n + 1)
+        ]
+        assert [r @ r for r in followed] == pytest.approx(np.cumsum(squares), rel=1e-6)
+
+
+@pytest.fixture
+def command(plant, oracles, monkeypatch, tmp_path):
+    """command(*options): the exit code of `retune estimate --online` on a log with a jump, in an empty folder."""
+    log = oracles.write_log(tmp_path / "log.csv", oracles.jump(0))
+    (tmp_path / "work").mkdir()
+    monkeypatch.chdir(tmp_path / "work")
+    common = ["--parameter", "m=0.5:4", "--parameter", "c=0.05:5:log", "--input", "F=force", "--measured", "x=x"]
+    common += ["--measured", "v=v", "--start", "m=1.7", "--start", "c=0.9", "--start", "k=23"]
+    return lambda *options: main(["estimate", str(plant), str(log), "--online", *common, *options])
+
+
+def test_what_it_prints_and_writes(command, capsys, tmp_path):
+    ssv = tmp_path / "mine.ssv"
+    assert command("--start", "x=x", "--start", "v=v", "--ssv", str(ssv)) == 0
+    printed = capsys.readouterr().out
+    assert "801 rows as if online, triggered once" in printed
+    assert "from measured states" in printed
+    folder = tmp_path / "work" / "runs" / "Plant-online-1"
+    assert {p.name for p in folder.iterdir()} == {"online.json", "online.csv", "estimates.ssv"}
+    (window,) = json.loads((folder / "online.json").read_text())["windows"]
+    with open(folder / "online.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["event"] for row in rows] == [event["event"] for event in window["events"]]
+    last = [row for row in rows if row["event"] == "write"][-1]
+    assert {p.name: p.value for p in read_ssv(ssv).values} == window["end"]
+    assert float(last["m [kg]"]) == window["end"]["m"]
+    assert f"{float(last['m [kg]']):.3f} ± {float(last['std m [kg]']):.3f}" in printed
+    assert ssv.read_text() == (folder / "estimates.ssv").read_text()
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--samples", "0"], "--samples must be 1 or more"),
+        (["--validate", "other.csv"], "leave out --holdout and --validate"),
+        (["--parameter", "g=1:20"], "'g' of Plant.fmu takes no start value"),
+        (["--evaluations", "0"], "must be 1 or more"),
+    ],
+)
+def test_a_bad_command_is_refused_in_one_line(command, capsys, tmp_path, options, told):
+    assert command(*options) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert told in error
+    assert not (tmp_path / "work" / "runs").exists()
+
+
+def test_a_plant_that_never_runs_is_exit_code_1(command, capsys):
+    assert command("--start", "c_limit=0.01") == 1
+    error = capsys.readouterr().err
+    assert error.startswith("retune: log.csv: shadow: do_step at t = 0.000 s returned error")
+    assert error.count("\n") == 1

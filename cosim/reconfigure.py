@@ -165,7 +165,7 @@ class Retuner:
         is_batching = isinstance(estimator, Batching) and not window.is_rescoring_cheap
         self._batching = cast(Batching, estimator) if is_batching else None
         self._linear = linear
-        self._theta = start
+        self._theta = self._believed = start
         self._remaining = 0.0
         self._marked: tuple[ResidualWindow, float, Any] | None = None
         self.n_evaluations = 0
@@ -189,6 +189,8 @@ class Retuner:
             samples = self._begin()
             on = {} if samples is None else {"samples": samples}
             events.append(Event(t, "trigger", {"reason": reason, "episode": self.n_episodes, **on}))
+        elif sample is not None and self._estimator.is_whitened:
+            self._window.explain(self._believed)  # before the evaluations, which a past that misleads would spoil
         if not self._window.is_ready:
             return Reconfiguration(events=tuple(events))
         latencies: list[float] = []
@@ -202,16 +204,16 @@ class Retuner:
         latencies[-1] += perf_counter() - begun - sum(latencies)
         if self._remaining == 0:
             cost = None if estimate is None else estimate.cost
-            events.append(Event(t, "end", {"episode": self.n_episodes, "cost": cost}))
+            belief = {} if estimate is None else _belief(estimate)
+            events.append(Event(t, "end", {"episode": self.n_episodes, "cost": cost} | belief))
         write = None
         if estimate is not None:
             is_candidate = self._budget.commit == "candidate" and self._remaining > 0
             theta = candidate if is_candidate else estimate.theta
             write = None if np.array_equal(theta, self._theta) else theta
             if write is not None:
-                why = "candidate" if is_candidate else estimate.reason
-                detail = {"theta": theta.tolist(), "std": estimate.std.tolist(), "reason": why}
-                events.append(Event(t, "write", detail))
+                why = {"theta": theta.tolist(), "reason": "candidate"} if is_candidate else {}
+                events.append(Event(t, "write", _belief(estimate) | why))
             self._theta = theta
         if self._remaining == 0:
             self._window.end(self._theta)
@@ -250,6 +252,7 @@ class Retuner:
             estimate = self._estimator.estimate()
         except NoEstimateError:
             return None
+        self._believed = estimate.theta
         if self._estimator.is_whitened:
             self._window.explain(estimate.theta)
         return estimate
@@ -263,6 +266,7 @@ class Retuner:
             # What was told of them belongs to other samples: as failures they are forgotten.
             self._rescoring.rescore(np.full((len(self._rescoring.candidates), 1), np.nan))
         samples = self._window.begin(self._theta)
+        self._believed = self._theta
         if self._estimator.is_whitened:
             self._window.explain(self._theta, patient=False)
         return samples
@@ -302,6 +306,16 @@ class Retuner:
                 now = perf_counter()
                 yield theta, float(residual @ residual), now - begun
                 begun = now
+
+
+def _belief(estimate: Estimate) -> dict[str, Any]:
+    """An estimate as JSON values."""
+    return {
+        "theta": estimate.theta.tolist(),
+        "std": estimate.std.tolist(),
+        "is_identifiable": list(estimate.is_identifiable),
+        "reason": estimate.reason,
+    }
 
 
 def make_retuner(

@@ -20,7 +20,8 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from estimator import Sample
+from estimator import Estimate, Sample
+from estimator.identifiability import IDENTIFIABLE_BELOW
 
 from .errors import NotResumableError, ScenarioError, SlaveError, WiringError
 from .fmi.table import TableSlave, is_table
@@ -28,6 +29,7 @@ from .master import Master, Wiring
 from .oversight import Oversight
 from .policy import decide, make_policy, try_model, whitened_residual
 from .reconfigure import Reconfiguration, Retuner
+from .results.belief import Belief, belief
 from .results.checkpoint import Checkpoint, Checkpoints, restore
 from .results.lock import locked
 from .results.manifest import Status, read_manifest, scenario_of
@@ -37,7 +39,7 @@ from .results.unfinished import Unfinished, has_begun, read_unfinished
 from .rollout.shadow import LivePlant
 from .sampling import Sampler
 from .scenarios.aliases import as_the_fmus_have_it
-from .scenarios.estimators import check_estimator
+from .scenarios.estimators import check_estimator, find_method
 from .scenarios.scenario import Scenario
 from .scenarios.system import check_parameters, fmu_paths, plant_of, start_value, true_parameters, wire, with_read_back
 from .slaves.slave import Slave, open_slave
@@ -124,7 +126,7 @@ def _simulated(
             result = Run(
                 scenario, loop.plant, estimator, seed, recorder.close(), status, error, policy.n_evaluations,
                 policy.n_episodes, loop.latencies, wall, out, policy.n_model_calls, policy.describe(),
-                **loop.oversight_summary(),
+                **loop.oversight_summary(), belief=loop.belief,
             )  # fmt: skip
             if out is not None:
                 declared = [s.description.unitDefinitions for s in slaves.values()]
@@ -171,6 +173,8 @@ class _Loop:
             if isinstance(self.policy, Retuner)
             else None
         )
+        self._estimated: tuple[float, Estimate] | None = None
+        self._has_ended = False
         self._latencies, self._n_latencies = array("d"), array("L")  # an hour of tuples would be 30 MB
         self._writes = [p.writes for p in scenario.estimation.parameters]
         self._places: dict[str, list[int]] = {}
@@ -188,6 +192,15 @@ class _Loop:
         """Wall time of each evaluation [s], a tuple a macro step that had any."""
         seconds = iter(self._latencies)
         return tuple(tuple(islice(seconds, n)) for n in self._n_latencies)
+
+    @property
+    def belief(self) -> Belief | None:
+        """The estimate at the end of the last episode that ended, else the last; and what it says."""
+        estimation = self._scenario.estimation
+        method = find_method(self._estimator, self._scenario) if self._estimated else None
+        settings = estimation.settings(self._estimator, method) if method else None
+        below = getattr(settings, "identifiable_below", IDENTIFIABLE_BELOW)
+        return self._estimated and belief(*self._estimated, estimation.space, below)
 
     def initialize(self) -> str | None:
         """Bring the FMUs to the start; why one failed, or None. Raises WiringError, ScenarioError."""
@@ -261,7 +274,7 @@ class _Loop:
         has_diverged = not all(abs(e) <= self._scenario.limits.divergence for e in errors)
         measured = self._sampler.take(t, master.values, master.inputs.get(self._scenario.plant, {}))
         sample = self._sampler.filtered(measured)
-        self._take(self._decide(k, t, measured, sample, hypot(*errors)), recorder)
+        self._take(t, self._decide(k, t, measured, sample, hypot(*errors)), recorder)
         truth = {reference: f(t) for reference, f in self._truth.items()}
         is_stepping = k < settings.n_steps and not has_diverged
         tunables = self._tunables(truth)
@@ -292,12 +305,15 @@ class _Loop:
         """What guard and screen have done, for the result."""
         return {} if self._oversight is None else self._oversight.summary()
 
-    def _take(self, decision: Reconfiguration, recorder: Recorder) -> None:
+    def _take(self, t: float, decision: Reconfiguration, recorder: Recorder) -> None:
         for event in decision.events:
             recorder.event(event.t, event.kind, event.detail)
         if decision.latencies:
             self._latencies.extend(decision.latencies)
             self._n_latencies.append(len(decision.latencies))
+        is_end = any(event.kind == "end" for event in decision.events)
+        if decision.estimate is not None and (is_end or not self._has_ended):
+            self._estimated, self._has_ended = (t, decision.estimate), is_end
         if decision.write is not None:
             self._theta = decision.write
 

@@ -14,6 +14,7 @@ from ..scenarios.scenario import Scenario
 from ..scenarios.system import Plant
 from ..ssp.ssv import ParameterValue, to_ssv
 from ..units import Unit
+from .belief import Belief, belief_of
 from .checkpoint import read_checkpoint
 from .lock import is_locked
 from .manifest import (
@@ -83,6 +84,8 @@ class Run:
     """How often it has let through, changed, refused and taken back; None without one."""
     observations: Mapping[str, Any] | None = None
     """Samples that were kept out, by what was wrong with them; None where nobody looked."""
+    belief: Belief | None = None
+    """What was estimated in the end; None where nothing was estimated."""
 
     @property
     def time(self) -> Series:
@@ -145,6 +148,7 @@ class Run:
             "mse": self.mse,
             "max_error": self.max_error,
             "parameters": self.parameters_at(float(self.time[-1])) if len(self.time) else [],
+            "belief": self.belief and self.belief.to_json(),
             "instants": [{"t": t, "parameters": p} for t in instants if (p := self.parameters_at(t))],
             "evaluations": self.n_evaluations,
             "episodes": self.n_episodes,
@@ -232,7 +236,7 @@ def read_run(folder: Path) -> Run:
     return Run(
         scenario, manifest.plant, manifest.estimator, manifest.seed, series, status, result.error, result.evaluations,
         result.episodes, latencies, result.wall_s, folder, result.model_calls,
-        result.objective or "", result.guard, result.observations,
+        result.objective or "", result.guard, result.observations, belief_of(result.belief),
     )  # fmt: skip
 
 
@@ -258,6 +262,7 @@ class _Result:
     guard: dict[str, Any] | None = None
     observations: dict[str, Any] | None = None
     wall_s: float = float("nan")
+    belief: dict[str, Any] | None = None
 
 
 def _quantiles(milliseconds: Series) -> dict[str, float | None]:

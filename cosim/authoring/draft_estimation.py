@@ -93,6 +93,9 @@ def _filtered(plant: Component) -> list[str]:
         said("points = 11", "GUESS: more smooth more, and are later by half a macro step each"),
         said("# every = 5", "points: a sample sooner, at the price of noise that samples share"),
         said("order = 3", "of the polynomial: 2 smooths more, and is biased where the plant is not linear"),
+        "",
+        "# Instead of derivatives, filter and model: [sampling.outputs] with what is measured, and in [estimation]",
+        '# objective = "rollout": the plant\'s FMU is simulated at each candidate.',
     ]
 
 

@@ -82,15 +82,18 @@ def run_online(request: Request, n_samples: int, progress: Progress = lambda n, 
     request = replace(request, holdout=0.0)
     understood = understand(request)
     obstacles = _obstacles(request, understood)
-    n_all, n_done = sum(len(w.time) - 1 for w in understood.windows), 0
     rngs = np.random.default_rng(request.seed).spawn(len(understood.windows))
+    n_before, n_all = 0, sum(len(w.time) for w in understood.windows)
     watched: list[Watched] = []
     for window, rng in zip(understood.windows, rngs, strict=True):
-        watched.append(
-            _watched(request, understood, obstacles, window, n_samples, rng, lambda n, m=n_done: progress(m + n, n_all))
-        )
-        n_done += len(window.time) - 1
+        told = partial(_told, progress, n_before, n_all)
+        watched.append(_watched(request, understood, obstacles, window, n_samples, rng, told))
+        n_before += len(window.time)
     return Online(request, understood, n_samples, tuple(watched), perf_counter() - began)
+
+
+def _told(progress: Progress, n_before: int, n_all: int, n: int) -> None:
+    progress(n_before + n, n_all)
 
 
 def _watched(

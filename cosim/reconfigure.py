@@ -134,7 +134,7 @@ class Retuner:
         self._solver = estimator if isinstance(estimator, Solver) else None  # 20 us to ask a protocol
         self._rescoring = estimator if isinstance(estimator, Rescoring) else None
         self._linear = linear
-        self._theta = start
+        self._theta = self._believed = start
         self._remaining = 0.0
         self.n_evaluations = 0
         self.n_episodes = 0
@@ -152,6 +152,8 @@ class Retuner:
                 return Reconfiguration()
             self._begin()
             events.append(Event(t, "trigger", {"reason": reason, "episode": self.n_episodes}))
+        elif self._estimator.is_whitened:  # before the evaluations, which a past that misleads would spoil
+            self._window.explain(self._believed)
         latencies: list[float] = []
         candidate = self._theta
         for candidate, cost, seconds in self._evaluate():
@@ -161,15 +163,16 @@ class Retuner:
         latencies[-1] += perf_counter() - begun - sum(latencies)
         if self._remaining == 0:
             cost = None if estimate is None else estimate.cost
-            events.append(Event(t, "end", {"episode": self.n_episodes, "cost": cost}))
+            belief = {} if estimate is None else _belief(estimate)
+            events.append(Event(t, "end", {"episode": self.n_episodes, "cost": cost} | belief))
         if estimate is None:
             return Reconfiguration(None, None, tuple(events), tuple(latencies))
         is_candidate = self._budget.commit == "candidate" and self._remaining > 0
         theta = candidate if is_candidate else estimate.theta
         write = None if np.array_equal(theta, self._theta) else theta
         if write is not None:
-            why = "candidate" if is_candidate else estimate.reason
-            events.append(Event(t, "write", {"theta": theta.tolist(), "std": estimate.std.tolist(), "reason": why}))
+            why = {"theta": theta.tolist(), "reason": "candidate"} if is_candidate else {}
+            events.append(Event(t, "write", _belief(estimate) | why))
         self._theta = theta
         return Reconfiguration(write, estimate, tuple(events), tuple(latencies))
 
@@ -184,6 +187,7 @@ class Retuner:
             estimate = self._estimator.estimate()
         except NoEstimateError:
             return None
+        self._believed = estimate.theta
         if self._estimator.is_whitened:
             self._window.explain(estimate.theta)
         return estimate
@@ -192,6 +196,7 @@ class Retuner:
         self.n_episodes += 1
         self._remaining = self._budget.evaluations
         self._estimator.restart(self._theta)
+        self._believed = self._theta
         if self._estimator.is_whitened:
             self._window.explain(self._theta, patient=False)
 
@@ -226,6 +231,16 @@ class Retuner:
             now = perf_counter()
             yield theta, float(residual @ residual), now - begun
             begun = now
+
+
+def _belief(estimate: Estimate) -> dict[str, Any]:
+    """An estimate as JSON values."""
+    return {
+        "theta": estimate.theta.tolist(),
+        "std": estimate.std.tolist(),
+        "is_identifiable": list(estimate.is_identifiable),
+        "reason": estimate.reason,
+    }
 
 
 def make_retuner(

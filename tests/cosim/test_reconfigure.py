@@ -114,8 +114,10 @@ def test_events_come_in_the_order_in_which_things_happen():
     assert first.detail == {"reason": "tracking error 2 reached 1", "episode": 1}
     # the cost is |10 - theta|^2
     assert [c.detail for c in candidates] == [{"theta": [4.0], "cost": 36.0}, {"theta": [6.0], "cost": 16.0}]
-    assert decisions[0].events[3].detail == {"theta": [6.0], "std": [0.5], "reason": "best so far"}
-    assert decisions[1].events[2].detail == {"episode": 1, "cost": 9.0}
+    written, end = decisions[0].events[3].detail, decisions[1].events[2].detail
+    belief = {"std": [0.5], "is_identifiable": [True], "reason": "best so far"}
+    assert written == {"theta": [6.0]} | belief
+    assert end == {"episode": 1, "cost": 9.0, "theta": [7.0]} | belief
 
 
 def test_incumbents_are_written_only_when_they_are_better():

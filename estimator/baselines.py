@@ -8,7 +8,7 @@ import numpy as np
 from scipy import optimize
 
 from .contract import Estimate
-from .identifiability import information
+from .identifiability import IDENTIFIABLE_BELOW, information
 from .objective import Objective
 from .space import ParameterSpace, Vector
 
@@ -112,7 +112,7 @@ class LeastSquaresSettings:
     """Evaluations a solve, those for the Jacobian included."""
     n_starts: int = 1
     """Places to start from: the last estimate, then random ones, as long as evaluations are left."""
-    identifiable_below: float = 0.05
+    identifiable_below: float = IDENTIFIABLE_BELOW
     """A parameter counts as identifiable when its standard deviation is below this share of the scaled bounds."""
 
     def __post_init__(self) -> None:
@@ -137,18 +137,18 @@ class LeastSquares:
         settings: LeastSquaresSettings | None = None,
     ) -> None:
         self._space, self._rng, self._settings = space, rng, settings or LeastSquaresSettings()
-        self._z, self._std = space.to_unit(start), np.ones(len(space))
-        self._cost, self._n_evaluations = np.inf, 0
+        self.restart(start)
 
     def restart(self, start: Vector) -> None:
         """Begin an episode at theta (d,)."""
-        self._z, self._std = self._space.to_unit(start), np.ones(len(self._space))
+        self._z, self._sight = self._space.to_unit(start), information(np.zeros((0, len(self._space))))
         self._cost, self._n_evaluations = np.inf, 0
 
     def solve(self, objective: Objective) -> None:
         """Minimise the sum of squares over the present samples, from each start until the evaluations are spent."""
         search = _Counted(self._space, objective, self._settings.max_evaluations, self._z)
-        std, converged = np.ones(len(self._space)), np.inf
+        unknown = information(np.zeros((0, len(self._space))))
+        sight, converged = unknown, np.inf
         starts = [self._z, *self._rng.random((self._settings.n_starts - 1, len(self._space)))]
         for z in starts:
             try:
@@ -157,21 +157,22 @@ class LeastSquares:
                 break
             if 2.0 * result.cost <= search.cost * (1.0 + 1e-9):
                 misfit = max(1.0, np.sqrt(2.0 * result.cost / max(len(result.fun) - len(z), 1)))
-                std, converged = np.minimum(information(result.jac).std() * misfit, 1.0), search.cost
+                sight, converged = information(result.jac / misfit), search.cost
         is_converged = search.cost >= converged * (1.0 - 1e-9)
-        self._z, self._cost, self._std = search.z, search.cost, std if is_converged else np.ones(len(std))
+        self._z, self._cost, self._sight = search.z, search.cost, sight if is_converged else unknown
         self._n_evaluations += objective.n_evaluations
 
     def estimate(self) -> Estimate:
         """The best place of the last solve."""
-        theta = self._space.from_unit(self._z)
+        theta, std = self._space.from_unit(self._z), self._sight.std()
         return Estimate(
             theta=theta,
-            std=self._std * self._space.slope(theta),
-            is_identifiable=tuple(bool(s <= self._settings.identifiable_below) for s in self._std),
+            std=std * self._space.slope(theta),
+            is_identifiable=tuple(bool(s <= self._settings.identifiable_below) for s in std),
             cost=self._cost,
             n_evaluations=self._n_evaluations,
             reason="least squares",
+            sight=self._sight,
         )
 
 

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
+from .identifiability import Information
 from .objective import Objective
 from .space import Vector
 
@@ -18,7 +19,10 @@ class Estimate:
     theta: Vector
     """Values (d,), in each parameter's unit; always inside the bounds."""
     std: Vector
-    """Standard deviations (d,), in the same units; as wide as the bounds where the data say nothing."""
+    """Root mean square errors (d,), in the same units; as wide as the bounds where the data say nothing.
+
+    On a log scale std / theta is that of the logarithm: the 95 % interval is theta exp(+- 1.96 std / theta).
+    """
     is_identifiable: tuple[bool, ...]
     """Whether the data fix each parameter (d,); where not, theta keeps near its value from the start."""
     cost: float
@@ -28,6 +32,8 @@ class Estimate:
     """Evaluations told since the last restart."""
     reason: str
     """Why this value was taken, for the record."""
+    sight: Information | None = None
+    """What the data see at theta, in standard deviations of the misfit; None where the estimator cannot tell."""
 
 
 @runtime_checkable

@@ -1,10 +1,14 @@
 """Which directions of theta the data can see."""
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from .space import Vector
+
+IDENTIFIABLE_BELOW: Final = 0.05
+"""Standard deviation, as a share of the scaled bounds, of a parameter that counts as identifiable."""
 
 
 @dataclass(frozen=True)
@@ -23,6 +27,18 @@ class Information:
         """The directions (m, d), m <= d, in which change (d,) exceeds n_std standard deviations."""
         return self.directions[self.singular_values * np.abs(self.directions @ change) > n_std]
 
+    def flat(self, std: float) -> Vector:
+        """The directions (m, d), m <= d, along which the data's standard deviation exceeds std."""
+        return self.directions[self.singular_values * std < 1.0]
+
+    def step(self, slope: Vector) -> Vector:
+        """Gauss-Newton step (d,) to the least sum of squares, where its half slope is J^T r (d,); none where J is nil.
+
+        Directions that are seen 1e7 times less than the best are left out: rounding rules there.
+        """
+        s = np.where(self.singular_values > 1e-7 * self.singular_values[0], self.singular_values, np.inf)
+        return -self.directions.T @ (self.directions @ slope / (s * s))
+
     def std(self) -> Vector:
         """Standard deviation of each z (d,), at most 1: the bounds are known whatever the data."""
         variance = np.sum((self.directions / np.maximum(self.singular_values, 1e-12)[:, None]) ** 2, axis=0)
@@ -36,3 +52,9 @@ def information(jacobian: Vector) -> Information:
     singular_values = np.zeros(d)
     singular_values[: len(s)] = s
     return Information(singular_values, directions)
+
+
+def information_of_covariance(P: Vector) -> Information:
+    """Sight of an estimate whose covariance in the unit cube is P (d, d), symmetric: P = V^T diag(1/s^2) V."""
+    variances, directions = np.linalg.eigh(P)  # from small to large: s from large to small
+    return Information(1.0 / np.sqrt(np.maximum(variances, 1e-24)), directions.T)

@@ -9,14 +9,12 @@ import numpy as np
 import scipy  # its stats, which takes 0.3 s, is loaded when it is used
 
 from .contract import AskTell
-from .identifiability import Information, information
+from .identifiability import IDENTIFIABLE_BELOW, Information, information
 from .methods import METHODS
 from .space import ParameterSpace, Vector
 
 OFFLINE: Final = ("target", "least-squares", "multi-start")
 """Methods for a whole log: those that take residual vectors in standard deviations."""
-IDENTIFIABLE_BELOW: Final = 0.05
-"""Standard deviation, as a share of the scaled bounds, of a parameter that counts as identifiable; as in the loop."""
 _UNSEEN: Final = 0.3
 """Standard deviation, as a share of the cube, along a direction in which the data say nothing."""
 _EXPLAINED: Final = 2.0

@@ -8,6 +8,7 @@ import scipy  # its stats, which takes 0.3 s, is loaded when it is used
 from scipy import optimize
 
 from .contract import Estimate
+from .identifiability import IDENTIFIABLE_BELOW, information, information_of_covariance
 from .objective import LinearForm, Objective
 from .space import ParameterSpace, Vector
 
@@ -25,7 +26,7 @@ class RecursiveSettings:
     """Standard deviation of a row's target, in its unit: weighs the first samples against the start."""
     spread: float = 1.0
     """Standard deviation of the coefficients at the start, relative to that over the bounds."""
-    identifiable_below: float = 0.05
+    identifiable_below: float = IDENTIFIABLE_BELOW
     """A parameter counts as identifiable when its standard deviation is below this share of the scaled bounds."""
 
     def __post_init__(self) -> None:
@@ -55,7 +56,7 @@ class RecursiveLeastSquares:
 
     def restart(self, start: Vector) -> None:
         """Forget all samples."""
-        self._z, self._std = self._space.to_unit(start), np.ones(len(self._space))
+        self._z, self._sight = self._space.to_unit(start), information(np.eye(len(self._space)))
         self._misfit, self._n_evaluations = np.inf, 0
         self._filter: KalmanFilter | None = None
 
@@ -75,14 +76,15 @@ class RecursiveLeastSquares:
 
     def estimate(self) -> Estimate:
         """The parameters of the present coefficients; cost: sum of squared residuals of the newest sample."""
-        theta = self._space.from_unit(self._z)
+        theta, std = self._space.from_unit(self._z), self._sight.std()
         return Estimate(
             theta=theta,
-            std=self._std * self._space.slope(theta),
-            is_identifiable=tuple(bool(s <= self._settings.identifiable_below) for s in self._std),
+            std=std * self._space.slope(theta),
+            is_identifiable=tuple(bool(s <= self._settings.identifiable_below) for s in std),
             cost=self._misfit,
             n_evaluations=self._n_evaluations,
             reason="recursive least squares",
+            sight=self._sight,
         )
 
     def _begin(self, linear: LinearForm) -> "KalmanFilter":
@@ -104,8 +106,7 @@ class RecursiveLeastSquares:
 
         result = optimize.least_squares(misfit, self._z, bounds=(0.0, 1.0))
         self._z = result.x
-        information = result.jac.T @ result.jac + np.eye(len(self._z))
-        self._std = np.sqrt(np.diag(np.linalg.inv(information)))
+        self._sight = information(np.vstack([result.jac, np.eye(len(self._z))]))  # the bounds tell as much as one row
 
 
 def _at_most(std: Vector, P: Vector) -> Vector:
@@ -125,7 +126,7 @@ class UnscentedSettings:
     """Standard deviation of each parameter at the start; sigma points far from it may reach where no model holds."""
     alpha: float = 0.1
     """Spread of the sigma points round the mean."""
-    identifiable_below: float = 0.05
+    identifiable_below: float = IDENTIFIABLE_BELOW
     """A parameter counts as identifiable when its standard deviation is below this share of the scaled bounds."""
 
     def __post_init__(self) -> None:
@@ -174,15 +175,19 @@ class UnscentedKalman:
     def estimate(self) -> Estimate:
         """Mean and covariance's diagonal; cost: the innovation squared of the newest sample."""
         z = self._start if self._filter is None else self._filter.x
-        std = np.ones(len(z)) if self._filter is None else np.minimum(np.sqrt(np.diag(self._filter.P)), 1.0)
+        P = np.eye(len(z)) if self._filter is None else self._filter.P
+        std = np.minimum(np.sqrt(np.diag(P)), 1.0)
+        # Less than half of the start's: else what is known is what was assumed.
+        below = min(self._settings.identifiable_below, 0.5 * self._settings.spread)
         theta = self._space.from_unit(z)
         return Estimate(
             theta=theta,
             std=std * self._space.slope(theta),
-            is_identifiable=tuple(bool(s <= self._settings.identifiable_below) for s in std),
+            is_identifiable=tuple(bool(s <= below) for s in std),
             cost=self._cost,
             n_evaluations=self._n_evaluations,
             reason="unscented Kalman filter",
+            sight=information_of_covariance(P),
         )
 
     def _begin(self, n_channels: int) -> "UnscentedKalmanFilter":

@@ -11,7 +11,7 @@ from scipy.spatial.distance import cdist
 from .acquisition import log_target_vector_improvement
 from .contract import Estimate, NoEstimateError
 from .gaussian_process import Posterior
-from .identifiability import information
+from .identifiability import IDENTIFIABLE_BELOW, Information, information
 from .search import best_that_differ, least_change, least_squares_of_mean, one_at_a_time, principal_components
 from .space import ParameterSpace, Vector
 from .surrogate import VectorSurrogate
@@ -23,6 +23,8 @@ _MOST = 128
 """Candidates that are remembered, and judged anew at each sample, however long an episode lasts."""
 _LOCAL_RADII = np.repeat([[0.2], [0.05], [0.01], [0.002]], 16, axis=0)
 """Of the unit cube: standard deviation of each candidate drawn round the incumbent."""
+_SAME = 0.003
+"""Of the unit cube: a candidate this near to where held directions lead, in each parameter, stands for it."""
 _NEAR_RADII = np.repeat([[0.003], [0.0005]], 8, axis=0)
 """The same round the minimiser of the surrogate's mean."""
 
@@ -40,7 +42,7 @@ class TargetSettings:
     """Most principal components of the residual that get a GP."""
     significance: float = 3.0
     """Standard deviations by which the data must ask for a change, direction by direction; else it is held."""
-    identifiable_below: float = 0.05
+    identifiable_below: float = IDENTIFIABLE_BELOW
     """A parameter counts as identifiable when its standard deviation is below this share of the scaled bounds."""
 
     def __post_init__(self) -> None:
@@ -97,7 +99,11 @@ class TargetVector:
         self._model_now = None
 
     def ask(self) -> Vector:
-        """The initial design first, then the candidate of largest expected improvement."""
+        """The initial design first, then the candidate of largest expected improvement.
+
+        Where nothing is to be gained, directions are to be held, and nobody knows whether that explains the data, it is
+        tried.
+        """
         if self._queue:
             return self._space.from_unit(self._queue.pop(0))
         if self._residuals is None:  # every candidate has failed
@@ -112,6 +118,10 @@ class TargetVector:
         best = int(np.argmin(costs))
         pool = self._hopeful(self._pool(model.posterior, model.Z[best]), model.Z)
         gain = log_target_vector_improvement(*model.posterior.predict(pool), max(float(costs[best]), 1e-12))
+        if gain.max() < 0.0:  # less than a standard deviation is to be gained
+            hold = self._hold(model)
+            if self._is_to_be_tried(hold):
+                return self._space.from_unit(hold.place)
         return self._space.from_unit(pool[int(np.argmax(gain))])
 
     def tell(self, theta: Vector, residual: Vector) -> None:
@@ -148,45 +158,63 @@ class TargetVector:
             self._forget()
 
     def estimate(self) -> Estimate:
-        """The best candidate, with the directions that the data do not see held at the episode's start."""
-        model = self._model()
-        costs = model.costs
-        best = int(np.argmin(costs))
-        z = model.Z[best]
-        sight = information(model.posterior.mean_and_jacobian(z)[1])
-        misfit = max(1.0, np.sqrt(costs[best] / max(self._told().shape[1] - len(z), 1)))
-        moved = sight.significant(z - self._start, self._settings.significance * misfit)
-        n_held = len(z) - len(moved)
-        allowed = float(costs[best]) + (self._settings.significance * misfit) ** 2
-        z, cost = self._held(model, moved, allowed) if n_held else (z, float(costs[best]))
+        """The best candidate, with the directions that the data do not see held at the episode's start.
+
+        std is the root mean square error: beside the data's own deviation it has how far the estimate is from the least
+        squares of the linearised mean, because candidates are finite or because directions are held.
+        """
+        hold = self._hold(self._model())
+        if not hold.n_held:
+            z, cost, reason = hold.best, hold.least, "incumbent"
+        else:
+            z, cost = (hold.place, hold.expected) if hold.is_sure else self._nearest_that_fits(hold)
+            reason = f"incumbent, {hold.n_held} of {len(z)} directions held"
         theta = self._space.from_unit(z)
-        std = np.minimum(sight.std() * misfit, 1.0)
+        std = np.minimum(np.hypot(hold.sight.std(), hold.least_squares - z), 1.0)
         return Estimate(
             theta=theta,
             std=std * self._space.slope(theta),
             is_identifiable=tuple(bool(s <= self._settings.identifiable_below) for s in std),
             cost=cost,
             n_evaluations=self._n_evaluations,
-            reason=f"incumbent, {n_held} of {len(z)} directions held" if n_held else "incumbent",
+            reason=reason,
+            sight=hold.sight,
         )
 
-    def _held(self, model: "_Model", moved: Vector, allowed: float) -> tuple[Vector, float]:
-        """A place that costs no more than allowed and changes little but in the directions moved (m, d); its cost.
+    def _hold(self, model: "_Model") -> "_Hold":
+        """Which of the best candidate's changes the data ask for, and where that leads."""
+        best = int(np.argmin(model.costs))
+        z, least = model.Z[best], float(model.costs[best])
+        misfit = max(1.0, np.sqrt(least / max(self._told().shape[1] - len(z), 1)))
+        mean, jacobian = model.posterior.mean_and_jacobian(z)
+        sight = information(jacobian / misfit)
+        least_squares = z + sight.step(jacobian.T @ mean / misfit**2)
+        moved = sight.significant(z - self._start, self._settings.significance)
+        place, expected = z, least
+        if len(moved) < len(z):
+            place = self._start
+            if len(moved):
+                place = least_change(model.posterior, place + moved.T @ moved @ (z - place), len(moved))
+            mean, variance = model.posterior.predict(place[None])
+            expected = float(np.sum(mean * mean + variance))
+        allowed = least + (self._settings.significance * misfit) ** 2
+        return _Hold(z, least, sight, least_squares, len(z) - len(moved), place, expected, allowed)
 
-        The surrogate's where it is sure enough; else, of the candidates, the one nearest to the start.
-        """
-        best, costs = model.Z[int(np.argmin(model.costs))], model.costs
-        if len(moved):
-            z = least_change(model.posterior, self._start + moved.T @ moved @ (best - self._start), len(moved))
-        else:
-            z = self._start
-        mean, variance = model.posterior.predict(z[None])
-        expected = float(np.sum(mean * mean + variance))
-        if expected <= allowed:
-            return z, expected
-        fitting = np.flatnonzero(costs <= allowed)
-        nearest = fitting[int(np.argmin(np.sum((model.Z[fitting] - self._start) ** 2, axis=1)))]
-        return model.Z[nearest], float(costs[nearest])
+    def _nearest_that_fits(self, hold: "_Hold") -> tuple[Vector, float]:
+        """Of the candidates that cost no more than allowed the one nearest to the start, and its cost."""
+        costs = self._costs()
+        fitting = np.flatnonzero(costs <= max(hold.allowed, float(costs.min())))
+        Z = self._space.to_unit(self._theta[fitting])
+        nearest = int(np.argmin(np.sum((Z - self._start) ** 2, axis=1)))
+        return Z[nearest], float(costs[fitting[nearest]])
+
+    def _is_to_be_tried(self, hold: "_Hold") -> bool:
+        """Whether directions are to be held, and neither the surrogate nor a candidate tells that it can be done."""
+        if not hold.n_held or hold.is_sure:
+            return False
+        if len(self._failed) and np.abs(self._failed - hold.place).max(axis=1).min() < _SAME:
+            return False
+        return bool(np.abs(self._nearest_that_fits(hold)[0] - hold.place).max() >= _SAME)
 
     def _forget(self) -> None:
         """Keep the first candidates, the best that differ, and the newest."""
@@ -247,3 +275,29 @@ class _Model(NamedTuple):
     costs: Vector
     """Their sums of squared residuals (n,)."""
     posterior: Posterior
+
+
+class _Hold(NamedTuple):
+    """What of the best candidate's change from the start the data ask for; the rest is held. Places (d,): unit cube."""
+
+    best: Vector
+    """The best candidate."""
+    least: float
+    """Its sum of squared residuals."""
+    sight: Information
+    """There, in standard deviations of the misfit."""
+    least_squares: Vector
+    """Where the linearised mean is least: may lie outside the cube."""
+    n_held: int
+    """Number of directions that are held."""
+    place: Vector
+    """Where holding them leads; the best candidate where none is held."""
+    expected: float
+    """Sum of squared residuals that the surrogate expects there, its variances included."""
+    allowed: float
+    """More than this holding must not cost."""
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether the surrogate tells that the place explains the data."""
+        return self.expected <= self.allowed

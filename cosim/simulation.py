@@ -18,16 +18,20 @@ from time import perf_counter
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from estimator import Estimate
+from estimator.identifiability import IDENTIFIABLE_BELOW
+
 from .errors import ScenarioError, SlaveError, WiringError
 from .fmi.table import TableSlave, is_table
 from .master import Master
 from .policy import decide, make_policy, try_model
 from .reconfigure import Reconfiguration
+from .results.belief import Belief, belief
 from .results.record import Recorder, uninterrupted
 from .results.result import Run, Status, begin_folder, end_folder
 from .sampling import Sampler
 from .scenarios.aliases import as_the_fmus_have_it
-from .scenarios.estimators import check_estimator
+from .scenarios.estimators import check_estimator, find_method
 from .scenarios.scenario import Scenario
 from .scenarios.system import check_parameters, fmu_paths, plant_of, start_value, true_parameters, wire
 from .slaves.slave import Slave, open_slave
@@ -77,7 +81,7 @@ def run(
         with uninterrupted():  # and before the FMUs are closed, which may take its time
             result = Run(
                 scenario, loop.plant, estimator, seed, recorder.close(), status, error, policy.n_evaluations,
-                policy.n_episodes, loop.latencies, wall, out, policy.n_model_calls,
+                policy.n_episodes, loop.latencies, wall, out, policy.n_model_calls, loop.belief,
             )  # fmt: skip
             if out is not None:
                 declared = [s.description.unitDefinitions for s in slaves.values()]
@@ -111,6 +115,8 @@ class _Loop:
         self._truth = true_parameters(scenario, slaves)
         # Here, while the FMUs are still starting: what an estimator imports takes as long as they do.
         self.policy = make_policy(scenario, estimator, plant, self._theta, self._true_theta, search, stack)
+        self._estimated: tuple[float, Estimate] | None = None
+        self._has_ended = False
         self._latencies, self._n_latencies = array("d"), array("L")  # an hour of tuples would be 30 MB
         self._writes = [p.writes for p in scenario.estimation.parameters]
         self._places: dict[str, list[int]] = {}
@@ -126,6 +132,15 @@ class _Loop:
         """Wall time of each evaluation [s], a tuple a macro step that had any."""
         seconds = iter(self._latencies)
         return tuple(tuple(islice(seconds, n)) for n in self._n_latencies)
+
+    @property
+    def belief(self) -> Belief | None:
+        """The estimate at the end of the last episode that ended, else the last; and what it says."""
+        estimation = self._scenario.estimation
+        method = find_method(self._estimator, self._scenario) if self._estimated else None
+        settings = estimation.settings(self._estimator, method) if method else None
+        below = getattr(settings, "identifiable_below", IDENTIFIABLE_BELOW)
+        return self._estimated and belief(*self._estimated, estimation.space, below)
 
     def initialize(self) -> str | None:
         """Bring the FMUs to the start; why one failed, or None. Raises WiringError, ScenarioError."""
@@ -168,7 +183,7 @@ class _Loop:
         has_diverged = not all(abs(e) <= self._scenario.limits.divergence for e in errors)
         sample = self._sampler.take(t, master.values, master.inputs.get(self._scenario.plant, {}))
         decision = decide(self.policy, self._estimator, sample if k else None, t, hypot(*errors))
-        self._take(decision, recorder)
+        self._take(t, decision, recorder)
         truth = {reference: f(t) for reference, f in self._truth.items()}
         is_stepping = k < settings.n_steps and not has_diverged
         tunables = self._tunables(truth)
@@ -179,12 +194,15 @@ class _Loop:
             master.finish(t, settings.macro_step, tunables)
         return has_diverged
 
-    def _take(self, decision: Reconfiguration, recorder: Recorder) -> None:
+    def _take(self, t: float, decision: Reconfiguration, recorder: Recorder) -> None:
         for event in decision.events:
             recorder.event(event.t, event.kind, event.detail)
         if decision.latencies:
             self._latencies.extend(decision.latencies)
             self._n_latencies.append(len(decision.latencies))
+        is_end = any(event.kind == "end" for event in decision.events)
+        if decision.estimate is not None and (is_end or not self._has_ended):
+            self._estimated, self._has_ended = (t, decision.estimate), is_end
         if decision.write is not None:
             self._theta = decision.write
 

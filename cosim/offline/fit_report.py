@@ -1,26 +1,20 @@
 """What an estimation from logs found: in words for the terminal, and as files."""
 
-from collections.abc import Sequence
-from math import floor, isfinite, log10
+from math import isfinite
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from estimator import Parameter
-from estimator.offline import IDENTIFIABLE_BELOW
+from estimator.findings import findings
 
 from ..results.record import ESTIMATES, write_csv, write_json, write_text
-from ..results.report import aligned
+from ..results.report import aligned, with_std
 from ..ssp.ssv import ParameterValue, to_ssv
 from .estimate import Estimation
 
 _CORRELATED: Final = 0.3
 """Autocorrelation of the residuals that is worth a word."""
-_PART: Final = 0.3
-"""Share of a direction from which a parameter counts as part of it."""
-_ALIKE: Final = 0.95
-"""Correlation of two estimates that is worth a word."""
 
 
 def report(found: Estimation) -> str:
@@ -107,16 +101,6 @@ def estimates_ssv(found: Estimation) -> str:
     return to_ssv(f"{found.request.fmu.stem} estimates", values, found.component.units)
 
 
-def with_std(value: float, std: float) -> str:
-    """`1.3000 ± 0.0012`: as many digits as two of the standard deviation need."""
-    if not (isfinite(std) and std > 0.0):
-        return f"{value:.6g}"
-    digits = 1 - floor(log10(std))
-    if digits > 7 or max(abs(value), std) >= 1e6:
-        return f"{value:.{max(1, digits + floor(log10(abs(value) or 1.0)) + 1)}g} ± {std:.2g}"
-    return f"{value:.{max(digits, 0)}f} ± {std:.{max(digits, 0)}f}"
-
-
 def _series(found: Estimation) -> dict[str, Any]:
     windows = found.windows
     series: dict[str, Any] = {
@@ -180,38 +164,8 @@ def _of_fit(found: Estimation) -> list[str]:
 
 
 def _of_identifiability(found: Estimation) -> list[str]:
-    fit, parameters = found.fit, list(found.space)
-    told = [
-        f"{p.name} is at its bound, {value:g} {p.unit}: widen it, unless it is a physical limit."
-        for p, value, z in zip(parameters, fit.theta, fit.place, strict=True)
-        if not 1e-6 < z < 1.0 - 1e-6
-    ]
-    flat = fit.sight.directions[fit.sight.singular_values * IDENTIFIABLE_BELOW < 1.0]
-    told += [_flat(parameters, direction) for direction in flat]
-    if not len(flat):
-        told.append("Each parameter is identifiable." if len(parameters) > 1 else "The parameter is identifiable.")
-        told += _alike(found)
+    fit, space = found.fit, found.space
+    told = findings(fit.sight, space, fit.theta)
+    if all(fit.is_identifiable):
+        told.append("Each parameter is identifiable." if len(space) > 1 else "The parameter is identifiable.")
     return told
-
-
-def _flat(parameters: Sequence[Parameter], direction: Any) -> str:
-    """A direction that the data do not fix, in words."""
-    parts = [p for p, share in zip(parameters, direction, strict=True) if abs(share) > _PART]
-    names = " and ".join(p.name for p in parts)
-    if len(parts) == 1:
-        return f"The data hardly see {names}: hold it (leave out its --parameter), or excite it more."
-    return f"{names} trade off: other values of both explain the data as well; hold one, or excite them more."
-
-
-def _alike(found: Estimation) -> list[str]:
-    """Pairs whose estimates are nearly one: fixed, but each only as well as the other."""
-    s = np.maximum(found.fit.sight.singular_values, 1e-12)
-    covariance = (found.fit.sight.directions.T / s**2) @ found.fit.sight.directions
-    deviation = np.sqrt(np.maximum(covariance.diagonal(), 1e-300))
-    correlation, names = covariance / np.outer(deviation, deviation), found.space.names
-    return [
-        f"The errors of {names[i]} and {names[j]} are correlated ({correlation[i, j]:.2f})."
-        for i in range(len(names))
-        for j in range(i)
-        if abs(correlation[i, j]) > _ALIKE
-    ]

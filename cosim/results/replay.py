@@ -84,7 +84,7 @@ def replayed(recorded: Run, estimator: str, seed: int) -> Run:
         recorded, estimator=estimator, seed=seed, series={**recorded.series, **estimates}, status="done", error=None,
         n_evaluations=policy.n_evaluations, n_episodes=policy.n_episodes, n_model_calls=policy.n_model_calls,
         latencies=tuple(latencies),
-        wall=perf_counter() - begun, folder=None,
+        wall=perf_counter() - begun, folder=None, belief=None,
     )  # fmt: skip
 
 

@@ -1,6 +1,7 @@
 """The table that `retune run` prints."""
 
 from collections.abc import Mapping, Sequence
+from math import floor, isfinite, log10
 
 import numpy as np
 
@@ -19,6 +20,7 @@ def report(run: Run, baselines: Mapping[str, Run]) -> str:
         [title, f"estimator {run.estimator}, seed {run.seed}; {duration:g} s simulated in {run.wall:.1f} s{pace}"],
         _errors([*baselines.values(), run]),
         _parameters(run),
+        _belief(run),
         _latency(run),
         [f"run folder {run.folder}"] if run.folder else [],
     ]
@@ -50,6 +52,19 @@ def _parameters(run: Run) -> list[str]:
     return aligned(rows)
 
 
+def _belief(run: Run) -> list[str]:
+    """What was estimated last, its root mean square errors, and what the data do not fix."""
+    if run.belief is None:
+        return []
+    last = run.belief
+    columns = zip(last.names, last.units, last.values, last.std, last.is_identifiable, strict=True)
+    rows = [
+        [f"{name} [{unit}]", with_std(value, std), "" if known else "not fixed by the data"]
+        for name, unit, value, std, known in columns
+    ]
+    return aligned([[f"last estimate, at t = {last.t:g} s", "estimate ± std", ""], *rows]) + list(last.findings)
+
+
 def _latency(run: Run) -> list[str]:
     figures = run.summary()
     latency = figures["latency_ms"]
@@ -72,6 +87,16 @@ def ending(run: Run) -> str | None:
     ) or f"{run.status} at t = {run.time[-1]:.3f} s: a tracked error passed limits.divergence"
     until = f"up to {run.time[-1]:.3f} s " if len(run.time) else ""
     return f"{reason}; rows {until}are in {run.folder}." if run.folder else f"{reason}."
+
+
+def with_std(value: float, std: float) -> str:
+    """`1.3000 ± 0.0012`: as many digits as two of the standard deviation need."""
+    if not (isfinite(std) and std > 0.0):
+        return f"{value:.6g}"
+    digits = 1 - floor(log10(std))
+    if digits > 7 or max(abs(value), std) >= 1e6:
+        return f"{value:.{max(1, digits + floor(log10(abs(value) or 1.0)) + 1)}g} ± {std:.2g}"
+    return f"{value:.{max(digits, 0)}f} ± {std:.{max(digits, 0)}f}"
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> list[str]:

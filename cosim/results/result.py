@@ -17,6 +17,7 @@ from ..scenarios.scenario import Scenario
 from ..scenarios.system import Plant
 from ..ssp.ssv import ParameterValue, to_ssv
 from ..units import Unit
+from .belief import Belief, belief_of
 from .record import (
     ESTIMATES,
     LATENCIES,
@@ -66,6 +67,8 @@ class Run:
     """Run folder, where there is one."""
     n_model_calls: int = 0
     """Samples at which a candidate was judged."""
+    belief: Belief | None = None
+    """What was estimated in the end; None where nothing was estimated."""
 
     @property
     def time(self) -> Series:
@@ -128,6 +131,7 @@ class Run:
             "mse": self.mse,
             "max_error": self.max_error,
             "parameters": self.parameters_at(float(self.time[-1])) if len(self.time) else [],
+            "belief": self.belief and self.belief.to_json(),
             "instants": [{"t": t, "parameters": p} for t in instants if (p := self.parameters_at(t))],
             "evaluations": self.n_evaluations,
             "episodes": self.n_episodes,
@@ -202,7 +206,7 @@ def read_run(folder: Path) -> Run:
         latencies = _read(folder, LATENCIES, tuple[tuple[float, ...], ...])
     return Run(
         scenario, manifest.plant, manifest.estimator, manifest.seed, series, status, result.error, result.evaluations,
-        result.episodes, latencies, result.wall_s, folder, result.model_calls,
+        result.episodes, latencies, result.wall_s, folder, result.model_calls, belief_of(result.belief),
     )  # fmt: skip
 
 
@@ -227,6 +231,7 @@ class _Result:
     episodes: int = 0
     model_calls: int = 0
     wall_s: float = float("nan")
+    belief: dict[str, Any] | None = None
 
 
 _T = TypeVar("_T")

@@ -215,7 +215,7 @@ def test_a_wrong_start_value_shows_in_the_words(ask, oracles):
 def test_a_bound_that_is_met_is_named(ask, oracles):
     found = estimate(ask(oracles.measure(0), parameters=(MASS, DAMPER, Sought("k", 25.0, 60.0))))
     assert found.fit.theta[2] == 25.0
-    assert any(word.startswith("k is at its bound, 25 N/m") for word in words(found))
+    assert any(word.startswith("k is at its lower bound, 25 N/m") for word in words(found))
 
 
 def test_an_fmu_that_a_process_can_have_only_once(compile_plant, ask, oracles):

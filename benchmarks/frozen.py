@@ -26,7 +26,7 @@ from cosim.sampling import recorded_samples
 from cosim.scenarios.estimators import find_method, load
 from cosim.scenarios.scenario import Scenario
 from cosim.simulation import run
-from estimator import AskTell, DerivativeResidual, LinearForm, Objective, ResidualWindow, Sample, Vector
+from estimator import AskTell, DerivativeResidual, Estimate, LinearForm, Objective, ResidualWindow, Sample, Vector
 from estimator.baselines import LeastSquaresSettings
 
 CLOSED_FORM = "closed-form"
@@ -120,6 +120,15 @@ def solve(
     recorded: Run, samples: list[Sample], name: str, n_evaluations: int, rng: np.random.Generator
 ) -> tuple[Vector, float]:
     """theta (d,) after so many evaluations from what the controller held at the run's start, and the wall time [s]."""
+    begun = perf_counter()
+    estimate = estimated(recorded, samples, name, n_evaluations, rng)
+    return estimate.theta, perf_counter() - begun
+
+
+def estimated(
+    recorded: Run, samples: list[Sample], name: str, n_evaluations: int, rng: np.random.Generator
+) -> Estimate:
+    """The estimate after so many evaluations from what the controller held at the run's start."""
     scenario = recorded.scenario
     space = scenario.estimation.space
     method = find_method(name, scenario)
@@ -131,7 +140,6 @@ def solve(
     start = np.array([series[0] for series in recorded.estimates.values()])
     search = method.estimator(space, start, rng, settings)
     window = residual_window(recorded, samples, search.is_whitened)
-    begun = perf_counter()
     search.restart(start)
     if isinstance(search, AskTell):
         for _ in range(n_evaluations):
@@ -139,7 +147,7 @@ def solve(
             search.tell(theta, window.residual(theta))
     else:
         search.solve(Objective(window))
-    return search.estimate().theta, perf_counter() - begun
+    return search.estimate()
 
 
 def closed_form(recorded: Run, samples: list[Sample]) -> tuple[Vector, float]:

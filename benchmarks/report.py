@@ -18,11 +18,15 @@ def write(name: str, rows: list[dict[str, object]], notes: str = "") -> None:
     """Print the rows as a table and write benchmarks/results/NAME.json.
 
     Columns are the keys in order of first appearance; a value that is a dict of `spread` prints as median [q1, q3].
-    Not-a-number and infinities are null in the JSON.
     """
     print(table(rows))
     if notes:
         print(f"\n{notes}")
+    keep(name, rows, notes)
+
+
+def keep(name: str, rows: list[dict[str, object]], notes: str = "") -> None:
+    """Write benchmarks/results/NAME.json, whole or not at all. Not-a-number and infinities are null there."""
     RESULTS.mkdir(exist_ok=True)
     content = {"benchmark": name, "machine": machine(), "notes": notes, "rows": _finite(rows)}
     target = RESULTS / f"{name}.json"

@@ -23,7 +23,7 @@ from .slaves.slave import Slave, open_slave
 
 
 class Foresight:
-    """Predicts tracking errors. Its FMUs begin to load at once, and are initialised when they are first needed."""
+    """Predicts tracking errors. Its FMUs are loaded when they are first needed: many a run writes nothing."""
 
     def __init__(
         self,
@@ -61,11 +61,9 @@ class Foresight:
             if isinstance(slave, Slave) and name != self._modelled:
                 slave.check_tunables(w.tunables)
         self._stack = stack.enter_context(ExitStack())
-        self._is_ready = False
         self._shadows: dict[str, Steppable] = {}
-        self._open()
-        place = {name: i for i, name in enumerate(self._master.names)}
-        self._tracked = [(place[a], place[b]) for a, b in scenario.tracking.items()]
+        self._master: Master | None = None
+        self._tracked: list[tuple[int, int]] = []
         self.n_rolled = 0
         """Times that the loop was rolled ahead."""
 
@@ -104,15 +102,14 @@ class Foresight:
         """
         self.n_rolled += 1
         try:
-            self._begin_at(now, values)
-            return self._roll(k, controller, plant)
+            return self._roll(self._at(now, values), k, controller, plant)
         except SlaveError as fault:
             self._stack.close()
-            self._open()
+            self._master = None  # loaded anew for the next
             return None if fault.function == "set" else inf  # a value that was refused before it reached the FMU
 
-    def _roll(self, k: int, controller: Vector, plant: Vector) -> float:
-        settings, master = self._scenario.scenario, self._master
+    def _roll(self, master: Master, k: int, controller: Vector, plant: Vector) -> float:
+        settings = self._scenario.scenario
         h, horizon = settings.macro_step, min(self._scenario.guard.horizon, settings.n_steps - k)
         tunables = {
             name: [*(float(plant[i]) for i in self._places[name]), *(float(controller[i]) for i in written)]
@@ -129,20 +126,18 @@ class Foresight:
             peak = max(peak, hypot(*errors))
         return peak
 
-    def _begin_at(self, now: Mapping[str, Any], values: Sequence[float]) -> None:
-        settings = self._scenario.scenario
-        if not self._is_ready:
-            self._master.initialize(settings.start_time, settings.stop_time)
-            self._is_ready = True
+    def _at(self, now: Mapping[str, Any], values: Sequence[float]) -> Master:
+        master = self._master = self._master or self._opened()
         for name, state in now.items():
             shadow = self._shadows[name]
             assert isinstance(shadow, Slave | ModelPlant)
             shadow.set_state(state)
-        self._master.values[:] = values
+        master.values[:] = values
+        return master
 
-    def _open(self) -> None:
-        options = self._scenario.scenario.slave_options
-        self._is_ready = False
+    def _opened(self) -> Master:
+        settings = self._scenario.scenario
+        options = settings.slave_options
         for name, slave in self._slaves.items():
             if name == self._modelled and self._model is not None:
                 space = self._scenario.estimation.space
@@ -155,7 +150,11 @@ class Foresight:
             once = bool(co_simulation(slave.description).canBeInstantiatedOnlyOncePerProcess)
             own: dict[str, Any] = options | ({"isolation": "process"} if once else {})
             self._shadows[name] = self._stack.enter_context(open_slave(path, label, **own))
-        self._master = Master(self._shadows, self._wiring, self._groups)
+        master = Master(self._shadows, self._wiring, self._groups)
+        place = {name: i for i, name in enumerate(master.names)}
+        self._tracked = [(place[a], place[b]) for a, b in self._scenario.tracking.items()]
+        master.initialize(settings.start_time, settings.stop_time)
+        return master
 
 
 def _modelled(

@@ -32,12 +32,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.environ.setdefault(name, "1")  # before NumPy: a second BLAS thread is slower and changes bits
     options = parser_of(_COMMANDS).parse_args(arguments)
     _take_signals()
-    if options.debug:
-        _log_everything()
     from .errors import CosimError, UnfinishedError  # here and below: --help must not wait for NumPy and GPy
 
     try:
-        return options.command(options)
+        with _everything_logged() if options.debug else nullcontext():
+            return options.command(options)
     except CosimError as e:
         return _end(options, str(e), UNFINISHED if isinstance(e, UnfinishedError) else REFUSED)
     except KeyboardInterrupt:
@@ -66,12 +65,18 @@ def _take_signals() -> None:
         signal.signal(signal.SIGHUP, _interrupt)
 
 
-def _log_everything() -> None:
+@contextmanager
+def _everything_logged() -> Generator[None]:
     """Show what the FMUs log that is no warning, too."""
-    log = logging.getLogger(__package__)
+    log, handler = logging.getLogger(__package__), logging.StreamHandler()
+    level = log.level
     log.setLevel(logging.DEBUG)
-    if not log.handlers:
-        log.addHandler(logging.StreamHandler())
+    log.addHandler(handler)
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
+        log.setLevel(level)
 
 
 def _build(options: argparse.Namespace) -> int:

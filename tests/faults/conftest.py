@@ -224,10 +224,10 @@ def temporary(tmp_path, monkeypatch) -> Iterator[Path]:
     monkeypatch.setenv(*mark.split("="))
     with ended_in_time():
         yield folder
-    assert becomes_true(lambda: list(folder.iterdir()) == [], within_s=5.0)
+    assert becomes_true(lambda: list(folder.iterdir()) == [], within_s=20.0)
     assert list(work.iterdir()) == []
     assert children_of(os.getpid()) <= before
-    assert becomes_true(lambda: not marked(mark), within_s=5.0)
+    assert becomes_true(lambda: not marked(mark), within_s=20.0)
     monkeypatch.undo()
     assert ours() == surroundings
 

@@ -28,8 +28,8 @@ SHORT = ["run", "pendulum", "--only", "--set", "scenario.stop_time=0.1"]
 EARLY_CHANGE = ["--set", 'changes."plant.m"=[[0.0, 1.75], [0.05, 4.271]]']
 KEYS = [
     "scenario", "estimator", "seed", "mse", "max_error", "parameters", "belief", "instants", "evaluations",
-    "episodes", "model_calls", "latency_ms", "deadline_ms", "missed_deadlines", "wall_s", "status", "diverged_at",
-    "error", "run",
+    "episodes", "model_calls", "objective", "guard", "observations", "latency_ms", "deadline_ms",
+    "missed_deadlines", "wall_s", "status", "diverged_at", "error", "run",
 ]  # fmt: skip
 
 

@@ -63,11 +63,10 @@ def test_inputs_reach_the_outputs_in_initialization_mode(tmp_path):
     path = find_fmu("QuadrotorController", tmp_path, 3)
     with open_slave(path, "controller") as slave:
         slave.bind(["a_d[3]"], [], ["F"])
-        call = slave._home.call
-        call("enter_initialization", None, [], 0.0, 1.0)
+        slave.enter_initialization({}, 0.0, 1.0)
         for a_d in (0.0, 1.0):
-            assert call("propagate", 0.0, [a_d]) == [pytest.approx(1.25 * (9.81 - a_d))]
-        call("exit_initialization", 0.0)
+            assert slave.propagate([a_d]) == (pytest.approx(1.25 * (9.81 - a_d)),)
+        slave.exit_initialization()
         assert slave.step([2.0], 0.0, 0.01) == (pytest.approx(1.25 * 7.81),)
 
 

@@ -154,7 +154,10 @@ def test_ctrl_c_ends_all_processes(plant, tmp_path, oracles):
 def _children(process_id):
     """Ids of the processes of FMUs that it has started."""
     tasks = Path(f"/proc/{process_id}/task").glob("*/children")
-    children = [int(child) for task in tasks for child in task.read_text().split()]
+    try:
+        children = [int(child) for task in tasks for child in task.read_text().split()]
+    except FileNotFoundError:  # a thread has ended meanwhile
+        return _children(process_id)
     return [child for child in children if b"cosim.slaves.child" in _command_of(child)]
 
 

@@ -21,6 +21,9 @@ from typing import Any
 
 DOCS = Path(__file__).parents[1] / "docs"
 DATA = DOCS / "evaluation"
+UNGUARDED = {"guard.enabled": "false", "observations.enabled": "false"}
+"""Estimators are compared by themselves; docs/safety.md has what guard and screen prevent and cost."""
+_UNGUARDED = "".join(f" --set {key}={value}" for key, value in UNGUARDED.items())
 COMPARISONS = {
     "quadrotor": "quadrotor --estimators target,least-squares,ukf,rls --seeds 20 --jobs 2",
     "quadrotor-scalar": "quadrotor --estimators paper,bo-scalar,sqp,sqp-wide-step --seeds 10 --jobs 2",
@@ -53,7 +56,7 @@ def main() -> None:
 def commands() -> list[str]:
     """What `measure` runs, as one types it."""
     return [
-        *(f"retune compare {arguments} --out {name}" for name, arguments in COMPARISONS.items()),
+        *(f"retune compare {arguments}{_UNGUARDED} --out {name}" for name, arguments in COMPARISONS.items()),
         *(f"python -m benchmarks.frozen {arguments} --out {name}.json" for name, arguments in FROZEN.items()),
         "retune figures --jobs 1 --out figures",
     ]
@@ -66,7 +69,7 @@ def measure(names: list[str]) -> None:
         with tempfile.TemporaryDirectory() as place:
             out = Path(place) / name
             if name in COMPARISONS:
-                tail = f"cosim.cli compare {COMPARISONS[name]} --out {out}"
+                tail = f"cosim.cli compare {COMPARISONS[name]}{_UNGUARDED} --out {out}"
             elif name in FROZEN:
                 tail = f"benchmarks.frozen {FROZEN[name]} --out {out}.json"
             else:

@@ -23,7 +23,7 @@ from scipy.special import gammainc
 
 from estimator import Sample, Vector
 
-from .scenarios.schema import Sampling, SavitzkyGolay, StateVariable
+from .scenarios.sampling_schema import Sampling, SavitzkyGolay, StateVariable
 
 _TAIL: Final = 1e-3  # weight of a state-variable filter's endless response that is left out
 _CORRELATED: Final = 0.05  # what two samples' noise may share

@@ -19,7 +19,7 @@ from estimator import Sample, Vector
 
 from .consistency import Consistency
 from .reconfigure import Event
-from .scenarios.schema import ObservationSettings
+from .scenarios.sampling_schema import ObservationSettings
 
 _MEMORY: Final = 31
 """Changes of the residual whose median says what is usual."""

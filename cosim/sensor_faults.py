@@ -9,7 +9,7 @@ from estimator import Sample
 
 from .errors import WiringError
 from .names import did_you_mean
-from .scenarios.schema import SensorFault
+from .scenarios.sampling_schema import SensorFault
 
 
 class SensorFaults:

@@ -14,25 +14,19 @@ from estimator import METHODS
 from ..errors import ScenarioError, one_line
 from ..names import did_you_mean, named_scenarios
 from .changes import Change, change_functions
+from .sampling_schema import Derivative, Noise, ObservationSettings, Sampling, SavitzkyGolay, SensorFault, StateVariable
 from .schema import (
     Always,
     Component,
-    Derivative,
     EstimatedParameter,
     Estimation,
     GuardSettings,
     Innovation,
     Limits,
     LinearModel,
-    Noise,
-    ObservationSettings,
     Reference,
     RolloutSettings,
-    Sampling,
-    SavitzkyGolay,
-    SensorFault,
     Settings,
-    StateVariable,
     Table,
     Tracking,
     Value,

@@ -5,7 +5,7 @@ import pytest
 from scipy import integrate, signal, stats
 
 from cosim.derivative_filter import DerivativeFilter, derivative_noise, kernel_of
-from cosim.scenarios.schema import Sampling, SavitzkyGolay, StateVariable
+from cosim.scenarios.sampling_schema import Sampling, SavitzkyGolay, StateVariable
 from estimator import Sample
 
 H = 0.01  # s

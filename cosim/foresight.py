@@ -12,7 +12,7 @@ from typing import Any
 
 from estimator import Sample, Vector
 
-from .errors import CosimError, SlaveError
+from .errors import CosimError, ScenarioError, SlaveError
 from .fmi.archive import co_simulation
 from .fmi.table import TableSlave
 from .master import Master, Steppable, Wiring
@@ -98,7 +98,8 @@ class Foresight:
         """Largest norm of the tracking error over the horizon: infinite where an FMU fails or the loop diverges.
 
         values: of all outputs now, at communication point k; controller, plant: theta (d,) in each. None where the
-        plant does not take these parameters, so that nothing is known.
+        plant does not take these parameters, so that nothing is known. Raises ScenarioError where the FMUs cannot be
+        unpacked any more, as on a full disk: the run faults, and can be resumed.
         """
         self.n_rolled += 1
         try:
@@ -149,7 +150,10 @@ class Foresight:
                 continue
             once = bool(co_simulation(slave.description).canBeInstantiatedOnlyOncePerProcess)
             own: dict[str, Any] = options | ({"isolation": "process"} if once else {})
-            self._shadows[name] = self._stack.enter_context(open_slave(path, label, **own))
+            try:
+                self._shadows[name] = self._stack.enter_context(open_slave(path, label, **own))
+            except CosimError as e:  # it could be opened before: the disk is full, or the file has gone
+                raise ScenarioError(f"the loop cannot be rolled ahead: {e}") from e
         master = Master(self._shadows, self._wiring, self._groups)
         place = {name: i for i, name in enumerate(master.names)}
         self._tracked = [(place[a], place[b]) for a, b in self._scenario.tracking.items()]

@@ -1,16 +1,15 @@
 """An FMI 2.0 model-exchange FMU as a function: what exchange3 is for FMI 3.0."""
 
-import os
 from collections.abc import Sequence
 from ctypes import c_double
 from typing import Any
 
-from fmpy import fmi1, fmi2, read_model_description
+from fmpy import fmi2, read_model_description
 
 from ..errors import SlaveError
 from .block import Block, Value, Variable, blocks_of
 from .fmu_log import Hear, MessageLog
-from .instance import STATUS, Identity
+from .instance import Identity, checked, loaded
 
 _MOST_UPDATES = 100  # of the discrete states, at one time
 
@@ -32,7 +31,7 @@ class Exchange2:
         self._tunables: list[Block] = []
         self._state_places: list[int] = []
         self._rate_places: list[int] = []
-        self._fmu = self._load(identity)
+        self._fmu = loaded(fmi2.FMU2Model, identity, self._log)
 
     def bind(self, inputs: Sequence[Variable], tunables: Sequence[Variable], outputs: Sequence[Variable]) -> None:
         """Say what a step sets (states, then inputs), which parameters may change, and which derivatives it returns."""
@@ -103,28 +102,4 @@ class Exchange2:
 
     def _call(self, name: str, function: Any, *arguments: object) -> Any:
         """Call a method of FMPy's. Raises SlaveError unless the FMU returns OK or Warning."""
-        self._log.clear()
-        try:
-            return function(*arguments)
-        except fmi1.FMICallException as error:
-            status, reason = error.status, self._log.reason()
-            word = STATUS[status] if status < len(STATUS) else f"the illegal status {status}"
-            why = f"returned {word}{': ' if reason else ''}{reason}"
-            raise SlaveError(self._name, name, self._time, why) from error
-
-    def _load(self, identity: Identity) -> fmi2.FMU2Model:
-        directory = os.getcwd()
-        try:
-            fmu = fmi2.FMU2Model(
-                guid=identity.guid,
-                modelIdentifier=identity.model_identifier,
-                unzipDirectory=identity.folder,
-                instanceName=identity.instance_name,
-            )
-            fmu.instantiate(callbacks=self._log.callbacks, loggingOn=True)
-        except Exception as error:  # FMPy raises nothing more special
-            self._log.close()
-            raise SlaveError(self._name, "instantiate", None, f"failed: {self._log.reason() or error}") from error
-        finally:
-            os.chdir(directory)  # FMPy stays in the FMU's folder when loading fails
-        return fmu
+        return checked(self._name, name, self._time, self._log, function, *arguments)

@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable, Sequence
 from ctypes import c_double, c_int, c_uint, c_void_p, cast
 from functools import partial
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias, TypeVar
 
 from fmpy import fmi1, fmi2
 
@@ -56,7 +56,7 @@ class Instance:
         self._inputs: list[_Exchange] = []
         self._tunables: list[_Exchange] = []
         self._outputs: list[_Exchange] = []
-        self._fmu = self._load(identity)
+        self._fmu = loaded(fmi2.FMU2Slave, identity, self._log)
         self._component = cast(self._fmu.component, c_void_p)
         self._t, self._h = c_double(), c_double()
         self._forward_only = c_int(fmi2.fmi2True)  # until a state is saved that may be gone back to
@@ -147,23 +147,6 @@ class Instance:
         self._fmu.freeInstance()
         self._log.close()
 
-    def _load(self, identity: Identity) -> fmi2.FMU2Slave:
-        directory = os.getcwd()
-        try:
-            fmu = fmi2.FMU2Slave(
-                guid=identity.guid,
-                modelIdentifier=identity.model_identifier,
-                unzipDirectory=identity.folder,
-                instanceName=identity.instance_name,
-            )
-            fmu.instantiate(callbacks=self._log.callbacks, loggingOn=True)
-        except Exception as error:  # FMPy raises nothing more special
-            self._log.close()
-            raise SlaveError(self.name, "instantiate", None, f"failed: {self._log.reason() or error}") from error
-        finally:
-            os.chdir(directory)  # FMPy stays in the FMU's folder when loading fails
-        return fmu
-
     def _set(self, exchanges: Sequence[_Exchange], values: Sequence[float]) -> None:
         for block, call in exchanges:
             block.fill(values)
@@ -181,17 +164,48 @@ class Instance:
         return partial(function, self._component, *arguments)
 
     def _checked(self, name: str, function: Any, *arguments: object) -> Any:
-        self._log.clear()
-        try:
-            result = function(*arguments)
-        except fmi1.FMICallException as error:
-            raise self._fault(name, error.status) from error
-        if isinstance(result, int) and result < 0:  # a status that is none, and that FMPy lets pass
-            raise self._fault(name, result)
-        return result
+        return checked(self.name, name, self._time, self._log, function, *arguments)
 
     def _fault(self, function: str, status: int) -> SlaveError:
         return SlaveError(self.name, function, self._time, returned(status, self._log.reason()))
+
+
+_Fmu = TypeVar("_Fmu", fmi2.FMU2Slave, fmi2.FMU2Model)
+
+
+def loaded(kind: type[_Fmu], identity: Identity, log: MessageLog) -> _Fmu:
+    """The FMU's library, loaded and instantiated. Raises SlaveError; the log is closed then."""
+    directory = os.getcwd()
+    try:
+        fmu = kind(
+            guid=identity.guid,
+            modelIdentifier=identity.model_identifier,
+            unzipDirectory=identity.folder,
+            instanceName=identity.instance_name,
+        )
+        fmu.instantiate(callbacks=log.callbacks, loggingOn=True)
+    except Exception as error:  # FMPy raises nothing more special
+        log.close()
+        reason = f"failed: {log.reason() or error}"
+        raise SlaveError(identity.instance_name, "instantiate", None, reason) from error
+    finally:
+        os.chdir(directory)  # FMPy stays in the FMU's folder when loading fails
+    return fmu
+
+
+def checked(
+    instance: str, name: str, t: float | None, log: MessageLog, function: Callable[..., Any], *arguments: object
+) -> Any:
+    """What a method of FMPy's returns. Raises SlaveError unless the FMU returns OK or Warning."""
+    log.clear()
+    try:
+        result = function(*arguments)
+        status = result if isinstance(result, int) and result < 0 else None  # none, and FMPy lets it pass
+    except fmi1.FMICallException as error:
+        raise SlaveError(instance, name, t, returned(error.status, log.reason())) from error
+    if status is not None:
+        raise SlaveError(instance, name, t, returned(status, log.reason()))
+    return result
 
 
 def returned(status: int, reason: str) -> str:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from math import hypot, inf
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from estimator import Sample, Vector
 
@@ -22,25 +22,33 @@ from .scenarios.system import Plant, derivatives_of
 from .slaves.slave import Slave, open_slave
 
 
+class Running(NamedTuple):
+    """The FMUs of a run, as they are wired."""
+
+    slaves: Mapping[str, Slave | TableSlave]
+    wiring: Mapping[str, Wiring]
+    groups: Sequence[Sequence[str]]
+    """In which they step."""
+    paths: Mapping[str, Path]
+
+
 class Foresight:
     """Predicts tracking errors. Its FMUs are loaded when they are first needed: many a run writes nothing."""
 
     def __init__(
         self,
         scenario: Scenario,
-        slaves: Mapping[str, Slave | TableSlave],
-        wiring: Mapping[str, Wiring],
-        groups: Sequence[Sequence[str]],
-        paths: Mapping[str, Path],
+        running: Running,
         plant: Plant,
         model: Callable[..., Sequence[float]] | None,
         stack: ExitStack,
     ) -> None:
-        """slaves: those of the run; model: the plant's, if any; stack closes the shadows.
+        """running: the run's FMUs; model: the plant's, if any; stack closes the shadows.
 
         Raises CosimError with the reason where the loop cannot be rolled ahead.
         """
-        self._scenario, self._slaves, self._groups, self._paths = scenario, slaves, groups, paths
+        slaves, wiring = running.slaves, running.wiring
+        self._scenario, self._running, self._slaves = scenario, running, slaves
         self._plant, self._model = plant, model
         true = [scenario.true_reference(p) for p in scenario.estimation.parameters]
         self._places = {name: [i for i, r in enumerate(true) if r.partition(".")[0] == name] for name in slaves}
@@ -144,7 +152,7 @@ class Foresight:
                 space = self._scenario.estimation.space
                 self._shadows[name] = ModelPlant(self._plant, self._model, space.names, derivatives_of(slave))
                 continue
-            path, label = self._paths[name], f"{name} (rolled ahead)"
+            path, label = self._running.paths[name], f"{name} (rolled ahead)"
             if isinstance(slave, TableSlave):
                 self._shadows[name] = TableSlave(path, label)
                 continue
@@ -154,7 +162,7 @@ class Foresight:
                 self._shadows[name] = self._stack.enter_context(open_slave(path, label, **own))
             except CosimError as e:  # it could be opened before: the disk is full, or the file has gone
                 raise ScenarioError(f"the loop cannot be rolled ahead: {e}") from e
-        master = Master(self._shadows, self._wiring, self._groups)
+        master = Master(self._shadows, self._wiring, self._running.groups)
         place = {name: i for i, name in enumerate(master.names)}
         self._tracked = [(place[a], place[b]) for a, b in self._scenario.tracking.items()]
         master.initialize(settings.start_time, settings.stop_time)

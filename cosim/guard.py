@@ -86,8 +86,15 @@ class Guard:
 
     def summary(self) -> dict[str, Any]:
         """The counts, as JSON values."""
-        kinds = ("written", "limited", "held", "vetoed", "confirmed", "reverted")
+        kinds = ("written", "limited", "held", "vetoed", "confirmed", "reverted", "retracted")
         return {kind: self.counts[kind] for kind in kinds} | {"stopped_at": self.stopped_at}
+
+    def retract(self, k: int, theta: Vector) -> None:
+        """What was written at the communication point before k is taken back to theta (d,), held before that."""
+        while self._trials and self._trials[-1].since >= k - 1:
+            self._trials.pop()
+        self._held = self._anchor = theta
+        self.counts["retracted"] += 1
 
     def not_taken(self, t: float, read: Sequence[float], names: Sequence[str]) -> Event | None:
         """Stop where the controller holds something else than was written: read (d,), the variables' names."""

@@ -1,9 +1,9 @@
 """Which samples the estimator gets: those that are missing, late, stuck, inconsistent or outliers it does not.
 
 They are named and counted. Gaussian processes take a NaN in silence, and every acquisition after it is NaN. A change of
-the plant persists, an outlier does not: a sample that jumps away from the model is used at once, but nothing is written
-on its account before the next one confirms it; else it is taken back. A derivative that does not fit the motion of its
-state is inconsistent. A constant bias of a state, or one of derivative and state that fit each other, looks like
+the plant persists, an outlier does not: a sample that jumps away from the model is used at once, and where the next one
+does not confirm it, it is taken back, with what was written on its account. A derivative that does not fit the motion
+of its state is inconsistent. A constant bias of a state, or one of derivative and state that fit each other, looks like
 another plant: nothing here can tell them apart.
 """
 
@@ -57,7 +57,7 @@ class Seen(NamedTuple):
     sample: Sample | None
     """What the estimator gets; None where it is kept out."""
     is_suspect: bool
-    """It has jumped: nothing is written on its account before the next one confirms it."""
+    """It has jumped: the next one confirms it, or it is taken back."""
     was_outlier: bool
     """The one before, which was suspect, was not confirmed: it is to be taken back."""
     events: tuple[Event, ...]
@@ -158,12 +158,19 @@ class Outliers:
         self._limit, self._sensors = limit, sensors
         self._last: Sample | None = None
         self._suspect: Sample | None = None
+        self._theta = np.empty(0)  # what was in force at the suspect
         self._n_suspects = 0
         self._changes: deque[Vector] = deque(maxlen=_MEMORY)
 
     def step(self, sample: Sample, theta: Vector) -> tuple[bool, list[str]]:
-        """Whether the sample is suspect, and the sensors of which the sample before, suspect too, was an outlier."""
+        """Whether the sample is suspect, and the sensors of which the sample before, suspect too, was an outlier.
+
+        theta (d,): what is in force. After a suspect, what was in force at it: a write on its account has changed the
+        inputs, which with wrong parameters makes residuals jump as well.
+        """
         residual = self._sensors.residual
+        if self._suspect is not None:
+            theta = self._theta
         now = residual(theta, sample)
         if self._last is None or not np.isfinite(now).all():
             return self._accept(sample), []
@@ -178,7 +185,7 @@ class Outliers:
             outliers, is_far = was_far & ~persists, is_far & ~(persists & was_far)
         names = [self._sensors.names[i] for i in np.flatnonzero(outliers)]
         if is_far.any() and self._n_suspects < _MOST_SUSPECTS:
-            self._suspect, self._n_suspects = sample, self._n_suspects + 1
+            self._suspect, self._theta, self._n_suspects = sample, theta, self._n_suspects + 1
             return True, names
         return self._accept(sample), names
 

@@ -1,24 +1,23 @@
 """Who looks after a run's estimator: the screen before it, the guard behind it, and the loop that is rolled ahead."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, Final
+
+import numpy as np
 
 from estimator import DerivativeResidual, Sample, Vector
 
 from .errors import CosimError
-from .fmi.table import TableSlave
-from .foresight import Foresight
+from .foresight import Foresight, Running
 from .guard import Guard, Peak
-from .master import Master, Wiring
+from .master import Master
 from .observations import Screen, Seen, Sensors
 from .reconfigure import Event, Reconfiguration, Retuner
 from .scenarios.scenario import Scenario
 from .scenarios.system import Plant
 from .sight import Blind, Sight
-from .slaves.slave import Slave
 
 _FEWEST: Final = 30
 """Samples that say what can be seen: a recursive estimator's window is one."""
@@ -34,16 +33,14 @@ class Oversight:
         policy: Retuner,
         start: Vector,
         whitened: DerivativeResidual | None,
-        slaves: Mapping[str, Slave | TableSlave],
-        wiring: Mapping[str, Wiring],
-        groups: Sequence[Sequence[str]],
-        paths: Mapping[str, Path],
+        running: Running | None,
         stack: ExitStack,
     ) -> None:
         """start (d,): what the controller holds; whitened: the residual of a sample, where derivatives are judged;
-        stack closes what is opened."""
+        running: None where there is nothing to roll ahead; stack closes what is opened."""
         self._policy = policy
-        self._has_mark = False
+        self._marked: Vector | None = None  # what was in force before a sample that is suspect
+        self._taken_back: Vector | None = None
         self._read: list[int] | None = None  # places of what the controller says that it holds
         self._writes = [p.writes for p in scenario.estimation.parameters]
         space = scenario.estimation.space
@@ -62,10 +59,14 @@ class Oversight:
             if scenario.observations.enabled and whitened is not None and scenario.sampling.filter is None
             else None
         )
-        self._foresight, self._why_blind = None, "guard.foresight is false"
-        if self._guard is not None and scenario.guard.foresight:
+        self._foresight: Foresight | None = None
+        self._why_blind = "guard.foresight is false"
+        if running is not None and self._guard is not None and scenario.guard.foresight:
             model = None if whitened is None else whitened.model
-            self._foresight, self._why_blind = _foresight(scenario, slaves, wiring, groups, paths, plant, model, stack)
+            try:
+                self._foresight = Foresight(scenario, running, plant, model, stack)
+            except CosimError as e:
+                self._why_blind = str(e).rstrip(".")
 
     @property
     def has_stopped(self) -> bool:
@@ -79,17 +80,19 @@ class Oversight:
         return [Event(t, "guard", {"reason": f"the loop is not rolled ahead: {self._why_blind}"})]
 
     def seen(self, t: float, sample: Sample | None, theta: Vector) -> Seen:
-        """What the estimator gets of the sample, if there is one; theta (d,): what the controller holds."""
+        """What the estimator gets of the sample, if there is one; theta (d,): what the controller holds.
+
+        Where the sample before was an outlier, the estimator knows nothing of it from here on.
+        """
         if sample is None:
             return Seen(None, False, False, ())
         seen = Seen(sample, False, False, ()) if self._screen is None else self._screen.step(t, sample, theta)
-        if seen.was_outlier and self._has_mark:
+        if seen.was_outlier and self._marked is not None:
             self._policy.retract()
             self._sight.retract()
+            self._taken_back = None if np.array_equal(theta, self._marked) else self._marked
         if seen.sample is not None:
-            self._has_mark = seen.is_suspect
-            if seen.is_suspect:
-                self._policy.mark()
+            self._marked = self._policy.mark() if seen.is_suspect else None
             self._sight.append(seen.sample)
         return seen
 
@@ -104,17 +107,20 @@ class Oversight:
             self._read = [place[name] for name in self._writes]
         if refusal := self._guard.not_taken(t, [master.values[i] for i in self._read], self._writes):
             return Reconfiguration(events=(refusal,))
+        if self._taken_back is not None:
+            self._guard.retract(k, self._taken_back)
         reviewed = self._guard.step(k, t, error, decision, self._peak(k, measured, master))
         if reviewed.write is not decision.write:
             self._policy.hold(self._guard.held)
         return reviewed
 
-    def withheld(self, decision: Reconfiguration, theta: Vector) -> Reconfiguration:
-        """The decision without its write: the newest sample is not confirmed; theta (d,): what the controller holds."""
-        if decision.write is None:
+    def without_outlier(self, t: float, decision: Reconfiguration) -> Reconfiguration:
+        """The decision, or else the way back from what was written on account of the sample before."""
+        before, self._taken_back = self._taken_back, None
+        if before is None or decision.write is not None:
             return decision
-        self._policy.hold(theta)
-        return replace(decision, write=None, events=tuple(e for e in decision.events if e.kind != "write"))
+        told = Event(t, "write", {"theta": before.tolist(), "reason": "the sample before was an outlier"})
+        return replace(decision, write=before, events=(*decision.events, told))
 
     def summary(self) -> dict[str, Any]:
         """Counts of guard and screen, as JSON values."""
@@ -137,22 +143,6 @@ class Oversight:
             return foresight.peak(states[0], values, k, controller, plant)
 
         return peak
-
-
-def _foresight(
-    scenario: Scenario,
-    slaves: Mapping[str, Slave | TableSlave],
-    wiring: Mapping[str, Wiring],
-    groups: Sequence[Sequence[str]],
-    paths: Mapping[str, Path],
-    plant: Plant,
-    model: Callable[..., Sequence[float]] | None,
-    stack: ExitStack,
-) -> tuple[Foresight | None, str]:
-    try:
-        return Foresight(scenario, slaves, wiring, groups, paths, plant, model, stack), ""
-    except CosimError as e:
-        return None, str(e).rstrip(".")
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import partial
 from time import perf_counter
-from typing import Any, Literal, Protocol, cast
+from typing import Any, Literal, NamedTuple, Protocol, cast
 
 import numpy as np
 
@@ -144,6 +144,16 @@ class Budget:
     """Whether the best so far or each candidate is written."""
 
 
+class _Mark(NamedTuple):
+    """What a loop knew before a sample that may be an outlier."""
+
+    window: ResidualWindow
+    remaining: float
+    theta: Vector
+    believed: Vector
+    solver: Solver | None
+
+
 class Retuner:
     """The loop: idle until triggered, then an episode of evaluations, writing as it goes. Holds the run's belief."""
 
@@ -167,7 +177,7 @@ class Retuner:
         self._linear = linear
         self._theta = self._believed = start
         self._remaining = 0.0
-        self._marked: tuple[ResidualWindow, float, Any] | None = None
+        self._marked: _Mark | None = None
         self.n_evaluations = 0
         self.n_episodes = 0
 
@@ -223,21 +233,27 @@ class Retuner:
         """The controller holds theta (d,), whatever was to be written."""
         self._theta = theta
 
-    def mark(self) -> None:
-        """Remember what is known, for `retract`: the next sample may be an outlier."""
-        kept = deepcopy(self._estimator) if self._solver is not None else None
-        if isinstance(self._window, ResidualWindow):  # an episode's own window cannot go back
-            self._marked = self._window.copy(), self._remaining, kept
+    def mark(self) -> Vector | None:
+        """Remember what is known, for `retract`: the next sample may be an outlier.
+
+        Returns what is in force (d,); None where an episode's own window cannot go back.
+        """
+        if not isinstance(self._window, ResidualWindow):
+            return None
+        solver = deepcopy(self._solver)
+        self._marked = _Mark(self._window.copy(), self._remaining, self._theta, self._believed, solver)
+        return self._theta
 
     def retract(self) -> None:
         """Go back to the mark, as if the sample after it had not been taken; what was evaluated stays counted."""
-        if self._marked is None:
+        if (mark := self._marked) is None:
             return
-        window, remaining, kept = self._marked
-        window.n_model_calls = self._window.n_model_calls
-        self._window, self._remaining = window, remaining
-        if isinstance(kept, Solver):
-            self._estimator = self._solver = kept
+        mark.window.n_model_calls = self._window.n_model_calls
+        self._window, self._remaining = mark.window, mark.remaining
+        self._theta, self._believed = mark.theta, mark.believed
+        if mark.solver is not None:
+            self._solver = mark.solver
+            self._estimator = mark.solver
         elif self._rescoring is None:
             self._estimator.restart(self._theta)
 

@@ -25,6 +25,7 @@ from estimator.identifiability import IDENTIFIABLE_BELOW
 
 from .errors import NotResumableError, ScenarioError, SlaveError, WiringError
 from .fmi.table import TableSlave, is_table
+from .foresight import Running
 from .master import Master, Wiring
 from .oversight import Oversight
 from .policy import decide, make_policy, try_model, whitened_residual
@@ -168,8 +169,9 @@ class _Loop:
         self.policy = make_policy(
             scenario, estimator, plant, self._theta, self._true_theta, search, stack, live, whitened
         )
+        running = Running(slaves, wiring, groups, paths)
         self._oversight = (
-            Oversight(scenario, plant, self.policy, self._theta, whitened, slaves, wiring, groups, paths, stack)
+            Oversight(scenario, plant, self.policy, self._theta, whitened, running, stack)
             if isinstance(self.policy, Retuner)
             else None
         )
@@ -296,9 +298,7 @@ class _Loop:
             return Reconfiguration()
         seen = oversight.seen(t, sample, self._theta)
         decision = decide(self.policy, self._estimator, seen.sample, t, error)
-        if seen.is_suspect:
-            decision = oversight.withheld(decision, self._theta)
-        reviewed = oversight.review(k, t, error, measured, decision, self._master)
+        reviewed = oversight.without_outlier(t, oversight.review(k, t, error, measured, decision, self._master))
         return replace(reviewed, events=(*seen.events, *reviewed.events)) if seen.events else reviewed
 
     def oversight_summary(self) -> dict[str, Any]:

@@ -83,7 +83,7 @@ def replayed(recorded: Run, estimator: str, seed: int) -> Run:
         if first is not None:
             try_model(scenario, estimator, recorded.plant, held[0], first)
         unguarded = scenario.model_copy(update={"guard": GuardSettings(enabled=False)})
-        screen = Oversight(unguarded, recorded.plant, policy, held[0], whitened, {}, {}, (), {}, stack)
+        screen = Oversight(unguarded, recorded.plant, policy, held[0], whitened, None, stack)
         for t, sample, error in zip(recorded.time[1:].tolist(), samples[1:], errors[1:], strict=True):
             decision = _decided(policy, screen, estimator, t, sample, hypot(*error), theta)
             if decision.latencies:
@@ -104,8 +104,7 @@ def _decided(
 ) -> Reconfiguration:
     """What is made of a sample that the screen lets through; there is no guard where nothing has consequences."""
     seen = screen.seen(t, sample, theta)
-    decision = decide(policy, estimator, seen.sample, t, error)
-    return screen.withheld(decision, theta) if seen.is_suspect else decision
+    return screen.without_outlier(t, decide(policy, estimator, seen.sample, t, error))
 
 
 def _no_truth(t: float) -> Vector:

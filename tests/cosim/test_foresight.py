@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 from cosim.errors import CosimError
 from cosim.fmi.archive import co_simulation
-from cosim.foresight import Foresight
+from cosim.foresight import Foresight, Running
 from cosim.master import Master
 from cosim.scenarios.system import fmu_paths, plant_of, wire
 from cosim.simulation import run
@@ -36,7 +36,9 @@ class Loop:
         self.plant = plant_of(scenario, self.slaves["plant"])
         self.master = Master(self.slaves, wiring, groups)
         self.master.initialize(0.0, 1.0)
-        self.foresight = Foresight(scenario, self.slaves, wiring, groups, paths, self.plant, physics.derivative, stack)
+        self.foresight = Foresight(
+            scenario, Running(self.slaves, wiring, groups, paths), self.plant, physics.derivative, stack
+        )
         self.n = n
         for k in range(n):
             tunables = {"plant": NOMINAL.tolist(), "controller": NOMINAL.tolist()} if k == 0 else {}

@@ -5,8 +5,18 @@ import math
 import numpy as np
 import pytest
 
-from cosim.reconfigure import Budget, InnovationTrigger, Retuner, TrackingTrigger, WindowTrigger
-from estimator import EpisodeWindow, Estimate, Judged, NoEstimateError, ResidualWindow, Sample
+from cosim.reconfigure import AlwaysTrigger, Budget, InnovationTrigger, Retuner, TrackingTrigger, WindowTrigger
+from estimator import (
+    EpisodeWindow,
+    Estimate,
+    Judged,
+    NoEstimateError,
+    Parameter,
+    ParameterSpace,
+    ResidualWindow,
+    Sample,
+)
+from estimator.recursive import UnscentedKalman
 
 START = np.array([0.0])
 
@@ -119,6 +129,40 @@ def test_a_solver_solves_each_window_once():
     assert loop.step(0.02, None, 99.0).events == ()
     loop.step(0.03, sample(), 99.0)
     assert estimator.n_solved == 2
+
+
+def test_a_sample_that_is_taken_back_leaves_nothing_in_a_recursive_estimator_or_in_the_window():
+    space = ParameterSpace([Parameter("a", 0.0, 20.0)])
+
+    def loop():
+        window = ResidualWindow(residual, 1, 30)
+        return Retuner(UnscentedKalman(space, START, None), window, AlwaysTrigger(), Budget(math.inf), START)
+
+    values = [10.1, 9.8, 10.2, 9.9, 10.0, 10.3]
+    clean, spoilt = loop(), loop()
+    for k, value in enumerate(values):
+        expected = clean.step(0.01 * k, sample(0.01 * k, value), 0.0)
+        if k == 3:
+            in_force = spoilt.mark()
+            outlier = spoilt.step(0.01 * k - 0.005, sample(0.01 * k - 0.005, 500.0), 0.0)
+            assert abs(outlier.write[0] - in_force[0]) > 0.1
+            spoilt.retract()
+        found = spoilt.step(0.01 * k, sample(0.01 * k, value), 0.0)
+        np.testing.assert_array_equal(found.write, expected.write)
+        np.testing.assert_array_equal(found.estimate.std, expected.estimate.std)
+    assert spoilt.n_evaluations > clean.n_evaluations  # what was evaluated stays counted
+
+
+def test_an_episode_that_an_outlier_began_has_not_begun():
+    loop = retuner(Rescored(*range(1, 9)), Budget(3, 1), InnovationTrigger(residual, 1e-6), window=5)
+    loop.step(0.01, sample(value=0.1), 0.0)
+    loop.mark()
+    assert kinds(loop.step(0.02, sample(value=50.0), 0.0))[:2] == ["trigger", "candidate"]
+    loop.retract()
+    decision = loop.step(0.03, sample(value=0.1), 0.0)
+    assert decision.events == ()
+    assert decision.write is None
+    assert loop.mark().tolist() == START.tolist()  # what is in force
 
 
 def test_an_episode_ends_when_its_evaluations_are_spent():

@@ -138,6 +138,22 @@ def test_the_jump_that_re_tuning_is_for_is_no_outlier(tmp_path):
     assert result.max_error < 0.15
 
 
+@pytest.mark.parametrize("guard", ["true", "false"])
+def test_what_was_written_for_an_outlier_is_taken_back_in_the_next_step(guard, tmp_path):
+    spike = fault("spikes", RATE, size=20.0, start=0.5, stop=0.51)
+    result, events = ran(tmp_path / "run", spike, more={"guard.enabled": guard}.items())
+    before, at, after = (np.array([result.estimates[name][k] for name in ("m", "l")]) for k in (49, 50, 51))
+    assert result.time[50] == pytest.approx(0.5)
+    moved = np.abs(at - before)
+    assert np.all(moved > 1e-3)  # it was believed
+    assert np.all(np.abs(after - before) < 1e-2 * moved)
+    last = [e for e in events if e["kind"] == "write" and e["t"] == pytest.approx(0.51)]
+    np.testing.assert_array_equal(last[-1]["theta"], after)
+    if guard == "true":
+        assert result.guard["retracted"] == 1
+        assert result.guard["stopped_at"] is None  # the way back is read back as well
+
+
 def test_a_bias_of_a_state_that_was_always_there_is_not_found(tmp_path):
     # and cannot be: with another plant the same would be seen
     result, _ = ran(tmp_path / "run", fault("bias", ANGLE, size=0.01))

@@ -12,6 +12,7 @@ import argparse
 import json
 import os
 from collections.abc import Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
 from math import hypot
 from typing import Any, Final
 
@@ -126,6 +127,11 @@ def measure(case: str, name: str, mode: str, seed: int) -> list[Any]:
     return [result.status, _short(sum(result.mse)), _short(max(norms)), *counts, kept_out]
 
 
+def _measured(task: tuple[str, str, str, int]) -> list[Any]:
+    name, case, mode, seed = task
+    return measure(case, name, mode, seed)
+
+
 def _short(value: float) -> float:
     return float(f"{value:.5g}")
 
@@ -136,6 +142,7 @@ def main() -> None:
     parser.add_argument("--pendulum", type=int, default=200, metavar="SEEDS")
     parser.add_argument("--quadrotor", type=int, default=20, metavar="SEEDS")
     parser.add_argument("--only", nargs="+", default=list(CASES), choices=list(CASES), metavar="CASE")
+    parser.add_argument("--jobs", type=int, default=1, metavar="J", help="runs at a time; no number depends on it")
     parser.add_argument("--table", action="store_true", help="measure nothing")
     options = parser.parse_args()
     found: dict[str, list[Any]] = json.loads(PATH.read_text(encoding="utf-8"))["runs"] if PATH.exists() else {}
@@ -143,10 +150,11 @@ def main() -> None:
         todo = [
             k for k in _tasks(options.pendulum, options.quadrotor, options.only) if "/".join(map(str, k)) not in found
         ]
-        for n, (name, case, mode, seed) in enumerate(todo, 1):
-            found[f"{name}/{case}/{mode}/{seed}"] = measure(case, name, mode, seed)
-            if n % 5 == 0 or n == len(todo):
-                _write(found)
+        with ProcessPoolExecutor(options.jobs) as pool:
+            for n, (task, row) in enumerate(zip(todo, pool.map(_measured, todo), strict=True), 1):
+                found["/".join(map(str, task))] = row
+                if n % 5 == 0 or n == len(todo):
+                    _write(found)
     print(table(rows(found)))
 
 

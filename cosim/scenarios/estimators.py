@@ -4,6 +4,7 @@ import importlib
 import importlib.util
 import sys
 from dataclasses import dataclass
+from importlib.machinery import PathFinder
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +50,8 @@ def load(reference: str, folder: Path, key: str = "estimation.model") -> Any:
     Raises ScenarioError, which names the key.
     """
     module_name, _, name = reference.partition(":")
-    places = [str(folder), str(Path.cwd())]
+    places = [str(folder.resolve()), str(Path.cwd())]
+    _forget(module_name.partition(".")[0], places)
     sys.path[:0] = places
     try:
         return getattr(importlib.import_module(module_name), name)
@@ -58,6 +60,19 @@ def load(reference: str, folder: Path, key: str = "estimation.model") -> Any:
     finally:
         for place in places:
             sys.path.remove(place)
+
+
+def _forget(name: str, places: list[str]) -> None:
+    """Let go of a module of that name that came from beside another scenario: here it is another one."""
+    spec = getattr(sys.modules.get(name), "__spec__", None)
+    here = PathFinder.find_spec(name, places)
+    if spec is None or here is None or None in (spec.origin, here.origin) or spec.origin == here.origin:
+        return
+    folder = Path(spec.origin).parent if spec.submodule_search_locations is None else Path(spec.origin).parents[1]
+    if str(folder) in sys.path:  # of an installed package, of the standard library, of the user's program
+        return
+    for loaded in [m for m in sys.modules if m == name or m.startswith(f"{name}.")]:
+        del sys.modules[loaded]
 
 
 @dataclass(frozen=True)

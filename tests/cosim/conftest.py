@@ -4,7 +4,6 @@ import os
 import re
 import shutil
 import signal
-import sys
 import tempfile
 import time
 import zipfile
@@ -184,7 +183,6 @@ def workplace(tmp_path, monkeypatch):
     folder = tmp_path / "work"
     folder.mkdir()
     monkeypatch.chdir(folder)
-    monkeypatch.delitem(sys.modules, "plant_model", raising=False)  # each folder has its own
     handler, environment = signal.getsignal(signal.SIGTERM), dict(os.environ)
     yield folder
     signal.signal(signal.SIGTERM, handler)

@@ -6,11 +6,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final, NoReturn
 
-from .names import named_scenarios
-from .offline.estimate_options import add_options
-
-REFUSED: Final = 2
-"""Exit code: the input was refused."""
+from ..names import named_scenarios
+from ..offline.estimate_options import add_options
+from .exit_codes import REFUSED
 
 
 class Parser(argparse.ArgumentParser):
@@ -22,15 +20,15 @@ class Parser(argparse.ArgumentParser):
         raise SystemExit(REFUSED)
 
 
-def parser_of(commands: Mapping[str, Callable[[argparse.Namespace], int]]) -> Parser:
-    """The parser of these commands, which `command` of what it returns is one of."""
+def make_parser() -> Parser:
+    """The parser of all commands; `command` of what it returns is the name of the one that was chosen."""
     parser = Parser(prog="retune", description="Re-tune a controller FMU while it runs.", allow_abbrev=False)
     table = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=Parser)
     for name, (text, add) in _OPTIONS.items():
         one = table.add_parser(name, help=text, allow_abbrev=False)
         add(one)
         one.add_argument("--debug", action="store_true", help="show tracebacks, and all that the FMUs log")
-        one.set_defaults(command=commands[name])
+        one.set_defaults(command=name)
     return parser
 
 

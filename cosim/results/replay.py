@@ -21,7 +21,7 @@ from ..scenarios.estimators import find_method
 from ..scenarios.schema import GuardSettings
 from .comparison import Comparison
 from .crew import record_of
-from .record import FolderError, new_run_folder
+from .record import FolderError, new_run_folder, recording
 from .result import Run, read_run
 
 
@@ -48,7 +48,8 @@ def replay(folder: Path, estimators: Sequence[str], seed: int | None = None, out
     names = tuple(run.estimator for run in runs)
     comparison = Comparison(recorded.scenario, names, (seed,), records, 1, folder=out, is_open_loop=True)
     if out is not None:
-        comparison.write(out)
+        with recording(out):
+            comparison.write(out)
     return comparison
 
 

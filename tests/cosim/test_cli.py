@@ -312,7 +312,7 @@ def test_figures_are_listed_as_they_are_written(called, workplace, monkeypatch):
         progress({"scenario": "pendulum", "estimator": "none", "seed": seed, "status": "done"}, 1, 2)
         return [folder / "a.png", folder / "b.svg"]
 
-    monkeypatch.setattr("cosim.plots.figures.figures", made_up)
+    monkeypatch.setattr("cosim.commands.figures.figures", made_up)
     code, out, err = called("figures", "--seed", "4", "--jobs", "2")
     assert (code, out, err) == (0, "figures/a.png\nfigures/b.svg\n", "")
     assert given == [(Path("figures"), 4, 2)]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from cosim import cli
+from cosim.commands import doctor
 from cosim.errors import SlaveError
 from cosim.results.record import read_series
 from cosim.scenarios.schema import Settings
@@ -177,7 +177,7 @@ def test_what_nobody_has_thought_of_is_one_line_and_no_success(command, monkeypa
     def fail(_):
         raise ZeroDivisionError("of\nours")
 
-    monkeypatch.setitem(cli._COMMANDS, "doctor", fail)
+    monkeypatch.setattr(doctor, "command", fail)
     assert command("doctor", "x") == (1, "", "retune: ZeroDivisionError: of ours; --debug shows where\n")
 
 

@@ -1,0 +1,13 @@
+"""`retune doctor`."""
+
+import argparse
+
+from ..authoring.doctor import diagnose
+from .exit_codes import DONE, UNFINISHED
+
+
+def command(options: argparse.Namespace) -> int:
+    """Returns the exit code."""
+    diagnosis = diagnose(options.fmu)
+    print(diagnosis)
+    return DONE if diagnosis.is_well else UNFINISHED

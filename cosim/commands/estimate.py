@@ -1,0 +1,41 @@
+"""`retune estimate`."""
+
+import argparse
+import sys
+
+from ..offline.estimate import FailedError, estimate
+from ..offline.estimate_options import request_of
+from ..offline.fit_plot import draw_fit
+from ..offline.fit_report import estimates_ssv, report, summary, write_files
+from ..progress import bar_of_rollouts
+from ..results.record import recording, to_json, write_text
+from .exit_codes import DONE, INTERRUPTED, UNFINISHED
+from .folders import must_be_new, new_folder
+
+
+def command(options: argparse.Namespace) -> int:
+    """Returns the exit code."""
+    request = request_of(options)
+    must_be_new(options.ssv, "--ssv")
+    if options.online:
+        from .estimate_online import estimate_online
+
+        return estimate_online(options, request)
+    try:
+        with new_folder(f"{request.fmu.stem}-estimate", options.out) as folder:
+            with bar_of_rollouts(request.fmu.stem, request.evaluations) as progress:
+                found = estimate(request, progress)
+            with recording(folder):
+                write_files(found, folder)
+                draw_fit(found, folder / "fit.png")
+    except FailedError as e:
+        print(f"retune: {e}", file=sys.stderr)
+        return UNFINISHED
+    except KeyboardInterrupt:
+        print("retune: interrupted; there is no estimate yet", file=sys.stderr)
+        return INTERRUPTED
+    if options.ssv:
+        with recording(options.ssv.parent):
+            write_text(options.ssv, estimates_ssv(found))
+    print(to_json(summary(found)) if options.json else f"{report(found)}\n\nwritten to {folder}")
+    return DONE

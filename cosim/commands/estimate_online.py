@@ -1,0 +1,33 @@
+"""`retune estimate --online`."""
+
+import argparse
+import sys
+
+from ..offline.estimate import Request
+from ..offline.online import run_online
+from ..offline.online_report import estimates_ssv, report, summary, write_files
+from ..progress import bar_of_samples
+from ..results.record import recording, to_json, write_text
+from .exit_codes import DONE, INTERRUPTED, UNFINISHED
+from .folders import new_folder
+
+
+def estimate_online(options: argparse.Namespace, request: Request) -> int:
+    """Returns the exit code."""
+    try:
+        with new_folder(f"{request.fmu.stem}-online", options.out) as folder:
+            with bar_of_samples(request.fmu.stem) as progress:
+                found = run_online(request, options.samples or 50, progress)
+            with recording(folder):
+                write_files(found, folder)
+    except KeyboardInterrupt:
+        print("retune: interrupted; nothing is written", file=sys.stderr)
+        return INTERRUPTED
+    if options.ssv:
+        with recording(options.ssv.parent):
+            write_text(options.ssv, estimates_ssv(found))
+    print(to_json(summary(found)) if options.json else f"{report(found)}\n\nwritten to {folder}")
+    if found.failure is not None:
+        print(f"retune: {found.failure}; what there is so far is in {folder}", file=sys.stderr)
+        return UNFINISHED
+    return DONE

@@ -1,0 +1,23 @@
+"""`retune export`."""
+
+import argparse
+
+from ..results.record import FolderError, write_bytes
+from ..scenarios.scenario import Scenario
+from ..scenarios.start_values import with_start_values
+from ..ssp.write import to_ssp
+from .exit_codes import DONE
+
+
+def command(options: argparse.Namespace) -> int:
+    """Returns the exit code."""
+    content = to_ssp(with_start_values(Scenario.load(options.scenario, dict(options.overrides)), options.start_values))
+    verb = "written"
+    if options.ssp.exists():
+        verb = "unchanged" if options.ssp.is_file() and options.ssp.read_bytes() == content else "replaced"
+    if verb == "replaced" and not options.force:
+        raise FolderError(f"{options.ssp} exists and differs; give --force or another --ssp.")
+    if verb != "unchanged":
+        write_bytes(options.ssp, content)
+    print(f"{options.ssp}  {verb}")
+    return DONE

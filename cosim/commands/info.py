@@ -1,0 +1,15 @@
+"""`retune info`."""
+
+import argparse
+from dataclasses import asdict
+
+from ..authoring.info import info
+from ..results.record import to_json
+from .exit_codes import DONE
+
+
+def command(options: argparse.Namespace) -> int:
+    """Returns the exit code."""
+    found = info(options.fmu)
+    print(to_json(asdict(found)) if options.json else found)
+    return DONE

@@ -1,0 +1,22 @@
+"""`retune new`."""
+
+import argparse
+
+from ..authoring.draft import draft
+from ..results.record import write_text
+from .exit_codes import DONE
+from .folders import must_be_new
+
+
+def command(options: argparse.Namespace) -> int:
+    """Returns the exit code."""
+    must_be_new(options.out, "-o")
+    given = {"plant": options.plant, "controller": options.controller, "reference": options.reference}
+    written = draft({name: path for name, path in given.items() if path}, options.out.parent, options.model)
+    write_text(options.out, written.text)
+    print(f"{options.out}  written")
+    for mark, what in (("FILL", "to fill in"), ("GUESS", "to look at")):
+        for number, line in written.lines(mark):
+            print(f"{options.out}:{number}: {what}: {' '.join(line.split())}")
+    print(f"then: retune check {options.out}")
+    return DONE

@@ -1,0 +1,16 @@
+"""`retune replay`."""
+
+import argparse
+from contextlib import nullcontext
+
+from ..results.replay import replay
+from .exit_codes import DONE
+from .folders import new_folder
+
+
+def command(options: argparse.Namespace) -> int:
+    """Returns the exit code."""
+    with new_folder("replay", options.out) if options.out else nullcontext():
+        result = replay(options.run, options.estimator, options.seed, options.out)
+    print(result.to_json() if options.json else result.table())
+    return DONE

@@ -1,0 +1,32 @@
+"""`retune resume`."""
+
+import argparse
+from functools import partial
+from pathlib import Path
+
+from ..results.lock import locked
+from ..results.manifest import read_manifest, scenario_of
+from ..results.record import FolderError
+from ..results.result import Run, read_run
+from ..results.unfinished import has_begun, has_ended
+from ..simulation import resume, run
+from .runs import BASELINES, simulated, tell
+
+
+def command(options: argparse.Namespace) -> int:
+    """Returns the exit code."""
+    folder: Path = options.run
+    begun = read_manifest(folder)
+    scenario = scenario_of(folder, begun)
+    estimators = {folder: begun.estimator} | {folder / n: n for n in BASELINES if (folder / n).is_dir()}
+    if all(map(has_ended, estimators)):
+        raise FolderError(f"{folder} cannot be resumed: it is {begun.status}.")
+    runs: dict[Path, Run] = {}
+    with locked(folder):
+        for path, name in estimators.items():
+            if has_ended(path):
+                runs[path] = read_run(path)
+                continue
+            go_on = partial(resume, path) if has_begun(path) else partial(run, scenario, name, begun.seed, path)
+            runs[path] = simulated(scenario, name, go_on)
+        return tell(folder, runs, options.json, len(runs) > 1 or begun.estimator in BASELINES)

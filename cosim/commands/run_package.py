@@ -1,0 +1,26 @@
+"""`retune run` of a package made elsewhere, of which nobody has said what to estimate."""
+
+import argparse
+import sys
+
+from ..errors import SspError
+from ..results.record import to_json
+from ..ssp.package import System
+from ..ssp.run import report, simulate
+from ..ssp.settings import overridden
+from .exit_codes import DONE, UNFINISHED
+from .folders import new_folder
+
+
+def run_package(options: argparse.Namespace) -> int:
+    """Returns the exit code."""
+    if options.ssv or options.estimator not in ("target", "none"):
+        raise SspError(f"{options.scenario} holds no scenario: nothing is estimated in it; give --scenario FILE.")
+    system, settings = overridden(System.from_ssp(options.scenario), dict(options.overrides), options.start_values)
+    with new_folder(settings.name, options.out) as folder:
+        result = simulate(system, settings, folder)
+    print(to_json(result.summary()) if options.json else report(result))
+    if result.error:
+        print(f"retune: {result.error}; rows so far are in {folder}.", file=sys.stderr)
+        return UNFINISHED
+    return DONE

@@ -4,6 +4,7 @@ of a run that nobody disturbed."""
 import json
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -212,25 +213,54 @@ def assert_full(outcome: tuple[int, str, str], folder: Path, reason: str) -> Non
     assert json.loads((folder / MANIFEST).read_text())["status"] == "running"
 
 
-def test_a_run_on_a_full_disk_goes_on_when_there_is_room(started, undisturbed, temporary, tmp_path):
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=100k", "tmpfs", str(disk)]
+@pytest.fixture
+def disk(tmp_path) -> Iterator[Path]:
+    """A small disk of its own: 100 kB."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=100k", "tmpfs", str(folder)]
     if shutil.which("mount") is None or subprocess.run(mount, capture_output=True, check=False).returncode:
         pytest.skip("may not mount a file system")
-    try:
-        arguments = [*PENDULUM, "--only"]
-        whole, folder = undisturbed(*arguments), disk / "run"
-        assert_full(ended(started(*arguments, "--out", folder)), folder, "No space left on device")
-        assert_readable(whole, folder)
-        assert {p.name for p in folder.iterdir()} == {MANIFEST, SERIES, EVENTS, CHECKPOINT}
-        assert_full(ended(started("resume", folder)), folder, "No space left on device")  # still no room
-        subprocess.run(["mount", "-o", "remount,size=10m", str(disk)], check=True)
-        assert ended(started("resume", folder))[::2] == (0, "")
-        assert_same(whole, folder)
-        assert list(temporary.iterdir()) == []
-    finally:
-        subprocess.run(["umount", str(disk)], check=True)
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True)
+
+
+def test_a_run_on_a_full_disk_goes_on_when_there_is_room(started, undisturbed, temporary, disk):
+    arguments = [*PENDULUM, "--only"]
+    whole, folder = undisturbed(*arguments), disk / "run"
+    assert_full(ended(started(*arguments, "--out", folder)), folder, "No space left on device")
+    assert_readable(whole, folder)
+    assert {p.name for p in folder.iterdir()} == {MANIFEST, SERIES, EVENTS, CHECKPOINT}
+    assert_full(ended(started("resume", folder)), folder, "No space left on device")  # still no room
+    subprocess.run(["mount", "-o", "remount,size=10m", str(disk)], check=True)
+    assert ended(started("resume", folder))[::2] == (0, "")
+    assert_same(whole, folder)
+    assert list(temporary.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["replay", "RUN", "--estimator", "least-squares", "--out", "DISK/x"],
+        [*PENDULUM, "--only", "--set", "scenario.stop_time=0.1", "--out", "WORK/run", "--ssv", "DISK/x.ssv"],
+        ["compare", "pendulum", "--estimators", "none", "--seeds", "1", "--out", "DISK/x"],
+        ["illustrate", "--out", "DISK/x.png"],
+        ["export", "pendulum", "--ssp", "DISK/x.ssp"],
+        ["build", "--out", "DISK/x"],
+    ],
+    ids=lambda arguments: arguments[0],
+)  # fmt: skip
+def test_every_command_for_which_the_disk_has_no_room_says_so_and_has_not_finished(
+    arguments, started, undisturbed, temporary, disk, tmp_path
+):
+    (disk / "filler").write_bytes(bytes(os.statvfs(disk).f_bavail * os.statvfs(disk).f_bsize))
+    where = {"RUN": str(undisturbed(*PENDULUM, "--only")), "DISK": str(disk), "WORK": str(tmp_path)}
+    for name, path in where.items():
+        arguments = [argument.replace(name, path) for argument in arguments]
+    code, out, err = ended(started(*arguments))
+    assert (code, out, len(err.splitlines())) == (1, "", 1)
+    assert re.fullmatch(rf"retune: cannot (write|build into) {disk}/x.*: No space left on device\.\n", err), err
+    assert [path.name for path in disk.rglob("*") if path.is_file() and path.stat().st_size] == ["filler"]
 
 
 @pytest.mark.parametrize("name", [CHECKPOINT, SERIES])

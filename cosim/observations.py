@@ -7,26 +7,19 @@ of its state is inconsistent. A constant bias of a state, or one of derivative a
 another plant: nothing here can tell them apart.
 """
 
-from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from math import inf, isfinite, sqrt
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from math import nan
 from typing import Any, Final, NamedTuple
-
-import numpy as np
 
 from estimator import Sample, Vector
 
 from .consistency import Consistency
+from .outliers import Outliers
 from .reconfigure import Event
 from .scenarios.sampling_schema import ObservationSettings
+from .sensors import INPUT, LATE, Health, PlainFaults
 
-_MEMORY: Final = 31
-"""Changes of the residual whose median says what is usual."""
-_MOST_SUSPECTS: Final = 5
-"""Suspects in a row; more are no outliers, which are isolated."""
-_PERSISTS: Final = 0.3
-"""Share of a jump that must be there in the next sample; the controller may have answered to it already."""
 _STILL: Final = 1e-9
 """Change of a state over a step, relative to its size, below which it may keep its bits."""
 
@@ -56,146 +49,89 @@ class Seen(NamedTuple):
 
     sample: Sample | None
     """What the estimator gets; None where it is kept out."""
-    is_suspect: bool
+    is_suspect: bool = False
     """It has jumped: the next one confirms it, or it is taken back."""
-    was_outlier: bool
+    was_outlier: bool = False
     """The one before, which was suspect, was not confirmed: it is to be taken back."""
-    events: tuple[Event, ...]
+    events: tuple[Event, ...] = ()
     """What there is to say."""
 
 
 class Screen:
-    """Takes each sample, says whether the estimator gets it; counts those that it does not get, by kind and sensor."""
+    """Of sampled derivatives: takes each sample, says whether the estimator gets it."""
 
     def __init__(self, settings: ObservationSettings, sensors: Sensors, macro_step: float) -> None:
         """macro_step [s]."""
-        self._settings, self._sensors, self._h = settings, sensors, macro_step
-        self._outliers = Outliers(settings.outlier, sensors)
+        self._sensors, self._h = sensors, macro_step
+        n = len(sensors.noise)
+        self._outliers = Outliers(settings.outlier, sensors.names[:n], sensors.noise, sensors.residual)
         self._consistency = Consistency(
             sensors.channels, sensors.noise, sensors.state_noise, sensors.slope, settings.inconsistent, macro_step
         )
-        self._stamp = -inf
-        self._previous: tuple[float, ...] = ()
-        self._n_same = [0] * len(sensors.names)
-        self._bad: deque[frozenset[tuple[str, str]]] = deque(maxlen=settings.patience)
-        self._failed: dict[str, None] = {}
-        self.counts: Counter[str] = Counter()
-        """Findings, by "KIND SENSOR"."""
-        self.n_kept_out = 0
-        """Samples that the estimator did not get."""
+        self._plain, self._health = PlainFaults(sensors.names, settings.stuck, macro_step), Health(settings)
+        self._n_kept_out = 0
 
-    def step(self, t: float, sample: Sample, theta: Vector) -> "Seen":
+    def step(self, t: float, sample: Sample, theta: Vector) -> Seen:
         """What the sample is good for; theta (d,): what is in force at t [s]."""
-        found = {*self._plain(t, sample, theta)}
+
+        def moves(i: int) -> bool:
+            return self._sensors.is_noisy[i] or self._state_moves(i, sample, theta)
+
+        found = {*self._plain.step(t, sample.t, (*sample.xdot, *sample.x), sample.u, moves)}
         if not found:
             found = {("inconsistent", self._sensors.names[i]) for i in self._consistency.step(sample, theta)}
         is_suspect, outliers = (False, []) if found else self._outliers.step(sample, theta)
-        is_kept_out = bool(found) or bool(self._failed)
-        found |= {("outlier", name) for name in outliers}
-        events: list[Event] = []
-        for kind, name in sorted(found):
-            self.counts[f"{kind} {name}"] += 1
-            if not any((kind, name) in bad for bad in self._bad):  # the first of a series is told
-                events.append(Event(t, "observation", {"fault": kind, "sensor": name}))
-        self._bad.append(frozenset(found))
-        events += self._judge(t, {name: kind for kind, name in found})
-        self.n_kept_out += is_kept_out + bool(outliers)
+        is_kept_out = bool(found or self._health.failed)
+        self._n_kept_out += is_kept_out + bool(outliers)
+        events = self._health.take(t, found | {("outlier", name) for name in outliers})
         return Seen(None if is_kept_out else sample, is_suspect, bool(outliers), tuple(events))
 
     def summary(self) -> dict[str, Any]:
         """The counts, as JSON values; failed: sensors that are bad at the end."""
-        return {"kept_out": self.n_kept_out, "found": dict(sorted(self.counts.items())), "failed": [*self._failed]}
+        return _summary(self._n_kept_out, self._health)
 
-    def _plain(self, t: float, sample: Sample, theta: Vector) -> Iterator[tuple[str, str]]:
-        """What is wrong with a sample by itself, or beside the one before: (kind, sensor)."""
-        is_late = sample.t < t - 0.5 * self._h or sample.t <= self._stamp
-        self._stamp = max(self._stamp, sample.t)
-        if is_late:
-            yield "late", "sample"
-            return
-        values = (*sample.xdot, *sample.x)
-        named = [*zip(self._sensors.names, values, strict=True), *(("input", u) for u in sample.u)]
-        bad = [(("missing" if value != value else "infinite"), name) for name, value in named if not isfinite(value)]
-        yield from bad
-        if self._previous:
-            pairs = zip(self._n_same, values, self._previous, strict=True)
-            self._n_same = [n + 1 if value == before else 0 for n, value, before in pairs]
-        self._previous = values
-        if not bad and max(self._n_same) >= self._settings.stuck:
-            yield from self._stuck(sample, theta)
-
-    def _stuck(self, sample: Sample, theta: Vector) -> Iterator[tuple[str, str]]:
-        """Sensors that kept their bits where noise, or the model's slope of a state, would have changed them."""
-        n = len(sample.xdot)
-        for i, n_same in enumerate(self._n_same):
-            if n_same < self._settings.stuck:
-                continue
-            if self._sensors.is_noisy[i]:
-                yield "stuck", self._sensors.names[i]
-            elif i >= n:
-                slope = self._sensors.slope(theta, sample)[i - n]
-                if abs(slope) * self._h > _STILL * max(1.0, abs(sample.x[i - n])):
-                    yield "stuck", self._sensors.names[i]
-
-    def _judge(self, t: float, now: Mapping[str, str]) -> Iterator[Event]:
-        """Sensors that have just failed, or recovered: bad in more than half, or a tenth, of the newest samples."""
-        for name in {*now, *self._failed}:
-            n_bad = sum(any(name == sensor for _, sensor in bad) for bad in self._bad)
-            if name not in self._failed and n_bad > self._settings.patience / 2:
-                self._failed[name] = None
-                reason = f"{name} was bad in {n_bad} of {len(self._bad)} samples, now {now[name]}: re-tuning rests"
-                yield Event(t, "sensor", {"sensor": name, "reason": reason})
-            elif name in self._failed and n_bad <= self._settings.patience / 10:
-                del self._failed[name]
-                yield Event(t, "sensor", {"sensor": name, "reason": f"{name} is good again: re-tuning goes on"})
+    def _state_moves(self, i: int, sample: Sample, theta: Vector) -> bool:
+        """Whether the model says that the state at that place, if it is one, has changed over the step."""
+        place = i - len(sample.xdot)
+        if place < 0:
+            return False
+        slope = self._sensors.slope(theta, sample)[place]
+        return abs(slope) * self._h > _STILL * max(1.0, abs(sample.x[place]))
 
 
-class Outliers:
-    """Suspects a sample whose residual has jumped, until the next one shows whether the change persists."""
+class OutputScreen:
+    """Of sampled outputs, for roll-outs, which need every sample: a bad value becomes NaN, which is not judged.
 
-    def __init__(self, limit: float, sensors: Sensors) -> None:
-        """limit: of a change, in robust standard deviations of the changes so far, at least of the noise."""
-        self._limit, self._sensors = limit, sensors
-        self._last: Sample | None = None
-        self._suspect: Sample | None = None
-        self._theta = np.empty(0)  # what was in force at the suspect
-        self._n_suspects = 0
-        self._changes: deque[Vector] = deque(maxlen=_MEMORY)
+    An outlier cannot be told from what other parameters would do: that takes a model of the outputs.
+    """
 
-    def step(self, sample: Sample, theta: Vector) -> tuple[bool, list[str]]:
-        """Whether the sample is suspect, and the sensors of which the sample before, suspect too, was an outlier.
+    def __init__(
+        self,
+        settings: ObservationSettings,
+        names: tuple[str, ...],
+        is_noisy: tuple[bool, ...],
+        macro_step: float,
+    ) -> None:
+        """names, is_noisy: of the outputs y (c,), and whether noise changes their bits; macro_step [s]."""
+        self._names, self._is_noisy = names, is_noisy
+        self._plain, self._health = PlainFaults(names, settings.stuck, macro_step), Health(settings)
+        self._n_kept_out = 0
 
-        theta (d,): what is in force. After a suspect, what was in force at it: a write on its account has changed the
-        inputs, which with wrong parameters makes residuals jump as well.
-        """
-        residual = self._sensors.residual
-        if self._suspect is not None:
-            theta = self._theta
-        now = residual(theta, sample)
-        if self._last is None or not np.isfinite(now).all():
-            return self._accept(sample), []
-        last = residual(theta, self._last)
-        limit = self._limits(sample, now, last)
-        is_far, outliers = np.abs(now - last) > limit, np.zeros(len(now), dtype=bool)
-        self._changes.append(np.abs(now - last))
-        if self._suspect is not None:
-            before = residual(theta, self._suspect)
-            was_far = np.abs(before - last) > limit
-            persists = (now - last) / np.where(was_far, before - last, 1.0) >= _PERSISTS
-            outliers, is_far = was_far & ~persists, is_far & ~(persists & was_far)
-        names = [self._sensors.names[i] for i in np.flatnonzero(outliers)]
-        if is_far.any() and self._n_suspects < _MOST_SUSPECTS:
-            self._suspect, self._theta, self._n_suspects = sample, theta, self._n_suspects + 1
-            return True, names
-        return self._accept(sample), names
+    def step(self, t: float, sample: Sample, theta: Vector) -> Seen:
+        """The sample at t [s] without its bad values; while a sensor has failed, without any."""
+        found = {*self._plain.step(t, sample.t, sample.y, sample.u, lambda i: self._is_noisy[i])}
+        bad = {name for _, name in found}
+        is_useless = bool(self._health.failed) or LATE in found or INPUT in bad
+        y = tuple(
+            nan if is_useless or name in bad else value for name, value in zip(self._names, sample.y, strict=True)
+        )
+        self._n_kept_out += bool(found) or is_useless
+        return Seen(replace(sample, t=t, y=y), events=tuple(self._health.take(t, found)))
 
-    def _limits(self, sample: Sample, now: Vector, last: Vector) -> Vector:
-        """Changes of the residual (c,) that are usual; where the model moves much, its error may move as much."""
-        usual = 1.4826 * np.median(self._changes, axis=0) if self._changes else np.zeros(len(now))
-        assert self._last is not None
-        measured = np.subtract(sample.xdot, self._last.xdot) / self._sensors.noise
-        return self._limit * np.maximum(usual, sqrt(2.0)) + np.abs(measured - (now - last))
+    def summary(self) -> dict[str, Any]:
+        """As that of `Screen`; kept_out: samples of which at least one value was."""
+        return _summary(self._n_kept_out, self._health)
 
-    def _accept(self, sample: Sample) -> bool:
-        self._last, self._suspect, self._n_suspects = sample, None, 0
-        return False
+
+def _summary(n_kept_out: int, health: Health) -> dict[str, Any]:
+    return {"kept_out": n_kept_out, "found": dict(sorted(health.counts.items())), "failed": [*health.failed]}

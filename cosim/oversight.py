@@ -13,7 +13,8 @@ from .errors import CosimError
 from .foresight import Foresight, Running
 from .guard import Guard, Peak
 from .master import Master
-from .observations import Screen, Seen, Sensors
+from .objectives import chosen
+from .observations import OutputScreen, Screen, Seen, Sensors
 from .reconfigure import Event, Reconfiguration, Retuner
 from .scenarios.scenario import Scenario
 from .scenarios.system import Plant
@@ -54,11 +55,7 @@ class Oversight:
             if scenario.guard.enabled
             else None
         )
-        self._screen = (
-            Screen(scenario.observations, _sensors(scenario, plant, whitened), scenario.scenario.macro_step)
-            if scenario.observations.enabled and whitened is not None and scenario.sampling.filter is None
-            else None
-        )
+        self._screen = _screen(scenario, plant, whitened)
         self._foresight: Foresight | None = None
         self._why_blind = "guard.foresight is false"
         if running is not None and self._guard is not None and scenario.guard.foresight:
@@ -85,8 +82,8 @@ class Oversight:
         Where the sample before was an outlier, the estimator knows nothing of it from here on.
         """
         if sample is None:
-            return Seen(None, False, False, ())
-        seen = Seen(sample, False, False, ()) if self._screen is None else self._screen.step(t, sample, theta)
+            return Seen(None)
+        seen = Seen(sample) if self._screen is None else self._screen.step(t, sample, theta)
         if seen.was_outlier and self._marked is not None:
             self._policy.retract()
             self._sight.retract()
@@ -143,6 +140,19 @@ class Oversight:
             return foresight.peak(states[0], values, k, controller, plant)
 
         return peak
+
+
+def _screen(scenario: Scenario, plant: Plant, whitened: DerivativeResidual | None) -> Screen | OutputScreen | None:
+    """Of what is judged; None where that is what a filter or the user's own function makes of the samples."""
+    settings, h = scenario.observations, scenario.scenario.macro_step
+    if not settings.enabled or scenario.sampling.filter is not None:
+        return None
+    if whitened is not None:
+        return Screen(settings, _sensors(scenario, plant, whitened), h)
+    if chosen(scenario).kind != "rollout":
+        return None
+    outputs = scenario.sampling.outputs
+    return OutputScreen(settings, tuple(outputs), tuple(output.noise > 0.0 for output in outputs.values()), h)
 
 
 @dataclass(frozen=True)

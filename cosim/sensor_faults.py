@@ -40,8 +40,7 @@ class SensorFaults:
             elif draw < fault.probability:
                 old = self._past[max(len(self._past) - 1 - fault.steps, 0)]
                 if fault.kind == "late":
-                    measured, stamp = [*old.xdot, *old.x, *old.y], old.t
-                    sample = replace(sample, u=old.u)
+                    measured, stamp = [*old.xdot, *old.x, *old.y], old.t  # what the inputs are is known
                     continue
                 source = {"delay": (*old.xdot, *old.x, *old.y)}.get(fault.kind, tuple(measured))
                 if fault.kind == "stuck":

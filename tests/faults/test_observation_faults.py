@@ -112,6 +112,41 @@ def test_a_fault_is_found_counted_and_kept_from_the_estimator(faults, found, kep
         assert all(math.isfinite(v) for v in event.get("theta", []))
 
 
+# Where roll-outs judge, which need every sample: a bad value of an output is left out of it.
+
+ROLLOUTS = {
+    "sampling.outputs": '{"plant.phi" = {noise = 1e-3}, "plant.phi_dot" = {noise = 2e-3}}',
+    "estimation.objective": "rollout",
+    "scenario.stop_time": "1.5",
+}
+OUTPUT_ROWS = {
+    "NaN for 0.2 s": ([fault("dropout", SPEED, start=0.5, stop=0.7)], {f"missing {SPEED}": 20}, (20, 20), []),
+    "NaN of everything": (
+        [fault("dropout", start=0.5)], {f"missing {name}": 101 for name in (ANGLE, SPEED)}, (101, 101), [ANGLE, SPEED],
+    ),
+    "infinity at random": (
+        [fault("infinite", SPEED, probability=0.1)], {f"infinite {SPEED}": None}, (5, 25), [],
+    ),
+    "late at random": ([fault("late", steps=3, probability=0.2)], {"late sample": None}, (15, 45), []),
+    "stuck": ([fault("stuck", SPEED, start=0.8)], {f"stuck {SPEED}": None}, (55, 71), [SPEED]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", OUTPUT_ROWS)
+def test_a_bad_output_is_left_out_of_roll_outs_which_find_the_parameters_all_the_same(name, tmp_path):
+    faults, found, kept_out, failed = OUTPUT_ROWS[name]
+    result, events = ran(tmp_path / "run", *faults, more=ROLLOUTS.items())
+    seen = result.observations
+    assert result.status == "done"
+    assert {name: n and seen["found"][name] for name, n in found.items()} == found
+    assert kept_out[0] <= seen["kept_out"] <= kept_out[1], seen
+    assert seen["failed"] == failed
+    assert {e["sensor"] for e in events if e["kind"] == "sensor"} == set(failed)
+    if name != "stuck":  # what is stuck is believed until that is certain
+        assert result.estimates["m"][-1] == pytest.approx(4.271, rel=5e-3)
+        assert result.estimates["l"][-1] == pytest.approx(0.981, rel=5e-3)
+
+
 # What must not be found.
 
 

@@ -1,0 +1,75 @@
+"""Samples whose residual has jumped: suspect, until the next one shows whether the change persists."""
+
+from collections import deque
+from collections.abc import Callable
+from math import sqrt
+from typing import Final
+
+import numpy as np
+
+from estimator import Sample, Vector
+
+_MEMORY: Final = 31
+"""Changes of the residual whose median says what is usual."""
+_MOST_SUSPECTS: Final = 5
+"""Suspects in a row; more are no outliers, which are isolated."""
+_PERSISTS: Final = 0.3
+"""Share of a jump that must be there in the next sample; the controller may have answered to it already."""
+
+
+class Outliers:
+    """Keeps the last good sample and the suspect one."""
+
+    def __init__(
+        self,
+        limit: float,
+        names: tuple[str, ...],
+        noise: tuple[float, ...],
+        residual: Callable[[Vector, Sample], Vector],
+    ) -> None:
+        """limit: of a change, in robust standard deviations of the changes so far, at least of the noise; names, noise:
+        of the channels (c,); residual: whitened, (c,) of one sample."""
+        self._limit, self._names, self._noise, self._residual = limit, names, np.array(noise), residual
+        self._last: Sample | None = None
+        self._suspect: Sample | None = None
+        self._theta = np.empty(0)  # what was in force at the suspect
+        self._n_suspects = 0
+        self._changes: deque[Vector] = deque(maxlen=_MEMORY)
+
+    def step(self, sample: Sample, theta: Vector) -> tuple[bool, list[str]]:
+        """Whether the sample is suspect, and the sensors of which the sample before, suspect too, was an outlier.
+
+        theta (d,): what is in force. After a suspect, what was in force at it: a write on its account has changed the
+        inputs, which with wrong parameters makes residuals jump as well.
+        """
+        residual = self._residual
+        if self._suspect is not None:
+            theta = self._theta
+        now = residual(theta, sample)
+        if self._last is None or not np.isfinite(now).all():
+            return self._accept(sample), []
+        last = residual(theta, self._last)
+        limit = self._limits(sample, now, last)
+        is_far, outliers = np.abs(now - last) > limit, np.zeros(len(now), dtype=bool)
+        self._changes.append(np.abs(now - last))
+        if self._suspect is not None:
+            before = residual(theta, self._suspect)
+            was_far = np.abs(before - last) > limit
+            persists = (now - last) / np.where(was_far, before - last, 1.0) >= _PERSISTS
+            outliers, is_far = was_far & ~persists, is_far & ~(persists & was_far)
+        names = [self._names[i] for i in np.flatnonzero(outliers)]
+        if is_far.any() and self._n_suspects < _MOST_SUSPECTS:
+            self._suspect, self._theta, self._n_suspects = sample, theta, self._n_suspects + 1
+            return True, names
+        return self._accept(sample), names
+
+    def _limits(self, sample: Sample, now: Vector, last: Vector) -> Vector:
+        """Changes of the residual (c,) that are usual; where the model moves much, its error may move as much."""
+        usual = 1.4826 * np.median(self._changes, axis=0) if self._changes else np.zeros(len(now))
+        assert self._last is not None
+        measured = np.subtract(sample.xdot, self._last.xdot) / self._noise
+        return self._limit * np.maximum(usual, sqrt(2.0)) + np.abs(measured - (now - last))
+
+    def _accept(self, sample: Sample) -> bool:
+        self._last, self._suspect, self._n_suspects = sample, None, 0
+        return False

@@ -70,28 +70,46 @@ class Foresight:
                 slave.check_tunables(w.tunables)
         self._stack = stack.enter_context(ExitStack())
         self._shadows: dict[str, Steppable] = {}
+        self._proved: set[str] = set()  # FMUs whose states have been saved and restored
         self._master: Master | None = None
         self._tracked: list[tuple[int, int]] = []
         self.n_rolled = 0
         """Times that the loop was rolled ahead."""
+        self.failure: str | None = None
+        """Why it cannot be rolled ahead after all."""
 
     checkpoint_name = "loop rolled ahead"
 
-    def to_checkpoint(self) -> int:
-        """It is brought to now each time that it is needed: a count is all that it holds."""
-        return self.n_rolled
+    def to_checkpoint(self) -> tuple[int, str | None]:
+        """It is brought to now each time that it is needed: a count is all that it holds, and whether it has failed."""
+        return self.n_rolled, self.failure
 
-    def from_checkpoint(self, saved: int) -> None:
-        """The count."""
-        self.n_rolled = saved
+    def from_checkpoint(self, saved: tuple[int, str | None]) -> None:
+        """Hold that instead."""
+        self.n_rolled, self.failure = saved
 
     @property
     def plant_is_modelled(self) -> bool:
         """Whether the scenario's model stands for the plant."""
         return self._modelled is not None
 
-    def now(self, sample: Sample) -> dict[str, Any]:
-        """The state of the run's FMUs at this communication point, to begin at. Raises SlaveError."""
+    def now(self, sample: Sample) -> dict[str, Any] | None:
+        """The state of the run's FMUs at this communication point, to begin at. Raises SlaveError.
+
+        None, and `failure`, where an FMU cannot do what its description says: its shadow is asked before it is.
+        """
+        if self.failure is not None:
+            return None
+        try:
+            self._master = self._master or self._opened()
+            for name, shadow in self._shadows.items():
+                if isinstance(shadow, Slave) and name not in self._proved:
+                    shadow.set_state(shadow.get_state())
+                    self._proved.add(name)
+        except SlaveError as fault:
+            self.failure = str(fault)
+            self._stack.close()
+            return None
         states: dict[str, Any] = {}
         for name, slave in self._slaves.items():
             if name == self._modelled:

@@ -71,7 +71,7 @@ class Oversight:
         return self._guard is not None and self._guard.stopped_at is not None
 
     def begin(self, t: float) -> list[Event]:
-        """What is to be said at the start."""
+        """What is to be said at the start, or when the loop cannot be rolled ahead any more."""
         if self._guard is None or self._foresight is not None:
             return []
         return [Event(t, "guard", {"reason": f"the loop is not rolled ahead: {self._why_blind}"})]
@@ -109,6 +109,9 @@ class Oversight:
         reviewed = self._guard.step(k, t, error, decision, self._peak(k, measured, master))
         if reviewed.write is not decision.write:
             self._policy.hold(self._guard.held)
+        if self._foresight is not None and self._foresight.failure is not None:
+            self._why_blind, self._foresight = self._foresight.failure, None
+            return replace(reviewed, events=(*reviewed.events, *self.begin(t)))
         return reviewed
 
     def without_outlier(self, t: float, decision: Reconfiguration) -> Reconfiguration:
@@ -131,13 +134,14 @@ class Oversight:
         foresight = self._foresight
         if foresight is None:
             return None
-        states: list[Mapping[str, Any]] = []  # read once, and only where they are needed
+        states: list[Mapping[str, Any] | None] = []  # read once, and only where they are needed
         values = list(master.values)
 
         def peak(controller: Vector, plant: Vector) -> float | None:
             if not states:
                 states.append(foresight.now(measured))
-            return foresight.peak(states[0], values, k, controller, plant)
+            now = states[0]
+            return None if now is None else foresight.peak(now, values, k, controller, plant)
 
         return peak
 

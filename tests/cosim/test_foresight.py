@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from cosim.errors import CosimError
+from cosim.errors import CosimError, SlaveError
 from cosim.fmi.archive import co_simulation
 from cosim.foresight import Foresight, Running
 from cosim.master import Master
@@ -124,3 +124,28 @@ def test_a_run_says_at_its_start_that_it_does_not_look_ahead(pendulum, tmp_path,
     assert result.guard["not_rolled_ahead"] == reason
     first = (tmp_path / "events.jsonl").read_text(encoding="utf-8").splitlines()[0]
     assert f"the loop is not rolled ahead: {reason}" in first
+
+
+def test_an_fmu_that_cannot_save_its_state_although_it_says_so_is_not_asked_to_in_the_run(
+    pendulum, tmp_path, monkeypatch
+):
+    asked = []
+
+    def fails(slave):
+        asked.append(slave.name)
+        raise SlaveError(slave.name, "get_state", 0.0, "returned error")
+
+    monkeypatch.setattr("cosim.slaves.slave.Slave.get_state", fails)
+    settings = {
+        "scenario.isolation": '"none"',
+        "scenario.checkpoint": "0",
+        'changes."plant.m"': "[[0.0, 1.75], [0.1, 4.271]]",
+    }
+    result = run(pendulum(settings, stop_time=0.5), "target", out=tmp_path)
+    assert result.status == "done"
+    assert result.guard["written"] > 0
+    assert set(asked) == {"plant (rolled ahead)"}
+    told = [line for line in (tmp_path / "events.jsonl").read_text().splitlines() if '"guard"' in line]
+    assert len(told) == 1
+    assert "the loop is not rolled ahead: plant (rolled ahead): get_state" in told[0]
+    assert "returned error" in result.guard["not_rolled_ahead"]

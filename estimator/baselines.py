@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy import optimize
 
-from .contract import Estimate
+from .contract import Estimate, scaled_estimate
 from .identifiability import IDENTIFIABLE_BELOW, information
 from .objective import Objective
 from .space import ParameterSpace, Vector
@@ -173,16 +173,10 @@ class LeastSquares:
 
     def estimate(self) -> Estimate:
         """The best place of the last solve."""
-        theta, std = self._space.from_unit(self._z), self._sight.std()
-        return Estimate(
-            theta=theta,
-            std=std * self._space.slope(theta),
-            is_identifiable=tuple(bool(s <= self._settings.identifiable_below) for s in std),
-            cost=self._cost,
-            n_evaluations=self._n_evaluations,
-            reason="least squares",
-            sight=self._sight,
-        )
+        return scaled_estimate(
+            self._space, self._z, self._sight.std(), self._settings.identifiable_below, self._sight,
+            cost=self._cost, n_evaluations=self._n_evaluations, reason="least squares",
+        )  # fmt: skip
 
 
 class _SpentError(Exception):

@@ -5,7 +5,7 @@ from typing import Protocol, runtime_checkable
 
 from .identifiability import Information
 from .objective import Objective
-from .space import Vector
+from .space import ParameterSpace, Vector
 
 
 class NoEstimateError(RuntimeError):
@@ -34,6 +34,23 @@ class Estimate:
     """Why this value was taken, for the record."""
     sight: Information | None = None
     """What the data see at theta, in standard deviations of the misfit; None where the estimator cannot tell."""
+
+
+def scaled_estimate(
+    space: ParameterSpace,
+    z: Vector,
+    std: Vector,
+    below: float,
+    sight: Information,
+    *,
+    cost: float,
+    n_evaluations: int,
+    reason: str,
+) -> Estimate:
+    """The estimate at z (d,) of the unit cube; std (d,): there too; below: std of an identifiable parameter."""
+    theta = space.from_unit(z)
+    identifiable = tuple(bool(s <= below) for s in std)
+    return Estimate(theta, std * space.slope(theta), identifiable, cost, n_evaluations, reason, sight)
 
 
 @runtime_checkable

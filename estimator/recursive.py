@@ -7,7 +7,7 @@ import numpy as np
 import scipy  # its stats, which takes 0.3 s, is loaded when it is used
 from scipy import optimize
 
-from .contract import Estimate
+from .contract import Estimate, scaled_estimate
 from .identifiability import IDENTIFIABLE_BELOW, information, information_of_covariance
 from .objective import LinearForm, Objective
 from .space import ParameterSpace, Vector
@@ -76,16 +76,10 @@ class RecursiveLeastSquares:
 
     def estimate(self) -> Estimate:
         """The parameters of the present coefficients; cost: sum of squared residuals of the newest sample."""
-        theta, std = self._space.from_unit(self._z), self._sight.std()
-        return Estimate(
-            theta=theta,
-            std=std * self._space.slope(theta),
-            is_identifiable=tuple(bool(s <= self._settings.identifiable_below) for s in std),
-            cost=self._misfit,
-            n_evaluations=self._n_evaluations,
-            reason="recursive least squares",
-            sight=self._sight,
-        )
+        return scaled_estimate(
+            self._space, self._z, self._sight.std(), self._settings.identifiable_below, self._sight,
+            cost=self._misfit, n_evaluations=self._n_evaluations, reason="recursive least squares",
+        )  # fmt: skip
 
     def _begin(self, linear: LinearForm) -> "KalmanFilter":
         from filterpy.kalman import KalmanFilter
@@ -179,16 +173,10 @@ class UnscentedKalman:
         std = np.minimum(np.sqrt(np.diag(P)), 1.0)
         # Less than half of the start's: else what is known is what was assumed.
         below = min(self._settings.identifiable_below, 0.5 * self._settings.spread)
-        theta = self._space.from_unit(z)
-        return Estimate(
-            theta=theta,
-            std=std * self._space.slope(theta),
-            is_identifiable=tuple(bool(s <= below) for s in std),
-            cost=self._cost,
-            n_evaluations=self._n_evaluations,
-            reason="unscented Kalman filter",
-            sight=information_of_covariance(P),
-        )
+        return scaled_estimate(
+            self._space, z, std, below, information_of_covariance(P),
+            cost=self._cost, n_evaluations=self._n_evaluations, reason="unscented Kalman filter",
+        )  # fmt: skip
 
     def _begin(self, n_channels: int) -> "UnscentedKalmanFilter":
         from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter

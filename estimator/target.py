@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from .acquisition import log_target_vector_improvement
-from .contract import Estimate, NoEstimateError
+from .contract import Estimate, NoEstimateError, scaled_estimate
 from .gaussian_process import Posterior
 from .identifiability import IDENTIFIABLE_BELOW, Information, information
 from .search import best_that_differ, least_change, least_squares_of_mean, one_at_a_time, principal_components
@@ -171,17 +171,11 @@ class TargetVector:
         else:
             z, cost = (hold.place, hold.expected) if hold.is_sure else self._nearest_that_fits(hold)
             reason = f"incumbent, {hold.n_held} of {len(z)} directions held"
-        theta = self._space.from_unit(z)
         std = np.minimum(np.hypot(hold.sight.std(), hold.least_squares - z), 1.0)
-        return Estimate(
-            theta=theta,
-            std=std * self._space.slope(theta),
-            is_identifiable=tuple(bool(s <= self._settings.identifiable_below) for s in std),
-            cost=cost,
-            n_evaluations=self._n_evaluations,
-            reason=reason,
-            sight=hold.sight,
-        )
+        return scaled_estimate(
+            self._space, z, std, self._settings.identifiable_below, hold.sight,
+            cost=cost, n_evaluations=self._n_evaluations, reason=reason,
+        )  # fmt: skip
 
     def _hold(self, model: "_Model") -> "_Hold":
         """Which of the best candidate's changes the data ask for, and where that leads."""

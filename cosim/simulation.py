@@ -54,7 +54,7 @@ def run(
     scenario: Scenario,
     estimator: str = "target",
     seed: int = 0,
-    out: Path | None = None,
+    out: Path | str | None = None,
     progress: Progress | None = None,
 ) -> Run:
     """Simulate the scenario with its controller re-tuned by `estimator`: an estimator's name,
@@ -65,15 +65,16 @@ def run(
     Raises ScenarioError, ModelDescriptionError, WiringError or FolderError before any step; KeyboardInterrupt when
     interrupted and UnfinishedError when the disk is full, the rows so far recorded: `resume` goes on with them.
     """
-    return _simulated(scenario, estimator, seed, out, progress)
+    return _simulated(scenario, estimator, seed, None if out is None else Path(out), progress)
 
 
-def resume(folder: Path, progress: Progress | None = None) -> Run:
+def resume(folder: Path | str, progress: Progress | None = None) -> Run:
     """Go on with a run that was killed, interrupted or faulted, from its last checkpoint, to the same bits as if
     nothing had happened; wall times are added up.
 
     Raises FolderError where that cannot be, with the reason, the folder being as it was; and what `run` raises.
     """
+    folder = Path(folder)
     read_manifest(folder)  # else a lock would be put into a folder of something else
     with locked(folder):
         try:

@@ -37,7 +37,7 @@ OutOfRange = Literal["fault", "warning"]
 
 
 def open_slave(
-    fmu: Path,
+    fmu: Path | str,
     instance_name: str,
     *,
     isolation: Isolation = "process",
@@ -59,6 +59,7 @@ def open_slave(
         raise ValueError(f"timeout must be positive and finite, got {timeout} s.")
     if isolation not in ("process", "none"):
         raise ValueError(f"isolation must be 'process' or 'none', got {isolation!r}.")
+    fmu = Path(fmu)
     description, folder = unpacked(fmu)
     try:
         identity = Identity(

@@ -3,6 +3,7 @@
 import inspect
 import json
 import re
+import subprocess
 import sys
 from importlib.resources import files
 from pathlib import Path
@@ -107,6 +108,41 @@ def test_a_scenario_can_set_what_a_slave_can_be_told():
     options = Settings(name="x", stop_time=1.0, macro_step=0.1).slave_options
     parameters = inspect.signature(open_slave).parameters
     assert options == {name: p.default for name, p in parameters.items() if p.kind is p.KEYWORD_ONLY}
+
+
+PROGRAM = """
+import sys
+from cosim.slaves.slave import open_slave
+slave = open_slave(sys.argv[1], "plant", isolation="none")
+slave.bind(inputs=["u"], outputs=["y"])
+slave.initialize({"how": sys.argv[2], "where": sys.argv[3]})
+for k in range(4):
+    slave.step([0.0], 0.01 * k, 0.01)
+if sys.argv[4] == "close":
+    slave.close()
+"""
+
+
+@pytest.mark.parametrize(
+    ("where", "told"),
+    [("do_step", r"do_step at t = 0\.020 s"), ("exit_init", "initialize.*"), ("terminate", "terminate.*")],
+)
+def test_an_exit_of_an_fmu_in_this_process_is_no_success(native, where, told):
+    ended = ended_program(native, "exit 0", where, "close")
+    assert ended.returncode == 1
+    told = rf"retune: plant: {told} ended this process, which it was part of\n"
+    assert re.fullmatch(told, ended.stderr), ended.stderr
+
+
+@pytest.mark.parametrize("end", ["close", "leave open"])
+def test_an_exit_of_ours_is_what_it_was(native, end):
+    ended = ended_program(native, "nothing", "do_step", end)
+    assert (ended.returncode, ended.stderr) == (0, "")
+
+
+def ended_program(*arguments: object) -> subprocess.CompletedProcess:
+    command = [sys.executable, "-c", PROGRAM, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
 
 
 # The command.

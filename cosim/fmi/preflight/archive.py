@@ -71,11 +71,10 @@ def _name_findings(names: Sequence[str]) -> Iterator[Finding]:
             yield Finding(repr(name), f"is there {count} times; which one is meant cannot be known")
         if (other := folded.setdefault(name.casefold(), name)) != name:
             yield warning(repr(name), f"differs from {other!r} in case only: they are one file on Windows")
-    files = {name for name in counts if not name.endswith("/")}
     for name in counts:
         parts = name.split("/")
         for n in range(1, len(parts)):
-            if "/".join(parts[:n]) in files:
+            if "/".join(parts[:n]) in counts:
                 yield Finding(repr("/".join(parts[:n])), f"is a file, but {name!r} is in it")
 
 

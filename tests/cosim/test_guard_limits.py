@@ -329,13 +329,13 @@ def test_what_is_taken_back_is_no_longer_watched_and_what_was_before_it_is():
     watched, peak = guard(), Peaks({})
     step(watched, 1, GOOD)
     step(watched, 2, BETTER)
-    watched.retract(3, GOOD)
+    watched.retract(2, GOOD)
     np.testing.assert_array_equal(watched.held, GOOD)
     assert step(watched, 3, GOOD + 0.3, peak=peak)[0] == WRITTEN
     assert not peak.asked  # small, beside what is held
     assert step(watched, 4, error=0.51) == (["revert"], tuple(START))
     step(watched, 200, GOOD)
-    watched.retract(201, START)
+    watched.retract(200, START)
     assert step(watched, 202, error=9.0) == ([], None)
     assert watched.summary()["retracted"] == 2
 

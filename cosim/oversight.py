@@ -96,7 +96,8 @@ class Oversight:
             self._taken_back = None if np.array_equal(theta, before) else (self._n_seen - n, before)
             self._marked = None
         if seen.sample is not None:
-            self._marked = (self._n_seen, self._policy.mark()) if seen.is_suspect else None
+            before = self._policy.mark() if seen.is_suspect else None
+            self._marked = None if before is None else (self._n_seen, before)
             self._sight.append(seen.sample)
         return seen
 

@@ -61,7 +61,7 @@ def elf_problems(file: BinaryIO, size: int, machine: str, needed: Set[str] = fro
             yield "is no shared library: it has no dynamic section"
             return
         table = elf.get_section_by_name(".gnu.hash")  # to list all symbols would take a hundred times as long
-        if table is not None and elf.get_section_by_name(".dynsym") is not None:
+        if table is not None:
             lacking = sorted(name for name in needed if table.get_symbol(name) is None)
             if lacking:
                 yield f"lacks the function {', '.join(lacking)}"

@@ -339,8 +339,8 @@ def array(dimensions, start, kind="Float64"):
 @pytest.mark.parametrize(
     ("variables", "expected"),
     [
-        (array([1_000, 999], "0"), []),
-        (array([1_000_001], "0"), ["error: its arrays have 1000002 elements; at most 1000000 are handled"]),
+        (array([999_999], "0"), []),
+        (array([1_000, 1_000], "0"), ["error: its arrays have 1000001 elements; at most 1000000 are handled"]),
         (
             array([600_000], "0") + array([600_000], "0").replace('"r" valueReference="1"', '"s" valueReference="2"'),
             ["error: its arrays have 1200001 elements; at most 1000000 are handled"],
@@ -393,6 +393,7 @@ def test_other_names_of_a_variable_are_no_variables_of_their_own(described):
         '<Float64 name="x" valueReference="1" causality="local" initial="exact" start="1"/>'
         '<Float64 name="v" valueReference="2" causality="local" derivative="1"><Alias name="speed"/></Float64>'
         '<Float64 name="y" valueReference="3" causality="output"><Alias name="place"/></Float64>'
+        '<Float64 name="u" valueReference="4" causality="input" start="0"><Alias name="force"/></Float64>'
     )
     assert described(FMI3.format(text, '<Output valueReference="3"/>')) == []
 

@@ -121,8 +121,9 @@ def stuck_at(watched, samples):
 
 @pytest.mark.parametrize("n", [2, 7])
 def test_noise_does_not_repeat_itself(n):
-    samples = [replace(sample, xdot=(1.0,)) for sample in moving(20)]
-    assert stuck_at(screen(stuck=n), samples) == {"der(x)": n}
+    first, *rest = moving(20)
+    samples = [first, *(replace(sample, xdot=(1.0,)) for sample in rest)]
+    assert stuck_at(screen(stuck=n), samples) == {"der(x)": n + 1}
     interrupted = [replace(s, xdot=(1.001,)) if k % n == 0 else s for k, s in enumerate(samples)]
     assert stuck_at(screen(stuck=n), interrupted) == {}
     exact = replace(SENSORS, is_noisy=(False, False))
@@ -143,6 +144,11 @@ def test_noise_does_not_repeat_itself(n):
 )
 def test_a_state_that_the_model_moves_does_not_keep_its_bits(x, v, u, expected):
     assert stuck_at(screen(TWO, inconsistent=1e9), standing(12, x, v, u)) == expected
+
+
+def test_each_sensor_is_stuck_in_its_own_time():
+    samples = [replace(sample, xdot=(1.0,), x=(5.0 * (k > 0),)) for k, sample in enumerate(moving(20))]
+    assert stuck_at(screen(stuck=4, inconsistent=1e9), samples) == {"der(x)": 4, "x": 5}
 
 
 def test_beside_what_is_missing_nothing_is_stuck():

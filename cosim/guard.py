@@ -89,9 +89,9 @@ class Guard:
         kinds = ("written", "limited", "held", "vetoed", "confirmed", "reverted", "retracted")
         return {kind: self.counts[kind] for kind in kinds} | {"stopped_at": self.stopped_at}
 
-    def retract(self, k: int, theta: Vector) -> None:
-        """What was written at the communication point before k is taken back to theta (d,), held before that."""
-        while self._trials and self._trials[-1].since >= k - 1:
+    def retract(self, since: int, theta: Vector) -> None:
+        """What was written at a communication point and after it is taken back to theta (d,), held before that."""
+        while self._trials and self._trials[-1].since >= since:
             self._trials.pop()
         self._held = self._anchor = theta
         self.counts["retracted"] += 1

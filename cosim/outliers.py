@@ -51,7 +51,8 @@ class Outliers:
         last = residual(theta, self._last)
         limit = self._limits(sample, now, last)
         is_far, outliers = np.abs(now - last) > limit, np.zeros(len(now), dtype=bool)
-        self._changes.append(np.abs(now - last))
+        if np.isfinite(last).all():  # else none of the limits to come would be a number
+            self._changes.append(np.abs(now - last))
         if self._suspect is not None:
             before = residual(theta, self._suspect)
             was_far = np.abs(before - last) > limit

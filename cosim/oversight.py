@@ -40,8 +40,9 @@ class Oversight:
         """start (d,): what the controller holds; whitened: the residual of a sample, where derivatives are judged;
         running: None where there is nothing to roll ahead; stack closes what is opened."""
         self._policy = policy
-        self._marked: Vector | None = None  # what was in force before a sample that is suspect
-        self._taken_back: Vector | None = None
+        self._n_seen = 0  # communication points so far
+        self._marked: tuple[int, Vector] | None = None  # n_seen at a sample that is suspect, what was in force before
+        self._taken_back: tuple[int, Vector] | None = None  # since how many communication points, to what
         self._read: list[int] | None = None  # places of what the controller says that it holds
         self._writes = [p.writes for p in scenario.estimation.parameters]
         space = scenario.estimation.space
@@ -81,15 +82,19 @@ class Oversight:
 
         Where the sample before was an outlier, the estimator knows nothing of it from here on.
         """
+        self._n_seen += 1
         if sample is None:
             return Seen(None)
         seen = Seen(sample) if self._screen is None else self._screen.step(t, sample, theta)
         if seen.was_outlier and self._marked is not None:
             self._policy.retract()
             self._sight.retract()
-            self._taken_back = None if np.array_equal(theta, self._marked) else self._marked
+            n, before = self._marked
+            self._taken_back = None if np.array_equal(theta, before) else (self._n_seen - n, before)
+            self._marked = None
         if seen.sample is not None:
-            self._marked = self._policy.mark() if seen.is_suspect else None
+            before = self._policy.mark() if seen.is_suspect else None
+            self._marked = None if before is None else (self._n_seen, before)
             self._sight.append(seen.sample)
         return seen
 
@@ -105,7 +110,8 @@ class Oversight:
         if refusal := self._guard.not_taken(t, [master.values[i] for i in self._read], self._writes):
             return Reconfiguration(events=(refusal,))
         if self._taken_back is not None:
-            self._guard.retract(k, self._taken_back)
+            n, before = self._taken_back
+            self._guard.retract(k - n, before)
         reviewed = self._guard.step(k, t, error, decision, self._peak(k, measured, master))
         if reviewed.write is not decision.write:
             self._policy.hold(self._guard.held)
@@ -115,10 +121,11 @@ class Oversight:
         return reviewed
 
     def without_outlier(self, t: float, decision: Reconfiguration) -> Reconfiguration:
-        """The decision, or else the way back from what was written on account of the sample before."""
-        before, self._taken_back = self._taken_back, None
-        if before is None or decision.write is not None:
+        """The decision, or else the way back from what was written on account of an outlier."""
+        taken_back, self._taken_back = self._taken_back, None
+        if taken_back is None or decision.write is not None:
             return decision
+        _, before = taken_back
         told = Event(t, "write", {"theta": before.tolist(), "reason": "the sample before was an outlier"})
         return replace(decision, write=before, events=(*decision.events, told))
 

@@ -13,6 +13,9 @@ from typing import Final
 
 from fmpy.model_description import ModelDescription, ModelVariable
 
+TEXTS: Final = ("String", "Binary")
+"""Types that have an XML element for each start value, of which FMPy keeps the first, blanks and all."""
+
 _AXES: Final = "xyz"
 _ELEMENT = re.compile(r"(?P<stem>.*?\w)(?P<held>_held)?\[(?P<index>\d+(,\d+)*)\](?P<end>\)?)")
 
@@ -45,7 +48,7 @@ def scalarized(description: ModelDescription) -> ModelDescription:
 def starts_of(variable: ModelVariable) -> Sequence[str | None]:
     """The start value of each element: one value is that of all."""
     n = prod(variable.shape or ())
-    if not variable.shape or variable.start is None:
+    if not variable.shape or variable.start is None or variable.type in TEXTS:
         return [variable.start] * n
     starts = variable.start.split()
     return starts * n if len(starts) == 1 else starts

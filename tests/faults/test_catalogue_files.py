@@ -1,5 +1,6 @@
 """The rows of catalogue.toml on files: refused, or warned of, before any of an FMU's code runs."""
 
+import random
 import re
 import struct
 import sys
@@ -92,6 +93,12 @@ def too_many(path: Path) -> None:
             archive.writestr(f"resources/{i}", b"")
 
 
+def with_size(path: Path, size: int) -> None:
+    """The description is said to have this size, in an archive that is not packed so well."""
+    add(path, "resources/random", random.Random(0).randbytes(2 << 20))
+    patch_directory(path, DESCRIPTION, 24, "<I", size)
+
+
 def damage(path: Path, what: str) -> None:
     """Change one byte of the compressed description."""
     data = bytearray(path.read_bytes())
@@ -126,6 +133,10 @@ ARCHIVES = {
     "wrong checksum": lambda p: patch_directory(p, DESCRIPTION, 16, "<I", 17),
     "damaged contents": lambda p: damage(p, DESCRIPTION),
     "a size that is too small": lambda p: patch_directory(p, DESCRIPTION, 24, "<I", 100),
+    "a description that is too large": lambda p: with_size(p, (256 << 20) + 1),
+    "a description that is large": lambda p: with_size(p, 256 << 20),
+    "a description of another name": lambda p: add(p, "./" + DESCRIPTION),
+    "file and folder": lambda p: (add(p, "resources"), add(p, "resources/", b"")),
     "case": lambda p: (add(p, "resources/A"), add(p, "resources/a")),
     "another method": lambda p: add(p, "resources/table", b"x" * 100, compress_type=zipfile.ZIP_BZIP2),
 }
@@ -215,6 +226,7 @@ LIBRARIES = {  # places: the header of ELF, 64 bit
     "text": lambda so: {LIBRARY: b"#!/bin/sh\necho no library\n"},
     "header only": lambda so: {LIBRARY: so[:64]},
     "cut": lambda so: {LIBRARY: so[: len(so) // 2]},
+    "cut, without sections": lambda so: {LIBRARY: patched(patched(so, 40, bytes(8)), 60, bytes(2))[: len(so) // 2]},
     "of another machine": lambda so: {LIBRARY: patched(so, 18, struct.pack("<H", 0xB7))},
     "of 32 bit": lambda so: {LIBRARY: patched(so, 4, b"\1")},
     "of the other byte order": lambda so: {LIBRARY: patched(so, 5, b"\2")},
@@ -272,12 +284,15 @@ PE = b"MZ" + bytes(58) + struct.pack("<I", 64) + b"PE\0\0" + struct.pack("<H", 0
         (PE, "AMD64", None),
         (PE, "ARM64", "is a library of another machine (PE machine 0x8664); this one is ARM64"),
         (PE[:-2] + b"\x22\x00", "AMD64", "is a program, not a library"),
+        (PE.replace(b"\x64\x86", b"\x4c\x01"), "x86", None),
+        (PE, "x86_64", None),
+        (PE.replace(b"PE\0\0", b"NE\0\0"), "AMD64", "is no sound library for Windows (PE)"),
         (PE[:70], "AMD64", "is no sound library for Windows (PE)"),
         (b"\x7fELF" + PE[4:], "AMD64", "is no sound library for Windows (PE)"),
         (PE[:60] + struct.pack("<I", 1 << 31) + PE[64:], "AMD64", "is no sound library for Windows (PE)"),
         (b"", "AMD64", "is no sound library for Windows (PE)"),
     ],
-    ids=["sound", "other machine", "program", "cut", "ELF", "offset beyond", "empty"],
+    ids=["sound", "other machine", "program", "32 bit", "other name", "older", "cut", "ELF", "offset beyond", "empty"],
 )
 def test_libraries_of_windows_are_told_by_their_headers(head, machine, problem):
     assert pe_problem(head, machine) == problem

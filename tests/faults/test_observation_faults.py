@@ -189,6 +189,19 @@ def test_what_was_written_for_an_outlier_is_taken_back_in_the_next_step(guard, t
         assert result.guard["stopped_at"] is None  # the way back is read back as well
 
 
+def test_what_was_written_for_an_outlier_is_never_good_though_the_next_sample_is_lost(tmp_path):
+    faults = fault("spikes", RATE, size=20.0, start=0.25, stop=0.26), fault("dropout", RATE, start=0.26, stop=0.27)
+    result, events = ran(tmp_path / "run", *faults, more={"guard.probation": "20"}.items())
+    assert result.guard["retracted"] == 1
+    written, confirmed = (
+        {e["t"]: tuple(e["theta"]) for e in events if e["kind"] == kind} for kind in ("write", "confirm")
+    )
+    doubtful = {theta for t, theta in written.items() if 0.245 < t < 0.265}
+    assert len(doubtful) == 2
+    assert confirmed
+    assert not doubtful & set(confirmed.values())
+
+
 def test_a_bias_of_a_state_that_was_always_there_is_not_found(tmp_path):
     # and cannot be: with another plant the same would be seen
     result, _ = ran(tmp_path / "run", fault("bias", ANGLE, size=0.01))

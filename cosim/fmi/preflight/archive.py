@@ -60,23 +60,27 @@ def _entry_findings(entry: ZipInfo) -> Iterator[Finding]:
 def leads_out(name: str) -> bool:
     """Whether a file of this name in an archive might be put elsewhere than into the folder it is unpacked to."""
     is_odd = any(c in name for c in "\\:\0")  # Windows' separator, its drives, and what ends a name in C
-    return is_odd or not name.strip("/") or name.startswith("/") or ".." in name.split("/")
+    return is_odd or not name or name.startswith("/") or ".." in name.split("/")
 
 
 def _name_findings(names: Sequence[str]) -> Iterator[Finding]:
-    """Of names that are one file, in the archive or where the system has it so."""
-    counts, folded = Counter(names), dict[str, str]()
+    """Of names that are one file, in the archive, once it is unpacked, or where the system has it so."""
+    counts, folded = Counter(map(_unpacked, names)), dict[str, str]()
     for name, count in counts.items():
         if count > 1:
             yield Finding(repr(name), f"is there {count} times; which one is meant cannot be known")
         if (other := folded.setdefault(name.casefold(), name)) != name:
             yield warning(repr(name), f"differs from {other!r} in case only: they are one file on Windows")
-    files = {name for name in counts if not name.endswith("/")}
-    for name in files:
+    for name in counts:
         parts = name.split("/")
         for n in range(1, len(parts)):
-            if "/".join(parts[:n]) in files:
+            if "/".join(parts[:n]) in counts:
                 yield Finding(repr("/".join(parts[:n])), f"is a file, but {name!r} is in it")
+
+
+def _unpacked(name: str) -> str:
+    """A name as zipfile unpacks it."""
+    return "/".join(part for part in name.split("/") if part not in ("", ".")) + "/" * name.endswith("/")
 
 
 def _overlaps(entries: Sequence[ZipInfo]) -> Iterator[Finding]:

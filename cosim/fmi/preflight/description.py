@@ -14,6 +14,7 @@ from xml.etree.ElementTree import Element
 from fmpy.model_description import ModelDescription, ModelVariable
 
 from ...finding import Finding, warning
+from ..elements import TEXTS
 
 MOST_ELEMENTS: Final = 1_000_000
 """Scalars that the arrays of an FMU may have together."""
@@ -73,7 +74,8 @@ def _sizes(variables: Sequence[ModelVariable]) -> Iterator[Finding]:
         shape = list(v.shape or ())
         if shape and min(shape) < 1:
             yield Finding(_PLACE, f"{_named(v)} has the dimensions {shape}; each must be at least 1")
-        n, n_starts = prod(shape), len(v.start.split()) if shape and isinstance(v.start, str) else 1
+        starts = v.start if shape and isinstance(v.start, str) and v.type not in TEXTS else "one"
+        n, n_starts = prod(shape), len(starts.split())
         if n_starts not in (1, n):
             yield Finding(_PLACE, f"{_named(v)} has {n_starts} start values; its dimensions {shape} need {n} or 1")
 
@@ -100,7 +102,7 @@ def _aliases(variables: Iterable[ModelVariable]) -> Iterator[Finding]:
 
 
 def _numbers(variable: ModelVariable) -> Iterator[Finding]:
-    if variable.type in ("String", "Binary", "Clock", "Boolean"):
+    if variable.type in (*TEXTS, "Clock", "Boolean"):
         return
     declared = variable.declaredType
     low, high, nominal = (

@@ -10,7 +10,7 @@ from typing import Any, BinaryIO, Final
 from elftools.common.exceptions import ELFError
 from elftools.elf.elffile import ELFFile
 
-_ELF_MACHINES: Final = {"x86_64": "EM_X86_64", "amd64": "EM_X86_64", "aarch64": "EM_AARCH64", "arm64": "EM_AARCH64"}
+_ELF_MACHINES: Final = {"x86_64": "EM_X86_64", "aarch64": "EM_AARCH64"}  # as Linux names them
 _PE_MACHINES: Final = {"amd64": 0x8664, "x86_64": 0x8664, "arm64": 0xAA64, "x86": 0x014C}
 _PE_IS_DLL: Final = 0x2000
 _NEEDED: Final = {
@@ -20,6 +20,7 @@ _NEEDED: Final = {
 }  # fmt: skip
 _NEEDED_OF: Final = {
     ("2.0", "co-simulation"): ("fmi2DoStep",),
+    ("2.0", "model-exchange"): ("fmi2GetDerivatives",),
     ("3.0", "co-simulation"): ("fmi3InstantiateCoSimulation", "fmi3DoStep"),
     ("3.0", "model-exchange"): ("fmi3InstantiateModelExchange", "fmi3GetContinuousStateDerivatives"),
 }
@@ -44,7 +45,7 @@ def elf_problems(file: BinaryIO, size: int, machine: str, needed: Set[str] = fro
     try:
         elf: Any = ELFFile(file)
         header = elf.header
-        if elf.elfclass != 64 or not elf.little_endian or header.e_machine != _ELF_MACHINES.get(machine.lower()):
+        if elf.elfclass != 64 or not elf.little_endian or header.e_machine != _ELF_MACHINES.get(machine):
             kind = f"{elf.elfclass} bit, {elf.get_machine_arch()}"
             yield f"is a library of another machine ({kind}); this one is {machine}"
             return
@@ -60,11 +61,11 @@ def elf_problems(file: BinaryIO, size: int, machine: str, needed: Set[str] = fro
             yield "is no shared library: it has no dynamic section"
             return
         table = elf.get_section_by_name(".gnu.hash")  # to list all symbols would take a hundred times as long
-        if table is not None and elf.get_section_by_name(".dynsym") is not None:
+        if table is not None:
             lacking = sorted(name for name in needed if table.get_symbol(name) is None)
             if lacking:
                 yield f"lacks the function {', '.join(lacking)}"
-    except (ELFError, ValueError, KeyError, AttributeError, TypeError, IndexError, struct.error, OverflowError):
+    except (ELFError, ValueError, KeyError, AttributeError, TypeError, IndexError, struct.error, ArithmeticError):
         yield "is no sound shared library for Linux (ELF)"  # a damaged file surprises the parser
 
 

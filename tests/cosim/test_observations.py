@@ -273,7 +273,7 @@ def test_a_residual_that_is_no_number_is_neither_suspect_nor_what_is_usual():
     """Where the model fails for some input."""
     thetas = [THETA, THETA, THETA * inf, THETA, THETA, THETA]
     assert fed([0.0, 0.0, 0.0, 0.0, 50.0, 0.0], thetas=thetas) == [GOOD] * 4 + [SUSPECT, OUTLIER]
-    assert fed([0.0] * 3 + [50.0, 0.0], inputs=[1.0, inf, 1.0, 1.0, 1.0]) == [GOOD] * 3 + [SUSPECT, OUTLIER]
+    assert fed([0.0] * 3 + [50.0, 0.0], inputs=[1.0, nan, 1.0, 1.0, 1.0]) == [GOOD] * 3 + [SUSPECT, OUTLIER]
 
 
 def test_the_estimator_gets_what_is_suspect_and_hears_that_it_was_an_outlier():

@@ -6,13 +6,14 @@ overwritten by those to be tried. A plant that cannot save its state is replaced
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from math import hypot, inf
+from dataclasses import replace
+from math import hypot, inf, isclose
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from estimator import Sample, Vector
 
-from .errors import CosimError, ScenarioError, SlaveError
+from .errors import CosimError, ScenarioError, SlaveError, WiringError
 from .fmi.archive import co_simulation
 from .fmi.table import TableSlave
 from .master import Master, Steppable, Wiring
@@ -20,6 +21,8 @@ from .model_plant import ModelPlant, not_given
 from .scenarios.scenario import Scenario
 from .scenarios.system import Plant, derivatives_of
 from .slaves.slave import Slave, open_slave
+
+_ROUNDING: Final = 1e-9
 
 
 class Running(NamedTuple):
@@ -55,12 +58,7 @@ class Foresight:
         writes = [p.writes for p in scenario.estimation.parameters]
         self._written = {name: [i for i, r in enumerate(writes) if r.partition(".")[0] == name] for name in slaves}
         self._wiring = {
-            name: Wiring(
-                w.sources,
-                tuple(r.partition(".")[2] for r in [*true, *writes] if r.partition(".")[0] == name),
-                w.outputs,
-                w.start,
-            )
+            name: replace(w, tunables=tuple(r.partition(".")[2] for r in [*true, *writes] if r.startswith(f"{name}.")))
             for name, w in wiring.items()
         }
         self._modelled = _modelled(scenario, slaves, wiring, plant, model)
@@ -68,6 +66,7 @@ class Foresight:
             slave = slaves[name]
             if isinstance(slave, Slave) and name != self._modelled:
                 slave.check_tunables(w.tunables)
+        self._files = {name: _file(path) for name, path in running.paths.items()}
         self._stack = stack.enter_context(ExitStack())
         self._shadows: dict[str, Steppable] = {}
         self._proved: set[str] = set()  # FMUs whose states have been saved and restored
@@ -106,9 +105,8 @@ class Foresight:
                 if isinstance(shadow, Slave) and name not in self._proved:
                     shadow.set_state(shadow.get_state())
                     self._proved.add(name)
-        except SlaveError as fault:
-            self.failure = str(fault)
-            self._stack.close()
+        except (SlaveError, WiringError) as fault:
+            self._give_up(str(fault))
             return None
         states: dict[str, Any] = {}
         for name, slave in self._slaves.items():
@@ -124,12 +122,20 @@ class Foresight:
         """Largest norm of the tracking error over the horizon: infinite where an FMU fails or the loop diverges.
 
         values: of all outputs now, at communication point k; controller, plant: theta (d,) in each. None where the
-        plant does not take these parameters, so that nothing is known. Raises ScenarioError where the FMUs cannot be
-        unpacked any more, as on a full disk: the run faults, and can be resumed.
+        plant does not take these parameters, so that nothing is known, and where the FMUs' states cannot be restored:
+        see `failure`. Raises ScenarioError where the FMUs cannot be unpacked any more, as on a full disk: the run
+        faults, and can be resumed.
         """
+        if self.failure is not None:
+            return None
+        try:
+            master = self._at(now, values)
+        except (SlaveError, WiringError) as fault:
+            self._give_up(str(fault))
+            return None
         self.n_rolled += 1
         try:
-            return self._roll(self._at(now, values), k, controller, plant)
+            return self._roll(master, k, controller, plant)
         except SlaveError as fault:
             self._stack.close()
             self._master = None  # loaded anew for the next
@@ -159,8 +165,17 @@ class Foresight:
             shadow = self._shadows[name]
             assert isinstance(shadow, Slave | ModelPlant)
             shadow.set_state(state)
+            if isinstance(shadow, Slave) and not _same(shadow.get(), self._outputs(master, values, name)):
+                raise SlaveError(shadow.name, "set_state", None, "leads to other outputs than those of the run")
         master.values[:] = values
         return master
+
+    def _outputs(self, master: Master, values: Sequence[float], name: str) -> list[float]:
+        return [v for v, n in zip(values, master.names, strict=True) if n.partition(".")[0] == name]
+
+    def _give_up(self, reason: str) -> None:
+        self.failure, self._master = reason, None
+        self._stack.close()
 
     def _opened(self) -> Master:
         settings = self._scenario.scenario
@@ -171,6 +186,8 @@ class Foresight:
                 self._shadows[name] = ModelPlant(self._plant, self._model, space.names, derivatives_of(slave))
                 continue
             path, label = self._running.paths[name], f"{name} (rolled ahead)"
+            if _file(path) != self._files[name]:
+                raise WiringError(f"{path} has changed since the run began")
             if isinstance(slave, TableSlave):
                 self._shadows[name] = TableSlave(path, label)
                 continue
@@ -185,6 +202,21 @@ class Foresight:
         self._tracked = [(place[a], place[b]) for a, b in self._scenario.tracking.items()]
         master.initialize(settings.start_time, settings.stop_time)
         return master
+
+
+def _same(found: Sequence[float], expected: Sequence[float]) -> bool:
+    """Up to what an FMU may compute anew when it is asked."""
+    pairs = zip(found, expected, strict=True)
+    return all(isclose(a, b, rel_tol=_ROUNDING, abs_tol=_ROUNDING) for a, b in pairs)
+
+
+def _file(path: Path) -> tuple[int, int, int] | None:
+    """What changes with a file's content or when it is replaced; None where there is none."""
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_ino, status.st_size, status.st_mtime_ns
 
 
 def _modelled(

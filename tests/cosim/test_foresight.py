@@ -1,6 +1,8 @@
 """The loop rolled ahead, against what then happens, against an independent integration, and where FMUs lack states."""
 
 import math
+import re
+import shutil
 from contextlib import ExitStack
 
 import numpy as np
@@ -11,6 +13,7 @@ from cosim.errors import CosimError, SlaveError
 from cosim.fmi.archive import co_simulation
 from cosim.foresight import Foresight, Running
 from cosim.master import Master
+from cosim.scenarios.scenario import Scenario
 from cosim.scenarios.system import fmu_paths, plant_of, wire
 from cosim.simulation import run
 from cosim.slaves.slave import open_slave
@@ -21,6 +24,11 @@ pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("leaves_nothing")]
 
 SWING = {"components.plant.start.phi": "0.3", "components.plant.start.phi_dot": "-1.0", "scenario.isolation": '"none"'}
 G, FRICTION, KP, KD, H = 9.81, 0.1, 10.0, 5.0, 0.01
+CHANGED_EARLY = {
+    "scenario.isolation": '"none"',
+    "scenario.checkpoint": "0",
+    'changes."plant.m"': "[[0.0, 1.75], [0.1, 4.271]]",
+}
 NOMINAL, CHANGED = np.array([1.75, 0.75]), np.array([4.271, 0.981])
 
 
@@ -126,26 +134,104 @@ def test_a_run_says_at_its_start_that_it_does_not_look_ahead(pendulum, tmp_path,
     assert f"the loop is not rolled ahead: {reason}" in first
 
 
-def test_an_fmu_that_cannot_save_its_state_although_it_says_so_is_not_asked_to_in_the_run(
-    pendulum, tmp_path, monkeypatch
+def fails(slave, *_):
+    raise SlaveError(slave.name, "get_state", 0.0, "returned error")
+
+
+def does_nothing(slave, state):
+    slave._values = None
+
+
+@pytest.mark.parametrize(
+    ("function", "does", "told"),
+    [
+        ("get_state", fails, r"plant \(rolled ahead\): get_state at t = 0.000 s returned error"),
+        ("set_state", fails, r"plant \(rolled ahead\): get_state at t = 0.000 s returned error"),
+        ("set_state", does_nothing, r"plant \(rolled ahead\): set_state leads to other outputs than those of the run"),
+    ],
+    ids=["save", "restore", "restore nothing"],
+)
+def test_an_fmu_that_cannot_save_its_state_although_it_says_so_is_not_rolled_ahead_and_harms_no_run(
+    pendulum, tmp_path, monkeypatch, function, does, told
 ):
-    asked = []
-
-    def fails(slave):
-        asked.append(slave.name)
-        raise SlaveError(slave.name, "get_state", 0.0, "returned error")
-
-    monkeypatch.setattr("cosim.slaves.slave.Slave.get_state", fails)
-    settings = {
-        "scenario.isolation": '"none"',
-        "scenario.checkpoint": "0",
-        'changes."plant.m"': "[[0.0, 1.75], [0.1, 4.271]]",
-    }
-    result = run(pendulum(settings, stop_time=0.5), "target", out=tmp_path)
+    monkeypatch.setattr(f"cosim.slaves.slave.Slave.{function}", does)
+    result = run(pendulum(CHANGED_EARLY, stop_time=0.5), "target", out=tmp_path)
     assert result.status == "done"
     assert result.guard["written"] > 0
-    assert set(asked) == {"plant (rolled ahead)"}
-    told = [line for line in (tmp_path / "events.jsonl").read_text().splitlines() if '"guard"' in line]
-    assert len(told) == 1
-    assert "the loop is not rolled ahead: plant (rolled ahead): get_state" in told[0]
-    assert "returned error" in result.guard["not_rolled_ahead"]
+    assert result.guard["vetoed"] == 0
+    lines = [line for line in (tmp_path / "events.jsonl").read_text().splitlines() if '"guard"' in line]
+    assert len(lines) == 1
+    assert re.search(f"the loop is not rolled ahead: {told}", lines[0]), lines
+    assert re.fullmatch(told, result.guard["not_rolled_ahead"])
+
+
+def test_an_fmu_that_is_replaced_in_mid_run_is_not_taken_for_the_one_that_runs(pendulum, tmp_path):
+    scenario = pendulum(CHANGED_EARLY, stop_time=0.5)
+    copy = tmp_path / "Controller.fmu"
+    shutil.copy(fmu_paths(scenario)["controller"], copy)
+    other = fmu_paths(scenario)["plant"]
+
+    def replaced(t, held):
+        if t == pytest.approx(0.05):
+            shutil.copy(other, copy)
+
+    (tmp_path / "run").mkdir()
+    scenario = pendulum(CHANGED_EARLY | {"components.controller.fmu": f'"{copy}"'}, stop_time=0.5)
+    result = run(scenario, "target", out=tmp_path / "run", progress=replaced)
+    assert result.status == "done"
+    assert result.guard["not_rolled_ahead"] == f"{copy} has changed since the run began"
+
+
+UNITS = """
+[scenario]
+name = "swing"
+stop_time = 0.5
+macro_step = 0.01
+isolation = "none"
+[components]
+plant = {{ fmu = "Pendulum", start = {{ phi = 0.5 }} }}
+controller = {{ fmu = "PendulumController" }}
+reference = {{ table = "{unit}.csv" }}
+in_radians = {{ table = "rad.csv" }}
+[connections]
+"controller.phi" = "plant.phi"
+"controller.phi_dot" = "plant.phi_dot"
+"controller.phi_ref" = "reference.phi_ref"
+"plant.u" = "controller.u"
+[changes]
+"plant.m" = [[0.0, 1.75], [0.1, 4.271]]
+[tracking]
+"plant.phi" = "in_radians.phi_ref"
+[sampling.derivatives]
+"plant.der(phi_dot)" = {{ noise = 1e-3 }}
+[estimation]
+model = "fmu_models.pendulum:derivative"
+trigger = {{ kind = "innovation" }}
+[[estimation.parameters]]
+name = "m"
+lower = 0.1
+upper = 5.0
+unit = "kg"
+writes = "controller.m"
+true = "plant.m"
+[[estimation.parameters]]
+name = "l"
+lower = 0.1
+upper = 2.0
+unit = "m"
+writes = "controller.l"
+true = "plant.l"
+"""
+
+
+def test_units_are_converted_in_what_is_rolled_ahead_as_in_the_run(tmp_path, monkeypatch):
+    peak, found = Foresight.peak, {"deg": [], "rad": []}
+    for unit, value in (("deg", "57.29577951308232"), ("rad", "1")):
+        (tmp_path / f"{unit}.csv").write_text(f"time [s], phi_ref [{unit}]\n0, {value}\n9, {value}\n")
+    for unit, peaks in found.items():
+        path = tmp_path / f"swing_{unit}.toml"
+        path.write_text(UNITS.format(unit=unit))
+        monkeypatch.setattr(Foresight, "peak", lambda *a, p=peaks: p.append(peak(*a)) or p[-1])
+        assert run(Scenario.load(path), "target").status == "done"
+    assert len(found["rad"]) > 1
+    assert found["deg"] == pytest.approx(found["rad"], rel=1e-9)

@@ -36,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         sys.stderr.close()  # the reader of our output has gone
         return UNFINISHED
-    except Exception as e:  # nothing that we know of; it must not look like success, nor like a refusal
+    except BaseException as e:  # nothing that we know of; it must not look like success, nor like a refusal
         return _end(options, f"{type(e).__name__}: {e}; --debug shows where", UNFINISHED)
 
 

@@ -1,6 +1,7 @@
 """What can go wrong between us and the world, always told in one line."""
 
 from collections.abc import Callable
+from typing import Final
 
 _LONGEST_REASON = 400  # characters; an FMU may log a whole page
 
@@ -12,6 +13,10 @@ IN_THE_CALL = "{reason} in {call}"
 """plant: the FMU's process ended with exit code 0 in do_step at t = 0.050 s"""
 
 _FORMS = (AFTER_THE_CALL, COLON, IN_THE_CALL)
+
+
+USERS: Final = (Exception, SystemExit, GeneratorExit)
+"""Whatever code of the user's may raise: all but what interrupts."""
 
 
 class CosimError(Exception):

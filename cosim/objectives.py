@@ -9,7 +9,7 @@ import numpy as np
 
 from estimator import Judge, Judged, ParameterSpace, Sample, Stretch, Vector
 
-from .errors import ScenarioError, one_line
+from .errors import USERS, ScenarioError, one_line
 from .rollout.judge import RolloutJudge
 from .rollout.shadow import WAYS, LivePlant, shadow_of, told
 from .scenarios.estimators import load
@@ -130,7 +130,7 @@ class FunctionJudge:
             residual = np.array(told, dtype=float)
         except (ArithmeticError, ValueError) as e:
             return Judged(np.array([np.nan]), one_line(f"{type(e).__name__}: {e}"))
-        except Exception as e:  # whatever a user's function raises
+        except USERS as e:
             raise ScenarioError(one_line(f"{where} failed: {type(e).__name__}: {e}") + ".") from e
         if residual.ndim != 1 or not len(residual):
             raise ScenarioError(f"{where} must return a row of residuals, got an array of shape {residual.shape}.")

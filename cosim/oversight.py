@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from math import nan
 from typing import Any, Final
 
 import numpy as np
@@ -168,12 +169,15 @@ def _screen(scenario: Scenario, plant: Plant, whitened: DerivativeResidual | Non
 
 @dataclass(frozen=True)
 class _Slope:
-    """Modelled derivatives (n,) of the states at a sample."""
+    """Modelled derivatives (n,) of the states at a sample; NaN where the model has no value, as for the residual."""
 
     residual: DerivativeResidual
 
     def __call__(self, theta: Vector, sample: Sample) -> Sequence[float]:
-        return self.residual.model(sample.x, sample.u, **self.residual.space.named(theta))
+        try:
+            return self.residual.model(sample.x, sample.u, **self.residual.space.named(theta))
+        except (ArithmeticError, ValueError):
+            return [nan] * len(sample.x)
 
 
 def _sensors(scenario: Scenario, plant: Plant, residual: DerivativeResidual) -> Sensors:

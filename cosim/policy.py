@@ -9,7 +9,7 @@ import numpy as np
 from estimator import DerivativeResidual, EpisodeWindow, LinearForm, Method, Sample, Vector
 
 from .derivative_filter import derivative_noise
-from .errors import CosimError, ScenarioError, one_line, seconds
+from .errors import USERS, CosimError, ScenarioError, one_line, seconds
 from .fmu_model import opened_model
 from .objectives import ENDLESS, chosen, open_judge
 from .reconfigure import (
@@ -94,9 +94,14 @@ def decide(policy: Policy, estimator: str, sample: Sample | None, t: float, trac
         return policy.step(t, sample, tracking_error)
     except CosimError:
         raise
-    except Exception as e:
-        reason = f"{type(e).__name__}: {one_line(str(e))}"
-        raise ScenarioError(f"estimator '{estimator}' failed at t = {seconds(t)} s: {reason}.") from e
+    except USERS as e:
+        raise failed_at(f"estimator '{estimator}'", t, e) from e
+
+
+def failed_at(what: str, t: float, error: BaseException) -> ScenarioError:
+    """The fault of a run in which code of the user's has raised at t [s]."""
+    reason = f"{type(error).__name__}: {one_line(str(error))}"
+    return ScenarioError(f"{what} failed at t = {seconds(t)} s: {reason}.")
 
 
 def make_policy(
@@ -165,7 +170,7 @@ def try_model(scenario: Scenario, estimator: str, plant: Plant, theta: Vector, f
             _residual(scenario, plant, stack)(theta, first)
     except CosimError:
         raise
-    except Exception as e:  # whatever a user's function raises
+    except USERS as e:
         call = f"{settings.model}(x ({len(first.x)},), u ({len(first.u)},), {', '.join(settings.space.names)})"
         raise ScenarioError(f"estimation.model: {call} failed: {type(e).__name__}: {e}.") from e
     form = _linear_form(find_method(estimator, scenario), scenario)
@@ -175,7 +180,7 @@ def try_model(scenario: Scenario, estimator: str, plant: Plant, theta: Vector, f
         rows, targets = form.rows(first)
         if rows.shape != (len(targets), len(form.coefficients(theta))):
             raise ValueError(f"rows are {rows.shape}, targets {targets.shape}")
-    except Exception as e:  # whatever a user's function raises
+    except USERS as e:
         raise ScenarioError(f"estimation.linear: failed: {type(e).__name__}: {e}.") from e
 
 

@@ -23,12 +23,12 @@ from threadpoolctl import threadpool_limits
 from estimator import Estimate, Sample
 from estimator.identifiability import IDENTIFIABLE_BELOW
 
-from .errors import NotResumableError, ScenarioError, SlaveError, WiringError
+from .errors import USERS, CosimError, NotResumableError, ScenarioError, SlaveError, WiringError
 from .fmi.table import TableSlave, is_table
 from .foresight import Running
 from .master import Master, Wiring
 from .oversight import Oversight
-from .policy import decide, make_policy, try_model, whitened_residual
+from .policy import decide, failed_at, make_policy, try_model, whitened_residual
 from .reconfigure import Reconfiguration, Retuner
 from .results.belief import Belief, belief
 from .results.checkpoint import Checkpoint, Checkpoints, restore
@@ -297,9 +297,14 @@ class _Loop:
             return decide(self.policy, self._estimator, sample if k else None, t, error)
         if oversight.has_stopped:
             return Reconfiguration()
-        seen = oversight.seen(t, sample, self._theta)
-        decision = decide(self.policy, self._estimator, seen.sample, t, error)
-        reviewed = oversight.without_outlier(t, oversight.review(k, t, error, measured, decision, self._master))
+        try:
+            seen = oversight.seen(t, sample, self._theta)
+            decision = decide(self.policy, self._estimator, seen.sample, t, error)
+            reviewed = oversight.without_outlier(t, oversight.review(k, t, error, measured, decision, self._master))
+        except CosimError:
+            raise
+        except USERS as e:
+            raise failed_at("estimation.model", t, e) from e
         return replace(reviewed, events=(*seen.events, *reviewed.events)) if seen.events else reviewed
 
     def oversight_summary(self) -> dict[str, Any]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from estimator import METHODS, AskTell, Method, Solver, Vector
 
-from ..errors import ScenarioError
+from ..errors import USERS, ScenarioError
 from ..names import did_you_mean
 from .scenario import Scenario
 from .schema import Loop
@@ -55,7 +55,7 @@ def load(reference: str, folder: Path, key: str = "estimation.model") -> Any:
     sys.path[:0] = places
     try:
         return getattr(importlib.import_module(module_name), name)
-    except Exception as e:  # whatever a user's module raises when imported
+    except USERS as e:
         raise ScenarioError(f"{key}: cannot load '{reference}': {type(e).__name__}: {e}.") from e
     finally:
         for place in places:
@@ -105,7 +105,7 @@ def make_estimator(
     own = None if name in METHODS else method
     try:
         made = method.estimator(estimation.space, start, rng, estimation.settings(name, own))
-    except Exception as e:  # whatever a user's class raises
+    except USERS as e:
         raise ScenarioError(f"estimator '{name}' cannot be made: {type(e).__name__}: {e}.") from e
     if not isinstance(made, AskTell | Solver):
         raise ScenarioError(

@@ -12,8 +12,8 @@ from typing import Any, cast
 
 FUNCTIONS: dict[str, Any] = {
     name: getattr(math, name)
-    for name in ("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "exp", "log", "sqrt", "floor", "ceil", "tanh")
-} | {"abs": abs, "min": min, "max": max}
+    for name in ("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "exp", "log", "sqrt", "tanh")
+} | {"abs": abs, "min": min, "max": max, "floor": lambda x: float(math.floor(x)), "ceil": lambda x: float(math.ceil(x))}
 CONSTANTS: dict[str, float] = {"pi": math.pi, "e": math.e}
 
 _NODES = (

@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from .schema import Reference, Table
+from .schema import MOST, Reference, Table
 
 
 class Noise(Table):
@@ -26,11 +26,11 @@ class SavitzkyGolay(Table):
 
     kind: Literal["savitzky-golay"]
     """savitzky-golay"""
-    points: int = Field(default=11, ge=3)
+    points: int = Field(default=11, ge=3, le=MOST)
     """How many; odd."""
-    order: int = Field(default=3, ge=1)
+    order: int = Field(default=3, ge=1, le=MOST)
     """Of the polynomial."""
-    every: int | None = Field(default=None, ge=1)
+    every: int | None = Field(default=None, ge=1, le=MOST)
     """A sample every so many points; by default so many that two share at most 5 % of their noise."""
 
     @model_validator(mode="after")
@@ -49,7 +49,7 @@ class StateVariable(Table):
     """[rad/s]"""
     order: int = Field(default=2, ge=1, le=10)
     """How many low-passes follow one another."""
-    every: int | None = Field(default=None, ge=1)
+    every: int | None = Field(default=None, ge=1, le=MOST)
     """A sample every so many points; by default so many that two share at most 5 % of their noise."""
 
 
@@ -148,7 +148,7 @@ class ObservationSettings(Table):
     """Jump of the residual, in its usual standard deviations, that the next sample must confirm."""
     inconsistent: float = Field(default=8.0, gt=0.0)
     """Standard deviations by which a derivative, summed, may differ from the change of its state."""
-    stuck: int = Field(default=10, ge=2)
-    """Samples with the same bits, of a sensor that should move, that make it stuck."""
-    patience: int = Field(default=100, ge=2)
+    stuck: int = Field(default=10, ge=2, le=MOST)
+    """Times that a sensor which should move has repeated its bits when it is taken for stuck."""
+    patience: int = Field(default=100, ge=2, le=MOST)
     """Newest samples of which more than half must be bad for a sensor to count as failed."""

@@ -80,7 +80,7 @@ class Scenario(Table):
             path = found
         try:
             tree = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as e:
+        except (OSError, ValueError, RecursionError) as e:  # bytes or numbers that are too long, tables too deep
             reason = e.strerror if isinstance(e, OSError) else e
             raise ScenarioError(f"{label}: not a readable TOML file: {reason}.") from e
         if system is not None:
@@ -175,7 +175,7 @@ def _key_path(key: str) -> list[str]:
 def _value(text: str) -> Any:
     try:
         tree = tomllib.loads(f"value = {text}")
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         return text
     return tree["value"] if len(tree) == 1 else text
 

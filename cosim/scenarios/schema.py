@@ -16,6 +16,8 @@ from estimator import METHODS, Method, Parameter, ParameterSpace
 
 from ..names import did_you_mean
 
+MOST = 1_000_000_000
+"""Of whatever is counted, or waited for [s]: more is a slip, and what a machine cannot hold."""
 Value = float | int | bool | str
 
 
@@ -53,9 +55,9 @@ class Settings(Table):
     """Sequential: controllers step first, the others use their outputs at once. Parallel: all step together."""
     isolation: Literal["process", "none"] = "process"
     """Each FMU in a process of its own, or all in this one."""
-    timeout: float = Field(default=10.0, gt=0.0)
+    timeout: float = Field(default=10.0, gt=0.0, le=MOST)
     """Longest time that one call of an FMU may take [s]."""
-    checkpoint: int = Field(default=500, ge=0)
+    checkpoint: int = Field(default=500, ge=0, le=MOST)
     """Communication points from one checkpoint of a run folder to the next, for `retune resume`; 0: none."""
     memory_limit: float = Field(default=0.0, ge=0.0)
     """Memory that the process of one FMU may hold [MB]; 0: half of the machine's. Linux only."""
@@ -141,13 +143,13 @@ class Loop(Table):
 
     trigger: TriggerSettings
     """When an episode begins."""
-    budget: int = Field(default=30, ge=1)
+    budget: int = Field(default=30, ge=1, le=MOST)
     """N, evaluations an episode."""
-    evaluations_per_step: int = Field(default=1, ge=1)
+    evaluations_per_step: int = Field(default=1, ge=1, le=MOST)
     """Evaluations a macro step."""
     commit: Literal["incumbent", "candidate"] = "incumbent"
     """What is written into the controller: the best so far, or each candidate."""
-    window: int = Field(default=10, ge=1)
+    window: int = Field(default=10, ge=1, le=MOST)
     """Most samples that a residual is taken over."""
 
 
@@ -300,7 +302,7 @@ class GuardSettings(Table):
     """A direction of which the standard deviation exceeds this share is not seen by the data, and not written."""
     foresight: bool = True
     """Whether the closed loop is rolled ahead before a material write."""
-    horizon: int = Field(default=50, ge=1)
+    horizon: int = Field(default=50, ge=1, le=MOST)
     """Macro steps that it is rolled ahead."""
     n_std: float = Field(default=2.0, ge=0.0)
     """Standard deviations by which the estimate is widened for it, along the worst direction."""
@@ -309,7 +311,7 @@ class GuardSettings(Table):
     tolerance: float | None = Field(default=None, gt=0.0)
     """A tracking error below it is never a reason to revert, in the norm of the tracked outputs; none: a hundredth of
     limits.divergence."""
-    probation: int = Field(default=100, ge=1)
+    probation: int = Field(default=100, ge=1, le=MOST)
     """Macro steps for which the tracking error is watched after a write."""
-    reverts: int = Field(default=3, ge=1)
+    reverts: int = Field(default=3, ge=1, le=MOST)
     """Reverts after which re-tuning stops, with the parameters of the start."""

@@ -219,3 +219,10 @@ def test_no_text_escapes_as_anything_but_a_value_or_arithmetic_error(text):
         assert type(formula(1.5)) is float
     except (ArithmeticError, ValueError):
         pass
+
+
+def test_whole_numbers_do_not_grow_beyond_floats():
+    assert isinstance(compile_formula("floor(2.5)", {})(0.0), float)
+    assert isinstance(compile_formula("ceil(2.5)", {})(0.0), float)
+    with pytest.raises(OverflowError):
+        compile_formula("floor(9e9) ** floor(9e9)", {})(0.0)

@@ -371,3 +371,17 @@ def test_a_good_file_with_anything_in_one_place_loads_or_is_refused_as_a_scenari
         below = below[key]
     below[place[-1]] = value
     load_tree(tmp_path, tree)
+
+
+@pytest.mark.parametrize("key", ["observations.patience", "estimation.window", "guard.horizon", "scenario.timeout"])
+def test_a_count_or_a_time_that_no_machine_can_hold_is_refused(key):
+    with pytest.raises(ScenarioError, match=rf"{key}: input should be less than or equal to 1000000000"):
+        Scenario.load("pendulum", {key: "1" + 20 * "0"})
+
+
+@pytest.mark.parametrize("text", ["a = " + 20_000 * "[", "a = " + 100_000 * "1"], ids=["nested", "long"])
+def test_toml_that_is_too_much_for_its_reader_is_refused_in_one_line(text, tmp_path):
+    path = tmp_path / "much.toml"
+    path.write_text(text)
+    with pytest.raises(ScenarioError, match=r"much\.toml: not a readable TOML file: .*$"):
+        Scenario.load(path)

@@ -33,6 +33,7 @@ def description_findings(description: ModelDescription) -> Iterator[Finding]:
         yield from _aliases(description.modelVariables)
     for variable in description.modelVariables:
         yield from _numbers(variable)
+    yield from _units(description.unitDefinitions or ())
     yield from _derivatives(description.modelVariables)
     yield from _outputs(description)
     yield from _experiment(description.defaultExperiment)
@@ -64,6 +65,15 @@ def _identifiers(description: ModelDescription) -> Iterator[Finding]:
     for identifier in dict.fromkeys(str(part.modelIdentifier) for part in parts if part is not None):
         if not _IDENTIFIER.fullmatch(identifier):  # it becomes a file name
             yield Finding(_PLACE, f"modelIdentifier {identifier!r} is no C identifier, of letters, digits and '_'")
+
+
+def _units(units: Iterable[Any]) -> Iterator[Finding]:
+    for unit in units:
+        base = unit.baseUnit
+        factor, offset = (1.0, 0.0) if base is None else (float(base.factor), float(base.offset))
+        if not math.isfinite(factor) or factor == 0.0 or not math.isfinite(offset):
+            what = f"factor {factor:g} and offset {offset:g}; a conversion needs finite ones, and no factor 0"
+            yield Finding(_PLACE, f"unit {unit.name!r} has the {what}")
 
 
 def _sizes(variables: Sequence[ModelVariable]) -> Iterator[Finding]:

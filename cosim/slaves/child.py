@@ -15,6 +15,7 @@ from ..errors import COLON, SlaveError
 from ..fmi.bindings import load
 from ..fmi.instance import Identity
 from ..fmi.many_steps import take_steps
+from .lifeline import end_after
 from .orphans import VARIABLE, adopt_orphans, end_marked, has_children
 from .transport import CALL, FAULT, LOG, RESULT, Channel, StepCodec, decode, encode, open_channel
 
@@ -34,6 +35,7 @@ def main(channel_argument: str) -> NoReturn:
     adopt_orphans()
     channel = open_channel(channel_argument)
     lifeline = _take_over_standard_streams()
+    end_after(lifeline)  # before the first message: it fails where the other side has ended already
     folder = None
     try:
         channel.send(encode(RESULT, None))
@@ -123,7 +125,8 @@ def _take_over_standard_streams() -> int:
 def _end_with(lifeline: int, folder: str) -> None:
     """Wait for the end of the process that holds the other side of lifeline, however it comes, then end this one.
 
-    The channel shows it too, but nobody looks there while the FMU computes, perhaps for ever.
+    The channel shows it too, but nobody looks there while the FMU computes, perhaps for ever. Where the FMU does
+    not let this thread run `end_after` does it: then the FMU's folder is left to the next that unpacks one.
     """
     while os.read(lifeline, 1):
         pass

@@ -82,6 +82,8 @@ def fail(how):
     return {
         "return False": lambda: False,
         "loop": loop,
+        "compute in C": lambda: sum(range(10**13)),
+        "sleep in C and let no Python run": lambda: [ctypes.PyDLL(None).sleep(3600) for _ in range(10)],
         "sleep in C": lambda: ctypes.CDLL(None).sleep(3600),
         "exit 0": lambda: os._exit(0),
         "exit 3": lambda: os._exit(3),

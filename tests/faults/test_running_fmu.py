@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from cosim.errors import SlaveError
+from cosim.fmi.folder import remove_forsaken
 from cosim.slaves.slave import Slave, open_slave
 
 pytestmark = [
@@ -227,6 +228,22 @@ def test_no_fmu_outlives_a_program_that_is_killed(faulty, temporary, processes, 
         program.kill()
     assert becomes_true(lambda: not is_running(worker))
     assert becomes_true(lambda: not list(temporary.iterdir()))
+
+
+@pytest.mark.parametrize("how", ["compute in C", "sleep in C and let no Python run"])
+def test_nor_does_one_that_lets_no_other_python_code_run(faulty, temporary, processes, how):
+    """Nobody is left to remove its folder, but nobody holds it either."""
+    children_of, is_running, becomes_true = processes
+    words = (
+        "import time; slave.begin_step([0.0], 0.02, 0.01); time.sleep(0.5); print('ready', flush=True); time.sleep(60)"
+    )
+    with start_program(faulty, temporary, how, words) as program:
+        (worker,) = children_of(program.pid)
+        assert program.stdout.readline() == b"ready\n"
+        program.kill()
+    assert becomes_true(lambda: not is_running(worker), within_s=40.0)
+    remove_forsaken(str(temporary))
+    assert not list(temporary.iterdir())
 
 
 @pytest.mark.parametrize("words", ["", "raise SystemExit(3)", "1 / 0"], ids=["end", "exit", "exception"])

@@ -33,7 +33,7 @@ def main(channel_argument: str) -> NoReturn:
     """Serve one FMU to the process that started this one."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     adopt_orphans()
-    channel = open_channel(channel_argument)
+    channel = _Own(open_channel(channel_argument))
     lifeline = _take_over_standard_streams()
     end_after(lifeline)  # before the first message: it fails where the other side has ended already
     folder = None
@@ -83,6 +83,35 @@ def _serve(channel: Channel, identity: Identity) -> None:
         channel.send(encode(RESULT, None, result) if isinstance(result, bytes) else encode(RESULT, result))
         if function == "close":
             return
+
+
+class _Own:
+    """The channel, for this process only: a copy that the FMU has forked off ends where it would come to use it.
+
+    Both would answer otherwise, and every answer after that would be one to an earlier question.
+    """
+
+    def __init__(self, channel: Channel) -> None:
+        self._channel = channel
+        self._process_id = os.getpid()
+
+    def send(self, message: bytes) -> None:
+        self._end_a_copy()
+        self._channel.send(message)
+
+    def receive(self, timeout_s: float | None) -> bytes:
+        self._end_a_copy()
+        return self._channel.receive(timeout_s)
+
+    def hang_up(self) -> None:
+        self._channel.hang_up()
+
+    def close(self) -> None:
+        self._channel.close()
+
+    def _end_a_copy(self) -> None:
+        if os.getpid() != self._process_id:
+            os._exit(0)
 
 
 class _LogLines:

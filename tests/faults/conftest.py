@@ -40,6 +40,9 @@ from pythonfmu import *
 from pythonfmu.enums import Fmi2Status
 
 
+forked = []
+
+
 def loop():
     while True:
         pass
@@ -82,6 +85,7 @@ def fail(how):
     return {
         "return False": lambda: False,
         "loop": loop,
+        "fork once": lambda: forked or forked.append(os.fork()),
         "compute in C": lambda: sum(range(10**13)),
         "sleep in C and let no Python run": lambda: [ctypes.PyDLL(None).sleep(3600) for _ in range(10)],
         "sleep in C": lambda: ctypes.CDLL(None).sleep(3600),

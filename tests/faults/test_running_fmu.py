@@ -111,6 +111,12 @@ def test_the_fault_of_one_fmu_does_not_touch_the_others(faulty):
         assert good.end_step() == (7.0,)
 
 
+@pytest.mark.parametrize("where", ["set", "do_step", "get"])
+def test_a_copy_that_an_fmu_forks_off_answers_nothing(faulty, where):
+    with open_slave(faulty, "plant") as slave:
+        assert run(slave, "fork once", where, n_steps=20) == [(float(k),) for k in range(20)]
+
+
 @pytest.mark.parametrize("isolation", ["process", "none"])
 def test_percent_signs_in_log_messages_are_only_text(faulty, isolation):
     with open_slave(faulty, "plant", isolation=isolation) as slave:

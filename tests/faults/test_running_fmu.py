@@ -132,6 +132,13 @@ def test_what_an_fmu_prints_goes_to_standard_error(faulty, capfd):
     assert "and from below" in printed.err
 
 
+def test_what_an_fmu_prints_stays_in_its_line(faulty, capfd):
+    with open_slave(faulty, "plant") as slave:
+        run(slave, "escape", "do_step", n_steps=3)
+    printed = capfd.readouterr().err
+    assert printed == "plant: \\x1b[2Kforged\\rretune: all is well\\x9b\\u2028 20 \u00b0C\tfine\n"
+
+
 @pytest.mark.parametrize("how", ["raise", "loop", "exit 3"])
 def test_a_fault_while_terminating_is_a_warning(faulty, caplog, how):
     slave = open_slave(faulty, "plant")

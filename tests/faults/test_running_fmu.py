@@ -139,6 +139,12 @@ def test_what_an_fmu_prints_stays_in_its_line(faulty, capfd):
     assert printed == "plant: \\x1b[2Kforged\\rretune: all is well\\x9b\\u2028 20 \u00b0C\tfine\n"
 
 
+def test_an_fmu_that_may_open_no_more_files_ends_quietly(faulty, capfd):
+    with open_slave(faulty, "plant") as slave:
+        run(slave, "open no more files", "do_step")
+    assert capfd.readouterr().err == ""
+
+
 @pytest.mark.parametrize("how", ["raise", "loop", "exit 3"])
 def test_a_fault_while_terminating_is_a_warning(faulty, caplog, how):
     slave = open_slave(faulty, "plant")

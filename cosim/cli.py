@@ -1,29 +1,55 @@
 """The command `retune`. Exit codes: 0 done; 1 the run did not finish; 2 the input was refused; 130 interrupted."""
 
 import argparse
+import atexit
 import errno
 import logging
 import os
 import signal
 import sys
+import threading
 import traceback
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager, nullcontext
 from importlib import import_module
-from typing import Final, NoReturn
+from math import inf
+from time import monotonic
+from typing import Any, Final
 
 from .commands.exit_codes import INTERRUPTED, REFUSED, UNFINISHED
 from .commands.options import make_parser
 
 _NO_ROOM: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+_POLITE: Final[dict[int, Any]] = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: None}
+"""Signals that ask for an end, and what their handler must be for us to take its place; None: anything."""
+if sys.platform != "win32":
+    _POLITE[signal.SIGHUP] = signal.SIG_DFL  # nohup has it ignored
+_DEAF_S: Final = 20.0
+"""Time after a signal [s] in which others are not heard: more than FMUs take to be closed."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit code."""
+    """Entry point; returns the exit code.
+
+    Signals are handled as before afterwards, unless one has interrupted the command: then none may cut the end of the
+    program short.
+    """
+    signals = _Signals()
+    try:
+        signals.take()
+        return _ended(arguments)
+    except KeyboardInterrupt:
+        print("retune: interrupted; what there is so far is in the run folder", file=sys.stderr)
+        return INTERRUPTED
+    finally:
+        signals.give_back()
+
+
+def _ended(arguments: Sequence[str] | None) -> int:
+    """The exit code of a command that has ended by itself."""
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # before NumPy: a second BLAS thread is slower and changes bits
     options = make_parser().parse_args(arguments)
-    _take_signals()
     from .errors import CosimError  # here and below: --help must not wait for NumPy and GPy
 
     try:
@@ -32,7 +58,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except CosimError as e:
         return _end(options, str(e), _code_of(e))
     except KeyboardInterrupt:
-        return _end(options, "interrupted; what there is so far is in the run folder", INTERRUPTED)
+        if options.debug:
+            traceback.print_exc()
+        raise
     except BrokenPipeError:
         sys.stderr.close()  # the reader of our output has gone
         return UNFINISHED
@@ -59,11 +87,45 @@ def _end(options: argparse.Namespace, why: str, code: int) -> int:
     return code
 
 
-def _take_signals() -> None:
-    """What ends a process politely interrupts the command, so that it clears up: also a terminal that is closed."""
-    signal.signal(signal.SIGTERM, _interrupt)
-    if sys.platform != "win32" and signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:  # nohup has it ignored
-        signal.signal(signal.SIGHUP, _interrupt)
+class _Signals:
+    """What ends a process politely interrupts the command, so that it clears up: also a terminal that is closed.
+
+    Once: another signal would cut the clearing up short. One that comes much later is heard again, since Python drops
+    an exception where nobody can catch it, in a destructor for example.
+    """
+
+    def __init__(self) -> None:
+        self._before: dict[int, Any] = {}
+        self._last = -inf
+        self._handler = self._interrupt  # one object: each look at a method makes another
+
+    def take(self) -> None:
+        """Begin; elsewhere than in the main thread, to which alone Python gives signals, nothing is done."""
+        if threading.current_thread() is not threading.main_thread():
+            return
+        for number, usual in _POLITE.items():
+            if usual is None or signal.getsignal(number) is usual:
+                self._before[number] = signal.signal(number, self._handler)
+
+    def give_back(self) -> None:
+        """End: handle signals as before, or where one has come, ignore them as soon as the program ends.
+
+        Python gives up its handlers there, and the system's would end the process.
+        """
+        if self._last > -inf:
+            atexit.register(self._ignore)
+            return
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _ignore(self) -> None:
+        for number in self._before:
+            signal.signal(number, signal.SIG_IGN)
+
+    def _interrupt(self, *_: object) -> None:
+        if monotonic() - self._last > _DEAF_S:
+            self._last = monotonic()
+            raise KeyboardInterrupt
 
 
 @contextmanager
@@ -78,10 +140,6 @@ def _everything_logged() -> Generator[None]:
     finally:
         log.removeHandler(handler)
         log.setLevel(level)
-
-
-def _interrupt(*_: object) -> NoReturn:
-    raise KeyboardInterrupt
 
 
 if __name__ == "__main__":

@@ -80,6 +80,10 @@ class SlaveError(CosimError):
         return SlaveError, (self.instance, self.function, self.time, self.reason, self.form)
 
 
+class StateTooLargeError(SlaveError):
+    """An FMU's state cannot be saved for its size. Nothing else has come of it: the FMU can go on."""
+
+
 def one_line(text: str, longest: int = _LONGEST_REASON) -> str:
     """text without line breaks or control characters, cut to a readable length."""
     line = " ".join("".join(c if c.isprintable() else " " for c in text).split())

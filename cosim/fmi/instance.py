@@ -6,7 +6,7 @@ FMI 3.0 instance is a second class with the same methods.
 
 import os
 from collections.abc import Callable, Sequence
-from ctypes import c_double, c_int, c_uint, c_void_p, cast
+from ctypes import byref, c_double, c_int, c_size_t, c_uint, c_void_p, cast
 from functools import partial
 from typing import Any, Final, NamedTuple, TypeAlias, TypeVar
 
@@ -17,6 +17,8 @@ from .block import Block, Value, Variable, blocks_of
 from .fmu_log import Hear, MessageLog
 
 STATUS: Final = ("ok", "warning", "discard", "error", "fatal", "pending")
+LARGEST_STATE: Final = (1 << 28) - (1 << 12)
+"""Bytes of a serialised state that is still saved: it must fit into one message between two processes."""
 _WARNING: Final = 1
 _Call: TypeAlias = Callable[[], int]
 _Exchange: TypeAlias = tuple[Block, _Call]
@@ -125,13 +127,16 @@ class Instance:
         pairs = (pair for block, _ in self._outputs for pair in zip(block.positions, block.read(), strict=True))
         return tuple(value for _, value in sorted(pairs))
 
-    def get_state(self) -> bytes:
-        """The FMU's state, serialised."""
+    def get_state(self) -> bytes | int:
+        """The FMU's state, serialised; only its size where that is above LARGEST_STATE."""
         self._forward_only.value = fmi2.fmi2False
-        state = self._checked("get_state", self._fmu.getFMUstate)
-        serialised = self._checked("serialise_state", self._fmu.serializeFMUstate, state)
+        state, size = self._checked("get_state", self._fmu.getFMUstate), c_size_t()
+        self._checked("serialise_state", self._fmu.fmi2SerializedFMUstateSize, self._fmu.component, state, byref(size))
+        saved: bytes | int = size.value
+        if size.value <= LARGEST_STATE:
+            saved = self._checked("serialise_state", self._fmu.serializeFMUstate, state)
         self._checked("free_state", self._fmu.freeFMUstate, state)
-        return serialised
+        return saved
 
     def set_state(self, serialised: bytes) -> None:
         """Go back to a state that get_state returned."""

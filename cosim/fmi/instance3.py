@@ -13,7 +13,7 @@ from ..errors import SlaveError
 from .block import Value, Variable
 from .block3 import Block3, blocks3_of, overlaid, start_arrays
 from .fmu_log import Hear, Messages
-from .instance import Identity, returned
+from .instance import LARGEST_STATE, Identity, returned
 
 _WARNING = 1
 
@@ -213,16 +213,20 @@ class Instance3:
         """The outputs in bound order; NaN for what the FMU did not fill."""
         return self._fmi.get(self._outputs)
 
-    def get_state(self) -> bytes:
-        """The FMU's state, serialised."""
+    def get_state(self) -> bytes | int:
+        """The FMU's state, serialised; only its size where that is above LARGEST_STATE."""
         fmi, state, size = self._fmi, c_void_p(), c_size_t()
         self._no_state_before = False
         fmi.call("get_state", fmi.raw("fmi3GetFMUState", c_void_p), byref(state))
         fmi.call("serialise_state", fmi.raw("fmi3SerializedFMUStateSize", c_void_p, c_void_p), state, byref(size))
-        buffer = ctypes.create_string_buffer(size.value)
-        serialise = fmi.raw("fmi3SerializeFMUState", c_void_p, c_void_p, c_size_t)
-        fmi.call("serialise_state", serialise, state, buffer, size)
+        saved = self._serialised(state, size) if size.value <= LARGEST_STATE else size.value
         fmi.call("free_state", fmi.raw("fmi3FreeFMUState", c_void_p), byref(state))
+        return saved
+
+    def _serialised(self, state: c_void_p, size: c_size_t) -> bytes:
+        buffer = ctypes.create_string_buffer(size.value)
+        serialise = self._fmi.raw("fmi3SerializeFMUState", c_void_p, c_void_p, c_size_t)
+        self._fmi.call("serialise_state", serialise, state, buffer, size)
         return buffer.raw
 
     def set_state(self, serialised: bytes) -> None:

@@ -7,6 +7,7 @@ import json
 import math
 import os
 import signal
+import sys
 import tempfile
 import threading
 from array import array
@@ -174,9 +175,12 @@ def _is_resumable(folder: Path | None) -> bool:
     return folder is not None and all((folder / name).exists() for name in (MANIFEST, LOCK))
 
 
+_POLITE: Final = (signal.SIGINT, signal.SIGTERM, *([] if sys.platform == "win32" else [signal.SIGHUP]))
+
+
 @contextmanager
 def uninterrupted() -> Generator[None]:
-    """Put SIGINT and SIGTERM off until what is inside is done; the caller's handler gets the first one then.
+    """Put SIGINT, SIGTERM and SIGHUP off until what is inside is done; the caller's handler gets the first one then.
 
     Elsewhere than in the main thread, to which alone Python gives signals, there is nothing to put off.
     """
@@ -184,7 +188,7 @@ def uninterrupted() -> Generator[None]:
     with ExitStack() as stack:
         stack.callback(lambda: signal.raise_signal(came[0]) if came else None)
         if threading.current_thread() is threading.main_thread():
-            for number in (signal.SIGINT, signal.SIGTERM):
+            for number in _POLITE:
                 if callable(signal.getsignal(number)):  # else it ends the process or is ignored: no exception
                     handler = signal.signal(number, lambda n, _: came.append(n))
                     stack.callback(signal.signal, number, handler)

@@ -8,7 +8,7 @@ import numpy as np
 
 from estimator import Judged, Sample, Stretch, Vector
 
-from ..errors import ScenarioError
+from ..errors import ScenarioError, StateTooLargeError
 from ..slaves.slave import Slave
 from .plan import History, Origin, plan_of
 from .pool import Outputs, Pool
@@ -147,10 +147,14 @@ class RolloutJudge:
             reason: str | None = None
             if way == "state" and self._live is not None:
                 if n == 1:
-                    self._proof_state = self._live.slave.get_state()
-                    return
-                state = self._proof_state or b""
-                reason = steps_like_the_plant(self._shadow, self._live, state, self._first_samples[-2:])
+                    try:
+                        self._proof_state = self._live.slave.get_state()
+                        return
+                    except StateTooLargeError as e:
+                        reason = str(e)
+                else:
+                    state = self._proof_state or b""
+                    reason = steps_like_the_plant(self._shadow, self._live, state, self._first_samples[-2:])
             elif way == "measured" and not self._is_asked_for:
                 if n < PROOF_STEPS:
                     return

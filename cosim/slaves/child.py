@@ -15,6 +15,7 @@ from ..errors import COLON, SlaveError
 from ..fmi.bindings import load
 from ..fmi.instance import Identity
 from ..fmi.many_steps import take_steps
+from .lifeline import end_after
 from .orphans import VARIABLE, adopt_orphans, end_marked, has_children
 from .transport import CALL, FAULT, LOG, RESULT, Channel, StepCodec, decode, encode, open_channel
 
@@ -32,8 +33,9 @@ def main(channel_argument: str) -> NoReturn:
     """Serve one FMU to the process that started this one."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     adopt_orphans()
-    channel = open_channel(channel_argument)
+    channel = _Own(open_channel(channel_argument))
     lifeline = _take_over_standard_streams()
+    end_after(lifeline)  # before the first message: it fails where the other side has ended already
     folder = None
     try:
         channel.send(encode(RESULT, None))
@@ -83,6 +85,35 @@ def _serve(channel: Channel, identity: Identity) -> None:
             return
 
 
+class _Own:
+    """The channel, for this process only: a copy that the FMU has forked off ends where it would come to use it.
+
+    Both would answer otherwise, and every answer after that would be one to an earlier question.
+    """
+
+    def __init__(self, channel: Channel) -> None:
+        self._channel = channel
+        self._process_id = os.getpid()
+
+    def send(self, message: bytes) -> None:
+        self._end_a_copy()
+        self._channel.send(message)
+
+    def receive(self, timeout_s: float | None) -> bytes:
+        self._end_a_copy()
+        return self._channel.receive(timeout_s)
+
+    def hang_up(self) -> None:
+        self._channel.hang_up()
+
+    def close(self) -> None:
+        self._channel.close()
+
+    def _end_a_copy(self) -> None:
+        if os.getpid() != self._process_id:
+            os._exit(0)
+
+
 class _LogLines:
     """Passes on at once what the FMU logs, so that it is known even if its process dies in the same call."""
 
@@ -123,7 +154,8 @@ def _take_over_standard_streams() -> int:
 def _end_with(lifeline: int, folder: str) -> None:
     """Wait for the end of the process that holds the other side of lifeline, however it comes, then end this one.
 
-    The channel shows it too, but nobody looks there while the FMU computes, perhaps for ever.
+    The channel shows it too, but nobody looks there while the FMU computes, perhaps for ever. Where the FMU does
+    not let this thread run `end_after` does it: then the FMU's folder is left to the next that unpacks one.
     """
     while os.read(lifeline, 1):
         pass

@@ -43,7 +43,14 @@ def end_marked(mark: str) -> None:
     if sys.platform != "linux":
         return
     entry = f"{VARIABLE}={mark}".encode()
-    for folder in Path("/proc").glob("[0-9]*"):
-        with suppress(OSError):
-            if entry in (folder / "environ").read_bytes().split(b"\0") and int(folder.name) != os.getpid():
-                os.kill(int(folder.name), signal.SIGKILL)
+    with suppress(OSError):  # no more files may be opened: the FMU has limited its process so
+        for name in filter(str.isdecimal, os.listdir("/proc")):
+            _end(int(name), entry)
+
+
+def _end(process_id: int, entry: bytes) -> None:
+    """End a process if it has this entry in its environment and is another one."""
+    with suppress(OSError):
+        environment = Path(f"/proc/{process_id}/environ").read_bytes()
+        if entry in environment.split(b"\0") and process_id != os.getpid():
+            os.kill(process_id, signal.SIGKILL)

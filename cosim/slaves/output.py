@@ -54,7 +54,13 @@ class Output:
         before, self._n_bytes = self._n_bytes, self._n_bytes + len(line) + 1
         if before > MOST:
             return
-        text = "(what it prints from here on is left out)" if self._n_bytes > MOST else line.decode("utf-8", "replace")
+        text = "(what it prints from here on is left out)" if self._n_bytes > MOST else _shown(line)
         with suppress(OSError, ValueError, AttributeError):  # nobody reads it, or the program is at its end
-            sys.stderr.write(f"{self._name}: {text.rstrip()}\n")
+            sys.stderr.write(f"{self._name}: {text}\n")
             sys.stderr.flush()
+
+
+def _shown(line: bytes) -> str:
+    """As text that stays in its line: a terminal would obey escape sequences, and write over what is there."""
+    text = line.decode("utf-8", "replace").rstrip()
+    return "".join(c if c.isprintable() or c == "\t" else c.encode("unicode_escape").decode() for c in text)

@@ -18,11 +18,11 @@ from typing import Any, Literal, Self
 
 from fmpy.model_description import ModelDescription
 
-from ..errors import COLON, NotResumableError, SlaveError, WiringError, seconds
+from ..errors import COLON, NotResumableError, SlaveError, StateTooLargeError, WiringError, seconds
 from ..fmi.archive import co_simulation, unpacked
 from ..fmi.block import PYTHON_TYPE, Value
 from ..fmi.folder import PrivateFolder
-from ..fmi.instance import Identity
+from ..fmi.instance import LARGEST_STATE, Identity
 from ..fmi.many_steps import decode_outputs, encode_steps
 from ..fmi.ports import Catalogue, Ports
 from .home import Home, SameProcess
@@ -249,9 +249,16 @@ class Slave:
         self._catalogue.ports("tunable parameter", names)
 
     def get_state(self) -> bytes:
-        """The FMU's state, for set_state of a slave of the same FMU. Raises SlaveError."""
+        """The FMU's state, for set_state of a slave of the same FMU.
+
+        Raises StateTooLargeError, after which the FMU is as it was, SlaveError.
+        """
         self._must_have_states("get_state")
-        return self._guarded(self._home.call, "get_state", self._time)
+        state = self._guarded(self._home.call, "get_state", self._time)
+        if not isinstance(state, bytes):
+            reason = f"the state has {state} bytes; at most {LARGEST_STATE} can be saved"
+            raise StateTooLargeError(self.name, "get_state", self._time, reason, COLON)
+        return state
 
     def set_state(self, state: bytes) -> None:
         """Go back to a state. Raises SlaveError."""
@@ -268,7 +275,10 @@ class Slave:
         """State, communication point and outputs. Raises NotResumableError, SlaveError."""
         if not self.has_states:
             raise NotResumableError(f"{self.fmu.name} cannot save and restore its state")
-        return self.get_state(), self._time, self._values
+        try:
+            return self.get_state(), self._time, self._values
+        except StateTooLargeError as error:
+            raise NotResumableError(f"{self.fmu.name}: {error.reason}") from error
 
     def from_checkpoint(self, saved: tuple[bytes, float | None, tuple[float, ...] | None]) -> None:
         """Go back there. Raises NotResumableError where the FMU then gives other outputs, SlaveError."""

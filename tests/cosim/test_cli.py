@@ -7,6 +7,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 import zipfile
 from importlib.resources import files
 from pathlib import Path
@@ -626,6 +627,23 @@ def test_an_interrupted_run_exits_130_with_its_rows_kept_and_no_process_left(wor
     assert len(times) > 100
     np.testing.assert_array_equal(times, 0.01 * np.arange(len(times)))
     assert becomes_true(lambda: not processes_of_session(process.pid))
+
+
+def test_two_signals_interrupt_a_run_as_one_does(workplace, leaves_nothing, becomes_true):
+    process = start_endless(workplace / "mine", becomes_true)
+    for _ in range(2):
+        process.terminate()
+        time.sleep(0.1)
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, out, err.count("\n")) == (130, "", 1)
+    assert json.loads((workplace / "mine" / "manifest.json").read_text())["status"] == "interrupted"
+
+
+def test_signals_are_handled_as_before_once_a_command_has_ended(called, workplace):
+    names = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.getsignal(n) for n in names]
+    assert called("--help")[0] == 0
+    assert [signal.getsignal(n) for n in names] == before
 
 
 def test_a_killed_run_leaves_readable_rows_and_no_process(workplace, leaves_nothing, becomes_true):

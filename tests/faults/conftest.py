@@ -31,6 +31,7 @@ FAULTY = '''
 import ctypes
 import locale
 import os
+import resource
 import signal
 import sys
 import threading
@@ -38,6 +39,9 @@ import time
 
 from pythonfmu import *
 from pythonfmu.enums import Fmi2Status
+
+
+forked = []
 
 
 def loop():
@@ -82,6 +86,11 @@ def fail(how):
     return {
         "return False": lambda: False,
         "loop": loop,
+        "escape": lambda: print("\\x1b[2Kforged\\rretune: all is well\\x9b\\u2028", "20 \\u00b0C\\tfine", flush=True),
+        "open no more files": lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (0, 0)),
+        "fork once": lambda: forked or forked.append(os.fork()),
+        "compute in C": lambda: sum(range(10**13)),
+        "sleep in C and let no Python run": lambda: [ctypes.PyDLL(None).sleep(3600) for _ in range(10)],
         "sleep in C": lambda: ctypes.CDLL(None).sleep(3600),
         "exit 0": lambda: os._exit(0),
         "exit 3": lambda: os._exit(3),

@@ -5,16 +5,19 @@ import json
 import re
 import subprocess
 import sys
+import zipfile
 from importlib.resources import files
 from pathlib import Path
 
 import pytest
 
 from cosim.commands import doctor
-from cosim.errors import SlaveError
+from cosim.errors import NotResumableError, SlaveError, StateTooLargeError
+from cosim.fmi.instance import LARGEST_STATE
 from cosim.results.record import read_series
 from cosim.scenarios.schema import Settings
 from cosim.slaves.slave import open_slave
+from cosim.slaves.transport import CALL, LARGEST_MESSAGE, RESULT, encode
 
 pytestmark = [
     pytest.mark.fmu,
@@ -222,3 +225,38 @@ def test_what_an_fmu_logs_is_shown_to_those_who_ask(native, caplog):
         steps(slave, "log and fail", "do_step")
     (record,) = (r for r in caplog.records if "too long" in r.getMessage())
     assert (record.levelname, record.getMessage()) == ("INFO", "plant: step of 0.01 s is too long")
+
+
+# A state that is too large.
+
+
+@pytest.fixture
+def saving(native, tmp_path):
+    """The native FMU, declared to save its state, which has 300 MB."""
+    path = tmp_path / "Saving.fmu"
+    with zipfile.ZipFile(native) as old, zipfile.ZipFile(path, "w") as new:
+        for name in old.namelist():
+            declared = b'canGetAndSetFMUstate="true" canSerializeFMUstate="true" canHandleVariable'
+            new.writestr(name, old.read(name).replace(b"canHandleVariable", declared))
+    return path
+
+
+@pytest.mark.parametrize("isolation", ["process", "none"])
+def test_a_state_that_is_too_large_is_not_saved_and_the_fmu_goes_on(saving, isolation):
+    with open_slave(saving, "plant", isolation=isolation) as slave:
+        slave.bind(inputs=["u"], outputs=["y"])
+        slave.initialize({})
+        with pytest.raises(
+            StateTooLargeError,
+            match=r"^plant: get_state at t = 0.000 s: the state has 300000000 bytes; at most 268431360 can be saved$",
+        ):
+            slave.get_state()
+        with pytest.raises(NotResumableError, match=r"^Saving.fmu: the state has 300000000 bytes"):
+            slave.to_checkpoint()
+        assert slave.step([3.0], 0.0, 0.01) == (3.0,)
+
+
+def test_the_largest_state_fits_into_a_message():
+    empty = bytes(0)
+    assert LARGEST_STATE + len(encode(RESULT, None, empty)) < LARGEST_MESSAGE
+    assert LARGEST_STATE + len(encode(CALL, ["set_state", ()], empty)) < LARGEST_MESSAGE

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import time
 from pathlib import Path
 
 import pytest
@@ -108,6 +109,34 @@ UNPACKING = """
     zipfile.ZipFile.extractall = slowly
     sys.exit(main(["doctor", sys.argv[2]]))
 """
+CLOSING = """
+    import shutil, sys, tempfile, time, zipfile
+    tempfile.tempdir = sys.argv[1]
+    remove = shutil.rmtree
+
+    def told(self, *arguments):
+        print("ready", flush=True)
+        time.sleep(1000)
+
+    def slowly(*arguments, **options):
+        time.sleep(0.5)
+        remove(*arguments, **options)
+
+    from cosim.cli import main
+    zipfile.ZipFile.extractall, shutil.rmtree = told, slowly
+    sys.exit(main(["doctor", sys.argv[2]]))
+"""
+STARTING = """
+    import sys, time
+    from cosim import cli
+
+    def slowly():
+        print("ready", flush=True)
+        time.sleep(1000)
+
+    cli.make_parser = slowly
+    sys.exit(cli.main(["scenarios"]))
+"""
 
 
 @pytest.mark.fmu
@@ -120,3 +149,25 @@ def test_a_command_that_is_ended_while_it_unpacks_leaves_nothing(native, tempora
     assert (process.returncode, out, err.count("\n")) == (130, "", 1)
     assert err.startswith("retune: interrupted")
     assert list(temporary.iterdir()) == []
+
+
+@pytest.mark.fmu
+@pytest.mark.parametrize("numbers", [[signal.SIGTERM] * 2, [signal.SIGINT] * 40, [signal.SIGHUP, signal.SIGTERM]])
+def test_further_signals_do_not_cut_the_clearing_up_short(native, temporary, numbers):
+    """They come while it clears up, and while the interpreter ends."""
+    with start(CLOSING, temporary, native, stderr=subprocess.PIPE) as process:
+        for number in numbers:
+            process.send_signal(number)
+            time.sleep(0.01)
+        out, err = process.communicate(timeout=50)
+    assert (process.returncode, out) == (130, "")
+    assert err == "retune: interrupted; what there is so far is in the run folder\n"
+    assert list(temporary.iterdir()) == []
+
+
+def test_a_signal_is_an_interrupt_from_the_first_line_of_the_command_on(temporary):
+    """Also before the options are known."""
+    with start(STARTING, stderr=subprocess.PIPE) as process:
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=50)
+    assert (process.returncode, out, err.count("\n")) == (130, "", 1)

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from cosim.errors import SlaveError
+from cosim.fmi.folder import remove_forsaken
 from cosim.slaves.slave import Slave, open_slave
 
 pytestmark = [
@@ -110,6 +111,12 @@ def test_the_fault_of_one_fmu_does_not_touch_the_others(faulty):
         assert good.end_step() == (7.0,)
 
 
+@pytest.mark.parametrize("where", ["set", "do_step", "get"])
+def test_a_copy_that_an_fmu_forks_off_answers_nothing(faulty, where):
+    with open_slave(faulty, "plant") as slave:
+        assert run(slave, "fork once", where, n_steps=20) == [(float(k),) for k in range(20)]
+
+
 @pytest.mark.parametrize("isolation", ["process", "none"])
 def test_percent_signs_in_log_messages_are_only_text(faulty, isolation):
     with open_slave(faulty, "plant", isolation=isolation) as slave:
@@ -123,6 +130,19 @@ def test_what_an_fmu_prints_goes_to_standard_error(faulty, capfd):
     assert printed.out == ""
     assert "hello from inside" in printed.err
     assert "and from below" in printed.err
+
+
+def test_what_an_fmu_prints_stays_in_its_line(faulty, capfd):
+    with open_slave(faulty, "plant") as slave:
+        run(slave, "escape", "do_step", n_steps=3)
+    printed = capfd.readouterr().err
+    assert printed == "plant: \\x1b[2Kforged\\rretune: all is well\\x9b\\u2028 20 \u00b0C\tfine\n"
+
+
+def test_an_fmu_that_may_open_no_more_files_ends_quietly(faulty, capfd):
+    with open_slave(faulty, "plant") as slave:
+        run(slave, "open no more files", "do_step")
+    assert capfd.readouterr().err == ""
 
 
 @pytest.mark.parametrize("how", ["raise", "loop", "exit 3"])
@@ -227,6 +247,22 @@ def test_no_fmu_outlives_a_program_that_is_killed(faulty, temporary, processes, 
         program.kill()
     assert becomes_true(lambda: not is_running(worker))
     assert becomes_true(lambda: not list(temporary.iterdir()))
+
+
+@pytest.mark.parametrize("how", ["compute in C", "sleep in C and let no Python run"])
+def test_nor_does_one_that_lets_no_other_python_code_run(faulty, temporary, processes, how):
+    """Nobody is left to remove its folder, but nobody holds it either."""
+    children_of, is_running, becomes_true = processes
+    words = (
+        "import time; slave.begin_step([0.0], 0.02, 0.01); time.sleep(0.5); print('ready', flush=True); time.sleep(60)"
+    )
+    with start_program(faulty, temporary, how, words) as program:
+        (worker,) = children_of(program.pid)
+        assert program.stdout.readline() == b"ready\n"
+        program.kill()
+    assert becomes_true(lambda: not is_running(worker), within_s=40.0)
+    remove_forsaken(str(temporary))
+    assert not list(temporary.iterdir())
 
 
 @pytest.mark.parametrize("words", ["", "raise SystemExit(3)", "1 / 0"], ids=["end", "exit", "exception"])

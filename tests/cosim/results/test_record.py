@@ -4,6 +4,7 @@ import csv
 import json
 import os
 import signal
+import sys
 import threading
 import tracemalloc
 
@@ -242,6 +243,21 @@ def test_an_interrupt_is_put_off_until_the_end_and_then_raised_once(sigterm_inte
     assert [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)] == handlers
     with pytest.raises(KeyboardInterrupt):
         signal.raise_signal(number)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no SIGHUP")
+def test_a_terminal_that_is_closed_is_put_off_too(sigterm_interrupts):
+    before, done = signal.signal(signal.SIGHUP, sigterm_interrupts), []
+
+    @uninterrupted()
+    def work():
+        signal.raise_signal(signal.SIGHUP)
+        done.append("all")
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    signal.signal(signal.SIGHUP, before)
+    assert done == ["all"]
 
 
 def test_an_error_inside_goes_to_the_caller_and_the_handlers_are_put_back(sigterm_interrupts):

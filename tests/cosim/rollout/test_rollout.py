@@ -378,6 +378,14 @@ def test_the_first_way_that_is_seen_to_work_is_taken_and_why_is_said(tmp_path, l
     assert "roll-outs of Spoilt.fmu" in str(notes[0])
 
 
+def test_a_state_that_is_too_large_is_an_obstacle_as_any_other(tmp_path, leaves_nothing, monkeypatch):
+    monkeypatch.setattr("cosim.fmi.instance.LARGEST_STATE", 10)
+    path, short = toml(tmp_path, spoilt(tmp_path, declared=STATES + RATE)), {"scenario.stop_time": "0.5"}
+    result = run(Scenario.load(path, short | {"scenario.isolation": "none"}), "target")
+    assert result.status == "done", result.error
+    assert "measured states (state: plant: get_state at t = 0.0" in result.objective
+
+
 def test_what_was_asked_for_and_is_not_the_plant_ends_the_run_in_one_line(tmp_path, capfd):
     path = toml(tmp_path, spoilt(tmp_path, "0.2 * self.hidden", declared=STATES + RATE), "state")
     assert main(["run", str(path), "--only", "--out", str(tmp_path / "out")]) == 1

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import IO, Final
 
 from ..errors import one_line
-from .record import LOCK, FolderError
+from .record import LOCK, FolderError, new_run_folder
 
 if sys.platform != "win32":
     import fcntl
@@ -39,12 +39,26 @@ def locked(folder: Path) -> Generator[None]:
         yield
         return
     try:
-        file.truncate(0)
-        file.write(me.encode())
+        try:
+            file.truncate(0)
+            file.write(me.encode())
+        except OSError as e:
+            raise FolderError(f"cannot write {path}: {e.strerror or e}.") from e
         yield
     finally:
         path.unlink(missing_ok=True)  # first: nobody shall take a file that is going to vanish
         file.close()
+
+
+@contextmanager
+def new_locked_folder(scenario: str, out: Path | None) -> Generator[Path]:
+    """A new run folder, as new_run_folder makes it, kept for this process. Raises FolderError."""
+    folder = new_run_folder(scenario, out)
+    with locked(folder):
+        new_run_folder(scenario, folder)  # another may have been in it before us
+        for left in (path for path in folder.iterdir() if path.is_dir()):
+            left.rmdir()  # of one that was killed
+        yield folder
 
 
 def is_locked(folder: Path) -> bool:

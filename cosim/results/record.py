@@ -6,6 +6,7 @@ import io
 import json
 import math
 import os
+import re
 import signal
 import tempfile
 import threading
@@ -29,6 +30,8 @@ ESTIMATES, CSV = "estimates.ssv", "series.csv"
 CHECKPOINT, LOCK = "checkpoint.bin", "lock"
 LATENCIES = "latencies.json"
 """Wall time of each evaluation [s], a list a macro step that had any: no two runs agree in them."""
+_OWNER: Final = re.compile(rb"(process \d+ on [^\n]*)?")
+_LONGEST_OWNER: Final = 1000
 
 
 class FolderError(CosimError):
@@ -38,12 +41,13 @@ class FolderError(CosimError):
 def new_run_folder(scenario: str, out: Path | None) -> Path:
     """Make the run folder: `out`, which must be absent or empty, or the next free runs/SCENARIO-n.
 
-    Raises FolderError.
+    What a command that was killed before it had written anything leaves is nothing: its lock, and empty folders beside
+    it. Whether that is a living command's, `locked` says. Raises FolderError.
     """
     try:
         if out is not None:
             out.mkdir(parents=True, exist_ok=True)
-            if any(out.iterdir()):
+            if not _is_empty(out):
                 raise FolderError(f"{out} is not empty; give --out a new or empty folder.")
             return out
         for n in range(1, 1_000_000):
@@ -56,6 +60,21 @@ def new_run_folder(scenario: str, out: Path | None) -> Path:
     except OSError as e:
         raise FolderError(f"cannot make the run folder {out or 'runs'}: {e.strerror or e}.") from e
     raise FolderError("runs/ holds a million runs of this scenario.")
+
+
+def _is_empty(folder: Path) -> bool:
+    others = [path for path in folder.iterdir() if path.name != LOCK]
+    if not (folder / LOCK).is_symlink() and not (folder / LOCK).exists():
+        return not others
+    return is_lock(folder / LOCK) and all(p.is_dir() and not p.is_symlink() and not any(p.iterdir()) for p in others)
+
+
+def is_lock(path: Path) -> bool:
+    """Whether this is a lock file, and not something of the user's of that name. Raises OSError."""
+    if path.is_symlink() or not path.is_file():
+        return False
+    with open(path, "rb") as file:
+        return _OWNER.fullmatch(file.read(_LONGEST_OWNER)) is not None
 
 
 @dataclass(frozen=True)
@@ -171,7 +190,13 @@ def recording(folder: Path | None) -> Generator[None]:
 
 
 def _is_resumable(folder: Path | None) -> bool:
-    return folder is not None and all((folder / name).exists() for name in (MANIFEST, LOCK))
+    """Whether a run is recorded there that `resume` knows: not that of a system of which nothing is estimated."""
+    if folder is None or not (folder / LOCK).exists():
+        return False
+    try:
+        return "estimator" in json.loads((folder / MANIFEST).read_bytes())
+    except (OSError, ValueError):
+        return False
 
 
 @contextmanager

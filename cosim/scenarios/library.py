@@ -1,7 +1,6 @@
 """The FMUs that come with the package: built once, kept in the user's cache under their guid."""
 
 import os
-import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,7 +11,7 @@ from fmu_models.build import NAMES, PLANTS, Interface, build, build_all, guid
 
 from ..errors import ScenarioError
 from ..names import did_you_mean
-from ..results.record import FolderError
+from ..results.record import FolderError, write_bytes
 
 
 def find_fmu(fmu: str, folder: Path, fmi: int = 2, interface: Interface = "CoSimulation") -> Path:
@@ -61,8 +60,8 @@ def build_into(
     """Build FMUs, by default every built-in one, into a folder of the user's; what became of each: built, unchanged or
     replaced. builder: makes them in a given folder, and returns their paths by name.
 
-    Raises FolderError before anything is written where a different file is in the way and is_forced is not set, or
-    where the folder cannot be written.
+    Each file appears whole or not at all. Raises FolderError before anything is written where a different file is in
+    the way and is_forced is not set, and where the folder cannot be written.
     """
     try:
         with TemporaryDirectory(prefix="fmu-retune-") as staging:
@@ -75,7 +74,7 @@ def build_into(
             folder.mkdir(parents=True, exist_ok=True)
             for name, path in built.items():
                 if states[name] != "unchanged":
-                    shutil.copyfile(path, targets[name])
+                    write_bytes(targets[name], path.read_bytes())
     except OSError as e:
         raise FolderError(f"cannot build into {folder}: {e.strerror or e}.") from e
     return [(targets[name], states[name]) for name in built]

@@ -1,5 +1,6 @@
 """The command: what it prints, what it returns, what it leaves behind."""
 
+import errno
 import importlib.util
 import json
 import os
@@ -16,8 +17,9 @@ import numpy as np
 import pytest
 
 from cosim.fmi.folder import remove_forsaken
-from cosim.results.record import read_series
+from cosim.results.record import FolderError, read_series
 from cosim.results.result import read_run
+from cosim.scenarios.library import build_into
 from fmu_models.build import NAMES, PLANTS
 
 pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("leaves_nothing", "workplace")]
@@ -701,6 +703,23 @@ def test_build_replaces_a_different_file_only_when_forced(called, workplace):
     assert [line for line in out.splitlines() if not line.endswith("  built")] == ["fmus/Quadrotor.fmu  replaced"]
     assert zipfile.is_zipfile(fmus / "Quadrotor.fmu")
     assert len(list(fmus.iterdir())) == 16
+
+
+def test_build_on_a_full_disk_keeps_the_file_that_it_was_to_replace(tmp_path, monkeypatch):
+    def _builder(folder):
+        (folder / "X.fmu").write_text("new")
+        return {"X": folder / "X.fmu"}
+
+    def _full(_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    fmus = tmp_path / "fmus"
+    fmus.mkdir()
+    (fmus / "X.fmu").write_text("mine")
+    monkeypatch.setattr("os.fsync", _full)
+    with pytest.raises(FolderError, match=r"X.fmu: No space left on device"):
+        build_into(fmus, True, _builder)
+    assert [(path.name, path.read_text()) for path in fmus.iterdir()] == [("X.fmu", "mine")]
 
 
 # Output that nobody reads.

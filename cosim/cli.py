@@ -1,7 +1,6 @@
 """The command `retune`. Exit codes: 0 done; 1 the run did not finish; 2 the input was refused; 130 interrupted."""
 
 import argparse
-import errno
 import logging
 import os
 import signal
@@ -10,12 +9,10 @@ import traceback
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager, nullcontext
 from importlib import import_module
-from typing import Final, NoReturn
+from typing import NoReturn
 
 from .commands.exit_codes import INTERRUPTED, REFUSED, UNFINISHED
 from .commands.options import make_parser
-
-_NO_ROOM: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -24,13 +21,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.environ.setdefault(name, "1")  # before NumPy: a second BLAS thread is slower and changes bits
     options = make_parser().parse_args(arguments)
     _take_signals()
-    from .errors import CosimError  # here and below: --help must not wait for NumPy and GPy
+    from .errors import CosimError, is_refusal  # here and below: --help must not wait for NumPy and GPy
 
     try:
         with _everything_logged() if options.debug else nullcontext():
             return import_module(f".commands.{options.command}", __package__).command(options)
     except CosimError as e:
-        return _end(options, str(e), _code_of(e))
+        return _end(options, str(e), REFUSED if is_refusal(e) else UNFINISHED)
     except KeyboardInterrupt:
         return _end(options, "interrupted; what there is so far is in the run folder", INTERRUPTED)
     except BrokenPipeError:
@@ -38,15 +35,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return UNFINISHED
     except Exception as e:  # nothing that we know of; it must not look like success, nor like a refusal
         return _end(options, f"{type(e).__name__}: {e}; --debug shows where", UNFINISHED)
-
-
-def _code_of(error: Exception) -> int:
-    """Whether something was refused, or could not be finished, for want of room on the disk if nothing else."""
-    from .errors import UnfinishedError
-
-    cause = error.__cause__
-    has_no_room = isinstance(cause, OSError) and cause.errno in _NO_ROOM
-    return UNFINISHED if has_no_room or isinstance(error, UnfinishedError) else REFUSED
 
 
 def _end(options: argparse.Namespace, why: str, code: int) -> int:

@@ -95,7 +95,7 @@ def _all_records(
             except CrewError as e:
                 if out is None or not records:
                     raise
-                raise CrewError(
+                raise type(e)(
                     f"{e} {len(records)} of {len(tasks)} runs have ended and are told in {out / RUNS}."
                 ) from e
             records[task.estimator, task.seed] = record

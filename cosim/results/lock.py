@@ -1,7 +1,9 @@
 """One command at a time in a run folder: a lock file, held by the operating system for as long as its owner lives."""
 
+import errno
 import os
 import platform
+import stat
 import sys
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -64,7 +66,7 @@ def new_locked_folder(scenario: str, out: Path | None) -> Generator[Path]:
 def is_locked(folder: Path) -> bool:
     """Whether a command is at work in the folder."""
     try:
-        with open(folder / LOCK, "r+b", buffering=0) as file:
+        with _opened(folder / LOCK, os.O_RDWR) as file:
             return not _lock(file, shared=True)
     except OSError:
         return False
@@ -73,7 +75,7 @@ def is_locked(folder: Path) -> bool:
 def _taken(path: Path) -> "IO[bytes] | None":
     """The open lock file, ours now, or None where it is another's. Raises OSError."""
     while True:
-        file = open(path, "a+b", buffering=0)  # noqa: SIM115  closed by locked
+        file = _opened(path, os.O_RDWR | os.O_CREAT | os.O_APPEND)  # closed by locked
         if not _lock(file):
             file.close()
             return None
@@ -83,6 +85,19 @@ def _taken(path: Path) -> "IO[bytes] | None":
         except FileNotFoundError:
             pass
         file.close()  # its owner has removed it between our open and our lock
+
+
+def _opened(path: Path, flags: int) -> "IO[bytes]":
+    """The file of that name itself; opening it waits for nobody. Raises OSError, also for what is no file."""
+    for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY"):  # what there is of them
+        flags |= getattr(os, name, 0)
+    if path.is_symlink():
+        raise OSError(errno.ELOOP, f"{path.name} is a symbolic link")
+    descriptor = os.open(path, flags, 0o666)
+    if stat.S_ISREG(os.fstat(descriptor).st_mode):
+        return open(descriptor, "r+b", buffering=0)
+    os.close(descriptor)
+    raise OSError(errno.EINVAL, f"{path.name} is not a regular file")
 
 
 def _owner(path: Path) -> str:

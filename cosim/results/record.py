@@ -22,6 +22,7 @@ import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
 from ..errors import CosimError, UnfinishedError
+from ..files import readable
 from .growing import GrowingFile, Prefix
 
 ROWS_PER_BATCH = 50
@@ -268,7 +269,7 @@ def read_series(folder: Path) -> dict[str, np.ndarray[Any, np.dtype[np.float64]]
     """
     batches: list[Any] = []
     try:
-        with open(folder / SERIES, "rb") as file:
+        with open(readable(folder / SERIES), "rb") as file:
             reader = pa.ipc.open_stream(file)
             batches.extend(_readable(reader))
     except (OSError, pa.ArrowInvalid) as e:
@@ -298,8 +299,8 @@ def _readable(reader: Any) -> Iterator[Any]:
 
 
 def sha256(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal."""
-    with open(path, "rb") as file:
+    """SHA-256 of a file, in hexadecimal. Raises OSError."""
+    with open(readable(path), "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 

@@ -3,13 +3,13 @@
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from platformdirs import user_cache_path
 
 from fmu_models.build import NAMES, PLANTS, Interface, build, build_all, guid
 
 from ..errors import ScenarioError
+from ..fmi.folder import PrivateFolder
 from ..names import did_you_mean
 from ..results.record import FolderError, write_bytes
 
@@ -49,9 +49,13 @@ def _cached(name: str, fmi: int, interface: Interface) -> Path:
         return path
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        return build(name, folder, fmi, interface)
-    except OSError as e:
-        raise ScenarioError(f"cannot build {name}.fmu in {folder}: {e.strerror or e}; set FMU_RETUNE_CACHE.") from e
+        with PrivateFolder() as staging:  # what a killed process leaves there is removed
+            write_bytes(path, build(name, staging, fmi, interface).read_bytes())
+    except (OSError, FolderError) as e:
+        cause = e if isinstance(e, OSError) else e.__cause__
+        reason = getattr(cause, "strerror", None) or e
+        raise ScenarioError(f"cannot build {name}.fmu in {folder}: {reason}; set FMU_RETUNE_CACHE.") from cause
+    return path
 
 
 def build_into(
@@ -64,7 +68,7 @@ def build_into(
     the way and is_forced is not set, and where the folder cannot be written.
     """
     try:
-        with TemporaryDirectory(prefix="fmu-retune-") as staging:
+        with PrivateFolder() as staging:
             built = builder(Path(staging))
             targets = {name: folder / path.name for name, path in built.items()}
             states = {name: _state(path, targets[name]) for name, path in built.items()}

@@ -1,5 +1,6 @@
 """What can go wrong between us and the world, always told in one line."""
 
+import errno
 from collections.abc import Callable
 from typing import Final
 
@@ -12,6 +13,7 @@ COLON = "{call}: {reason}"
 IN_THE_CALL = "{reason} in {call}"
 """plant: the FMU's process ended with exit code 0 in do_step at t = 0.050 s"""
 
+_NO_ROOM: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 _FORMS = (AFTER_THE_CALL, COLON, IN_THE_CALL)
 
 
@@ -82,6 +84,13 @@ class SlaveError(CosimError):
 
 class StateTooLargeError(SlaveError):
     """An FMU's state cannot be saved for its size. Nothing else has come of it: the FMU can go on."""
+
+
+def is_refusal(error: Exception) -> bool:
+    """Whether something was refused; else it could not be finished, for want of room on the disk if nothing else."""
+    cause = error.__cause__
+    has_no_room = isinstance(cause, OSError) and cause.errno in _NO_ROOM
+    return isinstance(error, CosimError) and not isinstance(error, UnfinishedError) and not has_no_room
 
 
 def one_line(text: str, longest: int = _LONGEST_REASON) -> str:

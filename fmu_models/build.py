@@ -97,7 +97,7 @@ def assemble(
     """
     out_dir = Path(out_dir)
     out_dir.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix="fmu_models_") as directory:
+    with tempfile.TemporaryDirectory(prefix=f".{name}-", dir=out_dir.resolve()) as directory:
         stage = Path(directory)
         for path, text in files.items():
             (stage / "source" / path).parent.mkdir(parents=True, exist_ok=True)

@@ -1,30 +1,44 @@
 """Where a command writes: nothing that a user has is lost."""
 
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from ..results.record import FolderError, new_run_folder
+from ..results.lock import new_locked_folder
+from ..results.record import LOCK, FolderError
 
 
 @contextmanager
 def new_folder(name: str, out: Path | None) -> Generator[Path]:
-    """The folder to write in, removed again where that fails before anything is in it."""
+    """The folder to write in, nobody else's until the end; removed again where that fails before anything is in it.
+
+    Raises FolderError where it is not empty, or another command's: nothing is changed then.
+    """
     place = out or Path("runs")
     there = {path for path in (place, *place.parents) if path.exists()}
-    folder = new_run_folder(name, out)
+    ours: Path | None = None
     try:
-        yield folder
+        with new_locked_folder(name, out) as ours:
+            try:
+                yield ours
+            except BaseException:
+                _remove_empty(ours)
+                raise
     except BaseException:
-        below = list(folder.iterdir())
-        if not any(path.is_file() or any(path.iterdir()) for path in below):
-            for path in below:
+        with suppress(OSError):  # it is not empty, or another command was quick to take it
+            for path in (ours, *ours.parents) if ours else ():
+                if path in there:
+                    break
                 path.rmdir()
-        for path in (folder, *folder.parents):
-            if path in there or any(path.iterdir()):
-                break
-            path.rmdir()
         raise
+
+
+def _remove_empty(folder: Path) -> None:
+    """Remove the folders in it, where nothing is in any of them nor beside them."""
+    below = [path for path in folder.iterdir() if path.name != LOCK]
+    if all(path.is_dir() and not any(path.iterdir()) for path in below):
+        for path in below:
+            path.rmdir()
 
 
 def must_be_new(path: Path | None, option: str) -> None:

@@ -5,7 +5,6 @@ from functools import partial
 from pathlib import Path
 
 from ..errors import SspError
-from ..results.lock import locked
 from ..results.record import ESTIMATES, recording, write_bytes
 from ..scenarios.estimators import check_estimator
 from ..scenarios.scenario import Scenario
@@ -30,7 +29,7 @@ def command(options: argparse.Namespace) -> int:
     check_estimator(options.estimator, scenario)
     must_be_new(options.ssv, "--ssv")
     is_alone = options.only or options.estimator in BASELINES
-    with new_folder(scenario.scenario.name, options.out) as folder, locked(folder):
+    with new_folder(scenario.scenario.name, options.out) as folder:
         estimators = {folder: options.estimator} | ({} if is_alone else {folder / name: name for name in BASELINES})
         for path in estimators:
             path.mkdir(exist_ok=True)  # empty: a run that is still to be made, also by `resume`

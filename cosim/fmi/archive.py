@@ -13,6 +13,7 @@ import fmpy
 from fmpy.model_description import CoSimulation, ModelDescription, ModelExchange, ValidationError
 
 from ..errors import ModelDescriptionError, one_line
+from ..files import readable
 from ..finding import Finding
 from .elements import scalarized
 from .folder import PrivateFolder
@@ -87,7 +88,7 @@ def look_into(fmu: Path, judge: Judge | None = None) -> tuple[ModelDescription, 
     """
     judge = judge or partial(_refuse, f"{fmu} is not a usable FMU")
     try:
-        with open(fmu, "rb") as file:
+        with open(readable(fmu), "rb") as file:
             judge(index_findings(_description_in(file, judge)))
             description = fmpy.read_model_description(file)
             judge(description_findings(description))

@@ -17,6 +17,7 @@ import pyarrow.parquet
 from estimator.space import Vector
 
 from ..errors import CosimError, one_line
+from ..files import readable
 from ..names import did_you_mean
 
 _HEADING: Final = re.compile(r"(?P<name>.*\S)\s*\[(?P<unit>[^\[\]]*)\]")
@@ -96,6 +97,7 @@ def read_log(path: Path) -> Log:
     """The log in a .csv, .txt, .tsv, .parquet, .mat, .mf4 or .mdf file. Raises LogError."""
     readers = {".parquet": _read_parquet, ".pq": _read_parquet, ".mat": _read_mat}
     try:
+        readable(path)
         if path.suffix.lower() in (".mf4", ".mdf"):
             return Log(path, _read_mdf(path))
         headings, columns = readers.get(path.suffix.lower(), _read_csv)(path)

@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 
 from ..results.compare import usable
 from ..results.crew import Crew, Progress, Task
-from ..results.record import new_run_folder, write_json, write_text
+from ..results.lock import new_locked_folder
+from ..results.record import write_json, write_text
 from ..results.result import Run, read_run
 from ..scenarios.scenario import Scenario
 from ..scenarios.system import fmu_paths
@@ -54,10 +55,22 @@ def figures(
     todo = {"quadrotor": (quadrotor, chosen(usable(quadrotor))), "pendulum": (pendulum, PENDULUM)}
     for scenario, _ in todo.values():
         fmu_paths(scenario)  # built here: several processes at once would each build them
-    new_run_folder("figures", out)
+    jobs = min(jobs or os.cpu_count() or 1, sum(len(names) for _, names in todo.values()))
+    with new_locked_folder("figures", out):
+        runs = _runs(out, todo, seed, jobs, progress)
+        return draw_figures(out, runs["pendulum"], runs["quadrotor"], seed, jobs)
+
+
+def _runs(
+    out: Path,
+    todo: Mapping[str, tuple[Scenario, Sequence[str]]],
+    seed: int,
+    jobs: int,
+    progress: Progress | None,
+) -> dict[str, dict[str, Run]]:
+    """The runs of each scenario by estimator, in folders in `out`/runs. Raises CrewError, FolderError."""
     (out / "runs").mkdir()
     n_runs = sum(len(names) for _, names in todo.values())
-    jobs = min(jobs or os.cpu_count() or 1, n_runs)
     n_ended = 0
     runs: dict[str, dict[str, Run]] = {}
     for key, (scenario, names) in todo.items():
@@ -69,7 +82,7 @@ def figures(
                 if progress is not None:
                     progress(record, n_ended, n_runs)
         runs[key] = {name: read_run(folder) for name, folder in folders.items()}
-    return draw_figures(out, runs["pendulum"], runs["quadrotor"], seed, jobs)
+    return runs
 
 
 def chosen(names: Collection[str]) -> list[str]:

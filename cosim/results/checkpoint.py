@@ -16,6 +16,7 @@ from typing import Any, Protocol, cast
 from pydantic import TypeAdapter, ValidationError
 
 from ..errors import CosimError, NotResumableError, one_line
+from ..files import readable
 from .record import CHECKPOINT, FolderError, Place, Recorder, recording, to_json, write_bytes
 
 
@@ -89,7 +90,7 @@ class Checkpoints:
 def read_checkpoint(folder: Path) -> Checkpoint:
     """The last checkpoint of a run. Raises NotResumableError where there is none, FolderError for a damaged one."""
     try:
-        digest, _, rest = (folder / CHECKPOINT).read_bytes().partition(b"\n")
+        digest, _, rest = readable(folder / CHECKPOINT).read_bytes().partition(b"\n")
         if hashlib.sha256(rest).hexdigest().encode() != digest:
             raise FolderError(f"{folder} is damaged: {CHECKPOINT} is not as it was written.")
         head, _, content = rest.partition(b"\n")

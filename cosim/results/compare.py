@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,7 +14,8 @@ from ..scenarios.scenario import Scenario
 from ..scenarios.system import fmu_paths
 from .comparison import Comparison
 from .crew import Crew, CrewError, Progress, Task
-from .record import FolderError, new_run_folder, to_json
+from .lock import new_locked_folder
+from .record import FolderError, to_json
 
 RUNS: Final = "runs.jsonl"
 """A line for each finished run, in the order in which they have ended."""
@@ -46,19 +48,18 @@ def compare(
     if keep and out is None:
         raise ValueError("keep needs a folder: give out.")
     fmu_paths(scenario)  # built here once, not by several processes at the same time
-    if out is not None:
-        new_run_folder(scenario.scenario.name, out)
     tasks = [
         Task(name, seed, str(out / f"{name.replace(':', '.')}-{seed}") if keep and out is not None else None)
         for seed in numbers
         for name in names
     ]
     jobs = min(jobs or os.cpu_count() or 1, len(tasks))
-    records = _all_records(scenario, tasks, jobs, out, progress)
-    ordered = tuple(records[name, seed] for name in names for seed in numbers)
-    comparison = Comparison(scenario, names, numbers, ordered, jobs, folder=out)
-    if out is not None:
-        comparison.write(out)
+    with new_locked_folder(scenario.scenario.name, out) if out is not None else nullcontext():
+        records = _all_records(scenario, tasks, jobs, out, progress)
+        ordered = tuple(records[name, seed] for name in names for seed in numbers)
+        comparison = Comparison(scenario, names, numbers, ordered, jobs, folder=out)
+        if out is not None:
+            comparison.write(out)
     return comparison
 
 
@@ -94,7 +95,7 @@ def _all_records(
             except CrewError as e:
                 if out is None or not records:
                     raise
-                raise CrewError(
+                raise type(e)(
                     f"{e} {len(records)} of {len(tasks)} runs have ended and are told in {out / RUNS}."
                 ) from e
             records[task.estimator, task.seed] = record

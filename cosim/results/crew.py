@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple, NoReturn
 
 import numpy as np
 
-from ..errors import CosimError, one_line
+from ..errors import CosimError, UnfinishedError, is_refusal, one_line
 from ..fmi.folder import PrivateFolder
 from ..scenarios.scenario import Scenario
 from ..simulation import run
@@ -38,7 +38,11 @@ serve(channel, temporary)
 
 
 class CrewError(CosimError):
-    """One of many runs was refused, or its process has died."""
+    """One of many runs was refused, or could not be finished."""
+
+
+class UnfinishedCrewError(CrewError, UnfinishedError):
+    """One of many runs could not be finished: its process has died, or the disk is full."""
 
 
 Progress = Callable[[Mapping[str, Any], int, int], None]
@@ -151,10 +155,11 @@ class _Member:
         except (EOFError, OSError) as e:
             code = self._process.wait()
             reason = f"its process has ended with exit code {code}"
-            raise CrewError(f"{self._told(task)}: {reason}.") from e
+            raise UnfinishedCrewError(f"{self._told(task)}: {reason}.") from e
         value, _ = decode(answer)
         if answer[0] == FAULT:
-            raise CrewError(f"{self._told(task)}: {value}")
+            why, was_refused = value
+            raise (CrewError if was_refused else UnfinishedCrewError)(f"{self._told(task)}: {why}")
         return value
 
     def _told(self, task: Task) -> str:
@@ -217,14 +222,15 @@ def serve(channel_argument: str, temporary: str) -> NoReturn:
 
 
 def _answer(scenario: Scenario, task: Task) -> bytes:
-    """The run's record, or in one line why there is none."""
+    """The run's record, or in one line why there is none, and whether it was refused."""
     folder = Path(task.folder) if task.folder else None
     try:
         if folder is not None:
             folder.mkdir()
         return encode(RESULT, record_of(run(scenario, task.estimator, task.seed, folder)))
     except Exception as e:
-        return encode(FAULT, str(e) if isinstance(e, CosimError) else f"{type(e).__name__}: {one_line(str(e))}.")
+        why = str(e) if isinstance(e, CosimError) else f"{type(e).__name__}: {one_line(str(e))}."
+        return encode(FAULT, [why, is_refusal(e)])
     finally:
         if folder is not None:
             with contextlib.suppress(OSError):

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from ..files import readable
+
 _CHUNK: Final = 1 << 20
 
 
@@ -21,7 +23,7 @@ class Prefix:
     def digest_of(self, path: Path) -> Any:
         """The running SHA-256 of that many bytes of the file, or None where they are others. Raises OSError."""
         digest, left = hashlib.sha256(), self.size
-        with open(path, "rb") as file:
+        with open(readable(path), "rb") as file:
             while left and (chunk := file.read(min(left, _CHUNK))):
                 digest.update(chunk)
                 left -= len(chunk)

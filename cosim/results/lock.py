@@ -1,7 +1,9 @@
 """One command at a time in a run folder: a lock file, held by the operating system for as long as its owner lives."""
 
+import errno
 import os
 import platform
+import stat
 import sys
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -9,7 +11,7 @@ from pathlib import Path
 from typing import IO, Final
 
 from ..errors import one_line
-from .record import LOCK, FolderError
+from .record import LOCK, FolderError, new_run_folder
 
 if sys.platform != "win32":
     import fcntl
@@ -39,18 +41,32 @@ def locked(folder: Path) -> Generator[None]:
         yield
         return
     try:
-        file.truncate(0)
-        file.write(me.encode())
+        try:
+            file.truncate(0)
+            file.write(me.encode())
+        except OSError as e:
+            raise FolderError(f"cannot write {path}: {e.strerror or e}.") from e
         yield
     finally:
         path.unlink(missing_ok=True)  # first: nobody shall take a file that is going to vanish
         file.close()
 
 
+@contextmanager
+def new_locked_folder(scenario: str, out: Path | None) -> Generator[Path]:
+    """A new run folder, as new_run_folder makes it, kept for this process. Raises FolderError."""
+    folder = new_run_folder(scenario, out)
+    with locked(folder):
+        new_run_folder(scenario, folder)  # another may have been in it before us
+        for left in (path for path in folder.iterdir() if path.is_dir()):
+            left.rmdir()  # of one that was killed
+        yield folder
+
+
 def is_locked(folder: Path) -> bool:
     """Whether a command is at work in the folder."""
     try:
-        with open(folder / LOCK, "r+b", buffering=0) as file:
+        with _opened(folder / LOCK, os.O_RDWR) as file:
             return not _lock(file, shared=True)
     except OSError:
         return False
@@ -59,7 +75,7 @@ def is_locked(folder: Path) -> bool:
 def _taken(path: Path) -> "IO[bytes] | None":
     """The open lock file, ours now, or None where it is another's. Raises OSError."""
     while True:
-        file = open(path, "a+b", buffering=0)  # noqa: SIM115  closed by locked
+        file = _opened(path, os.O_RDWR | os.O_CREAT | os.O_APPEND)  # closed by locked
         if not _lock(file):
             file.close()
             return None
@@ -69,6 +85,19 @@ def _taken(path: Path) -> "IO[bytes] | None":
         except FileNotFoundError:
             pass
         file.close()  # its owner has removed it between our open and our lock
+
+
+def _opened(path: Path, flags: int) -> "IO[bytes]":
+    """The file of that name itself; opening it waits for nobody. Raises OSError, also for what is no file."""
+    for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY"):  # what there is of them
+        flags |= getattr(os, name, 0)
+    if path.is_symlink():
+        raise OSError(errno.ELOOP, f"{path.name} is a symbolic link")
+    descriptor = os.open(path, flags, 0o666)
+    if stat.S_ISREG(os.fstat(descriptor).st_mode):
+        return open(descriptor, "r+b", buffering=0)
+    os.close(descriptor)
+    raise OSError(errno.EINVAL, f"{path.name} is not a regular file")
 
 
 def _owner(path: Path) -> str:

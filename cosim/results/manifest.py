@@ -13,6 +13,7 @@ from typing import Any, Final, Literal, TypeVar
 from pydantic import TypeAdapter, ValidationError
 
 from ..errors import one_line
+from ..files import readable
 from ..scenarios.scenario import Scenario
 from ..scenarios.system import Plant
 from .record import MANIFEST, FolderError, sha256, to_json, write_json
@@ -105,7 +106,7 @@ _T = TypeVar("_T")
 def read_json(folder: Path, name: str, kind: type[_T]) -> _T:
     """The content of a JSON file. Raises FolderError."""
     try:
-        return TypeAdapter(kind).validate_json((folder / name).read_bytes())
+        return TypeAdapter(kind).validate_json(readable(folder / name).read_bytes())
     except OSError as e:
         raise FolderError(f"{folder} is no run folder: cannot read {name}: {e.strerror or e}.") from e
     except ValidationError as e:

@@ -6,6 +6,7 @@ import io
 import json
 import math
 import os
+import re
 import signal
 import sys
 import tempfile
@@ -22,6 +23,7 @@ import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
 from ..errors import CosimError, UnfinishedError
+from ..files import readable
 from .growing import GrowingFile, Prefix
 
 ROWS_PER_BATCH = 50
@@ -30,6 +32,8 @@ ESTIMATES, CSV = "estimates.ssv", "series.csv"
 CHECKPOINT, LOCK = "checkpoint.bin", "lock"
 LATENCIES = "latencies.json"
 """Wall time of each evaluation [s], a list a macro step that had any: no two runs agree in them."""
+_OWNER: Final = re.compile(rb"(process \d+ on [^\n]*)?")
+_LONGEST_OWNER: Final = 1000
 
 
 class FolderError(CosimError):
@@ -39,12 +43,13 @@ class FolderError(CosimError):
 def new_run_folder(scenario: str, out: Path | None) -> Path:
     """Make the run folder: `out`, which must be absent or empty, or the next free runs/SCENARIO-n.
 
-    Raises FolderError.
+    What a command that was killed before it had written anything leaves is nothing: its lock, and empty folders beside
+    it. Whether that is a living command's, `locked` says. Raises FolderError.
     """
     try:
         if out is not None:
             out.mkdir(parents=True, exist_ok=True)
-            if any(out.iterdir()):
+            if not _is_empty(out):
                 raise FolderError(f"{out} is not empty; give --out a new or empty folder.")
             return out
         for n in range(1, 1_000_000):
@@ -57,6 +62,21 @@ def new_run_folder(scenario: str, out: Path | None) -> Path:
     except OSError as e:
         raise FolderError(f"cannot make the run folder {out or 'runs'}: {e.strerror or e}.") from e
     raise FolderError("runs/ holds a million runs of this scenario.")
+
+
+def _is_empty(folder: Path) -> bool:
+    others = [path for path in folder.iterdir() if path.name != LOCK]
+    if not (folder / LOCK).is_symlink() and not (folder / LOCK).exists():
+        return not others
+    return is_lock(folder / LOCK) and all(p.is_dir() and not p.is_symlink() and not any(p.iterdir()) for p in others)
+
+
+def is_lock(path: Path) -> bool:
+    """Whether this is a lock file, and not something of the user's of that name. Raises OSError."""
+    if path.is_symlink() or not path.is_file():
+        return False
+    with open(path, "rb") as file:
+        return _OWNER.fullmatch(file.read(_LONGEST_OWNER)) is not None
 
 
 @dataclass(frozen=True)
@@ -172,7 +192,13 @@ def recording(folder: Path | None) -> Generator[None]:
 
 
 def _is_resumable(folder: Path | None) -> bool:
-    return folder is not None and all((folder / name).exists() for name in (MANIFEST, LOCK))
+    """Whether a run is recorded there that `resume` knows: not that of a system of which nothing is estimated."""
+    if folder is None or not (folder / LOCK).exists():
+        return False
+    try:
+        return "estimator" in json.loads((folder / MANIFEST).read_bytes())
+    except (OSError, ValueError):
+        return False
 
 
 _POLITE: Final = (signal.SIGINT, signal.SIGTERM, *([] if sys.platform == "win32" else [signal.SIGHUP]))
@@ -247,7 +273,7 @@ def read_series(folder: Path) -> dict[str, np.ndarray[Any, np.dtype[np.float64]]
     """
     batches: list[Any] = []
     try:
-        with open(folder / SERIES, "rb") as file:
+        with open(readable(folder / SERIES), "rb") as file:
             reader = pa.ipc.open_stream(file)
             batches.extend(_readable(reader))
     except (OSError, pa.ArrowInvalid) as e:
@@ -277,8 +303,8 @@ def _readable(reader: Any) -> Iterator[Any]:
 
 
 def sha256(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal."""
-    with open(path, "rb") as file:
+    """SHA-256 of a file, in hexadecimal. Raises OSError."""
+    with open(readable(path), "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 

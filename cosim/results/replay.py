@@ -1,7 +1,7 @@
 """Other estimators on the recorded samples of an old run, open loop: all see identical data."""
 
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from dataclasses import replace
 from math import hypot
 from pathlib import Path
@@ -21,7 +21,8 @@ from ..scenarios.estimators import find_method
 from ..scenarios.schema import GuardSettings
 from .comparison import Comparison
 from .crew import record_of
-from .record import FolderError, new_run_folder, recording
+from .lock import new_locked_folder
+from .record import FolderError, recording
 from .result import Run, read_run
 
 
@@ -40,16 +41,15 @@ def replay(folder: Path, estimators: Sequence[str], seed: int | None = None, out
         if name in ("none", "true"):
             raise ScenarioError(f"'{name}' estimates nothing; replay an estimator, such as 'target'.")
         find_method(name, recorded.scenario)
-    if out is not None:
-        new_run_folder(recorded.scenario.scenario.name, out)
     seed = recorded.seed if seed is None else seed
-    runs = [replayed(recorded, name, seed) for name in dict.fromkeys(estimators)]
-    records = tuple(record_of(run) for run in runs)
-    names = tuple(run.estimator for run in runs)
-    comparison = Comparison(recorded.scenario, names, (seed,), records, 1, folder=out, is_open_loop=True)
-    if out is not None:
-        with recording(out):
-            comparison.write(out)
+    with new_locked_folder(recorded.scenario.scenario.name, out) if out is not None else nullcontext():
+        runs = [replayed(recorded, name, seed) for name in dict.fromkeys(estimators)]
+        records = tuple(record_of(run) for run in runs)
+        names = tuple(run.estimator for run in runs)
+        comparison = Comparison(recorded.scenario, names, (seed,), records, 1, folder=out, is_open_loop=True)
+        if out is not None:
+            with recording(out):
+                comparison.write(out)
     return comparison
 
 

@@ -8,7 +8,20 @@ from ..scenarios.system import fmu_paths
 from .checkpoint import Checkpoint, read_checkpoint
 from .growing import EMPTY, Prefix
 from .manifest import Manifest, read_manifest, scenario_of, versions
-from .record import CHECKPOINT, EVENTS, MANIFEST, SERIES, FolderError, Place, read_series, sha256
+from .record import (
+    CHECKPOINT,
+    CSV,
+    ESTIMATES,
+    EVENTS,
+    LATENCIES,
+    MANIFEST,
+    RESULT,
+    SERIES,
+    FolderError,
+    Place,
+    read_series,
+    sha256,
+)
 
 
 def has_begun(folder: Path) -> bool:
@@ -43,6 +56,9 @@ def read_unfinished(folder: Path) -> Unfinished:
     be had: the run has ended, it has no checkpoint, or what it depends on has changed.
     """
     manifest = read_manifest(folder)
+    for name in (RESULT, LATENCIES, ESTIMATES, CSV):  # which it makes anew
+        if (folder / name).exists() and not (folder / name).is_file():
+            raise FolderError(f"{folder} is damaged: {name} is not a file.")
     if manifest.status in ("done", "diverged"):
         raise NotResumableError(f"it is {manifest.status}")
     now = versions()

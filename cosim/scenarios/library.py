@@ -1,18 +1,17 @@
 """The FMUs that come with the package: built once, kept in the user's cache under their guid."""
 
 import os
-import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from platformdirs import user_cache_path
 
 from fmu_models.build import NAMES, PLANTS, Interface, build, build_all, guid
 
 from ..errors import ScenarioError
+from ..fmi.folder import PrivateFolder
 from ..names import did_you_mean
-from ..results.record import FolderError
+from ..results.record import FolderError, write_bytes
 
 
 def find_fmu(fmu: str, folder: Path, fmi: int = 2, interface: Interface = "CoSimulation") -> Path:
@@ -50,9 +49,13 @@ def _cached(name: str, fmi: int, interface: Interface) -> Path:
         return path
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        return build(name, folder, fmi, interface)
-    except OSError as e:
-        raise ScenarioError(f"cannot build {name}.fmu in {folder}: {e.strerror or e}; set FMU_RETUNE_CACHE.") from e
+        with PrivateFolder() as staging:  # what a killed process leaves there is removed
+            write_bytes(path, build(name, staging, fmi, interface).read_bytes())
+    except (OSError, FolderError) as e:
+        cause = e if isinstance(e, OSError) else e.__cause__
+        reason = getattr(cause, "strerror", None) or e
+        raise ScenarioError(f"cannot build {name}.fmu in {folder}: {reason}; set FMU_RETUNE_CACHE.") from cause
+    return path
 
 
 def build_into(
@@ -61,11 +64,11 @@ def build_into(
     """Build FMUs, by default every built-in one, into a folder of the user's; what became of each: built, unchanged or
     replaced. builder: makes them in a given folder, and returns their paths by name.
 
-    Raises FolderError before anything is written where a different file is in the way and is_forced is not set, or
-    where the folder cannot be written.
+    Each file appears whole or not at all. Raises FolderError before anything is written where a different file is in
+    the way and is_forced is not set, and where the folder cannot be written.
     """
     try:
-        with TemporaryDirectory(prefix="fmu-retune-") as staging:
+        with PrivateFolder() as staging:
             built = builder(Path(staging))
             targets = {name: folder / path.name for name, path in built.items()}
             states = {name: _state(path, targets[name]) for name, path in built.items()}
@@ -75,7 +78,7 @@ def build_into(
             folder.mkdir(parents=True, exist_ok=True)
             for name, path in built.items():
                 if states[name] != "unchanged":
-                    shutil.copyfile(path, targets[name])
+                    write_bytes(targets[name], path.read_bytes())
     except OSError as e:
         raise FolderError(f"cannot build into {folder}: {e.strerror or e}.") from e
     return [(targets[name], states[name]) for name in built]

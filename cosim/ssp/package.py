@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from xml.etree.ElementTree import Element
 
 from ..errors import SspError
+from ..files import readable
 from ..fmi.archive import unpack
 from ..fmi.block import Value
 from ..fmi.component import Component
@@ -81,7 +82,7 @@ def unpacked(path: Path) -> Path:
     Raises SspError, ModelDescriptionError for an archive that cannot be read or would write outside its folder.
     """
     try:
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        digest = hashlib.sha256(readable(path).read_bytes()).hexdigest()
         cache = cache_folder() / "ssp"
         folder = cache / digest
         if folder.is_dir():

@@ -4,7 +4,7 @@ At t_k, at the start too, every input takes its source's output at t_k, then all
 """
 
 from collections.abc import Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from ..errors import SlaveError, WiringError
 from ..fmi.block import Value
 from ..master import Master, Wiring
-from ..results.record import CSV, MANIFEST, RESULT, Recorder, recording, sha256, write_csv, write_json
+from ..results.lock import locked
+from ..results.record import CSV, MANIFEST, RESULT, FolderError, Recorder, recording, sha256, write_csv, write_json
 from ..results.report import aligned
 from ..scenarios.schema import Settings
 from ..slaves.slave import Slave, open_slave
@@ -71,9 +72,16 @@ def simulate(system: System, settings: Settings, out: Path | None = None) -> Sys
     """Simulate the system; with `out`, an existing empty folder, everything is recorded there.
 
     A fault of an FMU ends the run with status `faulted`: the rows so far are kept. Raises WiringError,
-    ModelDescriptionError before any step; KeyboardInterrupt when interrupted and UnfinishedError when the disk is full,
-    the rows so far recorded.
+    ModelDescriptionError and FolderError, where `out` has a run or is another command's, before any step;
+    KeyboardInterrupt when interrupted and UnfinishedError when the disk is full, the rows so far recorded.
     """
+    with nullcontext() if out is None else locked(out):
+        if out is not None and (out / MANIFEST).exists():
+            raise FolderError(f"{out} holds a run already.")
+        return _simulated(system, settings, out)
+
+
+def _simulated(system: System, settings: Settings, out: Path | None) -> SystemRun:
     begun = perf_counter()
     with ExitStack() as stack:
         slaves = {

@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 from ..errors import SspError, one_line
+from ..files import readable
 from ..fmi.block import Value
 from ..units import Unit
 from .xml import NAMESPACES, attribute, defined_in, parse
@@ -85,7 +86,7 @@ def document(root: Element) -> str:
 def read_ssv(path: Path) -> ParameterSet:
     """The parameters of an SSV file, version 1.0 or 2.0. Raises SspError."""
     try:
-        content = path.read_bytes()
+        content = readable(path).read_bytes()
     except OSError as e:
         raise SspError(f"{path} cannot be read: {e.strerror or e}.") from e
     return parameter_set(parse(content, str(path), "ParameterSet"), str(path))

@@ -1,9 +1,11 @@
 """The command: what it prints, what it returns, what it leaves behind."""
 
+import errno
 import importlib.util
 import json
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -17,8 +19,9 @@ import numpy as np
 import pytest
 
 from cosim.fmi.folder import remove_forsaken
-from cosim.results.record import read_series
+from cosim.results.record import FolderError, read_series
 from cosim.results.result import read_run
+from cosim.scenarios.library import build_into
 from fmu_models.build import NAMES, PLANTS
 
 pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("leaves_nothing", "workplace")]
@@ -721,6 +724,23 @@ def test_build_replaces_a_different_file_only_when_forced(called, workplace):
     assert len(list(fmus.iterdir())) == 16
 
 
+def test_build_on_a_full_disk_keeps_the_file_that_it_was_to_replace(tmp_path, monkeypatch):
+    def _builder(folder):
+        (folder / "X.fmu").write_text("new")
+        return {"X": folder / "X.fmu"}
+
+    def _full(_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    fmus = tmp_path / "fmus"
+    fmus.mkdir()
+    (fmus / "X.fmu").write_text("mine")
+    monkeypatch.setattr("os.fsync", _full)
+    with pytest.raises(FolderError, match=r"X.fmu: No space left on device"):
+        build_into(fmus, True, _builder)
+    assert [(path.name, path.read_text()) for path in fmus.iterdir()] == [("X.fmu", "mine")]
+
+
 # Output that nobody reads.
 
 
@@ -732,3 +752,33 @@ def test_a_reader_that_has_gone_is_no_traceback(workplace):
     process.wait(timeout=60)
     assert "Traceback" not in err
     assert "BrokenPipe" not in err
+
+
+def shell(command, **environment):
+    """What the shell makes of it, with the streams of Python as they are for a user."""
+    others = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    return subprocess.run(
+        ["sh", "-c", command.replace("retune", str(RETUNE))], capture_output=True, text=True, timeout=120,
+        env=others | environment, stdin=subprocess.DEVNULL,
+    )  # fmt: skip
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="has no device that is always full")
+def test_output_for_which_there_is_no_room_is_told_and_the_run_is_there(workplace):
+    done = shell(f"{shlex.join(['retune', *SHORT])} --out r > /dev/full")
+    assert (done.returncode, done.stderr) == (1, "retune: cannot write what it prints: No space left on device\n")
+    assert read_run(Path("r")).status == "done"
+
+
+def test_output_without_the_characters_that_it_needs_is_escaped(workplace):
+    done = shell(f"{shlex.join(['retune', *SHORT])} --out l\u00e4uft", PYTHONIOENCODING="ascii")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "run folder l\\xe4uft" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("command", "code"), [(shlex.join(["retune", *SHORT]), 0), ("retune check none.fmu", 2)], ids=["run", "refusal"]
+)
+def test_a_closed_standard_error_is_no_error(workplace, command, code):
+    done = shell(f"{command} 2>&-")
+    assert (done.returncode, bool(done.stdout), done.stderr) == (code, not code, "")

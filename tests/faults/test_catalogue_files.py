@@ -1,5 +1,6 @@
 """The rows of catalogue.toml on files: refused, or warned of, before any of an FMU's code runs."""
 
+import os
 import random
 import re
 import struct
@@ -109,6 +110,11 @@ def damage(path: Path, what: str) -> None:
     path.write_bytes(data)
 
 
+def as_pipe(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path)
+
+
 def as_folder(path: Path) -> None:
     path.unlink()
     path.mkdir()
@@ -119,6 +125,7 @@ ARCHIVES = {
     "empty file": lambda p: p.write_bytes(b""),
     "cut in half": lambda p: p.write_bytes(p.read_bytes()[: p.stat().st_size // 2]),
     "a folder": as_folder,
+    "a pipe": as_pipe,
     "no file": lambda p: p.unlink(),
     "no description": lambda p: zipped(p, {"readme.txt": b"no FMU"}),
     "long name": lambda p: add(p, "resources/" + "x" * 300),

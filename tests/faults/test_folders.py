@@ -36,6 +36,20 @@ HOLDER = """
     time.sleep(1000)
 """
 
+BUILDER = """
+    import os, sys, tempfile, time
+    from pathlib import Path
+    tempfile.tempdir = sys.argv[1]
+    os.environ["FMU_RETUNE_CACHE"] = sys.argv[1] + "-cache"
+    from cosim.scenarios.library import build_into, find_fmu
+    from fmu_models import build
+    def wait(*_, **__):
+        print("ready", flush=True)
+        time.sleep(1000)
+    build.FmuBuilder.build_FMU = wait
+    {call}
+"""
+
 
 def test_what_a_killed_process_leaves_is_removed_by_the_next_and_not_before(temporary):
     with start(HOLDER, temporary) as process:
@@ -49,6 +63,17 @@ def test_what_a_killed_process_leaves_is_removed_by_the_next_and_not_before(temp
         (its_own,) = temporary.iterdir()
         assert its_own != folder
         another.kill()
+    remove_forsaken(str(temporary))
+    assert list(temporary.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "call", ['find_fmu("Pendulum", Path())', 'build_into(Path(sys.argv[1]).parent / "fmus", False)']
+)
+def test_what_a_killed_build_leaves_is_removed_by_the_next(temporary, call):
+    with start(BUILDER.format(call=call), temporary) as process:
+        assert any(path.name == "source" for path in temporary.rglob("*"))
+        process.kill()
     remove_forsaken(str(temporary))
     assert list(temporary.iterdir()) == []
 

@@ -123,8 +123,24 @@ def gone(name: str):
 
 def folder_instead(name: str):
     def inject(folder: Path) -> None:
-        (folder / name).unlink()
+        (folder / name).unlink(missing_ok=True)
         (folder / name).mkdir()
+
+    return inject
+
+
+def pipe_instead(name: str):
+    def inject(folder: Path) -> None:
+        (folder / name).unlink(missing_ok=True)
+        os.mkfifo(folder / name)
+
+    return inject
+
+
+def link_instead(name: str):
+    def inject(folder: Path) -> None:
+        (folder / name).unlink(missing_ok=True)
+        (folder / name).symlink_to(folder / MANIFEST)
 
     return inject
 
@@ -208,6 +224,18 @@ DAMAGED = [
     ("half a checkpoint", cut(CHECKPOINT, lambda n: n // 2), "resume", f"checkpoint.bin {OTHER}"),
     ("an empty checkpoint", cut(CHECKPOINT, lambda n: 0), "resume", f"checkpoint.bin {OTHER}"),
     ("a folder for a checkpoint", folder_instead(CHECKPOINT), "resume", "cannot read checkpoint.bin: Is a directory"),
+    (
+        "a folder for a result",
+        folder_instead(RESULT),
+        "resume",
+        "is damaged: result.json is not a file",
+    ),
+    ("a pipe for a lock", pipe_instead(LOCK), "resume", "cannot write in {folder}: lock is not a regular file."),
+    ("a link for a lock", link_instead(LOCK), "resume", "cannot write in {folder}: lock is a symbolic link."),
+    *(
+        (f"a pipe for {name}", pipe_instead(name), how, f"cannot read {name}: it is not a regular file")
+        for name, how in [(SERIES, "replay"), (MANIFEST, "replay"), (EVENTS, "resume"), (CHECKPOINT, "resume")]
+    ),
     ("no checkpoint", gone(CHECKPOINT), "resume", "cannot be resumed: it has no checkpoint"),
     ("a class that is not there", pickled_elsewhere, "resume", "its checkpoint is of another version: AttributeError"),
     ("a half manifest to go on with", cut(MANIFEST, lambda n: n // 2), "resume", "manifest.json: Invalid JSON"),
@@ -255,7 +283,7 @@ def test_a_damaged_folder_is_told_in_one_line_and_left_as_it_is(copied, capfd, i
     assert (code, out, len(err.splitlines())) == (2, "", 1)
     assert err.startswith("retune: ")
     assert str(folder) in err
-    assert outcome in err
+    assert outcome.replace("{folder}", str(folder)) in err
     assert contents(folder) == before
 
 

@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -10,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from cosim.errors import CosimError, ScenarioError
+from cosim.errors import ScenarioError, UnfinishedError, is_refusal
 from cosim.results.compare import compare
 from cosim.results.comparison import Comparison
 from cosim.results.crew import CrewError
-from cosim.results.record import FolderError
+from cosim.results.record import LOCK, FolderError
 from cosim.results.tables import WIDTH, estimator_columns, run_columns, to_csv, to_markdown
 from cosim.scenarios.scenario import Scenario
 
@@ -290,8 +291,26 @@ def test_what_is_refused_in_a_process_is_one_line_here_and_leaves_nothing(pendul
     with pytest.raises(CrewError, match=r"seed 0: .*no output of controller") as caught:
         compare(pendulum({'connections."plant.u"': "controller.v"}), [], 1, 2, out, keep=True)
     assert len(str(caught.value).splitlines()) == 1
-    assert isinstance(caught.value, CosimError)
+    assert is_refusal(caught.value)
     assert list(out.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("befalls", "told"),
+    [
+        (lambda process: os.kill(process, signal.SIGKILL), "its process has ended with exit code -9"),
+        (lambda process: resource.prlimit(process, resource.RLIMIT_FSIZE, (1000, 1000)), "File too large"),
+    ],
+    ids=["killed", "full disk"],
+)
+@real
+def test_what_cannot_be_finished_in_a_process_is_not_refused(pendulum, tmp_path, befalls, told):
+    def _at_first_end(*_):
+        befalls(int(Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()[0]))
+
+    with pytest.raises(CrewError, match=rf"seed 0: .*{told}.* 1 of 2 runs have ended") as caught:
+        compare(pendulum(), [], 1, 1, tmp_path / "out", keep=True, progress=_at_first_end)
+    assert isinstance(caught.value, UnfinishedError)
 
 
 @real
@@ -336,7 +355,8 @@ def test_an_interrupted_comparison_keeps_what_is_done_and_leaves_no_process(
     told = [json.loads(line) for line in (out / "runs.jsonl").read_text().splitlines()]
     assert told
     assert all(r["status"] == "done" for r in told)
-    assert [p.name for p in out.iterdir()] == ["runs.jsonl"]
+    left = {LOCK} if number == signal.SIGKILL else set()
+    assert {p.name for p in out.iterdir()} == {"runs.jsonl"} | left
     assert becomes_true(lambda: not others_with(temporary, process.pid))
 
 

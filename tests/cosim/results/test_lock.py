@@ -7,7 +7,8 @@ import sys
 
 import pytest
 
-from cosim.results.lock import is_locked, locked
+from cosim.commands.folders import new_folder
+from cosim.results.lock import is_locked, locked, new_locked_folder
 from cosim.results.record import LOCK, FolderError
 
 HOLDER = """
@@ -103,3 +104,61 @@ def test_a_folder_that_is_not_there_or_cannot_be_written_is_told(tmp_path):
     with pytest.raises(FolderError, match=r"cannot write in .*gone: No such file"), locked(tmp_path / "gone"):
         pass
     assert not is_locked(tmp_path / "gone")
+
+
+# New folders.
+
+
+def test_a_new_folder_is_nobody_elses_until_the_end(tmp_path):
+    with new_folder("pendulum", tmp_path / "new") as folder:
+        assert is_locked(folder)
+        with new_locked_folder("pendulum", folder):  # as the function does that the command calls
+            (folder / "result").touch()
+        assert is_locked(folder)
+    assert [path.name for path in folder.iterdir()] == ["result"]
+
+
+def test_a_folder_that_another_has_just_taken_is_left_as_it_is(tmp_path, holder):
+    (tmp_path / "runs").mkdir()
+    with pytest.raises(FolderError, match=f"is in use by process {holder.pid} on "), new_folder("figures", tmp_path):
+        pass
+    assert sorted(path.name for path in tmp_path.iterdir()) == [LOCK, "runs"]
+
+
+def test_what_was_filled_by_another_meanwhile_is_refused(tmp_path, monkeypatch):
+    def _filled_first(folder):
+        (folder / "precious").touch()
+        return locked(folder)
+
+    monkeypatch.setattr("cosim.results.lock.locked", _filled_first)
+    with pytest.raises(FolderError, match="is not empty"), new_folder("pendulum", tmp_path / "new"):
+        pass
+    assert [path.name for path in (tmp_path / "new").iterdir()] == ["precious"]
+
+
+def test_what_a_killed_command_leaves_before_its_run_is_nothing(tmp_path, holder):
+    holder.send_signal(signal.SIGKILL)
+    holder.wait()
+    for baseline in ("none", "true"):
+        (tmp_path / baseline).mkdir()
+    with new_folder("pendulum", tmp_path) as folder:
+        assert [path.name for path in folder.iterdir()] == [LOCK]
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", [LOCK, "none/mine"])
+def test_what_the_user_has_there_is_no_leftover(tmp_path, name):
+    (tmp_path / "none").mkdir()
+    (tmp_path / LOCK).touch()
+    (tmp_path / name).write_text("precious")
+    with pytest.raises(FolderError, match="is not empty"), new_folder("pendulum", tmp_path):
+        pass
+    assert (tmp_path / name).read_text() == "precious"
+
+
+def test_a_failure_before_anything_is_written_leaves_what_was_there(tmp_path):
+    (tmp_path / "there").mkdir()
+    for out in (tmp_path / "there", tmp_path / "a" / "b"):
+        with pytest.raises(FileExistsError), new_folder("pendulum", out) as folder:
+            _ = [(folder / name).mkdir() for name in ("none", "true", "none")]
+    assert list(tmp_path.rglob("*")) == [tmp_path / "there"]

@@ -1,6 +1,7 @@
 """Run folders: every prefix of a series is readable, whole files appear at once, nothing is overwritten."""
 
 import csv
+import errno
 import json
 import os
 import signal
@@ -14,6 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cosim.errors import UnfinishedError
 from cosim.results.record import (
     EVENTS,
     ROWS_PER_BATCH,
@@ -22,6 +24,7 @@ from cosim.results.record import (
     Recorder,
     new_run_folder,
     read_series,
+    recording,
     sha256,
     to_json,
     uninterrupted,
@@ -335,3 +338,12 @@ def test_a_file_called_runs_is_told(tmp_path, monkeypatch):
     (tmp_path / "runs").write_text("")
     with pytest.raises(FolderError, match="cannot make the run folder runs: "):
         new_run_folder("pendulum", None)
+
+
+@pytest.mark.parametrize(("manifest", "is_advised"), [({"estimator": "target"}, True), ({"system": "loop"}, False)])
+def test_who_has_no_room_is_advised_to_resume_what_can_be_resumed(tmp_path, manifest, is_advised):
+    (tmp_path / "lock").touch()
+    (tmp_path / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(UnfinishedError) as told, recording(tmp_path):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    assert ("retune resume" in str(told.value)) == is_advised

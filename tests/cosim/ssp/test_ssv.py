@@ -1,5 +1,7 @@
 """Parameter values out and in, checked by the schemas that FMPy ships."""
 
+import os
+
 import pytest
 from fmpy.ssp.ssd import read_ssv as fmpy_read_ssv
 
@@ -87,7 +89,10 @@ def test_bad_files_are_refused_in_one_line(read, text, message):
     assert "\n" not in str(refused.value)
 
 
-def test_a_missing_file_is_told(tmp_path):
+def test_a_missing_file_and_a_pipe_are_told(tmp_path):
+    os.mkfifo(tmp_path / "pipe.ssv")
+    with pytest.raises(SspError, match=r"pipe\.ssv cannot be read: it is not a regular file"):
+        read_ssv(tmp_path / "pipe.ssv")
     with pytest.raises(SspError, match=r"none\.ssv cannot be read: No such file"):
         read_ssv(tmp_path / "none.ssv")
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.report import spread, write
-from cosim import reconfigure, simulation
+from cosim import simulation, triggers
 from cosim.master import Master
 from cosim.results.record import Recorder
 from cosim.sampling import Sampler
@@ -36,8 +36,8 @@ _OWNERS: tuple[tuple[str, type[Any], tuple[str, ...]], ...] = (
     ("start of the FMUs", simulation._Loop, ("initialize",)),
     ("FMUs and exchange", Master, ("begin", "finish")),
     ("sampling", Sampler, ("take", "row")),
-    ("trigger", reconfigure.InnovationTrigger, ("__call__",)),
-    ("trigger", reconfigure.TrackingTrigger, ("__call__",)),
+    ("trigger", triggers.InnovationTrigger, ("__call__",)),
+    ("trigger", triggers.TrackingTrigger, ("__call__",)),
     ("model calls", DerivativeResidual, ("__call__",)),
     ("window", ResidualWindow, ("append", "residual", "residuals", "explain")),
     ("ask", TargetVector, ("ask",)),

@@ -25,9 +25,10 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.report import spread, write
-from cosim.reconfigure import AlwaysTrigger, Budget, Retuner
+from cosim.reconfigure import Budget, Retuner
 from cosim.scenarios.scenario import Scenario
 from cosim.simulation import run
+from cosim.triggers import AlwaysTrigger
 from estimator import METHODS, DerivativeResidual, Parameter, ParameterSpace, ResidualWindow, Sample
 
 SIGMA = 1e-3

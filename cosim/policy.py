@@ -12,22 +12,13 @@ from .derivative_filter import derivative_noise
 from .errors import USERS, CosimError, ScenarioError, one_line, seconds
 from .fmu_model import opened_model
 from .objectives import ENDLESS, chosen, open_judge
-from .reconfigure import (
-    AlwaysTrigger,
-    Budget,
-    InnovationTrigger,
-    Reconfiguration,
-    Retuner,
-    TrackingTrigger,
-    Trigger,
-    WindowTrigger,
-    make_retuner,
-)
+from .reconfigure import Budget, Reconfiguration, Retuner, make_retuner
 from .rollout.shadow import LivePlant
 from .scenarios.estimators import find_method, load, make_estimator
 from .scenarios.scenario import Scenario
 from .scenarios.schema import Always, Innovation, Loop, Tracking
 from .scenarios.system import Plant
+from .triggers import AlwaysTrigger, InnovationTrigger, TrackingTrigger, Trigger, WindowTrigger
 
 
 class Policy(Protocol):

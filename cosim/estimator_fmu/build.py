@@ -31,7 +31,13 @@ from ..scenarios.schema import Innovation, Tracking
 from ..scenarios.system import Plant, check_parameters, fmu_paths, plant_of, start_value, wire
 from .slave import variable_table
 
-_SHIPPED = ("estimator_fmu/__init__.py", "estimator_fmu/loop.py", "estimator_fmu/slave.py", "reconfigure.py")
+_SHIPPED = (
+    "estimator_fmu/__init__.py",
+    "estimator_fmu/loop.py",
+    "estimator_fmu/slave.py",
+    "reconfigure.py",
+    "triggers.py",
+)
 """The modules of cosim that an estimator FMU imports: they need no more than `estimator` does."""
 _INIT = b'"""What an estimator FMU has of cosim."""\n'
 _OURS = ("cosim", "estimator", "fmu_models")

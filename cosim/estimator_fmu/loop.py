@@ -9,14 +9,8 @@ import numpy as np
 
 from estimator import METHODS, DerivativeResidual, LinearForm, Parameter, ParameterSpace, Sample
 
-from ..reconfigure import (
-    AlwaysTrigger,
-    Budget,
-    InnovationTrigger,
-    TrackingTrigger,
-    Trigger,
-    make_retuner,
-)
+from ..reconfigure import Budget, make_retuner
+from ..triggers import AlwaysTrigger, InnovationTrigger, TrackingTrigger, Trigger
 
 try:
     from threadpoolctl import ThreadpoolController

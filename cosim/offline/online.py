@@ -16,12 +16,13 @@ from estimator import METHODS, EpisodeWindow, ParameterSpace, Sample, Vector
 from ..errors import ScenarioError, WiringError
 from ..fmi.archive import co_simulation
 from ..fmi.ports import Catalogue
-from ..reconfigure import Budget, Event, Retuner, WindowTrigger
+from ..reconfigure import Budget, Event, Retuner
 from ..rollout.judge import RolloutJudge
 from ..rollout.shadow import WAYS, Shadow, Way
 from ..rollout.shadow import told as said
 from ..rollout.start_noise import StartNoiseJudge
 from ..scenarios.schema import Innovation
+from ..triggers import WindowTrigger
 from .estimate import EstimateError, Request, Understood, understand
 from .log_windows import LogWindow
 from .rollout import grid_of, noise_of

@@ -105,7 +105,7 @@ def test_only_the_modules_of_one_fmu_import_fmpy():
 def test_the_master_and_the_loop_know_no_fmu_library():
     modules = imports_of("cosim")
     for name in (
-        *("master.py", "reconfigure.py", "results/record.py"),
+        *("master.py", "reconfigure.py", "triggers.py", "results/record.py"),
         *(f"scenarios/{module}.py" for module in ("formula", "changes", "schema", "scenario")),
     ):
         assert modules[name].isdisjoint({"fmpy", "pythonfmu"}), name

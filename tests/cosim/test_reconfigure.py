@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from cosim.reconfigure import AlwaysTrigger, Budget, InnovationTrigger, Retuner, TrackingTrigger, WindowTrigger
+from cosim.reconfigure import Budget, Retuner
+from cosim.triggers import AlwaysTrigger, InnovationTrigger, TrackingTrigger, WindowTrigger
 from estimator import (
     EpisodeWindow,
     Estimate,

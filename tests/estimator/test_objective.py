@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from cosim.reconfigure import AlwaysTrigger, Budget, Retuner, TrackingTrigger
+from cosim.reconfigure import Budget, Retuner
 from cosim.scenarios.schema import Estimation
+from cosim.triggers import AlwaysTrigger, TrackingTrigger
 from estimator import (
     METHODS,
     AskTell,

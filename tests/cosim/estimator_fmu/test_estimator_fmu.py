@@ -417,7 +417,7 @@ def test_it_needs_no_more_than_it_says(tmp_path):
 def test_the_archive_holds_no_more_of_the_co_simulation_than_is_loaded(tmp_path):
     with zipfile.ZipFile(build_estimator(Scenario.load("quadrotor"), tmp_path)) as archive:
         names = {Path(name).name for name in archive.namelist() if name.startswith("resources/cosim_")}
-    assert names == {"__init__.py", "loop.py", "slave.py", "reconfigure.py"}
+    assert names == {"__init__.py", "loop.py", "slave.py", "reconfigure.py", "triggers.py"}
 
 
 @fmu

@@ -33,6 +33,7 @@ PENDULUM = [
 QUADROTOR = [
     "run", "quadrotor", "--seed", "3", "--only", "--set", "scenario.stop_time=1.5", "--set", "scenario.checkpoint=50",
 ]  # fmt: skip
+SHORT = "scenario.stop_time=0.1"
 WALL_TIMES = {"run", "wall_s", "latency_ms", "missed_deadlines"}
 
 
@@ -242,8 +243,8 @@ def test_a_run_on_a_full_disk_goes_on_when_there_is_room(started, undisturbed, t
     "arguments",
     [
         ["replay", "RUN", "--estimator", "least-squares", "--out", "DISK/x"],
-        [*PENDULUM, "--only", "--set", "scenario.stop_time=0.1", "--out", "WORK/run", "--ssv", "DISK/x.ssv"],
-        ["compare", "pendulum", "--estimators", "none", "--seeds", "1", "--out", "DISK/x"],
+        [*PENDULUM, "--only", "--set", SHORT, "--out", "WORK/run", "--ssv", "DISK/x.ssv"],
+        ["compare", "pendulum", "--estimators", "none", "--seeds", "1", "--set", SHORT, "--out", "DISK/x"],
         ["illustrate", "--out", "DISK/x.png"],
         ["export", "pendulum", "--ssp", "DISK/x.ssp"],
         ["build", "--out", "DISK/x"],

@@ -15,6 +15,7 @@ from typing import Any, Final
 
 VARIABLE: Final = "FMU_RETUNE_PROCESS"
 _PR_SET_CHILD_SUBREAPER: Final = 36
+_MOST_LOOKS: Final = 20
 
 
 def new_mark() -> str:
@@ -39,18 +40,27 @@ def has_children() -> bool:
 
 
 def end_marked(mark: str) -> None:
-    """End every other process with this mark."""
+    """End every other process with this mark, those included that are started meanwhile."""
     if sys.platform != "linux":
         return
-    entry = f"{VARIABLE}={mark}".encode()
+    entry, n_quiet = f"{VARIABLE}={mark}".encode(), 0
+    for _ in range(_MOST_LOOKS):
+        n_quiet = 0 if _ended_any(entry) else n_quiet + 1
+        if n_quiet == 2:  # one that forks and exits may be between two names of a list
+            return
+
+
+def _ended_any(entry: bytes) -> bool:
     with suppress(OSError):  # no more files may be opened: the FMU has limited its process so
-        for name in filter(str.isdecimal, os.listdir("/proc")):
-            _end(int(name), entry)
+        return sum([_has_ended(int(name), entry) for name in os.listdir("/proc") if name.isdecimal()]) > 0
+    return False
 
 
-def _end(process_id: int, entry: bytes) -> None:
-    """End a process if it has this entry in its environment and is another one."""
+def _has_ended(process_id: int, entry: bytes) -> bool:
+    """Whether it is another process with this entry in its environment, and has been sent its end."""
     with suppress(OSError):
         environment = Path(f"/proc/{process_id}/environ").read_bytes()
         if entry in environment.split(b"\0") and process_id != os.getpid():
             os.kill(process_id, signal.SIGKILL)
+            return True
+    return False

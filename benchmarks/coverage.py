@@ -24,10 +24,10 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.frozen import estimated, noisy_samples, truth_at
 from benchmarks.report import RESULTS, keep, table
-from cosim.results.record import EVENTS
-from cosim.results.result import Run
+from cosim.runs.result import Run
+from cosim.runs.run_files import EVENTS
+from cosim.runs.simulation import run
 from cosim.scenarios.scenario import Scenario
-from cosim.simulation import run
 from estimator import ParameterSpace, Vector
 from estimator.baselines import LeastSquaresSettings
 
@@ -42,7 +42,7 @@ BATCH = 10
 """Seeds between two writings of the file."""
 
 
-class Belief(NamedTuple):
+class Interval(NamedTuple):
     """An estimate at one time, and the truth there."""
 
     when: str
@@ -93,7 +93,7 @@ def measure(rows: list[dict[str, Any]], key: tuple[str, str, str], n_seeds: int)
 
 
 def count(
-    tally: dict[tuple[str, str], dict[str, Any]], space: ParameterSpace, labels: dict[str, str], belief: Belief
+    tally: dict[tuple[str, str], dict[str, Any]], space: ParameterSpace, labels: dict[str, str], belief: Interval
 ) -> None:
     """Add one belief to the tally, a row a parameter."""
     for name, z, is_identifiable in zip(space.names, deviations(space, belief), belief.is_identifiable, strict=True):
@@ -110,7 +110,7 @@ def count(
             row["free covered"] += abs(z) <= QUANTILE
 
 
-def deviations(space: ParameterSpace, belief: Belief) -> Vector:
+def deviations(space: ParameterSpace, belief: Interval) -> Vector:
     """Estimate minus truth (d,), in the standard deviations claimed, in each parameter's scale."""
     is_log = np.array([p.scale == "log" for p in space])
     theta, truth = (np.log(v, where=is_log, out=v.copy()) for v in (belief.theta, belief.truth))
@@ -118,17 +118,17 @@ def deviations(space: ParameterSpace, belief: Belief) -> Vector:
     return (theta - truth) / np.maximum(std, 1e-300)
 
 
-def frozen(scenario: str, estimator: str, seed: int) -> Iterator[Belief]:
+def frozen(scenario: str, estimator: str, seed: int) -> Iterator[Interval]:
     """The belief after one episode on a frozen window."""
     recorded = _nominal(scenario)
     at, window, stride = FROZEN[scenario]
     samples = noisy_samples(recorded, at, window, stride, np.random.default_rng([seed, 1]))
     n = recorded.scenario.estimation.budget if estimator == "target" else LeastSquaresSettings().max_evaluations
     found = estimated(recorded, samples, estimator, n, np.random.default_rng([seed, 2]))
-    yield Belief(f"{at:g} s", found.theta, found.std, found.is_identifiable, found.reason, truth_at(recorded, at))
+    yield Interval(f"{at:g} s", found.theta, found.std, found.is_identifiable, found.reason, truth_at(recorded, at))
 
 
-def whole(scenario: str, estimator: str, seed: int) -> Iterator[Belief]:
+def whole(scenario: str, estimator: str, seed: int) -> Iterator[Interval]:
     """The beliefs of one run: at the end of each episode, and at the instants."""
     with tempfile.TemporaryDirectory() as folder:
         result = run(Scenario.load(scenario, {"scenario.isolation": "none"}), estimator, seed, Path(folder))
@@ -182,9 +182,9 @@ def _group(row: dict[str, Any]) -> str:
     return "end of episode" if row["when"] == "end of episode" else "instants"
 
 
-def _belief(result: Run, when: str, event: dict[str, Any], t: float) -> Belief:
+def _belief(result: Run, when: str, event: dict[str, Any], t: float) -> Interval:
     sampled = truth_at(result, t - result.scenario.scenario.macro_step)  # with which the plant came to the sample at t
-    return Belief(
+    return Interval(
         when, np.array(event["theta"]), np.array(event["std"]), event["is_identifiable"], event["reason"], sampled
     )
 

@@ -29,9 +29,9 @@ import numpy as np
 from benchmarks import report
 from benchmarks.estimator_peers import PEERS, UnitObjective
 from benchmarks.frozen import noisy_samples, residual_window, solve, truth_at
-from cosim.results.result import Run
+from cosim.runs.result import Run
+from cosim.runs.simulation import run
 from cosim.scenarios.scenario import Scenario
-from cosim.simulation import run
 
 OURS = ("target", "bo-scalar", "paper")
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")

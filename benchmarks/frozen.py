@@ -21,11 +21,12 @@ import numpy as np
 from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
-from cosim.results.result import Run
-from cosim.sampling import recorded_samples
-from cosim.scenarios.estimators import find_method, load
+from cosim.retuning.estimators import find_method
+from cosim.runs.result import Run
+from cosim.runs.simulation import run
+from cosim.sampling.sampler import recorded_samples
 from cosim.scenarios.scenario import Scenario
-from cosim.simulation import run
+from cosim.user_code import load
 from estimator import AskTell, DerivativeResidual, Estimate, LinearForm, Objective, ResidualWindow, Sample, Vector
 from estimator.baselines import LeastSquaresSettings
 

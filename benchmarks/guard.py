@@ -19,8 +19,8 @@ from typing import Any, Final
 import numpy as np
 
 from benchmarks.report import RESULTS, machine, table
+from cosim.runs.simulation import run
 from cosim.scenarios.scenario import Scenario
-from cosim.simulation import run
 from fmu_models import quadrotor
 
 PATH: Final = RESULTS / "guard.json"

@@ -30,8 +30,8 @@ from fmpy.fmi2 import FMU2Slave
 
 from benchmarks.native_fmus import build_native, build_python
 from benchmarks.report import spread, write
-from cosim.master import Master, Wiring
 from cosim.slaves.slave import open_slave
+from cosim.system.master import Master, Wiring
 from fmu_models.build import build
 
 H = 0.01

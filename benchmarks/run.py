@@ -21,14 +21,14 @@ from typing import Any
 import numpy as np
 
 from benchmarks.report import spread, write
-from cosim import simulation, triggers
-from cosim.master import Master
-from cosim.results.record import Recorder
-from cosim.sampling import Sampler
+from cosim.runs import simulation
+from cosim.runs.record import Recorder
+from cosim.sampling.sampler import Sampler
 from cosim.scenarios.scenario import Scenario
-from cosim.scenarios.system import fmu_paths
 from cosim.slaves.slave import Slave, open_slave
-from estimator import DerivativeResidual, PaperBO, ResidualWindow, TargetVector
+from cosim.system.fmu_cache import fmu_paths
+from cosim.system.master import Master
+from estimator import DerivativeResidual, PaperBO, ResidualWindow, TargetVector, triggers
 
 REACH = 6.0
 """Times real time, overall."""

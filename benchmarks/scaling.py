@@ -25,11 +25,11 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.report import spread, write
-from cosim.reconfigure import Budget, Retuner
+from cosim.runs.simulation import run
 from cosim.scenarios.scenario import Scenario
-from cosim.simulation import run
-from cosim.triggers import AlwaysTrigger
 from estimator import METHODS, DerivativeResidual, Parameter, ParameterSpace, ResidualWindow, Sample
+from estimator.retuner import Budget, Retuner
+from estimator.triggers import AlwaysTrigger
 
 SIGMA = 1e-3
 """Noise of the synthetic plant's derivatives."""

@@ -9,10 +9,10 @@ from collections.abc import Generator, Sequence
 from contextlib import contextmanager, nullcontext
 from importlib import import_module
 
-from .commands.exit_codes import INTERRUPTED, REFUSED, UNFINISHED
-from .commands.options import make_parser
-from .commands.signals import Signals
-from .commands.streams import can_print, drop_output, ready_streams
+from .terminal.exit_codes import INTERRUPTED, REFUSED, UNFINISHED
+from .terminal.options import make_parser
+from .terminal.signals import Signals
+from .terminal.streams import can_print, drop_output, ready_streams
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -17,10 +17,6 @@ _NO_ROOM: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 _FORMS = (AFTER_THE_CALL, COLON, IN_THE_CALL)
 
 
-USERS: Final = (Exception, SystemExit, GeneratorExit)
-"""Whatever code of the user's may raise: all but what interrupts."""
-
-
 class CosimError(Exception):
     """A co-simulation cannot go on, through no fault of the calling code."""
 
@@ -103,3 +99,7 @@ def seconds(time: float) -> str:
     """time [s] to the millisecond, or with as many digits as it needs."""
     text = f"{time:.3f}"
     return text if abs(float(text) - time) <= 1e-9 else f"{time:.9g}"
+
+
+class FolderError(CosimError):
+    """A run folder cannot be made, written or read."""

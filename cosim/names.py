@@ -2,13 +2,6 @@
 
 from collections.abc import Iterable
 from difflib import get_close_matches
-from importlib import resources
-
-
-def named_scenarios() -> tuple[str, ...]:
-    """Names of the scenarios that come with the package."""
-    folder = resources.files("cosim") / "scenarios"
-    return tuple(sorted(p.name.removesuffix(".toml") for p in folder.iterdir() if p.name.endswith(".toml")))
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

@@ -149,14 +149,14 @@ class LeastSquares:
 
     def restart(self, start: Vector) -> None:
         """Begin an episode at theta (d,)."""
-        self._z, self._sight = self._space.to_unit(start), information(np.zeros((0, len(self._space))))
+        self._z, self._information = self._space.to_unit(start), information(np.zeros((0, len(self._space))))
         self._cost, self._n_evaluations = np.inf, 0
 
     def solve(self, objective: Objective) -> None:
         """Minimise the sum of squares over the present samples, from each start until the evaluations are spent."""
         search = _Counted(self._space, objective, self._settings.max_evaluations, self._z)
         unknown = information(np.zeros((0, len(self._space))))
-        sight, converged = unknown, np.inf
+        seen_by_data, converged = unknown, np.inf
         starts = [self._z, *self._rng.random((self._settings.n_starts - 1, len(self._space)))]
         jacobian: Any = search.jacobian or "2-point"
         for z in starts:
@@ -166,15 +166,15 @@ class LeastSquares:
                 break
             if 2.0 * result.cost <= search.cost * (1.0 + 1e-9):
                 misfit = max(1.0, np.sqrt(2.0 * result.cost / max(len(result.fun) - len(z), 1)))
-                sight, converged = information(result.jac / misfit), search.cost
+                seen_by_data, converged = information(result.jac / misfit), search.cost
         is_converged = search.cost >= converged * (1.0 - 1e-9)
-        self._z, self._cost, self._sight = search.z, search.cost, sight if is_converged else unknown
+        self._z, self._cost, self._information = search.z, search.cost, seen_by_data if is_converged else unknown
         self._n_evaluations += objective.n_evaluations
 
     def estimate(self) -> Estimate:
         """The best place of the last solve."""
         return scaled_estimate(
-            self._space, self._z, self._sight.std(), self._settings.identifiable_below, self._sight,
+            self._space, self._z, self._information.std(), self._settings.identifiable_below, self._information,
             cost=self._cost, n_evaluations=self._n_evaluations, reason="least squares",
         )  # fmt: skip
 

@@ -32,7 +32,7 @@ class Estimate:
     """Evaluations told since the last restart."""
     reason: str
     """Why this value was taken, for the record."""
-    sight: Information | None = None
+    information: Information | None = None
     """What the data see at theta, in standard deviations of the misfit; None where the estimator cannot tell."""
 
 
@@ -41,7 +41,7 @@ def scaled_estimate(
     z: Vector,
     std: Vector,
     below: float,
-    sight: Information,
+    information: Information,
     *,
     cost: float,
     n_evaluations: int,
@@ -50,7 +50,7 @@ def scaled_estimate(
     """The estimate at z (d,) of the unit cube; std (d,): there too; below: std of an identifiable parameter."""
     theta = space.from_unit(z)
     identifiable = tuple(bool(s <= below) for s in std)
-    return Estimate(theta, std * space.slope(theta), identifiable, cost, n_evaluations, reason, sight)
+    return Estimate(theta, std * space.slope(theta), identifiable, cost, n_evaluations, reason, information)
 
 
 @runtime_checkable

@@ -13,7 +13,7 @@ IDENTIFIABLE_BELOW: Final = 0.05
 
 @dataclass(frozen=True)
 class Information:
-    """The data's sight at one theta: J = d r/d z = U diag(s) V^T, with r in standard deviations of the noise.
+    """What the data say at one theta: J = d r/d z = U diag(s) V^T, with r in standard deviations of the noise.
 
     Along the direction V_i of the unit cube the data fix z with standard deviation 1/s_i (linearised).
     """
@@ -46,7 +46,7 @@ class Information:
 
 
 def information(jacobian: Vector) -> Information:
-    """Sight of residuals whose sensitivity to z is jacobian (D, d); D may be smaller than d."""
+    """DataSupport of residuals whose sensitivity to z is jacobian (D, d); D may be smaller than d."""
     d = jacobian.shape[1]
     _, s, directions = np.linalg.svd(jacobian, full_matrices=True)
     singular_values = np.zeros(d)
@@ -55,6 +55,6 @@ def information(jacobian: Vector) -> Information:
 
 
 def information_of_covariance(P: Vector) -> Information:
-    """Sight of an estimate whose covariance in the unit cube is P (d, d), symmetric: P = V^T diag(1/s^2) V."""
+    """DataSupport of an estimate whose covariance in the unit cube is P (d, d), symmetric: P = V^T diag(1/s^2) V."""
     variances, directions = np.linalg.eigh(P)  # from small to large: s from large to small
     return Information(1.0 / np.sqrt(np.maximum(variances, 1e-24)), directions.T)

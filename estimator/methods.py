@@ -5,8 +5,8 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from .baselines import LeastSquares, LeastSquaresSettings, NoisyNorm, NormSettings
+from .filters import RecursiveLeastSquares, RecursiveSettings, UnscentedKalman, UnscentedSettings
 from .paper import PaperBO, PaperSettings
-from .recursive import RecursiveLeastSquares, RecursiveSettings, UnscentedKalman, UnscentedSettings
 from .target import TargetSettings, TargetVector
 
 

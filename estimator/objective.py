@@ -7,8 +7,9 @@ from typing import Final, Protocol
 
 import numpy as np
 
+from .samples import Sample
+from .sliding_window import ResidualWindow
 from .space import ParameterSpace, Vector
-from .telemetry import ResidualWindow, Sample
 
 DIFFERENCE_STEP: Final = 1e-3
 """Of the unit cube, for differences of simulated outputs, which an integrator with error control makes ragged."""

@@ -52,7 +52,7 @@ class Fit:
     """s: root mean square residual, D - d degrees of freedom, in standard deviations of the noise."""
     autocorrelation: float
     """Of the residuals, from one row to the next."""
-    sight: Information
+    information: Information
     """Of the unit cube, the noise being that of the misfit."""
     place: Vector
     """theta in the unit cube (d,)."""
@@ -60,7 +60,7 @@ class Fit:
     @property
     def is_identifiable(self) -> tuple[bool, ...]:
         """Whether the data fix each parameter (d,)."""
-        return tuple(bool(s <= IDENTIFIABLE_BELOW) for s in self.sight.std())
+        return tuple(bool(s <= IDENTIFIABLE_BELOW) for s in self.information.std())
 
     @property
     def inflation(self) -> float:
@@ -111,20 +111,20 @@ def fit(
         if seen.best is not None and _misfit(seen.best, len(space)) < _EXPLAINED:
             break
     state, misfit, jacobian = _descend(seen, len(space))
-    sight = _sight(jacobian, misfit)
-    held = _held(seen, state, sight, space.to_unit(nominal), misfit)
+    seen_by_data = _information(jacobian, misfit)
+    held = _held(seen, state, seen_by_data, space.to_unit(nominal), misfit)
     if held is not state:
         state = held
         misfit = _misfit(state, len(space))
-        sight = _sight(_jacobian(seen, state, _steps(jacobian, misfit)), misfit)
+        seen_by_data = _information(_jacobian(seen, state, _steps(jacobian, misfit)), misfit)
     theta = space.from_unit(state.z)
     power = float(state.r @ state.r)
     return Fit(
         theta=theta,
-        std=sight.std() * space.slope(theta),
+        std=seen_by_data.std() * space.slope(theta),
         misfit=misfit,
         autocorrelation=float(state.r[1:] @ state.r[:-1]) / power if power else 0.0,
-        sight=sight,
+        information=seen_by_data,
         place=state.z,
     )
 
@@ -248,14 +248,14 @@ def _misfit(state: _State, d: int) -> float:
     return max(float(np.sqrt(state.cost / max(len(state.r) - d, 1))), 1e-12)
 
 
-def _sight(jacobian: Vector, misfit: float) -> Information:
-    """Sight, from the Jacobian's triangular factor: the long one's left singular vectors are square."""
+def _information(jacobian: Vector, misfit: float) -> Information:
+    """DataSupport, from the Jacobian's triangular factor: the long one's left singular vectors are square."""
     return information(np.linalg.qr(jacobian).R / misfit)
 
 
-def _held(seen: _Best, state: _State, sight: Information, nominal: Vector, misfit: float) -> _State:
+def _held(seen: _Best, state: _State, seen_by_data: Information, nominal: Vector, misfit: float) -> _State:
     """The state with the directions that are not seen put back where they were, if that costs next to nothing."""
-    flat = sight.directions[sight.singular_values < 1.0 / _UNSEEN]
+    flat = seen_by_data.directions[seen_by_data.singular_values < 1.0 / _UNSEEN]
     if not len(flat):
         return state
     (back,) = seen.many([np.clip(state.z + flat.T @ flat @ (nominal - state.z), 0.0, 1.0)])

@@ -80,8 +80,8 @@ def least_change(posterior: Posterior, z: Vector, n_moved: int) -> Vector:
     """
     for _ in range(8):
         r, slope = posterior.mean_and_jacobian(z)
-        sight = information(slope)
-        seen, s = sight.directions[:n_moved], sight.singular_values[:n_moved]
+        seen_by_data = information(slope)
+        seen, s = seen_by_data.directions[:n_moved], seen_by_data.singular_values[:n_moved]
         s = np.maximum(s, 1e-7 * s[0] + 1e-150)  # where nothing is seen, nothing is moved
         step = seen.T @ (seen @ (slope.T @ r) / (s * s))  # least squares: slope V_i = s_i U_i
         z = np.minimum(np.maximum(z - step, 0.0), 1.0)

@@ -171,9 +171,9 @@ class TargetVector:
         else:
             z, cost = (hold.place, hold.expected) if hold.is_sure else self._nearest_that_fits(hold)
             reason = f"incumbent, {hold.n_held} of {len(z)} directions held"
-        std = np.minimum(np.hypot(hold.sight.std(), hold.least_squares - z), 1.0)
+        std = np.minimum(np.hypot(hold.information.std(), hold.least_squares - z), 1.0)
         return scaled_estimate(
-            self._space, z, std, self._settings.identifiable_below, hold.sight,
+            self._space, z, std, self._settings.identifiable_below, hold.information,
             cost=cost, n_evaluations=self._n_evaluations, reason=reason,
         )  # fmt: skip
 
@@ -183,9 +183,9 @@ class TargetVector:
         z, least = model.Z[best], float(model.costs[best])
         misfit = max(1.0, np.sqrt(least / max(self._told().shape[1] - len(z), 1)))
         mean, jacobian = model.posterior.mean_and_jacobian(z)
-        sight = information(jacobian / misfit)
-        least_squares = z + sight.step(jacobian.T @ mean / misfit**2)
-        moved = sight.significant(z - self._start, self._settings.significance)
+        seen_by_data = information(jacobian / misfit)
+        least_squares = z + seen_by_data.step(jacobian.T @ mean / misfit**2)
+        moved = seen_by_data.significant(z - self._start, self._settings.significance)
         place, expected = z, least
         if len(moved) < len(z):
             place = self._start
@@ -194,7 +194,7 @@ class TargetVector:
             mean, variance = model.posterior.predict(place[None])
             expected = float(np.sum(mean * mean + variance))
         allowed = least + (self._settings.significance * misfit) ** 2
-        return _Hold(z, least, sight, least_squares, len(z) - len(moved), place, expected, allowed)
+        return _Hold(z, least, seen_by_data, least_squares, len(z) - len(moved), place, expected, allowed)
 
     def _nearest_that_fits(self, hold: "_Hold") -> tuple[Vector, float]:
         """Of the candidates that cost no more than allowed the one nearest to the start, and its cost."""
@@ -304,7 +304,7 @@ class _Hold(NamedTuple):
     """The best candidate."""
     least: float
     """Its sum of squared residuals."""
-    sight: Information
+    information: Information
     """There, in standard deviations of the misfit."""
     least_squares: Vector
     """Where the linearised mean is least: may lie outside the cube."""

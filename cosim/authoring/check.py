@@ -13,14 +13,18 @@ from pydantic import ValidationError
 from estimator import Sample
 
 from ..errors import CosimError, ScenarioError, one_line
-from ..finding import Finding
+from ..findings import Finding
 from ..fmi.archive import FmuFile
 from ..fmi.component import Component, read_component
-from ..objectives import check_objective, chosen
-from ..policy import try_model
-from ..scenarios.aliases import as_the_fmus_have_it
-from ..scenarios.scenario import Scenario, error_texts
-from ..scenarios.system import component_path, plant_of, start_value
+from ..objectives.choice import check_objective, chosen
+from ..retuning.policies import try_model
+from ..scenarios.scenario import Scenario
+from ..scenarios.validation import error_texts
+from ..ssp.load import load_scenario
+from ..system.aliases import as_the_fmus_have_it
+from ..system.fmu_cache import component_path
+from ..system.parameters import start_value
+from ..system.plant import plant_of
 from .check_estimation import check_changes, check_parameters, check_sampling, check_tracking
 from .check_filter import check_filter, check_filtered_model
 from .check_wiring import check_connections, check_inputs, check_loops, check_starts, check_steps
@@ -34,11 +38,11 @@ _CHECKS: tuple[Callable[[Scenario, Mapping[str, Component]], Iterator[Finding]],
 def check(source: str | Path, overrides: Mapping[str, str] | None = None) -> list[Finding]:
     """Everything that is to say about a scenario, errors and warnings. Raises ScenarioError for no TOML file."""
     try:
-        scenario = Scenario.load(source, overrides)
+        scenario = load_scenario(source, overrides)
     except ScenarioError as e:
         if not isinstance(e.__cause__, ValidationError):
             raise
-        found = [_split(text) for text in error_texts(e.__cause__)]
+        found = [_split(text) for text in error_texts(e.__cause__, Scenario)]
         return [f for f in found if not any(other.where.startswith(f"{f.where}.") for other in found)]  # what follows
     components: dict[str, Component] = {}
     findings: list[Finding] = []

@@ -2,12 +2,12 @@
 
 from collections.abc import Iterator
 
-from ..finding import Finding, warning
+from ..findings import Finding, warning
 from ..fmi.ports import attribute
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
-from ..scenarios.schema import EstimatedParameter
-from ..scenarios.system import parameter_problem
+from ..scenarios.schema.estimation import EstimatedParameter
+from ..system.parameters import parameter_problem
 from .check_wiring import Components, output_refusal, parts, refusal, unit_finding
 
 

@@ -8,11 +8,11 @@ import numpy as np
 
 from estimator import Vector
 
-from ..derivative_filter import Kernel, derivative_noise, kernel_of
-from ..finding import Finding, warning
-from ..fmu_model import opened_model
+from ..findings import Finding, warning
+from ..objectives.model import opened_model
+from ..sampling.derivative_filter import Kernel, derivative_noise, kernel_of
 from ..scenarios.scenario import Scenario
-from ..scenarios.system import Plant
+from ..system.plant import Plant
 from .check_wiring import Components, output_refusal
 
 _LITTLE: Final = 0.5  # of the noise of a plain difference

@@ -4,7 +4,7 @@ from io import BytesIO
 from pathlib import Path
 
 from ..errors import ModelDescriptionError
-from ..finding import Finding, warning
+from ..findings import Finding, warning
 from ..fmi.archive import (
     DESCRIPTION,
     content,

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 
 from ..errors import WiringError
-from ..finding import Finding, warning
+from ..findings import Finding, warning
 from ..fmi.archive import co_simulation
 from ..fmi.component import Component
 from ..fmi.feedthrough import algebraic_loops
@@ -11,7 +11,7 @@ from ..fmi.ports import Catalogue
 from ..fmi.table import is_table
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
-from ..scenarios.unit_conversions import different
+from ..system.unit_conversions import different
 from ..units import IDENTITY, conversion
 
 Components = Mapping[str, Component]

@@ -6,11 +6,11 @@ from pathlib import Path
 
 from ..errors import one_line
 from ..fmi.archive import look_into
-from ..fmi.block import Value
 from ..fmi.component import Component, ModelVariable, component_of
 from ..fmi.feedthrough import declared
 from ..fmi.ports import attribute, kind_of
-from ..results.report import aligned
+from ..fmi.value_buffers import Value
+from ..text_table import aligned
 
 _CAPABILITIES = {
     "canHandleVariableCommunicationStepSize": "variable communication step",

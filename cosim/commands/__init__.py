@@ -1,1 +1,1 @@
-"""What `retune NAME` does: the function `command` of the module NAME. Only `options` is loaded before it is chosen."""
+"""What `retune NAME` does: the function `command` of the module NAME."""

@@ -9,9 +9,9 @@ from fmu_models.build import build_all
 
 from ..errors import ScenarioError
 from ..estimator_fmu.build import build_estimator
-from ..scenarios.library import build_into
-from ..scenarios.scenario import Scenario
-from .exit_codes import DONE
+from ..ssp.load import load_scenario
+from ..system.fmu_cache import build_into
+from ..terminal.exit_codes import DONE
 
 
 def command(options: argparse.Namespace) -> int:
@@ -34,7 +34,7 @@ def _builder(options: argparse.Namespace) -> Callable[[Path], Mapping[str, Path]
 
 
 def _estimator_builder(options: argparse.Namespace) -> Callable[[Path], Mapping[str, Path]]:
-    scenario = Scenario.load(options.estimator, dict(options.overrides))
+    scenario = load_scenario(options.estimator, dict(options.overrides))
 
     def builder(folder: Path) -> Mapping[str, Path]:
         path = build_estimator(scenario, folder, options.method or "target")

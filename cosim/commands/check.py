@@ -6,7 +6,7 @@ from pathlib import Path
 from ..authoring.check import check
 from ..authoring.check_fmu import check_fmu
 from ..errors import ScenarioError
-from .exit_codes import DONE, REFUSED
+from ..terminal.exit_codes import DONE, REFUSED
 
 
 def command(options: argparse.Namespace) -> int:

@@ -2,17 +2,17 @@
 
 import argparse
 
-from ..progress import bar_of_runs
-from ..results.compare import compare
-from ..results.record import recording
-from ..scenarios.scenario import Scenario
-from .exit_codes import DONE
-from .folders import new_folder
+from ..campaigns.compare import compare
+from ..runs.record import recording
+from ..ssp.load import load_scenario
+from ..terminal.exit_codes import DONE
+from ..terminal.folders import new_folder
+from ..terminal.progress import bar_of_runs
 
 
 def command(options: argparse.Namespace) -> int:
     """Returns the exit code."""
-    scenario = Scenario.load(options.scenario, dict(options.overrides))
+    scenario = load_scenario(options.scenario, dict(options.overrides))
     name = scenario.scenario.name
     with (
         new_folder(f"{name}-compare", options.out) as folder,

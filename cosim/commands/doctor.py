@@ -3,7 +3,7 @@
 import argparse
 
 from ..authoring.doctor import diagnose
-from .exit_codes import DONE, UNFINISHED
+from ..terminal.exit_codes import DONE, UNFINISHED
 
 
 def command(options: argparse.Namespace) -> int:

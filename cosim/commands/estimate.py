@@ -3,14 +3,15 @@
 import argparse
 import sys
 
+from ..files import to_json, write_text
 from ..offline.estimate import FailedError, estimate
 from ..offline.estimate_options import request_of
 from ..offline.fit_plot import draw_fit
 from ..offline.fit_report import estimates_ssv, report, summary, write_files
-from ..progress import bar_of_rollouts
-from ..results.record import recording, to_json, write_text
-from .exit_codes import DONE, INTERRUPTED, UNFINISHED
-from .folders import must_be_new, new_folder
+from ..runs.record import recording
+from ..terminal.exit_codes import DONE, INTERRUPTED, UNFINISHED
+from ..terminal.folders import must_be_new, new_folder
+from ..terminal.progress import bar_of_rollouts
 
 
 def command(options: argparse.Namespace) -> int:

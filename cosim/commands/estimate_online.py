@@ -3,13 +3,14 @@
 import argparse
 import sys
 
+from ..files import to_json, write_text
 from ..offline.estimate import Request
 from ..offline.online import run_online
 from ..offline.online_report import estimates_ssv, report, summary, write_files
-from ..progress import bar_of_samples
-from ..results.record import recording, to_json, write_text
-from .exit_codes import DONE, INTERRUPTED, UNFINISHED
-from .folders import new_folder
+from ..runs.record import recording
+from ..terminal.exit_codes import DONE, INTERRUPTED, UNFINISHED
+from ..terminal.folders import new_folder
+from ..terminal.progress import bar_of_samples
 
 
 def estimate_online(options: argparse.Namespace, request: Request) -> int:

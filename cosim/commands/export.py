@@ -2,16 +2,17 @@
 
 import argparse
 
-from ..results.record import FolderError, write_bytes
-from ..scenarios.scenario import Scenario
-from ..scenarios.start_values import with_start_values
+from ..errors import FolderError
+from ..files import write_bytes
+from ..ssp.load import load_scenario
+from ..ssp.start_values import with_start_values
 from ..ssp.write import to_ssp
-from .exit_codes import DONE
+from ..terminal.exit_codes import DONE
 
 
 def command(options: argparse.Namespace) -> int:
     """Returns the exit code."""
-    content = to_ssp(with_start_values(Scenario.load(options.scenario, dict(options.overrides)), options.start_values))
+    content = to_ssp(with_start_values(load_scenario(options.scenario, dict(options.overrides)), options.start_values))
     verb = "written"
     if options.ssp.exists():
         verb = "unchanged" if options.ssp.is_file() and options.ssp.read_bytes() == content else "replaced"

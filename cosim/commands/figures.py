@@ -2,11 +2,11 @@
 
 import argparse
 
-from ..plots.figures import figures
-from ..progress import bar_of_runs
-from ..results.record import recording
-from .exit_codes import DONE
-from .folders import new_folder
+from ..paper.figures import figures
+from ..runs.record import recording
+from ..terminal.exit_codes import DONE
+from ..terminal.folders import new_folder
+from ..terminal.progress import bar_of_runs
 
 
 def command(options: argparse.Namespace) -> int:

@@ -2,9 +2,9 @@
 
 import argparse
 
-from ..plots.illustrate import illustrate
-from .exit_codes import DONE
-from .folders import must_be_new
+from ..paper.illustration import illustrate
+from ..terminal.exit_codes import DONE
+from ..terminal.folders import must_be_new
 
 
 def command(options: argparse.Namespace) -> int:

@@ -4,8 +4,8 @@ import argparse
 from dataclasses import asdict
 
 from ..authoring.info import info
-from ..results.record import to_json
-from .exit_codes import DONE
+from ..files import to_json
+from ..terminal.exit_codes import DONE
 
 
 def command(options: argparse.Namespace) -> int:

@@ -3,9 +3,9 @@
 import argparse
 
 from ..authoring.draft import draft
-from ..results.record import write_text
-from .exit_codes import DONE
-from .folders import must_be_new
+from ..files import write_text
+from ..terminal.exit_codes import DONE
+from ..terminal.folders import must_be_new
 
 
 def command(options: argparse.Namespace) -> int:

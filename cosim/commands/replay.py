@@ -3,9 +3,9 @@
 import argparse
 from contextlib import nullcontext
 
-from ..results.replay import replay
-from .exit_codes import DONE
-from .folders import new_folder
+from ..campaigns.replay import replay
+from ..terminal.exit_codes import DONE
+from ..terminal.folders import new_folder
 
 
 def command(options: argparse.Namespace) -> int:

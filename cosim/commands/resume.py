@@ -4,13 +4,13 @@ import argparse
 from functools import partial
 from pathlib import Path
 
-from ..results.lock import locked
-from ..results.manifest import read_manifest, scenario_of
-from ..results.record import FolderError
-from ..results.result import Run, read_run
-from ..results.unfinished import has_begun, has_ended
-from ..simulation import resume, run
-from .runs import BASELINES, simulated, tell
+from ..errors import FolderError
+from ..runs.lock import locked
+from ..runs.manifest import read_manifest, scenario_of
+from ..runs.result import Run, read_run
+from ..runs.resumable import has_begun, has_ended
+from ..runs.simulation import resume, run
+from ..terminal.run_output import BASELINES, simulated, tell
 
 
 def command(options: argparse.Namespace) -> int:

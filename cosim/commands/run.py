@@ -5,13 +5,15 @@ from functools import partial
 from pathlib import Path
 
 from ..errors import SspError
-from ..results.record import ESTIMATES, recording, write_bytes
-from ..scenarios.estimators import check_estimator
-from ..scenarios.scenario import Scenario
-from ..scenarios.start_values import with_start_values
-from ..simulation import run
-from .folders import must_be_new, new_folder
-from .runs import BASELINES, simulated, tell
+from ..files import write_bytes
+from ..retuning.estimators import check_estimator
+from ..runs.record import recording
+from ..runs.run_files import ESTIMATES
+from ..runs.simulation import run
+from ..ssp.load import load_scenario
+from ..ssp.start_values import with_start_values
+from ..terminal.folders import must_be_new, new_folder
+from ..terminal.run_output import BASELINES, simulated, tell
 
 
 def command(options: argparse.Namespace) -> int:
@@ -24,7 +26,7 @@ def command(options: argparse.Namespace) -> int:
     if options.tables and not is_package:
         raise SspError(f"--scenario goes with an SSP package, got '{options.scenario}'.")
     source, system = (options.tables, options.scenario) if options.tables else (options.scenario, None)
-    scenario = Scenario.load(source, dict(options.overrides), system)
+    scenario = load_scenario(source, dict(options.overrides), system)
     scenario = with_start_values(scenario, options.start_values)
     check_estimator(options.estimator, scenario)
     must_be_new(options.ssv, "--ssv")

@@ -4,12 +4,12 @@ import argparse
 import sys
 
 from ..errors import SspError
-from ..results.record import to_json
+from ..files import to_json
 from ..ssp.package import System
 from ..ssp.run import report, simulate
 from ..ssp.settings import overridden
-from .exit_codes import DONE, UNFINISHED
-from .folders import new_folder
+from ..terminal.exit_codes import DONE, UNFINISHED
+from ..terminal.folders import new_folder
 
 
 def run_package(options: argparse.Namespace) -> int:

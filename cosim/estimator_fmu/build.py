@@ -23,20 +23,21 @@ from fmu_models.description import base_unit
 from ..errors import ScenarioError
 from ..fmi.archive import FmuFile
 from ..fmi.component import read_component
-from ..objectives import chosen
-from ..policy import make_policy, try_model
-from ..scenarios.estimators import find_method
+from ..objectives.choice import chosen
+from ..retuning.estimators import find_method
+from ..retuning.policies import make_policy, try_model
 from ..scenarios.scenario import Scenario
-from ..scenarios.schema import Innovation, Tracking
-from ..scenarios.system import Plant, check_parameters, fmu_paths, plant_of, start_value, wire
+from ..scenarios.schema.estimation import Innovation, Tracking
+from ..system.fmu_cache import fmu_paths
+from ..system.parameters import check_parameters, start_value
+from ..system.plant import Plant, plant_of
+from ..system.wiring import wire
 from .slave import variable_table
 
 _SHIPPED = (
     "estimator_fmu/__init__.py",
     "estimator_fmu/loop.py",
     "estimator_fmu/slave.py",
-    "reconfigure.py",
-    "triggers.py",
 )
 """The modules of cosim that an estimator FMU imports: they need no more than `estimator` does."""
 _INIT = b'"""What an estimator FMU has of cosim."""\n'

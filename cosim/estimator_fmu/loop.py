@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from estimator import METHODS, DerivativeResidual, LinearForm, Parameter, ParameterSpace, Sample
-
-from ..reconfigure import Budget, make_retuner
-from ..triggers import AlwaysTrigger, InnovationTrigger, TrackingTrigger, Trigger
+from estimator.retuner import Budget, make_retuner
+from estimator.triggers import AlwaysTrigger, InnovationTrigger, TrackingTrigger, Trigger
 
 try:
     from threadpoolctl import ThreadpoolController

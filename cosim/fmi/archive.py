@@ -14,7 +14,7 @@ from fmpy.model_description import CoSimulation, ModelDescription, ModelExchange
 
 from ..errors import ModelDescriptionError, one_line
 from ..files import readable
-from ..finding import Finding
+from ..findings import Finding
 from .elements import scalarized
 from .folder import PrivateFolder
 from .preflight.archive import archive_findings

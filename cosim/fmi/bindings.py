@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from typing import Protocol
 
-from .block import Value, Variable
+from .fmi2_co_simulation import Identity, Instance
 from .fmu_log import Hear
-from .instance import Identity, Instance
+from .value_buffers import Value, Variable
 
 
 class Binding(Protocol):
@@ -24,15 +24,15 @@ class Binding(Protocol):
 def load(identity: Identity, hear: Hear | None = None) -> Binding:
     """The FMU, loaded and instantiated; hear gets what it logs. Raises SlaveError."""
     if identity.binding == "fmi3":
-        from .instance3 import Instance3
+        from .fmi3_co_simulation import Instance3
 
         return Instance3(identity, hear)
     if identity.binding == "fmi3-exchange":
-        from .exchange3 import Exchange3
+        from .fmi3_model_exchange import Exchange3
 
         return Exchange3(identity, hear)
     if identity.binding == "fmi2-exchange":
-        from .exchange2 import Exchange2
+        from .fmi2_model_exchange import Exchange2
 
         return Exchange2(identity, hear)
     return Instance(identity, hear)

@@ -9,7 +9,7 @@ from typing import Final, SupportsFloat
 from fmpy.model_description import ModelVariable
 
 from ..errors import WiringError
-from .block import Value, Variable
+from .value_buffers import Value, Variable
 
 _LARGEST: Final = sys.float_info.max
 _DEFAULT_RANGE: Final = {

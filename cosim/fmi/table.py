@@ -21,8 +21,8 @@ from fmpy.model_description import BaseUnit, DefaultExperiment, ModelDescription
 from ..errors import ScenarioError, WiringError, one_line
 from ..unit_text import understood
 from ..units import BASE_UNITS
-from .block import Value
 from .ports import Catalogue
+from .value_buffers import Value
 
 SUFFIX: Final = ".csv"
 _HEADER: Final = re.compile(r"(?P<name>.+?)\s*(\[(?P<unit>[^\[\]]*)\])?")
@@ -178,7 +178,7 @@ class TableSlave:
 
     @property
     def checkpoint_name(self) -> str:
-        """See `cosim.results.checkpoint.Alive`."""
+        """See `cosim.runs.checkpoint.Alive`."""
         return f"table {self.name}"
 
     def to_checkpoint(self) -> tuple[float, float]:

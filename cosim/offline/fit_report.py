@@ -6,11 +6,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from estimator.findings import findings
+from estimator.identifiability_report import findings
 
-from ..results.record import ESTIMATES, write_csv, write_json, write_text
-from ..results.report import aligned, with_std
-from ..ssp.ssv import ParameterValue, to_ssv
+from ..files import write_json, write_text
+from ..runs.run_files import ESTIMATES
+from ..runs.series import write_csv
+from ..ssv.document import ParameterValue, to_ssv
+from ..text_table import aligned, with_std
 from .estimate import Estimation
 
 _CORRELATED: Final = 0.3
@@ -60,8 +62,8 @@ def summary(found: Estimation) -> dict[str, Any]:
         },
         "misfit": fit.misfit,
         "autocorrelation": fit.autocorrelation,
-        "singular_values": fit.sight.singular_values.tolist(),
-        "directions": fit.sight.directions.tolist(),
+        "singular_values": fit.information.singular_values.tolist(),
+        "directions": fit.information.directions.tolist(),
         "outputs": {
             name: {
                 "noise": float(found.noise[i]),
@@ -165,7 +167,7 @@ def _of_fit(found: Estimation) -> list[str]:
 
 def _of_identifiability(found: Estimation) -> list[str]:
     fit, space = found.fit, found.space
-    told = findings(fit.sight, space, fit.theta)
+    told = findings(fit.information, space, fit.theta)
     if all(fit.is_identifiable):
         told.append("Each parameter is identifiable." if len(space) > 1 else "The parameter is identifiable.")
     return told

@@ -12,17 +12,18 @@ from typing import Any, Final
 import numpy as np
 
 from estimator import METHODS, EpisodeWindow, ParameterSpace, Sample, Vector
+from estimator.events import Event
+from estimator.retuner import Budget, Retuner
+from estimator.triggers import WindowTrigger
 
 from ..errors import ScenarioError, WiringError
 from ..fmi.archive import co_simulation
 from ..fmi.ports import Catalogue
-from ..reconfigure import Budget, Event, Retuner
-from ..rollout.judge import RolloutJudge
-from ..rollout.shadow import WAYS, Shadow, Way
-from ..rollout.shadow import told as said
-from ..rollout.start_noise import StartNoiseJudge
-from ..scenarios.schema import Innovation
-from ..triggers import WindowTrigger
+from ..objectives.rollout import RolloutObjective
+from ..objectives.rollout_fmu import START_METHODS, Shadow, StartMethod
+from ..objectives.rollout_fmu import told as said
+from ..objectives.rollout_start import NoisyStartObjective
+from ..scenarios.schema.estimation import Innovation
 from .estimate import EstimateError, Request, Understood, understand
 from .log_windows import LogWindow
 from .rollout import grid_of, noise_of
@@ -100,7 +101,7 @@ def _told(progress: Progress, n_before: int, n_all: int, n: int) -> None:
 def _watched(
     request: Request,
     understood: Understood,
-    obstacles: Mapping[Way, str],
+    obstacles: Mapping[StartMethod, str],
     window: LogWindow,
     n_samples: int,
     rng: np.random.Generator,
@@ -119,9 +120,9 @@ def _watched(
     )  # fmt: skip
     noise = noise_of([replace(w, measured=w.states) for w in understood.windows]).tolist()
     events: list[Event] = []
-    with StartNoiseJudge(partial(RolloutJudge, shadow, theta, None, None, request.jobs), noise) as judge:
-        stretch = EpisodeWindow(judge, n_samples)
-        trigger, budget = WindowTrigger(stretch.follow, FALSE_ALARM), Budget(request.evaluations)
+    with NoisyStartObjective(partial(RolloutObjective, shadow, theta, None, None, request.jobs), noise) as objective:
+        stretch = EpisodeWindow(objective, n_samples)
+        trigger, budget = WindowTrigger(stretch.track, FALSE_ALARM), Budget(request.evaluations)
         retuner = Retuner(_search(request, space, theta, rng), stretch, trigger, budget, theta)
         for n, sample in enumerate(samples[1:], 2):
             try:
@@ -131,8 +132,8 @@ def _watched(
             events += [event for event in done.events if event.kind != "candidate"]
             theta = theta if done.write is None else done.write
             progress(n)
-        failure = judge.why_lost if judge.is_ready else f"{len(samples)} rows are too few to begin"
-        return Watched(window, tuple(events), retuner.n_evaluations, theta, judge.describe(), failure)
+        failure = objective.why_lost if objective.is_ready else f"{len(samples)} rows are too few to begin"
+        return Watched(window, tuple(events), retuner.n_evaluations, theta, objective.describe(), failure)
 
 
 def _search(request: Request, space: ParameterSpace, theta: Vector, rng: np.random.Generator) -> Any:
@@ -162,9 +163,9 @@ def _states(request: Request) -> tuple[str, ...]:
     return tuple(name for name, value in request.start.items() if isinstance(value, str))
 
 
-def _obstacles(request: Request, understood: Understood) -> dict[Way, str]:
+def _obstacles(request: Request, understood: Understood) -> dict[StartMethod, str]:
     """Why some ways of beginning a roll-out are none. Raises EstimateError where there is none left."""
-    obstacles: dict[Way, str] = {"state": "there is only the log"}
+    obstacles: dict[StartMethod, str] = {"state": "there is only the log"}
     if not _states(request):
         obstacles["measured"] = "no --start names the columns of the states"
     elif any(np.isnan(w.states).any() for w in understood.windows):
@@ -178,6 +179,6 @@ def _obstacles(request: Request, understood: Understood) -> dict[Way, str]:
         )
     except WiringError as e:
         obstacles["replay"] = str(e).rstrip(".")
-    if len(obstacles) == len(WAYS):
+    if len(obstacles) == len(START_METHODS):
         raise EstimateError(f"--online has no way to begin a roll-out: {said(obstacles)}.")
     return obstacles

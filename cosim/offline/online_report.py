@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 
 from estimator import ParameterSpace, Vector
+from estimator.events import Event
 
-from ..reconfigure import Event
-from ..results.record import ESTIMATES, write_json, write_text
-from ..results.report import aligned
-from ..ssp.ssv import ParameterValue, to_ssv
+from ..files import write_json, write_text
+from ..runs.run_files import ESTIMATES
+from ..ssv.document import ParameterValue, to_ssv
+from ..text_table import aligned
 from .fit_report import with_std
 from .online import Online, Watched
 

@@ -16,7 +16,7 @@ from estimator.space import ParameterSpace, Vector
 
 from ..fmi.archive import co_simulation
 from ..fmi.component import Component
-from ..rollout.pool import Pool
+from ..objectives.rollout_pool import Pool
 from ..slaves.slave import Slave, open_slave
 from .log_windows import LogWindow
 from .logs import LogError

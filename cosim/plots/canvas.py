@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 from numpy.typing import ArrayLike, NDArray
 
-from ..results.record import write_bytes
+from ..files import write_bytes
 
 Series = NDArray[np.float64]
 Limits = tuple[float, float]

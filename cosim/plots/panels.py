@@ -6,7 +6,7 @@ from typing import Any, Final, NamedTuple
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ..results.result import Run
+from ..runs.result import Run
 from .canvas import GREY, Limits, Series, new_figure, tidy, top_legend
 
 Event = Mapping[str, Any]

@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from ..results.result import Run
-from ..scenarios.schema import EstimatedParameter
+from ..runs.result import Run
+from ..scenarios.schema.estimation import EstimatedParameter
 from .canvas import BLACK, BLUE, ORANGE, Limits, Series, label, set_linear, set_log, tame, value_range
 from .panels import Event, finish, mark, panels
 

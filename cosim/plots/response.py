@@ -11,12 +11,12 @@ from matplotlib.ticker import MaxNLocator
 
 from estimator import DerivativeResidual, Sample, Vector
 
-from ..derivative_filter import derivative_noise
 from ..errors import CosimError
-from ..fmu_model import opened_model
-from ..objectives import chosen
-from ..results.result import Run
-from ..sampling import recorded_samples
+from ..objectives.choice import chosen
+from ..objectives.model import opened_model
+from ..runs.result import Run
+from ..sampling.derivative_filter import derivative_noise
+from ..sampling.sampler import recorded_samples
 from .canvas import BLUE, GREEN, VERMILION, label, new_figure, set_log, top_legend
 
 Event = Mapping[str, Any]

@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 
 from ..errors import CosimError
 from ..fmi.component import read_component
-from ..results.record import EVENTS
-from ..results.result import Run
-from ..scenarios.schema import Tracking
-from ..scenarios.system import component_path
+from ..runs.result import Run
+from ..runs.run_files import EVENTS
+from ..scenarios.schema.estimation import Tracking
+from ..system.fmu_cache import component_path
 from .canvas import (
     BLACK,
     BLUE,
@@ -29,7 +29,7 @@ from .canvas import (
     tame,
     value_range,
     with_unit,
-)  # fmt: skip
+)
 from .panels import Curve, Event, finish, line, panels
 from .parameters import draw_parameters
 from .response import draw_response

@@ -1,1 +1,1 @@
-"""Scenario files: what may stand in one, what it means for its FMUs, and the named ones."""
+"""Scenario files: their schema, formulas and changes over time, and the named ones."""

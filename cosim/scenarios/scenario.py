@@ -1,36 +1,24 @@
 """A scenario: which FMUs are joined how, what happens to the plant, what is sampled and estimated. TOML in."""
 
-import re
 import tomllib
 from collections.abc import Callable, Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Any, Self, cast
+from typing import Any, Self
 
-from pydantic import BaseModel, Field, ValidationError, model_validator
-
-from estimator import METHODS
+from pydantic import Field, ValidationError, model_validator
 
 from ..errors import ScenarioError, one_line
-from ..names import did_you_mean, named_scenarios
+from ..names import did_you_mean
 from .changes import Change, change_functions
-from .sampling_schema import Derivative, Noise, ObservationSettings, Sampling, SavitzkyGolay, SensorFault, StateVariable
-from .schema import (
-    Always,
-    Component,
-    EstimatedParameter,
-    Estimation,
-    GuardSettings,
-    Innovation,
-    Limits,
-    LinearModel,
-    Reference,
-    RolloutSettings,
-    Settings,
-    Table,
-    Tracking,
-    Value,
-)
+from .named import named_scenarios
+from .overrides import override
+from .schema.estimation import EstimatedParameter, Estimation
+from .schema.guard import GuardSettings
+from .schema.sampling import ObservationSettings, Sampling
+from .schema.simulation import Component, Limits, Settings
+from .schema.table import Reference, Table
+from .validation import first_error
 
 
 class Scenario(Table):
@@ -62,40 +50,38 @@ class Scenario(Table):
     """Where relative paths of FMUs begin."""
 
     @classmethod
-    def load(
-        cls, source: str | Path, overrides: Mapping[str, str] | None = None, system: str | Path | None = None
-    ) -> "Scenario":
-        """The named scenario, that of a TOML file or that in an SSP package, with `key.path = value` overrides.
+    def known_keys(cls) -> set[str]:
+        """What may stand in a file."""
+        return super().known_keys() - {"folder"}
 
-        system: an SSP package whose components, connections and start values take the place of the file's.
-        Raises ScenarioError, one line with file, key and rule; SspError, ModelDescriptionError for a bad package.
+    @classmethod
+    def load(cls, source: str | Path, overrides: Mapping[str, str] | None = None) -> "Scenario":
+        """The named scenario, or that of a TOML file, with `key.path = value` overrides.
+
+        Raises ScenarioError, one line with file, key and rule. For SSP packages see `cosim.load_scenario`.
         """
-        path = label = _find(source)
+        path = find_scenario(source)
         if path.suffix.lower() == ".ssp":
-            from ..ssp.scenario import scenario_in  # here and below: most scenarios come without a package
+            raise ScenarioError(f"{path} is an SSP package: load it with cosim.load_scenario.")
+        return cls.from_tables(read_tables(path), overrides, path.parent, path)
 
-            system, found = path, scenario_in(path)
-            if found is None:
-                raise ScenarioError(f"{path} holds no scenario: it can be simulated, but nothing in it is re-tuned.")
-            path = found
-        try:
-            tree = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError, RecursionError) as e:  # bytes or numbers that are too long, tables too deep
-            reason = e.strerror if isinstance(e, OSError) else e
-            raise ScenarioError(f"{label}: not a readable TOML file: {reason}.") from e
-        if system is not None:
-            from ..ssp.package import System
-            from ..ssp.scenario import with_system
+    @classmethod
+    def from_tables(
+        cls, tables: Mapping[str, Any], overrides: Mapping[str, str] | None, folder: Path, label: Path
+    ) -> "Scenario":
+        """The scenario of a file's tables; folder: where its paths begin; label: names it in messages.
 
-            tree = with_system(tree, System.from_ssp(system))
+        Raises ScenarioError.
+        """
+        tree = dict(tables)
         for key, value in (overrides or {}).items():
             override(tree, key, value)
         if "folder" in tree:
             raise ScenarioError(f"{label}: folder: unknown key.")
         try:
-            return cls.model_validate(tree | {"folder": path.parent})
+            return cls.model_validate(tree | {"folder": folder})
         except ValidationError as e:
-            raise ScenarioError(f"{label}: {one_line(first_error(e))}") from e
+            raise ScenarioError(f"{label}: {one_line(first_error(e, cls))}") from e
 
     @property
     def plant(self) -> str:
@@ -130,7 +116,17 @@ class Scenario(Table):
         return self
 
 
-def _find(source: str | Path) -> Path:
+def read_tables(path: Path, label: Path | None = None) -> dict[str, Any]:
+    """The tables of a TOML file; label: names it in messages. Raises ScenarioError."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as e:  # bytes or numbers that are too long, tables too deep
+        reason = e.strerror if isinstance(e, OSError) else e
+        raise ScenarioError(f"{label or path}: not a readable TOML file: {reason}.") from e
+
+
+def find_scenario(source: str | Path) -> Path:
+    """The file of a named scenario, or of a path. Raises ScenarioError."""
     path = Path(source)
     if str(source) in named_scenarios():
         return Path(str(resources.files("cosim") / "scenarios" / f"{source}.toml"))
@@ -144,85 +140,3 @@ def _find(source: str | Path) -> Path:
     raise ScenarioError(
         f"no scenario '{one_line(str(source))}': neither a file nor one of {', '.join(names)}{hint or '.'}"
     )
-
-
-def override(tree: dict[str, Any], key: str, text: str) -> None:
-    """Put `key = text` into the tree; both are written as in TOML, but a bare text is a string too."""
-    path = _key_path(key)
-    for name in path[:-1]:
-        below: Any = tree.setdefault(name, {})
-        if not isinstance(below, dict):
-            raise ScenarioError(f"--set {key}={text}: '{name}' is not a table.")
-        tree = cast(dict[str, Any], below)
-    tree[path[-1]] = _value(text)
-
-
-def _key_path(key: str) -> list[str]:
-    """The names of a dotted TOML key. Raises ScenarioError."""
-    path: list[str] = []
-    try:
-        rest: Any = tomllib.loads(f"{key} = 0")
-    except tomllib.TOMLDecodeError:
-        rest = {}
-    while isinstance(rest, dict) and len(cast(dict[str, Any], rest)) == 1:
-        name, rest = next(iter(cast(dict[str, Any], rest).items()))
-        path.append(name)
-    if rest != 0 or not path or len(key.splitlines()) != 1:
-        raise ScenarioError(f"--set: '{one_line(key)}' is not a TOML key, such as scenario.stop_time.")
-    return path
-
-
-def _value(text: str) -> Any:
-    try:
-        tree = tomllib.loads(f"value = {text}")
-    except (ValueError, RecursionError):
-        return text
-    return tree["value"] if len(tree) == 1 else text
-
-
-def first_error(error: ValidationError) -> str:
-    """Key and rule of the first error, in one line."""
-    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-    text = error_texts(error)[0]
-    end = "" if text.endswith("?") else "."
-    return f"{text}{more}{end}"
-
-
-def error_texts(error: ValidationError) -> list[str]:
-    """Key and rule of each error, in one line."""
-    return [_told(details) for details in error.errors()]
-
-
-def _told(first: Mapping[str, Any]) -> str:
-    key = ".".join(str(part) for part in first["loc"] if part != "[key]")
-    kinds = r"\.(trigger|filter)\.(tracking|innovation|always|savitzky-golay|state-variable)"
-    key = re.sub(kinds, r".\1", key)  # pydantic names the kind
-    if first["type"] == "extra_forbidden":
-        parent, name = first["loc"][:-1], str(first["loc"][-1])
-        return f"{key}: unknown key{did_you_mean(name, _known_keys(parent))}"
-    message = first["msg"].removeprefix("Value error, ").rstrip(".")
-    value = first["input"]
-    got = f", got {value!r}" if isinstance(value, Value) and "got" not in message else ""
-    if key and message.startswith(f"{key}."):  # the place is told already, and more closely
-        key = ""
-    return f"{key + ': ' if key else ''}{message[:1].lower()}{message[1:]}{got}"
-
-
-def _known_keys(path: tuple[int | str, ...]) -> set[str]:
-    """Keys of the table at this place of a scenario."""
-    tables: dict[tuple[str, ...], type[BaseModel]] = {
-        (): Scenario, ("scenario",): Settings, ("sampling",): Sampling, ("estimation",): Estimation,
-        ("limits",): Limits, ("components",): Component, ("estimation", "parameters"): EstimatedParameter,
-        ("observations",): ObservationSettings, ("guard",): GuardSettings,
-        ("estimation", "trigger", "tracking"): Tracking, ("estimation", "trigger", "innovation"): Innovation,
-        ("estimation", "trigger", "always"): Always, ("estimation", "linear"): LinearModel,
-        ("estimation", "rollout"): RolloutSettings,
-        ("sampling", "derivatives"): Derivative, ("sampling", "states"): Noise, ("sampling", "outputs"): Noise,
-        ("sampling", "faults"): SensorFault,
-        ("sampling", "filter", "savitzky-golay"): SavitzkyGolay,
-        ("sampling", "filter", "state-variable"): StateVariable,
-    }  # fmt: skip
-    names = tuple(str(part) for part in path)
-    model = tables.get(names) or tables.get(names[:-1])
-    names_of_methods = set(METHODS) if model is Estimation else set()
-    return (set(model.model_fields) | names_of_methods) - {"folder", "methods"} if model else set()

@@ -13,11 +13,11 @@ from typing import Final, NoReturn
 
 from ..errors import COLON, SlaveError
 from ..fmi.bindings import load
-from ..fmi.instance import Identity
-from ..fmi.many_steps import take_steps
-from .lifeline import end_after
-from .orphans import VARIABLE, adopt_orphans, end_marked, has_children
-from .transport import CALL, FAULT, LOG, RESULT, Channel, StepCodec, decode, encode, open_channel
+from ..fmi.fmi2_co_simulation import Identity
+from ..fmi.step_batch import take_steps
+from .channel import CALL, FAULT, LOG, RESULT, Channel, StepCodec, decode, encode, open_channel
+from .supervision.descendants import VARIABLE, adopt_orphans, end_marked, has_children
+from .supervision.parent_death import end_after
 
 _CALLS: Final = frozenset(
     {"bind", "initialize", "enter_initialization", "propagate", "exit_initialization", "get", "get_state", "set_state"}

@@ -20,13 +20,13 @@ from fmpy.model_description import ModelDescription
 
 from ..errors import COLON, NotResumableError, SlaveError, StateTooLargeError, WiringError, seconds
 from ..fmi.archive import co_simulation, unpacked
-from ..fmi.block import PYTHON_TYPE, Value
+from ..fmi.fmi2_co_simulation import LARGEST_STATE, Identity
 from ..fmi.folder import PrivateFolder
-from ..fmi.instance import LARGEST_STATE, Identity
-from ..fmi.many_steps import decode_outputs, encode_steps
 from ..fmi.ports import Catalogue, Ports
-from .home import Home, SameProcess
-from .worker import Worker
+from ..fmi.step_batch import decode_outputs, encode_steps
+from ..fmi.value_buffers import PYTHON_TYPE, Value
+from .host import Home, SameProcess
+from .process import Worker
 
 Isolation = Literal["process", "none"]
 
@@ -268,7 +268,7 @@ class Slave:
 
     @property
     def checkpoint_name(self) -> str:
-        """See `cosim.results.checkpoint.Alive`."""
+        """See `cosim.runs.checkpoint.Alive`."""
         return f"FMU {self.name}"
 
     def to_checkpoint(self) -> tuple[bytes, float | None, tuple[float, ...] | None]:

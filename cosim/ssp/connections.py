@@ -7,9 +7,9 @@ from xml.etree.ElementTree import Element
 
 from ..errors import SspError, one_line
 from ..names import did_you_mean
+from ..ssv.xml import attribute, number
 from ..units import IDENTITY, Linear, Unit, conversion
 from .tree import Connector, Node
-from .xml import attribute, number
 
 _PARAMETERS = ("parameter", "structuralParameter")
 _GIVES = ("output", "calculatedParameter", "inout")

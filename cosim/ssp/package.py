@@ -13,13 +13,13 @@ from xml.etree.ElementTree import Element
 from ..errors import SspError
 from ..files import readable
 from ..fmi.archive import unpack
-from ..fmi.block import Value
 from ..fmi.component import Component
-from ..scenarios.library import cache_folder
+from ..fmi.value_buffers import Value
+from ..ssv.xml import attribute, defined_in, number, parse
+from ..system.fmu_cache import cache_folder
 from .connections import Connection, connect
 from .parameters import start_values
 from .tree import TreeReader
-from .xml import attribute, defined_in, number, parse
 
 if TYPE_CHECKING:
     from .run import SystemRun

@@ -7,13 +7,13 @@ from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
 from ..errors import SspError
-from ..fmi.block import Value
 from ..fmi.component import Component
+from ..fmi.value_buffers import Value
+from ..ssv.document import ParameterSet, ParameterValue, parameter_set
+from ..ssv.xml import attribute, check, parse
 from ..units import IDENTITY, Linear, Unit, conversion
 from .connections import End, Wiring, transformation
-from .ssv import ParameterSet, ParameterValue, parameter_set
 from .tree import Node, resource
-from .xml import attribute, check, parse
 
 
 class _Bound(NamedTuple):

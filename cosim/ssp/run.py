@@ -14,14 +14,17 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import SlaveError, WiringError
-from ..fmi.block import Value
-from ..master import Master, Wiring
-from ..results.lock import locked
-from ..results.record import CSV, MANIFEST, RESULT, FolderError, Recorder, recording, sha256, write_csv, write_json
-from ..results.report import aligned
-from ..scenarios.schema import Settings
+from ..errors import FolderError, SlaveError, WiringError
+from ..files import sha256, write_json
+from ..fmi.value_buffers import Value
+from ..runs.lock import locked
+from ..runs.record import Recorder, recording
+from ..runs.run_files import CSV, MANIFEST, RESULT
+from ..runs.series import write_csv
+from ..scenarios.schema.simulation import Settings
 from ..slaves.slave import Slave, open_slave
+from ..system.master import Master, Wiring
+from ..text_table import aligned
 from ..units import IDENTITY, Linear
 from .package import System
 

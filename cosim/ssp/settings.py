@@ -7,12 +7,14 @@ from typing import Any
 from pydantic import ValidationError
 
 from ..errors import SspError
-from ..fmi.block import Value
+from ..fmi.value_buffers import Value
 from ..names import did_you_mean
-from ..scenarios.scenario import first_error, override
-from ..scenarios.schema import Settings, Table
-from ..scenarios.start_values import StartValues, read_start_values
+from ..scenarios.overrides import override
+from ..scenarios.schema.simulation import Settings
+from ..scenarios.schema.table import Table
+from ..scenarios.validation import first_error
 from .package import System
+from .start_values import StartValues, read_start_values
 
 
 def settings_of(system: System, given: Mapping[str, Any]) -> Settings:
@@ -31,7 +33,7 @@ def settings_of(system: System, given: Mapping[str, Any]) -> Settings:
         missing = next((str(i["loc"][0]) for i in e.errors() if i["type"] == "missing"), None)
         if missing:
             raise SspError(f"{system.name} does not say its {missing}; give --set scenario.{missing}=...") from e
-        raise SspError(f"{system.name}: scenario.{first_error(e)}") from e
+        raise SspError(f"{system.name}: scenario.{first_error(e, Settings)}") from e
     if settings.coupling != "parallel":
         raise SspError(f"{system.name}: without an estimator coupling is 'parallel', got '{settings.coupling}'.")
     return settings
@@ -60,7 +62,7 @@ def overridden(
     try:
         given = _Overrides.model_validate(tree)
     except ValidationError as e:
-        raise SspError(f"{system.name}: {first_error(e)}") from e
+        raise SspError(f"{system.name}: {first_error(e, _Overrides)}") from e
     unknown = next((name for name in given.components if name not in system.components), None)
     if unknown is not None:
         hint = did_you_mean(unknown, system.components) or "."

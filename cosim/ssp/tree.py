@@ -9,8 +9,8 @@ from xml.etree.ElementTree import Element
 from ..errors import SspError, one_line
 from ..fmi.component import Component, read_component
 from ..names import did_you_mean
+from ..ssv.xml import attribute
 from ..units import Unit, conversion
-from .xml import attribute
 
 _TYPES = {"Float64": "Real", "Float32": "Real"} | {f"{u}Int{n}": "Integer" for u in ("", "U") for n in (8, 16, 32, 64)}
 _SIMPLE = {"Real", "Integer", "Boolean", "String", "Enumeration", "Binary", *_TYPES}

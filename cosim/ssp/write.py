@@ -15,16 +15,17 @@ from xml.etree.ElementTree import Element, SubElement
 import tomli_w
 
 from ..errors import SspError, WiringError
-from ..fmi.block import PYTHON_TYPE, Value
 from ..fmi.component import Component, ModelVariable, read_component
+from ..fmi.value_buffers import PYTHON_TYPE, Value
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
-from ..scenarios.system import fmu_paths, value_of_change
+from ..ssv.document import ParameterValue, add_units, document, ssv_element
+from ..ssv.xml import NAMESPACES
+from ..system.fmu_cache import fmu_paths
+from ..system.parameters import value_of_change
 from ..units import Unit, conversion
 from .package import STRUCTURE
 from .scenario import EXTRA, SCENARIO
-from .ssv import ParameterValue, add_units, document, ssv_element
-from .xml import NAMESPACES
 
 START_VALUES = "initialValues"
 """Name of every component's parameter set: ecos sets those of the name that it is given."""

@@ -13,8 +13,9 @@ import pytest
 import cosim
 
 PUBLIC = [
-    "CosimError", "ModelDescriptionError", "Run", "Scenario", "ScenarioError", "Slave", "SlaveError", "SspError",
-    "System", "WiringError", "open_slave", "resume", "run",
+    "CosimError", "FolderError", "ModelDescriptionError", "Run", "Scenario", "ScenarioError", "Slave", "SlaveError",
+    "SspError",
+    "System", "WiringError", "load_scenario", "open_slave", "resume", "run",
 ]  # fmt: skip
 WORKSHOP = {"cosim", "estimator", "fmu_models"}
 
@@ -51,7 +52,7 @@ def test_importing_cosim_loads_nothing_heavy():
 
 
 def test_the_process_of_an_fmu_loads_neither_estimators_nor_scenarios():
-    loaded = loaded_by("import cosim.slaves.worker")
+    loaded = loaded_by("import cosim.slaves.process")
     assert loaded.isdisjoint({"GPy", "pydantic", "pyarrow", "matplotlib", "tqdm", "estimator", "fmu_models"})
 
 
@@ -67,7 +68,7 @@ def test_help_waits_for_nothing_heavy():
 def test_recording_a_series_and_reading_it_back_loads_no_pandas(tmp_path):
     program = f"""
 from pathlib import Path
-from cosim.results.record import Recorder
+from cosim.runs.record import Recorder
 recorder = Recorder(Path({str(tmp_path)!r}), ["time"])
 for k in range(60): recorder.row([float(k)])
 assert len(recorder.close()["time"]) == 60
@@ -97,18 +98,16 @@ def test_only_the_modules_of_one_fmu_import_fmpy():
     users = {name for name, modules in imports_of("cosim").items() if "fmpy" in modules}
     elsewhere = {name for name in users if not name.startswith("fmi/")}
     assert users > elsewhere
-    assert elsewhere <= {"slaves/slave.py", "slaves/worker.py", "authoring/doctor.py", "fmu_model.py"}
+    assert elsewhere <= {"slaves/slave.py", "slaves/process.py", "authoring/doctor.py", "objectives/model.py"}
     for package in ("estimator", "fmu_models"):
         assert all("fmpy" not in modules for modules in imports_of(package).values())
 
 
-def test_the_master_and_the_loop_know_no_fmu_library():
-    modules = imports_of("cosim")
-    for name in (
-        *("master.py", "reconfigure.py", "triggers.py", "results/record.py"),
-        *(f"scenarios/{module}.py" for module in ("formula", "changes", "schema", "scenario")),
-    ):
-        assert modules[name].isdisjoint({"fmpy", "pythonfmu"}), name
+def test_what_needs_no_fmu_library_imports_none():
+    below = ("scenarios/", "sampling/", "retuning/", "runs/", "system/master.py")
+    for name, modules in imports_of("cosim").items():
+        if name.startswith(below):
+            assert modules.isdisjoint({"fmpy", "pythonfmu"}), name
 
 
 @pytest.mark.parametrize("package", sorted(WORKSHOP))

@@ -10,7 +10,7 @@ import pytest
 
 from cosim import System
 from cosim.cli import main
-from cosim.ssp.ssv import read_ssv
+from cosim.ssv.document import read_ssv
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "estimate.md"
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?")

@@ -469,9 +469,9 @@ def check_std_of_what_is_not_seen_is_the_whole_cube(identifiability):
     assert_allclose(identifiability.information(np.diag([2.0, 0.5])).std(), [0.5, 1.0])
 
 
-def projector(sight, change, n_std):
+def projector(seen, change, n_std):
     """On the significant directions, from their rows."""
-    rows = sight.significant(change, n_std)
+    rows = seen.significant(change, n_std)
     return rows.T @ rows
 
 
@@ -494,8 +494,8 @@ def check_significant_is_a_projector_that_loses_little(identifiability):
         for _ in range(20):
             J = rng.normal(size=(n, d)) * 10.0 ** rng.uniform(-1.0, 2.0, d)
             change = rng.uniform(-1.0, 1.0, d)
-            sight = identifiability.information(J)
-            rows = sight.significant(change, 3.0)
+            seen = identifiability.information(J)
+            rows = seen.significant(change, 3.0)
             assert_allclose(rows @ rows.T, np.eye(len(rows)), atol=1e-12)
             P = rows.T @ rows
             assert_allclose(P @ P, P, atol=1e-12)

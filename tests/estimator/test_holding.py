@@ -14,7 +14,7 @@ from estimator import (
     ResidualWindow,
     Sample,
 )
-from estimator.findings import findings
+from estimator.identifiability_report import findings
 
 SPACE = ParameterSpace(tuple(Parameter(name, 0.1, 10.0, "1", "log") for name in "ab"))
 START, PRODUCT, SIGMA, N = np.array([1.0, 2.0]), 6.0, 0.01, 20
@@ -83,5 +83,5 @@ def test_others_find_the_product_and_let_the_ratio_go_but_say_so(name):
 @pytest.mark.parametrize("name", ["target", "least-squares", "multi-start", "ukf", "rls"])
 def test_the_trade_off_is_told_of_each_estimator_that_has_sight(name):
     estimate = estimated(name, 0)
-    told = findings(estimate.sight, SPACE, estimate.theta)
+    told = findings(estimate.information, SPACE, estimate.theta)
     assert "a and b trade off: their product is seen, their ratio is not; hold one, or excite them more." in told

@@ -30,8 +30,8 @@ def test_significant_is_a_projector_that_loses_little(oracles):
 @pytest.mark.parametrize("shape", [(1, 3), (3, 3), (20, 3)], ids=["fewer-rows", "square", "more-rows"])
 def test_directions_and_singular_values_make_up_the_fisher_information(shape):
     J = np.random.default_rng(0).normal(size=shape)
-    sight = information(J)
-    V, s = sight.directions, sight.singular_values
+    seen = information(J)
+    V, s = seen.directions, seen.singular_values
     np.testing.assert_allclose(V @ V.T, np.eye(3), atol=1e-14)
     np.testing.assert_allclose(V.T @ np.diag(s**2) @ V, J.T @ J, atol=1e-13)
     assert np.all(np.diff(s) <= 0.0)

@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from cosim.reconfigure import Budget, Retuner
-from cosim.scenarios.schema import Estimation
-from cosim.triggers import AlwaysTrigger, TrackingTrigger
+from cosim.scenarios.schema.estimation import Estimation
 from estimator import (
     METHODS,
     AskTell,
@@ -23,6 +21,8 @@ from estimator import (
     Sample,
     Solver,
 )
+from estimator.retuner import Budget, Retuner
+from estimator.triggers import AlwaysTrigger, TrackingTrigger
 from fmu_models import pendulum
 
 SPACE = ParameterSpace((Parameter("m", 0.5, 5.0, "kg", "log"), Parameter("l", 0.2, 2.0, "m", "log")))

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from cosim import Scenario
-from cosim.results.compare import compare
+from cosim.campaigns.compare import compare
 
 pytestmark = [pytest.mark.slow, pytest.mark.fmu]
 ROOT = Path(__file__).parents[2]

@@ -13,11 +13,11 @@ import pytest
 
 from cosim.commands import doctor
 from cosim.errors import NotResumableError, SlaveError, StateTooLargeError
-from cosim.fmi.instance import LARGEST_STATE
-from cosim.results.record import read_series
-from cosim.scenarios.schema import Settings
+from cosim.fmi.fmi2_co_simulation import LARGEST_STATE
+from cosim.runs.series import read_series
+from cosim.scenarios.schema.simulation import Settings
+from cosim.slaves.channel import CALL, LARGEST_MESSAGE, RESULT, encode
 from cosim.slaves.slave import open_slave
-from cosim.slaves.transport import CALL, LARGEST_MESSAGE, RESULT, encode
 
 pytestmark = [
     pytest.mark.fmu,

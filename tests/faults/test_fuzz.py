@@ -21,9 +21,9 @@ from cosim.errors import CosimError
 from cosim.fmi.archive import unpacked
 from cosim.fmi.component import read_component
 from cosim.fmi.ports import Catalogue
-from cosim.names import named_scenarios
-from cosim.scenarios.library import find_fmu
+from cosim.scenarios.named import named_scenarios
 from cosim.scenarios.scenario import Scenario
+from cosim.system.fmu_cache import find_fmu
 
 pytestmark = pytest.mark.fmu
 N_MUTANTS = int(os.environ.get("FUZZ_MUTANTS", "0"))

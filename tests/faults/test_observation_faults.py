@@ -10,8 +10,8 @@ import math
 import numpy as np
 import pytest
 
+from cosim.runs.simulation import run
 from cosim.scenarios.scenario import Scenario
-from cosim.simulation import run
 
 pytestmark = pytest.mark.fmu
 

@@ -7,10 +7,10 @@ import pytest
 
 from cosim.errors import SlaveError
 from cosim.fmi.archive import read_description, unpack
-from cosim.fmi.block import Variable
-from cosim.fmi.instance import Identity
+from cosim.fmi.fmi2_co_simulation import Identity
+from cosim.fmi.value_buffers import Variable
+from cosim.slaves.process import Worker
 from cosim.slaves.slave import Slave, open_slave
-from cosim.slaves.worker import Worker
 from fmu_models.build import build
 
 pytestmark = pytest.mark.fmu

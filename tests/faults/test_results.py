@@ -18,8 +18,9 @@ import pytest
 
 from cosim import Scenario, run
 from cosim.cli import main
-from cosim.results.manifest import write_manifest
-from cosim.results.record import CHECKPOINT, EVENTS, LATENCIES, LOCK, MANIFEST, RESULT, SERIES, read_series
+from cosim.runs.manifest import write_manifest
+from cosim.runs.run_files import CHECKPOINT, EVENTS, LATENCIES, LOCK, MANIFEST, RESULT, SERIES
+from cosim.runs.series import read_series
 from fmu_models.build import build
 
 pytestmark = [

@@ -17,8 +17,9 @@ from resource import RLIMIT_FSIZE, prlimit
 import numpy as np
 import pytest
 
-from cosim.results.record import CHECKPOINT, EVENTS, LOCK, MANIFEST, RESULT, SERIES, read_series
-from cosim.results.result import read_run
+from cosim.runs.result import read_run
+from cosim.runs.run_files import CHECKPOINT, EVENTS, LOCK, MANIFEST, RESULT, SERIES
+from cosim.runs.series import read_series
 
 pytestmark = [
     pytest.mark.fmu,

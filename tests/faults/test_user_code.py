@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from cosim.results.record import read_series
+from cosim.runs.series import read_series
 
 pytestmark = pytest.mark.fmu
 

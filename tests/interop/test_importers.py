@@ -20,8 +20,8 @@ import numpy as np
 import pytest
 
 from cosim import Scenario, open_slave, run
-from cosim.master import Master, Wiring
-from cosim.scenarios.library import find_fmu
+from cosim.system.fmu_cache import find_fmu
+from cosim.system.master import Master, Wiring
 from fmu_models.build import NAMES
 
 pytestmark = [pytest.mark.interop, pytest.mark.fmu]

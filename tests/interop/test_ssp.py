@@ -18,10 +18,10 @@ import numpy as np
 import pytest
 
 from cosim import Scenario, System
-from cosim.master import Master
 from cosim.slaves.slave import open_slave
 from cosim.ssp.run import wiring_of
 from cosim.ssp.write import to_ssp
+from cosim.system.master import Master
 
 pytestmark = pytest.mark.fmu
 

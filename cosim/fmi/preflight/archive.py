@@ -7,7 +7,7 @@ from itertools import pairwise
 from typing import Final
 from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipInfo
 
-from ...finding import Finding, warning
+from ...findings import Finding, warning
 
 LARGEST: Final = 4 << 30
 """Bytes of all files, unpacked."""

@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element
 
 from fmpy.model_description import ModelDescription, ModelVariable
 
-from ...finding import Finding, warning
+from ...findings import Finding, warning
 from ..elements import TEXTS
 
 MOST_ELEMENTS: Final = 1_000_000

@@ -8,7 +8,7 @@ import pytest
 from cosim.authoring.check import check
 from cosim.cli import main
 from cosim.errors import ScenarioError
-from cosim.names import named_scenarios
+from cosim.scenarios.named import named_scenarios
 
 pytestmark = pytest.mark.fmu
 

@@ -13,7 +13,7 @@ from pythonfmu import FmuBuilder
 from cosim.authoring.doctor import diagnose
 from cosim.cli import main
 from cosim.errors import ModelDescriptionError
-from cosim.scenarios.library import find_fmu
+from cosim.system.fmu_cache import find_fmu
 from fmu_models.build import NAMES
 
 pytestmark = [pytest.mark.fmu, pytest.mark.skipif(sys.platform != "linux", reason="examines libraries for Linux")]

@@ -8,7 +8,7 @@ import pytest
 from cosim.authoring.info import info
 from cosim.cli import main
 from cosim.errors import ModelDescriptionError
-from cosim.scenarios.library import find_fmu
+from cosim.system.fmu_cache import find_fmu
 
 pytestmark = pytest.mark.fmu
 

@@ -9,9 +9,9 @@ from cosim.authoring.check import check
 from cosim.authoring.draft import draft
 from cosim.cli import main
 from cosim.errors import WiringError
-from cosim.scenarios.library import find_fmu
+from cosim.runs.simulation import run
 from cosim.scenarios.scenario import Scenario
-from cosim.simulation import run
+from cosim.system.fmu_cache import find_fmu
 
 pytestmark = pytest.mark.fmu
 

@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from cosim.errors import WiringError
 from cosim.fmi.archive import read_description
 from cosim.fmi.elements import element_names, handle, of_handle, plain, resolved
-from cosim.scenarios.aliases import as_the_fmus_have_it
-from cosim.scenarios.library import find_fmu
 from cosim.scenarios.scenario import Scenario
 from cosim.slaves.slave import open_slave
+from cosim.system.aliases import as_the_fmus_have_it
+from cosim.system.fmu_cache import find_fmu
 
 
 @given(reference=st.integers(0, 2**32 - 1), place=st.integers(0, 2**20))

@@ -9,10 +9,10 @@ import pytest
 
 from cosim import ModelDescriptionError, Scenario, SlaveError, WiringError, open_slave, run
 from cosim.fmi.archive import read_description
-from cosim.fmi.block import Variable
-from cosim.fmi.block3 import blocks3_of, overlaid
 from cosim.fmi.elements import handle
-from cosim.scenarios.library import find_fmu
+from cosim.fmi.value_buffers import Variable
+from cosim.fmi.value_buffers3 import blocks3_of, overlaid
+from cosim.system.fmu_cache import find_fmu
 
 pytestmark = pytest.mark.fmu
 

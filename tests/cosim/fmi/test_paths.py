@@ -10,7 +10,7 @@ import pytest
 
 from cosim import ModelDescriptionError, Scenario, open_slave, run
 from cosim.fmi.folder import PrivateFolder
-from cosim.scenarios.library import find_fmu
+from cosim.system.fmu_cache import find_fmu
 
 ODD = ["a space", "Prüfstand", "c++", "100 %", "日本", "a#b"]
 

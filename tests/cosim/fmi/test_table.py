@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from cosim.errors import ScenarioError, SspError, WiringError
 from cosim.fmi.component import read_component
 from cosim.fmi.table import TableSlave, read_table
-from cosim.results.result import read_run
+from cosim.runs.result import read_run
+from cosim.runs.simulation import run
 from cosim.scenarios.scenario import Scenario
-from cosim.simulation import run
 from cosim.ssp.write import to_ssp
 
 HOLD = "time [s], phi_ref [rad], phi_dot_ref [rad/s]\n0, {0!r}, 0\n10, {0!r}, 0\n".format(math.pi / 3)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cosim.cli import main
-from cosim.ssp.ssv import read_ssv
+from cosim.ssv.document import read_ssv
 
 pytestmark = pytest.mark.fmu
 SOUGHT = ["--parameter", "m=0.5:4", "--parameter", "c=0.05:5:log", "--parameter", "k=5:60:log"]

@@ -10,7 +10,7 @@ from cosim.errors import WiringError
 from cosim.offline.estimate import EstimateError, FailedError, Request, Sought, estimate
 from cosim.offline.fit_report import report, words
 from cosim.offline.logs import LogError
-from cosim.scenarios.library import find_fmu
+from cosim.system.fmu_cache import find_fmu
 
 pytestmark = pytest.mark.fmu
 MASS, DAMPER, SPRING = Sought("m", 0.5, 4.0), Sought("c", 0.05, 5.0, "log"), Sought("k", 5.0, 60.0, "log")

@@ -10,13 +10,13 @@ from filterpy.kalman import KalmanFilter
 from scipy.linalg import expm
 
 from cosim.cli import main
+from cosim.objectives.rollout import RolloutObjective
+from cosim.objectives.rollout_fmu import Shadow
+from cosim.objectives.rollout_start import NoisyStartObjective
 from cosim.offline.estimate import EstimateError, Request, Sought
 from cosim.offline.online import run_online
-from cosim.rollout.judge import RolloutJudge
-from cosim.rollout.shadow import Shadow
-from cosim.rollout.start_noise import StartNoiseJudge
-from cosim.ssp.ssv import read_ssv
-from estimator import Sample, Stretch
+from cosim.ssv.document import read_ssv
+from estimator import Sample, SampleSequence
 
 pytestmark = pytest.mark.fmu
 MASS, DAMPER, SPRING = Sought("m", 0.5, 4.0), Sought("c", 0.05, 5.0, "log"), Sought("k", 5.0, 60.0, "log")
@@ -145,13 +145,16 @@ def test_residuals_begun_in_noisy_states_are_a_kalman_filter_s_innovations(plant
     shadow = Shadow(
         plant, ("F",), ("x", "v"), ("x", "v"), noise, ("m", "c"), {"k": k}, 0.0, True, {"state": "", "replay": ""}
     )
-    with StartNoiseJudge(partial(RolloutJudge, shadow, np.array([m, c]), "measured", None, 1), start_noise) as judge:
-        judge.hear(samples[1])
-        stretch = Stretch(tuple(samples), judge.origin(True))
-        (judged,) = judge.judge([np.array([m, c])], stretch)
-        assert judged.squares == pytest.approx(squares, rel=1e-6)
+    with NoisyStartObjective(
+        partial(RolloutObjective, shadow, np.array([m, c]), "measured", None, 1), start_noise
+    ) as objective:
+        objective.add_sample(samples[1])
+        stretch = SampleSequence(tuple(samples), objective.snapshot(True))
+        (evaluation,) = objective.evaluate([np.array([m, c])], stretch)
+        assert evaluation.squares == pytest.approx(squares, rel=1e-6)
         followed = [
-            judge.follow(np.array([m, c]), Stretch(tuple(samples[: i + 1]), stretch.origin)) for i in range(1, n + 1)
+            objective.track(np.array([m, c]), SampleSequence(tuple(samples[: i + 1]), stretch.origin))
+            for i in range(1, n + 1)
         ]
         assert [r @ r for r in followed] == pytest.approx(np.cumsum(squares), rel=1e-6)
 

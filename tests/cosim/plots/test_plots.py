@@ -11,13 +11,13 @@ from PIL import Image
 from scipy.optimize import minimize_scalar
 
 from cosim import Run, Scenario, run
+from cosim.errors import FolderError
+from cosim.paper.illustration import global_minimum, illustrate, optimise, unknown
 from cosim.plots.canvas import label, set_log, tame, value_range
-from cosim.plots.illustrate import global_minimum, illustrate, optimise, unknown
 from cosim.plots.panels import panels
 from cosim.plots.response import response_surface
 from cosim.plots.runs import draw_run
-from cosim.results.record import FolderError
-from cosim.scenarios.system import Plant
+from cosim.system.plant import Plant
 from estimator import Sample
 
 OVER_TIME = {"tracking.png", "error.png", "parameters.png"}

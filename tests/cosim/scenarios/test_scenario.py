@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from cosim.errors import ScenarioError
-from cosim.names import named_scenarios
+from cosim.scenarios.named import named_scenarios
 from cosim.scenarios.scenario import Scenario
 
 PENDULUM = (files("cosim") / "scenarios" / "pendulum.toml").read_text(encoding="utf-8")

@@ -20,10 +20,10 @@ from pythonfmu import FmuBuilder
 import cosim.slaves.slave
 from cosim.errors import ModelDescriptionError, SlaveError, WiringError
 from cosim.fmi.archive import read_description
-from cosim.fmi.block import Variable, blocks_of
 from cosim.fmi.fmu_log import MessageLog
+from cosim.fmi.value_buffers import Variable, blocks_of
+from cosim.slaves.process import Worker
 from cosim.slaves.slave import open_slave
-from cosim.slaves.worker import Worker
 
 pytestmark = pytest.mark.fmu
 

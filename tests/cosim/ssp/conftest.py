@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from cosim.scenarios.library import find_fmu
+from cosim.system.fmu_cache import find_fmu
 
 COMMON = "http://ssp-standard.org/SSP1/SystemStructureCommon"
 DESCRIPTION = "http://ssp-standard.org/SSP1/SystemStructureDescription"

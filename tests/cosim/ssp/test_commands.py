@@ -5,7 +5,7 @@ import json
 import pytest
 from fmpy.ssp.ssd import read_ssv
 
-from cosim.results.record import read_series
+from cosim.runs.series import read_series
 
 pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("leaves_nothing", "workplace")]
 SHORT = ["--set", "scenario.stop_time=0.2", "--only", "--json"]

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from cosim import ModelDescriptionError, SspError, System, WiringError
-from cosim.scenarios.library import find_fmu
 from cosim.ssp.scenario import with_system
+from cosim.system.fmu_cache import find_fmu
 
 pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("leaves_nothing")]
 

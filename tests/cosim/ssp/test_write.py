@@ -9,9 +9,9 @@ import tomli_w
 from fmpy.ssp.ssd import read_ssd, read_ssv
 from lxml import etree
 
-from cosim import Scenario, ScenarioError, SspError, System, WiringError, run
-from cosim.scenarios.library import find_fmu
+from cosim import Scenario, ScenarioError, SspError, System, WiringError, load_scenario, run
 from cosim.ssp.write import to_ssp
+from cosim.system.fmu_cache import find_fmu
 
 pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("leaves_nothing")]
 
@@ -173,4 +173,4 @@ def test_a_package_from_elsewhere_holds_no_scenario(package):
     with pytest.raises(
         ScenarioError, match=r"made\.ssp holds no scenario: it can be simulated, but nothing in it is re-t"
     ):
-        Scenario.load(package())
+        load_scenario(package())

@@ -1,0 +1,112 @@
+"""Other estimators on the recorded samples of an old run, open loop: all see identical data."""
+
+from collections.abc import Sequence
+from contextlib import ExitStack, nullcontext
+from dataclasses import replace
+from math import hypot
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from estimator import Sample, Vector
+from estimator.retuner import Reconfiguration, Retuner
+
+from ..errors import FolderError, ScenarioError
+from ..retuning.estimators import find_method
+from ..retuning.policies import decide, make_policy, try_model, whitened_residual
+from ..retuning.supervisor import Supervisor
+from ..runs.lock import new_locked_folder
+from ..runs.record import recording
+from ..runs.result import Run, read_run
+from ..sampling.sampler import recorded_samples
+from ..scenarios.schema.guard import GuardSettings
+from .comparison import Comparison
+from .executor import record_of
+
+
+def replay(folder: Path, estimators: Sequence[str], seed: int | None = None, out: Path | None = None) -> Comparison:
+    """What each estimator would have made of a run's samples; the plant and its controller go on as recorded.
+
+    Samples are screened as in a run, but there is no guard: what is predicted or taken back has no consequences here.
+    A tracking error that an estimator would have ended stays, so one that triggers on it is asked again and again.
+    Each begins at what the controller held first. seed: of the search, by default the run's. With `out`, an absent or
+    empty folder, the tables are written there.
+    Raises FolderError for a folder without a run; ScenarioError for `none` and `true`, which estimate nothing, and for
+    what `run` refuses of an estimator.
+    """
+    recorded = read_run(folder)
+    for name in estimators:
+        if name in ("none", "true"):
+            raise ScenarioError(f"'{name}' estimates nothing; replay an estimator, such as 'target'.")
+        find_method(name, recorded.scenario)
+    seed = recorded.seed if seed is None else seed
+    with new_locked_folder(recorded.scenario.scenario.name, out) if out is not None else nullcontext():
+        runs = [replayed(recorded, name, seed) for name in dict.fromkeys(estimators)]
+        records = tuple(record_of(run) for run in runs)
+        names = tuple(run.estimator for run in runs)
+        comparison = Comparison(recorded.scenario, names, (seed,), records, 1, folder=out, is_open_loop=True)
+        if out is not None:
+            with recording(out):
+                comparison.write(out)
+    return comparison
+
+
+@threadpool_limits.wrap(limits=1)  # the number of BLAS threads changes bits
+def replayed(recorded: Run, estimator: str, seed: int) -> Run:
+    """The recorded run with the estimates that this estimator makes of its samples; its tracking errors stay.
+
+    Raises FolderError where the record lacks a column or a row; ScenarioError.
+    """
+    scenario = recorded.scenario
+    writes = [p.writes for p in scenario.estimation.parameters]
+    try:
+        errors = np.array(list(recorded.errors.values())).T
+        _ = recorded.true_parameters
+        samples = recorded_samples(scenario, recorded.plant, recorded.series, range(len(recorded.time)))
+        held = np.array([recorded.series[name] for name in writes]).T
+    except KeyError as e:
+        raise FolderError(f"{recorded.folder} lacks the column {e}: it was recorded by another version.") from e
+    if not samples:
+        raise FolderError(f"{recorded.folder} has no rows.")
+    # As `run` spawns them: the noise's stream, which is on record already, and the search's.
+    rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(2)[1])
+    begun = perf_counter()
+    latencies: list[tuple[float, ...]] = []
+    theta, thetas = held[0], [held[0]]
+    with ExitStack() as stack:
+        whitened = whitened_residual(scenario, estimator, recorded.plant, stack)
+        policy = make_policy(scenario, estimator, recorded.plant, held[0], _no_truth, rng, stack, whitened=whitened)
+        if not isinstance(policy, Retuner):
+            raise ScenarioError(f"'{estimator}' estimates nothing.")
+        first = next((sample for sample in samples if sample is not None), None)
+        if first is not None:
+            try_model(scenario, estimator, recorded.plant, held[0], first)
+        unguarded = scenario.model_copy(update={"guard": GuardSettings(enabled=False)})
+        screen = Supervisor(unguarded, recorded.plant, policy, held[0], whitened, None, stack)
+        for t, sample, error in zip(recorded.time[1:].tolist(), samples[1:], errors[1:], strict=True):
+            decision = _decided(policy, screen, estimator, t, sample, hypot(*error), theta)
+            if decision.latencies:
+                latencies.append(decision.latencies)
+            theta = theta if decision.write is None else decision.write
+            thetas.append(theta)
+    estimates = dict(zip(writes, np.array(thetas).T, strict=True))
+    return replace(
+        recorded, estimator=estimator, seed=seed, series={**recorded.series, **estimates}, status="done", error=None,
+        n_evaluations=policy.n_evaluations, n_episodes=policy.n_episodes, n_model_calls=policy.n_model_calls,
+        latencies=tuple(latencies), objective=policy.describe(),
+        wall=perf_counter() - begun, folder=None, belief=None,
+    )  # fmt: skip
+
+
+def _decided(
+    policy: Retuner, screen: Supervisor, estimator: str, t: float, sample: Sample | None, error: float, theta: Vector
+) -> Reconfiguration:
+    """What is made of a sample that the screen lets through; there is no guard where nothing has consequences."""
+    seen = screen.seen(t, sample, theta)
+    return screen.without_outlier(t, decide(policy, estimator, seen.sample, t, error))
+
+
+def _no_truth(t: float) -> Vector:
+    raise ScenarioError("a record cannot be replayed with the true parameters.")

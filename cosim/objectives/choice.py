@@ -1,0 +1,146 @@
+"""What a scenario's candidates are judged by: derivatives, roll-outs, or a function of the user's."""
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import Any, Final, Literal, Protocol
+
+import numpy as np
+
+from estimator import Evaluation, ParameterSpace, Sample, SampleSequence, SequenceObjective, Vector
+
+from ..errors import ScenarioError, one_line
+from ..scenarios.scenario import Scenario
+from ..scenarios.schema.estimation import Always
+from ..system.plant import Plant
+from ..user_code import USERS, load
+from .rollout import RolloutObjective
+from .rollout_fmu import START_METHODS, RunningPlant, shadow_of, told
+
+ENDLESS: Final = "estimation.trigger: 'always' is for derivatives: other objectives need episodes that end."
+
+
+@dataclass(frozen=True)
+class Choice:
+    """An objective, and why it is this one."""
+
+    kind: Literal["derivative", "rollout", "function"]
+    why: str
+
+
+def chosen(scenario: Scenario) -> Choice:
+    """The objective that a scenario names or, with `auto`, can have. Raises ScenarioError where it lacks something."""
+    settings, sampling = scenario.estimation, scenario.sampling
+    objective, lacks = settings.objective, "estimation.objective"
+    if ":" in objective:
+        return Choice("function", "as asked")
+    if objective == "auto" and settings.model is not None and sampling.derivatives:
+        return Choice("derivative", "there is a model for the sampled derivatives")
+    if objective == "auto" and sampling.outputs:
+        return Choice("rollout", "outputs are sampled, and there is no model for derivatives")
+    if objective != "rollout" and settings.model is None:
+        raise ScenarioError("estimation.model: derivatives need it; roll-outs do without, where sampling.outputs are.")
+    if objective != "rollout" and not sampling.derivatives:
+        raise ScenarioError("sampling.derivatives must have one at least: the model's are compared with it.")
+    if objective == "rollout" and not sampling.outputs:
+        raise ScenarioError(f"{lacks}: 'rollout' needs sampling.outputs, which simulated ones are compared with.")
+    return Choice("derivative" if objective != "rollout" else "rollout", "as asked")
+
+
+def open_objective(
+    scenario: Scenario, plant: Plant, theta: Vector, live: RunningPlant | None, stack: ExitStack
+) -> "DescribedObjective":
+    """What judges candidates of roll-outs or by the user's function; stack ends its processes. Raises ScenarioError.
+
+    theta (d,): what the controller holds; live: the plant, where it runs.
+    """
+    settings = scenario.estimation
+    if ":" in settings.objective:
+        return FunctionObjective(_function(scenario), settings.objective, settings.space)
+    way = None if settings.rollout.start == "auto" else settings.rollout.start
+    shadow = shadow_of(scenario, plant, live is not None)
+    return stack.enter_context(RolloutObjective(shadow, theta, way, live, settings.rollout.jobs))
+
+
+def check_objective(scenario: Scenario, plant: Plant) -> str:
+    """What candidates will be judged by, and why; no FMU is started. Raises ScenarioError for what `run` refuses."""
+    choice, name = chosen(scenario), scenario.estimation.objective
+    if isinstance(scenario.estimation.trigger, Always):
+        raise ScenarioError(ENDLESS)
+    if choice.kind == "function":
+        _function(scenario)
+        return f"residuals of {name}"
+    shadow = shadow_of(scenario, plant, is_live=True)
+    ways = " or else ".join(f"'{w}'" for w in START_METHODS if w not in shadow.obstacles)
+    if scenario.estimation.rollout.start != "auto":
+        ways = f"'{scenario.estimation.rollout.start}', as asked"
+    obstacles = f"; not so: {told(shadow.obstacles)}" if shadow.obstacles else ""
+    return f"roll-outs of {shadow.fmu.name} ({choice.why}), begun by {ways}{obstacles}"
+
+
+def _function(scenario: Scenario) -> Callable[..., Any]:
+    name = scenario.estimation.objective
+    function = load(name, scenario.folder, "estimation.objective")
+    if not callable(function):
+        raise ScenarioError(f"estimation.objective: '{name}' must be a function.")
+    return function
+
+
+class DescribedObjective(SequenceObjective, Protocol):
+    """An objective that says what it does."""
+
+    def describe(self) -> str: ...
+
+
+class FunctionObjective:
+    """A function of the user's: residuals (D,) = f(theta by name, samples), in standard deviations of the noise."""
+
+    is_ready = True
+
+    def __init__(self, function: Callable[..., Any], name: str, space: ParameterSpace) -> None:
+        self._function, self._name, self._space = function, name, space
+        self._last: SampleSequence | None = None
+        self._size = 0
+
+    def describe(self) -> str:
+        """Its name."""
+        return f"residuals of {self._name}"
+
+    def add_sample(self, sample: Sample) -> None:
+        """Nothing."""
+
+    def snapshot(self, is_needed: bool) -> bool:
+        """The first sample is all there is."""
+        return True
+
+    def accept(self, theta: Vector, stretch: SampleSequence) -> None:
+        """Nothing."""
+
+    def evaluate(self, thetas: Sequence[Vector], stretch: SampleSequence) -> list[Evaluation]:
+        """Each candidate in turn. Raises ScenarioError for anything but residuals, or as many of them as before."""
+        return [self._one(theta, stretch) for theta in thetas]
+
+    def track(self, theta: Vector, stretch: SampleSequence) -> Vector:
+        """The same of one, on more samples than before; empty where it fails."""
+        found = self._one(theta, stretch)
+        return found.residual if found.reason is None else np.empty(0)
+
+    def _one(self, theta: Vector, stretch: SampleSequence) -> Evaluation:
+        where = f"estimation.objective: {self._name}"
+        try:
+            told = self._function(self._space.named(theta), stretch.samples)
+            residual = np.array(told, dtype=float)
+        except (ArithmeticError, ValueError) as e:
+            return Evaluation(np.array([np.nan]), one_line(f"{type(e).__name__}: {e}"))
+        except USERS as e:
+            raise ScenarioError(one_line(f"{where} failed: {type(e).__name__}: {e}") + ".") from e
+        if residual.ndim != 1 or not len(residual):
+            raise ScenarioError(f"{where} must return a row of residuals, got an array of shape {residual.shape}.")
+        if not np.all(np.isfinite(residual)):
+            return Evaluation(
+                np.array([np.nan]), f"{np.count_nonzero(~np.isfinite(residual))} residuals are not finite"
+            )
+        if stretch is self._last and len(residual) != self._size:
+            raise ScenarioError(f"{where} must return as many residuals each time, got {len(residual)}, {self._size}.")
+        self._last, self._size = stretch, len(residual)
+        return Evaluation(residual)

@@ -1,0 +1,182 @@
+"""The estimator's model: a function of the user's or ours, or a plant as a model-exchange FMU.
+
+An FMU is read the FMI way: set continuous states, inputs and parameters, get the states' derivatives.
+"""
+
+from collections.abc import Generator, Iterable, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from fmpy.model_description import ModelVariable
+
+from estimator import Parameter
+
+from ..errors import CosimError, NotResumableError, ScenarioError, SlaveError
+from ..files import sha256
+from ..fmi.archive import model_exchange, unpacked
+from ..fmi.elements import resolved
+from ..fmi.fmi2_co_simulation import Identity
+from ..fmi.ports import Catalogue
+from ..fmi.value_buffers import Variable
+from ..names import did_you_mean
+from ..scenarios.scenario import Scenario
+from ..slaves.process import Worker
+from ..system.fmu_cache import find_fmu
+from ..system.plant import Plant
+from ..user_code import load
+
+
+@contextmanager
+def opened_model(scenario: Scenario, plant: Plant) -> Generator[Any]:
+    """xdot (n,) = model(x, u, **parameters): see DerivativeResidual. Raises ScenarioError."""
+    reference = scenario.estimation.model
+    if reference is None:
+        raise ScenarioError("estimation.model: derivatives need it.")
+    if ":" in reference and not reference.endswith(".fmu"):
+        yield load(reference, scenario.folder)
+        return
+    try:
+        fmu = find_fmu(reference, scenario.folder, 3, "ModelExchange")
+        settings = scenario.scenario
+        parameters = scenario.estimation.space.parameters
+        model = FmuModel(fmu, plant, parameters, settings.timeout, settings.memory_limit)
+    except ScenarioError as e:
+        raise ScenarioError(f"estimation.model: {e}") from e
+    except CosimError as e:
+        raise ScenarioError(f"estimation.model: {str(e).rstrip('.')}.") from e
+    try:
+        yield model
+    finally:
+        model.close()
+
+
+class FmuModel:
+    """xdot (n,) = model(x, u, **parameters) of a model-exchange FMU, in a process of its own.
+
+    x and u are the plant's states and inputs, in its order; the FMU has them, and the parameters, under the same names.
+    What does not change over a call stays set: a call is one round trip. Where the FMU fails, the model has no value
+    (ValueError), and the FMU is started anew for the next call.
+    """
+
+    def __init__(
+        self,
+        fmu: Path,
+        plant: Plant,
+        parameters: Sequence[Parameter],
+        timeout: float = 10.0,
+        memory_limit: float = 0.0,
+    ) -> None:
+        """timeout of a call [s], memory_limit [MB]: see open_slave. Raises CosimError."""
+        self._fmu, self._timeout, self._memory_limit = fmu, timeout, memory_limit
+        self._parameters = [p.name for p in parameters]
+        self._theta: tuple[float, ...] | None = None
+        self._home: Worker | None = None
+        self._description, self._folder = unpacked(fmu, "model-exchange")
+        try:
+            self._bound = self._binding(plant, parameters)
+            self._home = self._started()
+        except BaseException:
+            self.close()
+            raise
+
+    def __call__(self, x: Sequence[float], u: Sequence[float], **parameters: float) -> tuple[float, ...]:
+        """The derivatives (n,) in the order of x. Raises ValueError where the FMU fails."""
+        theta = tuple([float(parameters[name]) for name in self._parameters])
+        try:
+            home = self._home = self._home or self._started()
+            home.begin_step(0.0, 0.0, (*x, *u), None if theta == self._theta else theta)
+            self._theta = theta
+            return home.end_step(0.0)
+        except SlaveError as error:
+            self._end()
+            raise ValueError(str(error)) from error
+
+    checkpoint_name = "estimation.model"
+
+    def to_checkpoint(self) -> str:
+        """SHA-256 of the FMU: it keeps nothing from one call to the next."""
+        return sha256(self._fmu)
+
+    def from_checkpoint(self, saved: str) -> None:
+        """Raises NotResumableError for another FMU."""
+        if saved != sha256(self._fmu):
+            raise NotResumableError(f"{self._fmu} has changed")
+
+    def close(self) -> None:
+        """End the FMU and remove its folder; idempotent."""
+        try:
+            if self._home is not None:
+                self._home.close(0.0, is_polite=True)
+        except SlaveError:  # it has ended, and what it has computed is not touched by it
+            pass
+        finally:
+            self._home = None
+            self._folder.remove()
+
+    def _binding(
+        self, plant: Plant, parameters: Sequence[Parameter]
+    ) -> tuple[list[Variable], list[Variable], list[Variable]]:
+        """States and inputs, parameters, derivatives. Raises ScenarioError, WiringError."""
+        fmu, known = self._fmu, self._description.modelVariables
+        variables = {v.name: v for v in known}
+        rates = {v.derivative.name: v for v in known if v.derivative is not None}
+        states = _named(fmu, "state", plant.states, {name: variables[name] for name in rates})
+        inputs = _named(fmu, "input", plant.inputs, {n: v for n, v in variables.items() if v.causality == "input"})
+        if len(states) != len(rates):
+            missing = next(name for name in rates if name not in {v.name for v in states})
+            raise ScenarioError(f"{fmu.name} has the state {missing!r}, which {plant.name} has not.")
+        names = [resolved(p.name, variables) for p in parameters]
+        tunables = Catalogue(fmu.name, known).ports("tunable parameter", names)
+        for p, name in zip(parameters, names, strict=True):
+            _check_bounds(p, variables[name], fmu)
+        return (
+            [_variable(v) for v in (*states, *inputs)],
+            tunables.variables,
+            [_variable(rates[v.name]) for v in states],
+        )
+
+    def _end(self) -> None:
+        if self._home is not None:
+            self._home.close(None, is_polite=False)
+        self._home = self._theta = None
+
+    def _started(self) -> Worker:
+        identity = Identity(
+            self._folder.path,
+            str(model_exchange(self._description).modelIdentifier),
+            str(self._description.guid),
+            self._fmu.stem,
+            self._description.fmiVersion != "2.0",
+            "fmi2-exchange" if self._description.fmiVersion == "2.0" else "fmi3-exchange",
+        )
+        home = Worker(identity, self._timeout, memory_limit=self._memory_limit)
+        try:
+            home.bind(*self._bound)
+            home.call("initialize", 0.0, (), 0.0, None)
+        except BaseException:
+            home.close(None, is_polite=False)
+            raise
+        return home
+
+
+def _variable(variable: ModelVariable) -> Variable:
+    return Variable(variable.name, variable.type, variable.valueReference)
+
+
+def _named(fmu: Path, kind: str, names: Iterable[str], known: Mapping[str, ModelVariable]) -> list[ModelVariable]:
+    """The variables of these names, in this order. Raises ScenarioError for one that the FMU has not."""
+    found = [resolved(name, known) for name in names]
+    for name in found:
+        if name not in known:
+            raise ScenarioError(
+                f"{fmu.name} has no {kind} {name!r}{did_you_mean(name, known) or ''}, as the plant has."
+            )
+    return [known[name] for name in found]
+
+
+def _check_bounds(parameter: Parameter, variable: ModelVariable, fmu: Path) -> None:
+    low, high = (float(x) if x is not None else None for x in (variable.min, variable.max))
+    if (low is not None and parameter.lower < low) or (high is not None and parameter.upper > high):
+        bounds = f"[{parameter.lower:g}, {parameter.upper:g}]"
+        raise ScenarioError(f"{variable.name!r} of {fmu.name} takes {low} to {high}; '{parameter.name}' has {bounds}.")

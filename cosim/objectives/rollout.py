@@ -1,0 +1,204 @@
+"""Candidates judged by roll-outs: the plant's shadow simulated over the samples, its outputs compared."""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from estimator import Evaluation, Sample, SampleSequence, Vector
+
+from ..errors import ScenarioError, StateTooLargeError
+from ..slaves.slave import Slave
+from .rollout_check import PROOF_STEPS, restarts_like_itself, steps_like_the_plant
+from .rollout_fmu import START_METHODS, RunningPlant, Shadow, StartMethod, told
+from .rollout_plan import History, Origin, plan_of
+from .rollout_pool import Outputs, Pool
+
+LARGEST: Final = 1e9
+"""Residual [standard deviations] beyond which a simulation has diverged, however far."""
+
+SMALL_STATE: Final = 65536
+"""Size [bytes] up to which the plant's state is saved at every sample, so that a window may begin at any."""
+
+
+class _Followed(NamedTuple):
+    """How far the shadow has come that goes with the plant."""
+
+    theta: bytes
+    origin: Any
+    place: int
+    """Of the newest sample that it has reached."""
+    outputs: Outputs
+    """The last ones."""
+
+
+class RolloutObjective:
+    """Residuals (D,) are simulated minus measured outputs in standard deviations of their noise, output by output;
+    0 where one was not measured (NaN).
+
+    How roll-outs begin is decided once, by the first samples. Leaving the context ends the processes.
+    """
+
+    def __init__(
+        self, shadow: Shadow, theta: Vector, way: StartMethod | None, live: RunningPlant | None, jobs: int
+    ) -> None:
+        """theta (d,): what the controller holds; way: None for the first that is proved to work."""
+        self._shadow, self._live, self._history = shadow, live, History(shadow.start_time, theta.tolist())
+        self._noise = np.array(shadow.noise)
+        self._obstacles: dict[StartMethod, str] = dict(shadow.obstacles) if way is None else {}
+        self._open: list[StartMethod] = [way] if way else [w for w in START_METHODS if w not in shadow.obstacles]
+        self._is_asked_for = way is not None
+        self.way: StartMethod | None = None
+        """How roll-outs begin; None: not decided yet."""
+        self._proof_state: bytes | None = None
+        self._n_bytes = 0
+        self._first_samples: list[Sample] = []
+        self._pool = Pool(shadow.opened, jobs, shadow.is_restartable)
+        self._follower = Pool(shadow.opened, 1, shadow.is_restartable)
+        self._followed: _Followed | None = None
+        self._lost: Any = None
+        self.why_lost: str | None = None
+        """Why the parameters in force could not be followed when that was last tried; None: they were."""
+
+    def __enter__(self) -> "RolloutObjective":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._pool.__exit__()
+        self._follower.__exit__()
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether it is decided how roll-outs begin."""
+        return self.way is not None
+
+    def describe(self) -> str:
+        """What is simulated, from where, and why from there."""
+        if self.way is None:
+            return f"roll-outs of {self._shadow.fmu.name}"
+        how = {
+            "state": "from the plant's saved state",
+            "measured": "from measured states",
+            "replay": "simulated again from the start",
+        }[self.way]
+        why = "as asked" if self._is_asked_for else told(self._obstacles) or "a repeated step was the plant's own"
+        return f"roll-outs of {self._shadow.fmu.name} {how} ({why})"
+
+    def add_sample(self, sample: Sample) -> None:
+        """Take the newest sample. Raises ScenarioError where no way to begin a roll-out is left."""
+        if self.way is None:
+            self._first_samples.append(sample)
+        if self.way in (None, "replay"):
+            self._history.add_sample(sample)
+        if self.way is None:
+            self._decide()
+
+    def snapshot(self, is_needed: bool) -> Origin | None:
+        """The newest sample's place, and the plant's state where that is needed, or small."""
+        live = self._live if (self.way or self._open[0]) == "state" else None
+        if live is None:
+            return Origin(len(self._history.inputs), None)
+        if not is_needed and self._n_bytes > SMALL_STATE:
+            return None
+        state = live.slave.get_state()
+        self._n_bytes = len(state)
+        return Origin(len(self._history.inputs), state)
+
+    def evaluate(self, thetas: Sequence[Vector], stretch: SampleSequence) -> list[Evaluation]:
+        """Each candidate over the stretch, several at a time."""
+        way = self._decided()
+        plans = [plan_of(way, self._shadow, self._history, theta.tolist(), stretch) for theta in thetas]
+        outcomes = self._pool.map([partial(plan.run, self._pool) for plan in plans], is_renewed=way != "state")
+        return [
+            Evaluation(np.array([np.nan]), outcome.reason)
+            if outcome.result is None
+            else self._judged(self._residual(outcome.result, stretch.samples[1:]))
+            for outcome in outcomes
+        ]
+
+    def track(self, theta: Vector, stretch: SampleSequence) -> Vector:
+        """The residual of theta over a stretch that grows from call to call: only what is new is simulated.
+
+        Empty before roll-outs can be made, and, where one fails, up to the end of the stretch.
+        """
+        if self.way is None or not stretch.n_steps or stretch.origin is self._lost:
+            return np.empty(0)
+        way, at = self.way, self._followed
+        is_on_its_way = at is not None and at.theta == theta.tobytes()
+        is_begun = is_on_its_way and (at.origin is stretch.origin or way == "replay") if at else False
+        task = partial(self._go_on, theta, stretch, is_begun)
+        (outcome,) = self._follower.map([task], is_renewed=not is_begun and way != "state")
+        self.why_lost = outcome.reason
+        if outcome.result is None:
+            self._lost, self._followed = stretch.origin, None
+            return np.empty(0)
+        return self._residual(outcome.result[-stretch.n_steps :], stretch.samples[1:])
+
+    def accept(self, theta: Vector, stretch: SampleSequence) -> None:
+        """From the stretch's beginning on, theta is what a simulation from the start takes."""
+        if self.way == "replay":
+            self._history.accept(stretch.origin.place, theta.tolist())
+            self._followed = None
+
+    def _decide(self) -> None:
+        """Try the next way, as soon as there are the samples to prove it with."""
+        n = len(self._first_samples)
+        while self.way is None and self._open:
+            way: StartMethod = self._open[0]
+            reason: str | None = None
+            if way == "state" and self._live is not None:
+                if n == 1:
+                    try:
+                        self._proof_state = self._live.slave.get_state()
+                        return
+                    except StateTooLargeError as e:
+                        reason = str(e)
+                else:
+                    state = self._proof_state or b""
+                    reason = steps_like_the_plant(self._shadow, self._live, state, self._first_samples[-2:])
+            elif way == "measured" and not self._is_asked_for:
+                if n < PROOF_STEPS:
+                    return
+                reason = restarts_like_itself(self._shadow, self._history)
+            if reason is None:
+                self.way = way
+                self._first_samples.clear()
+            else:
+                self._obstacles[way] = reason
+                self._open.pop(0)
+        if self.way is None:
+            raise ScenarioError(f"estimation.rollout: no way to begin a roll-out: {told(self._obstacles)}.")
+
+    def _decided(self) -> StartMethod:
+        if self.way is None:
+            raise RuntimeError(f"roll-outs need {PROOF_STEPS} samples before the first.")
+        return self.way
+
+    def _go_on(self, theta: Vector, stretch: SampleSequence, is_begun: bool, slave: Slave, is_new: bool) -> Outputs:
+        """Outputs up to the newest sample, by stepping on from the newest that was reached."""
+        samples, at, tunables = stretch.samples, self._followed, None
+        times: Sequence[float]
+        inputs: Sequence[Sequence[float]]
+        if at is None or is_new or not is_begun:
+            plan = plan_of(self._decided(), self._shadow, self._history, theta.tolist(), stretch)
+            plan.begin(self._follower, slave, is_new)
+            at = _Followed(theta.tobytes(), stretch.origin, stretch.origin.place, [])
+            tunables = plan.last.tunables
+        n = stretch.origin.place + stretch.n_steps - at.place
+        if self.way == "replay":  # it may have begun before the stretch
+            times, inputs = self._history.times[-n - 1 :], self._history.inputs[-n:]
+        else:
+            times, inputs = [s.t for s in samples[-n - 1 :]], [s.u for s in samples[-n:]]
+        outputs = [*at.outputs, *self._follower.through(slave, times, inputs, tunables)]
+        self._followed = at._replace(place=at.place + n, outputs=outputs[-stretch.n_steps :])
+        return outputs
+
+    def _judged(self, residual: Vector) -> Evaluation:
+        return Evaluation(residual, None, np.sum(residual.reshape(len(self._noise), -1) ** 2, axis=0))
+
+    def _residual(self, outputs: Outputs, samples: Sequence[Sample]) -> Vector:
+        measured = np.array([s.y for s in samples])
+        with np.errstate(over="ignore", invalid="ignore"):
+            r = np.where(np.isnan(measured), 0.0, (np.array(outputs) - measured) / self._noise)
+        return np.clip(r, -LARGEST, LARGEST).T.reshape(-1)

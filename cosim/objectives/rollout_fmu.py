@@ -1,0 +1,139 @@
+"""What is rolled out: a second FMU of the plant, with the plant's variables by name."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from ..errors import CosimError, ScenarioError
+from ..fmi.archive import co_simulation, read_description
+from ..fmi.ports import Catalogue
+from ..scenarios.scenario import Scenario
+from ..slaves.slave import Slave, open_slave
+from ..system.fmu_cache import component_path, find_fmu
+from ..system.plant import Plant
+
+StartMethod = Literal["state", "measured", "replay"]
+START_METHODS: Final[tuple[StartMethod, ...]] = ("state", "measured", "replay")
+"""How a shadow is brought to the beginning of a window, in the order of preference."""
+
+
+@dataclass(frozen=True)
+class RunningPlant:
+    """The plant that runs."""
+
+    slave: Slave
+    """It stands at the newest sample's time whenever an objective is called."""
+    outputs: tuple[str, ...]
+    """What is read of it."""
+    changes: Mapping[str, Callable[[float], float]]
+    """What is set from outside, over time [s], by variable: to prove that a step can be repeated, for nothing else."""
+
+
+@dataclass(frozen=True)
+class Shadow:
+    """The FMU, and which variables of it are set and read."""
+
+    fmu: Path
+    inputs: tuple[str, ...]
+    """In the order of a sample's u."""
+    states: tuple[str, ...]
+    """In the order of a sample's x."""
+    outputs: tuple[str, ...]
+    """In the order of a sample's y."""
+    noise: tuple[float, ...]
+    """Standard deviation of each output (c,), in its unit."""
+    parameters: tuple[str, ...]
+    """In the order of theta."""
+    start: Mapping[str, Any]
+    """Start values that are not estimated."""
+    start_time: float
+    """[s]"""
+    is_restartable: bool
+    """It may be instantiated several times in a process."""
+    obstacles: Mapping[StartMethod, str]
+    """Why some ways of bringing it to the beginning of a window are none."""
+    timeout: float = 10.0
+    """Of a call [s]."""
+
+    def opened(self, tunables: tuple[str, ...] | None = None) -> Slave:
+        """A process of it, bound; tunables: by default the parameters, where they can be set while it runs."""
+        slave = open_slave(self.fmu, "shadow", timeout=self.timeout)
+        if tunables is None:
+            tunables = () if "replay" in self.obstacles else self.parameters
+        try:
+            slave.bind(self.inputs, tunables, self.outputs)
+        except BaseException:
+            slave.close()
+            raise
+        return slave
+
+
+def shadow_of(scenario: Scenario, plant: Plant, is_live: bool) -> Shadow:
+    """The shadow that a scenario asks for; is_live: the plant runs beside it. Raises ScenarioError in one line."""
+    settings = scenario.estimation.rollout
+    own = component_path(scenario.components[plant.name], scenario.folder)
+    where = "estimation.rollout"
+    try:
+        fmu = own if settings.fmu is None else find_fmu(settings.fmu, scenario.folder)
+        description = read_description(fmu)
+        variables = {v.name: v for v in description.modelVariables}
+        catalogue = Catalogue(fmu.name, description.modelVariables)
+        inputs, outputs = tuple(plant.inputs), tuple(r.partition(".")[2] for r in scenario.sampling.outputs)
+        catalogue.ports("input", inputs)
+        catalogue.ports("output", outputs)
+        names: list[str] = []
+        for p in scenario.estimation.parameters:
+            name = scenario.true_reference(p).partition(".")[2]
+            names.append(name if name in variables else p.name)
+            port = catalogue.start_port(names[-1], p.lower)
+            if problem := port.problem([p.lower]) or port.problem([p.upper]):
+                raise ScenarioError(f"bounds of '{p.name}': {problem}")
+        interface: Any = co_simulation(description)
+        start = {k: v for k, v in scenario.components[plant.name].start.items() if k in variables}
+        shadow = Shadow(
+            fmu, inputs, plant.states, outputs, tuple(n.noise for n in scenario.sampling.outputs.values()),
+            tuple(names), {k: v for k, v in start.items() if k not in names}, scenario.scenario.start_time,
+            not interface.canBeInstantiatedOnlyOncePerProcess, {}, scenario.scenario.timeout,
+        )  # fmt: skip
+    except CosimError as e:
+        raise ScenarioError(f"{where}: {str(e).rstrip('.')}.") from e
+    obstacles = _obstacles(shadow, catalogue, interface, own if is_live else None)
+    if settings.start in obstacles:
+        raise ScenarioError(f"{where}.start = '{settings.start}': {obstacles[settings.start]}.")
+    if len(obstacles) == len(START_METHODS):
+        raise ScenarioError(f"{where}: no way to begin a roll-out: {told(obstacles)}.")
+    return replace(shadow, obstacles=obstacles)
+
+
+def told(obstacles: Mapping[StartMethod, str]) -> str:
+    """Obstacles in one line."""
+    return "; ".join(f"{way}: {reason}" for way, reason in obstacles.items())
+
+
+def _obstacles(shadow: Shadow, catalogue: Catalogue, interface: Any, live: Path | None) -> dict[StartMethod, str]:
+    obstacles: dict[StartMethod, str] = {}
+    fixed = _refusal(lambda: catalogue.ports("tunable parameter", shadow.parameters))
+    if live is None:
+        obstacles["state"] = "the plant does not run beside it"
+    elif live != shadow.fmu:
+        obstacles["state"] = f"{shadow.fmu.name} is not the plant's FMU"
+    elif not (interface.canGetAndSetFMUstate and interface.canSerializeFMUstate):
+        obstacles["state"] = f"{shadow.fmu.name} cannot save and restore its state"
+    elif fixed:
+        obstacles["state"] = fixed
+    if not shadow.states:
+        obstacles["measured"] = "the plant declares no states"
+    elif problem := _refusal(lambda: [catalogue.start_port(name, 0.0) for name in shadow.states]):
+        obstacles["measured"] = problem
+    if fixed:
+        obstacles["replay"] = fixed
+    return obstacles
+
+
+def _refusal(check: Callable[[], object]) -> str | None:
+    try:
+        check()
+    except CosimError as e:
+        return str(e).rstrip(".")
+    return None

@@ -1,0 +1,113 @@
+"""How a shadow is brought to the beginning of a window and through it: pure functions of what was sampled."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from estimator import Sample, SampleSequence
+
+from ..slaves.slave import Slave
+from .rollout_fmu import Shadow, StartMethod
+from .rollout_pool import Outputs, Pool
+
+
+class Origin(NamedTuple):
+    """What is remembered of a sample at which a simulation may begin."""
+
+    place: int
+    """Of the sample in the history."""
+    state: bytes | None
+    """The plant's state there."""
+
+
+class Leg(NamedTuple):
+    """Steps with one set of parameters."""
+
+    times: Sequence[float]
+    """From each to the next (n + 1,) [s]."""
+    inputs: Sequence[Sequence[float]]
+    """Held from each to the next (n, p)."""
+    tunables: Sequence[float] | None
+    """Set before the first."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Initialise, go to the state where there is one, and step; the outputs of the last leg are compared."""
+
+    start: Mapping[str, Any]
+    start_time: float
+    state: bytes | None
+    before: tuple[Leg, ...]
+    last: Leg
+
+    def begin(self, pool: Pool, slave: Slave, is_new: bool) -> None:
+        """Bring a slave, which must be new unless there is a state, to the last leg. Raises SlaveError."""
+        if is_new or self.state is None:
+            slave.initialize(self.start, self.start_time)
+        if self.state is not None:
+            slave.set_state(self.state)
+        for leg in self.before:
+            pool.through(slave, *leg)
+
+    def run(self, pool: Pool, slave: Slave, is_new: bool) -> Outputs:
+        """Outputs (n, c) after each step of the last leg. Raises SlaveError."""
+        self.begin(pool, slave, is_new)
+        return pool.through(slave, *self.last)
+
+
+@dataclass
+class History:
+    """The inputs since the start, and what the parameters were then believed to be."""
+
+    start_time: float
+    theta: Sequence[float]
+    """Before anything was learnt (d,)."""
+    times: list[float] = field(default_factory=list[float])
+    inputs: list[Sequence[float]] = field(default_factory=list[Sequence[float]])
+    """Held from each of the times before to this one."""
+    beliefs: list[tuple[int, Sequence[float]]] = field(default_factory=list[tuple[int, Sequence[float]]])
+    """From which place on, which parameters."""
+
+    def __post_init__(self) -> None:
+        self.times.append(self.start_time)
+
+    def add_sample(self, sample: Sample) -> None:
+        """Add a sample; it has the place len(inputs) then."""
+        self.times.append(sample.t)
+        self.inputs.append(sample.u)
+
+    def accept(self, place: int, theta: Sequence[float]) -> None:
+        """From that place on the parameters are believed to be theta (d,)."""
+        self.beliefs = [*(b for b in self.beliefs if b[0] < place), (place, theta)]
+
+    def legs(self, until: int) -> tuple[Leg, ...]:
+        """From the start to a place, with the parameters believed."""
+        changes = [(0, None), *(b for b in self.beliefs if b[0] < until)]
+        ends = [*(place for place, _ in changes[1:]), until]
+        return tuple(
+            Leg(self.times[a : b + 1], self.inputs[a:b], theta)
+            for (a, theta), b in zip(changes, ends, strict=True)
+            if b > a
+        )
+
+
+def plan_of(
+    way: StartMethod, shadow: Shadow, history: History, theta: Sequence[float], stretch: SampleSequence
+) -> Plan:
+    """How to simulate a stretch with parameters theta (d,)."""
+    samples, origin = stretch.samples, stretch.origin
+    times, inputs = [s.t for s in samples], [s.u for s in samples[1:]]
+    if way == "state":
+        return Plan(shadow.start, shadow.start_time, origin.state, (), Leg(times, inputs, theta))
+    if way == "measured":
+        first = samples[0]
+        start = {
+            **shadow.start,
+            **dict(zip(shadow.inputs, first.u, strict=True)),
+            **dict(zip(shadow.states, first.x, strict=True)),
+            **dict(zip(shadow.parameters, theta, strict=True)),
+        }
+        return Plan(start, times[0], None, (), Leg(times, inputs, None))
+    start = {**shadow.start, **dict(zip(shadow.parameters, history.theta, strict=True))}
+    return Plan(start, shadow.start_time, None, history.legs(origin.place), Leg(times, inputs, theta))

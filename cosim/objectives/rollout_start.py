@@ -1,0 +1,111 @@
+"""Roll-outs that begin in measured states: the noise of those, which is in every residual after, is taken out."""
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from estimator import Evaluation, Sample, SampleSequence, Vector
+
+from .rollout import RolloutObjective
+
+
+class NoisyStartObjective:
+    """A RolloutObjective whose residuals are white although the states that roll-outs begin in are noisy.
+
+    To first order r = r0 + G e, e the states' noise in standard deviations, so that cov r = I + G G', which its
+    Cholesky factor whitens step by step: the innovations that an extended Kalman filter without process noise has.
+    Kailath (1968), "An innovations approach to least-squares estimation", part I. G is from roll-outs begun a standard
+    deviation aside. Where roll-outs begin otherwise it changes nothing. Leaving the context ends the processes.
+    """
+
+    def __init__(self, opened: Callable[[], RolloutObjective], noise: Sequence[float]) -> None:
+        """opened: makes a judge; noise (n,): standard deviation of each state, in its unit."""
+        self._noise, self._stack = tuple(noise), ExitStack()
+        self._objective, *self._aside = (self._stack.enter_context(opened()) for _ in range(len(noise) + 1))
+        self._stretch: SampleSequence | None = None
+        self._factor: Vector | None = None
+
+    def __enter__(self) -> "NoisyStartObjective":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether it is decided how roll-outs begin."""
+        return self._objective.is_ready
+
+    @property
+    def why_lost(self) -> str | None:
+        """Why the parameters in force could not be followed when that was last tried."""
+        return self._objective.why_lost
+
+    def describe(self) -> str:
+        """What is simulated, and from where."""
+        return self._objective.describe()
+
+    def add_sample(self, sample: Sample) -> None:
+        """Take the newest sample. Raises ScenarioError where no way to begin a roll-out is left."""
+        self._objective.add_sample(sample)
+
+    def snapshot(self, is_needed: bool) -> Any:
+        """The judge's."""
+        return self._objective.snapshot(is_needed)
+
+    def accept(self, theta: Vector, stretch: SampleSequence) -> None:
+        """The judge's."""
+        self._objective.accept(theta, stretch)
+
+    def evaluate(self, thetas: Sequence[Vector], stretch: SampleSequence) -> list[Evaluation]:
+        """Each candidate over the stretch; all are whitened alike, as the first one that does not fail asks for."""
+        found = self._objective.evaluate(thetas, stretch)
+        if self._objective.way != "measured":
+            return found
+        if stretch is not self._stretch:
+            self._stretch, self._factor = stretch, None
+        if self._factor is None:
+            known = next((i for i, judged in enumerate(found) if judged.reason is None), None)
+            if known is None:
+                return found
+            moved = [self._objective.evaluate([thetas[known]], aside)[0].residual for aside in self._moved(stretch)]
+            self._factor = _factor(found[known].residual, moved, stretch.n_steps)
+        return [j if j.reason else _whitened(self._factor, j.residual, stretch.n_steps) for j in found]
+
+    def track(self, theta: Vector, stretch: SampleSequence) -> Vector:
+        """The residual of theta over a stretch that grows from call to call; a step of each state's roll-out more."""
+        residual = self._objective.track(theta, stretch)
+        if self._objective.way != "measured" or not len(residual):
+            return residual
+        for objective in self._aside:
+            objective.way = self._objective.way  # proved once, by the first
+        moved = [j.track(theta, s) for j, s in zip(self._aside, self._moved(stretch), strict=True)]
+        return _whitened(_factor(residual, moved, stretch.n_steps), residual, stretch.n_steps).residual
+
+    def _moved(self, stretch: SampleSequence) -> list[SampleSequence]:
+        """The stretch begun a standard deviation aside, state by state."""
+        first, *others = stretch.samples
+        moved = np.array(first.x) + np.diag(self._noise)
+        return [replace(stretch, samples=(replace(first, x=tuple(x)), *others)) for x in moved.tolist()]
+
+
+def _factor(residual: Vector, moved: Sequence[Vector], n_steps: int) -> Vector:
+    """Lower Cholesky factor (D, D) of the covariance, from old to new; those moved that failed are left out."""
+    g = [_by_time(r - residual, n_steps) for r in moved if len(r) == len(residual) and np.all(np.isfinite(r))]
+    aside = np.array(g).reshape(len(g), len(residual))
+    return np.asarray(np.linalg.cholesky(np.eye(len(residual)) + aside.T @ aside), dtype=np.float64)
+
+
+def _whitened(factor: Vector, residual: Vector, n_steps: int) -> Evaluation:
+    white: Vector = solve_triangular(factor, _by_time(residual, n_steps), lower=True)
+    steps = white.reshape(n_steps, -1)
+    return Evaluation(steps.T.reshape(-1), None, np.sum(steps**2, axis=1))
+
+
+def _by_time(residual: Vector, n_steps: int) -> Vector:
+    """Channel by channel to step by step."""
+    return residual.reshape(-1, n_steps).T.reshape(-1)

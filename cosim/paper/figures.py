@@ -1,0 +1,172 @@
+"""Every figure of the paper and its table, from runs of our own.
+
+Khan and Chatterjee (2020), figures 1 to 5 and table I.
+"""
+
+import os
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ..campaigns.compare import usable
+from ..campaigns.executor import Executor, Progress, Task
+from ..files import write_json, write_text
+from ..plots.canvas import save_png, save_svg
+from ..plots.panels import Event
+from ..plots.response import draw_response
+from ..plots.runs import read_events
+from ..runs.lock import new_locked_folder
+from ..runs.result import Run, read_run
+from ..scenarios.scenario import Scenario
+from ..system.fmu_cache import fmu_paths
+from . import table as paper_table
+from .illustration import Stage, draw_illustration, global_minimum, optimise
+from .pictures import LABELS, draw_altitude, draw_mse, draw_pendulum
+
+Runs = Mapping[str, Run]
+"""Runs of one scenario by estimator."""
+
+PENDULUM: Final = ("paper", "target", "none", "true")
+QUADROTOR: Final = ("paper", "ipm", "ipm-scipy", "sqp", "target", "none", "true")
+"""The longest first."""
+
+
+def figures(
+    out: Path,
+    seed: int = 0,
+    jobs: int | None = None,
+    progress: Progress | None = None,
+    scenarios: tuple[Scenario, Scenario] | None = None,
+) -> list[Path]:
+    """Run what the paper shows, and draw it as PNG and SVG in `out`, absent or empty; returns the files written.
+
+    Besides, `table.md`, `figures.json` with the numbers of what is drawn, and the run folders in `out`/runs. jobs: runs
+    at a time, each in a process of its own, by default one a processor; times are good for quoting with 1 only.
+    scenarios: of the pendulum and of the quadrotor, by default those of the package.
+    Raises ValueError for less than one job; FolderError, ScenarioError; ExecutorError where a run was refused or its
+    process has died; KeyboardInterrupt when interrupted, the finished runs kept.
+    """
+    if jobs is not None and jobs < 1:
+        raise ValueError(f"jobs must be at least 1, got {jobs}.")
+    pendulum, quadrotor = scenarios or (Scenario.load("pendulum"), Scenario.load("quadrotor"))
+    todo = {"quadrotor": (quadrotor, chosen(usable(quadrotor))), "pendulum": (pendulum, PENDULUM)}
+    for scenario, _ in todo.values():
+        fmu_paths(scenario)  # built here: several processes at once would each build them
+    jobs = min(jobs or os.cpu_count() or 1, sum(len(names) for _, names in todo.values()))
+    with new_locked_folder("figures", out):
+        runs = _runs(out, todo, seed, jobs, progress)
+        return draw_figures(out, runs["pendulum"], runs["quadrotor"], seed, jobs)
+
+
+def _runs(
+    out: Path,
+    todo: Mapping[str, tuple[Scenario, Sequence[str]]],
+    seed: int,
+    jobs: int,
+    progress: Progress | None,
+) -> dict[str, dict[str, Run]]:
+    """The runs of each scenario by estimator, in folders in `out`/runs. Raises ExecutorError, FolderError."""
+    (out / "runs").mkdir()
+    n_runs = sum(len(names) for _, names in todo.values())
+    n_ended = 0
+    runs: dict[str, dict[str, Run]] = {}
+    for key, (scenario, names) in todo.items():
+        folders = {name: out / "runs" / f"{key}-{name}" for name in names}
+        with Executor(
+            scenario, [Task(name, seed, str(folders[name])) for name in names], min(jobs, len(names))
+        ) as executor:
+            for _ in names:
+                _, record = executor.next()
+                n_ended += 1
+                if progress is not None:
+                    progress(record, n_ended, n_runs)
+        runs[key] = {name: read_run(folder) for name, folder in folders.items()}
+    return runs
+
+
+def chosen(names: Collection[str]) -> list[str]:
+    """Estimators that the quadrotor is run with, of those usable: of the interior-point methods Ipopt, if it is."""
+    spare = "ipm-scipy" if "ipm" in names else "ipm"
+    return [name for name in QUADROTOR if name in (*names, "none", "true") and name != spare]
+
+
+def draw_figures(out: Path, pendulum: Runs, quadrotor: Runs, seed: int, jobs: int = 1) -> list[Path]:
+    """Figures, table and numbers of these runs into the folder; returns the files written. Raises FolderError."""
+    events = {key: _events(runs) for key, runs in (("pendulum", pendulum), ("quadrotor", quadrotor))}
+    stages = optimise(seed)
+    drawn: dict[str, Figure | None] = {
+        "illustration": draw_illustration(stages),
+        "pendulum-solution": _solution(pendulum, events["pendulum"], "target"),
+        "pendulum-solution-paper": _solution(pendulum, events["pendulum"], "paper"),
+        "pendulum-tracking": draw_pendulum(pendulum, events["pendulum"].get("target", [])),
+        "quadrotor-mse": draw_mse(quadrotor) if quadrotor else None,
+        "quadrotor-altitude": draw_altitude(quadrotor) if quadrotor else None,
+    }
+    paths = [
+        save(figure, out / f"{name}.{save.__name__[-3:]}")
+        for name, figure in drawn.items()
+        if figure is not None
+        for save in (save_png, save_svg)
+    ]
+    table = paper_table.rows(quadrotor, events["quadrotor"])
+    numbers = {
+        "seed": seed,
+        "jobs": jobs,
+        "illustration": _illustration_numbers(stages),
+        "pendulum": {name: _numbers(r, out) | _episode(events["pendulum"][name]) for name, r in pendulum.items()},
+        "quadrotor": {name: _numbers(r, out) | _altitude(r) for name, r in quadrotor.items()},
+        "table": table,
+    }
+    write_text(out / "table.md", paper_table.markdown(quadrotor, table, LABELS, jobs))
+    write_json(out / "figures.json", numbers)
+    return [*paths, out / "table.md", out / "figures.json"]
+
+
+def _events(runs: Runs) -> dict[str, list[Event]]:
+    return {name: read_events(run.folder) if run.folder else [] for name, run in runs.items()}
+
+
+def _solution(runs: Runs, events: Mapping[str, Sequence[Event]], name: str) -> Figure | None:
+    """Figure 2: what the first episode searched; None without such a run or an episode of its."""
+    if name not in runs or not len(runs[name].time):
+        return None
+    figure = draw_response(runs[name], events[name])
+    if figure is not None:
+        (axes, *_) = figure.axes
+        axes.set_title(f"{LABELS[name]}; {axes.get_title()}", fontsize=9)
+    return figure
+
+
+def _numbers(run: Run, out: Path) -> dict[str, Any]:
+    """The run's summary, its folder as seen from `out`."""
+    folder = str(run.folder.relative_to(out)) if run.folder and run.folder.is_relative_to(out) else None
+    label = LABELS.get(run.estimator, run.estimator)
+    return run.summary() | {"label": label, "run": folder, "tracking": list(run.scenario.tracking)}
+
+
+def _episode(events: Sequence[Event]) -> dict[str, Any]:
+    """Candidates of the first episode, in order."""
+    ends = [i for i, e in enumerate(events) if e.get("kind") == "end"]
+    first = events[: ends[0]] if ends else events
+    found = [e for e in first if e.get("kind") == "candidate"]
+    return {"first_episode": [{"t": e["t"], "theta": e.get("theta"), "cost": e.get("cost")} for e in found]}
+
+
+def _altitude(run: Run) -> dict[str, Any]:
+    """Root mean square and largest of the altitude error [m], over the rows there are."""
+    error = run.errors["plant.r_z"]
+    if not len(error):
+        return {"altitude_error": None}
+    rms, largest = np.sqrt(np.mean(error * error)), np.max(np.abs(error))
+    return {"altitude_error": {"rms": float(rms), "largest": float(largest)}}
+
+
+def _illustration_numbers(stages: Sequence[Stage]) -> dict[str, Any]:
+    place, value = global_minimum()
+    return {
+        "global_minimum": {"x": place, "value": value},
+        "stages": [{"x": s.x.tolist(), "y": s.y.tolist(), "next": s.next_place, "best": s.best_place} for s in stages],
+    }

@@ -1,1 +1,0 @@
-"""Run folders: written, read, reported, compared and replayed."""

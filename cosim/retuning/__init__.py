@@ -1,0 +1,1 @@
+"""Re-tuning: from a sample to a write, under supervision."""

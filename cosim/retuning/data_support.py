@@ -1,0 +1,113 @@
+"""What the newest samples say of a write, by the scenario's model: what they see of it, and what contradicts it."""
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from typing import Literal
+
+import numpy as np
+
+from estimator import ParameterSpace, Sample, Vector
+from estimator.identifiability import Information, information
+
+Reason = tuple[Literal["limit", "hold", "veto"], str]
+"""What is done to a write, and why."""
+_STEP = 1e-4
+"""Of the unit cube, for central differences."""
+_WIDEST = 0.25
+"""Share of the scaled bounds by which the estimate is widened at most."""
+
+
+class NoDataSupport:
+    """Sees nothing and says nothing: where candidates are judged otherwise than sample by sample."""
+
+    n_channels = 1
+
+    def append(self, sample: Sample) -> None:
+        """It is not kept."""
+
+    def retract(self) -> None:
+        """Nothing was kept."""
+
+    def cost(self, theta: Vector) -> float:
+        """Nothing contradicts."""
+        return 0.0
+
+    def identifiable_part(
+        self, theta: Vector, held: Vector, at: Vector, unseen: float, little: float
+    ) -> tuple[Vector, tuple[Reason, ...]]:
+        """The candidate (d,) as it is."""
+        return theta, ()
+
+    def plausible_parameters(self, theta: Vector, n_std: float, little: float) -> Iterator[tuple[str, Vector]]:
+        """The estimate (d,)."""
+        yield "estimate", theta
+
+
+class DataSupport:
+    """Keeps the newest samples."""
+
+    def __init__(
+        self, residual: Callable[[Vector, Sample], Vector], space: ParameterSpace, n_channels: int, length: int
+    ) -> None:
+        """residual: whitened, (c,) of one sample; length: samples that are kept."""
+        self._residual, self._space, self.n_channels = residual, space, n_channels
+        self._samples: deque[Sample] = deque(maxlen=length)
+
+    def append(self, sample: Sample) -> None:
+        """Take one sample more."""
+        self._samples.append(sample)
+
+    def retract(self) -> None:
+        """The newest sample was an outlier."""
+        self._samples.pop()
+
+    def cost(self, theta: Vector) -> float:
+        """Sum of squared residuals of theta (d,) at the newest sample; 0 before there is one."""
+        if not self._samples:
+            return 0.0
+        r = self._residual(theta, self._samples[-1])
+        return float(r @ r)
+
+    def information(self, theta: Vector) -> Information:
+        """What the samples see at theta (d,), by central differences in the unit cube."""
+        z, d = self._space.to_unit(theta), len(self._space)
+        columns: list[Vector] = []
+        for i in range(d):
+            ends = [np.clip(z[i] + sign * _STEP, 0.0, 1.0) for sign in (1.0, -1.0)]
+            places = [self._space.from_unit(np.where(np.arange(d) == i, end, z)) for end in ends]
+            high, low = (self._over_window(place) for place in places)
+            columns.append((high - low) / (ends[0] - ends[1]))
+        jacobian = np.array(columns).T
+        return information(jacobian[np.isfinite(jacobian).all(axis=1)])
+
+    def identifiable_part(
+        self, theta: Vector, held: Vector, at: Vector, unseen: float, little: float
+    ) -> tuple[Vector, tuple[Reason, ...]]:
+        """The candidate (d,) without its moves from what is held in directions that are not seen, and then why.
+
+        at (d,): where it is looked; unseen: standard deviation beyond which a direction is not seen, and little: a move
+        that is let be, both of the unit cube. Without samples nothing is seen.
+        """
+        here = self._space.to_unit(held)
+        change = self._space.to_unit(theta) - here
+        seen = self.information(at)
+        hidden = seen.directions[seen.singular_values < 1.0 / unseen]
+        part = hidden.T @ (hidden @ change)
+        size = float(np.linalg.norm(part))
+        if size <= little:
+            return theta, ()
+        reason = f"{len(hidden)} of {len(here)} directions are not seen by the data; a move of {size:.2g} is left out"
+        return self._space.from_unit(np.clip(here + change - part, 0.0, 1.0)), (("hold", reason),)
+
+    def plausible_parameters(self, theta: Vector, n_std: float, little: float) -> Iterator[tuple[str, Vector]]:
+        """The estimate (d,) and its neighbours, n_std standard deviations off in the direction that is seen least."""
+        yield "estimate", theta
+        seen = self.information(theta)
+        distance = min(n_std / max(float(seen.singular_values[-1]), 1e-12), _WIDEST)
+        if distance > little:
+            for sign, name in ((1.0, "+"), (-1.0, "-")):
+                z = self._space.to_unit(theta) + sign * distance * seen.directions[-1]
+                yield f"estimate {name} {n_std:g} std", self._space.from_unit(np.clip(z, 0.0, 1.0))
+
+    def _over_window(self, theta: Vector) -> Vector:
+        return np.concatenate([np.empty(0), *(self._residual(theta, sample) for sample in self._samples)])

@@ -1,0 +1,241 @@
+"""The closed loop rolled ahead from now, in FMUs of its own: what would happen if this were written.
+
+The shadows are brought to now by FMU state, so they know what the FMUs know; but the plant's estimated parameters are
+overwritten by those to be tried. A plant that cannot save its state is replaced by the scenario's model.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from math import hypot, inf, isclose
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from estimator import Sample, Vector
+
+from ..errors import CosimError, ScenarioError, SlaveError, WiringError
+from ..fmi.archive import co_simulation
+from ..fmi.table import TableSlave
+from ..scenarios.scenario import Scenario
+from ..slaves.slave import Slave, open_slave
+from ..system.master import Master, Steppable, Wiring
+from ..system.plant import Plant, derivatives_of
+from .model_plant import ModelPlant, not_given
+
+_ROUNDING: Final = 1e-9
+
+
+class Running(NamedTuple):
+    """The FMUs of a run, as they are wired."""
+
+    slaves: Mapping[str, Slave | TableSlave]
+    wiring: Mapping[str, Wiring]
+    groups: Sequence[Sequence[str]]
+    """In which they step."""
+    paths: Mapping[str, Path]
+
+
+class Lookahead:
+    """Predicts tracking errors. Its FMUs are loaded when they are first needed: many a run writes nothing."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        running: Running,
+        plant: Plant,
+        model: Callable[..., Sequence[float]] | None,
+        stack: ExitStack,
+    ) -> None:
+        """running: the run's FMUs; model: the plant's, if any; stack closes the shadows.
+
+        Raises CosimError with the reason where the loop cannot be rolled ahead.
+        """
+        slaves, wiring = running.slaves, running.wiring
+        self._scenario, self._running, self._slaves = scenario, running, slaves
+        self._plant, self._model = plant, model
+        true = [scenario.true_reference(p) for p in scenario.estimation.parameters]
+        self._places = {name: [i for i, r in enumerate(true) if r.partition(".")[0] == name] for name in slaves}
+        writes = [p.writes for p in scenario.estimation.parameters]
+        self._written = {name: [i for i, r in enumerate(writes) if r.partition(".")[0] == name] for name in slaves}
+        self._wiring = {
+            name: replace(w, tunables=tuple(r.partition(".")[2] for r in [*true, *writes] if r.startswith(f"{name}.")))
+            for name, w in wiring.items()
+        }
+        self._modelled = _modelled(scenario, slaves, wiring, plant, model)
+        for name, w in self._wiring.items():
+            slave = slaves[name]
+            if isinstance(slave, Slave) and name != self._modelled:
+                slave.check_tunables(w.tunables)
+        self._files = {name: _file(path) for name, path in running.paths.items()}
+        self._stack = stack.enter_context(ExitStack())
+        self._shadows: dict[str, Steppable] = {}
+        self._proved: set[str] = set()  # FMUs whose states have been saved and restored
+        self._master: Master | None = None
+        self._tracked: list[tuple[int, int]] = []
+        self.n_rolled = 0
+        """Times that the loop was rolled ahead."""
+        self.failure: str | None = None
+        """Why it cannot be rolled ahead after all."""
+
+    checkpoint_name = "loop rolled ahead"
+
+    def to_checkpoint(self) -> tuple[int, str | None]:
+        """It is brought to now each time that it is needed: a count is all that it holds, and whether it has failed."""
+        return self.n_rolled, self.failure
+
+    def from_checkpoint(self, saved: tuple[int, str | None]) -> None:
+        """Hold that instead."""
+        self.n_rolled, self.failure = saved
+
+    @property
+    def plant_is_modelled(self) -> bool:
+        """Whether the scenario's model stands for the plant."""
+        return self._modelled is not None
+
+    def now(self, sample: Sample) -> dict[str, Any] | None:
+        """The state of the run's FMUs at this communication point, to begin at. Raises SlaveError.
+
+        None, and `failure`, where an FMU cannot do what its description says: its shadow is asked before it is.
+        """
+        if self.failure is not None:
+            return None
+        try:
+            self._master = self._master or self._opened()
+            for name, shadow in self._shadows.items():
+                if isinstance(shadow, Slave) and name not in self._proved:
+                    shadow.set_state(shadow.get_state())
+                    self._proved.add(name)
+        except (SlaveError, WiringError) as fault:
+            self._give_up(str(fault))
+            return None
+        states: dict[str, Any] = {}
+        for name, slave in self._slaves.items():
+            if name == self._modelled:
+                states[name] = sample.x
+            elif isinstance(slave, Slave):
+                states[name] = slave.get_state()
+        return states
+
+    def peak(
+        self, now: Mapping[str, Any], values: Sequence[float], k: int, controller: Vector, plant: Vector
+    ) -> float | None:
+        """Largest norm of the tracking error over the horizon: infinite where an FMU fails or the loop diverges.
+
+        values: of all outputs now, at communication point k; controller, plant: theta (d,) in each. None where the
+        plant does not take these parameters, so that nothing is known, and where the FMUs' states cannot be restored:
+        see `failure`. Raises ScenarioError where the FMUs cannot be unpacked any more, as on a full disk: the run
+        faults, and can be resumed.
+        """
+        if self.failure is not None:
+            return None
+        try:
+            master = self._at(now, values)
+        except (SlaveError, WiringError) as fault:
+            self._give_up(str(fault))
+            return None
+        self.n_rolled += 1
+        try:
+            return self._roll(master, k, controller, plant)
+        except SlaveError as fault:
+            self._stack.close()
+            self._master = None  # loaded anew for the next
+            return None if fault.function == "set" else inf  # a value that was refused before it reached the FMU
+
+    def _roll(self, master: Master, k: int, controller: Vector, plant: Vector) -> float:
+        settings = self._scenario.scenario
+        h, horizon = settings.macro_step, min(self._scenario.guard.horizon, settings.n_steps - k)
+        tunables = {
+            name: [*(float(plant[i]) for i in self._places[name]), *(float(controller[i]) for i in written)]
+            for name, written in self._written.items()
+        }
+        tunables = {name: v for name, v in tunables.items() if v}
+        peak, limit = 0.0, self._scenario.limits.divergence
+        for j in range(k, k + horizon):
+            master.begin(settings.time(j), h, tunables if j == k else {})
+            master.finish(settings.time(j), h, tunables if j == k else {})
+            errors = [master.values[a] - master.values[b] for a, b in self._tracked]
+            if not all(abs(e) <= limit for e in errors):
+                return inf
+            peak = max(peak, hypot(*errors))
+        return peak
+
+    def _at(self, now: Mapping[str, Any], values: Sequence[float]) -> Master:
+        master = self._master = self._master or self._opened()
+        for name, state in now.items():
+            shadow = self._shadows[name]
+            assert isinstance(shadow, Slave | ModelPlant)
+            shadow.set_state(state)
+            if isinstance(shadow, Slave) and not _same(shadow.get(), self._outputs(master, values, name)):
+                raise SlaveError(shadow.name, "set_state", None, "leads to other outputs than those of the run")
+        master.values[:] = values
+        return master
+
+    def _outputs(self, master: Master, values: Sequence[float], name: str) -> list[float]:
+        return [v for v, n in zip(values, master.names, strict=True) if n.partition(".")[0] == name]
+
+    def _give_up(self, reason: str) -> None:
+        self.failure, self._master = reason, None
+        self._stack.close()
+
+    def _opened(self) -> Master:
+        settings = self._scenario.scenario
+        options = settings.slave_options
+        for name, slave in self._slaves.items():
+            if name == self._modelled and self._model is not None:
+                space = self._scenario.estimation.space
+                self._shadows[name] = ModelPlant(self._plant, self._model, space.names, derivatives_of(slave))
+                continue
+            path, label = self._running.paths[name], f"{name} (rolled ahead)"
+            if _file(path) != self._files[name]:
+                raise WiringError(f"{path} has changed since the run began")
+            if isinstance(slave, TableSlave):
+                self._shadows[name] = TableSlave(path, label)
+                continue
+            once = bool(co_simulation(slave.description).canBeInstantiatedOnlyOncePerProcess)
+            own: dict[str, Any] = options | ({"isolation": "process"} if once else {})
+            try:
+                self._shadows[name] = self._stack.enter_context(open_slave(path, label, **own))
+            except CosimError as e:  # it could be opened before: the disk is full, or the file has gone
+                raise ScenarioError(f"the loop cannot be rolled ahead: {e}") from e
+        master = Master(self._shadows, self._wiring, self._running.groups)
+        place = {name: i for i, name in enumerate(master.names)}
+        self._tracked = [(place[a], place[b]) for a, b in self._scenario.tracking.items()]
+        master.initialize(settings.start_time, settings.stop_time)
+        return master
+
+
+def _same(found: Sequence[float], expected: Sequence[float]) -> bool:
+    """Up to what an FMU may compute anew when it is asked."""
+    pairs = zip(found, expected, strict=True)
+    return all(isclose(a, b, rel_tol=_ROUNDING, abs_tol=_ROUNDING) for a, b in pairs)
+
+
+def _file(path: Path) -> tuple[int, int, int] | None:
+    """What changes with a file's content or when it is replaced; None where there is none."""
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_ino, status.st_size, status.st_mtime_ns
+
+
+def _modelled(
+    scenario: Scenario,
+    slaves: Mapping[str, Slave | TableSlave],
+    wiring: Mapping[str, Wiring],
+    plant: Plant,
+    model: Callable[..., Sequence[float]] | None,
+) -> str | None:
+    """The plant, where the model must stand for it; None where every FMU can save its state. Raises CosimError."""
+    lacking = [name for name, slave in slaves.items() if isinstance(slave, Slave) and not slave.has_states]
+    if not lacking:
+        return None
+    if lacking != [plant.name]:
+        others = ", ".join(name for name in lacking if name != plant.name)
+        raise CosimError(f"{others} cannot save and restore the state of the FMU")
+    if model is None:
+        raise CosimError(f"{plant.name} cannot save its state, and no model stands for it")
+    read = {s for w in wiring.values() for s in w.sources.values()} | {*scenario.tracking, *scenario.tracking.values()}
+    if missing := not_given(plant, derivatives_of(slaves[plant.name]), read):
+        raise CosimError(f"{plant.name} cannot save its state, and the model does not give '{missing}'")
+    return plant.name

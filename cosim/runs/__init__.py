@@ -1,0 +1,1 @@
+"""Runs: simulated, recorded in folders, resumed and reported."""

@@ -1,0 +1,124 @@
+"""The manifest of a run folder: what was run, by what, and whether the folder still holds what was written into it."""
+
+import hashlib
+import json
+import platform
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final, Literal, TypeVar
+
+from pydantic import TypeAdapter, ValidationError
+
+from ..errors import FolderError, one_line
+from ..files import readable, sha256, to_json, write_json
+from ..scenarios.scenario import Scenario
+from ..system.plant import Plant
+from .run_files import MANIFEST
+
+Status = Literal["done", "diverged", "faulted", "interrupted", "running", "unfinished"]
+"""The last two are those of a folder: its run goes on in another process, or was killed."""
+PACKAGES: Final = ("fmu-retune", "fmpy", "pythonfmu", "numpy", "scipy", "GPy", "pyarrow")
+_SEAL: Final = "seal"
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What is read of a manifest."""
+
+    status: Status
+    """How the run ended, or running."""
+    estimator: str
+    """Who re-tuned."""
+    seed: int
+    """Of noise and search."""
+    plant: Plant
+    """The component whose derivatives were sampled."""
+    folder: Path
+    """The scenario's."""
+    scenario: dict[str, Any]
+    """Its tables."""
+    fmus: dict[str, dict[str, str]] = field(default_factory=dict[str, dict[str, str]])
+    """File and SHA-256 of each component."""
+    modules: dict[str, str] = field(default_factory=dict[str, str])
+    """SHA-256 of the user's Python files."""
+    versions: dict[str, str] = field(default_factory=dict[str, str])
+    """Of the packages."""
+    sha256: dict[str, str] = field(default_factory=dict[str, str])
+    """Of the files of a run that has ended."""
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """The manifest of a run folder. Raises FolderError."""
+    manifest = read_json(folder, MANIFEST, Manifest)
+    content = json.loads((folder / MANIFEST).read_bytes())
+    if content.get(_SEAL, _digest(content)) != _digest(content):  # one of an older version has none
+        raise FolderError(f"{folder} is damaged: {MANIFEST} is not as it was written.")
+    return manifest
+
+
+def scenario_of(folder: Path, manifest: Manifest) -> Scenario:
+    """The scenario of a run folder's manifest. Raises FolderError."""
+    try:
+        return Scenario.model_validate(manifest.scenario | {"folder": manifest.folder})
+    except ValidationError as e:
+        raise FolderError(f"{folder} holds a scenario of another version: {_first(e)}.") from e
+
+
+def write_manifest(folder: Path, content: Mapping[str, Any]) -> None:
+    """Write the manifest, with the SHA-256 of its own content. Raises FolderError."""
+    write_json(folder / MANIFEST, {**content, _SEAL: _digest(json.loads(to_json(content)))})
+
+
+def check_file(folder: Path, name: str, digests: Mapping[str, str]) -> None:
+    """Raises FolderError for a file that is not the one whose SHA-256 the manifest has; one of which it has none may
+    be anything."""
+    try:
+        is_whole = name not in digests or sha256(folder / name) == digests[name]
+    except OSError as e:
+        raise FolderError(f"{folder} is damaged: cannot read {name}: {e.strerror or e}.") from e
+    if not is_whole:
+        raise FolderError(f"{folder} is damaged: {name} is not as it was written.")
+
+
+def versions() -> dict[str, str]:
+    """Of all that a run's bits depend on."""
+    return {"python": platform.python_version()} | {name: version(name) for name in PACKAGES}
+
+
+def modules(folder: Path) -> dict[str, str]:
+    """SHA-256 of the modules that are loaded from where a scenario's model and estimator may be, by file."""
+    loaded = {Path(file) for module in list(sys.modules.values()) if (file := getattr(module, "__file__", None))}
+    places = {folder.resolve(), Path.cwd()}
+    return {
+        str(file): sha256(file)
+        for file in sorted(loaded)
+        if file.suffix == ".py" and file.is_file() and places.intersection(file.parents)
+        if not {"site-packages", "dist-packages"}.intersection(file.parts) and Path(sys.prefix) not in file.parents
+    }
+
+
+_T = TypeVar("_T")
+
+
+def read_json(folder: Path, name: str, kind: type[_T]) -> _T:
+    """The content of a JSON file. Raises FolderError."""
+    try:
+        return TypeAdapter(kind).validate_json(readable(folder / name).read_bytes())
+    except OSError as e:
+        raise FolderError(f"{folder} is no run folder: cannot read {name}: {e.strerror or e}.") from e
+    except ValidationError as e:
+        raise FolderError(f"{folder} holds no readable run: {name}: {_first(e)}.") from e
+
+
+def _first(error: ValidationError) -> str:
+    found = error.errors()[0]
+    return one_line(": ".join([*map(str, found["loc"]), found["msg"]]))
+
+
+def _digest(content: Mapping[str, Any]) -> str:
+    """SHA-256 of JSON values, whatever their order."""
+    rest = {key: value for key, value in content.items() if key != _SEAL}
+    return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()

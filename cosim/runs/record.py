@@ -1,0 +1,166 @@
+"""Run folders: what happened, readable whenever the writing stops."""
+
+import json
+import math
+import signal
+import sys
+import threading
+from array import array
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+
+from ..errors import FolderError, UnfinishedError
+from ..files import to_json
+from .append_file import AppendFile, Prefix
+from .run_files import EVENTS, LOCK, MANIFEST, SERIES
+from .series import _array, read_series
+
+ROWS_PER_BATCH = 50
+
+
+@dataclass(frozen=True)
+class Place:
+    """How far a record goes."""
+
+    series: Prefix
+    """Of the series' file."""
+    events: Prefix
+    """Of the events'."""
+
+
+class Recorder:
+    """Writes one run: rows to an Arrow IPC stream, events to JSON lines. Without a folder it only remembers rows.
+
+    With one it remembers only those that are not written yet: an hour of a quadrotor at 100 Hz is 230 MB.
+    Its methods raise UnfinishedError where the disk is full; what is written already stays whole.
+    """
+
+    def __init__(self, folder: Path | None, columns: Sequence[str], place: Place | None = None) -> None:
+        """place: go on with an old record from there; what comes after it is cut off.
+
+        Raises FolderError where there is a record already, or another than that, or the folder cannot be written.
+        """
+        self.columns = tuple(columns)
+        self._folder = folder
+        self._values = array("d")  # of the rows held, one after the other
+        self._lines: list[str] = []  # events held
+        self._room = ROWS_PER_BATCH * len(self.columns) if folder is not None else math.inf
+        self._schema = pa.schema([(name, pa.float64()) for name in columns])
+        self._series: AppendFile | None = None
+        self._events: AppendFile | None = None
+        if folder is None:
+            return
+        try:
+            self._series = AppendFile(folder / SERIES, place and place.series)
+            self._events = AppendFile(folder / EVENTS, place and place.events)
+            if place is None or not place.series.size:
+                self._series.append(self._schema.serialize())
+        except ValueError as e:
+            self.release()
+            raise FolderError(f"{folder} is damaged: {e}.") from e
+        except OSError as e:
+            self.release()
+            raise FolderError(f"cannot write in {folder}: {e.strerror or e}.") from e
+
+    def row(self, values: Sequence[float]) -> None:
+        """Take the values of one communication point, in the order of the columns."""
+        self._values.extend(values)
+        if len(self._values) >= self._room:
+            self.flush()
+
+    def event(self, t: float, kind: str, detail: Mapping[str, Any]) -> None:
+        """Take one event."""
+        if self._events is not None:
+            self._lines.append(to_json({"t": t, "kind": kind, **detail}) + "\n")
+
+    def flush(self) -> None:
+        """Hand everything so far to the operating system."""
+        if self._series is None or self._events is None:
+            return
+        with uninterrupted(), recording(self._folder):
+            if self._values:
+                columns = [_array(column) for column in self._table()]
+                self._series.append(pa.record_batch(columns, schema=self._schema).serialize())
+                self._values = array("d")
+            if self._lines:
+                self._events.append("".join(self._lines).encode())
+                self._lines = []
+
+    def place(self) -> Place:
+        """How far the record goes, once all of it is on the disk. Raises ValueError without a folder."""
+        if self._series is None or self._events is None:
+            raise ValueError("a record without a folder has no place.")
+        self.flush()
+        with recording(self._folder):
+            return Place(self._series.sync(), self._events.sync())
+
+    def close(self) -> dict[str, np.ndarray[Any, np.dtype[np.float64]]]:
+        """End the files; the recorded series by column."""
+        self.flush()
+        if self._folder is None or self._series is None:
+            return dict(zip(self.columns, self._table(), strict=True))
+        with recording(self._folder):
+            self._series.append(_END_OF_STREAM)
+        self.release()
+        return read_series(self._folder)
+
+    def release(self) -> None:
+        """Give the files back as they are; idempotent."""
+        for file in (self._series, self._events):
+            if file is not None:
+                file.close()
+
+    def _table(self) -> np.ndarray[Any, np.dtype[np.float64]]:
+        """The rows held, as contiguous columns."""
+        return np.ascontiguousarray(np.array(self._values).reshape(-1, len(self.columns)).T)
+
+
+_END_OF_STREAM: Final = b"\xff\xff\xff\xff\0\0\0\0"
+"""Arrow columnar format, section "IPC streaming format": a continuation marker and no message."""
+
+
+@contextmanager
+def recording(folder: Path | None) -> Generator[None]:
+    """Tell in one line what the disk does to a run that is being recorded. Raises UnfinishedError."""
+    try:
+        yield
+    except (OSError, FolderError) as e:
+        reason = f"cannot write in {folder}: {e.strerror or e}" if isinstance(e, OSError) else str(e).rstrip(".")
+        advice = f"; what is written stays: make room, then retune resume {folder}" if _is_resumable(folder) else ""
+        raise UnfinishedError(f"{reason}{advice}.") from e
+
+
+def _is_resumable(folder: Path | None) -> bool:
+    """Whether a run is recorded there that `resume` knows: not that of a system of which nothing is estimated."""
+    if folder is None or not (folder / LOCK).exists():
+        return False
+    try:
+        return "estimator" in json.loads((folder / MANIFEST).read_bytes())
+    except (OSError, ValueError):
+        return False
+
+
+_POLITE: Final = (signal.SIGINT, signal.SIGTERM, *([] if sys.platform == "win32" else [signal.SIGHUP]))
+
+
+@contextmanager
+def uninterrupted() -> Generator[None]:
+    """Put SIGINT, SIGTERM and SIGHUP off until what is inside is done; the caller's handler gets the first one then.
+
+    Elsewhere than in the main thread, to which alone Python gives signals, there is nothing to put off.
+    """
+    came: list[int] = []
+    with ExitStack() as stack:
+        stack.callback(lambda: signal.raise_signal(came[0]) if came else None)
+        if threading.current_thread() is threading.main_thread():
+            for number in _POLITE:
+                if callable(signal.getsignal(number)):  # else it ends the process or is ignored: no exception
+                    handler = signal.signal(number, lambda n, _: came.append(n))
+                    stack.callback(signal.signal, number, handler)
+        yield

@@ -1,0 +1,111 @@
+"""The table that `retune run` prints."""
+
+from collections.abc import Mapping, Sequence
+
+from ..text_table import aligned, with_std
+from .result import Run
+
+_ROLES = {"none": "nominal controller", "true": "true parameters (floor)"}
+
+
+def report(run: Run, baselines: Mapping[str, Run]) -> str:
+    """Tracking errors beside the baselines', estimated beside true parameters, latency against the macro step."""
+    scenario = run.scenario.scenario
+    title = f"{scenario.name}: {scenario.description}" if scenario.description else scenario.name
+    duration = float(run.time[-1]) - scenario.start_time if len(run.time) else 0.0
+    pace = f", {duration / run.wall:.1f} times real time" if duration else ""
+    judged = [f"candidates judged by {run.objective}"] if run.objective else []
+    blocks = [
+        [
+            title,
+            f"estimator {run.estimator}, seed {run.seed}; {duration:g} s simulated in {run.wall:.1f} s{pace}",
+            *judged,
+        ],
+        _errors([*baselines.values(), run]),
+        _parameters(run),
+        _belief(run),
+        _latency(run),
+        _oversight(run),
+        [f"run folder {run.folder}"] if run.folder else [],
+    ]
+    return "\n\n".join("\n".join(block) for block in blocks if block)
+
+
+def _errors(runs: Sequence[Run]) -> list[str]:
+    header = ["mean squared tracking error", *runs[0].errors, "largest |e|"]
+    rows = [header]
+    for run in runs:
+        role = _ROLES.get(run.estimator, f"re-tuned by {run.estimator}")
+        ending = f"{run.status} at {run.time[-1]:g} s" if run.status != "done" and len(run.time) else ""
+        rows.append([role, *(f"{e:.4g}" for e in run.mse), f"{run.max_error:.4g} {ending}".strip()])
+    return aligned(rows)
+
+
+def _parameters(run: Run) -> list[str]:
+    """True and held values at the scenario's instants and at the end."""
+    if not len(run.time):
+        return []
+    end = float(run.time[-1])
+    instants = [t for t in run.scenario.estimation.instants if t <= end]
+    times = instants if instants and instants[-1] >= end - 1e-9 else [*instants, end]
+    rows = [["parameter, true / in the controller", *(f"t = {t:g} s" for t in times)]]
+    columns = [run.parameters_at(t) for t in times]
+    for i, parameter in enumerate(columns[0]):
+        values = [f"{c[i]['true']:.4g} / {c[i]['estimated']:.4g}" for c in columns]
+        rows.append([f"{parameter['name']} [{parameter['unit']}]", *values])
+    return aligned(rows)
+
+
+def _belief(run: Run) -> list[str]:
+    """What was estimated last, its root mean square errors, and what the data do not fix."""
+    if run.belief is None:
+        return []
+    last = run.belief
+    columns = zip(last.names, last.units, last.values, last.std, last.is_identifiable, strict=True)
+    rows = [
+        [f"{name} [{unit}]", with_std(value, std), "" if known else "not fixed by the data"]
+        for name, unit, value, std, known in columns
+    ]
+    return aligned([[f"last estimate, at t = {last.t:g} s", "estimate ± std", ""], *rows]) + list(last.findings)
+
+
+def _latency(run: Run) -> list[str]:
+    figures = run.summary()
+    latency = figures["latency_ms"]
+    if latency["p50"] is None:
+        return []
+    return [
+        f"{figures['evaluations']} evaluations in {figures['episodes']} episodes, one in {latency['p50']:.1f} ms "
+        f"(median), {latency['p99']:.1f} ms (99 %), {latency['max']:.1f} ms (longest)",
+        f"macro step {figures['deadline_ms']:g} ms: missed by {figures['missed_deadlines']} "
+        f"of {len(run.latencies)} steps with evaluations",
+    ]
+
+
+def _oversight(run: Run) -> list[str]:
+    """What was written, refused and taken back, and which samples were kept out."""
+    lines: list[str] = []
+    if guard := run.guard:
+        told = [f"{guard['written']} written", f"{guard['vetoed']} vetoed", f"{guard['reverted']} reverted"]
+        told += [f"{guard[kind]} {kind}" for kind in ("limited", "held") if guard[kind]]
+        stop = f"; re-tuning stopped at {guard['stopped_at']:g} s" if guard["stopped_at"] is not None else ""
+        blind = guard.get("not_rolled_ahead")
+        lines.append(f"guard: {', '.join(told)}{stop}{f'; the loop was not rolled ahead: {blind}' if blind else ''}")
+    if (seen := run.observations) and seen["kept_out"]:
+        most = sorted(seen["found"].items(), key=lambda item: -item[1])
+        told = ", ".join(f"{name} ({n})" for name, n in most[:4])
+        failed = f"; bad at the end, so that re-tuning rests: {', '.join(seen['failed'])}" if seen["failed"] else ""
+        more = f" and {len(most) - 4} more" if len(most) > 4 else ""
+        lines.append(f"samples kept out: {seen['kept_out']}: {told}{more}{failed}")
+    return lines
+
+
+def ending(run: Run) -> str | None:
+    """Why the run did not finish, and where its rows are, in one line; None where it did."""
+    if run.status == "done":
+        return None
+    reason = (run.error or "").rstrip(
+        "."
+    ) or f"{run.status} at t = {run.time[-1]:.3f} s: a tracked error passed limits.divergence"
+    until = f"up to {run.time[-1]:.3f} s " if len(run.time) else ""
+    return f"{reason}; rows {until}are in {run.folder}." if run.folder else f"{reason}."

@@ -1,0 +1,249 @@
+"""What a run came to: its series, its figures, and its folder."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import FolderError, NotResumableError
+from ..files import sha256, to_json, write_json, write_text
+from ..scenarios.scenario import Scenario
+from ..ssv.document import ParameterValue, to_ssv
+from ..system.plant import Plant
+from ..units import Unit
+from .checkpoint import read_checkpoint
+from .final_estimate import FinalEstimate, final_estimate_from_json
+from .lock import is_locked
+from .manifest import Status, check_file, modules, read_json, read_manifest, scenario_of, versions, write_manifest
+from .run_files import CHECKPOINT, CSV, ESTIMATES, LATENCIES, LOCK, MANIFEST, RESULT, SERIES
+from .series import read_series, write_csv
+
+Series = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Run:
+    """A finished run. `run["plant.phi"]` is that variable's series."""
+
+    scenario: Scenario
+    """What was run."""
+    plant: Plant
+    """The component whose derivatives were sampled."""
+    estimator: str
+    """Who re-tuned."""
+    seed: int
+    """Of noise and search."""
+    series: Mapping[str, Series]
+    """Every recorded variable (n,), a value a communication point."""
+    status: Status
+    """How it ended."""
+    error: str | None
+    """Why it faulted, in one line."""
+    n_evaluations: int
+    """Candidates evaluated."""
+    n_episodes: int
+    """Episodes begun."""
+    latencies: tuple[tuple[float, ...], ...]
+    """Wall time of each evaluation [s], a tuple a macro step that had any."""
+    wall: float
+    """Wall time of the simulation, from starting the FMUs to the last step [s]."""
+    folder: Path | None
+    """Run folder, where there is one."""
+    n_model_calls: int = 0
+    """Samples at which a candidate was judged."""
+    objective: str = ""
+    """How candidates were judged, and why so."""
+    guard: Mapping[str, Any] | None = None
+    """How often it has let through, changed, refused and taken back; None without one."""
+    observations: Mapping[str, Any] | None = None
+    """Samples that were kept out, by what was wrong with them; None where nobody looked."""
+    belief: FinalEstimate | None = None
+    """What was estimated in the end; None where nothing was estimated."""
+
+    @property
+    def time(self) -> Series:
+        """Communication points [s] (n,)."""
+        return self.series["time"]
+
+    def __getitem__(self, name: str) -> Series:
+        """A variable's series (n,), by `component.variable`. Raises KeyError."""
+        return self.series[name]
+
+    @property
+    def estimates(self) -> dict[str, Series]:
+        """What the controller held of each estimated parameter (n,), by parameter name."""
+        return {p.name: self.series[p.writes] for p in self.scenario.estimation.parameters}
+
+    @property
+    def true_parameters(self) -> dict[str, Series]:
+        """The plant's values of the same (n,), by parameter name."""
+        return {p.name: self.series[self.scenario.true_reference(p)] for p in self.scenario.estimation.parameters}
+
+    @property
+    def errors(self) -> dict[str, Series]:
+        """Tracked output minus its reference (n,), by tracked output."""
+        return {a: self.series[a] - self.series[b] for a, b in self.scenario.tracking.items()}
+
+    @property
+    def mse(self) -> list[float]:
+        """Mean squared tracking error over the recorded points, a number a tracked output."""
+        return [float(np.mean(e * e)) if len(e) else float("nan") for e in self.errors.values()]
+
+    @property
+    def max_error(self) -> float:
+        """Largest absolute tracking error of any tracked output."""
+        return max((float(np.max(np.abs(e))) for e in self.errors.values() if len(e)), default=float("nan"))
+
+    @property
+    def diverged_at(self) -> float | None:
+        """Time [s] at which a tracked error passed the limit."""
+        return float(self.time[-1]) if self.status == "diverged" else None
+
+    def parameters_at(self, t: float) -> list[dict[str, Any]]:
+        """Name, unit, true and estimated value at the first communication point at or after t [s]."""
+        k = int(np.searchsorted(self.time, t - 1e-9))
+        truth, estimates = self.true_parameters, self.estimates
+        return [
+            {"name": p.name, "unit": p.unit, "true": float(truth[p.name][k]), "estimated": float(estimates[p.name][k])}
+            for p in self.scenario.estimation.parameters
+            if k < len(self.time)
+        ]
+
+    def summary(self) -> dict[str, Any]:
+        """The run's figures as JSON values; times ending in _ms are wall times in ms, others in s."""
+        evaluations = np.array([1e3 * s for step in self.latencies for s in step])
+        deadline = self.scenario.scenario.macro_step
+        instants = self.scenario.estimation.instants
+        return {
+            "scenario": self.scenario.scenario.name,
+            "estimator": self.estimator,
+            "seed": self.seed,
+            "mse": self.mse,
+            "max_error": self.max_error,
+            "parameters": self.parameters_at(float(self.time[-1])) if len(self.time) else [],
+            "belief": self.belief and self.belief.to_json(),
+            "instants": [{"t": t, "parameters": p} for t in instants if (p := self.parameters_at(t))],
+            "evaluations": self.n_evaluations,
+            "episodes": self.n_episodes,
+            "model_calls": self.n_model_calls,
+            "objective": self.objective or None,
+            "guard": self.guard,
+            "observations": self.observations,
+            "latency_ms": _quantiles(evaluations),
+            "deadline_ms": 1e3 * deadline,
+            "missed_deadlines": sum(sum(step) > deadline for step in self.latencies),
+            "wall_s": self.wall,
+            "status": self.status,
+            "diverged_at": self.diverged_at,
+            "error": self.error,
+            "run": str(self.folder) if self.folder else None,
+        }
+
+    def to_pandas(self) -> Any:
+        """The series as a pandas DataFrame indexed by time. Raises ImportError without pandas."""
+        try:
+            import pandas as pd
+        except ImportError as e:
+            raise ImportError("to_pandas needs pandas: pip install 'fmu-retune[pandas]'") from e
+        return pd.DataFrame(dict(self.series)).set_index("time")
+
+
+def begin_folder(
+    folder: Path, scenario: Scenario, estimator: str, seed: int, fmus: Mapping[str, Path], plant: Plant
+) -> None:
+    """Write the manifest of a run that starts now, or goes on: what an earlier end has left is removed."""
+    content = {
+        "status": "running",
+        "estimator": estimator,
+        "seed": seed,
+        "fmus": {name: {"file": str(path), "sha256": sha256(path)} for name, path in fmus.items()},
+        "modules": modules(scenario.folder),
+        "versions": versions(),
+        "plant": asdict(plant),
+        "folder": str(scenario.folder.resolve()),
+        "scenario": scenario.model_dump(mode="json"),
+    }
+    write_manifest(folder, content)
+    half_written = (path for path in folder.glob(".*-????????") if path.is_file())
+    for path in (*(folder / name for name in (RESULT, LATENCIES, ESTIMATES, CSV)), *half_written):
+        path.unlink(missing_ok=True)
+
+
+def end_folder(run: Run, folder: Path, units: Mapping[str, Unit]) -> None:
+    """Write result, estimates and CSV of a finished run, and close its manifest with the hashes.
+
+    units: what the controllers' FMUs say of their units, by name.
+    """
+    write_json(folder / RESULT, run.summary())
+    write_text(folder / LATENCIES, to_json(run.latencies) + "\n")
+    if len(run.time):
+        held = [ParameterValue(p.writes, float(run[p.writes][-1]), p.unit) for p in run.scenario.estimation.parameters]
+        write_text(folder / ESTIMATES, to_ssv(run.scenario.scenario.name, held, units))
+    write_csv(folder / CSV, run.series)
+    manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+    final = (path for path in sorted(folder.iterdir()) if path.is_file())
+    hashes = {path.name: sha256(path) for path in final if path.name not in (MANIFEST, CHECKPOINT, LOCK)}
+    write_manifest(folder, manifest | {"status": run.status, "sha256": hashes})
+    if run.status in ("done", "diverged"):
+        (folder / CHECKPOINT).unlink(missing_ok=True)
+
+
+def read_run(folder: Path) -> Run:
+    """The run that a folder records, also one that goes on or was killed, as far as it is written: status `running` or
+    `unfinished`.
+
+    Raises FolderError for a folder that holds no run, or a damaged one.
+    """
+    manifest = read_manifest(folder)
+    scenario = scenario_of(folder, manifest)
+    if manifest.status == "running":
+        status = "running" if is_locked(folder) else "unfinished"
+        _check_begun(folder)
+        result, latencies = _Result(), ()
+    else:
+        for name in (SERIES, RESULT, LATENCIES):
+            check_file(folder, name, manifest.sha256)
+        status, result = manifest.status, read_json(folder, RESULT, _Result)
+        latencies = read_json(folder, LATENCIES, tuple[tuple[float, ...], ...])
+    series = read_series(folder)
+    return Run(
+        scenario, manifest.plant, manifest.estimator, manifest.seed, series, status, result.error, result.evaluations,
+        result.episodes, latencies, result.wall_s, folder, result.model_calls,
+        result.objective or "", result.guard, result.observations, final_estimate_from_json(result.belief),
+    )  # fmt: skip
+
+
+def _check_begun(folder: Path) -> None:
+    """Raises FolderError where what was on the disk at the last checkpoint is not there any more."""
+    try:
+        is_whole = read_checkpoint(folder).place.series.digest_of(folder / SERIES) is not None
+    except (NotResumableError, OSError):  # nothing to compare with; who reads the series says what is wrong with it
+        return
+    if not is_whole:
+        raise FolderError(f"{folder} is damaged: {SERIES} is not as it was written.")
+
+
+@dataclass(frozen=True)
+class _Result:
+    """What is read of a result."""
+
+    error: str | None = None
+    evaluations: int = 0
+    episodes: int = 0
+    model_calls: int = 0
+    objective: str | None = None
+    guard: dict[str, Any] | None = None
+    observations: dict[str, Any] | None = None
+    wall_s: float = float("nan")
+    belief: dict[str, Any] | None = None
+
+
+def _quantiles(milliseconds: Series) -> dict[str, float | None]:
+    if not len(milliseconds):
+        return {"p50": None, "p99": None, "max": None}
+    p50, p99 = np.percentile(milliseconds, [50, 99])
+    return {"p50": float(p50), "p99": float(p99), "max": float(milliseconds.max())}

@@ -1,0 +1,151 @@
+"""Derivatives from sampled states, where a plant has none to measure, and what belongs to them.
+
+A plant obeys xdot = f(x, u; theta). A linear filter of samples whose coefficients sum to zero is a weighted mean of
+their slopes, and the mean slope of a macro step is the mean of xdot over it:
+
+    xdot_bar = sum_i d_i x_(k-i) = sum_i W_i (x_(k-i) - x_(k-i-1)) / h = integral of w(s) xdot(s) ds,    sum_i W_i = 1
+
+with w = W_i / h, constant over a step. So whatever the filter, x and u are averaged with the same W: u, constant over
+a step, exactly, and x by the trapezoidal rule. Then xdot_bar = f(x_bar, u_bar) for an f that is linear in x and u,
+however long the filter is and however the input jumps. Otherwise it is off by about 1/2 f'' times the variance of
+(x, u) under w, and by f' h^2/12 times the second derivative of x. All three belong to the time t_k - delay.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import islice
+from typing import Final
+
+import numpy as np
+from scipy.special import gammainc
+
+from estimator import Sample, Vector
+
+from ..scenarios.schema.sampling import Sampling, SavitzkyGolay, StateVariable
+
+_TAIL: Final = 1e-3  # weight of a state-variable filter's endless response that is left out
+_CORRELATED: Final = 0.05  # what two samples' noise may share
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """Weights of the macro steps in a filter's mean."""
+
+    weights: Vector
+    """W (n,), the newest step first; sums to one."""
+    macro_step: float
+    """h [s]."""
+
+    @cached_property
+    def difference(self) -> Vector:
+        """d (n + 1,) [1/s]: the derivative is the sum of d times the samples, the newest first."""
+        return (np.append(self.weights, 0.0) - np.append(0.0, self.weights)) / self.macro_step
+
+    @cached_property
+    def mean(self) -> Vector:
+        """Coefficients (n + 1,) of the samples in their mean, by the trapezoidal rule."""
+        return (np.append(self.weights, 0.0) + np.append(0.0, self.weights)) / 2.0
+
+    @property
+    def delay(self) -> float:
+        """How far the mean lies behind the newest sample [s]."""
+        return float(self.weights @ self._age)
+
+    @property
+    def variance(self) -> float:
+        """Second moment of the weights about the mean [s^2]; nil for a Savitzky-Golay filter of third order."""
+        return float(self.weights @ ((self._age - self.delay) ** 2 + self.macro_step**2 / 12.0))
+
+    @property
+    def noise_gain(self) -> float:
+        """|d|_2 [1/s]: standard deviation of the derivative's noise over that of the samples, which is white."""
+        return float(np.linalg.norm(self.difference))
+
+    @property
+    def independent_after(self) -> int:
+        """Points after which the derivative's noise shares at most 5 % with what it was."""
+        shared = np.abs(np.correlate(self.difference, self.difference, "full")[len(self.weights) :])
+        return int(np.flatnonzero(shared > _CORRELATED * shared[0])[-1]) + 1
+
+    @property
+    def _age(self) -> Vector:
+        """How long ago each step's middle was (n,) [s]."""
+        return self.macro_step * np.arange(0.5, len(self.weights))
+
+
+def savitzky_golay(points: int, order: int, macro_step: float) -> Kernel:
+    """The derivative, at the middle of the points, of the polynomial that fits them best.
+
+    Savitzky and Golay (1964); scipy.signal.savgol_coeffs.
+    """
+    from scipy.signal import savgol_coeffs  # 0.3 s, and most scenarios have no filter
+
+    newest_first = savgol_coeffs(points, order, deriv=1, delta=macro_step, use="conv")
+    return Kernel(macro_step * np.cumsum(newest_first)[:-1], macro_step)
+
+
+def state_variable(cutoff: float, order: int, macro_step: float) -> Kernel:
+    """Input, state and its derivative through F(s) = (cutoff / (s + cutoff))^order, cutoff in rad/s.
+
+    Young and Jakeman (1980); Garnier and Wang (2008), section 1.5. What is held over a step is answered exactly:
+    F's step response is a gamma distribution's. It is cut where 0.1 % is left.
+    """
+    n = 1
+    while gammainc(order, cutoff * n * macro_step) < 1.0 - _TAIL:
+        n += 1
+    weights = np.diff(gammainc(order, cutoff * macro_step * np.arange(n + 1)))
+    return Kernel(weights / weights.sum(), macro_step)
+
+
+def kernel_of(settings: SavitzkyGolay | StateVariable, macro_step: float) -> Kernel:
+    """The weights of a scenario's filter."""
+    match settings:
+        case SavitzkyGolay():
+            return savitzky_golay(settings.points, settings.order, macro_step)
+        case StateVariable():
+            return state_variable(settings.cutoff, settings.order, macro_step)
+
+
+def derivative_noise(sampling: Sampling, macro_step: float) -> tuple[float, ...]:
+    """Standard deviation of each sampled derivative's noise (c,): the scenario's, else the filter's |d|_2 sigma."""
+    gain = kernel_of(sampling.filter, macro_step).noise_gain if sampling.filter else 0.0
+    return tuple(d.noise or gain * sampling.states[d.of or name].noise for name, d in sampling.derivatives.items())
+
+
+class DerivativeFilter:
+    """Turns what is measured at every point into samples with derivatives, each of a time that has passed.
+
+    There is one every so many points that two share next to no noise: a window of samples is judged as independent.
+    """
+
+    def __init__(self, settings: SavitzkyGolay | StateVariable, macro_step: float, channels: Sequence[int]) -> None:
+        """channels (c,): places in x of the states whose derivatives are wanted."""
+        self.kernel = kernel_of(settings, macro_step)
+        self._channels = list(channels)
+        self._every = settings.every or self.kernel.independent_after
+        self._points: deque[Sample] = deque(maxlen=len(self.kernel.weights) + 1)
+        self._wait = 0
+
+    def __call__(self, measured: Sample) -> Sample | None:
+        """The sample that this point completes, if it does; after a gap in time it begins anew."""
+        h = self.kernel.macro_step
+        if self._points and abs(measured.t - self._points[0].t - h) > 1e-6 * h:
+            self._points.clear()
+        self._points.appendleft(measured)
+        self._wait = max(self._wait - 1, 0)
+        if self._wait or len(self._points) <= len(self.kernel.weights):
+            return None
+        self._wait = self._every
+        x = np.array([p.x for p in self._points])
+        u = np.array(
+            [p.u for p in islice(self._points, len(self.kernel.weights))]
+        )  # the oldest's is of the step before
+        t = measured.t - self.kernel.delay
+        xdot = self.kernel.difference @ x[:, self._channels]
+        return Sample(t, _tuple(self.kernel.mean @ x), _tuple(self.kernel.weights @ u), _tuple(xdot))
+
+
+def _tuple(values: Vector) -> tuple[float, ...]:
+    return tuple(values.tolist())

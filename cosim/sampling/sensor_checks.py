@@ -1,0 +1,81 @@
+"""What is wrong with sampled values by themselves, and which sensors have failed: whatever the values are used for."""
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from math import inf, isfinite
+from typing import Final
+
+from estimator.events import Event
+
+from ..scenarios.schema.sampling import ObservationSettings
+
+INPUT: Final = "input"
+"""Name for all held inputs."""
+LATE: Final = ("late", "sample")
+
+
+class SensorChecks:
+    """Finds values that are missing, infinite, late or stuck. Keeps the last values and the newest time stamp."""
+
+    def __init__(self, names: Sequence[str], stuck: int, macro_step: float) -> None:
+        """names: of the sampled values (k,); stuck: samples with the same bits; macro_step [s]."""
+        self._names, self._stuck, self._h = names, stuck, macro_step
+        self._stamp = -inf
+        self._previous: tuple[float, ...] = ()
+        self._n_same = [0] * len(names)
+
+    def step(
+        self, t: float, stamp: float, values: tuple[float, ...], u: Sequence[float], moves: Callable[[int], bool]
+    ) -> Iterator[tuple[str, str]]:
+        """(kind, sensor) of what is wrong at t [s]; stamp [s], values (k,), u (p,): of the sample.
+
+        moves: whether noise, or its derivative, should have changed the value at that place.
+        """
+        is_late = stamp < t - 0.5 * self._h or stamp <= self._stamp
+        self._stamp = max(self._stamp, stamp)
+        if is_late:
+            yield LATE
+            return
+        named = [*zip(self._names, values, strict=True), *((INPUT, value) for value in u)]
+        bad = [(("missing" if value != value else "infinite"), name) for name, value in named if not isfinite(value)]
+        yield from bad
+        if self._previous:
+            pairs = zip(self._n_same, values, self._previous, strict=True)
+            self._n_same = [n + 1 if value == before else 0 for n, value, before in pairs]
+        self._previous = values
+        if not bad and max(self._n_same, default=0) >= self._stuck:
+            yield from (("stuck", self._names[i]) for i, n in enumerate(self._n_same) if n >= self._stuck and moves(i))
+
+
+class SensorHealth:
+    """Counts what is found, tells the first of a series, and knows the sensors that have failed."""
+
+    def __init__(self, settings: ObservationSettings) -> None:
+        self._patience = settings.patience
+        self._bad: deque[frozenset[tuple[str, str]]] = deque(maxlen=settings.patience)
+        self.failed: dict[str, None] = {}
+        """Sensors that are bad in more than half of the newest samples, until they are in less than a tenth."""
+        self.counts: dict[str, int] = {}
+        """Findings, by "KIND SENSOR"."""
+
+    def take(self, t: float, found: Iterable[tuple[str, str]]) -> list[Event]:
+        """What there is to say of what was found, (kind, sensor), at t [s]."""
+        now = sorted({*found})
+        events: list[Event] = []
+        for kind, name in now:
+            self.counts[f"{kind} {name}"] = self.counts.get(f"{kind} {name}", 0) + 1
+            if not any((kind, name) in bad for bad in self._bad):
+                events.append(Event(t, "observation", {"fault": kind, "sensor": name}))
+        self._bad.append(frozenset(now))
+        return [*events, *self._judged(t, {name: kind for kind, name in now})]
+
+    def _judged(self, t: float, now: dict[str, str]) -> Iterator[Event]:
+        for name in {**now, **self.failed}:
+            n_bad = sum(any(name == sensor for _, sensor in bad) for bad in self._bad)
+            if name not in self.failed and n_bad > self._patience / 2:
+                self.failed[name] = None
+                reason = f"{name} was bad in {n_bad} of {len(self._bad)} samples, now {now[name]}: re-tuning rests"
+                yield Event(t, "sensor", {"sensor": name, "reason": reason})
+            elif name in self.failed and n_bad <= self._patience / 10:
+                del self.failed[name]
+                yield Event(t, "sensor", {"sensor": name, "reason": f"{name} is good again: re-tuning goes on"})

@@ -1,0 +1,40 @@
+"""Settings given on the command line, as KEY=VALUE."""
+
+import tomllib
+from typing import Any, cast
+
+from ..errors import ScenarioError, one_line
+
+
+def override(tree: dict[str, Any], key: str, text: str) -> None:
+    """Put `key = text` into the tree; both are written as in TOML, but a bare text is a string too."""
+    path = _key_path(key)
+    for name in path[:-1]:
+        below: Any = tree.setdefault(name, {})
+        if not isinstance(below, dict):
+            raise ScenarioError(f"--set {key}={text}: '{name}' is not a table.")
+        tree = cast(dict[str, Any], below)
+    tree[path[-1]] = _value(text)
+
+
+def _key_path(key: str) -> list[str]:
+    """The names of a dotted TOML key. Raises ScenarioError."""
+    path: list[str] = []
+    try:
+        rest: Any = tomllib.loads(f"{key} = 0")
+    except tomllib.TOMLDecodeError:
+        rest = {}
+    while isinstance(rest, dict) and len(cast(dict[str, Any], rest)) == 1:
+        name, rest = next(iter(cast(dict[str, Any], rest).items()))
+        path.append(name)
+    if rest != 0 or not path or len(key.splitlines()) != 1:
+        raise ScenarioError(f"--set: '{one_line(key)}' is not a TOML key, such as scenario.stop_time.")
+    return path
+
+
+def _value(text: str) -> Any:
+    try:
+        tree = tomllib.loads(f"value = {text}")
+    except (ValueError, RecursionError):
+        return text
+    return tree["value"] if len(tree) == 1 else text

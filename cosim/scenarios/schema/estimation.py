@@ -1,0 +1,192 @@
+"""The tables of a scenario file, each validated when built."""
+
+from typing import Annotated, Any, Literal, Self, cast
+
+from pydantic import (
+    Field,
+    TypeAdapter,
+    ValidationError,
+    model_validator,
+)
+
+from estimator import METHODS, Method, Parameter, ParameterSpace
+
+from ...names import did_you_mean
+from .table import MOST, Reference, Table
+
+
+class Tracking(Table):
+    """Trigger on the tracking error."""
+
+    kind: Literal["tracking"]
+    """tracking"""
+    threshold: float = Field(gt=0.0)
+    """tau_e, in the norm of the tracked outputs."""
+
+
+class Innovation(Table):
+    """Trigger on the residual of the newest sample."""
+
+    kind: Literal["innovation"]
+    """innovation"""
+    false_alarm: float = Field(default=1e-6, gt=0.0, lt=1.0)
+    """Probability of firing on one sample where nothing has changed."""
+
+
+class Always(Table):
+    """One episode from the first sample to the end, for recursive estimators."""
+
+    kind: Literal["always"]
+    """always"""
+
+
+TriggerSettings = Annotated[Tracking | Innovation | Always, Field(discriminator="kind")]
+
+
+class Loop(Table):
+    """How the controller is re-tuned. An estimator's own table may replace any of these."""
+
+    trigger: TriggerSettings
+    """When an episode begins."""
+    budget: int = Field(default=30, ge=1, le=MOST)
+    """N, evaluations an episode."""
+    evaluations_per_step: int = Field(default=1, ge=1, le=MOST)
+    """Evaluations a macro step."""
+    commit: Literal["incumbent", "candidate"] = "incumbent"
+    """What is written into the controller: the best so far, or each candidate."""
+    window: int = Field(default=10, ge=1, le=MOST)
+    """Most samples that a residual is taken over."""
+
+
+class EstimatedParameter(Table):
+    """A parameter to estimate, and where it goes."""
+
+    name: str = Field(min_length=1)
+    """The model's keyword argument and, unless `true` says otherwise, the plant's variable."""
+    lower: float
+    """Lower bound, in `unit`."""
+    upper: float
+    """Upper bound."""
+    unit: str = "1"
+    """FMI unit string; must be the controller variable's."""
+    scale: Literal["linear", "log"] = "linear"
+    """Scale on which it is searched."""
+    writes: Reference
+    """The controller's tunable parameter."""
+    true: Reference | None = None
+    """The plant's parameter that it stands for, for the report only."""
+
+    @model_validator(mode="after")
+    def _is_sound(self) -> Self:
+        self.to_parameter()
+        return self
+
+    def to_parameter(self) -> Parameter:
+        """As the estimator knows it. Raises ValueError for reversed bounds."""
+        return Parameter(self.name, self.lower, self.upper, self.unit, self.scale)
+
+
+class LinearModel(Table):
+    """A model written as rows psi(theta) = targets, linear in coefficients psi."""
+
+    rows: str = Field(pattern=r"^[\w.]+:\w+$")
+    """`module:function`, called as f(x, u, xdot) for rows (r, p) and targets (r,)."""
+    coefficients: str = Field(pattern=r"^[\w.]+:\w+$")
+    """`module:function`, called as f(**parameters) for the coefficients (p,)."""
+
+
+class RolloutSettings(Table):
+    """How candidates are simulated, where the objective is `rollout`. Budgets are the loop's, in roll-outs."""
+
+    fmu: str | None = Field(default=None, min_length=1)
+    """What is simulated: by default the plant's FMU; else a built-in one, or a path relative to the scenario's."""
+    start: Literal["auto", "state", "measured", "replay"] = "auto"
+    """How a roll-out begins: in the plant's saved FMU state, in measured states, or simulated from the start."""
+    jobs: int = Field(default=2, ge=1, le=256)
+    """Processes; the results do not depend on it."""
+
+
+class Estimation(Loop):
+    """What is estimated, by which model, and how."""
+
+    objective: str = Field(default="auto", pattern=r"^(auto|derivative|rollout|[\w.]+:\w+)$")
+    """What a candidate is judged by: sampled derivatives against the model's, outputs measured against simulated, or
+    `module:function`, called as f(theta, samples) for residuals in standard deviations. See `objectives`."""
+    model: str | None = Field(default=None, pattern=r"^([\w.]+:\w+|.+\.fmu|[A-Za-z]\w*)$")
+    """`module:function`, called as f(x, u, **parameters) for the plant's state derivatives; or a model-exchange FMU:
+    a path relative to the scenario's, or the name of a built-in plant. Needed for derivatives only."""
+    rollout: RolloutSettings = RolloutSettings()
+    """How candidates are simulated."""
+    parameters: tuple[EstimatedParameter, ...] = Field(min_length=1)
+    """In the order of theta."""
+    instants: tuple[float, ...] = ()
+    """Times [s] at which the report compares estimated and true parameters."""
+    linear: LinearModel | None = None
+    """The model's linear form, for recursive least squares."""
+    methods: dict[str, dict[str, Any]] = {}
+    """Settings of single estimators, and replacements of the above for them: in a file, `[estimation.NAME]`."""
+
+    @classmethod
+    def known_keys(cls) -> set[str]:
+        """What may stand in it: `methods` is written as tables named for the estimators."""
+        return (super().known_keys() | set(METHODS)) - {"methods"}
+
+    @property
+    def space(self) -> ParameterSpace:
+        """The parameters as the estimators know them."""
+        return ParameterSpace(tuple(p.to_parameter() for p in self.parameters))
+
+    def loop(self, name: str, method: Method | None = None) -> Loop:
+        """The loop's settings for one estimator; method: what it is, where it is none of `METHODS`."""
+        common = {name: getattr(self, name) for name in Loop.model_fields}
+        own = {k: v for k, v in self._own(name, method).items() if k in Loop.model_fields}
+        return Loop.model_validate(common | own)
+
+    def settings(self, name: str, method: Method | None = None) -> Any:
+        """The estimator's own settings, an instance of its settings' class."""
+        given = {k: v for k, v in self._own(name, method).items() if k not in Loop.model_fields}
+        return TypeAdapter((method or METHODS[name]).settings).validate_python(given)
+
+    def _own(self, name: str, method: Method | None = None) -> dict[str, Any]:
+        """What is set for one estimator: by the one that it is like, by itself, by the scenario."""
+        method = method or METHODS[name]
+        known = {*Loop.model_fields, *method.setting_names}
+        inherited = self._own(method.like) if method.like else {}
+        return {k: v for k, v in inherited.items() if k in known} | dict(method.defaults) | self.methods.get(name, {})
+
+    @model_validator(mode="before")
+    @classmethod
+    def _gather_methods(cls, table: Any) -> Any:
+        if not isinstance(table, dict):
+            return table
+        given = cast(dict[str, Any], table)
+        named = {k: v for k, v in given.items() if k in METHODS or ":" in k}
+        for name, settings in named.items():
+            if not isinstance(settings, dict):
+                raise ValueError(f"estimation.{name} must be a table, got {settings!r}")
+        rest = {k: v for k, v in given.items() if k not in named}
+        return rest | {"methods": {**rest.get("methods", {}), **named}} if named else rest
+
+    @model_validator(mode="after")
+    def _methods_know_their_settings(self) -> Self:
+        _ = self.space
+        for name in METHODS:
+            self.check_method(name)
+        return self
+
+    def check_method(self, name: str, method: Method | None = None) -> None:
+        """Raises ValueError where an estimator's settings do not fit it."""
+        known = {*Loop.model_fields, *(method or METHODS[name]).setting_names}
+        for key in self.methods.get(name, {}):
+            if key not in known:
+                raise ValueError(f"estimation.{name} has no setting '{key}'{did_you_mean(key, known)}")
+        try:
+            self.loop(name, method)
+            self.settings(name, method)
+        except ValidationError as e:
+            first = e.errors()[0]
+            place = ".".join(str(part) for part in first["loc"])
+            message = first["msg"].removeprefix("Value error, ")
+            got = "" if "got" in message else f", got {first['input']!r}"
+            message = f"{message[:1].lower()}{message[1:]}{got}"
+            raise ValueError(f"estimation.{name}{'.' + place if place else ''}: {message}") from e

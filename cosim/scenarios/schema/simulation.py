@@ -1,0 +1,86 @@
+"""The tables on the co-simulation: times and steps, components, when a run is given up."""
+
+from typing import Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from .table import MOST, Table, Value
+
+
+class Settings(Table):
+    """The co-simulation itself."""
+
+    name: str = Field(min_length=1, pattern=r"^[A-Za-z0-9_-]+$")
+    """Used for run folders."""
+    description: str = ""
+    """One line for the report."""
+    start_time: float = 0.0
+    """[s]"""
+    stop_time: float = Field(gt=0.0)
+    """[s]"""
+    macro_step: float = Field(gt=0.0)
+    """Distance of communication points [s]."""
+    coupling: Literal["sequential", "parallel"] = "sequential"
+    """Sequential: controllers step first, the others use their outputs at once. Parallel: all step together."""
+    isolation: Literal["process", "none"] = "process"
+    """Each FMU in a process of its own, or all in this one."""
+    timeout: float = Field(default=10.0, gt=0.0, le=MOST)
+    """Longest time that one call of an FMU may take [s]."""
+    checkpoint: int = Field(default=500, ge=0, le=MOST)
+    """Communication points from one checkpoint of a run folder to the next, for `retune resume`; 0: none."""
+    memory_limit: float = Field(default=0.0, ge=0.0)
+    """Memory that the process of one FMU may hold [MB]; 0: half of the machine's. Linux only."""
+    out_of_range: Literal["fault", "warning"] = "fault"
+    """What an input or output outside its declared min and max is; one that is not finite is a fault."""
+
+    @model_validator(mode="after")
+    def _spans_whole_steps(self) -> Self:
+        steps = (self.stop_time - self.start_time) / self.macro_step
+        if not 1.0 - 1e-6 <= steps < 1e9 or abs(steps - round(steps)) > 1e-6 * max(1.0, steps):
+            raise ValueError(
+                f"stop_time - start_time must be a whole multiple of macro_step, "
+                f"got {self.stop_time - self.start_time:g} s and {self.macro_step:g} s"
+            )
+        return self
+
+    @property
+    def slave_options(self) -> dict[str, Any]:
+        """Keywords of open_slave."""
+        return self.model_dump(include={"isolation", "timeout", "memory_limit", "out_of_range"})
+
+    @property
+    def n_steps(self) -> int:
+        """Number of macro steps."""
+        return round((self.stop_time - self.start_time) / self.macro_step)
+
+    def time(self, k: int) -> float:
+        """Communication point k [s]: a product, so that rounding does not add up."""
+        return self.start_time + k * self.macro_step
+
+
+class Component(Table):
+    """One FMU, or a table that is played."""
+
+    fmu: str | None = Field(default=None, min_length=1)
+    """Name of a built-in FMU, or a path to a file, relative to the scenario's."""
+    fmi: Literal[2, 3] = 2
+    """FMI version of a built-in FMU; a file says its own."""
+    table: str | None = Field(default=None, pattern=r"(?i)\.csv$")
+    """Instead of it: path of a CSV file, see `cosim.fmi.table`."""
+    start: dict[str, Value] = {}
+    """Start values set before initialisation."""
+
+    @model_validator(mode="after")
+    def _is_one_of_them(self) -> Self:
+        if (self.fmu is None) == (self.table is None):
+            raise ValueError("must have either 'fmu' or 'table'")
+        if self.table and self.start:
+            raise ValueError("a table takes no start values")
+        return self
+
+
+class Limits(Table):
+    """When a run is given up."""
+
+    divergence: float = Field(default=100.0, gt=0.0)
+    """A tracked error above this ends the run as diverged, in the tracked output's unit."""

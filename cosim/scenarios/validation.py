@@ -1,0 +1,78 @@
+"""What is wrong with a scenario file, in one line each. Keys that are known come from the schema's types."""
+
+from collections.abc import Mapping, Sequence
+from types import UnionType
+from typing import Annotated, Any, Union, get_args, get_origin
+
+from pydantic import ValidationError
+
+from ..names import did_you_mean
+from .schema.table import Table, Value
+
+
+def first_error(error: ValidationError, root: type[Table]) -> str:
+    """Key and rule of the first error, in one line; root: the table that was validated."""
+    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+    text = error_texts(error, root)[0]
+    end = "" if text.endswith("?") else "."
+    return f"{text}{more}{end}"
+
+
+def error_texts(error: ValidationError, root: type[Table]) -> list[str]:
+    """Key and rule of each error, in one line; root: the table that was validated."""
+    return [_text(details, root) for details in error.errors()]
+
+
+def _text(first: Mapping[str, Any], root: type[Table]) -> str:
+    keys, _ = _place(first["loc"], root)
+    key = ".".join(keys)
+    if first["type"] == "extra_forbidden":
+        _, table = _place(first["loc"][:-1], root)
+        known = table.known_keys() if table is not None else set[str]()
+        return f"{key}: unknown key{did_you_mean(str(first['loc'][-1]), known)}"
+    message = first["msg"].removeprefix("Value error, ").rstrip(".")
+    value = first["input"]
+    got = f", got {value!r}" if isinstance(value, Value) and "got" not in message else ""
+    if key and message.startswith(f"{key}."):  # the place is in the message already, and more closely
+        key = ""
+    return f"{key + ': ' if key else ''}{message[:1].lower()}{message[1:]}{got}"
+
+
+def _place(path: Sequence[int | str], root: type[Table]) -> tuple[list[str], type[Table] | None]:
+    """The keys of pydantic's path, without what it adds to them, and the table that is there, if it is one."""
+    keys: list[str] = []
+    kind: Any = root
+    for part in path:
+        tagged = next((table for table in _tables(kind) if part in _tags(table)), None)
+        if tagged is not None:
+            kind = tagged
+        elif part != "[key]":
+            keys.append(str(part))
+            kind = _item(kind, part)
+    tables = _tables(kind)
+    return keys, tables[0] if len(tables) == 1 else None
+
+
+def _tables(kind: Any) -> list[type[Table]]:
+    """The tables that a value of this type can be."""
+    if get_origin(kind) is Annotated:
+        return _tables(get_args(kind)[0])
+    if get_origin(kind) in (Union, UnionType):
+        return [table for member in get_args(kind) for table in _tables(member)]
+    return [kind] if isinstance(kind, type) and issubclass(kind, Table) else []
+
+
+def _tags(table: type[Table]) -> tuple[Any, ...]:
+    """Values of `kind` that tell this table from others in a union."""
+    field = table.model_fields.get("kind")
+    return get_args(field.annotation) if field is not None else ()
+
+
+def _item(kind: Any, key: int | str) -> Any:
+    """Type of what stands under a key of a table, a dictionary or a row; None for an unknown key."""
+    if get_origin(kind) is dict:
+        return get_args(kind)[1]
+    if get_origin(kind) is tuple:
+        return get_args(kind)[0]
+    fields = [table.model_fields[str(key)] for table in _tables(kind) if str(key) in table.model_fields]
+    return fields[0].annotation if len(fields) == 1 else None

@@ -1,0 +1,1 @@
+"""Supervision of FMU processes: what they print, hold, fork and leave behind."""

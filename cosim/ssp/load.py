@@ -1,0 +1,31 @@
+"""A scenario from wherever it is: named, in a TOML file, or in an SSP package."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from ..errors import ScenarioError
+from ..scenarios.scenario import Scenario, find_scenario, read_tables
+
+
+def load_scenario(
+    source: str | Path, overrides: Mapping[str, str] | None = None, system: str | Path | None = None
+) -> Scenario:
+    """The named scenario, that of a TOML file or that in an SSP package, with `key.path = value` overrides.
+
+    system: an SSP package whose components, connections and start values take the place of the file's.
+    Raises ScenarioError, one line with file, key and rule; SspError, ModelDescriptionError for a bad package.
+    """
+    path = Path(source)
+    is_package = path.suffix.lower() == ".ssp" and path.is_file()
+    if not is_package and system is None:
+        return Scenario.load(source, overrides)
+    from .package import System  # most scenarios come without a package
+    from .scenario import scenario_in, with_system
+
+    file = scenario_in(path) if is_package else find_scenario(source)
+    if file is None:
+        raise ScenarioError(f"{path} holds no scenario: it can be simulated, but nothing in it is re-tuned.")
+    label = path if is_package else file
+    package = path if is_package else Path(str(system))
+    tables = with_system(read_tables(file, label), System.from_ssp(package))
+    return Scenario.from_tables(tables, overrides, file.parent, label)

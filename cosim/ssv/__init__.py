@@ -1,0 +1,1 @@
+"""The SSV format: parameter values for SSP tools."""

@@ -1,0 +1,134 @@
+"""Parameter values for other tools, and from them: System Structure Parameter Values, SSP 1.0, section 6."""
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+from ..errors import SspError, one_line
+from ..files import readable
+from ..fmi.value_buffers import Value
+from ..units import Unit
+from .xml import NAMESPACES, attribute, defined_in, parse
+
+
+class ParameterValue(NamedTuple):
+    """A parameter and its value."""
+
+    name: str
+    """As the component knows it, or `component.variable` in a set for a system."""
+    value: Value
+    """In its unit."""
+    unit: str | None = None
+    """Name of the unit; without one, the unit that the component declares."""
+
+
+@dataclass(frozen=True)
+class ParameterSet:
+    """The content of an SSV file."""
+
+    name: str
+    """For the user."""
+    values: tuple[ParameterValue, ...]
+    """In the file's order; the value of an Enumeration is its item's name."""
+    units: Mapping[str, Unit]
+    """What the file says of units, by name."""
+    where: str
+    """The file, for messages."""
+
+
+def to_ssv(name: str, parameters: Sequence[ParameterValue], defined: Mapping[str, Unit] | None = None) -> str:
+    """An SSV document of these parameters, with the definitions of those units that are known by name."""
+    return document(ssv_element(name, parameters, defined or {}, {"ssv", "ssc"}))
+
+
+def ssv_element(
+    name: str, parameters: Sequence[ParameterValue], defined: Mapping[str, Unit], prefixes: Iterable[str]
+) -> Element:
+    """A `ssv:ParameterSet` that declares these prefixes. Raises ValueError for a number that is not finite.
+
+    Prefixes and version are literal: libcosim and ecos look for these very names.
+    """
+    defined = {key: unit for key, unit in defined.items() if unit.exponents is not None}
+    declared = {f"xmlns:{prefix}": NAMESPACES[prefix] for prefix in sorted(prefixes, reverse=True)}
+    root = Element("ssv:ParameterSet", {**declared, "version": "1.0", "name": name})
+    values = SubElement(root, "ssv:Parameters")
+    for parameter in parameters:
+        element = SubElement(values, "ssv:Parameter", {"name": parameter.name})
+        kind, text = _written(parameter.value)
+        has_unit = kind == "Real" and parameter.unit in defined  # a unit must be defined in the same file
+        SubElement(element, f"ssv:{kind}", {"value": text} | ({"unit": str(parameter.unit)} if has_unit else {}))
+    used = {p.unit for p in parameters if isinstance(p.value, float)}
+    add_units(root, "ssv", [unit for key, unit in defined.items() if key in used])
+    return root
+
+
+def add_units(root: Element, prefix: str, defined: Iterable[Unit]) -> None:
+    """Append the definitions of these units, which all have one."""
+    units = sorted(defined, key=lambda u: u.name)
+    table = SubElement(root, f"{prefix}:Units") if units else root
+    for unit in units:
+        definition = {name: str(n) for name, n in unit.base.items()}
+        definition |= {"factor": repr(unit.factor)} if unit.factor != 1.0 else {}
+        definition |= {"offset": repr(unit.offset)} if unit.offset != 0.0 else {}
+        SubElement(SubElement(table, "ssc:Unit", {"name": unit.name}), "ssc:BaseUnit", definition)
+
+
+def document(root: Element) -> str:
+    """The text of an XML file, indented."""
+    ElementTree.indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def read_ssv(path: Path) -> ParameterSet:
+    """The parameters of an SSV file, version 1.0 or 2.0. Raises SspError."""
+    try:
+        content = readable(path).read_bytes()
+    except OSError as e:
+        raise SspError(f"{path} cannot be read: {e.strerror or e}.") from e
+    return parameter_set(parse(content, str(path), "ParameterSet"), str(path))
+
+
+def parameter_set(root: Element, where: str, outer: Mapping[str, Unit] | None = None) -> ParameterSet:
+    """The content of a ParameterSet element; outer: units of the file that it stands in. Raises SspError."""
+    values = tuple(_parameter(element, where) for element in root.findall("Parameters/Parameter"))
+    return ParameterSet(root.get("name", ""), values, {**(outer or {}), **defined_in(root, where)}, where)
+
+
+_READERS: Mapping[str, Callable[[str], Value]] = {
+    "Real": float, "Float64": float, "Float32": float, "Integer": int, "String": str, "Enumeration": str,
+    **{f"{sign}Int{bits}": int for sign in ("", "U") for bits in (8, 16, 32, 64)},
+    "Boolean": lambda text: {"true": True, "1": True, "false": False, "0": False}[text],
+}  # fmt: skip
+
+
+def _parameter(element: Element, where: str) -> ParameterValue:
+    name = attribute(element, "name", where)
+    if element.find("Dimension") is not None:
+        raise SspError(f"{where}: parameter '{name}' is an array; only scalars are supported.")
+    typed = next((e for e in element if e.tag in _READERS), None)
+    if typed is None:
+        kind = element[0].tag if len(element) else "nothing"
+        raise SspError(f"{where}: parameter '{name}' must be a number, Boolean, String or Enumeration, got {kind}.")
+    text = typed.get("value", "")
+    try:
+        value = _READERS[typed.tag](text)
+    except (ValueError, KeyError) as e:
+        raise SspError(f"{where}: parameter '{name}' is no {typed.tag}: '{one_line(text)}'.") from e
+    return ParameterValue(name, value, typed.get("unit"))
+
+
+def _written(value: Value) -> tuple[str, str]:
+    """Type and text of a value."""
+    if isinstance(value, bool):
+        return "Boolean", str(value).lower()
+    if isinstance(value, int):
+        return "Integer", str(value)
+    if isinstance(value, str):
+        return "String", value
+    if not math.isfinite(value):
+        raise ValueError(f"a parameter's value must be finite, got {value}.")
+    return "Real", repr(float(value))

@@ -1,0 +1,79 @@
+"""A scenario's names as the FMUs at hand have them, so that one scenario holds for FMUs of FMI 2.0 and 3.0.
+
+Where an FMU has R[1,2] and no R_12, R_12 is R[1,2], and the other way round; "controller.R" = "plant.R" connects two
+arrays element by element.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+from ..errors import WiringError
+from ..fmi.elements import element_names, resolved
+from ..scenarios.scenario import Scenario
+from .plant import Described
+
+
+def as_the_fmus_have_it(scenario: Scenario, slaves: Mapping[str, Described]) -> Scenario:
+    """The scenario with every reference to a variable in its FMU's own spelling. Raises WiringError.
+
+    A name that no FMU has stays: whoever looks for it says so.
+    """
+    known = {name: {v.name: v for v in slave.description.modelVariables} for name, slave in slaves.items()}
+
+    def own(reference: str) -> str:
+        component, _, name = reference.partition(".")
+        return f"{component}.{resolved(name, known[component])}"
+
+    estimation = scenario.estimation
+    parameters = tuple(
+        p.model_copy(update={"writes": own(p.writes)} | ({} if own(true) == true else {"true": own(true)}))
+        for p, true in ((p, scenario.true_reference(p)) for p in estimation.parameters)
+    )
+    changed: dict[str, Any] = {
+        "components": {
+            name: c.model_copy(update={"start": {resolved(k, known[name]): value for k, value in c.start.items()}})
+            for name, c in scenario.components.items()
+        },
+        "connections": _connections(scenario.connections, known),
+        "changes": {own(k): value for k, value in scenario.changes.items()},
+        "tracking": {own(k): own(value) for k, value in scenario.tracking.items()},
+        "sampling": scenario.sampling.model_copy(
+            update={
+                "derivatives": {
+                    own(k): d.model_copy(update={"of": own(d.of)}) if d.of else d
+                    for k, d in scenario.sampling.derivatives.items()
+                },
+                "outputs": {own(k): noise for k, noise in scenario.sampling.outputs.items()},
+                "states": {own(k): noise for k, noise in scenario.sampling.states.items()},
+            }
+        ),
+        "estimation": estimation.model_copy(update={"parameters": parameters}),
+    }
+    return scenario.model_copy(update=changed)
+
+
+def _connections(connections: Mapping[str, str], known: Mapping[str, Mapping[str, object]]) -> dict[str, str]:
+    """Input = output, arrays element by element."""
+    result: dict[str, str] = {}
+    for target, source in connections.items():
+        targets, sources = (_parts(reference, known) for reference in (target, source))
+        if len(targets) != len(sources):
+            raise WiringError(
+                f"'{target}' has {len(targets)} elements and '{source}' {len(sources)}: they cannot be connected."
+            )
+        result |= zip(targets, sources, strict=True)
+    return result
+
+
+def _parts(reference: str, known: Mapping[str, Mapping[str, object]]) -> list[str]:
+    """The elements of an array, or what the FMU calls a scalar."""
+    component, _, name = reference.partition(".")
+    names = known[component]
+    found = resolved(name, names)
+    if found in names:
+        return [f"{component}.{found}"]
+    first = (element_names(name, (1,) * n)[0] for n in (1, 2, 3))
+    stem = next((f[: f.rindex("[") + 1] for f in first if f in names), None)
+    if stem is None:
+        return [reference]
+    return [f"{component}.{n}" for n in names if n.startswith(stem)]

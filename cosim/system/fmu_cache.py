@@ -1,0 +1,104 @@
+"""The FMUs that come with the package: built once, kept in the user's cache under their guid."""
+
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from platformdirs import user_cache_path
+
+from fmu_models.build import NAMES, PLANTS, Interface, build, build_all, guid
+
+from ..errors import FolderError, ScenarioError
+from ..files import write_bytes
+from ..fmi.folder import PrivateFolder
+from ..names import did_you_mean
+from ..scenarios.scenario import Scenario
+from ..scenarios.schema.simulation import Component
+
+
+def find_fmu(fmu: str, folder: Path, fmi: int = 2, interface: Interface = "CoSimulation") -> Path:
+    """The file of a built-in FMU's name (built where the cache lacks it), or of a path relative to folder.
+
+    fmi (2 or 3) and interface are those of a built-in FMU. Raises ScenarioError.
+    """
+    names = PLANTS if interface == "ModelExchange" else NAMES
+    if fmu in names:
+        return _cached(fmu, fmi, interface)
+    path = folder / fmu
+    if not path.is_file():
+        known = f"; built-in FMUs are {', '.join(names)}" if path.suffix != ".fmu" else ""
+        raise ScenarioError(f"no FMU '{fmu}': {path} is not a file{did_you_mean(fmu, names) or known}")
+    return path
+
+
+def find_table(table: str, folder: Path) -> Path:
+    """The CSV file of a path relative to folder. Raises ScenarioError."""
+    path = folder / table
+    if not path.is_file():
+        raise ScenarioError(f"no table '{table}': {path} is not a file.")
+    return path
+
+
+def cache_folder() -> Path:
+    """Where built FMUs and unpacked packages are kept."""
+    return Path(os.environ.get("FMU_RETUNE_CACHE") or user_cache_path("fmu-retune"))
+
+
+def _cached(name: str, fmi: int, interface: Interface) -> Path:
+    folder = cache_folder() / "fmus" / guid(name, fmi, interface)
+    path = folder / f"{name}.fmu"
+    if path.is_file():
+        return path
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with PrivateFolder() as staging:  # what a killed process leaves there is removed
+            write_bytes(path, build(name, staging, fmi, interface).read_bytes())
+    except (OSError, FolderError) as e:
+        cause = e if isinstance(e, OSError) else e.__cause__
+        reason = getattr(cause, "strerror", None) or e
+        raise ScenarioError(f"cannot build {name}.fmu in {folder}: {reason}; set FMU_RETUNE_CACHE.") from cause
+    return path
+
+
+def build_into(
+    folder: Path, is_forced: bool, builder: Callable[[Path], Mapping[str, Path]] = build_all
+) -> list[tuple[Path, str]]:
+    """Build FMUs, by default every built-in one, into a folder of the user's; what became of each: built, unchanged or
+    replaced. builder: makes them in a given folder, and returns their paths by name.
+
+    Each file appears whole or not at all. Raises FolderError before anything is written where a different file is in
+    the way and is_forced is not set, and where the folder cannot be written.
+    """
+    try:
+        with PrivateFolder() as staging:
+            built = builder(Path(staging))
+            targets = {name: folder / path.name for name, path in built.items()}
+            states = {name: _state(path, targets[name]) for name, path in built.items()}
+            in_the_way = next((targets[name] for name, state in states.items() if state == "replaced"), None)
+            if in_the_way and not is_forced:
+                raise FolderError(f"{in_the_way} exists and differs; give --force or another --out.")
+            folder.mkdir(parents=True, exist_ok=True)
+            for name, path in built.items():
+                if states[name] != "unchanged":
+                    write_bytes(targets[name], path.read_bytes())
+    except OSError as e:
+        raise FolderError(f"cannot build into {folder}: {e.strerror or e}.") from e
+    return [(targets[name], states[name]) for name in built]
+
+
+def _state(built: Path, target: Path) -> str:
+    if not target.exists():
+        return "built"
+    return "unchanged" if target.is_file() and target.read_bytes() == built.read_bytes() else "replaced"
+
+
+def fmu_paths(scenario: Scenario) -> dict[str, Path]:
+    """File of each component's FMU, built where need be, or table. Raises ScenarioError."""
+    return {name: component_path(c, scenario.folder) for name, c in scenario.components.items()}
+
+
+def component_path(component: Component, folder: Path) -> Path:
+    """File of a component's FMU, built where need be, or table. Raises ScenarioError."""
+    if component.fmu is not None:
+        return find_fmu(component.fmu, folder, component.fmi)
+    return find_table(component.table or "", folder)

@@ -1,0 +1,76 @@
+"""Parameters of plant and controller: start values, true values over time, and whether an estimate can be written."""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+from ..errors import ScenarioError, WiringError, seconds
+from ..fmi.component import ModelVariable
+from ..fmi.ports import attribute
+from ..names import did_you_mean
+from ..scenarios.scenario import Scenario
+from ..scenarios.schema.estimation import EstimatedParameter
+from .plant import Described
+
+
+def start_value(scenario: Scenario, slaves: Mapping[str, Described], reference: str) -> float:
+    """Value that a variable has before the first step: the scenario's, else the FMU's. Raises WiringError."""
+    component, _, variable = reference.partition(".")
+    start: Any = scenario.components[component].start.get(variable)
+    if start is None:
+        found = {v.name: v.start for v in slaves[component].description.modelVariables}
+        if variable not in found:
+            raise WiringError(f"no variable '{variable}' in {component}{did_you_mean(variable, found) or '.'}")
+        start = found[variable]
+    if start is None:
+        raise WiringError(f"'{reference}' has no start value; give it one under components.{component}.start.")
+    return float(start)
+
+
+def check_parameters(scenario: Scenario, slaves: Mapping[str, Described]) -> None:
+    """Raises WiringError where an estimate could be written that the controller does not accept."""
+    for parameter in scenario.estimation.parameters:
+        component, _, name = parameter.writes.partition(".")
+        found = {v.name: v for v in slaves[component].description.modelVariables}
+        if name not in found:
+            raise WiringError(f"no variable '{name}' in {component}{did_you_mean(name, found) or '.'}")
+        if problem := parameter_problem(parameter, found[name]):
+            raise WiringError(problem)
+
+
+def parameter_problem(parameter: EstimatedParameter, variable: ModelVariable) -> str | None:
+    """Why a variable does not take every estimate of the parameter, in its unit; None where it does."""
+    unit = attribute(variable, "unit") or "1"
+    if unit != parameter.unit:
+        return f"'{parameter.writes}' has the unit {unit}, but '{parameter.name}' {parameter.unit}."
+    low, high = (float(x) if x is not None else None for x in (attribute(variable, "min"), attribute(variable, "max")))
+    if (low is not None and parameter.lower < low) or (high is not None and parameter.upper > high):
+        bounds = f"[{parameter.lower:g}, {parameter.upper:g}] {unit}"
+        return f"'{parameter.writes}' takes {low} to {high} {unit}; '{parameter.name}' has {bounds}."
+    return None
+
+
+def true_parameters(scenario: Scenario, slaves: Mapping[str, Described]) -> dict[str, Callable[[float], float]]:
+    """What the plant's changed and estimated parameters are, as functions of t [s]. Raises WiringError.
+
+    The functions raise ScenarioError where a formula has no value.
+    """
+    truth: dict[str, Callable[[float], float]]
+    truth = {name: partial(value_of_change, name, change) for name, change in scenario.change_functions().items()}
+    for parameter in scenario.estimation.parameters:
+        reference = scenario.true_reference(parameter)
+        if reference not in truth:
+            truth[reference] = partial(_constant, start_value(scenario, slaves, reference))
+    return truth
+
+
+def value_of_change(name: str, change: Callable[[float], float], t: float) -> float:
+    """What a changed parameter is at t [s]. Raises ScenarioError."""
+    try:
+        return change(t)
+    except (ArithmeticError, ValueError) as e:
+        raise ScenarioError(f"changes.{name} has no value at t = {seconds(t)} s: {e}.") from e
+
+
+def _constant(value: float, t: float) -> float:
+    return value

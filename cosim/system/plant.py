@@ -1,0 +1,68 @@
+"""The plant as the estimator's model sees it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from ..errors import WiringError
+from ..fmi.archive import FmuFile
+from ..fmi.ports import is_numeric
+from ..fmi.table import TableSlave
+from ..names import did_you_mean
+from ..scenarios.scenario import Scenario
+from ..slaves.slave import Slave
+
+Described = Slave | FmuFile | TableSlave
+
+
+@dataclass(frozen=True)
+class Plant:
+    """The component whose derivatives or outputs are sampled, as the estimator's model sees it."""
+
+    name: str
+    """Instance name."""
+    states: tuple[str, ...]
+    """Its states, in the order of the model description: the model's x. None where there is no model and they are
+    not all outputs."""
+    inputs: Mapping[str, float]
+    """Its inputs with their start values, in the order of the model description: the model's u."""
+    channels: tuple[int, ...]
+    """Places in x of the states whose derivatives are sampled."""
+
+
+def plant_of(scenario: Scenario, slave: Described) -> Plant:
+    """The plant's states, inputs and sampled channels. Raises WiringError where a derivative has no state.
+
+    States are those that it declares; with a filter, which needs none declared, those of them that are outputs, and
+    what the scenario lists as such.
+    """
+    variables = slave.description.modelVariables
+    state_of = derivatives_of(slave)
+    sampling = scenario.sampling
+    outputs, is_state = set(_outputs(slave)), set(state_of.values())
+    if sampling.filter is not None:
+        is_state = (is_state & outputs) | {name.partition(".")[2] for name in sampling.states}
+    elif not sampling.derivatives and not is_state <= outputs:
+        is_state = set()  # where no model takes them they need not be seen
+    states = tuple(v.name for v in variables if v.name in is_state)
+    for reference in sampling.states:
+        if reference not in {f"{slave.name}.{name}" for name in states}:
+            raise WiringError(f"'{reference}' is no state of {slave.name}{did_you_mean(reference, states) or '.'}")
+    channels: list[int] = []
+    for reference, derivative in sampling.derivatives.items():
+        name = reference.partition(".")[2]
+        if derivative.of is None and name not in state_of:
+            raise WiringError(
+                f"'{reference}' is not declared as a state's derivative{did_you_mean(name, state_of) or '.'}"
+            )
+        channels.append(states.index(derivative.of.partition(".")[2] if derivative.of else state_of[name]))
+    inputs = {v.name: float(v.start or 0.0) for v in variables if v.causality == "input"}
+    return Plant(slave.name, states, inputs, tuple(channels))
+
+
+def derivatives_of(slave: Described) -> dict[str, str]:
+    """Of which state each declared derivative is, by name."""
+    return {v.name: v.derivative.name for v in slave.description.modelVariables if v.derivative is not None}
+
+
+def _outputs(slave: Described) -> tuple[str, ...]:
+    return tuple(v.name for v in slave.description.modelVariables if v.causality == "output" and is_numeric(v))

@@ -1,0 +1,61 @@
+"""Units at the two ends of what a scenario joins: converted where one number goes to the other, else refused."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from ..errors import WiringError
+from ..fmi.component import Component, ModelDescription, component_of
+from ..scenarios.scenario import Scenario
+from ..units import IDENTITY, Linear, Unit, conversion
+
+
+def unit_conversions(scenario: Scenario, descriptions: Mapping[str, ModelDescription]) -> dict[str, dict[str, Linear]]:
+    """How each input's source is converted to its unit, by component and input, where the units differ.
+
+    As SSP and Simulink do; where a unit is not given, or an FMU does not define it, the number is taken as it is.
+    Raises WiringError for units of other dimensions, and for numbers that are compared, a tracked output and its
+    reference, a parameter of plant and controller, in different units.
+    """
+    components = {name: component_of(Path(name), description) for name, description in descriptions.items()}
+    found: dict[str, dict[str, Linear]] = {name: {} for name in components}
+    for target, source in scenario.connections.items():
+        is_ours = scenario.components[source.partition(".")[0]].table is not None
+        convert = _conversion(f'connections."{target}"', source, target, components, is_ours)
+        if convert != IDENTITY:
+            component, _, variable = target.partition(".")
+            found[component][variable] = convert
+    compared = [(f'tracking."{tracked}"', reference, tracked) for tracked, reference in scenario.tracking.items()]
+    for p in scenario.estimation.parameters:
+        compared.append((f"estimation.parameters '{p.name}'", scenario.true_reference(p), p.writes))
+    for where, one, other in compared:
+        if _conversion(where, one, other, components) != IDENTITY:
+            raise WiringError(f"{where}: {different(one, other, components)}, and both must be in one unit.")
+    return found
+
+
+def different(source: str, target: str, components: Mapping[str, Component]) -> str:
+    """That two variables of one dimension are in different units, and the factor, in words."""
+    a, b = (_unit(reference, components) for reference in (source, target))
+    convert = conversion(a, b)
+    more = f" {convert.offset:+.9g}" if convert.offset else ""
+    of, to = (unit.name if unit else "" for unit in (a, b))
+    return f"'{source}' is in {of}, '{target}' in {to} (x {of} = {convert.factor:.9g} x{more} {to})"
+
+
+def _unit(reference: str, components: Mapping[str, Component]) -> Unit | None:
+    name, _, variable = reference.partition(".")
+    component = components[name]
+    return component.unit(variable) if variable in component.variables else None
+
+
+def _conversion(
+    where: str, source: str, target: str, components: Mapping[str, Component], is_ours: bool = False
+) -> Linear:
+    """is_ours: the source's unit is the user's own word, which is to be understood."""
+    units = [_unit(reference, components) for reference in (source, target)]
+    try:
+        return conversion(*units)
+    except ValueError as e:
+        if not is_ours and any(unit is not None and unit.exponents is None for unit in units):
+            return IDENTITY
+        raise WiringError(f"{where}: '{source}' to '{target}': {e}.") from e

@@ -1,0 +1,59 @@
+"""From a scenario's names to wired FMUs: which variables are set and read, and in which groups the FMUs step."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from ..errors import WiringError
+from ..names import did_you_mean
+from ..scenarios.scenario import Scenario
+from .master import Wiring
+from .plant import Described, _outputs
+from .unit_conversions import unit_conversions
+
+
+def wire(scenario: Scenario, slaves: Mapping[str, Described]) -> tuple[dict[str, Wiring], list[list[str]]]:
+    """Each component's part in the co-simulation, and the groups in which they step. Raises WiringError.
+
+    Sequential coupling: first those whose parameters are re-tuned, the controllers, then all others.
+    """
+    sources: dict[str, dict[str, str]] = {name: {} for name in slaves}
+    for target, source in scenario.connections.items():
+        component, _, variable = target.partition(".")
+        sources[component][variable] = source
+    tunables: dict[str, list[str]] = {name: [] for name in slaves}
+    for reference in [*scenario.changes, *(p.writes for p in scenario.estimation.parameters)]:
+        component, _, variable = reference.partition(".")
+        tunables[component].append(variable)
+    outputs = {name: _outputs(slave) for name, slave in slaves.items()}
+    read = [*scenario.connections.values(), *scenario.tracking, *scenario.tracking.values()]
+    sampling = scenario.sampling
+    measured = [name for name, d in sampling.derivatives.items() if not d.of]
+    for reference in [*read, *measured, *sampling.outputs, *sampling.states]:
+        component, _, variable = reference.partition(".")
+        if variable not in outputs[component]:
+            known = outputs[component]
+            raise WiringError(f"'{reference}' is no output of {component}{did_you_mean(variable, known) or '.'}")
+    conversions = unit_conversions(scenario, {name: slave.description for name, slave in slaves.items()})
+    wiring = {
+        name: Wiring(
+            sources[name], tuple(tunables[name]), outputs[name], scenario.components[name].start, conversions[name]
+        )
+        for name in slaves
+    }
+    return wiring, _groups(scenario, list(slaves))
+
+
+def with_read_back(wiring: Mapping[str, Wiring], writes: Sequence[str]) -> dict[str, Wiring]:
+    """The wiring with the re-tuned parameters among what is read, after the outputs."""
+    names = {name: [r.partition(".")[2] for r in writes if r.partition(".")[0] == name] for name in wiring}
+    return {
+        name: replace(w, outputs=(*w.outputs, *(n for n in names[name] if n not in w.outputs)))
+        for name, w in wiring.items()
+    }
+
+
+def _groups(scenario: Scenario, names: Sequence[str]) -> list[list[str]]:
+    controllers = {p.writes.partition(".")[0] for p in scenario.estimation.parameters}
+    if scenario.scenario.coupling == "parallel" or len(controllers) == len(names):
+        return [list(names)]
+    return [[n for n in names if n in controllers], [n for n in names if n not in controllers]]

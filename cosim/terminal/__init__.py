@@ -1,0 +1,1 @@
+"""The terminal: options, signals, streams, progress and exit codes of the command line."""

@@ -1,0 +1,190 @@
+"""What one can type after `retune`. Imports nothing heavy: --help must not wait."""
+
+import argparse
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Final, NoReturn
+
+from ..offline.estimate_options import add_options
+from ..scenarios.named import named_scenarios
+from .exit_codes import REFUSED
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser whose errors are one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """One line, without the usage."""
+        print(f"{self.prog}: {message}; see {self.prog} --help", file=sys.stderr)
+        raise SystemExit(REFUSED)
+
+
+def make_parser() -> Parser:
+    """The parser of all commands; `command` of what it returns is the name of the one that was chosen."""
+    parser = Parser(prog="retune", description="Re-tune a controller FMU while it runs.", allow_abbrev=False)
+    table = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=Parser)
+    for name, (text, add) in _OPTIONS.items():
+        one = table.add_parser(name, help=text, allow_abbrev=False)
+        add(one)
+        one.add_argument("--debug", action="store_true", help="show tracebacks, and all that the FMUs log")
+        one.set_defaults(command=name)
+    return parser
+
+
+def _build(parser: Parser) -> None:
+    parser.add_argument("--out", type=Path, default=Path("fmus"), metavar="DIR", help="where to (default: fmus)")
+    parser.add_argument("--force", action="store_true", help="replace FMUs that differ")
+    parser.add_argument("--estimator", metavar="SCENARIO", help="build this scenario's estimator instead, as one FMU")
+    parser.add_argument("--method", metavar="NAME", help="the estimator's method (default: target)")
+    _add_set(parser)
+    parser.add_argument("--fmi", type=int, choices=(2, 3), default=2, help="FMI version (default: 2)")
+    parser.add_argument("--model-exchange", action="store_true", help="the plants for model exchange, FMI 3.0")
+
+
+def _run(parser: Parser) -> None:
+    _add_scenario(parser, ", an SSP package")
+    parser.add_argument("--estimator", default="target", help="target (default), none, true, another, or module:Class")
+    parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of noise and search (default: 0)")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="run folder, absent or empty (default: runs/SCENARIO-n)"
+    )
+    _add_set(parser)
+    parser.add_argument("--scenario", type=Path, metavar="FILE", dest="tables", help="TOML file for an SSP without one")
+    _add_start_values(parser)
+    parser.add_argument("--ssv", type=Path, metavar="FILE", help="write the estimates there too: SSV, a new file")
+    parser.add_argument("--only", action="store_true", help="leave out the runs with nominal and true parameters")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def _resume(parser: Parser) -> None:
+    parser.add_argument("run", type=Path, metavar="RUN", help="folder of a run that was killed, interrupted or faulted")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def _compare(parser: Parser) -> None:
+    _add_scenario(parser)
+    parser.add_argument(
+        "--estimators", type=_names, metavar="A,B,C", help="default: all that the scenario and this machine allow"
+    )
+    parser.add_argument("--seeds", type=_count, default=10, metavar="N", help="seeds 0 to N - 1 (default: 10)")
+    parser.add_argument("--jobs", type=_count, metavar="N", help="runs at a time (default: one a processor)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="absent or empty (default: runs/SCENARIO-compare-n)")
+    parser.add_argument("--keep", action="store_true", help="keep a run folder for each run")
+    _add_set(parser)
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def _replay(parser: Parser) -> None:
+    parser.add_argument("run", type=Path, metavar="RUN", help="run folder")
+    parser.add_argument("--estimator", type=_names, required=True, metavar="A,B,C", help="one or several")
+    parser.add_argument("--seed", type=_seed, metavar="N", help="of the search (default: the run's)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write the tables there too: absent or empty")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def _figures(parser: Parser) -> None:
+    parser.add_argument("--out", type=Path, default=Path("figures"), metavar="DIR", help="absent or empty")
+    parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of noise and search (default: 0)")
+    parser.add_argument("--jobs", type=_count, metavar="N", help="runs at a time (default: one a processor)")
+
+
+def _new(parser: Parser) -> None:
+    parser.add_argument("--plant", type=Path, required=True, metavar="FMU", help="the plant")
+    parser.add_argument("--controller", type=Path, metavar="FMU", help="the controller that is to be re-tuned")
+    parser.add_argument("--reference", type=Path, metavar="FILE", help="its set points: CSV file, or FMU")
+    parser.add_argument("--model", metavar="MODEL", help="its equations: module:function, or a model-exchange FMU")
+    parser.add_argument("-o", "--out", type=Path, required=True, metavar="FILE", help="TOML file to write, new")
+
+
+def _check(parser: Parser) -> None:
+    _add_scenario(parser, ", an FMU")
+    _add_set(parser)
+
+
+def _info(parser: Parser) -> None:
+    parser.add_argument("fmu", type=Path, metavar="FMU", help="any FMU, ours or not")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def _doctor(parser: Parser) -> None:
+    parser.add_argument("fmu", type=Path, metavar="FMU", help="any FMU, ours or not")
+
+
+def _export(parser: Parser) -> None:
+    _add_scenario(parser)
+    parser.add_argument("--ssp", type=Path, required=True, metavar="FILE", help="SSP package to write")
+    parser.add_argument("--force", action="store_true", help="replace a file that differs")
+    _add_set(parser)
+    _add_start_values(parser)
+
+
+def _illustrate(parser: Parser) -> None:
+    parser.add_argument("--out", type=Path, default=Path("illustration.png"), metavar="FILE", help="PNG, new")
+    parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of noise (default: 0)")
+
+
+def _add_scenario(parser: argparse.ArgumentParser, also: str = "") -> None:
+    parser.add_argument("scenario", metavar="SCENARIO", help=f"{', '.join(named_scenarios())}{also}, or a TOML file")
+
+
+def _add_set(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--set", action="append", default=[], type=_assignment, metavar="KEY=VALUE", dest="overrides",
+        help="replace a scenario's setting, such as estimation.budget=60",
+    )  # fmt: skip
+
+
+def _add_start_values(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--start-values", action="append", default=[], type=_start_values, metavar="[COMPONENT=]SSV",
+        help="start values named component.variable, or the component's own as `retune estimate` writes them; several",
+    )  # fmt: skip
+
+
+def _start_values(text: str) -> tuple[str | None, Path]:
+    component, equals, path = text.partition("=")
+    return (component, Path(path)) if equals and not Path(text).exists() else (None, Path(text))
+
+
+def _seed(text: str) -> int:
+    if not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"must be a whole number from 0 on, got '{text}'")
+    return int(text)
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or len(text) > 9 or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"must be a whole number from 1 to 999999999, got '{text}'")
+    return int(text)
+
+
+def _names(text: str) -> list[str]:
+    names = [name.strip() for name in text.split(",")]
+    if not all(names):
+        raise argparse.ArgumentTypeError(f"must be names separated by commas, got '{text}'")
+    return names
+
+
+def _assignment(text: str) -> tuple[str, str]:
+    key, equals, value = text.partition("=")
+    if not (key and equals):
+        raise argparse.ArgumentTypeError(f"must be KEY=VALUE, got '{text}'")
+    return key.strip(), value.strip()
+
+
+_OPTIONS: Final[Mapping[str, tuple[str, Callable[[Parser], None]]]] = {
+    "build": ("build the FMUs that come with the package, or an estimator", _build),
+    "run": ("simulate a scenario with its controller re-tuned", _run),
+    "resume": ("go on with a run from its last checkpoint, to the same bits", _resume),
+    "compare": ("every estimator on the same plant, noise and seeds", _compare),
+    "replay": ("other estimators on the recorded samples of a run, open loop", _replay),
+    "figures": ("the paper's figures and table from runs of ours", _figures),
+    "new": ("write a scenario for FMUs of yours, to look over", _new),
+    "check": ("what is wrong or risky in a scenario or an FMU, before anything runs", _check),
+    "info": ("what is in an FMU: parameters, inputs, outputs, states, capabilities", _info),
+    "doctor": ("what an FMU needs here, and how to start an importer for it", _doctor),
+    "export": ("a scenario's system for other tools", _export),
+    "estimate": ("a plant's parameters from logs of it", add_options),
+    "illustrate": ("draw the one-dimensional illustration", _illustrate),
+}

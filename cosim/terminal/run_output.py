@@ -1,0 +1,38 @@
+"""What `run` and `resume` share: a run with its bar, and what is said and drawn of it."""
+
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from ..files import to_json
+from ..runs.record import recording
+from ..runs.report import ending, report
+from ..runs.result import Run
+from ..runs.simulation import Progress
+from ..scenarios.scenario import Scenario
+from .exit_codes import DONE, UNFINISHED
+from .progress import progress_bar
+
+BASELINES = ("none", "true")
+"""What a run is compared with, each in a folder of its name inside the run's."""
+
+
+def tell(folder: Path, runs: Mapping[Path, Run], is_json: bool, is_drawn: bool) -> int:
+    """Draw and print the run of a folder, and those that it is compared with; the exit code."""
+    result, baselines = runs[folder], {path.name: run for path, run in runs.items() if path != folder}
+    if is_drawn:
+        from ..plots.runs import draw_run  # after the runs: what draws takes half a second to load
+
+        with recording(folder):
+            draw_run(result, baselines)
+    print(to_json(result.summary()) if is_json else report(result, baselines))
+    if why := ending(result):
+        print(f"retune: {why}", file=sys.stderr)
+        return UNFINISHED
+    return DONE
+
+
+def simulated(scenario: Scenario, estimator: str, simulate: Callable[[Progress], Run]) -> Run:
+    """The run that simulate makes, with a bar meanwhile."""
+    with progress_bar(scenario, estimator) as progress:
+        return simulate(progress)

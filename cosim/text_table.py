@@ -1,0 +1,27 @@
+"""Tables and figures as text, for a terminal."""
+
+from collections.abc import Sequence
+from math import floor, isfinite, log10
+
+import numpy as np
+
+
+def with_std(value: float, std: float) -> str:
+    """`1.3000 ± 0.0012`: as many digits as two of the standard deviation need."""
+    if not (isfinite(std) and std > 0.0):
+        return f"{value:.6g}"
+    digits = 1 - floor(log10(std))
+    if digits > 7 or max(abs(value), std) >= 1e6:
+        return f"{value:.{max(1, digits + floor(log10(abs(value) or 1.0)) + 1)}g} ± {std:.2g}"
+    return f"{value:.{max(digits, 0)}f} ± {std:.{max(digits, 0)}f}"
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Rows as a table: the first column to the left, the others to the right."""
+    widths = np.max([[len(cell) for cell in row] for row in rows], axis=0)
+    return [
+        "  ".join(
+            [row[0].ljust(widths[0]), *(cell.rjust(w) for cell, w in zip(row[1:], widths[1:], strict=True))]
+        ).rstrip()
+        for row in rows
+    ]

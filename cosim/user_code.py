@@ -1,0 +1,45 @@
+"""Code of the user's, loaded from beside a scenario or from the working directory."""
+
+import importlib
+import importlib.util
+import sys
+from importlib.machinery import PathFinder
+from pathlib import Path
+from typing import Any, Final
+
+from .errors import ScenarioError
+
+
+def load(reference: str, folder: Path, key: str = "estimation.model") -> Any:
+    """What `module:name` names; modules beside the scenario and in the working directory are found too.
+
+    Raises ScenarioError, which names the key.
+    """
+    module_name, _, name = reference.partition(":")
+    places = [str(folder.resolve()), str(Path.cwd())]
+    _forget(module_name.partition(".")[0], places)
+    sys.path[:0] = places
+    try:
+        return getattr(importlib.import_module(module_name), name)
+    except USERS as e:
+        raise ScenarioError(f"{key}: cannot load '{reference}': {type(e).__name__}: {e}.") from e
+    finally:
+        for place in places:
+            sys.path.remove(place)
+
+
+def _forget(name: str, places: list[str]) -> None:
+    """Let go of a module of that name that came from beside another scenario: here it is another one."""
+    spec = getattr(sys.modules.get(name), "__spec__", None)
+    here = PathFinder.find_spec(name, places)
+    if spec is None or here is None or None in (spec.origin, here.origin) or spec.origin == here.origin:
+        return
+    folder = Path(spec.origin).parent if spec.submodule_search_locations is None else Path(spec.origin).parents[1]
+    if str(folder) in sys.path:  # of an installed package, of the standard library, of the user's program
+        return
+    for loaded in [m for m in sys.modules if m == name or m.startswith(f"{name}.")]:
+        del sys.modules[loaded]
+
+
+USERS: Final = (Exception, SystemExit, GeneratorExit)
+"""Whatever code of the user's may raise: all but what interrupts."""

@@ -1,0 +1,219 @@
+"""A window that stays as it is while an episode lasts: for residuals that cost simulations. Knows nothing of those."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple, Protocol
+
+import numpy as np
+
+from .samples import Sample
+from .significance import chi2_limit, is_explained
+from .space import Vector
+
+FALSE_ALARM: Final = 1e-4
+"""Probability that samples count as not explained by the parameters that they came from."""
+_ALLOWANCE: Final = 0.01
+"""Probability of a step's residuals exceeding the allowance of the cumulative sum where nothing has changed."""
+
+
+@dataclass(frozen=True)
+class SampleSequence:
+    """Consecutive samples; the first is where a simulation begins, those after it are what it is compared with."""
+
+    samples: tuple[Sample, ...]
+    """From old to new (n + 1,)."""
+    origin: Any
+    """What the objective gave for the first one."""
+
+    @property
+    def n_steps(self) -> int:
+        """n."""
+        return len(self.samples) - 1
+
+
+class Evaluation(NamedTuple):
+    """What became of a candidate."""
+
+    residual: Vector
+    """(D,) in standard deviations of the noise, channel by channel; not finite where it failed."""
+    reason: str | None = None
+    """Why it failed."""
+    squares: Vector | None = None
+    """Sum of squared residuals of each step (n,), where residuals belong to steps."""
+
+
+class SequenceObjective(Protocol):
+    """Compares candidates with samples, at a cost."""
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether it can evaluate already."""
+        ...
+
+    def add_sample(self, sample: Sample) -> None:
+        """Take the newest sample."""
+        ...
+
+    def snapshot(self, is_needed: bool) -> Any:
+        """What a simulation that begins at the newest sample needs; None where that costs much and is not needed."""
+        ...
+
+    def evaluate(self, thetas: Sequence[Vector], stretch: SampleSequence) -> list[Evaluation]:
+        """Each candidate over the stretch; several at a time, where it can."""
+        ...
+
+    def track(self, theta: Vector, stretch: SampleSequence) -> Vector:
+        """Residual (D,) of theta (d,) over a stretch that grows from call to call; empty where it cannot be told."""
+        ...
+
+    def accept(self, theta: Vector, stretch: SampleSequence) -> None:
+        """From the stretch's beginning on, theta (d,) is taken for the plant's."""
+        ...
+
+
+class EpisodeWindow:
+    """All candidates of an episode are judged on the same samples, once each; none is kept for the next episode.
+
+    At a trigger some of the samples may be from before the parameters jumped. Those since an anchor, set every
+    max_length samples, are taken where the parameters in force explain them (a chi-square test). Otherwise the window
+    begins where these stopped explaining them (Page's cumulative sum) or, where that cannot be told, at the trigger,
+    and the candidates wait until it is full.
+    """
+
+    is_rescoring_cheap = False
+
+    def __init__(
+        self, objective: SequenceObjective, max_length: int = 10, scale: Sequence[float] | None = None
+    ) -> None:
+        """scale: (c,), the noise of each channel, for an estimator that wants residuals in physical units."""
+        if max_length < 1:
+            raise ValueError(f"max_length must be at least 1 sample, got {max_length}.")
+        self._objective, self._max_length, self._scale = objective, max_length, scale
+        self._recent: list[Sample] = []
+        self._origins: list[Any] = []  # of these
+        self._anchors: list[int] = []  # two of their places, the first being 0
+        self._stretch: SampleSequence | None = None
+        self._is_filling = False
+        self._judged: dict[bytes, Evaluation] = {}
+        self.n_model_calls = 0
+        """Samples at which parameters were judged."""
+
+    @property
+    def newest(self) -> Sample:
+        """The newest sample. Raises IndexError where there is none."""
+        return self._recent[-1]
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether an episode has its samples."""
+        return self._stretch is not None
+
+    def append(self, sample: Sample) -> None:
+        """Take one sample more."""
+        self._objective.add_sample(sample)
+        is_anchor = not self._anchors or len(self._recent) - self._anchors[-1] >= self._max_length
+        if is_anchor:
+            self._anchors.append(len(self._recent))
+        self._recent.append(sample)
+        self._origins.append(self._objective.snapshot(is_anchor))
+        if len(self._anchors) > 2:
+            self._drop(self._anchors[1])
+        self._freeze()
+
+    def begin(self, theta: Vector) -> str:
+        """An episode begins with theta (d,) in force; returns on which samples."""
+        self._judged.clear()
+        self._is_filling = True
+        past, first = self._stretch_from(0), len(self._recent) - 1
+        if past.n_steps and self._objective.is_ready:
+            (found,) = self._objective.evaluate([theta], past)
+            self.n_model_calls += past.n_steps
+            if found.reason is None and past.n_steps >= self._max_length and is_explained(found.residual, FALSE_ALARM):
+                self._judged[theta.tobytes()] = found
+                self._stretch, self._is_filling = past, False
+                return f"the last {past.n_steps}, which the parameters in force explain"
+            change = None if found.squares is None else _last_explained(found.squares, len(found.residual))
+            if change is not None and self._origins[change] is not None:
+                first = change
+        if self._origins[first] is None:
+            self._origins[first] = self._objective.snapshot(True)
+        self._drop(first)
+        self._freeze()
+        n_past = len(self._recent) - 1
+        text = f"the next {max(self._max_length - n_past, 0)}"
+        return f"the last {n_past}, which they do not explain, and {text}" if n_past else text
+
+    def end(self, theta: Vector) -> None:
+        """The episode is over, with theta (d,) in force."""
+        if self._stretch is not None:
+            self._objective.accept(theta, self._stretch)
+        self._stretch = None
+        self._judged.clear()
+
+    def residual(self, theta: Vector) -> Vector:
+        """Residual (D,) of one candidate; not finite where it failed."""
+        return self.residuals([theta])[0]
+
+    def residuals(self, candidates: Iterable[Vector]) -> Sequence[Vector]:
+        """The residual (D,) of each candidate, judged at the same time."""
+        thetas = list(candidates)
+        if self._stretch is None:
+            raise RuntimeError("no candidate can be judged before the window is full.")
+        new = [theta for key, theta in {t.tobytes(): t for t in thetas}.items() if key not in self._judged]
+        self.n_model_calls += len(new) * self._stretch.n_steps
+        for theta, judged in zip(new, self._objective.evaluate(new, self._stretch) if new else [], strict=True):
+            self._judged[theta.tobytes()] = judged
+        return [self._scaled(self._judged[theta.tobytes()].residual) for theta in thetas]
+
+    def why_failed(self, theta: Vector) -> str | None:
+        """Why a candidate of this episode failed."""
+        found = self._judged.get(theta.tobytes())
+        return found.reason if found else None
+
+    def track(self, theta: Vector) -> Vector:
+        """Residual (D,) of the parameters in force on the samples since the newest anchor; empty where there is none.
+
+        It costs one step a sample: see SequenceObjective.track.
+        """
+        stretch = self._stretch_from(self._anchors[-1])
+        if not stretch.n_steps:
+            return np.empty(0)
+        self.n_model_calls += 1
+        return self._objective.track(theta, stretch)
+
+    def explain(self, theta: Vector, patient: bool = True) -> None:
+        """The window does not change in an episode."""
+
+    def keep(self, candidates: Iterable[Vector]) -> None:
+        """Nothing outlives an episode."""
+
+    def _freeze(self) -> None:
+        if self._is_filling and len(self._recent) > self._max_length and self._objective.is_ready:
+            self._is_filling, self._stretch = False, self._stretch_from(0)
+
+    def _stretch_from(self, first: int) -> SampleSequence:
+        return SampleSequence(tuple(self._recent[first:]), self._origins[first])
+
+    def _drop(self, first: int) -> None:
+        """Forget the samples before that place, which becomes an anchor."""
+        del self._recent[:first], self._origins[:first]
+        self._anchors = [0, *(k - first for k in self._anchors if k > first)]
+
+    def _scaled(self, residual: Vector) -> Vector:
+        if self._scale is None or len(residual) % len(self._scale):
+            return residual
+        return (residual.reshape(len(self._scale), -1) * np.array(self._scale)[:, None]).reshape(-1)
+
+
+def _last_explained(squares: Vector, n_values: int) -> int | None:
+    """How many of the steps, whose sums of squared residuals (n,) are given, come before those not explained.
+
+    The last place at which the cumulative sum of what exceeds an allowance was nil: Page (1954). None where that
+    was before the first step, or there is nothing after it.
+    """
+    allowance = chi2_limit(_ALLOWANCE, n_values // len(squares))
+    excess, last = 0.0, 0
+    for k, square in enumerate(squares.tolist(), 1):
+        excess = max(0.0, excess + square - allowance)
+        last = k if excess == 0.0 else last
+    return last if 0 < last < len(squares) else None

@@ -1,0 +1,195 @@
+"""Recursive estimators, which take each sample once: adapters round filterpy's Kalman filters."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy  # its stats, which takes 0.3 s, is loaded when it is used
+from scipy import optimize
+
+from .contract import Estimate, scaled_estimate
+from .identifiability import IDENTIFIABLE_BELOW, information, information_of_covariance
+from .objective import LinearForm, Objective
+from .space import ParameterSpace, Vector
+
+if TYPE_CHECKING:  # filterpy imports scipy.stats
+    from filterpy.kalman import KalmanFilter, UnscentedKalmanFilter
+
+
+@dataclass(frozen=True)
+class RecursiveSettings:
+    """Settings of `RecursiveLeastSquares`."""
+
+    forgetting: float = 0.8
+    """lambda: what a sample's weight is multiplied by at each one that follows."""
+    noise: float = 0.01
+    """Standard deviation of a row's target, in its unit: weighs the first samples against the start."""
+    spread: float = 1.0
+    """Standard deviation of the coefficients at the start, relative to that over the bounds."""
+    identifiable_below: float = IDENTIFIABLE_BELOW
+    """A parameter counts as identifiable when its standard deviation is below this share of the scaled bounds."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.forgetting <= 1.0:
+            raise ValueError(f"forgetting must be in (0, 1], got {self.forgetting}.")
+        for name in ("noise", "spread", "identifiable_below"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}.")
+
+
+class RecursiveLeastSquares:
+    """Recursive least squares with exponential forgetting, on a model's linear form.
+
+    The Kalman filter of constant coefficients whose covariance is divided by lambda at each sample: Ljung (1999),
+    section 11.2. In no direction does the covariance exceed its start, so that it does not wind up where nothing is
+    excited (Åström and Wittenmark (1995), section 11.5). The parameters are those whose coefficients lie nearest
+    to the filter's, in its covariance: where there are more coefficients than parameters, a projection.
+    """
+
+    is_whitened = True
+
+    def __init__(
+        self, space: ParameterSpace, start: Vector, rng: np.random.Generator, settings: RecursiveSettings | None = None
+    ) -> None:
+        self._space, self._settings = space, settings or RecursiveSettings()
+        self.restart(start)
+
+    def restart(self, start: Vector) -> None:
+        """Forget all samples."""
+        self._z, self._information = self._space.to_unit(start), information(np.eye(len(self._space)))
+        self._misfit, self._n_evaluations = np.inf, 0
+        self._filter: KalmanFilter | None = None
+
+    def solve(self, objective: Objective) -> None:
+        """Take the newest sample. Raises ValueError where the model's linear form is unknown."""
+        linear = objective.linear
+        if linear is None:
+            raise ValueError("recursive least squares needs the model's linear form.")
+        rows, targets = linear.rows(objective.newest)
+        kalman = self._filter or self._begin(linear)
+        self._filter = kalman
+        kalman.P = _at_most(self._start_std, kalman.P / self._settings.forgetting)
+        kalman.update(targets, R=self._settings.noise**2 * np.eye(len(targets)), H=rows)
+        self._project(linear, kalman)
+        self._n_evaluations += 1
+        self._misfit = float(np.sum(objective.newest_residual(self._space.from_unit(self._z)) ** 2))
+
+    def estimate(self) -> Estimate:
+        """The parameters of the present coefficients; cost: sum of squared residuals of the newest sample."""
+        return scaled_estimate(
+            self._space, self._z, self._information.std(), self._settings.identifiable_below, self._information,
+            cost=self._misfit, n_evaluations=self._n_evaluations, reason="recursive least squares",
+        )  # fmt: skip
+
+    def _begin(self, linear: LinearForm) -> "KalmanFilter":
+        from filterpy.kalman import KalmanFilter
+
+        psi = linear.coefficients(self._space.from_unit(self._z))
+        cube = scipy.stats.qmc.Halton(len(self._space), scramble=False).random(64)
+        anywhere = np.array([linear.coefficients(self._space.from_unit(z)) for z in cube])
+        self._start_std = self._settings.spread * np.std(anywhere, axis=0)
+        kalman = KalmanFilter(dim_x=len(psi), dim_z=1)
+        kalman.x, kalman.P = psi, np.diag(self._start_std**2)
+        return kalman
+
+    def _project(self, linear: LinearForm, kalman: "KalmanFilter") -> None:
+        weight = np.linalg.inv(np.linalg.cholesky(kalman.P + 1e-12 * np.trace(kalman.P) * np.eye(len(kalman.P))))
+
+        def misfit(z: Vector) -> Vector:
+            return weight @ (linear.coefficients(self._space.from_unit(z)) - kalman.x)
+
+        result = optimize.least_squares(misfit, self._z, bounds=(0.0, 1.0))
+        self._z = result.x
+        self._information = information(np.vstack([result.jac, np.eye(len(self._z))]))  # bounds: one row
+
+
+def _at_most(std: Vector, P: Vector) -> Vector:
+    """The covariance P (p, p) with no direction wider than at the start, where it was diag(std^2)."""
+    std = np.maximum(std, np.finfo(float).tiny)  # a coefficient that is constant over the bounds is known
+    values, directions = np.linalg.eigh(P / std / std[:, None])
+    return (directions * np.minimum(values, 1.0)) @ directions.T * std * std[:, None]
+
+
+@dataclass(frozen=True)
+class UnscentedSettings:
+    """Settings of `UnscentedKalman`; lengths are shares of the scaled bounds."""
+
+    walk: float = 0.003
+    """Standard deviation of a parameter's step from sample to sample."""
+    spread: float = 0.05
+    """Standard deviation of each parameter at the start; sigma points far from it may reach where no model holds."""
+    alpha: float = 0.1
+    """Spread of the sigma points round the mean."""
+    identifiable_below: float = IDENTIFIABLE_BELOW
+    """A parameter counts as identifiable when its standard deviation is below this share of the scaled bounds."""
+
+    def __post_init__(self) -> None:
+        for name in ("walk", "spread", "alpha", "identifiable_below"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}.")
+
+
+class UnscentedKalman:
+    """An unscented Kalman filter whose states are the parameters, as random walks in the unit cube.
+
+    The measurement is the sampled derivative, or, the same, the whitened residual, which should be zero with unit
+    variance. Julier and Uhlmann (2004); van der Merwe (2004).
+    """
+
+    is_whitened = True
+
+    def __init__(
+        self, space: ParameterSpace, start: Vector, rng: np.random.Generator, settings: UnscentedSettings | None = None
+    ) -> None:
+        self._space, self._settings = space, settings or UnscentedSettings()
+        self.restart(start)
+
+    def restart(self, start: Vector) -> None:
+        """Forget all samples."""
+        self._start, self._cost, self._n_evaluations = self._space.to_unit(start), np.inf, 0
+        self._filter: UnscentedKalmanFilter | None = None
+
+    def solve(self, objective: Objective) -> None:
+        """Take the newest sample. One at which the model has no value for a sigma point is left out."""
+        kalman = self._filter or self._begin(len(objective.newest_residual(self._space.from_unit(self._start))))
+        self._filter = kalman
+        kalman.predict()
+        x, P = kalman.x.copy(), kalman.P.copy()
+        with np.errstate(all="ignore"):  # where sigma points reach places at which the model explodes
+            kalman.update(np.zeros(len(kalman.R)), hx=lambda z: objective.newest_residual(self._space.from_unit(z)))
+        if not np.all(np.isfinite(kalman.x)):
+            kalman.x, kalman.P = x, P
+        kalman.P = 0.5 * (kalman.P + kalman.P.T) + 1e-12 * np.eye(len(kalman.x))
+        kalman.x = np.clip(kalman.x, 0.0, 1.0)
+        self._n_evaluations += objective.n_evaluations
+        with np.errstate(all="ignore"):
+            cost = float(np.sum(kalman.y**2))
+        self._cost = cost if np.isfinite(cost) else np.inf
+
+    def estimate(self) -> Estimate:
+        """Mean and covariance's diagonal; cost: the innovation squared of the newest sample."""
+        z = self._start if self._filter is None else self._filter.x
+        P = np.eye(len(z)) if self._filter is None else self._filter.P
+        std = np.minimum(np.sqrt(np.diag(P)), 1.0)
+        # Less than half of the start's: else what is known is what was assumed.
+        below = min(self._settings.identifiable_below, 0.5 * self._settings.spread)
+        return scaled_estimate(
+            self._space, z, std, below, information_of_covariance(P),
+            cost=self._cost, n_evaluations=self._n_evaluations, reason="unscented Kalman filter",
+        )  # fmt: skip
+
+    def _begin(self, n_channels: int) -> "UnscentedKalmanFilter":
+        from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
+
+        d = len(self._space)
+        points = MerweScaledSigmaPoints(d, alpha=self._settings.alpha, beta=2.0, kappa=3.0 - d)
+        kalman = UnscentedKalmanFilter(d, n_channels, 1.0, hx=None, fx=_stay, points=points)
+        kalman.x = self._start.copy()
+        kalman.P = self._settings.spread**2 * np.eye(d)
+        kalman.Q = self._settings.walk**2 * np.eye(d)
+        kalman.R = np.eye(n_channels)
+        return kalman
+
+
+def _stay(z: Vector, dt: float) -> Vector:
+    return z

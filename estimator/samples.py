@@ -1,0 +1,54 @@
+"""What was sampled from the plant, and the residuals of a model on a sliding window of it."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .space import ParameterSpace, Vector
+
+Model = Callable[..., Sequence[float]]
+"""xdot (n,) = model(x, u, **parameters): state (n,), input (p,), parameters by name; SI units."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """State, input, derivatives and outputs at one time."""
+
+    t: float
+    """Time [s]."""
+    x: tuple[float, ...]
+    """State (n,), in the model's order."""
+    u: tuple[float, ...]
+    """Input (p,) that was held up to t."""
+    xdot: tuple[float, ...]
+    """Sampled derivatives (c,), a number a channel."""
+    y: tuple[float, ...] = ()
+    """Measured outputs (o,)."""
+
+
+@dataclass(frozen=True)
+class DerivativeResidual:
+    """Sampled minus modelled derivatives, in standard deviations of the noise.
+
+    r_i = (xdot_i - f_i(x, u; theta)) / sigma_i.  Khan and Chatterjee (2020), section III, before the norm is taken.
+    """
+
+    model: Model
+    """f(x, u, **theta)."""
+    space: ParameterSpace
+    """Names the parameters that the model is called with."""
+    channels: tuple[int, ...]
+    """Places in xdot of the sampled derivatives (c,)."""
+    noise: tuple[float, ...]
+    """sigma (c,), the standard deviation of each sampled derivative; ones leave the residual in physical units."""
+
+    def __call__(self, theta: Vector, sample: Sample) -> Vector:
+        """r (c,) of one sample; NaN where the model has no value there. Other exceptions of the model pass through."""
+        try:
+            modelled = self.model(sample.x, sample.u, **self.space.named(theta))
+        except (ArithmeticError, ValueError):  # math.sqrt(-1.0) raises the latter
+            return np.full(len(self.channels), np.nan)
+        return np.array([
+            (y - modelled[i]) / s for y, i, s in zip(sample.xdot, self.channels, self.noise, strict=True)
+        ])  # fmt: skip

@@ -1,0 +1,128 @@
+"""Residuals of a model on a sliding window of samples."""
+
+from collections.abc import Callable, Iterable
+from copy import copy
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .samples import Sample
+from .significance import chi2_limit
+from .space import Vector
+
+
+class ResidualWindow:
+    """The newest samples' residuals for any candidate; each channel remembers as far back as its data agree.
+
+    A residual is computed once for each candidate and sample: a new sample costs one model call for each stored
+    candidate, a new candidate one for each sample of the window.
+    """
+
+    is_rescoring_cheap = is_ready = True
+
+    def __init__(self, residual: Callable[[Vector, Sample], Vector], n_channels: int, max_length: int = 10) -> None:
+        if max_length < 1:
+            raise ValueError(f"max_length must be at least 1 sample, got {max_length}.")
+        self._residual = residual
+        self._max_length = max_length
+        self._samples: list[Sample] = []
+        self._lengths = [0] * n_channels
+        self._is_explained = [True] * n_channels
+        self._rows: dict[bytes, list[Vector]] = {}
+        self.n_model_calls = 0
+        """Samples at which a candidate was judged. What an evaluation costs depends on window and re-scoring."""
+
+    @property
+    def lengths(self) -> tuple[int, ...]:
+        """Number of samples in use, a channel."""
+        return tuple(self._lengths)
+
+    @property
+    def newest(self) -> Sample:
+        """The newest sample. Raises IndexError where there is none."""
+        return self._samples[-1]
+
+    def append(self, sample: Sample) -> None:
+        """Take one sample more, and drop the oldest where the window is full."""
+        self._samples.append(sample)
+        self._lengths = [min(n + 1, self._max_length) for n in self._lengths]
+        excess = len(self._samples) - max(self._lengths)
+        if excess:
+            del self._samples[:excess]
+            for rows in self._rows.values():
+                del rows[:excess]
+
+    def begin(self, theta: Vector) -> None:
+        """The window slides, whether there is an episode or not."""
+
+    def end(self, theta: Vector) -> None:
+        """As begin."""
+
+    def why_failed(self, theta: Vector) -> None:
+        """A model has no value there, and no more to say."""
+
+    def copy(self) -> "ResidualWindow":
+        """The same window, which goes its own way from here."""
+        other = copy(self)
+        other._samples, other._lengths, other._is_explained = [*self._samples], [*self._lengths], [*self._is_explained]
+        other._rows = {key: [*rows] for key, rows in self._rows.items()}
+        return other
+
+    def clear(self) -> None:
+        """Forget every sample, as at a jump of the parameters."""
+        self._samples.clear()
+        self._rows.clear()
+        self._lengths = [0] * len(self._lengths)
+
+    def residual(self, theta: Vector) -> Vector:
+        """Residuals of one candidate over the window (D,), channel by channel, each from old to new."""
+        return np.array(self._rows_of(theta)).reshape(-1)[self._in_use()]
+
+    def newest_residual(self, theta: Vector) -> Vector:
+        """Residual (c,) of one candidate at the newest sample."""
+        self.n_model_calls += 1
+        return self._residual(theta, self._samples[-1])
+
+    def residuals(self, candidates: Iterable[Vector]) -> Vector:
+        """Residuals of many candidates (n, D); rows kept for others are dropped."""
+        thetas = list(candidates)
+        self.keep(thetas)
+        table = np.array([self._rows_of(theta) for theta in thetas])
+        return table.reshape(len(thetas), len(self._samples) * len(self._lengths))[:, self._in_use()]
+
+    def _rows_of(self, theta: Vector) -> list[Vector]:
+        """Residuals (c,) of one candidate at each sample."""
+        rows = self._rows.setdefault(theta.tobytes(), [])
+        missing = self._samples[len(rows) :]
+        self.n_model_calls += len(missing)
+        rows.extend(self._residual(theta, sample) for sample in missing)
+        return rows
+
+    def _in_use(self) -> NDArray[np.intp]:
+        """Places (D,) of the residuals in use, channel by channel, in a table (samples, channels) laid flat."""
+        end, n_channels = len(self._samples), len(self._lengths)
+        return np.concatenate([np.arange(end - n, end) * n_channels + c for c, n in enumerate(self._lengths)])
+
+    def keep(self, candidates: Iterable[Vector]) -> None:
+        """Drop the rows kept for all but these candidates."""
+        kept = {theta.tobytes() for theta in candidates}
+        self._rows = {key: rows for key, rows in self._rows.items() if key in kept}
+
+    def explain(self, theta: Vector, patient: bool = True, false_alarm: float = 1e-4) -> None:
+        """Restart, at the newest sample, each channel that stopped agreeing with the incumbent theta.
+
+        A channel is explained while its sum of squared residuals passes a chi-square test of level false_alarm.
+        One that was explained and is no more has seen a jump, or a drift: its past misleads. So a drifting
+        parameter is followed by the newest sample, while channels that see constant ones average. One that was not
+        explained yet waits for a better incumbent; without patience it restarts too.
+        """
+        first = 0
+        residual = self.residual(theta)
+        for c, n in enumerate(self._lengths):
+            mine = residual[first : first + n]
+            first += n
+            is_explained = float(mine @ mine) <= chi2_limit(false_alarm, n)
+            if not is_explained and n > 1 and (self._is_explained[c] or not patient):
+                self._lengths[c] = 1
+                is_explained = float(mine[-1] ** 2) <= chi2_limit(false_alarm, 1)
+            self._is_explained[c] = is_explained

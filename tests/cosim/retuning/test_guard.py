@@ -1,0 +1,252 @@
+"""The guard by itself: on samples of a linear model, whose information has a closed form, and made-up predictions."""
+
+import re
+from math import inf, nan
+
+import numpy as np
+import pytest
+
+from cosim.retuning.data_support import DataSupport
+from cosim.retuning.guard import Guard, outside, within_rate
+from cosim.scenarios.schema.guard import GuardSettings
+from estimator import Estimate, Parameter, ParameterSpace, Sample
+from estimator.events import Event
+from estimator.retuner import Reconfiguration
+
+SPACE = ParameterSpace((Parameter("a", 0.0, 10.0), Parameter("b", 0.0, 10.0)))
+START = np.array([2.0, 2.0])
+GOOD, BETTER = np.array([4.0, 4.0]), np.array([6.0, 6.0])
+SIGMA = 0.1
+
+
+def linear_residual(theta, sample):
+    """y = x . theta, measured with SIGMA."""
+    return np.array([(sample.xdot[0] - np.dot(sample.x, theta)) / SIGMA])
+
+
+def seen(*rows, truth=GOOD):
+    """A support of samples with these regressors."""
+    support = DataSupport(linear_residual, SPACE, 1, 30)
+    for k, row in enumerate(rows):
+        support.append(Sample(float(k), tuple(row), (), (float(np.dot(row, truth)),)))
+    return support
+
+
+BOTH = ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0))
+
+
+def guard(support=None, **settings):
+    return Guard(GuardSettings(tolerance=0.5, **settings), SPACE, START, 100.0, support or seen(*BOTH))
+
+
+def proposed(theta):
+    theta = np.asarray(theta, dtype=float)
+    estimate = Estimate(theta, np.full(2, 0.1), (True, True), 0.0, 1, "incumbent")
+    return Reconfiguration(theta, estimate, (Event(0.0, "write", {"theta": theta.tolist()}),))
+
+
+NOTHING = Reconfiguration()
+
+
+def kinds(reviewed):
+    return [event.kind for event in reviewed.events]
+
+
+def calm(controller, plant):
+    return 0.01
+
+
+# Before a write.
+
+
+@pytest.mark.parametrize(
+    ("theta", "reason"),
+    [
+        ((nan, 1.0), "a is nan"),
+        ((1.0, inf), "b is inf"),
+        ((1.0, -inf), "b is -inf"),
+        ((10.0 + 1e-9, 1.0), r"a = 10 is outside \[0, 10\] 1"),
+        ((1.0, -0.5), r"b = -0.5 is outside \[0, 10\] 1"),
+    ],
+    ids=["nan", "inf", "-inf", "above", "below"],
+)
+def test_what_is_not_finite_or_outside_the_bounds_is_never_written(theta, reason):
+    reviewed = guard().step(1, 0.01, 0.0, proposed(theta), calm)
+    assert reviewed.write is None
+    assert kinds(reviewed) == ["veto"]
+    assert re.fullmatch(reason, reviewed.events[0].detail["reason"])
+
+
+def test_the_bounds_themselves_are_inside():
+    assert outside(np.array([0.0, 10.0]), SPACE) is None
+
+
+@pytest.mark.parametrize("scale", ["linear", "log"])
+def test_a_rate_limited_step_keeps_its_direction_in_the_unit_cube(scale):
+    space = ParameterSpace((Parameter("a", 0.1, 10.0, "1", scale), Parameter("b", 0.1, 10.0, "1", scale)))
+    here = np.array([0.2, 1.0])
+    there = np.array([8.0, 2.0])
+    place = (lambda v: np.log(v / 0.1) / np.log(100.0)) if scale == "log" else (lambda v: (v - 0.1) / 9.9)
+    limited, reasons = within_rate(there, here, space, 0.25)
+    change, wanted = place(limited) - place(here), place(there) - place(here)
+    assert np.max(np.abs(change)) == pytest.approx(0.25)
+    np.testing.assert_allclose(change / np.max(np.abs(change)), wanted / np.max(np.abs(wanted)), rtol=1e-9)
+    assert [kind for kind, _ in reasons] == ["limit"]
+    assert within_rate(there, here, space, 1.0) == (pytest.approx(there), ())
+
+
+def test_information_is_that_of_linear_regression():
+    rows = np.array([[1.0, 0.2], [0.3, 2.0], [1.0, 1.0]])
+    found = seen(*rows).information(GOOD)
+    covariance = SIGMA**2 * np.linalg.inv(rows.T @ rows) / 100.0  # of z = theta / 10
+    np.testing.assert_allclose(np.sort(1.0 / found.singular_values**2), np.linalg.eigvalsh(covariance), rtol=1e-6)
+
+
+def test_a_direction_that_the_data_do_not_see_is_not_written():
+    support = seen((1.0, 1.0), (1.0, 1.0))  # the sum only
+    reviewed = guard(support).step(2, 0.02, 0.0, proposed((6.0, 2.0)), calm)
+    np.testing.assert_allclose(reviewed.write, [4.0, 4.0], atol=1e-6)  # the move along (1, 1) of (4, 0)
+    assert kinds(reviewed) == ["hold", "write"]
+    assert reviewed.events[1].detail["theta"] == reviewed.write.tolist()
+
+
+def test_a_write_along_what_is_seen_goes_through_bit_for_bit():
+    theta = np.array([4.1, 4.1])
+    reviewed = guard(seen((1.0, 1.0), truth=theta)).step(1, 0.01, 0.0, proposed(theta), calm)
+    assert reviewed.write is not None
+    np.testing.assert_array_equal(reviewed.write, theta)
+
+
+def test_a_candidate_that_explains_the_newest_sample_worse_is_vetoed():
+    reviewed = guard(seen(*BOTH, truth=START)).step(3, 0.03, 0.0, proposed((7.0, 3.0)), calm)
+    assert kinds(reviewed) == ["veto"]
+    assert "explains the newest sample worse" in reviewed.events[0].detail["reason"]
+
+
+@pytest.mark.parametrize(
+    ("with_it", "without", "error", "is_written"),
+    [
+        (0.1, 0.1, 0.0, True),
+        (0.1, 0.01, 0.0, False),
+        (0.1, 0.01, 0.09, True),  # no larger than it is now
+        (inf, 0.2, 0.1, False),
+        (inf, inf, 0.1, True),  # nothing is better left alone
+        (None, None, 0.0, True),  # nothing is known
+    ],
+    ids=["as good", "worse", "as now", "diverges", "diverges either way", "unknown"],
+)
+def test_a_write_must_not_be_predicted_to_be_worse_than_none(with_it, without, error, is_written):
+    def peak(controller, plant):
+        return with_it if np.array_equal(controller, GOOD) else without
+
+    reviewed = guard().step(3, 0.03, error, proposed(GOOD), peak)
+    assert (reviewed.write is not None) == is_written
+    assert kinds(reviewed) == (["write"] if is_written else ["veto"])
+
+
+def test_the_prediction_is_widened_along_the_direction_seen_least():
+    asked = []
+
+    def peak(controller, plant):
+        if np.array_equal(controller, GOOD):
+            asked.append(plant)
+        return 0.01
+
+    support = seen((1.0, 1.0), (1.0, 1.0), (0.1, -0.1))
+    guard(support, n_std=2.0).step(3, 0.03, 0.0, proposed(GOOD), peak)
+    # least squares: along (1, -1)/sqrt(2) the regressor is 0.1 sqrt(2), so theta's deviation is SIGMA / 0.1414
+    offset = 2.0 * SIGMA / (0.1 * np.sqrt(2.0)) * np.array([1.0, -1.0]) / np.sqrt(2.0)
+    assert len(asked) == 3
+    np.testing.assert_array_equal(asked[0], GOOD)
+    np.testing.assert_allclose(sorted(map(tuple, asked[1:])), sorted(map(tuple, (GOOD + offset, GOOD - offset))))
+
+
+def test_a_small_change_is_not_looked_into_until_small_changes_add_up():
+    asked = []
+
+    def peak(controller, plant):
+        asked.append(controller)
+        return 0.01
+
+    watched = guard(seen(*BOTH, truth=BETTER), material=0.05)
+    for k, step in enumerate((0.2, 0.4, 0.6), 3):
+        watched.step(k, 0.01 * k, 0.0, proposed(START + step), peak)
+        assert bool(asked) == (step > 0.5)
+
+
+# After a write.
+
+
+def written(**settings):
+    """A guard that has written GOOD at k = 1; the tolerance is 0.5."""
+    watched = guard(**settings)
+    assert watched.step(1, 0.01, 0.0, proposed(GOOD), calm).write is not None
+    return watched
+
+
+def test_an_error_within_the_tolerance_confirms():
+    watched = written(probation=10)
+    told = [kinds(watched.step(k, 0.01 * k, 0.5, NOTHING, calm)) for k in range(2, 12)]
+    assert told == [[]] * 9 + [["confirm"]]
+    assert watched.summary()["confirmed"] == 1
+
+
+def test_a_regression_takes_the_write_back():
+    watched = written()
+    reviewed = watched.step(2, 0.02, 0.51, proposed(BETTER), calm)
+    np.testing.assert_array_equal(reviewed.write, START)
+    np.testing.assert_array_equal(watched.held, START)
+    assert kinds(reviewed) == ["revert"]
+    assert watched.summary()["reverted"] == 1
+
+
+def test_an_error_that_is_no_number_is_a_regression():
+    for error in (nan, inf):
+        assert kinds(written().step(2, 0.02, error, NOTHING, calm)) == ["revert"]
+
+
+def test_an_error_that_was_predicted_is_no_regression():
+    watched = guard(growth=1.5)
+    watched.step(1, 0.01, 0.0, proposed(GOOD), lambda controller, plant: 1.0)
+    assert kinds(watched.step(2, 0.02, 1.49, NOTHING, calm)) == []
+    assert kinds(watched.step(3, 0.03, 1.51, NOTHING, calm)) == ["revert"]
+
+
+def test_the_way_back_leads_to_what_was_confirmed_and_then_to_the_start():
+    support = seen(*BOTH)
+    watched = guard(support, probation=10)
+    watched.step(1, 0.01, 0.0, proposed(GOOD), calm)
+    assert kinds(watched.step(11, 0.11, 0.0, NOTHING, calm)) == ["confirm"]
+    support.append(Sample(4.0, (1.0, 1.0), (), (12.0,)))  # of BETTER
+    assert watched.step(12, 0.12, 0.0, proposed(BETTER), calm).write is not None
+    np.testing.assert_array_equal(watched.step(13, 0.13, 1.0, NOTHING, calm).write, GOOD)
+    np.testing.assert_array_equal(watched.step(14, 0.14, 2.0, NOTHING, calm).write, START)
+
+
+def test_nothing_is_written_for_a_probation_after_a_revert():
+    watched = written(probation=10)
+    watched.step(2, 0.02, 1.0, NOTHING, calm)
+    is_quiet = [watched.step(k, 0.01 * k, 0.0, proposed(GOOD), calm).write is None for k in range(3, 13)]
+    assert is_quiet == [True] * 9 + [False]
+
+
+def test_too_many_reverts_stop_re_tuning_with_the_parameters_of_the_start():
+    watched = guard(probation=5, reverts=2)
+    k = 0
+    for n in (1, 2):
+        k += 10
+        assert watched.step(k, 0.01 * k, 0.0, proposed(GOOD), calm).write is not None
+        reviewed = watched.step(k + 1, 0.01 * (k + 1), 9.0, NOTHING, calm)
+        assert kinds(reviewed) == (["revert"] if n == 1 else ["revert", "stop"])
+        np.testing.assert_array_equal(reviewed.write, START)
+    assert watched.summary() | {"stopped_at": 0.21} == watched.summary()
+
+
+def test_a_controller_that_holds_something_else_stops_re_tuning():
+    watched = written()
+    assert watched.not_taken(0.02, GOOD.tolist(), ["c.a", "c.b"]) is None
+    assert watched.not_taken(0.02, np.float32(GOOD * 1.1 / 1.1).tolist(), ["c.a", "c.b"]) is None
+    event = watched.not_taken(0.02, [4.0, 2.0], ["c.a", "c.b"])
+    assert event.kind == "stop"
+    assert event.detail["reason"] == "c.b reads back as 2, but 4 was written: re-tuning stops"
+    assert watched.stopped_at == 0.02

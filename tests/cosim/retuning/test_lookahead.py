@@ -1,0 +1,239 @@
+"""The loop rolled ahead, against what then happens, against an independent integration, and where FMUs lack states."""
+
+import math
+import re
+import shutil
+from contextlib import ExitStack
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from cosim.errors import CosimError, SlaveError
+from cosim.fmi.archive import co_simulation
+from cosim.retuning.lookahead import Lookahead, Running
+from cosim.runs.simulation import run
+from cosim.scenarios.scenario import Scenario
+from cosim.slaves.slave import open_slave
+from cosim.system.fmu_cache import fmu_paths
+from cosim.system.master import Master
+from cosim.system.plant import plant_of
+from cosim.system.wiring import wire
+from estimator import Sample
+from fmu_models import pendulum as physics
+
+pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("leaves_nothing")]
+
+SWING = {"components.plant.start.phi": "0.3", "components.plant.start.phi_dot": "-1.0", "scenario.isolation": '"none"'}
+G, FRICTION, KP, KD, H = 9.81, 0.1, 10.0, 5.0, 0.01
+CHANGED_EARLY = {
+    "scenario.isolation": '"none"',
+    "scenario.checkpoint": "0",
+    'changes."plant.m"': "[[0.0, 1.75], [0.1, 4.271]]",
+}
+NOMINAL, CHANGED = np.array([1.75, 0.75]), np.array([4.271, 0.981])
+
+
+class Loop:
+    """The pendulum, `n` steps on its way with the nominal parameters, and its foresight."""
+
+    def __init__(self, scenario, stack, n=20, lacking=()):
+        paths = fmu_paths(scenario)
+        self.slaves = {name: stack.enter_context(open_slave(p, name, isolation="none")) for name, p in paths.items()}
+        for name in lacking:
+            co_simulation(self.slaves[name].description).canGetAndSetFMUstate = False
+        wiring, groups = wire(scenario, self.slaves)
+        self.plant = plant_of(scenario, self.slaves["plant"])
+        self.master = Master(self.slaves, wiring, groups)
+        self.master.initialize(0.0, 1.0)
+        self.foresight = Lookahead(
+            scenario, Running(self.slaves, wiring, groups, paths), self.plant, physics.derivative, stack
+        )
+        self.n = n
+        for k in range(n):
+            tunables = {"plant": NOMINAL.tolist(), "controller": NOMINAL.tolist()} if k == 0 else {}
+            self.master.begin(k * H, H, tunables)
+            self.master.finish(k * H, H, tunables)
+
+    def value(self, name):
+        return self.master.values[self.master.names.index(name)]
+
+    def peak(self, controller, plant):
+        x = (self.value("plant.phi"), self.value("plant.phi_dot"))
+        now = self.foresight.now(Sample(self.n * H, x, (), ()))
+        return self.foresight.peak(now, list(self.master.values), self.n, controller, plant)
+
+
+@pytest.fixture
+def loop(pendulum):
+    with ExitStack() as stack:
+        yield lambda lacking=(), **more: Loop(pendulum(SWING | more, stop_time=1.0), stack, lacking=lacking)
+
+
+def independent_peak(x, controller, plant, n_steps):
+    """Largest |phi - 60 deg| after each of n steps with the force held, by DOP853."""
+    (m, l), (m_true, l_true), errors = controller, plant, []
+    for _ in range(n_steps):
+        wanted = KP * (math.pi / 3.0 - x[0]) - KD * x[1]
+        u = m * l * (wanted + G / l * math.sin(x[0]) + FRICTION / m * x[1])
+
+        def slope(t, y, u=u):
+            return [y[1], -(G / l_true) * math.sin(y[0]) - FRICTION / m_true * y[1] + u / (m_true * l_true)]
+
+        x = solve_ivp(slope, (0.0, H), x, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+        errors.append(abs(x[0] - math.pi / 3.0))
+    return max(errors)
+
+
+@pytest.mark.parametrize("lacking", [(), ("plant",)], ids=["by FMU state", "by the model"])
+@pytest.mark.parametrize("controller", [NOMINAL, CHANGED, np.array([0.2, 0.3])], ids=["nominal", "changed", "weak"])
+def test_the_peak_is_that_of_an_independent_integration(loop, controller, lacking):
+    made = loop(lacking)
+    assert made.foresight.plant_is_modelled == bool(lacking)
+    x = [made.value("plant.phi"), made.value("plant.phi_dot")]
+    expected = independent_peak(x, controller, CHANGED, 50)
+    # 1e-8: two Runge-Kutta steps a macro step, see test_simulation
+    assert made.peak(controller, CHANGED) == pytest.approx(expected, abs=1e-8)
+
+
+def test_with_the_truth_in_the_plant_it_is_what_then_happens(loop, pendulum):
+    # the nominal run, which the shadow joins after 20 of its 100 steps
+    result = run(pendulum(SWING | {"changes": "{}"}, stop_time=0.7), "none")
+    assert loop().peak(NOMINAL, NOMINAL) == np.max(np.abs(result.errors["plant.phi"][21:]))
+
+
+def test_the_shadow_gets_the_estimate_and_leaves_the_run_alone(loop):
+    made = loop()
+    before = list(made.master.values), made.slaves["plant"].get_state()
+    told, untold = made.peak(NOMINAL, CHANGED), made.peak(NOMINAL, NOMINAL)
+    assert abs(told - untold) > 1e-4
+    assert made.peak(NOMINAL, CHANGED) == told  # nothing of the last time is left
+    assert (list(made.master.values), made.slaves["plant"].get_state()) == before
+
+
+def test_a_loop_that_passes_the_limit_is_infinite(loop):
+    assert loop(**{"limits.divergence": "0.1"}).peak(NOMINAL, NOMINAL) == math.inf
+
+
+def test_parameters_that_the_plant_refuses_tell_nothing_and_harm_nothing(loop):
+    made = loop()
+    expected = made.peak(NOMINAL, NOMINAL)
+    assert made.peak(NOMINAL, np.array([1.75, 1e9])) is None
+    assert made.peak(NOMINAL, NOMINAL) == expected
+
+
+def test_a_controller_without_states_is_not_rolled_ahead(loop):
+    with pytest.raises(CosimError, match="controller cannot save and restore the state of the FMU"):
+        loop(("controller",))
+
+
+def test_a_run_says_at_its_start_that_it_does_not_look_ahead(pendulum, tmp_path, monkeypatch):
+    monkeypatch.setattr("cosim.slaves.slave.Slave.has_states", property(lambda slave: slave.name == "plant"))
+    result = run(pendulum({"scenario.isolation": '"none"'}, stop_time=0.05), "target", out=tmp_path)
+    reason = "controller, reference cannot save and restore the state of the FMU"
+    assert result.guard["not_rolled_ahead"] == reason
+    first = (tmp_path / "events.jsonl").read_text(encoding="utf-8").splitlines()[0]
+    assert f"the loop is not rolled ahead: {reason}" in first
+
+
+def fails(slave, *_):
+    raise SlaveError(slave.name, "get_state", 0.0, "returned error")
+
+
+def does_nothing(slave, state):
+    slave._values = None
+
+
+@pytest.mark.parametrize(
+    ("function", "does", "told"),
+    [
+        ("get_state", fails, r"plant \(rolled ahead\): get_state at t = 0.000 s returned error"),
+        ("set_state", fails, r"plant \(rolled ahead\): get_state at t = 0.000 s returned error"),
+        ("set_state", does_nothing, r"plant \(rolled ahead\): set_state leads to other outputs than those of the run"),
+    ],
+    ids=["save", "restore", "restore nothing"],
+)
+def test_an_fmu_that_cannot_save_its_state_although_it_says_so_is_not_rolled_ahead_and_harms_no_run(
+    pendulum, tmp_path, monkeypatch, function, does, told
+):
+    monkeypatch.setattr(f"cosim.slaves.slave.Slave.{function}", does)
+    result = run(pendulum(CHANGED_EARLY, stop_time=0.5), "target", out=tmp_path)
+    assert result.status == "done"
+    assert result.guard["written"] > 0
+    assert result.guard["vetoed"] == 0
+    lines = [line for line in (tmp_path / "events.jsonl").read_text().splitlines() if '"guard"' in line]
+    assert len(lines) == 1
+    assert re.search(f"the loop is not rolled ahead: {told}", lines[0]), lines
+    assert re.fullmatch(told, result.guard["not_rolled_ahead"])
+
+
+def test_an_fmu_that_is_replaced_in_mid_run_is_not_taken_for_the_one_that_runs(pendulum, tmp_path):
+    scenario = pendulum(CHANGED_EARLY, stop_time=0.5)
+    copy = tmp_path / "Controller.fmu"
+    shutil.copy(fmu_paths(scenario)["controller"], copy)
+    other = fmu_paths(scenario)["plant"]
+
+    def replaced(t, held):
+        if t == pytest.approx(0.05):
+            shutil.copy(other, copy)
+
+    (tmp_path / "run").mkdir()
+    scenario = pendulum(CHANGED_EARLY | {"components.controller.fmu": f'"{copy}"'}, stop_time=0.5)
+    result = run(scenario, "target", out=tmp_path / "run", progress=replaced)
+    assert result.status == "done"
+    assert result.guard["not_rolled_ahead"] == f"{copy} has changed since the run began"
+
+
+UNITS = """
+[scenario]
+name = "swing"
+stop_time = 0.5
+macro_step = 0.01
+isolation = "none"
+[components]
+plant = {{ fmu = "Pendulum", start = {{ phi = 0.5 }} }}
+controller = {{ fmu = "PendulumController" }}
+reference = {{ table = "{unit}.csv" }}
+in_radians = {{ table = "rad.csv" }}
+[connections]
+"controller.phi" = "plant.phi"
+"controller.phi_dot" = "plant.phi_dot"
+"controller.phi_ref" = "reference.phi_ref"
+"plant.u" = "controller.u"
+[changes]
+"plant.m" = [[0.0, 1.75], [0.1, 4.271]]
+[tracking]
+"plant.phi" = "in_radians.phi_ref"
+[sampling.derivatives]
+"plant.der(phi_dot)" = {{ noise = 1e-3 }}
+[estimation]
+model = "fmu_models.pendulum:derivative"
+trigger = {{ kind = "innovation" }}
+[[estimation.parameters]]
+name = "m"
+lower = 0.1
+upper = 5.0
+unit = "kg"
+writes = "controller.m"
+true = "plant.m"
+[[estimation.parameters]]
+name = "l"
+lower = 0.1
+upper = 2.0
+unit = "m"
+writes = "controller.l"
+true = "plant.l"
+"""
+
+
+def test_units_are_converted_in_what_is_rolled_ahead_as_in_the_run(tmp_path, monkeypatch):
+    peak, found = Lookahead.peak, {"deg": [], "rad": []}
+    for unit, value in (("deg", "57.29577951308232"), ("rad", "1")):
+        (tmp_path / f"{unit}.csv").write_text(f"time [s], phi_ref [{unit}]\n0, {value}\n9, {value}\n")
+    for unit, peaks in found.items():
+        path = tmp_path / f"swing_{unit}.toml"
+        path.write_text(UNITS.format(unit=unit))
+        monkeypatch.setattr(Lookahead, "peak", lambda *a, p=peaks: p.append(peak(*a)) or p[-1])
+        assert run(Scenario.load(path), "target").status == "done"
+    assert len(found["rad"]) > 1
+    assert found["deg"] == pytest.approx(found["rad"], rel=1e-9)

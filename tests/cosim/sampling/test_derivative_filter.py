@@ -1,0 +1,232 @@
+"""Derivatives from sampled states: their weights, noise, bias and time, against closed forms, SciPy and DOP853."""
+
+import numpy as np
+import pytest
+from scipy import integrate, signal, stats
+
+from cosim.sampling.derivative_filter import DerivativeFilter, derivative_noise, kernel_of
+from cosim.scenarios.schema.sampling import Sampling, SavitzkyGolay, StateVariable
+from estimator import Sample
+
+H = 0.01  # s
+FILTERS = {
+    "parabola": SavitzkyGolay(kind="savitzky-golay", points=11, order=2),
+    "cubic": SavitzkyGolay(kind="savitzky-golay", points=11, order=3),
+    "long": SavitzkyGolay(kind="savitzky-golay", points=25, order=4),
+    "low-pass": StateVariable(kind="state-variable", cutoff=40.0, order=1),
+    "low-passes": StateVariable(kind="state-variable", cutoff=40.0, order=3),
+}
+each = pytest.mark.parametrize("settings", [pytest.param(f, id=name) for name, f in FILTERS.items()])
+polynomials = pytest.mark.parametrize(
+    "settings", [pytest.param(f, id=name) for name, f in FILTERS.items() if isinstance(f, SavitzkyGolay)]
+)
+
+
+def filtered(settings, x, u, channels, t=None):
+    """The samples that a filter makes of states (k, n) and inputs (k, p), held up to each point."""
+    derivative_filter = DerivativeFilter(settings, H, channels)
+    times = H * np.arange(len(x)) if t is None else t
+    made = (derivative_filter(Sample(float(s), tuple(a), tuple(b), ())) for s, a, b in zip(times, x, u, strict=True))
+    return [sample for sample in made if sample is not None]
+
+
+@polynomials
+def test_a_polynomial_of_the_filters_order_has_its_own_slope_at_the_sample_s_time(settings):
+    polynomial = np.polynomial.Polynomial([0.3, -1.0, 2.0, 0.7, -0.4][: settings.order + 1])
+    t = H * np.arange(200)
+    samples = filtered(settings, polynomial(t)[:, None], np.zeros((200, 0)), [0])
+    assert len(samples) >= 7
+    for sample in samples:
+        assert sample.xdot[0] == pytest.approx(polynomial.deriv()(sample.t), rel=1e-10)
+
+
+@each
+@pytest.mark.parametrize("omega", [2.0, 20.0])
+def test_a_sinusoid_comes_out_as_the_mean_over_its_past_says(settings, omega):
+    """The mean slope of exp(i w t) over a step is known in closed form, and so is that of the filter's weights."""
+    kernel = kernel_of(settings, H)
+    t = H * np.arange(400)
+    samples = filtered(settings, np.sin(omega * t)[:, None], np.zeros((400, 0)), [0])
+    steps = np.arange(len(kernel.weights))
+    gain = np.sum(kernel.weights * (np.exp(-1j * omega * H * steps) - np.exp(-1j * omega * H * (steps + 1)))) / H
+    newest = np.array([sample.t for sample in samples]) + kernel.delay
+    expected = np.imag(gain * np.exp(1j * omega * newest))
+    assert [s.xdot[0] for s in samples] == pytest.approx(expected, abs=1e-10)
+    slow = abs(np.imag(1j * omega * np.exp(1j * omega * (newest - kernel.delay))) - expected).max() / omega
+    # what the weights' second moment leaves of a sinusoid; for no second moment the fourth, at most T^4 / 24
+    length = H * len(kernel.weights)
+    limit = abs(kernel.variance) * omega**2 / 2 + (omega * length) ** (4 if abs(kernel.variance) < 1e-12 else 3) / 24
+    assert slow <= limit
+
+
+@each
+def test_where_the_plant_is_linear_jumping_inputs_leave_no_residual(settings):
+    """x1' = x2, x2' = u, u held over each step: integrated in closed form."""
+    rng = np.random.default_rng(0)
+    u = rng.choice([-5.0, 0.0, 8.0], 300)  # u[k] is held up to t_k
+    x2 = np.concatenate([[0.3], 0.3 + H * np.cumsum(u[1:])])
+    x1 = np.concatenate([[1.0], 1.0 + np.cumsum(H * (x2[:-1] + x2[1:]) / 2)])
+    samples = filtered(settings, np.stack([x1, x2], axis=1), u[:, None], [0, 1])
+    assert len(samples) > 5
+    for sample in samples:
+        assert sample.xdot[0] == pytest.approx(sample.x[1], abs=1e-11)
+        assert sample.xdot[1] == pytest.approx(sample.u[0], abs=1e-11)
+
+
+@each
+def test_weights_sum_to_one_and_a_ramp_is_seen_where_it_was_a_delay_ago(settings):
+    kernel = kernel_of(settings, H)
+    assert kernel.weights.sum() == pytest.approx(1.0, rel=1e-12)
+    t = H * np.arange(200)
+    for sample in filtered(settings, 3.0 * t[:, None], t[:, None] - H / 2, [0]):
+        assert sample.xdot == pytest.approx([3.0], rel=1e-10)
+        assert sample.x[0] == pytest.approx(3.0 * sample.t, rel=1e-10)
+        assert sample.u[0] == pytest.approx(sample.t, rel=1e-10)
+
+
+def test_the_delay_is_half_of_a_polynomials_points_and_that_of_the_low_passes():
+    assert kernel_of(FILTERS["cubic"], H).delay == pytest.approx(0.05, rel=1e-12)
+    # 3 / 40 s, less what the cut tail of 0.1 % would add: it is 0.28 s old at the most here, the mean 0.03 s older
+    assert kernel_of(FILTERS["low-passes"], H).delay == pytest.approx(3 / 40.0, rel=5e-3)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_low_passes_weigh_as_scipys_discretised_transfer_function_does(order):
+    cutoff = 30.0
+    kernel = kernel_of(StateVariable(kind="state-variable", cutoff=cutoff, order=order), H)
+    denominator = np.poly([-cutoff] * order)
+    numerator, denominator, _ = signal.cont2discrete(([cutoff**order], denominator), H, method="zoh")
+    response = signal.lfilter(np.squeeze(numerator), denominator, np.eye(1, len(kernel.weights) + 1)[0])
+    assert response[1:].sum() == pytest.approx(1.0, abs=1e-3)
+    assert kernel.weights == pytest.approx(response[1:] / response[1:].sum(), rel=1e-9)
+
+
+@pytest.mark.parametrize("points", [5, 11, 31])
+def test_noise_of_a_straight_lines_slope_is_that_of_linear_regression(points):
+    kernel = kernel_of(SavitzkyGolay(kind="savitzky-golay", points=points, order=1), H)
+    spread = points * (points**2 - 1) / 12  # sum of the squared distances from the middle
+    assert kernel.noise_gain == pytest.approx(1.0 / (H * np.sqrt(spread)), rel=1e-12)
+
+
+@each
+def test_white_noise_comes_out_as_strong_as_predicted_and_independent(settings):
+    sigma, n = 1e-3, 120_000
+    noise = sigma * np.random.default_rng(1).standard_normal((n, 1))
+    xdot = np.array([s.xdot[0] for s in filtered(settings, noise, np.zeros((n, 0)), [0])])
+    predicted = sigma * kernel_of(settings, H).noise_gain
+    squares = np.sum((xdot / predicted) ** 2)
+    low, high = stats.chi2(len(xdot)).ppf([1e-4, 1 - 1e-4])
+    assert low < squares < high
+    for lag in (1, 2):
+        shared = np.mean(xdot[lag:] * xdot[:-lag]) / predicted**2
+        assert abs(shared) < 0.05 + 4.0 / np.sqrt(len(xdot))
+
+
+def test_every_point_may_give_a_sample_which_then_shares_its_noise():
+    settings = FILTERS["parabola"].model_copy(update={"every": 1})
+    noise = np.random.default_rng(1).standard_normal((2000, 1))
+    xdot = np.array([s.xdot[0] for s in filtered(settings, noise, np.zeros((2000, 0)), [0])])
+    assert len(xdot) == 2000 - 10
+    assert np.mean(xdot[1:] * xdot[:-1]) / np.mean(xdot**2) == pytest.approx(
+        80 / 110, abs=0.05
+    )  # sum j (j - 1) / sum j^2
+
+
+def test_after_a_gap_in_time_the_filter_begins_anew():
+    settings = FILTERS["cubic"]
+    t = np.concatenate([H * np.arange(15), 1.0 + H * np.arange(15)])
+    samples = filtered(settings, np.where(t < 0.5, t, 100.0 + t)[:, None], np.zeros((30, 0)), [0], t)
+    assert [s.t for s in samples] == pytest.approx([0.05, 1.05])
+    assert [s.xdot[0] for s in samples] == pytest.approx([1.0, 1.0])
+
+
+M, L, B, G = 1.3, 0.8, 0.2, 9.81
+
+
+def swing(x, u):
+    """A pendulum's equations, phi = 0 hanging, written down from its textbook."""
+    return (x[1], -G / L * np.sin(x[0]) - B / M * x[1] + u / (M * L))
+
+
+def trajectory(start, force, changes):
+    """States (k, 2) and held inputs (k, 1) of a pendulum that jumping forces keep swinging, by DOP853."""
+    rng = np.random.default_rng(2)
+    u = np.concatenate(
+        [[0.0], force * (np.repeat(rng.uniform(-1.0, 1.0, changes), 50) + rng.uniform(-0.2, 0.2, 50 * changes))]
+    )
+    x = [np.array([start, 0.0])]
+    for held in u[1:]:
+        step = integrate.solve_ivp(lambda t, y, f=held: swing(y, f), (0, H), x[-1], "DOP853", rtol=1e-10, atol=1e-12)
+        x.append(step.y[:, -1])
+    return np.array(x), u[:, None]
+
+
+@pytest.fixture(scope="module")
+def wild():
+    """Up to several radians a second."""
+    return trajectory(1.0, 6.0, 20)
+
+
+@pytest.fixture(scope="module")
+def calm():
+    """Within a few tenths of a radian, where a long filter's bias is below the noise."""
+    return trajectory(0.1, 1.0, 60)
+
+
+@each
+def test_bias_is_within_what_curvature_and_spread_say(settings, wild):
+    x, u = wild
+    kernel = kernel_of(settings, H)
+    residual = [s.xdot[0] - swing(s.x, s.u[0])[1] for s in filtered(settings, x, u, [1])]
+    rate, acceleration = abs(x[:, 1]).max(), abs(np.diff(x[:, 1]) / H).max()
+    # |f''| <= g/l; the spread of phi under |w| about the mean; the trapezoidal rule, f' <= g/l, b/m
+    age = H * (np.arange(len(kernel.weights)) + 0.5) - kernel.delay
+    spread = rate**2 * np.sum(np.abs(kernel.weights) * age**2) + acceleration * rate * np.sum(
+        np.abs(kernel.weights * age**3)
+    )
+    limit = G / L * (spread / 2 + H**2 / 12 * np.sum(np.abs(kernel.weights)) * acceleration) * 1.05
+    assert np.abs(residual).max() < limit
+    assert np.abs(residual).max() < 0.03 * acceleration  # and it is small
+
+
+def test_newest_state_and_input_beside_a_filtered_derivative_would_be_far_off(wild):
+    """The mistake that averaging x and u with the derivative's own weights avoids."""
+    x, u = wild
+    settings = FILTERS["cubic"]
+    samples = filtered(settings, x, u, [1])
+    newest = [round((s.t + 0.05) / H) for s in samples]
+    right = [s.xdot[0] - swing(s.x, s.u[0])[1] for s in samples]
+    wrong = [s.xdot[0] - swing(x[k], u[k, 0])[1] for s, k in zip(samples, newest, strict=True)]
+    assert np.std(wrong) > 100 * np.std(right)
+
+
+@each
+def test_at_the_true_parameters_residuals_have_unit_variance(settings, calm):
+    """In standard deviations of `derivative_noise`, on twenty recordings with noise of their own."""
+    x, u = calm
+    sigma = 2e-3
+    states = {"plant.phi": {"noise": 1e-5}, "plant.phi_dot": {"noise": sigma}}
+    derivatives = {"plant.der(phi_dot)": {"of": "plant.phi_dot"}}
+    sampling = Sampling.model_validate(
+        {"derivatives": derivatives, "states": states, "filter": settings.model_dump(exclude_none=True)}
+    )
+    (noise,) = derivative_noise(sampling, H)
+    rng = np.random.default_rng(3)
+    residuals = []
+    for _ in range(20):
+        measured = x + rng.standard_normal(x.shape) * (1e-5, sigma)
+        residuals += [(s.xdot[0] - swing(s.x, s.u[0])[1]) / noise for s in filtered(settings, measured, u, [1])]
+    n = len(residuals)
+    assert n > 1000
+    low, high = stats.chi2(n).ppf([1e-4, 1 - 1e-4])
+    assert low < np.sum(np.square(residuals)) < high
+    assert abs(np.mean(residuals)) < 4.0 / np.sqrt(n)
+
+
+def test_a_noise_that_is_given_comes_before_the_filters():
+    sampling = Sampling.model_validate({
+        "derivatives": {"p.dv": {"of": "p.v", "noise": 0.5}, "p.dw": {"of": "p.w"}},
+        "states": {"p.v": {"noise": 1.0}, "p.w": {"noise": 2.0}},
+        "filter": {"kind": "savitzky-golay", "points": 3, "order": 1},
+    })  # fmt: skip
+    assert derivative_noise(sampling, H) == pytest.approx((0.5, 2.0 * np.sqrt(0.5) / H))

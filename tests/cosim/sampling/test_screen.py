@@ -1,0 +1,375 @@
+"""The screen by itself, on a plant x' = theta u whose derivative and state are sampled exactly, or as it is said."""
+
+from dataclasses import replace
+from math import inf, nan, sqrt
+
+import numpy as np
+import pytest
+
+from cosim.sampling.consistency import Consistency
+from cosim.sampling.outliers import Outliers
+from cosim.sampling.screen import SampleScreen, Sensors
+from cosim.scenarios.schema.sampling import ObservationSettings
+from estimator import Sample
+
+H, SIGMA = 0.1, 0.01
+THETA = np.array([1.0])
+NAMES = ("der(x)", "x")
+
+
+def residual(theta, sample):
+    return (np.array(sample.xdot) - theta[0] * sample.u[0]) / SIGMA
+
+
+def slope(theta, sample):
+    return [theta[0] * sample.u[0]]
+
+
+SENSORS = Sensors(NAMES, (True, False), (SIGMA,), (0,), (0.0,), residual, slope)
+
+
+def moving(n, first=0):
+    """n samples, from number `first` on, of x' = 1, the derivative with a noise too small for anything but its bits."""
+    noise = np.random.default_rng(0).normal(0.0, 1e-3 * SIGMA, n + first)
+    return [Sample(k * H, (k * H,), (1.0,), (1.0 + noise[k],)) for k in range(first, first + n)]
+
+
+def screen(sensors=SENSORS, **settings):
+    return SampleScreen(ObservationSettings(**settings), sensors, H)
+
+
+def found(watched, sample, t=None, theta=THETA):
+    """What is told of a sample, and whether the estimator gets it."""
+    before = watched.summary()["found"]
+    seen = watched.step(sample.t if t is None else t, sample, theta)
+    return {key for key, n in watched.summary()["found"].items() if n > before.get(key, 0)}, seen.sample is not None
+
+
+def steps(watched, samples):
+    return [watched.step(s.t, s, THETA) for s in samples]
+
+
+def told(seen, kind="observation"):
+    return [(e.detail.get("fault"), e.detail["sensor"]) for e in seen.events if e.kind == kind]
+
+
+# A sample by itself, and beside the one before.
+
+
+@pytest.mark.parametrize(("value", "kind"), [(nan, "missing"), (inf, "infinite"), (-inf, "infinite")])
+@pytest.mark.parametrize(("key", "name"), [("xdot", "der(x)"), ("x", "x"), ("u", "input")])
+def test_what_is_no_finite_number_is_kept_out(key, name, value, kind):
+    watched = screen()
+    one, other, third = moving(3)
+    assert found(watched, one) == (set(), True)
+    assert found(watched, replace(other, **{key: (value,)})) == ({f"{kind} {name}"}, False)
+    assert found(watched, third) == (set(), True)
+    assert watched.summary() == {"kept_out": 1, "found": {f"{kind} {name}": 1}, "failed": []}
+
+
+@pytest.mark.parametrize(("steps", "is_late"), [(0.4, False), (0.6, True), (1.0, True), (-0.4, False)])
+def test_a_sample_is_late_by_half_a_step(steps, is_late):
+    sample = replace(moving(1)[0], t=1.0 - steps * H)
+    assert found(screen(), sample, t=1.0) == (({"late sample"}, False) if is_late else (set(), True))
+
+
+def test_a_time_stamp_that_was_there_already_is_late_whatever_came_between():
+    watched, (sample,) = screen(), moving(1)
+    assert found(watched, replace(sample, t=1.05), t=1.0) == (set(), True)
+    assert found(watched, replace(sample, t=1.05), t=1.09) == ({"late sample"}, False)
+    assert found(watched, replace(sample, t=0.5), t=1.09) == ({"late sample"}, False)
+    assert found(watched, replace(sample, t=1.05), t=1.09) == ({"late sample"}, False)
+    assert found(watched, replace(sample, t=1.06), t=1.09) == (set(), True)
+
+
+def test_of_a_late_sample_nothing_else_is_told():
+    watched, (sample,) = screen(), moving(1)
+    assert found(watched, replace(sample, xdot=(nan,), t=0.0), t=1.0) == ({"late sample"}, False)
+
+
+def test_the_first_of_a_series_is_told():
+    watched, seen = screen(patience=10), []
+    for k, sample in enumerate(moving(30)):
+        broken = {1: {"xdot": (nan,)}, 3: {"xdot": (nan,)}, 4: {"x": (nan,)}, 20: {"xdot": (nan,)}}.get(k, {})
+        seen.append(told(watched.step(sample.t, replace(sample, **broken), THETA)))
+    rate, state = ("missing", "der(x)"), ("missing", "x")
+    assert {k: events for k, events in enumerate(seen) if events} == {1: [rate], 4: [state], 20: [rate]}
+
+
+# Stuck.
+
+TWO = Sensors(
+    ("der(v)", "x", "v"), (True, False, False), (SIGMA,), (1,), (0.0,), residual,
+    lambda theta, sample: [sample.x[1], theta[0] * sample.u[0]],
+)  # fmt: skip
+
+
+def standing(n, x, v, u, rate=0.0):
+    noise = np.random.default_rng(0).normal(0.0, 1e-3 * SIGMA, n)
+    return [Sample(k * H, (x, v), (u,), (rate + noise[k],)) for k in range(n)]
+
+
+def stuck_at(watched, samples):
+    """Number of the first sample of which a sensor is told to be stuck, by sensor."""
+    first = {}
+    for k, sample in enumerate(samples):
+        for key in found(watched, sample)[0]:
+            kind, _, name = key.partition(" ")
+            assert kind == "stuck"
+            first.setdefault(name, k)
+    return first
+
+
+@pytest.mark.parametrize("n", [2, 7])
+def test_noise_does_not_repeat_itself(n):
+    first, *rest = moving(20)
+    samples = [first, *(replace(sample, xdot=(1.0,)) for sample in rest)]
+    assert stuck_at(screen(stuck=n), samples) == {"der(x)": n + 1}
+    interrupted = [replace(s, xdot=(1.001,)) if k % n == 0 else s for k, s in enumerate(samples)]
+    assert stuck_at(screen(stuck=n), interrupted) == {}
+    exact = replace(SENSORS, is_noisy=(False, False))
+    assert stuck_at(screen(exact, stuck=n), samples) == {}
+
+
+@pytest.mark.parametrize(
+    ("x", "v", "u", "expected"),
+    [
+        (0.0, 0.0, 0.0, {}),  # at rest
+        (0.0, 1e-7, 0.0, {"x": 10}),
+        (0.0, -1e-7, 0.0, {"x": 10}),
+        (0.0, 0.9e-8, 0.0, {}),  # of a step of 0.1 s less than 1e-9
+        (1e6, 0.9e-2, 0.0, {}),  # less than 1e-9 of its size
+        (1e6, 1.1e-2, 0.0, {"x": 10}),
+        (0.0, 0.0, 1.0, {"v": 10}),
+    ],
+)
+def test_a_state_that_the_model_moves_does_not_keep_its_bits(x, v, u, expected):
+    assert stuck_at(screen(TWO, inconsistent=1e9), standing(12, x, v, u)) == expected
+
+
+def test_each_sensor_is_stuck_in_its_own_time():
+    samples = [replace(sample, xdot=(1.0,), x=(5.0 * (k > 0),)) for k, sample in enumerate(moving(20))]
+    assert stuck_at(screen(stuck=4, inconsistent=1e9), samples) == {"der(x)": 4, "x": 5}
+
+
+def test_beside_what_is_missing_nothing_is_stuck():
+    watched = screen()
+    for sample in moving(20):
+        assert found(watched, replace(sample, x=(0.0,), xdot=(nan,)))[0] == {"missing der(x)"}
+
+
+# Sensors that fail, and recover.
+
+
+def test_a_sensor_that_is_bad_in_more_than_half_of_the_samples_rests_re_tuning_until_a_tenth():
+    watched, gets, sensors = screen(patience=20), [], []
+    for k, sample in enumerate(moving(60)):
+        seen = watched.step(sample.t, replace(sample, xdot=(nan,)) if k < 11 else sample, THETA)
+        gets.append(seen.sample is not None)
+        sensors += [(k, e.detail["sensor"], e.detail["reason"]) for e in seen.events if e.kind == "sensor"]
+    assert gets == [False] * 29 + [True] * 31  # of the newest 20, 2 are bad at number 28
+    assert sensors == [
+        (10, "der(x)", "der(x) was bad in 11 of 11 samples, now missing: re-tuning rests"),
+        (28, "der(x)", "der(x) is good again: re-tuning goes on"),
+    ]
+    assert watched.summary() == {"kept_out": 29, "found": {"missing der(x)": 11}, "failed": []}
+
+
+def test_half_of_the_samples_may_be_bad_and_every_sensor_counts_for_itself():
+    watched = screen(patience=20)
+    for k, sample in enumerate(moving(40)):
+        broken = {0: {"xdot": (nan,)}, 1: {"x": (nan,)}}[k % 2] if k >= 20 else {}
+        watched.step(sample.t, replace(sample, **broken), THETA)
+        assert watched.summary()["failed"] == []
+    for sample in moving(1, first=40):
+        watched.step(sample.t, replace(sample, xdot=(nan,), x=(nan,)), THETA)
+    assert watched.summary()["failed"] == ["x"]  # the oldest that went was one of der(x)
+
+
+# Outliers: a jump of the residual by 8 times what is usual, at least sqrt(2) standard deviations.
+
+
+def fed(values, inputs=None, thetas=None, sensors=SENSORS):
+    """For each derivative, in standard deviations from 1: whether it is suspect, and the outliers of the one before.
+
+    Before the first of them some are alike: from a single change nobody knows what is usual.
+    """
+    watched, seen = Outliers(8.0, sensors.names, sensors.noise, sensors.residual), []
+    for k in range(-9, 0):
+        xdot = tuple(1.0 + SIGMA * np.zeros_like(np.atleast_1d(values[0])))
+        watched.step(Sample(k * H, (0.0,), (1.0,), xdot), THETA)
+    for k, value in enumerate(values):
+        u = 1.0 if inputs is None else inputs[k]
+        xdot = tuple(1.0 + SIGMA * np.atleast_1d(value))
+        seen.append(watched.step(Sample(k * H, (0.0,), (u,), xdot), THETA if thetas is None else thetas[k]))
+    return seen
+
+
+GOOD, SUSPECT, OUTLIER = (False, []), (True, []), (False, ["der(x)"])
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(("jump", "is_far"), [(11.3, False), (11.33, True)])  # 8 sqrt(2) = 11.314
+def test_how_far_a_jump_is(jump, is_far, sign):
+    assert fed([0.0, sign * jump]) == [GOOD, SUSPECT if is_far else GOOD]
+
+
+@pytest.mark.parametrize(
+    ("share", "is_outlier"), [(0.29, True), (0.31, False), (1.0, False), (0.0, True), (-1.0, True)]
+)
+def test_how_much_of_a_jump_must_persist(share, is_outlier):
+    last, after, later = fed([0.0, 0.0, 30.0, share * 30.0, share * 30.0])[2:]
+    assert last == SUSPECT
+    assert after[1] == (["der(x)"] if is_outlier else [])
+    assert after[0] == (share == -1.0)  # the other way: the next jump
+    assert later[1] == []
+
+
+def test_an_outlier_is_told_once():
+    assert fed([0.0, 50.0, 0.0, 0.0, 0.0]) == [GOOD, SUSPECT, OUTLIER, GOOD, GOOD]
+
+
+def test_a_drift_is_no_jump():
+    assert fed(np.arange(100.0)) == [GOOD] * 100
+
+
+def test_what_is_usual_is_the_median_of_the_newest_changes():
+    """1.4826 times it is the standard deviation: the limit is 11.86 times the changes seen."""
+    noise = [10.0 * (k % 2) for k in range(40)]
+    for jump, is_far in ((118.0, False), (119.0, True)):
+        assert fed([*noise, noise[-1] + jump])[-1] == (SUSPECT if is_far else GOOD)
+    assert fed([*noise, *[noise[-1]] * 14, noise[-1] + 50.0])[-1] == GOOD  # 17 of 31
+    assert fed([*noise, *[noise[-1]] * 16, noise[-1] + 50.0])[-1] == SUSPECT
+
+
+@pytest.mark.parametrize(("jump", "is_far"), [(0.0, False), (50.0, False), (53.0, False), (54.0, True)])
+def test_where_the_model_moves_much_its_error_may_move_as_much(jump, is_far):
+    """By 21.34 standard deviations: |jump - 21.34| is beyond 11.31 + 21.34 from 53.99 on."""
+    moves = 21.34
+    assert fed([0.0, jump], inputs=[1.0, 1.0 + moves * SIGMA])[-1] == (SUSPECT if is_far else GOOD)
+
+
+def test_more_than_five_suspects_in_a_row_are_believed():
+    values = [0.0, *[100.0 * (-1.0) ** k for k in range(6)]]
+    assert [is_suspect for is_suspect, _ in fed(values)] == [False, *[True] * 5, False]
+    assert [is_suspect for is_suspect, _ in fed([*values, values[-1], values[-1] + 3000.0])][-2:] == [False, True]
+
+
+def test_a_suspect_is_judged_by_what_was_in_force_at_it():
+    """What was written for it is wrong by far, and the input moves: that is no jump of the sensor."""
+    thetas = [THETA, THETA, 100.0 * THETA]
+    assert fed([0.0, 50.0, 1.0], inputs=[1.0, 1.0, 1.0 + SIGMA], thetas=thetas) == [GOOD, SUSPECT, OUTLIER]
+
+
+def test_only_the_sensor_that_jumped_is_named():
+    pair = Sensors(
+        ("der(x)", "der(y)", "x", "y"), (True,) * 4, (SIGMA,) * 2, (0, 1), (0.0,) * 2, residual, lambda t, s: [0.0] * 2
+    )
+    values = [(0.0, 0.0), (0.0, 1.0), (50.0, 2.0), (0.0, 1.0), (0.0, 0.0)]
+    assert fed(values, sensors=pair) == [GOOD, GOOD, SUSPECT, OUTLIER, GOOD]
+
+
+def test_a_residual_that_is_no_number_is_neither_suspect_nor_what_is_usual():
+    """Where the model fails for some input."""
+    thetas = [THETA, THETA, THETA * inf, THETA, THETA, THETA]
+    assert fed([0.0, 0.0, 0.0, 0.0, 50.0, 0.0], thetas=thetas) == [GOOD] * 4 + [SUSPECT, OUTLIER]
+    assert fed([0.0] * 3 + [50.0, 0.0], inputs=[1.0, nan, 1.0, 1.0, 1.0]) == [GOOD] * 3 + [SUSPECT, OUTLIER]
+
+
+def test_the_estimator_gets_what_is_suspect_and_hears_that_it_was_an_outlier():
+    watched, samples = screen(), moving(12)
+    samples[6] = replace(samples[6], xdot=(2.0,))
+    seen = steps(watched, samples)
+    assert all(s.sample is not None for s in seen)
+    assert [s.is_suspect for s in seen] == [k == 6 for k in range(12)]
+    assert [s.was_outlier for s in seen] == [k == 7 for k in range(12)]
+    assert told(seen[7]) == [("outlier", "der(x)")]
+    assert watched.summary() == {"kept_out": 1, "found": {"outlier der(x)": 1}, "failed": []}
+
+
+def test_a_suspect_waits_for_the_next_sample_that_is_sound():
+    watched, samples = screen(), moving(12)
+    samples[6] = replace(samples[6], xdot=(2.0,))
+    samples[7] = replace(samples[7], xdot=(nan,))
+    seen = steps(watched, samples)
+    assert [s.was_outlier for s in seen] == [k == 8 for k in range(12)]
+
+
+# Derivatives that do not fit the motion: over n steps by more than 8 standard deviations of what is summed.
+
+
+def inconsistent(n=60, bias=0.0, rates=None, times=None, inputs=None, noise=SIGMA, state_noise=0.0, model=slope):
+    """Numbers of the samples that are inconsistent; rates: of the state, 1 where there are none."""
+    watched = Consistency((0,), (noise,), (state_noise,), model, 8.0, H)
+    rates = np.ones(n) if rates is None else np.array(rates, dtype=float)
+    biases = np.broadcast_to(bias, len(rates))
+    x, odd = H * np.cumsum(rates), []
+    for k, rate in enumerate(rates):
+        t = k * H if times is None else times[k]
+        u = 1.0 if inputs is None else inputs[k]
+        if len(watched.step(Sample(t, (x[k],), (u,), (rate + biases[k],)), THETA)):
+            odd.append(k)
+    return odd
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(("bias", "first"), [(1.0, 5), (0.0195, 17), (0.0179, 20), (0.0178, None)])
+def test_how_large_a_bias_is_found_and_when(bias, first, sign):
+    """n bias H > 8 SIGMA H sqrt(n), from 5 steps on and up to 20."""
+    assert inconsistent(bias=sign * bias) == ([] if first is None else [*range(first, 60)])
+
+
+@pytest.mark.parametrize(("bias", "is_found"), [(0.0560, False), (0.0570, True)])
+def test_noise_of_the_state_hides_a_bias(bias, is_found):
+    """20 bias H > 8 sqrt(2) 0.01."""
+    assert bool(inconsistent(bias=bias, noise=1e-9, state_noise=0.01)) == is_found
+
+
+@pytest.mark.parametrize(("bias", "is_found"), [(4.78, False), (4.83, True)])
+def test_noise_that_was_not_declared_hides_a_bias(bias, is_found):
+    """Of changes of 2: 8 sqrt(20) 1.05 2 H + H/2 (20 2 + 2) = 9.61 = 20 bias H."""
+    scatter = np.array([(-1.0) ** k for k in range(60)])
+    assert bool(inconsistent(bias=bias + scatter, noise=1e-9)) == is_found
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(("bias", "is_found"), [(0.1178, False), (0.1180, True)])
+def test_the_rectangle_errs_where_the_modelled_derivative_changes(bias, is_found, sign):
+    """By 0.1 in every step: bias > 0.1 + 8 SIGMA / sqrt(20)."""
+    assert bool(inconsistent(bias=bias, model=lambda theta, s: [sign * s.t])) == is_found
+
+
+def test_an_input_that_was_held_over_the_step_is_no_error_of_the_rectangle():
+    inputs = [100.0 * (-1.0) ** k for k in range(60)]
+    assert inconsistent(bias=0.0195, inputs=inputs) == [*range(17, 60)]
+
+
+def test_a_jump_of_the_motion_is_consistent():
+    assert inconsistent(rates=[0.0] * 30 + [5.0] * 30) == []
+
+
+def test_one_spike_is_no_bias():
+    assert inconsistent(bias=[5.0 * (k == 30) for k in range(60)]) == []
+
+
+def test_after_a_gap_it_begins_anew():
+    times = [(k + 3 * (k >= 30)) * H for k in range(60)]
+    assert inconsistent(bias=1.0, times=times) == [*range(5, 30), *range(35, 60)]
+    jitter = [(k + 0.2 * (k % 2)) * H for k in range(60)]
+    assert inconsistent(bias=1.0, times=jitter) == [*range(5, 60)]
+
+
+def test_what_is_inconsistent_is_kept_out_and_what_is_missing_is_not_summed():
+    watched, samples = screen(), [replace(s, xdot=(s.xdot[0] + 1.0,)) for s in moving(12)]
+    assert [found(watched, s) for s in samples][4:6] == [(set(), True), ({"inconsistent der(x)"}, False)]
+    samples[8] = replace(samples[8], xdot=(nan,))
+    watched = screen()
+    assert [found(watched, s)[0] for s in samples][8:10] == [{"missing der(x)"}, set()]
+
+
+def test_limits_are_those_of_the_settings():
+    sizes = sqrt(2.0) * np.array([2.9, 3.1])
+    for size, is_suspect in zip(sizes, (False, True), strict=True):
+        samples = moving(3)
+        samples[2] = replace(samples[2], xdot=(1.0 + size * SIGMA,))
+        assert steps(screen(outlier=3.0), samples)[-1].is_suspect == is_suspect

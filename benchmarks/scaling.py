@@ -109,10 +109,11 @@ def _row(name: str, what: str, size: Size, n_seeds: int) -> dict[str, object]:
     errors: list[float] = []
     for seed in range(n_seeds):
         retuner, samples, truth = synthetic(name, size, seed)
-        estimate = None
+        estimate, held = None, np.ones(size.dimensions)
         for k, sample in enumerate(samples):
             begun = thread_time()
-            estimate = retuner.step(sample.t, sample, 0.0).estimate
+            proposal = retuner.step(sample.t, sample, 0.0, held)
+            estimate, held = proposal.estimate, held if proposal.theta is None else proposal.theta
             if k >= len(samples) - last:
                 milliseconds.append(1e3 * (thread_time() - begun))
         assert estimate is not None
@@ -132,9 +133,10 @@ def _memory(name: str, size: Size) -> float:
     tracemalloc.start()
     try:
         retuner, samples, _ = synthetic(name, size, 0)
-        before = tracemalloc.get_traced_memory()[0]
+        before, held = tracemalloc.get_traced_memory()[0], np.ones(size.dimensions)
         for sample in samples:
-            retuner.step(sample.t, sample, 0.0)
+            proposal = retuner.step(sample.t, sample, 0.0, held)
+            held = held if proposal.theta is None else proposal.theta
         return (tracemalloc.get_traced_memory()[0] - before) / 1024.0
     finally:
         tracemalloc.stop()
@@ -163,7 +165,7 @@ def synthetic(name: str, size: Size, seed: int) -> tuple[Retuner, list[Sample], 
     search = method.estimator(space, np.ones(d), rng, settings)
     residual = DerivativeResidual(model, space, tuple(range(c)), (SIGMA if search.is_whitened else 1.0,) * c)
     window = ResidualWindow(residual, c, size.window)
-    return Retuner(search, window, AlwaysTrigger(), Budget(math.inf), np.ones(d)), samples, truth
+    return Retuner(search, window, AlwaysTrigger(), Budget(math.inf)), samples, truth
 
 
 def endurance(n_steps: int, limit: float = math.inf) -> None:

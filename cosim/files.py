@@ -35,12 +35,12 @@ def write_text(path: Path, text: str) -> None:
 
 def write_bytes(path: Path, content: bytes) -> None:
     """Write a whole file at once or not at all. Raises FolderError."""
-    with _replaced(path) as file:
+    with replaced(path) as file:
         file.write(content)
 
 
 @contextmanager
-def _replaced(path: Path) -> Generator[IO[bytes]]:
+def replaced(path: Path) -> Generator[IO[bytes]]:
     """A file that takes the place of path once it is whole: temporary file, fsync, rename. Raises FolderError."""
     try:
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-")

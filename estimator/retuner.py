@@ -1,6 +1,7 @@
-"""Algorithm 1 of the paper: watch the tracking error, estimate, write back. Knows no FMU.
+"""The re-tuning loop: idle until triggered, then an episode of evaluations that ends in new parameters.
 
-Khan and Chatterjee (2020), section III-C and algorithm 1.
+Khan and Chatterjee (2020), section III-C and algorithm 1. It knows no FMU and holds no parameters of the controller:
+what is held is an argument, what should be written is returned.
 """
 
 import math
@@ -9,41 +10,33 @@ from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
 from time import perf_counter
-from typing import Any, Literal, NamedTuple, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 
-from . import (
-    AskTell,
-    Batching,
-    DerivativeResidual,
-    Estimate,
-    LinearForm,
-    NoEstimateError,
-    Objective,
-    Rescoring,
-    ResidualWindow,
-    Sample,
-    Solver,
-    Vector,
-    Window,
-)
+from .contract import AskTell, Batching, Estimate, NoEstimateError, Rescoring, Solver
 from .events import Event
+from .objective import LinearForm, Objective, Window
+from .samples import DerivativeResidual, Sample
+from .sliding_window import ResidualWindow
+from .space import Vector
 from .triggers import AlwaysTrigger, Trigger
 
 
 @dataclass(frozen=True)
-class Reconfiguration:
-    """What one communication point led to."""
+class Proposal:
+    """What one communication point led the retuner to."""
 
-    write: Vector | None = None
-    """theta (d,) for the controller, or None to leave it."""
+    theta: Vector | None = None
+    """Parameters (d,) that the controller should get; None to leave what it holds."""
     estimate: Estimate | None = None
-    """The belief behind it."""
+    """The estimate behind it."""
     events: tuple[Event, ...] = ()
-    """In order."""
+    """Trigger, candidates, end, in order."""
     latencies: tuple[float, ...] = ()
     """Wall time of each evaluation [s]: ask, score, tell, any refit; the first and the last carry what is done once."""
+    is_candidate: bool = False
+    """Whether theta is a candidate that is tried out, not the estimate."""
 
 
 @dataclass(frozen=True)
@@ -58,18 +51,21 @@ class Budget:
     """Whether the best so far or each candidate is written."""
 
 
-class _Mark(NamedTuple):
-    """What a loop knew before a sample that may be an outlier."""
+@dataclass(frozen=True)
+class RetunerSnapshot:
+    """What a retuner knew before a sample that may be an outlier."""
 
     window: ResidualWindow
     remaining: float
-    theta: Vector
-    believed: Vector
+    believed: Vector | None
     solver: Solver | None
 
 
 class Retuner:
-    """The loop: idle until triggered, then an episode of evaluations, writing as it goes. Holds the run's belief."""
+    """Watches samples, and in an episode evaluates candidates and proposes the best so far.
+
+    One call a communication point: `proposal = retuner.step(t, sample, tracking_error, held)`.
+    """
 
     def __init__(
         self,
@@ -77,11 +73,10 @@ class Retuner:
         window: Window,
         trigger: Trigger,
         budget: Budget,
-        start: Vector,
         linear: LinearForm | None = None,
         describe: Callable[[], str] = str,
     ) -> None:
-        """describe: how the window judges candidates, in a line."""
+        """describe: returns how the window scores candidates, in a line."""
         self.describe = describe
         self._estimator, self._window, self._trigger, self._budget = estimator, window, trigger, budget
         self._solver = estimator if isinstance(estimator, Solver) else None  # 20 us to ask a protocol
@@ -89,95 +84,80 @@ class Retuner:
         is_batching = isinstance(estimator, Batching) and not window.is_rescoring_cheap
         self._batching = cast(Batching, estimator) if is_batching else None
         self._linear = linear
-        self._theta = self._believed = start
+        self._believed: Vector | None = None  # the newest estimate of the present episode
         self._remaining = 0.0
-        self._marked: _Mark | None = None
         self.n_evaluations = 0
         self.n_episodes = 0
 
-    def step(self, t: float, sample: Sample | None, tracking_error: float) -> Reconfiguration:
-        """Take one communication point's sample, where there is one; returns what to write, and why.
+    def step(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
+        """Take one communication point's sample, where there is one; return what to write, and why.
 
-        A filter gives a sample every so many points, of a time before t: a search goes on between them.
+        held (d,): what the controller holds. A filter gives a sample every so many points, of a time before t: a search
+        goes on between them.
         """
         begun = perf_counter()
         if sample is not None:
             self._window.append(sample)
         elif not self._remaining or self._solver is not None:  # an equal window has nothing new to solve
-            return Reconfiguration()
+            return Proposal()
         events: list[Event] = []
         if sample is not None and not self._remaining:
-            reason = self._trigger(sample, tracking_error, self._theta)
+            reason = self._trigger(sample, tracking_error, held)
             if reason is None:
-                return Reconfiguration()
-            samples = self._begin()
+                return Proposal()
+            samples = self._begin(held)
             on = {} if samples is None else {"samples": samples}
             events.append(Event(t, "trigger", {"reason": reason, "episode": self.n_episodes, **on}))
-        elif sample is not None and self._estimator.is_whitened:
+        elif sample is not None and self._estimator.is_whitened and self._believed is not None:
             self._window.explain(self._believed)  # before the evaluations, which a past that misleads would spoil
         if not self._window.is_ready:
-            return Reconfiguration(events=tuple(events))
+            return Proposal(events=tuple(events))
         latencies: list[float] = []
-        candidate = self._theta
-        for candidate, cost, seconds in self._evaluate():
+        candidate = held
+        for candidate, cost, seconds in self._evaluate(held):
             latencies.append(seconds)
             why = self._window.why_failed(candidate)
             failed = {} if why is None else {"failed": why}
             events.append(Event(t, "candidate", {"theta": candidate.tolist(), "cost": cost, **failed}))
-        estimate = self._believe()
+        estimate = self._estimate()
         latencies[-1] += perf_counter() - begun - sum(latencies)
-        if self._remaining == 0:
+        has_ended = self._remaining == 0
+        if has_ended:
             cost = None if estimate is None else estimate.cost
-            belief = {} if estimate is None else _belief(estimate)
-            events.append(Event(t, "end", {"episode": self.n_episodes, "cost": cost} | belief))
-        write = None
-        if estimate is not None:
-            is_candidate = self._budget.commit == "candidate" and self._remaining > 0
-            theta = candidate if is_candidate else estimate.theta
-            write = None if np.array_equal(theta, self._theta) else theta
-            if write is not None:
-                why = {"theta": theta.tolist(), "reason": "candidate"} if is_candidate else {}
-                events.append(Event(t, "write", _belief(estimate) | why))
-            self._theta = theta
-        if self._remaining == 0:
-            self._window.end(self._theta)
-        return Reconfiguration(write, estimate, tuple(events), tuple(latencies))
+            known = {} if estimate is None else estimate_as_json(estimate)
+            events.append(Event(t, "end", {"episode": self.n_episodes, "cost": cost} | known))
+        is_candidate = self._budget.commit == "candidate" and not has_ended
+        wanted = held if estimate is None else candidate if is_candidate else estimate.theta
+        if has_ended:
+            self._window.end(wanted)
+        theta = None if np.array_equal(wanted, held) else wanted
+        return Proposal(theta, estimate, tuple(events), tuple(latencies), is_candidate)
 
-    def hold(self, theta: Vector) -> None:
-        """The controller holds theta (d,), whatever was to be written."""
-        self._theta = theta
-
-    def mark(self) -> Vector | None:
-        """Remember what is known, for `retract`: the next sample may be an outlier.
-
-        Returns what is in force (d,); None where an episode's own window cannot go back.
-        """
+    def snapshot(self) -> RetunerSnapshot | None:
+        """Return what `restore` needs to go back to now; None where an episode's own window cannot go back."""
         if not isinstance(self._window, ResidualWindow):
             return None
-        solver = deepcopy(self._solver)
-        self._marked = _Mark(self._window.copy(), self._remaining, self._theta, self._believed, solver)
-        return self._theta
+        return RetunerSnapshot(self._window.copy(), self._remaining, self._believed, deepcopy(self._solver))
 
-    def retract(self) -> None:
-        """Go back to the mark, as if the sample after it had not been taken; what was evaluated stays counted."""
-        if (mark := self._marked) is None:
-            return
-        mark.window.n_model_calls = self._window.n_model_calls
-        self._window, self._remaining = mark.window, mark.remaining
-        self._theta, self._believed = mark.theta, mark.believed
-        if mark.solver is not None:
-            self._solver = mark.solver
-            self._estimator = mark.solver
+    def restore(self, snapshot: RetunerSnapshot, held: Vector) -> None:
+        """Go back to a snapshot, which is used up; held (d,): what the controller held then.
+
+        What was evaluated since stays counted.
+        """
+        snapshot.window.n_model_calls = self._window.n_model_calls
+        self._window, self._remaining, self._believed = snapshot.window, snapshot.remaining, snapshot.believed
+        if snapshot.solver is not None:
+            self._solver = self._estimator = snapshot.solver
         elif self._rescoring is None:
-            self._estimator.restart(self._theta)
+            self._estimator.restart(held)
 
     @property
     def n_model_calls(self) -> int:
-        """Samples at which a candidate was judged, re-scoring included."""
+        """Samples at which a candidate was scored, re-scoring included."""
         return self._window.n_model_calls
 
-    def _believe(self) -> Estimate | None:
-        """What the estimator believes now; None before any candidate has succeeded."""
+    def _estimate(self) -> Estimate | None:
+        """The present estimate; None before any candidate has succeeded."""
         try:
             estimate = self._estimator.estimate()
         except NoEstimateError:
@@ -187,25 +167,25 @@ class Retuner:
             self._window.explain(estimate.theta)
         return estimate
 
-    def _begin(self) -> str | None:
+    def _begin(self, held: Vector) -> str | None:
         """Begin an episode; on which samples, where that is not simply the newest ones."""
         self.n_episodes += 1
         self._remaining = self._budget.evaluations
-        self._estimator.restart(self._theta)
+        self._estimator.restart(held)
         if self._rescoring is not None and not self._window.is_rescoring_cheap:
-            # What was told of them belongs to other samples: as failures they are forgotten.
+            # Their residuals belong to other samples: as failures they are forgotten.
             self._rescoring.rescore(np.full((len(self._rescoring.candidates), 1), np.nan))
-        samples = self._window.begin(self._theta)
-        self._believed = self._theta
+        samples = self._window.begin(held)
+        self._believed = held
         if self._estimator.is_whitened:
-            self._window.explain(self._theta, patient=False)
+            self._window.explain(held, patient=False)
         return samples
 
-    def _evaluate(self) -> Iterator[tuple[Vector, float, float]]:
+    def _evaluate(self, held: Vector) -> Iterator[tuple[Vector, float, float]]:
         """Evaluate this step's candidates: (theta, |residual|^2, wall time [s]) of each."""
         if self._solver is not None:
             return self._solve(self._solver)
-        return self._search(cast(AskTell, self._estimator))
+        return self._search(cast(AskTell, self._estimator), held)
 
     def _solve(self, solver: Solver) -> Iterator[tuple[Vector, float, float]]:
         begun = perf_counter()
@@ -218,10 +198,10 @@ class Retuner:
         estimate = solver.estimate()
         yield estimate.theta, estimate.cost, perf_counter() - begun
 
-    def _search(self, search: AskTell) -> Iterator[tuple[Vector, float, float]]:
+    def _search(self, search: AskTell, held: Vector) -> Iterator[tuple[Vector, float, float]]:
         begun = perf_counter()
         if self._rescoring is None:
-            self._window.keep([self._theta])  # it would keep the residuals of every candidate of the run
+            self._window.keep([held])  # it would keep the residuals of every candidate of the run
         elif self._window.is_rescoring_cheap and len(candidates := self._rescoring.candidates):
             self._rescoring.rescore(np.asarray(self._window.residuals(candidates)))
         n = int(min(self._budget.evaluations_per_step, self._remaining))
@@ -238,8 +218,8 @@ class Retuner:
                 begun = now
 
 
-def _belief(estimate: Estimate) -> dict[str, Any]:
-    """An estimate as JSON values."""
+def estimate_as_json(estimate: Estimate) -> dict[str, Any]:
+    """Return an estimate as JSON values."""
     return {
         "theta": estimate.theta.tolist(),
         "std": estimate.std.tolist(),
@@ -254,17 +234,16 @@ def make_retuner(
     trigger: Trigger,
     budget: Budget,
     max_length: int,
-    start: Vector,
     linear: LinearForm | None = None,
     text: str = "",
 ) -> Retuner:
-    """The loop round an estimator, on windows of at most max_length samples; start (d,): what the controller holds.
+    """Return the loop round an estimator that is given derivatives, on windows of at most max_length samples.
 
     whitened: the residual in standard deviations of its noise; an estimator that wants physical units gets those.
     text: what it is, for the report.
     """
-    judged = whitened if estimator.is_whitened else replace(whitened, noise=(1.0,) * len(whitened.noise))
-    window = ResidualWindow(judged, len(whitened.noise), max_length)
+    residual = whitened if estimator.is_whitened else replace(whitened, noise=(1.0,) * len(whitened.noise))
+    window = ResidualWindow(residual, len(whitened.noise), max_length)
     if isinstance(trigger, AlwaysTrigger):
         budget = replace(budget, evaluations=math.inf)
-    return Retuner(estimator, window, trigger, budget, start, linear, partial(str, text))
+    return Retuner(estimator, window, trigger, budget, linear, partial(str, text))

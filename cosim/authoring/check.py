@@ -17,7 +17,7 @@ from ..findings import Finding
 from ..fmi.archive import FmuFile
 from ..fmi.component import Component, read_component
 from ..objectives.choice import check_objective, chosen
-from ..retuning.policies import try_model
+from ..retuning.assembly import try_model
 from ..scenarios.scenario import Scenario
 from ..scenarios.validation import error_texts
 from ..ssp.load import load_scenario

@@ -10,13 +10,11 @@ from time import perf_counter
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from estimator import Sample, Vector
-from estimator.retuner import Reconfiguration, Retuner
-
 from ..errors import FolderError, ScenarioError
+from ..retuning.assembly import make_supervisor, try_model
+from ..retuning.decision import Point
 from ..retuning.estimators import find_method
-from ..retuning.policies import decide, make_policy, try_model, whitened_residual
-from ..retuning.supervisor import Supervisor
+from ..runs.latencies import Latencies
 from ..runs.lock import new_locked_folder
 from ..runs.record import recording
 from ..runs.result import Run, read_run
@@ -73,40 +71,24 @@ def replayed(recorded: Run, estimator: str, seed: int) -> Run:
     # As `run` spawns them: the noise's stream, which is on record already, and the search's.
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(2)[1])
     begun = perf_counter()
-    latencies: list[tuple[float, ...]] = []
+    latencies = Latencies()
     theta, thetas = held[0], [held[0]]
     with ExitStack() as stack:
-        whitened = whitened_residual(scenario, estimator, recorded.plant, stack)
-        policy = make_policy(scenario, estimator, recorded.plant, held[0], _no_truth, rng, stack, whitened=whitened)
-        if not isinstance(policy, Retuner):
-            raise ScenarioError(f"'{estimator}' estimates nothing.")
+        unguarded = scenario.model_copy(update={"guard": GuardSettings(enabled=False)})
+        supervisor = make_supervisor(unguarded, estimator, recorded.plant, theta, rng, stack)
         first = next((sample for sample in samples if sample is not None), None)
         if first is not None:
-            try_model(scenario, estimator, recorded.plant, held[0], first)
-        unguarded = scenario.model_copy(update={"guard": GuardSettings(enabled=False)})
-        screen = Supervisor(unguarded, recorded.plant, policy, held[0], whitened, None, stack)
-        for t, sample, error in zip(recorded.time[1:].tolist(), samples[1:], errors[1:], strict=True):
-            decision = _decided(policy, screen, estimator, t, sample, hypot(*error), theta)
-            if decision.latencies:
+            try_model(scenario, estimator, recorded.plant, theta, first)
+        for k, (t, sample, error) in enumerate(zip(recorded.time.tolist(), samples, errors, strict=True)):
+            if k:
+                decision = supervisor.step(Point(k, t, sample, hypot(*error)), theta)
                 latencies.append(decision.latencies)
-            theta = theta if decision.write is None else decision.write
-            thetas.append(theta)
+                theta = theta if decision.write is None else decision.write
+                thetas.append(theta)
     estimates = dict(zip(writes, np.array(thetas).T, strict=True))
     return replace(
         recorded, estimator=estimator, seed=seed, series={**recorded.series, **estimates}, status="done", error=None,
-        n_evaluations=policy.n_evaluations, n_episodes=policy.n_episodes, n_model_calls=policy.n_model_calls,
-        latencies=tuple(latencies), objective=policy.describe(),
+        n_evaluations=supervisor.n_evaluations, n_episodes=supervisor.n_episodes,
+        n_model_calls=supervisor.n_model_calls, latencies=latencies.by_step(), objective=supervisor.describe(),
         wall=perf_counter() - begun, folder=None, belief=None,
     )  # fmt: skip
-
-
-def _decided(
-    policy: Retuner, screen: Supervisor, estimator: str, t: float, sample: Sample | None, error: float, theta: Vector
-) -> Reconfiguration:
-    """What is made of a sample that the screen lets through; there is no guard where nothing has consequences."""
-    seen = screen.seen(t, sample, theta)
-    return screen.without_outlier(t, decide(policy, estimator, seen.sample, t, error))
-
-
-def _no_truth(t: float) -> Vector:
-    raise ScenarioError("a record cannot be replayed with the true parameters.")

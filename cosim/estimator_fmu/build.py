@@ -24,8 +24,8 @@ from ..errors import ScenarioError
 from ..fmi.archive import FmuFile
 from ..fmi.component import read_component
 from ..objectives.choice import chosen
+from ..retuning.assembly import make_supervisor, try_model
 from ..retuning.estimators import find_method
-from ..retuning.policies import make_policy, try_model
 from ..scenarios.scenario import Scenario
 from ..scenarios.schema.estimation import Innovation, Tracking
 from ..system.fmu_cache import fmu_paths
@@ -166,7 +166,7 @@ class _Variables:
 def _try(scenario: Scenario, method: str, plant: Plant, fmus: Mapping[str, FmuFile], theta: Vector) -> None:
     """Make what the FMU will make, and call the model once. Raises ScenarioError."""
     with ExitStack() as stack:
-        make_policy(scenario, method, plant, theta, lambda _: theta, np.random.default_rng(0), stack)
+        make_supervisor(scenario, method, plant, theta, np.random.default_rng(0), stack)
     x = tuple(start_value(scenario, fmus, f"{plant.name}.{name}") for name in plant.states)
     first = Sample(0.0, x, tuple(plant.inputs.values()), (0.0,) * len(plant.channels))
     try_model(scenario, method, plant, theta, first)

@@ -1,4 +1,4 @@
-"""The loop of `reconfigure` made from an estimator FMU's settings and parameters. Needs NumPy, SciPy and GPy."""
+"""The re-tuning loop of an estimator FMU, made from its settings and parameters. Needs NumPy, SciPy and GPy."""
 
 import importlib
 from collections.abc import Callable, Mapping, Sequence
@@ -51,7 +51,6 @@ class EstimatorLoop:
             _trigger(settings["trigger"], whitened, value),
             Budget(value("budget"), int(value("evaluations_per_step")), settings["commit"]),
             int(value("window")),
-            start,
             LinearForm(space, *(_load(r, settings["ships"]) for r in settings["linear"]))
             if settings["linear"]
             else None,
@@ -67,12 +66,12 @@ class EstimatorLoop:
         """Take the sample at t [s], but as in `run` for the first one; tracking_error: the norm."""
         sample = Sample(t, tuple(x), tuple(u), tuple(xdot))
         with _one_thread():
-            decision = self._retuner.step(t, None if self._is_first else sample, tracking_error)
+            proposal = self._retuner.step(t, None if self._is_first else sample, tracking_error, self._theta)
         self._is_first = False
-        if decision.estimate is not None:
-            self._std, self._is_identifiable = decision.estimate.std, decision.estimate.is_identifiable
-        if decision.write is not None:
-            self._theta, self._is_updated = decision.write, True
+        if proposal.estimate is not None:
+            self._std, self._is_identifiable = proposal.estimate.std, proposal.estimate.is_identifiable
+        if proposal.theta is not None:
+            self._theta, self._is_updated = proposal.theta, True
 
     @property
     def outputs(self) -> list[float]:

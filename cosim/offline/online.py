@@ -23,6 +23,9 @@ from ..objectives.rollout import RolloutObjective
 from ..objectives.rollout_fmu import START_METHODS, Shadow, StartMethod
 from ..objectives.rollout_fmu import told as said
 from ..objectives.rollout_start import NoisyStartObjective
+from ..retuning.data_support import NoDataSupport
+from ..retuning.decision import Point
+from ..retuning.supervisor import Supervisor
 from ..scenarios.schema.estimation import Innovation
 from .estimate import EstimateError, Request, Understood, understand
 from .log_windows import LogWindow
@@ -123,15 +126,16 @@ def _watched(
     with NoisyStartObjective(partial(RolloutObjective, shadow, theta, None, None, request.jobs), noise) as objective:
         stretch = EpisodeWindow(objective, n_samples)
         trigger, budget = WindowTrigger(stretch.track, FALSE_ALARM), Budget(request.evaluations)
-        retuner = Retuner(_search(request, space, theta, rng), stretch, trigger, budget, theta)
-        for n, sample in enumerate(samples[1:], 2):
+        retuner = Retuner(_search(request, space, theta, rng), stretch, trigger, budget)
+        supervisor = Supervisor(request.method, retuner, NoDataSupport())
+        for k, sample in enumerate(samples[1:], 1):
             try:
-                done = retuner.step(window.origin + sample.t, sample, 0.0)
+                decision = supervisor.step(Point(k, window.origin + sample.t, sample, 0.0), theta)
             except ScenarioError as e:
                 raise EstimateError(f"--online: {str(e).removeprefix('estimation.rollout: ')}") from e
-            events += [event for event in done.events if event.kind != "candidate"]
-            theta = theta if done.write is None else done.write
-            progress(n)
+            events += [event for event in decision.events if event.kind != "candidate"]
+            theta = theta if decision.write is None else decision.write
+            progress(k + 1)
         failure = objective.why_lost if objective.is_ready else f"{len(samples)} rows are too few to begin"
         return Watched(window, tuple(events), retuner.n_evaluations, theta, objective.describe(), failure)
 

@@ -1,4 +1,4 @@
-"""What the newest samples say of a write, by the scenario's model: what they see of it, and what contradicts it."""
+"""Which part of a write the newest samples support, by the scenario's model, and whether they contradict it."""
 
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -18,33 +18,37 @@ _WIDEST = 0.25
 
 
 class NoDataSupport:
-    """Sees nothing and says nothing: where candidates are judged otherwise than sample by sample."""
+    """Supports whatever is to be written: where candidates are not scored sample by sample."""
 
     n_channels = 1
 
     def append(self, sample: Sample) -> None:
-        """It is not kept."""
+        """Keep nothing."""
 
-    def retract(self) -> None:
+    def snapshot(self) -> tuple[Sample, ...]:
+        """Nothing was kept."""
+        return ()
+
+    def restore(self, snapshot: tuple[Sample, ...]) -> None:
         """Nothing was kept."""
 
     def cost(self, theta: Vector) -> float:
-        """Nothing contradicts."""
+        """Return 0: nothing contradicts."""
         return 0.0
 
     def identifiable_part(
         self, theta: Vector, held: Vector, at: Vector, unseen: float, little: float
     ) -> tuple[Vector, tuple[Reason, ...]]:
-        """The candidate (d,) as it is."""
+        """Return the candidate (d,) as it is."""
         return theta, ()
 
     def plausible_parameters(self, theta: Vector, n_std: float, little: float) -> Iterator[tuple[str, Vector]]:
-        """The estimate (d,)."""
+        """Yield the estimate (d,)."""
         yield "estimate", theta
 
 
 class DataSupport:
-    """Keeps the newest samples."""
+    """What the newest samples say of parameters: which of them they identify, and how well they are explained."""
 
     def __init__(
         self, residual: Callable[[Vector, Sample], Vector], space: ParameterSpace, n_channels: int, length: int
@@ -54,12 +58,16 @@ class DataSupport:
         self._samples: deque[Sample] = deque(maxlen=length)
 
     def append(self, sample: Sample) -> None:
-        """Take one sample more."""
+        """Take one more sample."""
         self._samples.append(sample)
 
-    def retract(self) -> None:
-        """The newest sample was an outlier."""
-        self._samples.pop()
+    def snapshot(self) -> tuple[Sample, ...]:
+        """The samples that are kept now."""
+        return tuple(self._samples)
+
+    def restore(self, snapshot: tuple[Sample, ...]) -> None:
+        """Keep these samples instead."""
+        self._samples = deque(snapshot, maxlen=self._samples.maxlen)
 
     def cost(self, theta: Vector) -> float:
         """Sum of squared residuals of theta (d,) at the newest sample; 0 before there is one."""
@@ -69,7 +77,7 @@ class DataSupport:
         return float(r @ r)
 
     def information(self, theta: Vector) -> Information:
-        """What the samples see at theta (d,), by central differences in the unit cube."""
+        """Return the information that the samples have at theta (d,), by central differences in the unit cube."""
         z, d = self._space.to_unit(theta), len(self._space)
         columns: list[Vector] = []
         for i in range(d):
@@ -83,10 +91,11 @@ class DataSupport:
     def identifiable_part(
         self, theta: Vector, held: Vector, at: Vector, unseen: float, little: float
     ) -> tuple[Vector, tuple[Reason, ...]]:
-        """The candidate (d,) without its moves from what is held in directions that are not seen, and then why.
+        """Return the candidate (d,) without its moves in directions that the data do not identify, and then why.
 
-        at (d,): where it is looked; unseen: standard deviation beyond which a direction is not seen, and little: a move
-        that is let be, both of the unit cube. Without samples nothing is seen.
+        held (d,): what it moves from; at (d,): where the information is taken; unseen: standard deviation beyond which
+        a direction is not identified, and little: a move that is let be, both of the unit cube. Without samples nothing
+        is identified.
         """
         here = self._space.to_unit(held)
         change = self._space.to_unit(theta) - here
@@ -96,11 +105,11 @@ class DataSupport:
         size = float(np.linalg.norm(part))
         if size <= little:
             return theta, ()
-        reason = f"{len(hidden)} of {len(here)} directions are not seen by the data; a move of {size:.2g} is left out"
+        reason = f"the data do not identify {len(hidden)} of {len(here)} directions; a move of {size:.2g} is left out"
         return self._space.from_unit(np.clip(here + change - part, 0.0, 1.0)), (("hold", reason),)
 
     def plausible_parameters(self, theta: Vector, n_std: float, little: float) -> Iterator[tuple[str, Vector]]:
-        """The estimate (d,) and its neighbours, n_std standard deviations off in the direction that is seen least."""
+        """Yield the estimate (d,), and both ends of n_std standard deviations in its least certain direction."""
         yield "estimate", theta
         seen = self.information(theta)
         distance = min(n_std / max(float(seen.singular_values[-1]), 1e-12), _WIDEST)

@@ -7,16 +7,16 @@ predicted to be; else back to what was good, then to the start. No decision look
 """
 
 from collections import Counter, deque
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from math import isclose, isfinite
-from typing import Any, NamedTuple, Protocol
+from typing import Any
 
 import numpy as np
 
 from estimator import Estimate, ParameterSpace, Vector, chi2_limit
 from estimator.events import Event
-from estimator.retuner import Reconfiguration
+from estimator.retuner import Proposal
 
 from ..scenarios.schema.guard import GuardSettings
 from .data_support import DataSupport, NoDataSupport, Reason
@@ -31,12 +31,8 @@ _LITTLE = 0.01
 """Share of the scaled bounds: a smaller move in unseen directions is let be, a smaller uncertainty not looked at."""
 
 
-class Peak(Protocol):
-    """The closed loop rolled ahead from now."""
-
-    def __call__(self, controller: Vector, plant: Vector) -> float | None:
-        """Largest norm of the tracking error with theta (d,) in each; None where nothing is known."""
-        ...
+PredictedPeak = Callable[[Vector, Vector], float | None]
+"""Largest norm of the tracking error with theta (d,) in controller and plant, if it is known."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +47,31 @@ class Trial:
     """Norm of the tracking error beyond which it is taken back."""
 
 
-class Verdict(NamedTuple):
-    """What becomes of a write."""
+@dataclass(frozen=True)
+class Ruling:
+    """What becomes of a proposal."""
+
+    write: Vector | None
+    """What is written (d,), or None."""
+    events: tuple[Event, ...] = ()
+    """What was done to it, and why."""
+    is_revert: bool = False
+    """Whether write is a way back, and not the proposal."""
+
+
+@dataclass(frozen=True)
+class GuardSnapshot:
+    """What a guard goes back to where a write turns out to have been made for an outlier."""
+
+    newest: int
+    """Communication point of the newest write on probation; -1 where there is none."""
+    anchor: Vector
+    """The last material write (d,)."""
+
+
+@dataclass(frozen=True)
+class _Verdict:
+    """What the checks before a write say of it."""
 
     theta: Vector | None
     """What may be written (d,), or None."""
@@ -63,7 +82,7 @@ class Verdict(NamedTuple):
 
 
 class Guard:
-    """Holds the last good parameters and what is on probation."""
+    """Rules on proposals. Knows what was good and what is on probation; what is held is the caller's."""
 
     def __init__(
         self,
@@ -76,145 +95,152 @@ class Guard:
         """start (d,): what the controller holds first, to go back to at last; divergence: limits.divergence."""
         self._settings, self._space, self._start, self._support = settings, space, start, support
         self._tolerance = settings.tolerance or 0.01 * divergence
-        self._good = self._held = self._anchor = start
+        self._good = self._anchor = start
         self._trials: deque[Trial] = deque()
         self._rests_until = -1
         self._refused: tuple[bytes, int] = (b"", 0)
         self.counts: Counter[str] = Counter()
-        """Of what was written, limited, held in part, vetoed, reverted, confirmed."""
+        """How many were written, limited, held in part, vetoed, confirmed, reverted, retracted."""
         self.stopped_at: float | None = None
         """Time [s] at which re-tuning was given up."""
 
-    @property
-    def held(self) -> Vector:
-        """What the controller holds (d,)."""
-        return self._held
-
     def summary(self) -> dict[str, Any]:
-        """The counts, as JSON values."""
+        """Return the counts as JSON values."""
         kinds = ("written", "limited", "held", "vetoed", "confirmed", "reverted", "retracted")
         return {kind: self.counts[kind] for kind in kinds} | {"stopped_at": self.stopped_at}
 
-    def retract(self, since: int, theta: Vector) -> None:
-        """What was written at a communication point and after it is taken back to theta (d,), held before that."""
-        while self._trials and self._trials[-1].since >= since:
+    def snapshot(self) -> GuardSnapshot:
+        """Return what `restore` needs to go back to now."""
+        return GuardSnapshot(self._trials[-1].since if self._trials else -1, self._anchor)
+
+    def restore(self, snapshot: GuardSnapshot) -> None:
+        """Forget the writes since a snapshot: they are taken back."""
+        while self._trials and self._trials[-1].since > snapshot.newest:
             self._trials.pop()
-        self._held = self._anchor = theta
+        self._anchor = snapshot.anchor
         self.counts["retracted"] += 1
 
-    def not_taken(self, t: float, read: Sequence[float], names: Sequence[str]) -> Event | None:
-        """Stop where the controller holds something else than was written: read (d,), the variables' names."""
-        for name, value, written in zip(names, read, self._held.tolist(), strict=True):
+    def not_taken(self, t: float, read: Sequence[float], held: Vector, names: Sequence[str]) -> Event | None:
+        """Stop re-tuning where the controller reads back something else than was written.
+
+        read, held (d,): what it holds, and what it should; names: of the variables.
+        """
+        for name, value, written in zip(names, read, held.tolist(), strict=True):
             if not isclose(value, written, rel_tol=_READ_BACK, abs_tol=_READ_BACK):
                 self.stopped_at = t
                 reason = f"{name} reads back as {value:.9g}, but {written:.9g} was written: re-tuning stops"
                 return Event(t, "stop", {"reason": reason})
         return None
 
-    def step(self, k: int, t: float, error: float, decision: Reconfiguration, peak: Peak | None) -> Reconfiguration:
-        """What is to be written at communication point k, t [s]; error: norm of the tracking error there."""
-        watched = self._watch(k, t, error)
-        others = tuple(e for e in decision.events if e.kind != "write")
+    def step(
+        self, k: int, t: float, error: float, proposal: Proposal, held: Vector, peak: PredictedPeak | None
+    ) -> Ruling:
+        """Rule on a proposal at communication point k, t [s].
+
+        error: norm of the tracking error there; held (d,): what the controller holds; peak: None where nothing is
+        predicted.
+        """
+        watched = self._watch(k, t, error, held)
         if watched is not None:
-            return replace(decision, write=watched[0], events=(*others, *watched[1]))
+            return watched
         confirmed = self._confirmed(k, t)
-        theta, estimate = decision.write, decision.estimate
+        theta, estimate = proposal.theta, proposal.estimate
         if theta is None or estimate is None:
-            return replace(decision, events=(*decision.events, *confirmed))
+            return Ruling(None, confirmed)
         if k < self._rests_until or (self._refused[0] == theta.tobytes() and k < self._refused[1]):
-            return replace(decision, write=None, events=(*others, *confirmed))
-        verdict = self._judge(k, theta, estimate, error, peak)
-        events = [Event(t, kind, {"theta": theta.tolist(), "reason": why}) for kind, why in verdict.reasons]
+            return Ruling(None, confirmed)
+        verdict = self._judge(theta, held, estimate, error, peak)
+        events = tuple(Event(t, kind, {"theta": theta.tolist(), "reason": why}) for kind, why in verdict.reasons)
         self.counts.update(_COUNTED[kind] for kind, _ in verdict.reasons)
         if verdict.theta is None:
             self._refused = (theta.tobytes(), k + self._settings.horizon // 2)
-            return replace(decision, write=None, events=(*others, *confirmed, *events))
-        written = self._take(k, verdict, error)
-        told = [replace(e, detail=e.detail | {"theta": written.tolist()}) for e in decision.events if e.kind == "write"]
-        return replace(decision, write=written, events=(*others, *confirmed, *events, *told))
+            return Ruling(None, (*confirmed, *events))
+        self._put_on_probation(k, verdict.theta, max(error, verdict.expected))
+        return Ruling(verdict.theta, (*confirmed, *events))
 
-    def _watch(self, k: int, t: float, error: float) -> tuple[Vector, list[Event]] | None:
+    def _watch(self, k: int, t: float, error: float, held: Vector) -> Ruling | None:
         """The way back, where what is on probation has made the tracking worse than it may be."""
         if not self._trials or error <= (allowed := self._trials[0].allowed):
             return None
         self.counts["reverted"] += 1
         n = self.counts["reverted"]
         is_last = n >= self._settings.reverts
-        is_good_bad = np.array_equal(self._held, self._good)  # what was good is what went wrong
+        is_good_bad = np.array_equal(held, self._good)  # what was good is what went wrong
         back = self._start if is_last or is_good_bad else self._good
-        reason = f"tracking error {error:.4g} passed {allowed:.4g} while on probation"
+        reason = f"tracking error {error:.4g} exceeded {allowed:.4g} while on probation"
         events = [Event(t, "revert", {"theta": back.tolist(), "reason": reason, "n": n})]
-        self._held = self._anchor = self._good = back
+        self._anchor = self._good = back
         self._trials.clear()
         self._rests_until = k + self._settings.probation
         if is_last:
             self.stopped_at = t
-            events.append(
-                Event(t, "stop", {"reason": f"{n} reverts: re-tuning stops, with the parameters of the start"})
-            )
+            reason = f"{n} reverts: re-tuning stops, with the parameters of the start"
+            events.append(Event(t, "stop", {"reason": reason}))
         elif not np.array_equal(back, self._start):
             self._trials.append(Trial(back, k, self._settings.growth * error))
-        return back, events
+        return Ruling(back, tuple(events), is_revert=True)
 
-    def _confirmed(self, k: int, t: float) -> list[Event]:
+    def _confirmed(self, k: int, t: float) -> tuple[Event, ...]:
+        """Events of the writes whose probation ends at point k."""
         events: list[Event] = []
         while self._trials and k - self._trials[0].since >= self._settings.probation:
             self._good = self._trials.popleft().theta
             self.counts["confirmed"] += 1
             events.append(Event(t, "confirm", {"theta": self._good.tolist()}))
-        return events
+        return tuple(events)
 
-    def _take(self, k: int, verdict: Verdict, error: float) -> Vector:
-        assert verdict.theta is not None
-        self._held = verdict.theta
+    def _put_on_probation(self, k: int, theta: Vector, error: float) -> None:
+        """Watch a write from point k on, where it is material; error: the larger of present and predicted ones."""
         self.counts["written"] += 1
-        if self._is_material(verdict.theta):
-            self._anchor = verdict.theta
-            allowed = max(self._tolerance, self._settings.growth * max(error, verdict.expected))
-            self._trials.append(Trial(verdict.theta, k, allowed))
-        return verdict.theta
+        if self._is_material(theta):
+            self._anchor = theta
+            self._trials.append(Trial(theta, k, max(self._tolerance, self._settings.growth * error)))
 
     def _is_material(self, theta: Vector) -> bool:
         moved = np.abs(self._space.to_unit(theta) - self._space.to_unit(self._anchor))
         return float(moved.max()) > self._settings.material
 
-    def _judge(self, k: int, theta: Vector, estimate: Estimate, error: float, peak: Peak | None) -> Verdict:
+    def _judge(
+        self, theta: Vector, held: Vector, estimate: Estimate, error: float, peak: PredictedPeak | None
+    ) -> _Verdict:
         """The checks before a write, the cheap ones first."""
         if refusal := outside(theta, self._space):
-            return Verdict(None, (("veto", refusal),))
-        allowed, limited = within_rate(theta, self._held, self._space, self._settings.rate)
+            return _Verdict(None, (("veto", refusal),))
+        allowed, limited = within_rate(theta, held, self._space, self._settings.rate)
         if not self._is_material(allowed):
-            return Verdict(allowed, limited)
-        allowed, held = self._support.identifiable_part(
-            allowed, self._held, estimate.theta, self._settings.unseen, _LITTLE
-        )
-        reasons = (*limited, *held)
-        if refusal := self._contradicted(allowed):
-            return Verdict(None, (*reasons, ("veto", refusal)))
+            return _Verdict(allowed, limited)
+        unseen = self._settings.unseen
+        allowed, left_out = self._support.identifiable_part(allowed, held, estimate.theta, unseen, _LITTLE)
+        reasons = (*limited, *left_out)
+        if refusal := self._contradicted(allowed, held):
+            return _Verdict(None, (*reasons, ("veto", refusal)))
         if peak is None:
-            return Verdict(allowed, reasons)
-        refusal, expected = self._foreseen(allowed, estimate, error, peak)
-        return Verdict(None, (*reasons, ("veto", refusal))) if refusal else Verdict(allowed, reasons, expected)
+            return _Verdict(allowed, reasons)
+        refusal, expected = self._predicted(allowed, held, estimate, error, peak)
+        return _Verdict(None, (*reasons, ("veto", refusal))) if refusal else _Verdict(allowed, reasons, expected)
 
-    def _contradicted(self, theta: Vector) -> str | None:
+    def _contradicted(self, theta: Vector, held: Vector) -> str | None:
         """Why the newest sample speaks against a write, more than against what is held."""
         cost, limit = self._support.cost(theta), chi2_limit(_FALSE_ALARM, self._support.n_channels)
-        before = self._support.cost(self._held)
+        before = self._support.cost(held)
         if cost <= max(limit, _NO_WORSE * before) or not isfinite(before):
             return None
         return f"explains the newest sample worse: sum of squares {cost:.4g}, with what is held {before:.4g}"
 
-    def _foreseen(self, theta: Vector, estimate: Estimate, error: float, peak: Peak) -> tuple[str | None, float]:
+    def _predicted(
+        self, theta: Vector, held: Vector, estimate: Estimate, error: float, peak: PredictedPeak
+    ) -> tuple[str | None, float]:
         """Why a write is predicted to be unsafe, and the peak that is predicted for it."""
         expected = 0.0
+        growth = self._settings.growth
         for name, plant in self._support.plausible_parameters(estimate.theta, self._settings.n_std, _LITTLE):
             found = peak(theta, plant)
             if found is None:
                 continue
-            growth = self._settings.growth
-            if found > growth * error and found > growth * ((stay := peak(self._held, plant)) or 0.0):
-                told = f"{stay:.4g}" if stay is not None else "nothing known"
-                return f"predicted peak of the tracking error {found:.4g}, without the write {told} ({name})", found
+            if found > growth * error and found > growth * ((stay := peak(held, plant)) or 0.0):
+                without = f"{stay:.4g}" if stay is not None else "unknown"
+                reason = f"predicted peak of the tracking error {found:.4g}, without the write {without} ({name})"
+                return reason, found
             expected = max(expected, found)
         return None, expected
 

@@ -1,4 +1,4 @@
-"""The closed loop rolled ahead from now, in FMUs of its own: what would happen if this were written.
+"""The closed loop simulated ahead from now, in FMUs of its own: what would happen after a write.
 
 The shadows are brought to now by FMU state, so they know what the FMUs know; but the plant's estimated parameters are
 overwritten by those to be tried. A plant that cannot save its state is replaced by the scenario's model.
@@ -25,7 +25,7 @@ from .model_plant import ModelPlant, not_given
 _ROUNDING: Final = 1e-9
 
 
-class Running(NamedTuple):
+class RunningSystem(NamedTuple):
     """The FMUs of a run, as they are wired."""
 
     slaves: Mapping[str, Slave | TableSlave]
@@ -33,22 +33,25 @@ class Running(NamedTuple):
     groups: Sequence[Sequence[str]]
     """In which they step."""
     paths: Mapping[str, Path]
+    """File of each FMU."""
+    names: Sequence[str]
+    """Of all outputs, `component.variable`, in the master's order."""
 
 
 class Lookahead:
-    """Predicts tracking errors. Its FMUs are loaded when they are first needed: many a run writes nothing."""
+    """Predicts tracking errors. Its FMUs are loaded when they are first needed: many runs write nothing."""
 
     def __init__(
         self,
         scenario: Scenario,
-        running: Running,
+        running: RunningSystem,
         plant: Plant,
         model: Callable[..., Sequence[float]] | None,
         stack: ExitStack,
     ) -> None:
         """running: the run's FMUs; model: the plant's, if any; stack closes the shadows.
 
-        Raises CosimError with the reason where the loop cannot be rolled ahead.
+        Raises CosimError with the reason where the loop cannot be simulated ahead.
         """
         slaves, wiring = running.slaves, running.wiring
         self._scenario, self._running, self._slaves = scenario, running, slaves
@@ -73,18 +76,18 @@ class Lookahead:
         self._master: Master | None = None
         self._tracked: list[tuple[int, int]] = []
         self.n_rolled = 0
-        """Times that the loop was rolled ahead."""
+        """Times that the loop was simulated ahead."""
         self.failure: str | None = None
-        """Why it cannot be rolled ahead after all."""
+        """Why it cannot be simulated ahead after all."""
 
-    checkpoint_name = "loop rolled ahead"
+    checkpoint_name = "loop simulated ahead"
 
     def to_checkpoint(self) -> tuple[int, str | None]:
-        """It is brought to now each time that it is needed: a count is all that it holds, and whether it has failed."""
+        """Return the count, and whether it has failed: the rest is brought to the present whenever it is needed."""
         return self.n_rolled, self.failure
 
     def from_checkpoint(self, saved: tuple[int, str | None]) -> None:
-        """Hold that instead."""
+        """Hold what was saved instead."""
         self.n_rolled, self.failure = saved
 
     @property
@@ -92,8 +95,8 @@ class Lookahead:
         """Whether the scenario's model stands for the plant."""
         return self._modelled is not None
 
-    def now(self, sample: Sample) -> dict[str, Any] | None:
-        """The state of the run's FMUs at this communication point, to begin at. Raises SlaveError.
+    def snapshot(self, sample: Sample) -> dict[str, Any] | None:
+        """Return the state of the run's FMUs at this communication point, to begin at. Raises SlaveError.
 
         None, and `failure`, where an FMU cannot do what its description says: its shadow is asked before it is.
         """
@@ -116,10 +119,10 @@ class Lookahead:
                 states[name] = slave.get_state()
         return states
 
-    def peak(
-        self, now: Mapping[str, Any], values: Sequence[float], k: int, controller: Vector, plant: Vector
+    def predicted_peak(
+        self, snapshot: Mapping[str, Any], values: Sequence[float], k: int, controller: Vector, plant: Vector
     ) -> float | None:
-        """Largest norm of the tracking error over the horizon: infinite where an FMU fails or the loop diverges.
+        """Return the largest norm of the tracking error over the horizon; infinite where an FMU fails or it diverges.
 
         values: of all outputs now, at communication point k; controller, plant: theta (d,) in each. None where the
         plant does not take these parameters, so that nothing is known, and where the FMUs' states cannot be restored:
@@ -129,19 +132,19 @@ class Lookahead:
         if self.failure is not None:
             return None
         try:
-            master = self._at(now, values)
+            master = self._at(snapshot, values)
         except (SlaveError, WiringError) as fault:
             self._give_up(str(fault))
             return None
         self.n_rolled += 1
         try:
-            return self._roll(master, k, controller, plant)
+            return self._simulate(master, k, controller, plant)
         except SlaveError as fault:
             self._stack.close()
             self._master = None  # loaded anew for the next
             return None if fault.function == "set" else inf  # a value that was refused before it reached the FMU
 
-    def _roll(self, master: Master, k: int, controller: Vector, plant: Vector) -> float:
+    def _simulate(self, master: Master, k: int, controller: Vector, plant: Vector) -> float:
         settings = self._scenario.scenario
         h, horizon = settings.macro_step, min(self._scenario.guard.horizon, settings.n_steps - k)
         tunables = {
@@ -159,9 +162,9 @@ class Lookahead:
             peak = max(peak, hypot(*errors))
         return peak
 
-    def _at(self, now: Mapping[str, Any], values: Sequence[float]) -> Master:
+    def _at(self, snapshot: Mapping[str, Any], values: Sequence[float]) -> Master:
         master = self._master = self._master or self._opened()
-        for name, state in now.items():
+        for name, state in snapshot.items():
             shadow = self._shadows[name]
             assert isinstance(shadow, Slave | ModelPlant)
             shadow.set_state(state)
@@ -185,7 +188,7 @@ class Lookahead:
                 space = self._scenario.estimation.space
                 self._shadows[name] = ModelPlant(self._plant, self._model, space.names, derivatives_of(slave))
                 continue
-            path, label = self._running.paths[name], f"{name} (rolled ahead)"
+            path, label = self._running.paths[name], f"{name} (simulated ahead)"
             if _file(path) != self._files[name]:
                 raise WiringError(f"{path} has changed since the run began")
             if isinstance(slave, TableSlave):
@@ -196,12 +199,30 @@ class Lookahead:
             try:
                 self._shadows[name] = self._stack.enter_context(open_slave(path, label, **own))
             except CosimError as e:  # it could be opened before: the disk is full, or the file has gone
-                raise ScenarioError(f"the loop cannot be rolled ahead: {e}") from e
+                raise ScenarioError(f"the loop cannot be simulated ahead: {e}") from e
         master = Master(self._shadows, self._wiring, self._running.groups)
         place = {name: i for i, name in enumerate(master.names)}
         self._tracked = [(place[a], place[b]) for a, b in self._scenario.tracking.items()]
         master.initialize(settings.start_time, settings.stop_time)
         return master
+
+
+class Prediction:
+    """The loop simulated ahead from one communication point; the FMUs' states are read once, and only if needed."""
+
+    def __init__(self, lookahead: Lookahead, k: int, measured: Sample, values: Sequence[float]) -> None:
+        """k: the communication point; measured: the plant there; values: of all outputs there."""
+        self._lookahead, self._k, self._measured, self._values = lookahead, k, measured, list(values)
+        self._snapshots: list[dict[str, Any] | None] = []
+
+    def __call__(self, controller: Vector, plant: Vector) -> float | None:
+        """Return the largest norm of the tracking error with theta (d,) in each; None where nothing is known."""
+        if not self._snapshots:
+            self._snapshots.append(self._lookahead.snapshot(self._measured))
+        snapshot = self._snapshots[0]
+        if snapshot is None:
+            return None
+        return self._lookahead.predicted_peak(snapshot, self._values, self._k, controller, plant)
 
 
 def _same(found: Sequence[float], expected: Sequence[float]) -> bool:

@@ -1,195 +1,216 @@
-"""Who looks after a run's estimator: the screen before it, the guard behind it, and the loop that is rolled ahead."""
+"""From a sample to a write, under supervision: screen, retuner and guard, in that order.
 
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+controller reads back what was written?  no: re-tuning stops
+screen the sample                        an outlier before it: all three go back to where they were
+retuner proposes parameters
+guard rules on them                      with the loop simulated ahead
+write
+"""
+
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from math import nan
-from typing import Any, Final
+from typing import Any, Protocol
 
 import numpy as np
 
-from estimator import DerivativeResidual, Sample, Vector
+from estimator import Sample, Vector
 from estimator.events import Event
-from estimator.retuner import Reconfiguration, Retuner
+from estimator.retuner import Proposal, Retuner, RetunerSnapshot, estimate_as_json
+from estimator.samples import RememberingModel
 
-from ..errors import CosimError
-from ..objectives.choice import chosen
-from ..sampling.screen import OutputScreen, SampleScreen, Seen, Sensors
-from ..scenarios.scenario import Scenario
-from ..system.master import Master
-from ..system.plant import Plant
+from ..errors import CosimError, ScenarioError, one_line, seconds
+from ..sampling.screen import Screened
+from ..user_code import USERS
 from .data_support import DataSupport, NoDataSupport
-from .guard import Guard, Peak
-from .lookahead import Lookahead, Running
-
-_FEWEST: Final = 30
-"""Samples that say what can be seen: a recursive estimator's window is one."""
+from .decision import Decision, Point
+from .guard import Guard, GuardSnapshot, Ruling
+from .lookahead import Lookahead, Prediction
 
 
-class Supervisor:
-    """Of one run. Nothing of it is there for `none` and `true`, which estimate nothing."""
+class Screen(Protocol):
+    """Decides which samples the estimator gets: `SampleScreen` and `OutputScreen` do."""
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        plant: Plant,
-        policy: Retuner,
-        start: Vector,
-        whitened: DerivativeResidual | None,
-        running: Running | None,
-        stack: ExitStack,
-    ) -> None:
-        """start (d,): what the controller holds; whitened: the residual of a sample, where derivatives are judged;
-        running: None where there is nothing to roll ahead; stack closes what is opened."""
-        self._policy = policy
-        self._n_seen = 0  # communication points so far
-        self._marked: tuple[int, Vector] | None = None  # n_seen at a sample that is suspect, what was in force before
-        self._taken_back: tuple[int, Vector] | None = None  # since how many communication points, to what
-        self._read: list[int] | None = None  # places of what the controller says that it holds
-        self._writes = [p.writes for p in scenario.estimation.parameters]
-        space = scenario.estimation.space
-        self._support: DataSupport | NoDataSupport = (
-            DataSupport(whitened, space, len(whitened.noise), max(scenario.estimation.window, _FEWEST))
-            if whitened is not None
-            else NoDataSupport()
-        )
-        self._guard = (
-            Guard(scenario.guard, space, start, scenario.limits.divergence, self._support)
-            if scenario.guard.enabled
-            else None
-        )
-        self._screen = _screen(scenario, plant, whitened)
-        self._foresight: Lookahead | None = None
-        self._why_blind = "guard.foresight is false"
-        if running is not None and self._guard is not None and scenario.guard.foresight:
-            model = None if whitened is None else whitened.model
-            try:
-                self._foresight = Lookahead(scenario, running, plant, model, stack)
-            except CosimError as e:
-                self._why_blind = str(e).rstrip(".")
-
-    @property
-    def has_stopped(self) -> bool:
-        """Whether re-tuning was given up."""
-        return self._guard is not None and self._guard.stopped_at is not None
-
-    def begin(self, t: float) -> list[Event]:
-        """What is to be said at the start, or when the loop cannot be rolled ahead any more."""
-        if self._guard is None or self._foresight is not None:
-            return []
-        return [Event(t, "guard", {"reason": f"the loop is not rolled ahead: {self._why_blind}"})]
-
-    def seen(self, t: float, sample: Sample | None, theta: Vector) -> Seen:
-        """What the estimator gets of the sample, if there is one; theta (d,): what the controller holds.
-
-        Where the sample before was an outlier, the estimator knows nothing of it from here on.
-        """
-        self._n_seen += 1
-        if sample is None:
-            return Seen(None)
-        seen = Seen(sample) if self._screen is None else self._screen.step(t, sample, theta)
-        if seen.was_outlier and self._marked is not None:
-            self._policy.retract()
-            self._support.retract()
-            n, before = self._marked
-            self._taken_back = None if np.array_equal(theta, before) else (self._n_seen - n, before)
-            self._marked = None
-        if seen.sample is not None:
-            before = self._policy.mark() if seen.is_suspect else None
-            self._marked = None if before is None else (self._n_seen, before)
-            self._support.append(seen.sample)
-        return seen
-
-    def review(
-        self, k: int, t: float, error: float, measured: Sample, decision: Reconfiguration, master: Master
-    ) -> Reconfiguration:
-        """The decision as far as the guard lets it through, at communication point k; measured: the plant there."""
-        if self._guard is None:
-            return decision
-        if self._read is None:
-            place = {name: i for i, name in enumerate(master.names)}
-            self._read = [place[name] for name in self._writes]
-        if refusal := self._guard.not_taken(t, [master.values[i] for i in self._read], self._writes):
-            return Reconfiguration(events=(refusal,))
-        if self._taken_back is not None:
-            n, before = self._taken_back
-            self._guard.retract(k - n, before)
-        reviewed = self._guard.step(k, t, error, decision, self._peak(k, measured, master))
-        if reviewed.write is not decision.write:
-            self._policy.hold(self._guard.held)
-        if self._foresight is not None and self._foresight.failure is not None:
-            self._why_blind, self._foresight = self._foresight.failure, None
-            return replace(reviewed, events=(*reviewed.events, *self.begin(t)))
-        return reviewed
-
-    def without_outlier(self, t: float, decision: Reconfiguration) -> Reconfiguration:
-        """The decision, or else the way back from what was written on account of an outlier."""
-        taken_back, self._taken_back = self._taken_back, None
-        if taken_back is None or decision.write is not None:
-            return decision
-        _, before = taken_back
-        told = Event(t, "write", {"theta": before.tolist(), "reason": "the sample before was an outlier"})
-        return replace(decision, write=before, events=(*decision.events, told))
-
-    def summary(self) -> dict[str, Any]:
-        """Counts of guard and screen, as JSON values."""
-        rolled = None if self._foresight is None else self._foresight.n_rolled
-        guard = None if self._guard is None else self._guard.summary() | {"rolled_ahead": rolled}
-        if guard is not None and rolled is None:
-            guard["not_rolled_ahead"] = self._why_blind
-        return {"guard": guard, "observations": None if self._screen is None else self._screen.summary()}
-
-    def _peak(self, k: int, measured: Sample, master: Master) -> Peak | None:
-        foresight = self._foresight
-        if foresight is None:
-            return None
-        states: list[Mapping[str, Any] | None] = []  # read once, and only where they are needed
-        values = list(master.values)
-
-        def peak(controller: Vector, plant: Vector) -> float | None:
-            if not states:
-                states.append(foresight.now(measured))
-            now = states[0]
-            return None if now is None else foresight.peak(now, values, k, controller, plant)
-
-        return peak
-
-
-def _screen(
-    scenario: Scenario, plant: Plant, whitened: DerivativeResidual | None
-) -> SampleScreen | OutputScreen | None:
-    """Of what is judged; None where that is what a filter or the user's own function makes of the samples."""
-    settings, h = scenario.observations, scenario.scenario.macro_step
-    if not settings.enabled or scenario.sampling.filter is not None:
-        return None
-    if whitened is not None:
-        return SampleScreen(settings, _sensors(scenario, plant, whitened), h)
-    if chosen(scenario).kind != "rollout":
-        return None
-    outputs = scenario.sampling.outputs
-    return OutputScreen(settings, tuple(outputs), tuple(output.noise > 0.0 for output in outputs.values()), h)
+    def step(self, t: float, sample: Sample, theta: Vector) -> Screened: ...
+    def summary(self) -> dict[str, Any]: ...
 
 
 @dataclass(frozen=True)
-class _Slope:
-    """Modelled derivatives (n,) of the states at a sample; NaN where the model has no value, as for the residual."""
+class _Snapshot:
+    """All that is known before a sample that may be an outlier."""
 
-    residual: DerivativeResidual
-
-    def __call__(self, theta: Vector, sample: Sample) -> Sequence[float]:
-        try:
-            return self.residual.model(sample.x, sample.u, **self.residual.space.named(theta))
-        except (ArithmeticError, ValueError):
-            return [nan] * len(sample.x)
+    held: Vector
+    """What the controller held (d,)."""
+    retuner: RetunerSnapshot
+    support: tuple[Sample, ...]
+    guard: GuardSnapshot | None
 
 
-def _sensors(scenario: Scenario, plant: Plant, residual: DerivativeResidual) -> Sensors:
-    states = [f"{plant.name}.{name}" for name in plant.states]
-    on_states = scenario.sampling.states
-    is_noisy = [name in on_states and on_states[name].noise > 0.0 for name in states]
-    n = len(scenario.sampling.derivatives)
-    on_channels = [on_states[states[i]].noise if states[i] in on_states else 0.0 for i in plant.channels]
-    return Sensors(
-        (*scenario.sampling.derivatives, *states), (*[True] * n, *is_noisy), residual.noise,
-        plant.channels, tuple(on_channels), residual, _Slope(residual),
-    )  # fmt: skip
+@dataclass(frozen=True)
+class ReadBack:
+    """Where what the controller holds is read."""
+
+    names: tuple[str, ...]
+    """Its tunable parameters, `component.variable` (d,)."""
+    places: tuple[int, ...]
+    """Theirs among the outputs of all FMUs (d,)."""
+
+
+class Supervisor:
+    """Re-tunes one controller. It owns retuner, screen and guard; what the controller holds is the caller's."""
+
+    def __init__(
+        self,
+        name: str,
+        retuner: Retuner,
+        support: DataSupport | NoDataSupport,
+        screen: Screen | None = None,
+        guard: Guard | None = None,
+        read_back: ReadBack | None = None,
+        lookahead: Lookahead | str = "the FMUs do not run",
+        model: RememberingModel | None = None,
+    ) -> None:
+        """name: the estimator's, for messages; screen, guard: None where there is none; read_back: None where nothing
+        is read back; lookahead: or the reason why there is none; model: of the derivatives, where they are compared."""
+        self._name, self._retuner, self._support, self._model = name, retuner, support, model
+        self._screen, self._guard, self._read_back, self._lookahead = screen, guard, read_back, lookahead
+        self._snapshot: _Snapshot | None = None
+
+    @property
+    def n_evaluations(self) -> int:
+        """Candidates evaluated so far."""
+        return self._retuner.n_evaluations
+
+    @property
+    def n_episodes(self) -> int:
+        """Episodes begun so far."""
+        return self._retuner.n_episodes
+
+    @property
+    def n_model_calls(self) -> int:
+        """Samples at which a candidate was scored so far."""
+        return self._retuner.n_model_calls
+
+    def describe(self) -> str:
+        """Return how candidates are scored, in a line."""
+        return self._retuner.describe()
+
+    def summary(self) -> dict[str, Any]:
+        """Return the counts of guard and screen as JSON values; None for what there is not."""
+        observations = None if self._screen is None else self._screen.summary()
+        if self._guard is None:
+            return {"guard": None, "observations": observations}
+        if isinstance(self._lookahead, str):
+            rolled = {"rolled_ahead": None, "not_rolled_ahead": self._lookahead}
+        else:
+            rolled = {"rolled_ahead": self._lookahead.n_rolled}
+        return {"guard": self._guard.summary() | rolled, "observations": observations}
+
+    def step(self, point: Point, held: Vector) -> Decision:
+        """Return what to do at a communication point; held (d,): what the controller holds.
+
+        Raises ScenarioError, with what has failed, for whatever code of the user's raises.
+        """
+        if not point.k:
+            return Decision(events=tuple(self._no_lookahead(point.t)))
+        if self._guard is not None and self._guard.stopped_at is not None:
+            return Decision()
+        if stop := self._not_taken(point, held):
+            return Decision(events=(stop,))
+        with failing("estimation.model", point.t):
+            screened, before = self._screened(point, held)
+        in_force = held if before is None else before
+        with failing(f"estimator '{self._name}'", point.t):
+            proposal = self._retuner.step(point.t, screened.sample, point.error, in_force)
+        with failing("estimation.model", point.t):
+            ruling = self._ruling(point, proposal, in_force)
+        events = [*screened.events, *proposal.events, *ruling.events]
+        write = ruling.write
+        if write is not None and not ruling.is_revert:
+            events.append(_written(point.t, write, proposal))
+        elif write is None and before is not None and not np.array_equal(before, held):
+            write = before
+            detail = {"theta": before.tolist(), "reason": "the sample before was an outlier"}
+            events.append(Event(point.t, "write", detail))
+        return Decision(write, proposal.estimate, tuple(events), proposal.latencies)
+
+    def _not_taken(self, point: Point, held: Vector) -> Event | None:
+        """The stop, where the controller holds something else than was written."""
+        if self._guard is None or self._read_back is None:
+            return None
+        read = [point.values[i] for i in self._read_back.places]
+        return self._guard.not_taken(point.t, read, held, self._read_back.names)
+
+    def _screened(self, point: Point, held: Vector) -> tuple[Screened, Vector | None]:
+        """What the estimator gets, and after an outlier what the controller held before it (d,)."""
+        if point.sample is None:
+            return Screened(None), None
+        if self._model is not None:
+            self._model.remember(point.sample)
+        screened = Screened(point.sample)
+        if self._screen is not None:
+            screened = self._screen.step(point.t, point.sample, held)
+        before = self._restored(held) if screened.was_outlier else None
+        if screened.sample is not None:
+            self._snapshot = self._taken(held if before is None else before) if screened.is_suspect else None
+            self._support.append(screened.sample)
+        return screened, before
+
+    def _taken(self, held: Vector) -> _Snapshot | None:
+        """A snapshot; None where the retuner cannot go back."""
+        retuner = self._retuner.snapshot()
+        if retuner is None:
+            return None
+        return _Snapshot(held, retuner, self._support.snapshot(), self._guard and self._guard.snapshot())
+
+    def _restored(self, held: Vector) -> Vector | None:
+        """Go back to the snapshot, if there is one; what the controller held then (d,)."""
+        snapshot, self._snapshot = self._snapshot, None
+        if snapshot is None:
+            return None
+        self._retuner.restore(snapshot.retuner, snapshot.held)
+        self._support.restore(snapshot.support)
+        if self._guard is not None and snapshot.guard is not None and not np.array_equal(snapshot.held, held):
+            self._guard.restore(snapshot.guard)
+        return snapshot.held
+
+    def _ruling(self, point: Point, proposal: Proposal, held: Vector) -> Ruling:
+        """What becomes of a proposal."""
+        if self._guard is None:
+            return Ruling(proposal.theta)
+        lookahead, prediction = self._lookahead, None
+        if not isinstance(lookahead, str) and point.measured is not None:
+            prediction = Prediction(lookahead, point.k, point.measured, point.values)
+        ruling = self._guard.step(point.k, point.t, point.error, proposal, held, prediction)
+        if ruling.is_revert and self._snapshot is not None:  # an outlier changes nothing about it
+            assert ruling.write is not None
+            self._snapshot = replace(self._snapshot, held=ruling.write, guard=self._guard.snapshot())
+        if not isinstance(lookahead, str) and lookahead.failure is not None:
+            self._lookahead = lookahead.failure
+            return replace(ruling, events=(*ruling.events, *self._no_lookahead(point.t)))
+        return ruling
+
+    def _no_lookahead(self, t: float) -> Sequence[Event]:
+        """The event that says why the loop is not simulated ahead, where it should be."""
+        if self._guard is None or not isinstance(self._lookahead, str):
+            return ()
+        return (Event(t, "guard", {"reason": f"the loop is not simulated ahead: {self._lookahead}"}),)
+
+
+def _written(t: float, theta: Vector, proposal: Proposal) -> Event:
+    """The event of a write."""
+    assert proposal.estimate is not None
+    reason = {"reason": "candidate"} if proposal.is_candidate else {}
+    return Event(t, "write", estimate_as_json(proposal.estimate) | {"theta": theta.tolist()} | reason)
+
+
+@contextmanager
+def failing(what: str, t: float) -> Generator[None]:
+    """Turn whatever code of the user's raises at t [s] into the ScenarioError that ends the run as faulted."""
+    try:
+        yield
+    except CosimError:
+        raise
+    except USERS as e:
+        reason = f"{type(e).__name__}: {one_line(str(e))}"
+        raise ScenarioError(f"{what} failed at t = {seconds(t)} s: {reason}.") from e

@@ -1,10 +1,15 @@
-"""What a run's estimator believed in the end, for the report and the result."""
+"""A run's final estimate, for the report and the result."""
 
 from dataclasses import dataclass
 from typing import Any
 
 from estimator import Estimate, ParameterSpace
+from estimator.identifiability import IDENTIFIABLE_BELOW
 from estimator.identifiability_report import findings
+
+from ..retuning.decision import Decision
+from ..retuning.estimators import find_method
+from ..scenarios.scenario import Scenario
 
 
 @dataclass(frozen=True)
@@ -37,9 +42,33 @@ class FinalEstimate:
         }
 
 
-def belief(t: float, estimate: Estimate, space: ParameterSpace, identifiable_below: float) -> FinalEstimate:
-    """What an estimate at t [s] says, and what its data say of it."""
-    told = estimate.information and findings(estimate.information, space, estimate.theta, identifiable_below)
+class EstimateTracker:
+    """Keeps the estimate of the last episode that has ended; until one has, the newest."""
+
+    def __init__(self, scenario: Scenario, estimator: str) -> None:
+        """estimator: who re-tunes."""
+        self._space = scenario.estimation.space
+        self._identifiable_below = IDENTIFIABLE_BELOW
+        if estimator not in ("none", "true"):
+            settings = scenario.estimation.settings(estimator, find_method(estimator, scenario))
+            self._identifiable_below = getattr(settings, "identifiable_below", IDENTIFIABLE_BELOW)
+        self._newest: tuple[float, Estimate] | None = None
+        self._has_ended = False
+
+    def take(self, t: float, decision: Decision) -> None:
+        """Take what was decided at t [s]."""
+        is_end = any(event.kind == "end" for event in decision.events)
+        if decision.estimate is not None and (is_end or not self._has_ended):
+            self._newest, self._has_ended = (t, decision.estimate), is_end
+
+    def final(self) -> FinalEstimate | None:
+        """Return the estimate that is kept; None where nothing was estimated."""
+        return None if self._newest is None else final_estimate(*self._newest, self._space, self._identifiable_below)
+
+
+def final_estimate(t: float, estimate: Estimate, space: ParameterSpace, identifiable_below: float) -> FinalEstimate:
+    """Return an estimate at t [s] with the findings on what its data identify."""
+    known = estimate.information and findings(estimate.information, space, estimate.theta, identifiable_below)
     return FinalEstimate(
         t,
         space.names,
@@ -47,15 +76,15 @@ def belief(t: float, estimate: Estimate, space: ParameterSpace, identifiable_bel
         tuple(estimate.theta.tolist()),
         tuple(estimate.std.tolist()),
         estimate.is_identifiable,
-        tuple(told or ()),
+        tuple(known or ()),
     )
 
 
-def final_estimate_from_json(told: dict[str, Any] | None) -> FinalEstimate | None:
-    """The belief that `to_json` gave; None of none."""
-    if told is None:
+def final_estimate_from_json(content: dict[str, Any] | None) -> FinalEstimate | None:
+    """Return the estimate whose `to_json` gave content."""
+    if content is None:
         return None
     names, units, values, std, known = (
-        tuple(p[key] for p in told["parameters"]) for key in ("name", "unit", "value", "std", "is_identifiable")
+        tuple(p[key] for p in content["parameters"]) for key in ("name", "unit", "value", "std", "is_identifiable")
     )
-    return FinalEstimate(told["t"], names, units, values, std, known, tuple(told["findings"]))
+    return FinalEstimate(content["t"], names, units, values, std, known, tuple(content["findings"]))

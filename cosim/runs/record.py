@@ -19,7 +19,7 @@ from ..errors import FolderError, UnfinishedError
 from ..files import to_json
 from .append_file import AppendFile, Prefix
 from .run_files import EVENTS, LOCK, MANIFEST, SERIES
-from .series import _array, read_series
+from .series import arrow_array, read_series
 
 ROWS_PER_BATCH = 50
 
@@ -85,7 +85,7 @@ class Recorder:
             return
         with uninterrupted(), recording(self._folder):
             if self._values:
-                columns = [_array(column) for column in self._table()]
+                columns = [arrow_array(column) for column in self._table()]
                 self._series.append(pa.record_batch(columns, schema=self._schema).serialize())
                 self._values = array("d")
             if self._lines:

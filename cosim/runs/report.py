@@ -90,7 +90,7 @@ def _oversight(run: Run) -> list[str]:
         told += [f"{guard[kind]} {kind}" for kind in ("limited", "held") if guard[kind]]
         stop = f"; re-tuning stopped at {guard['stopped_at']:g} s" if guard["stopped_at"] is not None else ""
         blind = guard.get("not_rolled_ahead")
-        lines.append(f"guard: {', '.join(told)}{stop}{f'; the loop was not rolled ahead: {blind}' if blind else ''}")
+        lines.append(f"guard: {', '.join(told)}{stop}{f'; the loop was not simulated ahead: {blind}' if blind else ''}")
     if (seen := run.observations) and seen["kept_out"]:
         most = sorted(seen["found"].items(), key=lambda item: -item[1])
         told = ", ".join(f"{name} ({n})" for name, n in most[:4])

@@ -11,7 +11,7 @@ import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
 from ..errors import FolderError
-from ..files import _replaced, readable
+from ..files import readable, replaced
 from .run_files import SERIES
 
 
@@ -19,8 +19,8 @@ def write_csv(path: Path, series: Mapping[str, Sequence[float] | np.ndarray[Any,
     """The series as CSV, every digit kept, at once or not at all. Raises FolderError."""
     header = io.StringIO()
     csv.writer(header, lineterminator="\n").writerow(series)
-    rows = pa.RecordBatch.from_arrays([_array(c) for c in series.values()], names=list(series))
-    with _replaced(path) as file:
+    rows = pa.RecordBatch.from_arrays([arrow_array(c) for c in series.values()], names=list(series))
+    with replaced(path) as file:
         file.write(header.getvalue().encode())
         arrow_csv.write_csv(rows, file, arrow_csv.WriteOptions(include_header=False))
 
@@ -41,7 +41,7 @@ def read_series(folder: Path) -> dict[str, np.ndarray[Any, np.dtype[np.float64]]
     return {name: _column(table[name].chunks) for name in table.column_names}
 
 
-def _array(column: Sequence[float] | np.ndarray[Any, Any]) -> Any:
+def arrow_array(column: Sequence[float] | np.ndarray[Any, Any]) -> Any:
     """The column as Arrow's: pa.array imports pandas, 0.25 s, to see whether it was given one of its arrays."""
     values = np.ascontiguousarray(column, dtype=np.float64)
     return pa.Array.from_buffers(pa.float64(), len(values), [None, pa.py_buffer(values)])

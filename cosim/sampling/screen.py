@@ -44,7 +44,7 @@ class Sensors:
     """Modelled derivatives (n,) of the states."""
 
 
-class Seen(NamedTuple):
+class Screened(NamedTuple):
     """What a sample is good for."""
 
     sample: Sample | None
@@ -71,7 +71,7 @@ class SampleScreen:
         self._plain, self._health = SensorChecks(sensors.names, settings.stuck, macro_step), SensorHealth(settings)
         self._n_kept_out = 0
 
-    def step(self, t: float, sample: Sample, theta: Vector) -> Seen:
+    def step(self, t: float, sample: Sample, theta: Vector) -> Screened:
         """What the sample is good for; theta (d,): what is in force at t [s]."""
 
         def moves(i: int) -> bool:
@@ -84,7 +84,7 @@ class SampleScreen:
         is_kept_out = bool(found or self._health.failed)
         self._n_kept_out += is_kept_out + bool(outliers)
         events = self._health.take(t, found | {("outlier", name) for name in outliers})
-        return Seen(None if is_kept_out else sample, is_suspect, bool(outliers), tuple(events))
+        return Screened(None if is_kept_out else sample, is_suspect, bool(outliers), tuple(events))
 
     def summary(self) -> dict[str, Any]:
         """The counts, as JSON values; failed: sensors that are bad at the end."""
@@ -117,7 +117,7 @@ class OutputScreen:
         self._plain, self._health = SensorChecks(names, settings.stuck, macro_step), SensorHealth(settings)
         self._n_kept_out = 0
 
-    def step(self, t: float, sample: Sample, theta: Vector) -> Seen:
+    def step(self, t: float, sample: Sample, theta: Vector) -> Screened:
         """The sample at t [s] without its bad values; while a sensor has failed, without any."""
         found = {*self._plain.step(t, sample.t, sample.y, sample.u, lambda i: self._is_noisy[i])}
         bad = {name for _, name in found}
@@ -126,7 +126,7 @@ class OutputScreen:
             nan if is_useless or name in bad else value for name, value in zip(self._names, sample.y, strict=True)
         )
         self._n_kept_out += bool(found) or is_useless
-        return Seen(replace(sample, t=t, y=y), events=tuple(self._health.take(t, found)))
+        return Screened(replace(sample, t=t, y=y), events=tuple(self._health.take(t, found)))
 
     def summary(self) -> dict[str, Any]:
         """As that of `SampleScreen`; kept_out: samples of which at least one value was."""

@@ -38,7 +38,7 @@ def plant_of(scenario: Scenario, slave: Described) -> Plant:
     variables = slave.description.modelVariables
     state_of = derivatives_of(slave)
     sampling = scenario.sampling
-    outputs, is_state = set(_outputs(slave)), set(state_of.values())
+    outputs, is_state = set(numeric_outputs(slave)), set(state_of.values())
     if sampling.filter is not None:
         is_state = (is_state & outputs) | {name.partition(".")[2] for name in sampling.states}
     elif not sampling.derivatives and not is_state <= outputs:
@@ -64,5 +64,5 @@ def derivatives_of(slave: Described) -> dict[str, str]:
     return {v.name: v.derivative.name for v in slave.description.modelVariables if v.derivative is not None}
 
 
-def _outputs(slave: Described) -> tuple[str, ...]:
+def numeric_outputs(slave: Described) -> tuple[str, ...]:
     return tuple(v.name for v in slave.description.modelVariables if v.causality == "output" and is_numeric(v))

@@ -7,7 +7,7 @@ from ..errors import WiringError
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
 from .master import Wiring
-from .plant import Described, _outputs
+from .plant import Described, numeric_outputs
 from .unit_conversions import unit_conversions
 
 
@@ -24,7 +24,7 @@ def wire(scenario: Scenario, slaves: Mapping[str, Described]) -> tuple[dict[str,
     for reference in [*scenario.changes, *(p.writes for p in scenario.estimation.parameters)]:
         component, _, variable = reference.partition(".")
         tunables[component].append(variable)
-    outputs = {name: _outputs(slave) for name, slave in slaves.items()}
+    outputs = {name: numeric_outputs(slave) for name, slave in slaves.items()}
     read = [*scenario.connections.values(), *scenario.tracking, *scenario.tracking.values()]
     sampling = scenario.sampling
     measured = [name for name, d in sampling.derivatives.items() if not d.of]

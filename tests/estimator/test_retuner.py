@@ -67,9 +67,24 @@ def residual(theta, sample):
     return np.array([sample.xdot[0] - theta[0]])
 
 
+class Loop:
+    """A retuner, and a controller that takes whatever is proposed."""
+
+    def __init__(self, *parts):
+        self.retuner, self.held = Retuner(*parts), START
+
+    def step(self, t, sample, tracking_error):
+        proposal = self.retuner.step(t, sample, tracking_error, self.held)
+        self.held = self.held if proposal.theta is None else proposal.theta
+        return proposal
+
+    def __getattr__(self, name):
+        return getattr(self.retuner, name)
+
+
 def retuner(estimator, budget, trigger=None, window=1):
     trigger = trigger or TrackingTrigger(1.0)
-    return Retuner(estimator, ResidualWindow(residual, 1, window), trigger, budget, START)
+    return Loop(estimator, ResidualWindow(residual, 1, window), trigger, budget)
 
 
 def sample(t=0.0, value=10.0):
@@ -88,7 +103,7 @@ def test_an_idle_loop_asks_nothing_and_writes_nothing():
     estimator = Scripted(1)
     loop = retuner(estimator, Budget())
     for decision in steps(loop, [0.0, 0.5, 0.999]):
-        assert (decision.write, decision.estimate, decision.events, decision.latencies) == (None, None, (), ())
+        assert (decision.theta, decision.estimate, decision.events, decision.latencies) == (None, None, (), ())
     assert (estimator.script, estimator.restarts, loop.n_evaluations, loop.n_episodes) == ([1], [], 0, 0)
 
 
@@ -101,7 +116,7 @@ def test_a_point_without_a_sample_triggers_nothing_even_where_the_error_is_large
 
     loop = retuner(estimator, Budget(3, 1), trigger)
     decision = loop.step(0.0, None, 99.0)
-    assert (decision.write, decision.events, decision.latencies, seen, estimator.restarts) == (None, (), (), [], [])
+    assert (decision.theta, decision.events, decision.latencies, seen, estimator.restarts) == (None, (), (), [], [])
 
 
 def test_a_search_goes_on_between_samples_on_those_that_it_has():
@@ -109,7 +124,7 @@ def test_a_search_goes_on_between_samples_on_those_that_it_has():
     loop = retuner(estimator, Budget(3, 1))
     loop.step(0.01, sample(), 99.0)
     decision = loop.step(0.02, None, 99.0)
-    assert decision.write.tolist() == [9.0]
+    assert decision.theta.tolist() == [9.0]
     assert {event.t for event in decision.events} == {0.02}
     assert [kind for event in loop.step(0.03, None, 99.0).events if (kind := event.kind) == "end"] == ["end"]
     assert loop.step(0.04, None, 99.0).events == ()  # the next episode waits for a sample
@@ -137,19 +152,20 @@ def test_a_sample_that_is_taken_back_leaves_nothing_in_a_recursive_estimator_or_
 
     def loop():
         window = ResidualWindow(residual, 1, 30)
-        return Retuner(UnscentedKalman(space, START, None), window, AlwaysTrigger(), Budget(math.inf), START)
+        return Loop(UnscentedKalman(space, START, None), window, AlwaysTrigger(), Budget(math.inf))
 
     values = [10.1, 9.8, 10.2, 9.9, 10.0, 10.3]
     clean, spoilt = loop(), loop()
     for k, value in enumerate(values):
         expected = clean.step(0.01 * k, sample(0.01 * k, value), 0.0)
         if k == 3:
-            in_force = spoilt.mark()
+            before, held = spoilt.snapshot(), spoilt.held
             outlier = spoilt.step(0.01 * k - 0.005, sample(0.01 * k - 0.005, 500.0), 0.0)
-            assert abs(outlier.write[0] - in_force[0]) > 0.1
-            spoilt.retract()
+            assert abs(outlier.theta[0] - held[0]) > 0.1
+            spoilt.restore(before, held)
+            spoilt.held = held
         found = spoilt.step(0.01 * k, sample(0.01 * k, value), 0.0)
-        np.testing.assert_array_equal(found.write, expected.write)
+        np.testing.assert_array_equal(found.theta, expected.theta)
         np.testing.assert_array_equal(found.estimate.std, expected.estimate.std)
     assert spoilt.n_evaluations > clean.n_evaluations  # what was evaluated stays counted
 
@@ -157,13 +173,13 @@ def test_a_sample_that_is_taken_back_leaves_nothing_in_a_recursive_estimator_or_
 def test_an_episode_that_an_outlier_began_has_not_begun():
     loop = retuner(Rescored(*range(1, 9)), Budget(3, 1), InnovationTrigger(residual, 1e-6), window=5)
     loop.step(0.01, sample(value=0.1), 0.0)
-    loop.mark()
+    before = loop.snapshot()
     assert kinds(loop.step(0.02, sample(value=50.0), 0.0))[:2] == ["trigger", "candidate"]
-    loop.retract()
+    loop.restore(before, START)
+    loop.held = START
     decision = loop.step(0.03, sample(value=0.1), 0.0)
     assert decision.events == ()
-    assert decision.write is None
-    assert loop.mark().tolist() == START.tolist()  # what is in force
+    assert decision.theta is None
 
 
 def test_an_episode_ends_when_its_evaluations_are_spent():
@@ -177,40 +193,38 @@ def test_an_episode_ends_when_its_evaluations_are_spent():
 
 def test_events_come_in_the_order_in_which_things_happen():
     decisions = steps(retuner(Scripted(4, 6, 7, 1), Budget(4, 2)), [2.0, 0.0])
-    assert kinds(decisions[0]) == ["trigger", "candidate", "candidate", "write"]
-    assert kinds(decisions[1]) == ["candidate", "candidate", "end", "write"]
-    assert [event.t for d in decisions for event in d.events] == [0.0] * 4 + [0.01] * 4
-    first, *candidates = decisions[0].events[:3]
+    assert kinds(decisions[0]) == ["trigger", "candidate", "candidate"]
+    assert kinds(decisions[1]) == ["candidate", "candidate", "end"]
+    assert [event.t for d in decisions for event in d.events] == [0.0] * 3 + [0.01] * 3
+    first, *candidates = decisions[0].events
     assert first.detail == {"reason": "tracking error 2 reached 1", "episode": 1}
     # the cost is |10 - theta|^2
     assert [c.detail for c in candidates] == [{"theta": [4.0], "cost": 36.0}, {"theta": [6.0], "cost": 16.0}]
-    written, end = decisions[0].events[3].detail, decisions[1].events[2].detail
-    belief = {"std": [0.5], "is_identifiable": [True], "reason": "best so far"}
-    assert written == {"theta": [6.0]} | belief
-    assert end == {"episode": 1, "cost": 9.0, "theta": [7.0]} | belief
+    assert decisions[1].events[2].detail == {
+        "episode": 1, "cost": 9.0, "theta": [7.0], "std": [0.5], "is_identifiable": [True], "reason": "best so far",
+    }  # fmt: skip
 
 
 def test_incumbents_are_written_only_when_they_are_better():
     decisions = steps(retuner(Scripted(4, 1, 9, 9.5, 2), Budget(5, 1)), [2.0] + [0.0] * 4)
-    written = [None if d.write is None else d.write.tolist() for d in decisions]
+    written = [None if d.theta is None else d.theta.tolist() for d in decisions]
     assert written == [[4.0], None, [9.0], [9.5], None]
-    assert [kinds(d).count("write") for d in decisions] == [1, 0, 1, 1, 0]
 
 
 def test_candidates_are_written_each_and_the_incumbent_at_the_end():
     loop = retuner(Scripted(4, 1, 9, 2), Budget(4, 1, "candidate"))
     decisions = steps(loop, [2.0, 0.0, 0.0, 0.0])
-    assert [d.write.tolist() for d in decisions[:3]] == [[4.0], [1.0], [9.0]]
-    assert [d.events[-1].detail.get("reason") for d in decisions[:3]] == ["candidate"] * 3
-    assert decisions[3].write is None  # the incumbent, 9, is in force already
+    assert [d.theta.tolist() for d in decisions[:3]] == [[4.0], [1.0], [9.0]]
+    assert [d.is_candidate for d in decisions] == [True, True, True, False]
+    assert decisions[3].theta is None  # the incumbent, 9, is in force already
     ending = steps(retuner(Scripted(9, 1, 2), Budget(3, 1, "candidate")), [2.0, 0.0, 0.0])[-1]
-    assert ending.write.tolist() == [9.0]
-    assert ending.events[-1].detail["reason"] == "best so far"
+    assert ending.theta.tolist() == [9.0]
+    assert not ending.is_candidate
 
 
 def test_of_several_candidates_a_step_the_newest_is_written():
     decision = steps(retuner(Scripted(9, 4, 1, 1), Budget(4, 2, "candidate")), [2.0])[0]
-    assert decision.write.tolist() == [4.0]
+    assert decision.theta.tolist() == [4.0]
 
 
 def test_each_episode_begins_from_what_is_in_force():
@@ -240,14 +254,14 @@ def test_stored_candidates_are_judged_by_the_newest_samples_before_new_ones_are_
     loop.step(0.0, sample(0.0, 10.0), 2.0)
     decision = loop.step(0.01, sample(0.01, 3.0), 0.0)  # the truth has become 3
     assert estimator.rescored == [[[3.0 - 4.0], [3.0 - 9.0]]]
-    assert decision.write.tolist() == [3.0]
+    assert decision.theta.tolist() == [3.0]
 
 
 def test_a_stale_best_is_given_up_when_the_truth_has_jumped():
     estimator = Rescored(10, 50, 60, 4)
     loop = retuner(estimator, Budget(4, 1))
     decisions = [loop.step(0.01 * k, sample(0.01 * k, truth), 2.0) for k, truth in enumerate([10.0, 10.0, 52.0])]
-    assert decisions[-1].write.tolist() == [50.0]
+    assert decisions[-1].theta.tolist() == [50.0]
 
 
 def test_an_estimator_that_cannot_rescore_is_left_with_what_it_was_told():
@@ -305,9 +319,9 @@ class Hopeless(Scripted):
 def test_before_a_candidate_has_succeeded_nothing_is_written():
     loop = retuner(Hopeless(4, 6, 9), Budget(3, 1))
     first, second, third = (loop.step(t, sample(t), 2.0) for t in (0.0, 0.1, 0.2))
-    assert [d.write for d in (first, second)] == [None, None]
+    assert [d.theta for d in (first, second)] == [None, None]
     assert [e.kind for e in first.events] == ["trigger", "candidate"]
-    assert third.write == [9.0]
+    assert third.theta == [9.0]
 
 
 class Broken(Scripted):
@@ -330,7 +344,7 @@ def test_other_errors_of_an_estimator_are_not_taken_for_a_missing_estimate(error
 def test_an_episode_without_any_success_ends_without_a_cost():
     loop = retuner(Hopeless(4, 6), Budget(2, 2))
     decision = loop.step(0.0, sample(), 2.0)
-    assert (decision.write, decision.estimate) == (None, None)
+    assert (decision.theta, decision.estimate) == (None, None)
     assert (decision.events[-1].kind, decision.events[-1].detail["cost"]) == ("end", None)
 
 
@@ -402,7 +416,7 @@ class Batches(Rescored):
 
 def episodic(estimator, budget, trigger=None, window=3):
     objective = SequenceObjective()
-    loop = Retuner(estimator, EpisodeWindow(objective, window), trigger or TrackingTrigger(1.0), budget, START)
+    loop = Loop(estimator, EpisodeWindow(objective, window), trigger or TrackingTrigger(1.0), budget)
     return loop, objective
 
 
@@ -411,7 +425,7 @@ def test_an_episode_waits_for_its_samples_and_then_all_candidates_see_the_same()
     loop, objective = episodic(estimator, Budget(3, 1))
     decisions = steps(loop, [0.0] * 4 + [2.0] + [0.0] * 6)
     assert [kinds(d) for d in decisions[4:]] == [
-        ["trigger"], [], [], ["candidate", "write"], ["candidate", "write"], ["candidate", "end"], [],
+        ["trigger"], [], [], ["candidate"], ["candidate"], ["candidate", "end"], [],
     ]  # fmt: skip
     assert decisions[4].events[0].detail["samples"] == "the next 3"
     assert objective.log == [[0.0], [4.0], [9.0], [7.0]]  # that in force, on the samples of before; then each once
@@ -442,7 +456,7 @@ def test_a_candidate_that_failed_is_in_the_record_with_its_reason():
     (decision,) = [d for d in steps(loop, [0.0] * 4 + [2.0] + [0.0] * 6) if d.latencies]
     candidates = [e.detail for e in decision.events if e.kind == "candidate"]
     assert [c.get("failed") for c in candidates] == [None, "too large", None]
-    assert decision.write is not None
+    assert decision.theta is not None
     assert loop.n_evaluations == 3
 
 
@@ -472,7 +486,7 @@ def test_a_solver_spends_the_budget_of_an_episode_in_one_solve():
     decisions = steps(loop, [0.0] * 4 + [2.0] + [0.0] * 6)
     assert loop.n_evaluations == 7
     assert len(objective.log) == 8
-    assert [kinds(d) for d in decisions if d.latencies] == [["candidate", "end", "write"]]
+    assert [kinds(d) for d in decisions if d.latencies] == [["candidate", "end"]]
 
 
 def test_the_innovation_of_a_window_is_judged_by_its_chi_square_limit():

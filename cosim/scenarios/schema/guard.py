@@ -17,9 +17,9 @@ class GuardSettings(Table):
     unseen: float = Field(default=0.35, gt=0.0, le=1.0)
     """A direction of which the standard deviation exceeds this share is not seen by the data, and not written."""
     foresight: bool = True
-    """Whether the closed loop is rolled ahead before a material write."""
+    """Whether the closed loop is simulated ahead before a material write."""
     horizon: int = Field(default=50, ge=1, le=MOST)
-    """Macro steps that it is rolled ahead."""
+    """Macro steps that it is simulated ahead."""
     n_std: float = Field(default=2.0, ge=0.0)
     """Standard deviations by which the estimate is widened for it, along the worst direction."""
     growth: float = Field(default=1.5, ge=1.0)

@@ -9,12 +9,11 @@ from cosim.retuning.data_support import DataSupport, NoDataSupport
 from cosim.retuning.guard import Guard, within_rate
 from cosim.scenarios.schema.guard import GuardSettings
 from estimator import Estimate, Parameter, ParameterSpace, Sample
-from estimator.events import Event
-from estimator.retuner import Reconfiguration
+from estimator.retuner import Proposal
 
 SPACE = ParameterSpace((Parameter("a", 0.0, 10.0), Parameter("b", 0.0, 10.0)))
 START, GOOD, BETTER = (np.array([v, v]) for v in (2.0, 4.0, 6.0))
-NOTHING = Reconfiguration()
+NOTHING = Proposal()
 
 
 class Told(NoDataSupport):
@@ -48,8 +47,24 @@ class Peaks:
         return self._peaks[one, other] if (one, other) in self._peaks else self._peaks.get(one, 0.01)
 
 
+class Watched:
+    """A guard, and a controller that takes what it lets through."""
+
+    def __init__(self, guard, held):
+        self.guard, self.held = guard, held
+
+    def step(self, k, t, error, proposal, peak):
+        ruling = self.guard.step(k, t, error, proposal, self.held, peak)
+        self.held = self.held if ruling.write is None else ruling.write
+        return ruling
+
+    def __getattr__(self, name):
+        return getattr(self.guard, name)
+
+
 def guard(support=None, start=START, **settings):
-    return Guard(GuardSettings(**({"tolerance": 0.5} | settings)), SPACE, np.array(start), 100.0, support or Told())
+    made = Guard(GuardSettings(**({"tolerance": 0.5} | settings)), SPACE, np.array(start), 100.0, support or Told())
+    return Watched(made, np.array(start))
 
 
 def proposed(theta, estimate=None):
@@ -57,17 +72,16 @@ def proposed(theta, estimate=None):
     best = Estimate(
         theta if estimate is None else np.array(estimate), np.full(2, 0.1), (True, True), 0.0, 1, "incumbent"
     )
-    events = Event(0.0, "candidate"), Event(0.0, "write", {"theta": theta.tolist()})
-    return Reconfiguration(theta, best, events)
+    return Proposal(theta, best)
 
 
 def step(watched, k, theta=None, error=0.0, peak=None):
     """Kinds of the events, and what is written, as a tuple."""
-    reviewed = watched.step(k, 0.01 * k, error, NOTHING if theta is None else proposed(theta), peak)
-    return [e.kind for e in reviewed.events], None if reviewed.write is None else tuple(reviewed.write.tolist())
+    ruling = watched.step(k, 0.01 * k, error, NOTHING if theta is None else proposed(theta), peak)
+    return [e.kind for e in ruling.events], None if ruling.write is None else tuple(ruling.write.tolist())
 
 
-WRITTEN, VETOED = ["candidate", "write"], ["candidate", "veto"]
+PASSED, VETOED = [], ["veto"]
 
 
 # Before a write.
@@ -90,9 +104,9 @@ def test_a_limited_move_starts_from_what_is_held_and_is_what_is_looked_into():
     for k, value in ((1, 3.25), (2, 4.5), (3, 5.75), (4, 6.0)):
         kinds, theta = step(watched, k, BETTER, peak=peak)
         if value == 6.0:  # small, and no longer looked into
-            assert (kinds, theta) == (WRITTEN, (6.0, 6.0))
+            assert (kinds, theta) == (PASSED, (6.0, 6.0))
             break
-        assert kinds == ["candidate", "limit", "write"]
+        assert kinds == ["limit"]
         assert theta == pytest.approx((value, value))
         assert support.asked[-1] == pytest.approx((value, value, *[value - 1.25] * 2, 6.0, 6.0, 0.3))
         assert (theta, tuple(BETTER)) in peak.asked
@@ -108,7 +122,7 @@ def test_a_move_that_the_rate_makes_small_is_not_looked_into():
     assert peak.asked
     peak = Peaks({})
     kinds, theta = step(guard(rate=0.03125), 1, GOOD, peak=peak)
-    assert kinds == ["candidate", "limit", "write"]
+    assert kinds == ["limit"]
     assert theta == pytest.approx((2.3125, 2.3125))
     assert not peak.asked
 
@@ -132,7 +146,7 @@ def test_a_move_down_is_looked_into():
 def test_small_is_what_is_small_beside_the_last_that_was_looked_into():
     watched, peak = guard(), Peaks({})
     step(watched, 1, GOOD)
-    assert step(watched, 2, GOOD + 0.3, peak=peak)[0] == WRITTEN
+    assert step(watched, 2, GOOD + 0.3, peak=peak)[0] == PASSED
     assert not peak.asked
     step(watched, 3, GOOD + 0.6, peak=peak)
     assert peak.asked
@@ -157,13 +171,13 @@ def squared(deviations):
 )
 def test_how_much_worse_the_newest_sample_may_be_explained(cost, before, is_written):
     support = Told({tuple(GOOD): cost, tuple(START): before})
-    assert step(guard(support), 1, GOOD)[0] == (WRITTEN if is_written else VETOED)
+    assert step(guard(support), 1, GOOD)[0] == (PASSED if is_written else VETOED)
 
 
 def test_what_explains_the_newest_sample_is_compared_with_what_is_held():
     support = Told({tuple(START): 1e6, tuple(BETTER): 1e3})
     watched = guard(support)
-    assert step(watched, 1, GOOD)[0] == WRITTEN
+    assert step(watched, 1, GOOD)[0] == PASSED
     assert step(watched, 2, BETTER)[0] == VETOED
 
 
@@ -181,7 +195,7 @@ def test_what_explains_the_newest_sample_is_compared_with_what_is_held():
 def test_how_much_worse_may_be_predicted(found, stay, error, is_written):
     peak = Peaks({tuple(GOOD): found, tuple(START): stay})
     kinds, _ = step(guard(growth=2.0), 1, GOOD, error, peak)
-    assert kinds == (WRITTEN if is_written else VETOED)
+    assert kinds == (PASSED if is_written else VETOED)
 
 
 def test_every_plant_is_asked_for_with_the_candidate_and_with_what_is_held():
@@ -198,17 +212,17 @@ def test_every_plant_is_asked_for_with_the_candidate_and_with_what_is_held():
 
 def test_reasons_come_in_their_order():
     support, peak = Told({(3.0, 3.0): 1e9}), Peaks({(3.0, 3.0): 1e9})
-    assert step(guard(support, rate=0.125, start=(1.75, 1.75)), 1, GOOD)[0] == ["candidate", "limit", "veto"]
-    assert step(guard(rate=0.125, start=(1.75, 1.75)), 1, GOOD, peak=peak)[0] == ["candidate", "limit", "veto"]
+    assert step(guard(support, rate=0.125, start=(1.75, 1.75)), 1, GOOD)[0] == ["limit", "veto"]
+    assert step(guard(rate=0.125, start=(1.75, 1.75)), 1, GOOD, peak=peak)[0] == ["limit", "veto"]
 
 
 def test_what_was_refused_is_not_judged_again_for_half_a_horizon():
     watched, bad = guard(horizon=10), Peaks({tuple(BETTER): 1.0})
     assert step(watched, 1, BETTER, peak=bad)[0] == VETOED
     for k in range(2, 6):
-        assert step(watched, k, BETTER, peak=bad) == (["candidate"], None)
+        assert step(watched, k, BETTER, peak=bad) == ([], None)
     assert step(watched, 6, BETTER, peak=bad)[0] == VETOED
-    assert step(watched, 7, GOOD, peak=bad)[0] == WRITTEN  # another one
+    assert step(watched, 7, GOOD, peak=bad)[0] == PASSED  # another one
     assert watched.summary()["vetoed"] == 2
 
 
@@ -242,7 +256,7 @@ def test_a_later_write_does_not_widen_what_the_first_one_is_allowed():
     watched = guard()
     step(watched, 1, GOOD)
     peak = Peaks({tuple(BETTER): 1.0, tuple(GOOD): 1.0})
-    assert step(watched, 2, BETTER, peak=peak)[0] == WRITTEN
+    assert step(watched, 2, BETTER, peak=peak)[0] == PASSED
     assert step(watched, 3, error=0.51) == (["revert"], tuple(START))
 
 
@@ -265,8 +279,8 @@ def test_what_is_due_is_confirmed_at_once():
 def test_a_step_tells_all_that_happens_in_it():
     bad = Peaks({(8.0, 8.0): 1.0})
     for theta, peak, expected in (
-        (BETTER, None, ["candidate", "confirm", "write"]),
-        ((8.0, 8.0), bad, ["candidate", "confirm", "veto"]),
+        (BETTER, None, ["confirm"]),
+        ((8.0, 8.0), bad, ["confirm", "veto"]),
     ):
         watched = guard(probation=10)
         step(watched, 1, GOOD)
@@ -274,10 +288,10 @@ def test_a_step_tells_all_that_happens_in_it():
     watched = guard(probation=10, horizon=100)
     step(watched, 1, GOOD)
     step(watched, 2, (8.0, 8.0), peak=bad)
-    assert step(watched, 11, (8.0, 8.0), peak=bad) == (["candidate", "confirm"], None)
+    assert step(watched, 11, (8.0, 8.0), peak=bad) == (["confirm"], None)
     step(watched, 12, BETTER)
-    assert step(watched, 13, BETTER, error=1.0) == (["candidate", "revert"], tuple(GOOD))
-    assert step(watched, 14, BETTER) == (["candidate"], None)  # it rests
+    assert step(watched, 13, BETTER, error=1.0) == (["revert"], tuple(GOOD))
+    assert step(watched, 14, BETTER) == ([], None)  # it rests
 
 
 def test_the_start_is_not_watched():
@@ -307,13 +321,13 @@ def test_what_was_good_is_watched_too():
 def test_what_was_good_and_failed_is_good_no_longer():
     watched = reverted_to_good(reverts=9)
     assert step(watched, 14, error=9.0) == (["revert"], tuple(START))
-    assert step(watched, 24, BETTER)[0] == WRITTEN
+    assert step(watched, 24, BETTER)[0] == PASSED
     assert step(watched, 25, error=9.0) == (["revert"], tuple(START))
 
 
 def test_what_comes_back_is_what_small_changes_are_counted_from():
     watched, peak = reverted_to_good(), Peaks({})
-    assert step(watched, 23, GOOD + 0.3, peak=peak)[0] == ["candidate", "confirm", "write"]
+    assert step(watched, 23, GOOD + 0.3, peak=peak)[0] == ["confirm"]
     assert not peak.asked
 
 
@@ -323,20 +337,23 @@ def test_the_last_revert_goes_to_the_start_though_something_was_good():
     step(watched, 11)
     step(watched, 12, BETTER)
     assert step(watched, 13, error=1.0) == (["revert", "stop"], tuple(START))
-    assert watched.stopped_at == pytest.approx(0.13)
+    assert watched.guard.stopped_at == pytest.approx(0.13)
 
 
 def test_what_is_taken_back_is_no_longer_watched_and_what_was_before_it_is():
     watched, peak = guard(), Peaks({})
     step(watched, 1, GOOD)
+    before = watched.snapshot()
     step(watched, 2, BETTER)
-    watched.retract(2, GOOD)
-    np.testing.assert_array_equal(watched.held, GOOD)
-    assert step(watched, 3, GOOD + 0.3, peak=peak)[0] == WRITTEN
+    watched.restore(before)
+    watched.held = GOOD
+    assert step(watched, 3, GOOD + 0.3, peak=peak)[0] == PASSED
     assert not peak.asked  # small, beside what is held
     assert step(watched, 4, error=0.51) == (["revert"], tuple(START))
+    before = watched.snapshot()
     step(watched, 200, GOOD)
-    watched.retract(200, START)
+    watched.restore(before)
+    watched.held = START
     assert step(watched, 202, error=9.0) == ([], None)
     assert watched.summary()["retracted"] == 2
 
@@ -353,8 +370,8 @@ def test_what_is_taken_back_is_no_longer_watched_and_what_was_before_it_is():
 )
 def test_single_precision_is_no_reason_to_stop(read, is_taken):
     watched = guard(start=(0.0, 1e4))
-    assert (watched.not_taken(1.0, read, ["c.a", "c.b"]) is None) == is_taken
-    assert watched.stopped_at == (None if is_taken else 1.0)
+    assert (watched.not_taken(1.0, read, watched.held, ["c.a", "c.b"]) is None) == is_taken
+    assert watched.guard.stopped_at == (None if is_taken else 1.0)
 
 
 # What the samples see: y = x . theta, measured with SIGMA.
@@ -387,7 +404,7 @@ def test_a_small_part_that_is_not_seen_is_let_be(b, is_let_be):
     watched, theta = guard(seen((1.0, 1.0), truth=(3.0, b))), (3.0, b)
     kinds, written = step(watched, 1, theta)
     assert (written == theta) == is_let_be
-    assert kinds == (WRITTEN if is_let_be else ["candidate", "hold", "write"])
+    assert kinds == (PASSED if is_let_be else ["hold"])
     assert watched.summary()["held"] == (not is_let_be)
 
 
@@ -412,10 +429,11 @@ def test_an_estimate_is_widened_by_a_quarter_of_the_bounds_at_most_and_not_beyon
 def test_the_newest_sample_costs_until_it_is_taken_back():
     support = DataSupport(linear_residual, SPACE, 1, 30)
     assert support.cost(GOOD) == 0.0
-    for y in (4.1, 4.3):
-        support.append(Sample(0.0, (1.0, 0.0), (), (y,)))
+    support.append(Sample(0.0, (1.0, 0.0), (), (4.1,)))
+    before = support.snapshot()
+    support.append(Sample(0.0, (1.0, 0.0), (), (4.3,)))
     assert support.cost(GOOD) == pytest.approx(squared(3.0))
-    support.retract()
+    support.restore(before)
     assert support.cost(GOOD) == pytest.approx(squared(1.0))
 
 

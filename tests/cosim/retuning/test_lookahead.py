@@ -1,4 +1,4 @@
-"""The loop rolled ahead, against what then happens, against an independent integration, and where FMUs lack states."""
+"""The loop simulated ahead: against what then happens, an independent integration, and where FMUs lack states."""
 
 import math
 import re
@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from cosim.errors import CosimError, SlaveError
 from cosim.fmi.archive import co_simulation
-from cosim.retuning.lookahead import Lookahead, Running
+from cosim.retuning.lookahead import Lookahead, RunningSystem
 from cosim.runs.simulation import run
 from cosim.scenarios.scenario import Scenario
 from cosim.slaves.slave import open_slave
@@ -35,7 +35,7 @@ NOMINAL, CHANGED = np.array([1.75, 0.75]), np.array([4.271, 0.981])
 
 
 class Loop:
-    """The pendulum, `n` steps on its way with the nominal parameters, and its foresight."""
+    """The pendulum, `n` steps on its way with the nominal parameters, and its lookahead."""
 
     def __init__(self, scenario, stack, n=20, lacking=()):
         paths = fmu_paths(scenario)
@@ -46,8 +46,12 @@ class Loop:
         self.plant = plant_of(scenario, self.slaves["plant"])
         self.master = Master(self.slaves, wiring, groups)
         self.master.initialize(0.0, 1.0)
-        self.foresight = Lookahead(
-            scenario, Running(self.slaves, wiring, groups, paths), self.plant, physics.derivative, stack
+        self.lookahead = Lookahead(
+            scenario,
+            RunningSystem(self.slaves, wiring, groups, paths, self.master.names),
+            self.plant,
+            physics.derivative,
+            stack,
         )
         self.n = n
         for k in range(n):
@@ -58,10 +62,10 @@ class Loop:
     def value(self, name):
         return self.master.values[self.master.names.index(name)]
 
-    def peak(self, controller, plant):
+    def predicted_peak(self, controller, plant):
         x = (self.value("plant.phi"), self.value("plant.phi_dot"))
-        now = self.foresight.now(Sample(self.n * H, x, (), ()))
-        return self.foresight.peak(now, list(self.master.values), self.n, controller, plant)
+        now = self.lookahead.snapshot(Sample(self.n * H, x, (), ()))
+        return self.lookahead.predicted_peak(now, list(self.master.values), self.n, controller, plant)
 
 
 @pytest.fixture
@@ -89,37 +93,37 @@ def independent_peak(x, controller, plant, n_steps):
 @pytest.mark.parametrize("controller", [NOMINAL, CHANGED, np.array([0.2, 0.3])], ids=["nominal", "changed", "weak"])
 def test_the_peak_is_that_of_an_independent_integration(loop, controller, lacking):
     made = loop(lacking)
-    assert made.foresight.plant_is_modelled == bool(lacking)
+    assert made.lookahead.plant_is_modelled == bool(lacking)
     x = [made.value("plant.phi"), made.value("plant.phi_dot")]
     expected = independent_peak(x, controller, CHANGED, 50)
     # 1e-8: two Runge-Kutta steps a macro step, see test_simulation
-    assert made.peak(controller, CHANGED) == pytest.approx(expected, abs=1e-8)
+    assert made.predicted_peak(controller, CHANGED) == pytest.approx(expected, abs=1e-8)
 
 
 def test_with_the_truth_in_the_plant_it_is_what_then_happens(loop, pendulum):
     # the nominal run, which the shadow joins after 20 of its 100 steps
     result = run(pendulum(SWING | {"changes": "{}"}, stop_time=0.7), "none")
-    assert loop().peak(NOMINAL, NOMINAL) == np.max(np.abs(result.errors["plant.phi"][21:]))
+    assert loop().predicted_peak(NOMINAL, NOMINAL) == np.max(np.abs(result.errors["plant.phi"][21:]))
 
 
 def test_the_shadow_gets_the_estimate_and_leaves_the_run_alone(loop):
     made = loop()
     before = list(made.master.values), made.slaves["plant"].get_state()
-    told, untold = made.peak(NOMINAL, CHANGED), made.peak(NOMINAL, NOMINAL)
+    told, untold = made.predicted_peak(NOMINAL, CHANGED), made.predicted_peak(NOMINAL, NOMINAL)
     assert abs(told - untold) > 1e-4
-    assert made.peak(NOMINAL, CHANGED) == told  # nothing of the last time is left
+    assert made.predicted_peak(NOMINAL, CHANGED) == told  # nothing of the last time is left
     assert (list(made.master.values), made.slaves["plant"].get_state()) == before
 
 
 def test_a_loop_that_passes_the_limit_is_infinite(loop):
-    assert loop(**{"limits.divergence": "0.1"}).peak(NOMINAL, NOMINAL) == math.inf
+    assert loop(**{"limits.divergence": "0.1"}).predicted_peak(NOMINAL, NOMINAL) == math.inf
 
 
 def test_parameters_that_the_plant_refuses_tell_nothing_and_harm_nothing(loop):
     made = loop()
-    expected = made.peak(NOMINAL, NOMINAL)
-    assert made.peak(NOMINAL, np.array([1.75, 1e9])) is None
-    assert made.peak(NOMINAL, NOMINAL) == expected
+    expected = made.predicted_peak(NOMINAL, NOMINAL)
+    assert made.predicted_peak(NOMINAL, np.array([1.75, 1e9])) is None
+    assert made.predicted_peak(NOMINAL, NOMINAL) == expected
 
 
 def test_a_controller_without_states_is_not_rolled_ahead(loop):
@@ -133,7 +137,7 @@ def test_a_run_says_at_its_start_that_it_does_not_look_ahead(pendulum, tmp_path,
     reason = "controller, reference cannot save and restore the state of the FMU"
     assert result.guard["not_rolled_ahead"] == reason
     first = (tmp_path / "events.jsonl").read_text(encoding="utf-8").splitlines()[0]
-    assert f"the loop is not rolled ahead: {reason}" in first
+    assert f"the loop is not simulated ahead: {reason}" in first
 
 
 def fails(slave, *_):
@@ -147,9 +151,13 @@ def does_nothing(slave, state):
 @pytest.mark.parametrize(
     ("function", "does", "told"),
     [
-        ("get_state", fails, r"plant \(rolled ahead\): get_state at t = 0.000 s returned error"),
-        ("set_state", fails, r"plant \(rolled ahead\): get_state at t = 0.000 s returned error"),
-        ("set_state", does_nothing, r"plant \(rolled ahead\): set_state leads to other outputs than those of the run"),
+        ("get_state", fails, r"plant \(simulated ahead\): get_state at t = 0.000 s returned error"),
+        ("set_state", fails, r"plant \(simulated ahead\): get_state at t = 0.000 s returned error"),
+        (
+            "set_state",
+            does_nothing,
+            r"plant \(simulated ahead\): set_state leads to other outputs than .*",
+        ),
     ],
     ids=["save", "restore", "restore nothing"],
 )
@@ -163,7 +171,7 @@ def test_an_fmu_that_cannot_save_its_state_although_it_says_so_is_not_rolled_ahe
     assert result.guard["vetoed"] == 0
     lines = [line for line in (tmp_path / "events.jsonl").read_text().splitlines() if '"guard"' in line]
     assert len(lines) == 1
-    assert re.search(f"the loop is not rolled ahead: {told}", lines[0]), lines
+    assert re.search(f"the loop is not simulated ahead: {told}", lines[0]), lines
     assert re.fullmatch(told, result.guard["not_rolled_ahead"])
 
 
@@ -227,13 +235,13 @@ true = "plant.l"
 
 
 def test_units_are_converted_in_what_is_rolled_ahead_as_in_the_run(tmp_path, monkeypatch):
-    peak, found = Lookahead.peak, {"deg": [], "rad": []}
+    peak, found = Lookahead.predicted_peak, {"deg": [], "rad": []}
     for unit, value in (("deg", "57.29577951308232"), ("rad", "1")):
         (tmp_path / f"{unit}.csv").write_text(f"time [s], phi_ref [{unit}]\n0, {value}\n9, {value}\n")
     for unit, peaks in found.items():
         path = tmp_path / f"swing_{unit}.toml"
         path.write_text(UNITS.format(unit=unit))
-        monkeypatch.setattr(Lookahead, "peak", lambda *a, p=peaks: p.append(peak(*a)) or p[-1])
+        monkeypatch.setattr(Lookahead, "predicted_peak", lambda *a, p=peaks: p.append(peak(*a)) or p[-1])
         assert run(Scenario.load(path), "target").status == "done"
     assert len(found["rad"]) > 1
     assert found["deg"] == pytest.approx(found["rad"], rel=1e-9)

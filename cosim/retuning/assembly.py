@@ -1,0 +1,213 @@
+"""A supervisor with its screen, retuner and guard, assembled as a scenario asks for them."""
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from math import nan
+from typing import Final
+
+import numpy as np
+
+from estimator import DerivativeResidual, EpisodeWindow, LinearForm, Method, Sample, Vector
+from estimator.retuner import Budget, Retuner, make_retuner
+from estimator.samples import RememberingModel
+from estimator.triggers import AlwaysTrigger, InnovationTrigger, TrackingTrigger, Trigger, WindowTrigger
+
+from ..errors import CosimError, ScenarioError
+from ..objectives.choice import ENDLESS, chosen, open_objective
+from ..objectives.model import opened_model
+from ..objectives.rollout_fmu import RunningPlant
+from ..sampling.derivative_filter import derivative_noise
+from ..sampling.screen import OutputScreen, SampleScreen, Sensors
+from ..scenarios.scenario import Scenario
+from ..scenarios.schema.estimation import Always, Innovation, Loop, Tracking
+from ..system.plant import Plant
+from ..user_code import USERS, load
+from .data_support import DataSupport, NoDataSupport
+from .estimators import find_method, make_estimator
+from .guard import Guard
+from .lookahead import Lookahead, RunningSystem
+from .supervisor import ReadBack, Supervisor
+
+_FEWEST: Final = 30
+"""Samples that the data support keeps at least: a recursive estimator's window is one."""
+
+
+def make_supervisor(
+    scenario: Scenario,
+    estimator: str,
+    plant: Plant,
+    held: Vector,
+    rng: np.random.Generator,
+    stack: ExitStack,
+    running: RunningSystem | None = None,
+    live: RunningPlant | None = None,
+) -> Supervisor:
+    """Return the supervisor of a scenario's controller; see `make_policy`. Raises ScenarioError."""
+    space, settings = scenario.estimation.space, scenario.guard
+    whitened = _residual(scenario, plant, stack) if chosen(scenario).kind == "derivative" else None
+    retuner = _retuner(scenario, estimator, plant, held, rng, stack, whitened, live)
+    support: DataSupport | NoDataSupport = NoDataSupport()
+    if whitened is not None:
+        support = DataSupport(whitened, space, len(whitened.noise), max(scenario.estimation.window, _FEWEST))
+    guard = Guard(settings, space, held, scenario.limits.divergence, support) if settings.enabled else None
+    read_back = None if running is None else _read_back(scenario, running)
+    lookahead = _lookahead(scenario, plant, whitened, running, stack)
+    model = None if whitened is None or not isinstance(whitened.model, RememberingModel) else whitened.model
+    screen = _screen(scenario, plant, whitened)
+    return Supervisor(estimator, retuner, support, screen, guard, read_back, lookahead, model)
+
+
+def try_model(scenario: Scenario, estimator: str, plant: Plant, theta: Vector, first: Sample) -> None:
+    """Call the scenario's model, and its linear form where the estimator uses it, once. Raises ScenarioError."""
+    if estimator in ("none", "true") or chosen(scenario).kind != "derivative":
+        return
+    settings = scenario.estimation
+    try:
+        with ExitStack() as stack:
+            _residual(scenario, plant, stack)(theta, first)
+    except CosimError:
+        raise
+    except USERS as e:
+        call = f"{settings.model}(x ({len(first.x)},), u ({len(first.u)},), {', '.join(settings.space.names)})"
+        raise ScenarioError(f"estimation.model: {call} failed: {type(e).__name__}: {e}.") from e
+    form = _linear_form(find_method(estimator, scenario), scenario)
+    if form is None:
+        return
+    try:
+        rows, targets = form.rows(first)
+        if rows.shape != (len(targets), len(form.coefficients(theta))):
+            raise ValueError(f"rows are {rows.shape}, targets {targets.shape}")
+    except USERS as e:
+        raise ScenarioError(f"estimation.linear: failed: {type(e).__name__}: {e}.") from e
+
+
+def _retuner(
+    scenario: Scenario,
+    estimator: str,
+    plant: Plant,
+    held: Vector,
+    rng: np.random.Generator,
+    stack: ExitStack,
+    whitened: DerivativeResidual | None,
+    live: RunningPlant | None,
+) -> Retuner:
+    """The loop round the estimator, with the window and the trigger that fit the objective. Raises ScenarioError."""
+    method = find_method(estimator, scenario)
+    choice = chosen(scenario)
+    search, loop = make_estimator(estimator, method, scenario, held, rng)
+    budget = Budget(loop.budget, loop.evaluations_per_step, loop.commit)
+    form = _linear_form(method, scenario)
+    if whitened is not None:
+        text = f"derivatives of {scenario.estimation.model} ({choice.why})"
+        return make_retuner(search, whitened, _trigger(loop, whitened), budget, loop.window, form, text)
+    if method.needs_derivatives:
+        raise ScenarioError(
+            f"estimator '{estimator}' takes derivatives sample by sample: no estimation.objective else."
+        )
+    if isinstance(loop.trigger, Always):
+        raise ScenarioError(ENDLESS)
+    objective = open_objective(scenario, plant, held, live, stack)
+    is_rollout = choice.kind == "rollout"
+    noise = [n.noise for n in scenario.sampling.outputs.values()] if is_rollout and not search.is_whitened else None
+    window = EpisodeWindow(objective, loop.window, noise)
+    if isinstance(loop.trigger, Innovation):
+        trigger: Trigger = WindowTrigger(window.track, loop.trigger.false_alarm)
+    else:
+        trigger = TrackingTrigger(loop.trigger.threshold)
+    return Retuner(search, window, trigger, budget, form, objective.describe)
+
+
+def _trigger(loop: Loop, residual: DerivativeResidual) -> Trigger:
+    match loop.trigger:
+        case Innovation():
+            return InnovationTrigger(residual, loop.trigger.false_alarm)
+        case Tracking():
+            return TrackingTrigger(loop.trigger.threshold)
+        case _:
+            return AlwaysTrigger()
+
+
+def _residual(scenario: Scenario, plant: Plant, stack: ExitStack) -> DerivativeResidual:
+    """The whitened residual of the scenario's model, which stack closes. Raises ScenarioError."""
+    settings = scenario.estimation
+    model = RememberingModel(stack.enter_context(opened_model(scenario, plant)))
+    sigma = derivative_noise(scenario.sampling, scenario.scenario.macro_step)
+    return DerivativeResidual(model, settings.space, plant.channels, sigma)
+
+
+def _linear_form(method: Method, scenario: Scenario) -> LinearForm | None:
+    """The model's linear form, for an estimator that needs it. Raises ScenarioError."""
+    settings = scenario.estimation.linear
+    if settings is None or not method.needs_linear_form:
+        return None
+    return LinearForm(
+        scenario.estimation.space,
+        load(settings.rows, scenario.folder, "estimation.linear.rows"),
+        load(settings.coefficients, scenario.folder, "estimation.linear.coefficients"),
+    )
+
+
+def _read_back(scenario: Scenario, running: RunningSystem) -> ReadBack:
+    """Where the system's outputs have what the controller holds."""
+    names = tuple(p.writes for p in scenario.estimation.parameters)
+    return ReadBack(names, tuple(running.names.index(name) for name in names))
+
+
+def _lookahead(
+    scenario: Scenario,
+    plant: Plant,
+    whitened: DerivativeResidual | None,
+    running: RunningSystem | None,
+    stack: ExitStack,
+) -> Lookahead | str:
+    """The loop that is simulated ahead, or the reason why none is."""
+    if running is None:
+        return "the FMUs do not run"
+    if not (scenario.guard.enabled and scenario.guard.foresight):
+        return "guard.foresight is false"
+    try:
+        return Lookahead(scenario, running, plant, None if whitened is None else whitened.model, stack)
+    except CosimError as e:
+        return str(e).rstrip(".")
+
+
+def _screen(
+    scenario: Scenario, plant: Plant, whitened: DerivativeResidual | None
+) -> SampleScreen | OutputScreen | None:
+    """The screen of what is compared; None where a filter or a function of the user's makes that of the samples."""
+    settings, h = scenario.observations, scenario.scenario.macro_step
+    if not settings.enabled or scenario.sampling.filter is not None:
+        return None
+    if whitened is not None:
+        return SampleScreen(settings, _sensors(scenario, plant, whitened), h)
+    if chosen(scenario).kind != "rollout":
+        return None
+    outputs = scenario.sampling.outputs
+    return OutputScreen(settings, tuple(outputs), tuple(output.noise > 0.0 for output in outputs.values()), h)
+
+
+@dataclass(frozen=True)
+class _Slope:
+    """Modelled derivatives (n,) of the states at a sample; NaN where the model has no value, as for the residual."""
+
+    residual: DerivativeResidual
+
+    def __call__(self, theta: Vector, sample: Sample) -> Sequence[float]:
+        try:
+            return self.residual.model(sample.x, sample.u, **self.residual.space.named(theta))
+        except (ArithmeticError, ValueError):
+            return [nan] * len(sample.x)
+
+
+def _sensors(scenario: Scenario, plant: Plant, residual: DerivativeResidual) -> Sensors:
+    """The sampled values, as the screen sees them."""
+    states = [f"{plant.name}.{name}" for name in plant.states]
+    on_states = scenario.sampling.states
+    is_noisy = [name in on_states and on_states[name].noise > 0.0 for name in states]
+    n = len(scenario.sampling.derivatives)
+    on_channels = [on_states[states[i]].noise if states[i] in on_states else 0.0 for i in plant.channels]
+    return Sensors(
+        (*scenario.sampling.derivatives, *states), (*[True] * n, *is_noisy), residual.noise,
+        plant.channels, tuple(on_channels), residual, _Slope(residual),
+    )  # fmt: skip

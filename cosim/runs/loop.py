@@ -1,0 +1,232 @@
+"""The loop of a run. At each communication point t_k, in this order:
+
+get plant x, der(x), held u | noise | record sample | estimate | set controller theta, x, reference |
+doStep controller | get u | set plant theta_true(t_k), u | doStep plant, reference.
+
+It is legal FMI 2.0, which forbids get after set without a doStep (section 4.2.4), and delays nothing: a memoryless
+controller's output after its step is the control law at x_k.
+"""
+
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from math import hypot
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from estimator import Vector
+
+from ..errors import NotResumableError, ScenarioError, SlaveError, WiringError
+from ..fmi.table import TableSlave
+from ..objectives.rollout_fmu import RunningPlant
+from ..retuning.assembly import try_model
+from ..retuning.decision import Decision, Point
+from ..retuning.lookahead import RunningSystem
+from ..retuning.policies import Policy, make_policy
+from ..sampling.sampler import Sampler
+from ..scenarios.scenario import Scenario
+from ..slaves.slave import Slave
+from ..system.master import Master, Wiring
+from ..system.parameters import check_parameters, start_value, true_parameters
+from ..system.plant import Plant, plant_of
+from ..system.tunables import TunableWriter
+from ..system.wiring import wire, with_read_back
+from .checkpoint import Checkpoint, Checkpoints, restore
+from .final_estimate import EstimateTracker
+from .latencies import Latencies
+from .manifest import Status
+from .record import Recorder
+
+Progress = Callable[[float, Mapping[str, float]], None]
+"""Called at each communication point with the time [s] and what the controller holds, by parameter name."""
+
+
+def open_loop(
+    scenario: Scenario,
+    slaves: Mapping[str, Slave | TableSlave],
+    paths: Mapping[str, Path],
+    estimator: str,
+    seed: int,
+    begun: float,
+    stack: ExitStack,
+) -> "Loop":
+    """Return the loop of a run whose FMUs are starting.
+
+    begun: when the run began, on the performance counter [s]; stack closes what is opened.
+    Raises ScenarioError, WiringError.
+    """
+    plant = plant_of(scenario, slaves[scenario.plant])
+    check_parameters(scenario, slaves)
+    writes = [p.writes for p in scenario.estimation.parameters]
+    wiring, groups = wire(scenario, slaves)
+    wiring = with_read_back(wiring, writes)
+    noise, search, faults = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3))
+    master = Master(slaves, wiring, groups)
+    sampler = Sampler(scenario, plant, master.names, noise, faults)
+    held = np.array([start_value(scenario, slaves, name) for name in writes])
+    truth = true_parameters(scenario, slaves)
+    running = RunningSystem(slaves, wiring, groups, paths, master.names)
+    live = _running_plant(scenario, slaves[scenario.plant], wiring[scenario.plant], truth)
+    # Here, while the FMUs are still starting: what an estimator imports takes as long as they do.
+    policy = make_policy(
+        scenario, estimator, plant, held, _TrueParameters(scenario, truth), search, stack, running, live
+    )
+    return Loop(scenario, estimator, plant, master, sampler, policy, held, truth, begun)
+
+
+class Loop:
+    """One run in progress. What the controller holds is known here and nowhere below.
+
+    1. `initialize` brings the FMUs to the start.
+    2. `go_to` takes a run that is resumed on to its checkpoint.
+    3. `execute` steps to the end.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        estimator: str,
+        plant: Plant,
+        master: Master,
+        sampler: Sampler,
+        policy: Policy,
+        held: Vector,
+        truth: Mapping[str, Callable[[float], float]],
+        begun: float,
+    ) -> None:
+        """held (d,): what the controller holds first; truth: of the plant's parameters, functions of time [s]."""
+        writes = [p.writes for p in scenario.estimation.parameters]
+        self.plant, self.policy, self.begun = plant, policy, begun
+        self.estimates, self.latencies = EstimateTracker(scenario, estimator), Latencies()
+        self._scenario, self._estimator, self._truth = scenario, estimator, truth
+        self._master, self._sampler, self._held, self._k = master, sampler, held, 0
+        self._tunables = TunableWriter([*scenario.changes, *writes])
+        place = {name: i for i, name in enumerate(master.names)}
+        self._tracked = [(place[a], place[b]) for a, b in scenario.tracking.items()]
+        self._recorded = [i for name, i in place.items() if name not in writes]
+        recorded = [master.names[i] for i in self._recorded]
+        self.columns = ("time", *recorded, *truth, *writes, *sampler.columns)
+        """Names of what is recorded of a communication point."""
+
+    def initialize(self) -> str | None:
+        """Bring the FMUs to the start; why one failed, or None. Raises WiringError, ScenarioError."""
+        settings = self._scenario.scenario
+        try:
+            self._master.initialize(settings.start_time, settings.stop_time)
+        except SlaveError as fault:
+            if fault.function == "set":  # refused before it reached the FMU
+                raise WiringError(f"{fault}.") from fault
+            return str(fault)
+        for parameter in self._scenario.estimation.parameters:  # a formula may have no value from the start
+            self._truth[self._scenario.true_reference(parameter)](settings.start_time)
+        first = self._sampler.exact(settings.start_time, self._master.values)
+        try_model(self._scenario, self._estimator, self.plant, self._held, first)
+        return None
+
+    @property
+    def checkpoint_name(self) -> str:
+        """See `cosim.runs.checkpoint.Alive`."""
+        return "loop"
+
+    def to_checkpoint(self) -> tuple[dict[str, Any], float]:
+        """Return all that it holds but what is made of the scenario alone, and the wall time so far [s]."""
+        fixed = ("_scenario", "_truth", "begun")
+        return {name: value for name, value in vars(self).items() if name not in fixed}, perf_counter() - self.begun
+
+    def from_checkpoint(self, saved: tuple[dict[str, Any], float]) -> None:
+        """Hold what was saved instead."""
+        held, wall = saved
+        vars(self).update(held)
+        self.begun -= wall
+
+    def go_to(self, checkpoint: Checkpoint, fault: str | None) -> None:
+        """Go from the start to a checkpoint; fault: why there is no start. Raises NotResumableError."""
+        try:
+            if fault is None:
+                restore(self, checkpoint)
+        except SlaveError as e:
+            fault = str(e)
+        if fault is not None:
+            raise NotResumableError(fault.rstrip("."))
+
+    def execute(
+        self, recorder: Recorder, checkpoints: Checkpoints, progress: Progress | None
+    ) -> tuple[Status, str | None]:
+        """Step to the end; return how it ended and, for a fault, why. Raises UnfinishedError."""
+        settings = self._scenario.scenario
+        names = self._scenario.estimation.space.names
+        t = settings.start_time
+        try:
+            for k in range(self._k, settings.n_steps + 1):
+                self._k, t = k, settings.time(k)
+                checkpoints.offer(k, self, recorder)
+                if self._step(k, t, recorder):
+                    return "diverged", None
+                if progress is not None:
+                    progress(t, dict(zip(names, self._held.tolist(), strict=True)))
+        except (SlaveError, ScenarioError) as fault:  # the latter: a change without a value, an estimator that raised
+            recorder.event(t, "fault", {"reason": str(fault)})
+            return "faulted", str(fault)
+        except KeyboardInterrupt:
+            recorder.event(t, "interrupt", {})
+            return "interrupted", None
+        return "done", None
+
+    def _step(self, k: int, t: float, recorder: Recorder) -> bool:
+        """Take communication point k at t [s]; return whether the run has diverged there."""
+        settings, master = self._scenario.scenario, self._master
+        errors = [master.values[a] - master.values[b] for a, b in self._tracked]
+        has_diverged = not all(abs(e) <= self._scenario.limits.divergence for e in errors)
+        measured = self._sampler.take(t, master.values, master.inputs.get(self._scenario.plant, {}))
+        point = Point(k, t, self._sampler.filtered(measured), hypot(*errors), measured, master.values)
+        self._take(t, self.policy.step(point, self._held), recorder)
+        truth = {reference: value(t) for reference, value in self._truth.items()}
+        is_stepping = k < settings.n_steps and not has_diverged
+        changed = self._tunables.changed([*(truth[name] for name in self._scenario.changes), *self._held.tolist()])
+        if is_stepping:
+            master.begin(t, settings.macro_step, changed)
+        outputs = [master.values[i] for i in self._recorded]
+        row = self._sampler.row(measured, point.sample)
+        recorder.row([t, *outputs, *truth.values(), *self._held.tolist(), *row])
+        if is_stepping:
+            master.finish(t, settings.macro_step, changed)
+        return has_diverged
+
+    def _take(self, t: float, decision: Decision, recorder: Recorder) -> None:
+        """Record a decision, and hold what it writes."""
+        for event in decision.events:
+            recorder.event(event.t, event.kind, event.detail)
+        self.latencies.append(decision.latencies)
+        self.estimates.take(t, decision)
+        if decision.write is not None:
+            self._held = decision.write
+
+
+class _TrueParameters:
+    """The plant's values of the estimated parameters (d,), as a function of time [s]."""
+
+    def __init__(self, scenario: Scenario, truth: Mapping[str, Callable[[float], float]]) -> None:
+        self._values = [truth[scenario.true_reference(p)] for p in scenario.estimation.parameters]
+
+    def __call__(self, t: float) -> Vector:
+        return np.array([value(t) for value in self._values])
+
+    checkpoint_name = "true parameters"
+
+    def to_checkpoint(self) -> None:
+        """Return nothing: it is made of the scenario alone."""
+
+    def from_checkpoint(self, saved: None) -> None:
+        """Hold what it has."""
+
+
+def _running_plant(
+    scenario: Scenario, slave: Slave | TableSlave, wiring: Wiring, truth: Mapping[str, Callable[[float], float]]
+) -> RunningPlant | None:
+    """The plant that runs, for roll-outs of it; None for a table."""
+    if isinstance(slave, TableSlave):
+        return None
+    changes = [r for r in scenario.changes if r.partition(".")[0] == scenario.plant]
+    return RunningPlant(slave, wiring.outputs, {r.partition(".")[2]: truth[r] for r in changes})

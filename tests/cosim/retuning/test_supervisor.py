@@ -1,0 +1,212 @@
+"""From a sample to a write: the order of screen, retuner and guard, and the way back from an outlier.
+
+The plant is y = theta . x, measured with SIGMA; the estimator is the least-squares solution of its window, by hand.
+"""
+
+import numpy as np
+import pytest
+
+from cosim.errors import ScenarioError
+from cosim.retuning.data_support import DataSupport
+from cosim.retuning.decision import Point
+from cosim.retuning.guard import Guard
+from cosim.retuning.supervisor import ReadBack, Supervisor
+from cosim.sampling.screen import Screened
+from cosim.scenarios.schema.guard import GuardSettings
+from estimator import DerivativeResidual, Estimate, Parameter, ParameterSpace, Sample
+from estimator.retuner import Budget, make_retuner
+from estimator.samples import RememberingModel
+from estimator.triggers import InnovationTrigger
+
+SPACE = ParameterSpace((Parameter("a", 0.0, 10.0),))
+START, CHANGED = np.array([2.0]), np.array([4.0])
+SIGMA = 0.1
+OUTLIER = 5.0
+
+
+class Mean:
+    """The mean of the window's samples, from the residual at zero."""
+
+    is_whitened = True
+
+    def __init__(self, log):
+        self.log = log
+
+    def restart(self, start):
+        self.found = start
+
+    def solve(self, objective):
+        self.log.append("estimate")
+        self.found = np.array([SIGMA * np.mean(objective.residual(np.zeros(1)))])
+
+    def estimate(self):
+        return Estimate(self.found, np.full(1, SIGMA), (True,), 0.0, 1, "mean")
+
+
+class ScriptedScreen:
+    """Screens samples as a script says, by communication point."""
+
+    def __init__(self, log, **script):
+        self.log, self.script = log, script
+
+    def step(self, t, sample, theta):
+        self.log.append(f"screen {theta[0]:g}")
+        return self.script.get(f"at_{round(t * 100)}", Screened)(sample)
+
+    def summary(self):
+        return {"kept_out": 0}
+
+
+def suspect(sample):
+    return Screened(sample, is_suspect=True)
+
+
+def after_an_outlier(sample):
+    return Screened(sample, was_outlier=True)
+
+
+class Loop:
+    """A supervisor, and a controller that takes what is written, unless it is deaf."""
+
+    def __init__(self, model=lambda x, u, a: [a], **script):
+        self.log = []
+        self.model = RememberingModel(model)
+        residual = DerivativeResidual(self.model, SPACE, (0,), (SIGMA,))
+        retuner = make_retuner(Mean(self.log), residual, InnovationTrigger(residual, 1e-6), Budget(3), 1)
+        support = DataSupport(residual, SPACE, 1, 30)
+        self.guard = Guard(GuardSettings(tolerance=0.5, rate=1.0), SPACE, START, 100.0, support)
+        screen = ScriptedScreen(self.log, **script)
+        read_back = ReadBack(("controller.a",), (0,))
+        self.supervisor = Supervisor("mine", retuner, support, screen, self.guard, read_back, model=self.model)
+        self.held = START
+
+    def step(self, k, y, error=0.0, read=None):
+        t = 0.01 * k
+        sample = Sample(t, (1.0,), (), (y,))
+        decision = self.supervisor.step(
+            Point(k, t, sample, error, sample, [self.held[0] if read is None else read]), self.held
+        )
+        if decision.write is not None:
+            self.held = decision.write
+        return decision
+
+
+def kinds(decision):
+    return [event.kind for event in decision.events]
+
+
+def test_a_changed_parameter_is_screened_estimated_and_written_in_this_order():
+    loop = Loop()
+    assert kinds(loop.step(1, 2.0)) == []
+    decision = loop.step(2, 4.0)
+    assert decision.write == pytest.approx(CHANGED)
+    assert kinds(decision) == ["trigger", "candidate", "write"]
+    assert decision.events[-1].detail["theta"] == decision.write.tolist()
+    assert loop.log == ["screen 2", "screen 2", "estimate"]
+
+
+def test_the_first_point_takes_no_sample():
+    loop = Loop()
+    assert loop.step(0, 9.0).write is None
+    assert loop.log == []
+
+
+def test_what_the_guard_refuses_is_not_announced_as_written():
+    loop = Loop()
+    decision = loop.step(1, 20.0)  # outside the bounds
+    assert decision.write is None
+    assert kinds(decision) == ["trigger", "candidate", "veto"]
+    assert decision.estimate is not None
+
+
+def test_a_write_for_an_outlier_is_taken_back_at_the_next_sample():
+    loop = Loop(at_2=suspect, at_3=after_an_outlier)
+    loop.step(1, 2.0)
+    assert loop.step(2, OUTLIER).write == pytest.approx(OUTLIER)
+    decision = loop.step(3, 2.0)
+    assert decision.write.tolist() == START.tolist()
+    assert [e.detail.get("reason") for e in decision.events] == ["the sample before was an outlier"]
+    assert loop.supervisor.summary()["guard"]["retracted"] == 1
+    assert loop.step(4, 2.0, error=9.0).write is None  # what was taken back is not on probation any more
+    assert loop.supervisor.n_episodes == 1
+
+
+def test_after_an_outlier_a_change_is_written_at_once():
+    loop = Loop(at_2=suspect, at_3=after_an_outlier)
+    loop.step(2, OUTLIER)
+    decision = loop.step(3, 4.0)
+    assert decision.write == pytest.approx(CHANGED)
+    assert kinds(decision) == ["trigger", "candidate", "write"]
+
+
+def test_an_outlier_for_which_nothing_was_written_leaves_the_guard_as_it_was():
+    loop = Loop(at_2=suspect, at_3=after_an_outlier)
+    loop.step(2, 20.0)  # vetoed
+    assert loop.step(3, 2.0).write is None
+    assert loop.supervisor.summary()["guard"]["retracted"] == 0
+
+
+def test_a_revert_is_not_undone_by_an_outlier_that_came_with_it():
+    """At the outlier the write before it is taken back, for its tracking error: the next sample changes nothing."""
+    loop = Loop(at_3=suspect, at_4=after_an_outlier)
+    loop.step(2, 4.0)
+    decision = loop.step(3, OUTLIER, error=1.0)
+    assert (kinds(decision)[-1], decision.write.tolist()) == ("revert", START.tolist())
+    assert loop.step(4, 4.0).write is None
+    assert loop.held.tolist() == START.tolist()
+
+
+def test_a_controller_that_does_not_hold_what_was_written_stops_re_tuning_before_the_sample_is_looked_at():
+    loop = Loop()
+    loop.step(2, 4.0)
+    loop.log.clear()
+    decision = loop.step(3, 7.0, read=2.0)
+    assert (kinds(decision), decision.write) == (["stop"], None)
+    assert loop.log == []
+    assert loop.step(4, 7.0) == type(decision)()
+
+
+def test_re_tuning_that_stops_where_an_outlier_is_taken_back_writes_nothing_more():
+    loop = Loop(at_2=suspect, at_3=after_an_outlier)
+    loop.step(2, OUTLIER)
+    decision = loop.step(3, 2.0, read=2.0)
+    assert (kinds(decision), decision.write) == (["stop"], None)
+    assert loop.step(4, 9.0).write is None
+
+
+def test_the_newest_samples_derivatives_are_computed_once_for_what_is_held():
+    """Screen, trigger, window and guard all ask for them: the held parameters once, and the candidate once."""
+    asked = []
+
+    def model(x, u, a):
+        asked.append((x[0], a))
+        return [a]
+
+    loop = Loop(model)
+    residual = DerivativeResidual(loop.model, SPACE, (0,), (SIGMA,))
+    loop.supervisor.step(Point(1, 0.01, sample := Sample(0.01, (3.0,), (), (2.0,)), 0.0, sample, [2.0]), START)
+    assert asked == [(3.0, 2.0)]
+    residual(START, sample)
+    assert asked == [(3.0, 2.0)]
+    residual(START, Sample(0.0, tuple([3.0]), (), (2.0,)))  # equal, but another sample
+    assert len(asked) == 2
+
+
+def test_a_model_that_raises_in_the_screen_is_a_fault_with_its_name():
+    def fails(sample):
+        raise KeyError("mine")
+
+    with pytest.raises(ScenarioError, match=r"estimation.model failed at t = 0.010 s: KeyError: 'mine'."):
+        Loop(at_1=fails).step(1, 2.0)
+
+
+def test_an_estimator_that_raises_is_a_fault_with_its_name():
+    class Broken(Mean):
+        def solve(self, objective):
+            raise SystemExit(3)
+
+    residual = DerivativeResidual(lambda x, u, a: [a], SPACE, (0,), (SIGMA,))
+    retuner = make_retuner(Broken([]), residual, InnovationTrigger(residual, 1e-6), Budget(3), 1)
+    broken = Supervisor("mine", retuner, DataSupport(residual, SPACE, 1, 30))
+    with pytest.raises(ScenarioError, match=r"estimator 'mine' failed at t = 0.010 s: SystemExit: 3."):
+        broken.step(Point(1, 0.01, Sample(0.01, (1.0,), (), (9.0,)), 0.0), START)

@@ -1,11 +1,11 @@
-"""The whole quadrotor scenario, `target`, each FMU in its own process: how many times real time, and where it goes.
+"""The whole quadrotor scenario, `target`, each FMU in its own process: how many times real time, and where time goes.
 
     python -m benchmarks.run [--seeds 5] [--scenario quadrotor] [--estimator target]
 
-A seed is run twice, with and without a clock around the calls of each part; what the clock costs is the difference. The
-clock sits outside: the classes' methods are wrapped while it runs. A part's time is its own, without that of the parts
-that it calls. The FMUs' own time is that of the recorded steps, done again by each FMU alone in its process; in a group
-of FMUs that step at the same time the slowest counts. What the master waits beyond it is the exchange.
+Each seed is run twice, with and without a clock around the calls of each part; the difference is what the clock costs.
+The clock is outside our code: it wraps the methods of the classes while it runs. The time of a part does not include
+that of the parts it calls. The FMUs' own time is that of the same steps, repeated by each FMU alone in a process; in a
+group of FMUs that step at the same time the slowest counts. What the master waits beyond that is the exchange.
 """
 
 import argparse
@@ -31,7 +31,7 @@ from cosim.system.master import Master
 from estimator import DerivativeResidual, PaperBO, ResidualWindow, TargetVector, triggers
 
 REACH = 6.0
-"""Times real time, overall."""
+"""Times real time that a whole run should reach."""
 _OWNERS: tuple[tuple[str, type[Any], tuple[str, ...]], ...] = (
     ("start of the FMUs", simulation._Loop, ("initialize",)),
     ("FMUs and exchange", Master, ("begin", "finish")),
@@ -53,7 +53,7 @@ _STEPS = "FMUs and exchange"
 
 
 class Clock:
-    """Own time of each part [s], gathered from wrapped methods."""
+    """Own time of each part [s], taken by wrapped methods."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = defaultdict(float)
@@ -63,7 +63,7 @@ class Clock:
 
     @contextmanager
     def running(self) -> Generator[None]:
-        """Wrap the parts' methods meanwhile."""
+        """Wrap the methods of the parts until the block ends."""
         places = [(owner, name, part) for part, owner, names in _OWNERS for name in names]
         original = [(owner, name, owner.__dict__[name]) for owner, name, _ in places]
         begin_step = Slave.begin_step
@@ -102,7 +102,7 @@ class Clock:
 
 
 def main() -> None:
-    """Parse, measure, print."""
+    """Measure the runs; print and keep the time of each part."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenario", default="quadrotor")
     parser.add_argument("--estimator", default="target")
@@ -116,7 +116,7 @@ def main() -> None:
 
 
 def rows(runs: Sequence[Mapping[str, float]], span: float) -> list[dict[str, object]]:
-    """A row a part: wall time [s] in a run of span [s], median and quartiles over the runs."""
+    """Return a row for each part: wall time [s] in a run of span [s], median and quartiles over the runs."""
     return [
         {"part": part, "s": spread(r[part] for r in runs), "times real time": spread(span / r[part] for r in runs)}
         for part in runs[0]
@@ -125,7 +125,7 @@ def rows(runs: Sequence[Mapping[str, float]], span: float) -> list[dict[str, obj
 
 
 def measured(scenario: Scenario, estimator: str, seed: int) -> dict[str, float]:
-    """Wall time [s] of each part of one run, and of the whole without a clock."""
+    """Return the wall time [s] of each part of one run, and of the whole without a clock."""
     plain, folder_seconds = _run(scenario, estimator, seed)
     clock = Clock()
     with clock.running():
@@ -148,7 +148,7 @@ def measured(scenario: Scenario, estimator: str, seed: int) -> dict[str, float]:
 
 
 def _run(scenario: Scenario, estimator: str, seed: int) -> tuple[Any, float]:
-    """A recorded run, and what is written of it after its last step [s]."""
+    """Return a recorded run, and the time taken to complete its folder after its last step [s]."""
     with tempfile.TemporaryDirectory() as folder:
         begun = perf_counter()
         result = simulation.run(scenario, estimator, seed, Path(folder))
@@ -156,7 +156,7 @@ def _run(scenario: Scenario, estimator: str, seed: int) -> tuple[Any, float]:
 
 
 def _alone(scenario: Scenario, steps: Mapping[str, Sequence[tuple[Any, ...]]]) -> float:
-    """Own time [s] of the FMUs on the way from one communication point to the next, summed over the run."""
+    """Return the time [s] that the FMUs themselves need for all macro steps."""
     seconds: dict[str, Any] = {}
     for name, path in fmu_paths(scenario).items():
         with get_context("spawn").Pool(1) as pool:
@@ -167,7 +167,7 @@ def _alone(scenario: Scenario, steps: Mapping[str, Sequence[tuple[Any, ...]]]) -
 
 
 def _steps_of(scenario: Scenario, name: str, path: Path, steps: Sequence[tuple[Any, ...]]) -> list[float]:
-    """Wall time [s] of each of these steps of one FMU in this process."""
+    """Return the wall time [s] of each of these steps of one FMU in this process."""
     settings = scenario.scenario
     begun = [r.partition(".") for r in scenario.connections if r.startswith(f"{name}.")]
     written = [*scenario.changes, *(p.writes for p in scenario.estimation.parameters)]

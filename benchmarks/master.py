@@ -1,22 +1,22 @@
-"""Wall time of a macro step, of one FMU and of three that are coupled: ours and other masters on the same FMUs.
+"""Wall time of a macro step of one FMU, and of three coupled ones: our master and others on the same FMUs.
 
     python -m benchmarks.master [--systems NAME ...] [--steps 1000] [--blocks 15]
 
-A macro step sets every input, steps every FMU and brings all outputs back to Python. All masters are open in one
-process and take turns, block by block; a figure is the median of the blocks. `oscillator` and `3 oscillators` (a ring)
-cost next to nothing themselves: once native (C), once by pythonfmu. `pendulum` is the scenario's plant with its two
-Runge-Kutta steps, `pendulum loop` the plant with its controller and reference.
+A macro step sets every input, steps every FMU and gets all outputs back to Python. All masters are open in one process
+and take turns, block by block; a figure is the median of the blocks. `oscillator` and `3 oscillators` (a ring) cost
+next to nothing themselves; one kind is native (C), the other by pythonfmu. `pendulum` is the scenario's plant with its
+two Runge-Kutta steps, `pendulum loop` the plant with its controller and reference.
 
-Three pythonfmu FMUs in one process share modules of the same name, and the second runs the first's code. Here that is
-harmless: they come from one file or from the same sources. In `ours, isolated` each has a process of its own.
+Three pythonfmu FMUs in one process share modules of the same name, and the second runs the code of the first. Here that
+does no harm, as they come from one file or from the same sources. In `ours, isolated` each has a process of its own.
 
-FMPy's simulate_fmu takes one FMU only, and its time includes recording. libcosim and ecos give outputs to inputs one
+FMPy's simulate_fmu takes one FMU only, and its time includes recording. libcosim and ecos pass outputs to inputs one
 macro step later than our sequential coupling of the pendulum does: as many calls, other numbers.
 """
 
 import argparse
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -29,7 +29,7 @@ from fmpy import extract, instantiate_fmu, read_model_description, simulate_fmu
 from fmpy.fmi2 import FMU2Slave
 
 from benchmarks.native_fmus import build_native, build_python
-from benchmarks.report import spread, write
+from benchmarks.report import Row, spread, write
 from cosim.slaves.slave import open_slave
 from cosim.system.master import Master, Wiring
 from fmu_models.build import build
@@ -37,41 +37,41 @@ from fmu_models.build import build
 H = 0.01
 """Macro step [s]."""
 Steps = Callable[[int, int], Sequence[float]]
-"""Makes the macro steps k .. k + n - 1; returns all outputs after them."""
+"""Function that makes the macro steps k .. k + n - 1 and returns all outputs after them."""
 
 
 class Absent(Exception):
-    """Why a master takes no part."""
+    """A master that cannot take part; the message says why."""
 
 
 @dataclass(frozen=True)
 class System:
-    """FMUs and how they are joined."""
+    """FMUs and their connections."""
 
     name: str
     fmus: Mapping[str, Path]
-    """By instance name."""
+    """Files by instance name."""
     connections: Mapping[str, str]
-    """Input = output; an input that is not here is held at 0.1."""
+    """Outputs by the inputs that they feed; any other input is held at 0.1."""
     groups: Sequence[Sequence[str]]
-    """The FMUs of a group step together, the groups one after another."""
+    """Groups of FMUs that step at the same time; the groups step one after another."""
 
     @cached_property
     def descriptions(self) -> dict[str, Any]:
-        """FMPy's model description of each."""
+        """FMPy's model description of each FMU."""
         return {name: read_model_description(str(path)) for name, path in self.fmus.items()}
 
     def variables(self, name: str, causality: str) -> list[Any]:
-        """Of one FMU."""
+        """Return the variables of this causality of one FMU."""
         return [v for v in self.descriptions[name].modelVariables if v.causality == causality]
 
     def outputs(self) -> list[tuple[str, str]]:
-        """(instance, variable) of all FMUs, in the order of what Steps returns."""
+        """Return the (instance, variable) of all outputs, in the order in which Steps returns them."""
         return [(name, v.name) for name in self.fmus for v in self.variables(name, "output")]
 
 
 def systems(folder: Path) -> Iterator[System]:
-    """What is measured; a system that cannot be built is left out with a word."""
+    """Yield the systems that are measured; one that cannot be built is named and left out."""
     ring = {f"o{i}.u": f"o{(i - 1) % 3}.x" for i in range(3)}
     for kind, make in (("native", build_native), ("pythonfmu", build_python)):
         try:
@@ -92,8 +92,8 @@ def systems(folder: Path) -> Iterator[System]:
 
 
 @contextmanager
-def ours(system: System, isolation: Any) -> Iterator[Steps]:
-    """A Slave where there is one FMU, a Master where there are more."""
+def ours(system: System, isolation: Any) -> Generator[Steps]:
+    """Open one FMU as a Slave, or several under a Master."""
     with ExitStack() as stack:
         slaves = {n: stack.enter_context(open_slave(p, n, isolation=isolation)) for n, p in system.fmus.items()}
         wiring = {
@@ -128,22 +128,27 @@ def ours(system: System, isolation: Any) -> Iterator[Steps]:
         yield steps
 
 
+def fmpy_slave(fmu: Path, name: str, description: Any) -> FMU2Slave:
+    """Return an FMU as FMPy's FMU2Slave, initialised at t = 0."""
+    slave = FMU2Slave(
+        guid=description.guid, unzipDirectory=extract(str(fmu)), instanceName=name,
+        modelIdentifier=description.coSimulation.modelIdentifier,
+    )  # fmt: skip
+    slave.instantiate()
+    slave.setupExperiment(startTime=0.0)
+    slave.enterInitializationMode()
+    slave.exitInitializationMode()
+    return slave
+
+
 @contextmanager
-def fmpy_loop(system: System) -> Iterator[Steps]:
-    """setReal, doStep, getReal of FMPy's FMU2Slave, names resolved before."""
+def fmpy_loop(system: System) -> Generator[Steps]:
+    """Open FMUs as FMPy's FMU2Slave and call setReal, doStep and getReal, names resolved before."""
     fmus, sets, gets = {}, {}, {}
     place = {name: i for i, name in enumerate(system.outputs())}
     values = [0.0] * len(place)
     for name, path in system.fmus.items():
-        description = system.descriptions[name]
-        fmu = FMU2Slave(
-            guid=description.guid, unzipDirectory=extract(str(path)), instanceName=name,
-            modelIdentifier=description.coSimulation.modelIdentifier,
-        )  # fmt: skip
-        fmu.instantiate()
-        fmu.setupExperiment(startTime=0.0)
-        fmu.enterInitializationMode()
-        fmu.exitInitializationMode()
+        fmu = fmpy_slave(path, name, system.descriptions[name])
         inputs = system.variables(name, "input")
         sources = [system.connections.get(f"{name}.{v.name}") for v in inputs]
         outputs = [v.valueReference for v in system.variables(name, "output")]
@@ -171,8 +176,8 @@ def fmpy_loop(system: System) -> Iterator[Steps]:
 
 
 @contextmanager
-def fmpy_simulate(system: System) -> Iterator[Steps]:
-    """simulate_fmu from t = 0, of an instance that has been loaded before."""
+def fmpy_simulate(system: System) -> Generator[Steps]:
+    """Call simulate_fmu from t = 0 with an instance that has been loaded before."""
     if len(system.fmus) > 1:
         raise Absent("takes one FMU only")
     ((name, path),) = system.fmus.items()
@@ -200,8 +205,8 @@ def fmpy_simulate(system: System) -> Iterator[Steps]:
 
 
 @contextmanager
-def libcosimpy(system: System) -> Iterator[Steps]:
-    """libcosim's fixed-step algorithm, one step a call, outputs by its last-value observer."""
+def libcosimpy(system: System) -> Generator[Steps]:
+    """Open libcosim's fixed-step algorithm: one step a call, outputs by its last-value observer."""
     try:
         from libcosimpy.CosimExecution import CosimExecution
         from libcosimpy.CosimLogging import CosimLogLevel, log_output_level
@@ -240,8 +245,8 @@ def libcosimpy(system: System) -> Iterator[Steps]:
 
 
 @contextmanager
-def ecospy(system: System) -> Iterator[Steps]:
-    """ecos, one step a call, outputs by get_real."""
+def ecospy(system: System) -> Generator[Steps]:
+    """Open ecos: one step a call, outputs by get_real."""
     try:
         from ecospy import EcosSimulation, EcosSimulationStructure
     except (ImportError, OSError) as error:
@@ -280,9 +285,9 @@ MASTERS: Mapping[str, Callable[[System], Any]] = {
 YARDSTICK = "FMPy, low level"
 
 
-def measure(system: System, n_steps: int, n_blocks: int) -> list[dict[str, object]]:
-    """A row for each master. Raises RuntimeError where ours and FMPy's loop, whose calls are the same, differ."""
-    rows: dict[str, dict[str, object]] = {}
+def measure(system: System, n_steps: int, n_blocks: int) -> list[Row]:
+    """Return a row for each master. Raises RuntimeError if ours and FMPy's loop, which make the same calls, differ."""
+    rows: dict[str, Row] = {}
     times: dict[str, list[float]] = {}
     last: dict[str, Sequence[float]] = {}
     with ExitStack() as stack:
@@ -314,13 +319,13 @@ def measure(system: System, n_steps: int, n_blocks: int) -> list[dict[str, objec
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Build, measure, write."""
+    """Build and measure the systems; print and keep the times."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--systems", nargs="+", help="those whose names contain one of these (default: all)")
     parser.add_argument("--steps", type=int, default=1000, help="of a block")
     parser.add_argument("--blocks", type=int, default=15)
     options = parser.parse_args(arguments)
-    rows: list[dict[str, object]] = []
+    rows: list[Row] = []
     with tempfile.TemporaryDirectory() as folder:
         for system in systems(Path(folder)):
             if not options.systems or any(part in system.name for part in options.systems):

@@ -20,6 +20,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from PIL import Image
+
 from benchmarks import report
 from cosim.files import write_text
 
@@ -95,7 +97,10 @@ def collect(names: Iterable[str]) -> None:
             _write(name, compared(json.loads(path.read_text(encoding="utf-8"))))
             shutil.copy(path.with_suffix(".md"), DATA / f"{name}.md")
         if name == "figures":
-            for path in [*(RAW / name).glob("*.png"), *(RAW / name).glob("table.md")]:
+            for path in (RAW / name).glob("*.png"):
+                picture = Image.open(path).convert("RGB").quantize(256, dither=Image.Dither.NONE)
+                picture.save(DATA / path.name, optimize=True)
+            for path in (RAW / name).glob("table.md"):
                 shutil.copy(path, DATA / path.name)
 
 

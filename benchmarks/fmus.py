@@ -21,7 +21,7 @@ from typing import Any
 
 from fmpy import extract, platform, read_model_description
 
-from benchmarks.master import Steps, fmpy_slave
+from benchmarks.master_peers import Steps, fmpy_slave
 from benchmarks.native_fmus import SOURCES, compile_c
 from benchmarks.report import Row, spread, write
 from fmu_models import quadrotor

@@ -32,7 +32,7 @@ from estimator import DerivativeResidual, PaperBO, ResidualWindow, TargetVector,
 
 REACH = 6.0
 """Times real time that a whole run should reach."""
-_OWNERS: tuple[tuple[str, type[Any], tuple[str, ...]], ...] = (
+PARTS: tuple[tuple[str, type[Any], tuple[str, ...]], ...] = (
     ("start of the FMUs", simulation._Loop, ("initialize",)),
     ("FMUs and exchange", Master, ("begin", "finish")),
     ("sampling", Sampler, ("take", "row")),
@@ -44,11 +44,12 @@ _OWNERS: tuple[tuple[str, type[Any], tuple[str, ...]], ...] = (
     ("ask", PaperBO, ("ask",)),
     ("tell", TargetVector, ("tell", "rescore")),
     ("tell", PaperBO, ("tell",)),
-    ("belief", TargetVector, ("estimate",)),
-    ("belief", PaperBO, ("estimate",)),
+    ("estimate", TargetVector, ("estimate",)),
+    ("estimate", PaperBO, ("estimate",)),
     ("recording", Recorder, ("row", "event", "close")),
     ("loop", simulation._Loop, ("_exchange",)),
 )
+"""Parts of a run: name, class and methods."""
 _STEPS = "FMUs and exchange"
 
 
@@ -64,12 +65,12 @@ class Clock:
     @contextmanager
     def running(self) -> Generator[None]:
         """Wrap the methods of the parts until the block ends."""
-        places = [(owner, name, part) for part, owner, names in _OWNERS for name in names]
+        places = [(owner, name, part) for part, owner, names in PARTS for name in names]
         original = [(owner, name, owner.__dict__[name]) for owner, name, _ in places]
         begin_step = Slave.begin_step
         try:
             for owner, name, part in places:
-                setattr(owner, name, self._timed(owner.__dict__[name], part))
+                setattr(owner, name, self.timed(owner.__dict__[name], part))
             Slave.begin_step = self._noted(begin_step)
             yield
         finally:
@@ -77,7 +78,8 @@ class Clock:
             for owner, name, function in original:
                 setattr(owner, name, function)
 
-    def _timed(self, function: Any, part: str) -> Any:
+    def timed(self, function: Any, part: str) -> Any:
+        """Return the function, made to add its own time to that of a part."""
         seconds, inner = self.seconds, self._inner
 
         def timed(*arguments: Any, **named: Any) -> Any:

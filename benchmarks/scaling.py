@@ -91,12 +91,12 @@ def growth(estimators: Sequence[str], n_seeds: int, sizes: Mapping[str, Sequence
                     values = [v for v in values if v <= MOST_SCALAR]
                 of_size = [_row(name, what, Size()._replace(**{what: v}), n_seeds) for v in values]
                 rows += of_size
-                fits.append(f"{name}: {_exponents(what, values, of_size)}")
+                fits.append(f"{name}: {exponents(what, values, of_size)}")
     write("scaling", rows, "exponents of the median:\n" + "\n".join(fits))
 
 
-def _exponents(what: str, values: Sequence[int], rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return the slope of log cost over log size as text: fitted to all sizes, and between the last two."""
+def exponents(what: str, values: Sequence[int], rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the slope of log cost over log size, as text: fitted to all sizes, and between the last two."""
     x, y = np.log(values), np.log([r["ms"]["median"] for r in rows])
     if len(x) < 2:
         return f"{what}: one size only"

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.master_peers import Absent, H, Steps, System, ecospy, fmpy_loop, fmpy_simulate, libcosimpy
+from benchmarks.master_peers import HELD, Absent, H, Steps, System, ecospy, fmpy_loop, fmpy_simulate, libcosimpy
 from benchmarks.native_fmus import build_native, build_python
 from benchmarks.report import Row, spread, write
 from cosim.slaves.slave import Slave, open_slave
@@ -85,7 +85,7 @@ def _of_slave(system: System, slave: Slave) -> Steps:
     inputs, outputs = ([v.name for v in system.variables(slave.name, c)] for c in ("input", "output"))
     slave.bind(inputs, (), outputs)
     slave.initialize({}, 0.0, 1e9)
-    held = [0.1] * len(inputs)
+    held = [HELD] * len(inputs)
 
     def steps(k: int, n: int) -> Sequence[float]:
         for i in range(k, k + n):
@@ -109,8 +109,6 @@ YARDSTICK = "FMPy, low level"
 def measure(system: System, n_steps: int, n_blocks: int) -> list[Row]:
     """Return a row for each master. Raises RuntimeError if ours and FMPy's loop, which make the same calls, differ."""
     rows: dict[str, Row] = {}
-    times: dict[str, list[float]] = {}
-    last: dict[str, Sequence[float]] = {}
     with ExitStack() as stack:
         steppers: dict[str, Steps] = {}
         for name, make in MASTERS.items():
@@ -119,15 +117,7 @@ def measure(system: System, n_steps: int, n_blocks: int) -> list[Row]:
                 steppers[name] = stack.enter_context(make(system))
             except Absent as reason:
                 rows[name]["skipped"] = str(reason)
-        for block in range(-1, n_blocks):  # the first one warms up
-            for name, steps in steppers.items():
-                prepared = {"fmu": steps.prepare()} if hasattr(steps, "prepare") else {}
-                begun = perf_counter()
-                last[name] = list(steps((block + 1) * n_steps, n_steps, **prepared))
-                if block >= 0:
-                    times.setdefault(name, []).append((perf_counter() - begun) / n_steps * 1e6)
-                if prepared:
-                    prepared["fmu"].freeInstance()
+        times, last = _in_turns(steppers, n_steps, n_blocks)
     for name in ("ours, in process", "ours, isolated"):
         if last[name] != last[YARDSTICK]:
             raise RuntimeError(f"{system.name}: {name} gave {last[name]}, FMPy's loop {last[YARDSTICK]}")
@@ -137,6 +127,24 @@ def measure(system: System, n_steps: int, n_blocks: int) -> list[Row]:
         rows[name]["us an FMU"] = float(np.median(values)) / len(system.fmus)
         rows[name]["times FMPy's loop"] = float(np.median(values)) / yardstick
     return list(rows.values())
+
+
+def _in_turns(
+    steppers: Mapping[str, Any], n_steps: int, n_blocks: int
+) -> tuple[dict[str, list[float]], dict[str, list[float]]]:
+    """Return the microseconds a step of each master's blocks, and its outputs after the last."""
+    times: dict[str, list[float]] = {name: [] for name in steppers}
+    last: dict[str, list[float]] = {}
+    for block in range(n_blocks + 1):
+        for name, steps in steppers.items():
+            prepared = {"fmu": steps.prepare()} if hasattr(steps, "prepare") else {}
+            begun = perf_counter()
+            last[name] = list(steps(block * n_steps, n_steps, **prepared))
+            if block > 0:  # the first one warms up
+                times[name].append((perf_counter() - begun) / n_steps * 1e6)
+            if prepared:
+                prepared["fmu"].freeInstance()
+    return times, last
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -17,6 +17,8 @@ from fmpy.fmi2 import FMU2Slave
 
 H = 0.01
 """Macro step [s]."""
+HELD = 0.1
+"""Value of the inputs that no output feeds."""
 Steps = Callable[[int, int], Sequence[float]]
 """Function that makes the macro steps k .. k + n - 1 and returns all outputs after them."""
 
@@ -33,7 +35,7 @@ class System:
     fmus: Mapping[str, Path]
     """Files by instance name."""
     connections: Mapping[str, str]
-    """Outputs by the inputs that they feed; any other input is held at 0.1."""
+    """Outputs by the inputs that they feed; any other input is held at HELD."""
     groups: Sequence[Sequence[str]]
     """Groups of FMUs that step at the same time; the groups step one after another."""
 
@@ -45,6 +47,11 @@ class System:
     def variables(self, name: str, causality: str) -> list[Any]:
         """Return the variables of this causality of one FMU."""
         return [v for v in self.descriptions[name].modelVariables if v.causality == causality]
+
+    def free_inputs(self) -> list[tuple[str, Any]]:
+        """Return (instance, variable) of the inputs that no output feeds."""
+        inputs = [(name, v) for name in self.fmus for v in self.variables(name, "input")]
+        return [(name, v) for name, v in inputs if f"{name}.{v.name}" not in self.connections]
 
     def outputs(self) -> list[tuple[str, str]]:
         """Return the (instance, variable) of all outputs, in the order in which Steps returns them."""
@@ -68,22 +75,22 @@ def fmpy_slave(fmu: Path, name: str, description: Any) -> FMU2Slave:
 def fmpy_loop(system: System) -> Generator[Steps]:
     """Open FMUs as FMPy's FMU2Slave and call setReal, doStep and getReal, names resolved before."""
     fmus, sets, gets = {}, {}, {}
-    place = {name: i for i, name in enumerate(system.outputs())}
+    place = {f"{name}.{output}": i for i, (name, output) in enumerate(system.outputs())}
     values = [0.0] * len(place)
     for name, path in system.fmus.items():
         fmu = fmpy_slave(path, name, system.descriptions[name])
         inputs = system.variables(name, "input")
         sources = [system.connections.get(f"{name}.{v.name}") for v in inputs]
         outputs = [v.valueReference for v in system.variables(name, "output")]
-        first = min(i for (owner, _), i in place.items() if owner == name)
+        first = min(i for source, i in place.items() if source.startswith(f"{name}."))
         values[first : first + len(outputs)] = fmu.getReal(outputs)
         fmus[name], gets[name] = fmu, (outputs, slice(first, first + len(outputs)))
-        sets[name] = [v.valueReference for v in inputs], [s and place[tuple(s.split("."))] for s in sources]
+        sets[name] = [v.valueReference for v in inputs], [s and place[s] for s in sources]
 
     def steps(k: int, n: int) -> Sequence[float]:
         for i in range(k, k + n):
             for group in system.groups:
-                taken = [[0.1 if s is None else values[s] for s in sets[name][1]] for name in group]
+                taken = [[HELD if s is None else values[s] for s in sets[name][1]] for name in group]
                 for name, inputs in zip(group, taken, strict=True):
                     fmu, (outputs, where) = fmus[name], gets[name]
                     if inputs:
@@ -109,7 +116,7 @@ def fmpy_simulate(system: System) -> Generator[Steps]:
     outputs = [v.name for v in system.variables(name, "output")]
     signal = np.zeros(1, dtype=[("time", float), *((u, float) for u in inputs)])
     for u in inputs:
-        signal[u] = 0.1
+        signal[u] = HELD
 
     def prepare() -> Any:
         return instantiate_fmu(folder, description, "CoSimulation")
@@ -151,10 +158,8 @@ def libcosimpy(system: System) -> Generator[Steps]:
     observer, manipulator = CosimObserver.create_last_value(), CosimManipulator.create_override()
     execution.add_observer(observer)
     execution.add_manipulator(manipulator)
-    for name in system.fmus:
-        for v in system.variables(name, "input"):
-            if f"{name}.{v.name}" not in system.connections:
-                manipulator.slave_real_values(index[name], [v.valueReference], [0.1])
+    for name, v in system.free_inputs():
+        manipulator.slave_real_values(index[name], [v.valueReference], [HELD])
     wanted = [(index[name], [v.valueReference for v in system.variables(name, "output")]) for name in system.fmus]
 
     def steps(k: int, n: int) -> Sequence[float]:
@@ -181,10 +186,8 @@ def ecospy(system: System) -> Generator[Steps]:
             structure.make_real_connection(source.replace(".", "::"), target.replace(".", "::"))
         with EcosSimulation(structure=structure, step_size=H) as simulation:
             simulation.init()
-            for name in system.fmus:
-                for v in system.variables(name, "input"):
-                    if f"{name}.{v.name}" not in system.connections:
-                        simulation.set_real(f"{name}::{v.name}", 0.1)
+            for name, v in system.free_inputs():
+                simulation.set_real(f"{name}::{v.name}", HELD)
             wanted = [f"{name}::{output}" for name, output in system.outputs()]
 
             def steps(k: int, n: int) -> Sequence[float]:

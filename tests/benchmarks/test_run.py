@@ -20,5 +20,16 @@ def test_every_part_of_a_run_is_found_and_the_product_is_left_as_it_was():
     scenario = run.Scenario.load("pendulum", {"scenario.stop_time": "3.2", "estimation.instants": "[]"})
     parts = run.measured(scenario, "target", 0)
     assert all(owner.__dict__[name] is method for owner, name, method in methods)
-    always = ["whole run", "FMUs", "sampling", "trigger", "window", "ask", "tell", "estimate", "model calls", "recording"]
+    always = [
+        "whole run",
+        "FMUs",
+        "sampling",
+        "trigger",
+        "window",
+        "ask",
+        "tell",
+        "estimate",
+        "model calls",
+        "recording",
+    ]
     assert all(parts[part] > 0.0 for part in always)

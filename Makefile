@@ -24,6 +24,8 @@ experiments: $(VENV)/.test
 
 evaluation: $(VENV)/.test
 	$(BIN)/python -m benchmarks.evaluation measure
+	$(BIN)/python -m benchmarks.coverage
+	$(BIN)/python -m benchmarks.guard --jobs 2
 
 lint: $(VENV)/.test
 	$(BIN)/ruff check .

@@ -1,9 +1,9 @@
-"""Other people's Bayesian optimisers on our residuals: one function a peer, with the settings its documentation shows.
+"""Other people's Bayesian optimisers on our residuals: a function for each, with the settings of its documentation.
 
 All search the unit cube, which `ParameterSpace` maps to the bounds (logarithmically where the scenario says so), begin
-with five random places, and minimise the Euclidean norm of the residual, without the noise that `paper` and `bo-scalar`
-add to it; BoTorch's composite sees the residual itself. Each function imports its peer, so that a missing or broken
-one harms no other, and evaluates `n_evaluations` times.
+with five random points, and minimise the Euclidean norm of the residual, without the noise that `paper` and `bo-scalar`
+add to it; BoTorch's composite sees the residual itself. Each function imports its own package, so that one which is
+missing or broken does not affect the others, and evaluates `n_evaluations` times.
 """
 
 import sys
@@ -17,26 +17,26 @@ import numpy as np
 from estimator import ParameterSpace, ResidualWindow, Vector
 
 N_INITIAL = 5
-"""Random places that begin a search."""
+"""Number of random points with which a search begins."""
 
 
 class UnitObjective:
-    """The residual as a function of places in the unit cube, and the best place so far."""
+    """The residual as a function of points in the unit cube, and the best point so far."""
 
     def __init__(self, space: ParameterSpace, window: ResidualWindow) -> None:
         self._space, self._window = space, window
         self.n_evaluations = 0
-        """Places evaluated."""
+        """Number of evaluations so far."""
         self.least = np.inf
         """Least norm so far."""
         self.theta = space.from_unit(np.full(len(space), 0.5))
-        """Where that was (d,)."""
+        """Parameters (d,) of that norm."""
 
     def __len__(self) -> int:
         return len(self._space)
 
     def residual(self, z: Vector) -> Vector:
-        """Residual (D,) at place z (d,)."""
+        """Return the residual (D,) at a point z (d,)."""
         self.n_evaluations += 1
         theta = self._space.from_unit(np.asarray(z, dtype=float))
         residual = self._window.residual(theta)
@@ -46,20 +46,20 @@ class UnitObjective:
         return residual
 
     def norm(self, z: Vector) -> float:
-        """Its Euclidean norm."""
+        """Return the Euclidean norm of the residual at a point z (d,)."""
         return float(np.linalg.norm(self.residual(z)))
 
     def column(self, Z: Vector) -> Vector:
-        """Norms (n, 1) at places (n, d), as GPy's relatives want them."""
+        """Return the norms (n, 1) at points Z (n, d), in the shape that GPy-based packages expect."""
         return np.array([[self.norm(z)] for z in np.atleast_2d(Z)])
 
 
 Search = Callable[[UnitObjective, int, int], None]
-"""search(objective, n_evaluations, seed)."""
+"""Search of the form search(objective, n_evaluations, seed); its result is the objective's best point."""
 
 
 def emukit(objective: UnitObjective, n_evaluations: int, seed: int) -> None:
-    """Emukit's ready-made loop on GPy: Matern-5/2, EI, refitted at every evaluation."""
+    """Run Emukit's ready-made loop on GPy: Matern-5/2, EI, refitted at every evaluation."""
     from emukit.core import ContinuousParameter
     from emukit.examples.gp_bayesian_optimization.single_objective_bayesian_optimization import GPBayesianOptimization
 
@@ -70,18 +70,18 @@ def emukit(objective: UnitObjective, n_evaluations: int, seed: int) -> None:
 
 
 def gpyopt(objective: UnitObjective, n_evaluations: int, seed: int) -> None:
-    """GPyOpt's defaults: Matern-5/2, EI, refitted at every evaluation, five random places. Last released in 2020."""
+    """Run GPyOpt with its defaults: Matern-5/2, EI, refitted at every evaluation. Last released in 2020."""
     _stand_in_for_pkg_resources()
     from GPyOpt.methods import BayesianOptimization
 
     np.random.seed(seed)  # noqa: NPY002  it has no other seed
     domain = [{"name": f"z{i}", "type": "continuous", "domain": (0.0, 1.0)} for i in range(len(objective))]
     search = BayesianOptimization(objective.column, domain, initial_design_numdata=N_INITIAL)
-    search.run_optimization(n_evaluations - N_INITIAL, eps=-1.0)  # by default it ends when it repeats a place
+    search.run_optimization(n_evaluations - N_INITIAL, eps=-1.0)  # by default it ends when it repeats a point
 
 
 def botorch(objective: UnitObjective, n_evaluations: int, seed: int) -> None:
-    """BoTorch as in its README: SingleTaskGP (standardised, RBF with its log-normal prior), LogEI, 5 restarts of 20."""
+    """Run BoTorch as in its README: SingleTaskGP (standardised, RBF, log-normal prior), LogEI, 5 restarts of 20."""
     import torch
     from botorch.acquisition import LogExpectedImprovement
 
@@ -94,7 +94,7 @@ def botorch(objective: UnitObjective, n_evaluations: int, seed: int) -> None:
 
 
 def botorch_composite(objective: UnitObjective, n_evaluations: int, seed: int) -> None:
-    """BoTorch's composite way: a GP a residual, qLogEI of minus their sum of squares over 128 Sobol-normal samples."""
+    """Run BoTorch's composite: a GP for each residual, qLogEI of minus their sum of squares, 128 Sobol samples."""
     import torch
     from botorch.acquisition.logei import qLogExpectedImprovement
     from botorch.acquisition.objective import GenericMCObjective
@@ -115,7 +115,7 @@ def botorch_composite(objective: UnitObjective, n_evaluations: int, seed: int) -
 
 
 def scikit_optimize(objective: UnitObjective, n_evaluations: int, seed: int) -> None:
-    """gp_minimize's defaults: Matern-5/2, gp_hedge over EI, PI and LCB."""
+    """Run gp_minimize with its defaults: Matern-5/2, gp_hedge over EI, PI and LCB."""
     from skopt import gp_minimize
 
     bounds = [(0.0, 1.0)] * len(objective)
@@ -123,7 +123,7 @@ def scikit_optimize(objective: UnitObjective, n_evaluations: int, seed: int) -> 
 
 
 def bayesian_optimization(objective: UnitObjective, n_evaluations: int, seed: int) -> None:
-    """Its defaults: Matern-5/2, upper confidence bound with kappa 2.576; five random places, it maximises."""
+    """Run bayesian-optimization with its defaults: Matern-5/2, upper confidence bound, kappa 2.576. It maximises."""
     from bayes_opt import BayesianOptimization
 
     names = [f"z{i}" for i in range(len(objective))]
@@ -132,13 +132,13 @@ def bayesian_optimization(objective: UnitObjective, n_evaluations: int, seed: in
         dict.fromkeys(names, (0.0, 1.0)),
         random_state=seed,
         verbose=0,
-        allow_duplicate_points=True,  # otherwise a repeated place ends it with an error
+        allow_duplicate_points=True,  # otherwise a repeated point ends it with an error
     )
     search.maximize(init_points=N_INITIAL, n_iter=n_evaluations - N_INITIAL)
 
 
 def optuna(objective: UnitObjective, n_evaluations: int, seed: int) -> None:
-    """GPSampler's defaults (Matern-5/2, LogEI), with five random trials for its ten."""
+    """Run GPSampler with its defaults (Matern-5/2, LogEI), but five random trials instead of ten."""
     import optuna
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
@@ -151,7 +151,7 @@ def optuna(objective: UnitObjective, n_evaluations: int, seed: int) -> None:
 
 
 def smt_ego(objective: UnitObjective, n_evaluations: int, seed: int) -> None:
-    """SMT's EGO as in its manual: kriging (KRG), EI."""
+    """Run SMT's EGO as in its manual: kriging (KRG), EI."""
     from smt.applications import EGO
     from smt.design_space import DesignSpace
     from smt.surrogate_models import KRG
@@ -167,12 +167,12 @@ def smt_ego(objective: UnitObjective, n_evaluations: int, seed: int) -> None:
 
 
 def pybads(objective: UnitObjective, n_evaluations: int, seed: int) -> None:
-    """PyBADS' defaults (mesh-adaptive direct search with a local GP): its own initial design, from a random start."""
+    """Run PyBADS with its defaults (mesh-adaptive direct search with a local GP) and design, from a random point."""
     from pybads import BADS
 
     d = len(objective)
     start = _initial(objective, seed)[0]
-    # Plausible bounds are where it starts looking, hard ones where it may: the manual wants them apart.
+    # It starts within the plausible bounds and may go to the hard ones; the manual asks for some distance between.
     options = {"max_fun_evals": n_evaluations, "display": "off", "random_seed": seed}
     bounds = [np.full(d, place) for place in (0.0, 1.0, 0.05, 0.95)]
     BADS(objective.norm, start, *bounds, options=options).optimize()
@@ -180,14 +180,14 @@ def pybads(objective: UnitObjective, n_evaluations: int, seed: int) -> None:
 
 @dataclass(frozen=True)
 class Peer:
-    """Somebody else's optimiser."""
+    """An optimiser that is not ours."""
 
     package: str
-    """Distribution, as pip names it."""
+    """Name of its distribution, for pip."""
     module: str
-    """What it imports."""
+    """Name of the module that it imports."""
     search: Search
-    """Runs it."""
+    """Function that runs it."""
 
 
 PEERS: dict[str, Peer] = {
@@ -208,7 +208,7 @@ def _initial(objective: UnitObjective, seed: int) -> Vector:
 
 
 def _fitted(X: Any, Y: Any) -> Any:
-    """A GP an output, in one batch, hyperparameters by maximum a posteriori."""
+    """Return a batch with a GP for each output, hyperparameters by maximum a posteriori."""
     from botorch.fit import fit_gpytorch_mll
     from botorch.models import SingleTaskGP
     from gpytorch.mlls import ExactMarginalLogLikelihood
@@ -219,7 +219,7 @@ def _fitted(X: Any, Y: Any) -> Any:
 
 
 def _best_by(acquisition: Any) -> Any:
-    """The place (1, d) where an acquisition function is largest."""
+    """Return the point (1, d) where an acquisition function is largest."""
     import torch
     from botorch.optim import optimize_acqf
 
@@ -229,7 +229,7 @@ def _best_by(acquisition: Any) -> Any:
 
 
 def _stand_in_for_pkg_resources() -> None:
-    """GPyOpt asks pkg_resources for its own version; setuptools has dropped that module."""
+    """Provide the pkg_resources that GPyOpt asks for its own version; setuptools has dropped that module."""
     if "pkg_resources" not in sys.modules:
         module: Any = types.ModuleType("pkg_resources")
         module.DistributionNotFound = LookupError

@@ -1,21 +1,21 @@
-"""The estimators and other people's Bayesian optimisers on the same frozen windows: time of a whole search, and errors.
+"""Our estimators and other people's Bayesian optimisers on the same frozen windows: time of a whole search, and errors.
 
     python -m benchmarks.estimators                                       # all: 15 minutes
     python -m benchmarks.estimators --only target bo-scalar paper pybads --problems pendulum
 
-A repetition is a draw of the samples' noise, and all search it one after the other, each in a process of its own that
-has imported its packages and searched once, shortly, before any clock starts; one BLAS and torch thread each. The time
-is that of building the optimiser and of all its evaluations; `over target` is its median by that of `target` in the
-same measurement. Errors are of the best evaluation (ours: of the estimate), in norm over the parameters of one unit.
-What is measured takes its place in benchmarks/results/estimators.json, beside what was measured there before.
+A repetition is a draw of the samples' noise. All methods search it one after the other, each in a process of its own
+that has imported its packages and made one short search before any clock starts; one BLAS and torch thread each. The
+time is that of building the optimiser and of all its evaluations; `over target` is its median divided by that of
+`target` in the same measurement. Errors are those of the best evaluation (ours: of the estimate), in norm over the
+parameters of one unit. The rows take the place of older ones of the same problem and method in
+benchmarks/results/estimators.json.
 """
 
 import argparse
-import json
 import multiprocessing
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -28,7 +28,7 @@ import numpy as np
 
 from benchmarks import report
 from benchmarks.estimator_peers import PEERS, UnitObjective
-from benchmarks.frozen import noisy_samples, residual_window, solve, truth_at
+from benchmarks.frozen import noisy_samples, places_by_unit, residual_window, solve, truth_at
 from cosim.runs.result import Run
 from cosim.runs.simulation import run
 from cosim.scenarios.scenario import Scenario
@@ -36,11 +36,11 @@ from cosim.scenarios.scenario import Scenario
 OURS = ("target", "bo-scalar", "paper")
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _WARM_UP = 8
-"""Evaluations of the search that is not timed: the initial places and three of the surrogate's."""
+"""Evaluations of the search that is not timed: the initial places and three that a surrogate has chosen."""
 _OTHER_NOISE = 1000
-"""Its repetition, whose noise no timed one has."""
+"""Repetition of that search; no timed one has its noise."""
 _ERRORS = ("m error [kg]", "J error [kg.m2]", "l error [m]")
-"""Columns of the problems' parameters, by unit."""
+"""Columns of the errors, by the parameters' unit."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Problem:
     scenario: str
     """Its name."""
     at: tuple[float, ...]
-    """Times of the newest sample [s], taken in turn by the repetitions; the parameters were constant before."""
+    """Times of the newest sample [s], taken in turn by the repetitions; the parameters were constant before it."""
     window: int
     """Samples."""
     stride: int
@@ -73,11 +73,11 @@ class Search:
     errors: dict[str, float]
     """Norm of estimated minus true, by column of the table."""
     n_evaluations: int
-    """Places evaluated."""
+    """Number of evaluations."""
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Parse, measure, print."""
+    """Measure the methods asked for, keep and print the rows."""
     parser = _parser()
     options = parser.parse_args(arguments)
     if options.evaluations < _WARM_UP or options.repetitions < 1:
@@ -90,8 +90,8 @@ def main(arguments: list[str] | None = None) -> None:
     report.write("estimators", _with_earlier(rows), _notes(options))
 
 
-def measure(problem: str, options: argparse.Namespace) -> Iterator[dict[str, object]]:
-    """A row a method, all measured in turns."""
+def measure(problem: str, options: argparse.Namespace) -> Iterator[report.Row]:
+    """Yield a row for each method, all measured in turns."""
     recorded = run(Scenario.load(PROBLEMS[problem].scenario), "none")
     searches: dict[str, list[Search]] = {name: [] for name in options.only}
     failed = {name: f"absent: {_install()}" for name in options.only if not _version(name)}
@@ -117,7 +117,7 @@ def measure(problem: str, options: argparse.Namespace) -> Iterator[dict[str, obj
         yield _row(problem, name, searches[name], float(target), failed.get(name, ""))
 
 
-def _row(problem: str, name: str, searches: list[Search], target: float, failure: str) -> dict[str, object]:
+def _row(problem: str, name: str, searches: list[Search], target: float, failure: str) -> report.Row:
     time = report.spread(1e3 * s.seconds for s in searches)
     errors = {c: report.spread(s.errors[c] for s in searches if c in s.errors) for c in _ERRORS}
     return {
@@ -133,21 +133,21 @@ def _row(problem: str, name: str, searches: list[Search], target: float, failure
     }
 
 
-def _with_earlier(rows: list[dict[str, object]]) -> list[dict[str, object]]:
-    """The rows, and those of earlier measurements of other methods and problems: one may measure bit by bit."""
-    file = report.RESULTS / "estimators.json"
-    earlier = json.loads(file.read_text(encoding="utf-8"))["rows"] if file.exists() else []
-    found = {(r["problem"], r["method"]): r for r in earlier}
-    for row in rows:
-        key = row["problem"], row["method"]
-        if row["repetitions"] or key not in found or not found[key]["repetitions"]:
-            found[key] = row
-    return [found[key] for problem in PROBLEMS for name in (*OURS, *PEERS) if (key := (problem, name)) in found]
+def _with_earlier(rows: list[report.Row]) -> list[report.Row]:
+    """Return the rows and those of earlier measurements, in the order of problems and methods.
+
+    A method that failed now keeps the row of a measurement that succeeded.
+    """
+    measured = {(r["problem"], r["method"]) for r in report.stored(report.RESULTS, "estimators") if r["repetitions"]}
+    new = [row for row in rows if row["repetitions"] or (row["problem"], row["method"]) not in measured]
+    names = (*OURS, *PEERS)
+    known = [r for r in report.updated("estimators", new, "problem", "method") if r["method"] in names]
+    return sorted(known, key=lambda r: (list(PROBLEMS).index(r["problem"]), names.index(r["method"])))
 
 
 @contextmanager
-def _worker(name: str, problem: str, recorded: Run, limit: float) -> Iterator[Callable[[int, int], Search | str]]:
-    """ask(n_evaluations, repetition) gives the search that its process made, or why there is none, in one line."""
+def _worker(name: str, problem: str, recorded: Run, limit: float) -> Generator[Callable[[int, int], Search | str]]:
+    """Yield ask(n_evaluations, repetition), which returns the search made in a process of its own, or why it failed."""
     context = multiprocessing.get_context("spawn")  # a fresh interpreter: no import of one peer meets another's
     ours, theirs = context.Pipe()
     os.environ.update(dict.fromkeys(_THREADS, "1"))  # read when NumPy and torch are imported, there
@@ -174,7 +174,7 @@ def _worker(name: str, problem: str, recorded: Run, limit: float) -> Iterator[Ca
 
 
 def _work(pipe: Connection, name: str, problem: str, recorded: Run) -> None:
-    """A worker's life: search whenever it is told to."""
+    """Make the searches asked for through the pipe, until the process is ended."""
     with open(os.devnull, "w") as nowhere:  # peers print
         os.dup2(nowhere.fileno(), 1)
         os.dup2(nowhere.fileno(), 2)
@@ -210,19 +210,16 @@ def _samples(problem: str, recorded: Run, repetition: int) -> tuple[float, list[
 
 
 def _errors(recorded: Run, error: np.ndarray) -> dict[str, float]:
-    """Norm of the error (d,) over the parameters of each unit."""
+    """Return the norm of the error (d,) over the parameters of each unit, by column."""
     space = recorded.scenario.estimation.space
-    by_unit: dict[str, list[int]] = {}
-    for i, parameter in enumerate(space):
-        by_unit.setdefault(parameter.unit, []).append(i)
     return {
         f"{space.names[places[0]].split('_')[0]} error [{unit}]": float(np.linalg.norm(error[places]))
-        for unit, places in by_unit.items()
+        for unit, places in places_by_unit(space).items()
     }
 
 
 def _version(name: str) -> str | None:
-    """Of the package; None where it is absent."""
+    """Return the version of a method's package; None if it is not installed."""
     if name in OURS:
         return version("fmu-retune")
     peer = PEERS[name]

@@ -1,6 +1,7 @@
-"""Makes docs/evaluation.md: `measure` runs the comparisons, `render` puts their figures into the prose.
+"""The figures of docs/evaluation.md: measures them, keeps what the document shows, and puts that into the prose.
 
-    python -m benchmarks.evaluation measure     # 25 minutes on two cores: all below, into docs/evaluation/
+    python -m benchmarks.evaluation measure     # 25 minutes on two cores: all below, and then the other two
+    python -m benchmarks.evaluation collect     # raw runs in benchmarks/raw/evaluation/ -> docs/evaluation/
     python -m benchmarks.evaluation render      # docs/evaluation.in.md and docs/evaluation/ -> docs/evaluation.md
 
 In the prose, `{{include FILE}}` stands for a Markdown table of docs/evaluation/, `{{FILE KEY KEY ...}}` for one number
@@ -15,14 +16,20 @@ import shlex
 import shutil
 import subprocess
 import sys
-import tempfile
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from PIL import Image
+
+from benchmarks import report
+from cosim.files import write_text
+
 DOCS = Path(__file__).parents[1] / "docs"
 DATA = DOCS / "evaluation"
+RAW = report.RAW / "evaluation"
 UNGUARDED = {"guard.enabled": "false", "observations.enabled": "false"}
-"""Estimators are compared by themselves; docs/safety.md has what guard and screen prevent and cost."""
+"""Settings that leave the estimators by themselves; docs/safety.md has what guard and screen prevent and cost."""
 _UNGUARDED = "".join(f" --set {key}={value}" for key, value in UNGUARDED.items())
 COMPARISONS = {
     "quadrotor": "quadrotor --estimators target,least-squares,ukf,rls --seeds 20 --jobs 2",
@@ -43,18 +50,21 @@ FROZEN = {
 
 
 def main() -> None:
-    """Parse and do."""
+    """Measure, collect or render, and what follows from it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["measure", "render"])
-    parser.add_argument("--only", nargs="+", help="names of the folders or files to measure again")
+    names = [*COMPARISONS, *FROZEN, "figures"]
+    parser.add_argument("what", choices=["measure", "collect", "render"])
+    parser.add_argument("--only", nargs="+", default=names, choices=names, metavar="NAME", help=", ".join(names))
     options = parser.parse_args()
     if options.what == "measure":
-        measure(options.only or [*COMPARISONS, *FROZEN, "figures"])
-    (DOCS / "evaluation.md").write_text(render(), encoding="utf-8")
+        measure(options.only)
+    if options.what != "render":
+        collect(options.only)
+    write_text(DOCS / "evaluation.md", render())
 
 
 def commands() -> list[str]:
-    """What `measure` runs, as one types it."""
+    """Return the commands that `measure` runs, as one types them."""
     return [
         *(f"retune compare {arguments}{_UNGUARDED} --out {name}" for name, arguments in COMPARISONS.items()),
         *(f"python -m benchmarks.frozen {arguments} --out {name}.json" for name, arguments in FROZEN.items()),
@@ -62,40 +72,63 @@ def commands() -> list[str]:
     ]
 
 
-def measure(names: list[str]) -> None:
-    """Run the commands of these names, one after the other, and keep what the document needs."""
-    DATA.mkdir(exist_ok=True)
+def measure(names: Iterable[str]) -> None:
+    """Run the commands of these names, one after the other, into benchmarks/raw/evaluation/."""
+    RAW.mkdir(parents=True, exist_ok=True)
     for name in names:
-        with tempfile.TemporaryDirectory() as place:
-            out = Path(place) / name
-            if name in COMPARISONS:
-                tail = f"cosim.cli compare {COMPARISONS[name]}{_UNGUARDED} --out {out}"
-            elif name in FROZEN:
-                tail = f"benchmarks.frozen {FROZEN[name]} --out {out}.json"
-            else:
-                tail = f"cosim.cli figures --jobs 1 --out {out}"
-            subprocess.run([sys.executable, "-m", *shlex.split(tail)], check=True, cwd=DOCS.parent)
-            for source in [*out.glob("comparison.*"), *out.glob("figures.json"), *Path(place).glob("*.json")]:
-                keep(source, name)
-            for source in [*out.glob("*.png"), *out.glob("table.md")]:
-                shutil.copy(source, DATA / source.name)
+        out = RAW / name
+        shutil.rmtree(out, ignore_errors=True)
+        if name in COMPARISONS:
+            arguments = f"cosim.cli compare {COMPARISONS[name]}{_UNGUARDED}"
+        elif name in FROZEN:
+            arguments, out = f"benchmarks.frozen {FROZEN[name]}", RAW / f"{name}.json"
+        else:
+            arguments = "cosim.cli figures --jobs 1"
+        command = [sys.executable, "-m", *shlex.split(arguments), "--out", str(out)]
+        subprocess.run(command, check=True, cwd=DOCS.parent)
 
 
-def keep(source: Path, name: str) -> None:
-    """Copy a result beside the document; of a comparison only what does not depend on where it was made."""
-    content = source.read_text(encoding="utf-8")
-    if source.suffix == ".json":
-        tree = json.loads(content)
-        tree.pop("folder", None)
-        for run in tree.get("runs", []):
-            run.pop("run", None)
-        (DATA / f"{name}.json").write_text(json.dumps(tree, indent=1) + "\n", encoding="utf-8")
-    elif source.suffix == ".md":
-        shutil.copy(source, DATA / f"{name}.md")
+def collect(names: Iterable[str]) -> None:
+    """Keep in docs/evaluation/ what the document shows of the raw runs; of names without any, what is there."""
+    for name in names:
+        if (path := RAW / f"{name}.json").exists():
+            _write(name, solved(json.loads(path.read_text(encoding="utf-8"))))
+        if (path := RAW / name / "comparison.json").exists():
+            _write(name, compared(json.loads(path.read_text(encoding="utf-8"))))
+            shutil.copy(path.with_suffix(".md"), DATA / f"{name}.md")
+        if name == "figures":
+            for path in (RAW / name).glob("*.png"):
+                picture = Image.open(path).convert("RGB").quantize(256, dither=Image.Dither.NONE)
+                picture.save(DATA / path.name, optimize=True)
+            for path in (RAW / name).glob("table.md"):
+                shutil.copy(path, DATA / path.name)
+
+
+def compared(comparison: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the figures of a comparison over its seeds, and what each run of the first seed came to."""
+    kept = {key: comparison[key] for key in ("scenario", "seeds", "jobs", "cpus", "deadline_ms", "versions")}
+    runs = [
+        {
+            **{key: run[key] for key in ("estimator", "status", "mse", "evaluations")},
+            "errors": [[p["estimated"] - p["true"] for p in at["parameters"]] for at in run["instants"]],
+        }
+        for run in comparison["runs"]
+        if run["seed"] == comparison["seeds"][0]
+    ]
+    return {**kept, "estimators": comparison["estimators"], "first_seed": runs}
+
+
+def solved(frozen: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the figures of a frozen window without the errors of the single seeds."""
+    return {**frozen, "rows": [{k: v for k, v in row.items() if k != "errors"} for row in frozen["rows"]]}
+
+
+def _write(name: str, content: Mapping[str, Any]) -> None:
+    write_text(DATA / f"{name}.json", report.to_lines(content))
 
 
 def render() -> str:
-    """The document's text. Raises KeyError for a number that no file has."""
+    """Return the text of the document. Raises KeyError for a number that no file has."""
     prose = (DOCS / "evaluation.in.md").read_text(encoding="utf-8")
     return re.sub(r"\{\{([^}]+)\}\}", lambda match: _value(match[1].split()), prose)
 
@@ -128,7 +161,7 @@ def _below(tree: Any, key: str) -> Any:
 
 
 def _frozen(rows: list[dict[str, Any]]) -> str:
-    """A table: estimators down, numbers of evaluations across; median / worst relative error."""
+    """Return a table, estimators down and numbers of evaluations across, of median / worst relative errors."""
     counts = list(dict.fromkeys(r["evaluations"] for r in rows))
     names = list(dict.fromkeys(r["estimator"] for r in rows))
     cell = {

@@ -1,10 +1,10 @@
-"""Wall time of a plant step of Quadrotor.fmu: two Runge-Kutta steps of 5 ms, four inputs set, all 33 outputs got.
+"""Wall time of a step of Quadrotor.fmu: four inputs set, two Runge-Kutta steps of 5 ms, all 33 outputs got.
 
     python -m benchmarks.fmus [--steps 1000] [--blocks 15]
 
-Through FMI by FMPy's low-level calls in a Python process, and by a C program that loads the FMU and embeds Python
-(LD_PRELOAD of libpython); and the same slave called without FMI. All three give the same numbers, bit for bit. The C
-program runs its blocks in a process of its own between the others' blocks. Beside them what the model itself takes.
+The FMU is stepped by FMPy's low-level calls in this process, and by a C program that loads it and embeds Python
+(LD_PRELOAD of libpython); the same slave is also called without FMI. All three give the same numbers, bit for bit. The
+C program runs its blocks in a process of its own between those of the others. Beside them: the time of the model alone.
 """
 
 import argparse
@@ -13,16 +13,17 @@ import subprocess
 import sys
 import sysconfig
 import tempfile
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 from fmpy import extract, platform, read_model_description
-from fmpy.fmi2 import FMU2Slave
 
+from benchmarks.master_peers import Steps, fmpy_slave
 from benchmarks.native_fmus import SOURCES, compile_c
-from benchmarks.report import spread, write
+from benchmarks.report import Row, spread, write
 from fmu_models import quadrotor
 from fmu_models.build import build
 from fmu_models.ode import rk4_step
@@ -31,53 +32,46 @@ from fmu_models.quadrotor_fmu import Quadrotor
 H = 0.01
 """Communication step [s]."""
 U = (40.0, 0.02, -0.01, 0.005)
-"""F [N], M [N m]: off hover, so that every state moves."""
-Block = Callable[[int, int], Sequence[float]]
-"""Makes the steps k .. k + n - 1; returns the outputs."""
+"""Inputs F [N] and M [N m], off hover so that every state moves."""
+DIRECT, IMPORTER = "slave called directly", "FMI, C importer"
+"""Names of the yardstick and of the way that may be missing."""
 
 
-def directly() -> Block:
-    """The slave as a Python object, called as PythonFMU calls it."""
+def directly() -> Steps:
+    """Return steps of the slave as a Python object, called as PythonFMU calls it."""
     slave = Quadrotor(instance_name="quadrotor")
     inputs, outputs = _references(slave.variables)
     slave.setup_experiment(0.0)
     slave.exit_initialization_mode()
 
-    def block(k: int, n: int) -> Sequence[float]:
+    def steps(k: int, n: int) -> Sequence[float]:
         for i in range(k, k + n):
             slave.set_real(inputs, list(U))
             slave.do_step(i * H, H)
             values = slave.get_real(outputs)
         return values
 
-    return block
+    return steps
 
 
-def by_fmpy(fmu: Path) -> Block:
-    """FMPy's setReal, doStep and getReal."""
+def by_fmpy(fmu: Path) -> Steps:
+    """Return steps by FMPy's setReal, doStep and getReal."""
     description = read_model_description(str(fmu))
-    slave = FMU2Slave(
-        guid=description.guid, unzipDirectory=extract(str(fmu)), instanceName="quadrotor",
-        modelIdentifier=description.coSimulation.modelIdentifier,
-    )  # fmt: skip
+    slave = fmpy_slave(fmu, "quadrotor", description)
     inputs, outputs = _references(description.modelVariables)
-    slave.instantiate()
-    slave.setupExperiment(startTime=0.0)
-    slave.enterInitializationMode()
-    slave.exitInitializationMode()
 
-    def block(k: int, n: int) -> Sequence[float]:
+    def steps(k: int, n: int) -> Sequence[float]:
         for i in range(k, k + n):
             slave.setReal(inputs, U)
             slave.doStep(currentCommunicationPoint=i * H, communicationStepSize=H)
             values = slave.getReal(outputs)
         return values
 
-    return block
+    return steps
 
 
 class Importer:
-    """importer.c, compiled. Raises RuntimeError where it cannot be, or cannot find libpython."""
+    """The compiled importer.c. Raises RuntimeError if it cannot be compiled, or without a shared libpython."""
 
     def __init__(self, fmu: Path, folder: Path) -> None:
         self._program = compile_c(SOURCES / "importer.c", folder / "importer", "-ldl")
@@ -97,7 +91,7 @@ class Importer:
         ]  # fmt: skip
 
     def run(self, n_steps: int, n_blocks: int) -> tuple[list[float], list[float]]:
-        """Microseconds a step of each block, and the outputs after the last."""
+        """Return the microseconds a step of each block, and the outputs after the last."""
         arguments = [self._program, *self._fmu, n_steps, n_blocks, *self._variables]
         result = subprocess.run(
             [*map(str, arguments)], env=self._environment, capture_output=True, text=True, timeout=600
@@ -109,7 +103,7 @@ class Importer:
 
 
 def model_parts(n: int) -> dict[str, float]:
-    """Microseconds of the model's own functions."""
+    """Return the microseconds of the model's own functions."""
     x, p = tuple(float(i in (6, 10, 14)) for i in range(18)), (1.25, 1.1, 1.1, 2.2, 9.81)
 
     def f(x: Any) -> Any:
@@ -129,54 +123,59 @@ def model_parts(n: int) -> dict[str, float]:
 
 
 def _references(variables: Sequence[Any]) -> tuple[list[int], list[int]]:
-    """Value references of inputs and outputs: the places of the variables in both tables."""
+    """Return the value references of inputs and outputs, which are the places of the variables in the table."""
     inputs, outputs = ([i for i, v in enumerate(variables) if v.causality == c] for c in ("input", "output"))
     return inputs, outputs
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Build, measure, compare, write. Raises RuntimeError where the ways do not give the same numbers."""
+    """Build the FMU and measure its steps; print and keep the times."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--steps", type=int, default=1000, help="of a block")
     parser.add_argument("--blocks", type=int, default=15)
     options = parser.parse_args(arguments)
-    n = options.steps
-    times: dict[str, list[float]] = {}
-    values: dict[str, Sequence[float]] = {}
-    skipped: dict[str, str] = {}
+    skipped: list[Row] = []
     with tempfile.TemporaryDirectory() as directory:
         fmu = build("Quadrotor", directory)
-        ways = {"slave called directly": directly(), "FMI, FMPy low level": by_fmpy(fmu)}
-        importer = None
         try:
             importer = Importer(fmu, Path(directory))
         except RuntimeError as reason:
-            skipped["FMI, C importer"] = str(reason)
-        for k in range(options.blocks):
-            for name, block in ways.items():
-                begun = perf_counter()
-                values[name] = block(k * n, n)
-                times.setdefault(name, []).append((perf_counter() - begun) / n * 1e6)
-            for name, time in model_parts(n).items():
-                times.setdefault(name, []).append(time)
-            if importer is not None:
-                its_times, _ = importer.run(n, 2)  # the first block warms up
-                times.setdefault("FMI, C importer", []).append(its_times[1])
-        if importer is not None:
-            _, values["FMI, C importer"] = importer.run(n, options.blocks)
-    reference = values["slave called directly"]
-    for name, found in values.items():
-        if list(found) != list(reference):
-            raise RuntimeError(f"{name} does not give what the slave gives when it is called directly")
-    yardstick = spread(times["slave called directly"])["median"]
-    rows: list[dict[str, object]] = [
+            importer = None
+            skipped.append({"way": IMPORTER, "skipped": str(reason)})
+        times = measure(fmu, importer, options.steps, options.blocks)
+    yardstick = spread(times[DIRECT])["median"]
+    rows: list[Row] = [
         {"way": name, "us a step": spread(t), "times direct": spread(t)["median"] / yardstick}
         for name, t in times.items()
     ]
-    rows += [{"way": name, "skipped": why} for name, why in skipped.items()]
-    write(
-        "fmus", rows, f"{options.blocks} blocks of {n} steps of 10 ms; median [quartiles]; equal outputs bit for bit."
-    )
+    notes = f"{options.blocks} blocks of {options.steps} steps of 10 ms; median [quartiles]; equal outputs bit for bit."
+    write("fmus", rows + skipped, notes)
+
+
+def measure(fmu: Path, importer: Importer | None, n: int, n_blocks: int) -> dict[str, list[float]]:
+    """Return the microseconds a step of each block of n steps, the ways taking turns.
+
+    Raises RuntimeError if the ways do not give the same numbers.
+    """
+    ways = {DIRECT: directly(), "FMI, FMPy low level": by_fmpy(fmu)}
+    times: dict[str, list[float]] = defaultdict(list)
+    values: dict[str, Sequence[float]] = {}
+    for k in range(n_blocks):
+        for name, steps in ways.items():
+            begun = perf_counter()
+            values[name] = steps(k * n, n)
+            times[name].append((perf_counter() - begun) / n * 1e6)
+        for name, time in model_parts(n).items():
+            times[name].append(time)
+        if importer is not None:
+            its_times, _ = importer.run(n, 2)  # the first block warms up
+            times[IMPORTER].append(its_times[1])
+    if importer is not None:
+        _, values[IMPORTER] = importer.run(n, n_blocks)
+    for name, found in values.items():
+        if list(found) != list(values[DIRECT]):
+            raise RuntimeError(f"{name} does not give what the slave gives when it is called directly")
+    return times
 
 
 if __name__ == "__main__":

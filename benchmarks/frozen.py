@@ -1,42 +1,52 @@
-"""One episode on a frozen window: how near to the truth each estimator gets with the same number of evaluations.
+"""One episode on a frozen window: how close to the truth each estimator gets with the same number of evaluations.
 
     python -m benchmarks.frozen stiction --at 4.0 --window 100 --evaluations 30 60 120 --seeds 20
 
 The samples are those of the nominal controller's run (FMUs and all), up to `--at`, every `--stride`-th, with fresh
-noise a seed. An evaluation is the model on the whole window, and each estimator gets as many: for least squares those
-of its Jacobian count. The error is the largest, over the groups of parameters of one unit, of the norm of estimated
-minus true by the norm of the true ones. Prints, and writes as JSON, its median and worst, and the share of seeds within
-5 %.
+noise for each seed. An evaluation is the model on the whole window, and each estimator gets as many: for least squares
+those of its Jacobian count. The error is the largest, over the groups of parameters of one unit, of the norm of
+estimated minus true divided by the norm of the true ones. Prints its median and worst over the seeds, and the share of
+seeds within 5 %; `--out` writes them, and the error of each seed.
 """
 
 import argparse
-import json
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
+from benchmarks.report import Row, table, to_lines
+from cosim.files import write_text
 from cosim.retuning.estimators import find_method
 from cosim.runs.result import Run
 from cosim.runs.simulation import run
 from cosim.sampling.sampler import recorded_samples
 from cosim.scenarios.scenario import Scenario
 from cosim.user_code import load
-from estimator import AskTell, DerivativeResidual, Estimate, LinearForm, Objective, ResidualWindow, Sample, Vector
+from estimator import (
+    AskTell,
+    DerivativeResidual,
+    Estimate,
+    LinearForm,
+    Objective,
+    ParameterSpace,
+    ResidualWindow,
+    Sample,
+    Vector,
+)
 from estimator.baselines import LeastSquaresSettings
 
 CLOSED_FORM = "closed-form"
-"""Linear least squares on the model's linear form: what a search has to be measured against where there is one."""
+"""Name of linear least squares on the model's linear form: what a search is measured against where there is one."""
 DEFAULT = ("target", "least-squares", "multi-start", "bo-scalar")
 
 
 def main() -> None:
-    """Parse, run, print."""
+    """Solve the window with each estimator, print and write the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenario")
     parser.add_argument("--at", type=float, required=True, help="time of the newest sample [s]")
@@ -54,21 +64,16 @@ def main() -> None:
             for n in options.evaluations
             for name in options.estimators
         ]  # fmt: skip
-    for r in rows:
-        print(
-            f"{r['estimator']:16} N = {r['evaluations']:4}  median {r['median']:8.2g}  worst {r['worst']:8.2g}  "
-            f"within 5 %: {r['within_5_percent']:.0%}  {r['milliseconds']:7.1f} ms"
-        )
+    print(table([{k: v for k, v in r.items() if k != "errors"} for r in rows]))
     if options.out:
         command = {k: v for k, v in vars(options).items() if k != "out"}
-        options.out.write_text(json.dumps({"command": command, "rows": rows}, indent=2) + "\n", encoding="utf-8")
+        write_text(options.out, to_lines({"command": command, "rows": rows}))
 
 
-def row(recorded: Run, name: str, n_evaluations: int, options: argparse.Namespace) -> dict[str, Any]:
-    """Errors of one estimator over the seeds."""
+def row(recorded: Run, name: str, n_evaluations: int, options: argparse.Namespace) -> Row:
+    """Return the errors of one estimator over the seeds."""
     truth = truth_at(recorded, options.at)
-    units = [p.unit for p in recorded.scenario.estimation.space]
-    groups = [np.array([u == unit for u in units]) for unit in dict.fromkeys(units)]
+    groups = places_by_unit(recorded.scenario.estimation.space).values()
     errors: list[float] = []
     seconds: list[float] = []
     for seed in range(options.seeds):
@@ -89,13 +94,21 @@ def row(recorded: Run, name: str, n_evaluations: int, options: argparse.Namespac
     }
 
 
+def places_by_unit(space: ParameterSpace) -> dict[str, list[int]]:
+    """Return the places of the parameters of each unit."""
+    places: dict[str, list[int]] = {}
+    for i, parameter in enumerate(space):
+        places.setdefault(parameter.unit, []).append(i)
+    return places
+
+
 def truth_at(recorded: Run, at: float) -> Vector:
-    """The plant's parameters theta (d,) in force at this time [s]."""
+    """Return the plant's parameters theta (d,) in force at this time [s]."""
     return np.array([series[_row_at(recorded, at)] for series in recorded.true_parameters.values()])
 
 
 def noisy_samples(recorded: Run, at: float, window: int, stride: int, rng: np.random.Generator) -> list[Sample]:
-    """So many samples up to a time [s], so many steps apart: derivatives as the plant gave them, and fresh noise."""
+    """Return the last samples up to a time [s], stride steps apart: the plant's derivatives with fresh noise."""
     k = _row_at(recorded, at)
     rows = [*reversed(range(k, max(k - window * stride, 0), -stride))]
     derivatives = recorded.scenario.sampling.derivatives
@@ -106,7 +119,7 @@ def noisy_samples(recorded: Run, at: float, window: int, stride: int, rng: np.ra
 
 
 def residual_window(recorded: Run, samples: list[Sample], is_whitened: bool) -> ResidualWindow:
-    """The residuals on these samples, in standard deviations of the noise or in physical units."""
+    """Return the residuals on these samples, in standard deviations of the noise or in physical units."""
     scenario = recorded.scenario
     sigma = tuple(n.noise if is_whitened else 1.0 for n in scenario.sampling.derivatives.values())
     model = load(scenario.estimation.model, scenario.folder)
@@ -120,7 +133,7 @@ def residual_window(recorded: Run, samples: list[Sample], is_whitened: bool) -> 
 def solve(
     recorded: Run, samples: list[Sample], name: str, n_evaluations: int, rng: np.random.Generator
 ) -> tuple[Vector, float]:
-    """theta (d,) after so many evaluations from what the controller held at the run's start, and the wall time [s]."""
+    """Return theta (d,) after so many evaluations from the nominal parameters, and the wall time [s]."""
     begun = perf_counter()
     estimate = estimated(recorded, samples, name, n_evaluations, rng)
     return estimate.theta, perf_counter() - begun
@@ -129,7 +142,7 @@ def solve(
 def estimated(
     recorded: Run, samples: list[Sample], name: str, n_evaluations: int, rng: np.random.Generator
 ) -> Estimate:
-    """The estimate after so many evaluations from what the controller held at the run's start."""
+    """Return the estimate after so many evaluations from the nominal parameters."""
     scenario = recorded.scenario
     space = scenario.estimation.space
     method = find_method(name, scenario)
@@ -152,7 +165,7 @@ def estimated(
 
 
 def closed_form(recorded: Run, samples: list[Sample]) -> tuple[Vector, float]:
-    """theta (d,) from the model's linear form by one linear least squares, and the wall time [s] of that."""
+    """Return theta (d,) from the model's linear form by one linear least squares, and the wall time [s] of that."""
     scenario = recorded.scenario
     linear = scenario.estimation.linear
     if linear is None:

@@ -1,29 +1,31 @@
 """What the guard prevents and what it costs: each case with it, without it, and with the nominal controller.
 
-    python -m benchmarks.guard [--pendulum 200] [--quadrotor 20] [--only CASE ...]    # goes on where it was stopped
-    python -m benchmarks.guard --table                                               # what there is so far
+    python -m benchmarks.guard [--pendulum 200] [--quadrotor 20] [--only CASE ...]
+    python -m benchmarks.guard --table
 
-Without it means guard and screen of the samples off. The FMUs run in this process and the scenarios are short, which
-changes no bit of the values: pendulum 2 s with the change at 0.5 s, quadrotor 8 s. A run counts as lost when a tracked
-error passes half a turn, or 20 m. Every run is kept in results/guard.json, so that an interrupted measurement goes on.
+Without the guard means without the screen of the samples, too. The FMUs run in this process, which changes no bit of
+the values, and the scenarios are short: pendulum 2 s with the change at 0.5 s, quadrotor 8 s. A run counts as lost when
+a tracking error passes half a turn, or 20 m. Every run is kept in raw/guard.json, from where an interrupted measurement
+goes on; results/guard.json has a row for each case, which `--table` prints.
 """
 
 import argparse
-import json
-import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
+from itertools import product
 from math import hypot
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from benchmarks.report import RESULTS, machine, table
+from benchmarks import report
+from benchmarks.report import Row
 from cosim.runs.simulation import run
 from cosim.scenarios.scenario import Scenario
 from fmu_models import quadrotor
 
-PATH: Final = RESULTS / "guard.json"
+Task = tuple[str, str, str, int]
+"""Scenario, case, mode and seed of a run."""
 MODES: Final = ("none", "unguarded", "guarded")
 _BASE: Final[Mapping[str, dict[str, str]]] = {
     "pendulum": {
@@ -39,16 +41,18 @@ _CHANNELS: Final = {
     "quadrotor": tuple(f"der({v}_{a})" for v in ("v", "Omega") for a in "xyz"),
 }
 _LAST: Final = {"pendulum": ("der(phi_dot)",), "quadrotor": ("der(v_z)",)}
-"""The sensor that a single fault is of."""
+"""Derivatives that fail alone."""
 
 
 def linear_pendulum(x: tuple[float, ...], u: tuple[float, ...], m: float, l: float) -> tuple[float, ...]:
-    """A model of wrong structure: small angles, no friction."""
+    """Return the time derivative of a pendulum of wrong structure: small angles, no friction."""
     return x[1], -9.81 / l * x[0] + u[0] / (m * l)
 
 
-def draggy_quadrotor(x: tuple[float, ...], u: Any, **parameters: float) -> tuple[float, ...]:
-    """A model of wrong structure: a drag of 0.3 /s, and 1 rad/s2 about the body's z, that are not there."""
+def draggy_quadrotor(
+    x: tuple[float, ...], u: tuple[float, float, float, float], **parameters: float
+) -> tuple[float, ...]:
+    """Return that of a quadrotor of wrong structure: with a drag of 0.3 /s, and 1 rad/s2 about the body's z axis."""
     rates = list(quadrotor.derivative(x, u, **parameters))
     rates[3:6] = [rate - 0.3 * v for rate, v in zip(rates[3:6], x[3:6], strict=True)]
     return (*rates[:-1], rates[-1] + 1.0)
@@ -60,7 +64,7 @@ def _faults(kind: str, names: Mapping[str, tuple[str, ...]], scenario: str, rest
 
 
 def overrides(case: str, name: str) -> dict[str, str]:
-    """What a case changes in a scenario, as for `--set`."""
+    """Return what a case changes in a scenario, as for `--set`."""
     is_pendulum = name == "pendulum"
     match case:
         case "noise":
@@ -104,7 +108,7 @@ CASES: Final = {
 
 
 def scenario_of(case: str, name: str, mode: str) -> Scenario:
-    """The short scenario of a case; mode: one of MODES."""
+    """Return the short scenario of a case; mode: one of MODES."""
     switched = {} if mode == "guarded" else {"guard.enabled": "false", "observations.enabled": "false"}
     chosen = _BASE[name] | overrides(case, name) | {"scenario.isolation": "none"} | switched
     scenario = Scenario.load(name, chosen)
@@ -116,20 +120,21 @@ def scenario_of(case: str, name: str, mode: str) -> Scenario:
     return scenario.model_copy(update={"estimation": estimation})
 
 
-def measure(case: str, name: str, mode: str, seed: int) -> list[Any]:
-    """Status, mean squared error (summed over the outputs), largest norm of the error, and the guard's counts."""
+def measure(task: Task) -> Row:
+    """Return a run's mean squared error (summed over the outputs), its largest error (norm) and the guard's counts."""
+    name, case, mode, seed = task
     estimator = "none" if mode == "none" else "paper" if case == "paper" else "target"
     result = run(scenario_of(case, name, mode), estimator, seed)
-    norms = [hypot(*errors) for errors in zip(*result.errors.values(), strict=True)]
-    guard = result.guard or {}
-    counts = [guard.get(kind, 0) for kind in ("written", "vetoed", "reverted")]
-    kept_out = (result.observations or {}).get("kept_out", 0)
-    return [result.status, _short(sum(result.mse)), _short(max(norms)), *counts, kept_out]
+    largest = max(hypot(*errors) for errors in zip(*result.errors.values(), strict=True))
+    return {
+        **_labels(task), "status": result.status, "mse": _short(sum(result.mse)), "largest": _short(largest),
+        **{kind: (result.guard or {}).get(kind, 0) for kind in ("written", "vetoed", "reverted")},
+        "kept out": (result.observations or {}).get("kept_out", 0),
+    }  # fmt: skip
 
 
-def _measured(task: tuple[str, str, str, int]) -> list[Any]:
-    name, case, mode, seed = task
-    return measure(case, name, mode, seed)
+def _labels(task: Task) -> Row:
+    return dict(zip(("scenario", "case", "mode", "seed"), task, strict=True))
 
 
 def _short(value: float) -> float:
@@ -137,7 +142,7 @@ def _short(value: float) -> float:
 
 
 def main() -> None:
-    """Parse, measure what is missing, print."""
+    """Measure what is missing, keep and print it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--pendulum", type=int, default=200, metavar="SEEDS")
     parser.add_argument("--quadrotor", type=int, default=20, metavar="SEEDS")
@@ -145,62 +150,60 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1, metavar="J", help="runs at a time; no number depends on it")
     parser.add_argument("--table", action="store_true", help="measure nothing")
     options = parser.parse_args()
-    found: dict[str, list[Any]] = json.loads(PATH.read_text(encoding="utf-8"))["runs"] if PATH.exists() else {}
-    if not options.table:
-        todo = [
-            k for k in _tasks(options.pendulum, options.quadrotor, options.only) if "/".join(map(str, k)) not in found
-        ]
-        with ProcessPoolExecutor(options.jobs) as pool:
-            for n, (task, row) in enumerate(zip(todo, pool.map(_measured, todo), strict=True), 1):
-                found["/".join(map(str, task))] = row
-                if n % 5 == 0 or n == len(todo):
-                    _write(found)
-    print(table(rows(found)))
+    if options.table:
+        print(report.table(report.stored(report.RESULTS, "guard")))
+        return
+    runs = with_missing(tasks(options.pendulum, options.quadrotor, options.only), options.jobs)
+    report.write("guard", report.updated("guard", rows(runs), "scenario", "case"))
 
 
-def _tasks(n_pendulum: int, n_quadrotor: int, cases: list[str]) -> Iterator[tuple[str, str, str, int]]:
-    """All runs, in an order in which every case has about as many at any time. The nominal controller needs no seed
-    but the first, as neither noise nor faults reach it."""
+def with_missing(wanted: Iterable[Task], jobs: int) -> list[Row]:
+    """Return all runs that there are after running those of the wanted ones that are missing."""
+    runs = report.stored(report.RAW, "guard")
+    known = {(r["scenario"], r["case"], r["mode"], r["seed"]) for r in runs}
+    missing = [task for task in wanted if task not in known]
+    with ProcessPoolExecutor(jobs) as pool:
+        for n, row in enumerate(pool.map(measure, missing), 1):
+            runs.append(row)
+            if n % 5 == 0 or n == len(missing):
+                report.keep(report.RAW, "guard", runs)
+    return runs
+
+
+def tasks(n_pendulum: int, n_quadrotor: int, cases: list[str]) -> Iterator[Task]:
+    """Yield all runs, in an order in which every case has been run about as often at any time.
+
+    The nominal controller needs no seed but the first, as neither noise nor faults reach it.
+    """
     for seed in range(max(n_pendulum, 10 * n_quadrotor)):
-        for name, number in (("pendulum", seed), ("quadrotor", seed // 10)):
-            if number >= (n_pendulum if name == "pendulum" else n_quadrotor) or (name == "quadrotor" and seed % 10):
-                continue
+        seeds = {"pendulum": seed} if seed < n_pendulum else {}
+        if seed % 10 == 0 and seed // 10 < n_quadrotor:
+            seeds["quadrotor"] = seed // 10
+        for name, number in seeds.items():
             yield from ((name, case, mode, number) for case in cases for mode in MODES if mode != "none" or not number)
 
 
-def _write(found: Mapping[str, list[Any]]) -> None:
-    RESULTS.mkdir(exist_ok=True)
-    content = {"benchmark": "guard", "machine": machine(), "columns": list(_COLUMNS), "runs": found}
-    text = json.dumps(content, separators=(",", ":")).replace('"runs":{', '"runs":{\n').replace('],"', '],\n"')
-    temporary = PATH.with_suffix(f".{os.getpid()}.tmp")
-    temporary.write_text(text + "\n", encoding="utf-8")
-    temporary.replace(PATH)
-
-
-_COLUMNS: Final = ("status", "mse", "largest error", "written", "vetoed", "reverted", "samples kept out")
-
-
-def rows(found: Mapping[str, list[Any]]) -> list[dict[str, object]]:
-    """A row a scenario and case: runs, lost ones, median mean squared error and largest error of any run."""
-    made: list[dict[str, object]] = []
-    for name in _BASE:
-        for case in CASES:
-            of = {mode: [v for k, v in found.items() if k.startswith(f"{name}/{case}/{mode}/")] for mode in MODES}
-            if not all(of.values()):
-                continue
-            row: dict[str, object] = {"scenario": name, "case": case, "runs": len(of["guarded"])}
-            for mode in MODES:
-                row[f"{mode}: lost"] = sum(v[0] != "done" for v in of[mode])
-                row[f"{mode}: mse"] = float(np.median([v[1] for v in of[mode]]))
-                row[f"{mode}: largest"] = max(v[2] for v in of[mode])
-            row |= {"vetoed": _mean(of["guarded"], 4), "reverted": _mean(of["guarded"], 5)}
-            row["kept out"] = _mean(of["guarded"], 6)
-            made.append(row)
+def rows(runs: Iterable[Row]) -> list[Row]:
+    """Return a row for each scenario and case: runs, lost ones, median mean squared error, largest error of any run."""
+    groups: dict[tuple[str, str, str], list[Row]] = {}
+    for row in runs:
+        groups.setdefault((row["scenario"], row["case"], row["mode"]), []).append(row)
+    made: list[Row] = []
+    for name, case in product(_BASE, CASES):
+        by_mode = {mode: groups.get((name, case, mode), []) for mode in MODES}
+        if all(by_mode.values()):
+            made.append({"scenario": name, "case": case} | _figures(by_mode))
     return made
 
 
-def _mean(runs: list[list[Any]], column: int) -> float:
-    return float(np.mean([v[column] for v in runs]))
+def _figures(by_mode: Mapping[str, list[Row]]) -> Row:
+    guarded = by_mode["guarded"]
+    row: Row = {"runs": len(guarded)}
+    for mode, of_mode in by_mode.items():
+        row[f"{mode}: lost"] = sum(r["status"] != "done" for r in of_mode)
+        row[f"{mode}: mse"] = float(np.median([r["mse"] for r in of_mode]))
+        row[f"{mode}: largest"] = max(r["largest"] for r in of_mode)
+    return row | {count: float(np.mean([r[count] for r in guarded])) for count in ("vetoed", "reverted", "kept out")}
 
 
 if __name__ == "__main__":

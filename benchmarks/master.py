@@ -1,77 +1,40 @@
-"""Wall time of a macro step, of one FMU and of three that are coupled: ours and other masters on the same FMUs.
+"""Wall time of a macro step of one FMU, and of three coupled ones: our master and others on the same FMUs.
 
     python -m benchmarks.master [--systems NAME ...] [--steps 1000] [--blocks 15]
 
-A macro step sets every input, steps every FMU and brings all outputs back to Python. All masters are open in one
-process and take turns, block by block; a figure is the median of the blocks. `oscillator` and `3 oscillators` (a ring)
-cost next to nothing themselves: once native (C), once by pythonfmu. `pendulum` is the scenario's plant with its two
-Runge-Kutta steps, `pendulum loop` the plant with its controller and reference.
+A macro step sets every input, steps every FMU and gets all outputs back to Python. All masters are open in one process
+and take turns, block by block; a figure is the median of the blocks. `oscillator` and `3 oscillators` (a ring) cost
+next to nothing themselves; one kind is native (C), the other by pythonfmu. `pendulum` is the scenario's plant with its
+two Runge-Kutta steps, `pendulum loop` the plant with its controller and reference.
 
-Three pythonfmu FMUs in one process share modules of the same name, and the second runs the first's code. Here that is
-harmless: they come from one file or from the same sources. In `ours, isolated` each has a process of its own.
+Three pythonfmu FMUs in one process share modules of the same name, and the second runs the code of the first. Here that
+does no harm, as they come from one file or from the same sources. In `ours, isolated` each has a process of its own.
 
-FMPy's simulate_fmu takes one FMU only, and its time includes recording. libcosim and ecos give outputs to inputs one
+FMPy's simulate_fmu takes one FMU only, and its time includes recording. libcosim and ecos pass outputs to inputs one
 macro step later than our sequential coupling of the pendulum does: as many calls, other numbers.
 """
 
 import argparse
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
-from fmpy import extract, instantiate_fmu, read_model_description, simulate_fmu
-from fmpy.fmi2 import FMU2Slave
 
+from benchmarks.master_peers import HELD, Absent, H, Steps, System, ecospy, fmpy_loop, fmpy_simulate, libcosimpy
 from benchmarks.native_fmus import build_native, build_python
-from benchmarks.report import spread, write
-from cosim.slaves.slave import open_slave
+from benchmarks.report import Row, spread, write
+from cosim.slaves.slave import Slave, open_slave
 from cosim.system.master import Master, Wiring
 from fmu_models.build import build
 
-H = 0.01
-"""Macro step [s]."""
-Steps = Callable[[int, int], Sequence[float]]
-"""Makes the macro steps k .. k + n - 1; returns all outputs after them."""
-
-
-class Absent(Exception):
-    """Why a master takes no part."""
-
-
-@dataclass(frozen=True)
-class System:
-    """FMUs and how they are joined."""
-
-    name: str
-    fmus: Mapping[str, Path]
-    """By instance name."""
-    connections: Mapping[str, str]
-    """Input = output; an input that is not here is held at 0.1."""
-    groups: Sequence[Sequence[str]]
-    """The FMUs of a group step together, the groups one after another."""
-
-    @cached_property
-    def descriptions(self) -> dict[str, Any]:
-        """FMPy's model description of each."""
-        return {name: read_model_description(str(path)) for name, path in self.fmus.items()}
-
-    def variables(self, name: str, causality: str) -> list[Any]:
-        """Of one FMU."""
-        return [v for v in self.descriptions[name].modelVariables if v.causality == causality]
-
-    def outputs(self) -> list[tuple[str, str]]:
-        """(instance, variable) of all FMUs, in the order of what Steps returns."""
-        return [(name, v.name) for name in self.fmus for v in self.variables(name, "output")]
-
 
 def systems(folder: Path) -> Iterator[System]:
-    """What is measured; a system that cannot be built is left out with a word."""
+    """Yield the systems that are measured; one that cannot be built is named and left out."""
     ring = {f"o{i}.u": f"o{(i - 1) % 3}.x" for i in range(3)}
     for kind, make in (("native", build_native), ("pythonfmu", build_python)):
         try:
@@ -92,181 +55,44 @@ def systems(folder: Path) -> Iterator[System]:
 
 
 @contextmanager
-def ours(system: System, isolation: Any) -> Iterator[Steps]:
-    """A Slave where there is one FMU, a Master where there are more."""
+def ours(system: System, isolation: Any) -> Generator[Steps]:
+    """Open one FMU as a Slave, or several under a Master."""
     with ExitStack() as stack:
         slaves = {n: stack.enter_context(open_slave(p, n, isolation=isolation)) for n, p in system.fmus.items()}
-        wiring = {
-            name: Wiring(
-                {v.name: system.connections[f"{name}.{v.name}"] for v in system.variables(name, "input")}
-                if system.connections else {},
-                (), tuple(v.name for v in system.variables(name, "output")), {},
-            ) for name in slaves
-        }  # fmt: skip
-        if system.connections:
-            master = Master(slaves, wiring, system.groups)
-            master.initialize(0.0, 1e9)
-
-            def steps(k: int, n: int) -> Sequence[float]:
-                for i in range(k, k + n):
-                    master.begin(i * H, H, {})
-                    master.finish(i * H, H, {})
-                return master.values
-
-        else:
-            ((name, slave),) = slaves.items()
-            inputs = [v.name for v in system.variables(name, "input")]
-            slave.bind(inputs, (), wiring[name].outputs)
-            slave.initialize({}, 0.0, 1e9)
-            held = [0.1] * len(inputs)
-
-            def steps(k: int, n: int) -> Sequence[float]:
-                for i in range(k, k + n):
-                    values = slave.step(held, i * H, H)
-                return values
-
-        yield steps
+        yield _of_master(system, slaves) if system.connections else _of_slave(system, *slaves.values())
 
 
-@contextmanager
-def fmpy_loop(system: System) -> Iterator[Steps]:
-    """setReal, doStep, getReal of FMPy's FMU2Slave, names resolved before."""
-    fmus, sets, gets = {}, {}, {}
-    place = {name: i for i, name in enumerate(system.outputs())}
-    values = [0.0] * len(place)
-    for name, path in system.fmus.items():
-        description = system.descriptions[name]
-        fmu = FMU2Slave(
-            guid=description.guid, unzipDirectory=extract(str(path)), instanceName=name,
-            modelIdentifier=description.coSimulation.modelIdentifier,
-        )  # fmt: skip
-        fmu.instantiate()
-        fmu.setupExperiment(startTime=0.0)
-        fmu.enterInitializationMode()
-        fmu.exitInitializationMode()
-        inputs = system.variables(name, "input")
-        sources = [system.connections.get(f"{name}.{v.name}") for v in inputs]
-        outputs = [v.valueReference for v in system.variables(name, "output")]
-        first = min(i for (owner, _), i in place.items() if owner == name)
-        values[first : first + len(outputs)] = fmu.getReal(outputs)
-        fmus[name], gets[name] = fmu, (outputs, slice(first, first + len(outputs)))
-        sets[name] = [v.valueReference for v in inputs], [s and place[tuple(s.split("."))] for s in sources]
+def _of_master(system: System, slaves: Mapping[str, Slave]) -> Steps:
+    wiring = {
+        name: Wiring(
+            {v.name: system.connections[f"{name}.{v.name}"] for v in system.variables(name, "input")},
+            (), tuple(v.name for v in system.variables(name, "output")), {},
+        ) for name in slaves
+    }  # fmt: skip
+    master = Master(slaves, wiring, system.groups)
+    master.initialize(0.0, 1e9)
 
     def steps(k: int, n: int) -> Sequence[float]:
         for i in range(k, k + n):
-            for group in system.groups:
-                taken = [[0.1 if s is None else values[s] for s in sets[name][1]] for name in group]
-                for name, inputs in zip(group, taken, strict=True):
-                    fmu, (outputs, where) = fmus[name], gets[name]
-                    if inputs:
-                        fmu.setReal(sets[name][0], inputs)
-                    fmu.doStep(currentCommunicationPoint=i * H, communicationStepSize=H)
-                    values[where] = fmu.getReal(outputs)
-        return values
+            master.begin(i * H, H, {})
+            master.finish(i * H, H, {})
+        return master.values
 
-    yield steps
-    for fmu in fmus.values():
-        fmu.terminate()
-        fmu.freeInstance()
+    return steps
 
 
-@contextmanager
-def fmpy_simulate(system: System) -> Iterator[Steps]:
-    """simulate_fmu from t = 0, of an instance that has been loaded before."""
-    if len(system.fmus) > 1:
-        raise Absent("takes one FMU only")
-    ((name, path),) = system.fmus.items()
-    description, folder = system.descriptions[name], extract(str(path))
-    inputs = [v.name for v in system.variables(name, "input")]
-    outputs = [v.name for v in system.variables(name, "output")]
-    signal = np.zeros(1, dtype=[("time", float), *((u, float) for u in inputs)])
-    for u in inputs:
-        signal[u] = 0.1
-
-    def prepare() -> Any:
-        return instantiate_fmu(folder, description, "CoSimulation")
-
-    def steps(k: int, n: int, fmu: Any = None) -> Sequence[float]:
-        result = simulate_fmu(
-            folder, model_description=description, fmu_instance=fmu, stop_time=n * H, output_interval=H,
-            input=signal, output=outputs, validate=False,
-        )  # fmt: skip
-        if len(result) != n + 1:
-            raise RuntimeError(f"simulate_fmu made {len(result) - 1} steps for {n}")
-        return [result[o][-1] for o in outputs]
-
-    steps.prepare = prepare  # type: ignore[attr-defined]
-    yield steps
-
-
-@contextmanager
-def libcosimpy(system: System) -> Iterator[Steps]:
-    """libcosim's fixed-step algorithm, one step a call, outputs by its last-value observer."""
-    try:
-        from libcosimpy.CosimExecution import CosimExecution
-        from libcosimpy.CosimLogging import CosimLogLevel, log_output_level
-        from libcosimpy.CosimManipulator import CosimManipulator
-        from libcosimpy.CosimObserver import CosimObserver
-        from libcosimpy.CosimSlave import CosimLocalSlave
-    except (ImportError, OSError) as error:
-        raise Absent(f"{error}") from error
-    log_output_level(CosimLogLevel.ERROR)
-    execution = CosimExecution.from_step_size(round(H * 1e9))
-    slaves = {name: CosimLocalSlave(str(path), name) for name, path in system.fmus.items()}
-    index = {name: execution.add_local_slave(slave) for name, slave in slaves.items()}
-    reference = {
-        f"{name}.{v.name}": (index[name], v.valueReference)
-        for name in system.fmus for v in system.descriptions[name].modelVariables
-    }  # fmt: skip
-    for target, source in system.connections.items():
-        execution.connect_real_variables(*reference[source], *reference[target])
-    observer, manipulator = CosimObserver.create_last_value(), CosimManipulator.create_override()
-    execution.add_observer(observer)
-    execution.add_manipulator(manipulator)
-    for name in system.fmus:
-        for v in system.variables(name, "input"):
-            if f"{name}.{v.name}" not in system.connections:
-                manipulator.slave_real_values(index[name], [v.valueReference], [0.1])
-    wanted = [(index[name], [v.valueReference for v in system.variables(name, "output")]) for name in system.fmus]
+def _of_slave(system: System, slave: Slave) -> Steps:
+    inputs, outputs = ([v.name for v in system.variables(slave.name, c)] for c in ("input", "output"))
+    slave.bind(inputs, (), outputs)
+    slave.initialize({}, 0.0, 1e9)
+    held = [HELD] * len(inputs)
 
     def steps(k: int, n: int) -> Sequence[float]:
-        for _ in range(n):
-            if not execution.step():
-                raise RuntimeError("libcosim: step failed")
-            values = [observer.last_real_values(slave, references) for slave, references in wanted]
-        return [x for part in values for x in part]
+        for i in range(k, k + n):
+            values = slave.step(held, i * H, H)
+        return values
 
-    yield steps
-
-
-@contextmanager
-def ecospy(system: System) -> Iterator[Steps]:
-    """ecos, one step a call, outputs by get_real."""
-    try:
-        from ecospy import EcosSimulation, EcosSimulationStructure
-    except (ImportError, OSError) as error:
-        raise Absent(f"{error}") from error
-    with EcosSimulationStructure() as structure:
-        for name, path in system.fmus.items():
-            structure.add_model(name, str(path))
-        for target, source in system.connections.items():
-            structure.make_real_connection(source.replace(".", "::"), target.replace(".", "::"))
-        with EcosSimulation(structure=structure, step_size=H) as simulation:
-            simulation.init()
-            for name in system.fmus:
-                for v in system.variables(name, "input"):
-                    if f"{name}.{v.name}" not in system.connections:
-                        simulation.set_real(f"{name}::{v.name}", 0.1)
-            wanted = [f"{name}::{output}" for name, output in system.outputs()]
-
-            def steps(k: int, n: int) -> Sequence[float]:
-                for _ in range(n):
-                    simulation.step()
-                    values = [simulation.get_real(name) for name in wanted]
-                return values
-
-            yield steps
-            simulation.terminate()
+    return steps
 
 
 MASTERS: Mapping[str, Callable[[System], Any]] = {
@@ -280,11 +106,9 @@ MASTERS: Mapping[str, Callable[[System], Any]] = {
 YARDSTICK = "FMPy, low level"
 
 
-def measure(system: System, n_steps: int, n_blocks: int) -> list[dict[str, object]]:
-    """A row for each master. Raises RuntimeError where ours and FMPy's loop, whose calls are the same, differ."""
-    rows: dict[str, dict[str, object]] = {}
-    times: dict[str, list[float]] = {}
-    last: dict[str, Sequence[float]] = {}
+def measure(system: System, n_steps: int, n_blocks: int) -> list[Row]:
+    """Return a row for each master. Raises RuntimeError if ours and FMPy's loop, which make the same calls, differ."""
+    rows: dict[str, Row] = {}
     with ExitStack() as stack:
         steppers: dict[str, Steps] = {}
         for name, make in MASTERS.items():
@@ -293,15 +117,7 @@ def measure(system: System, n_steps: int, n_blocks: int) -> list[dict[str, objec
                 steppers[name] = stack.enter_context(make(system))
             except Absent as reason:
                 rows[name]["skipped"] = str(reason)
-        for block in range(-1, n_blocks):  # the first one warms up
-            for name, steps in steppers.items():
-                prepared = {"fmu": steps.prepare()} if hasattr(steps, "prepare") else {}
-                begun = perf_counter()
-                last[name] = list(steps((block + 1) * n_steps, n_steps, **prepared))
-                if block >= 0:
-                    times.setdefault(name, []).append((perf_counter() - begun) / n_steps * 1e6)
-                if prepared:
-                    prepared["fmu"].freeInstance()
+        times, last = _in_turns(steppers, n_steps, n_blocks)
     for name in ("ours, in process", "ours, isolated"):
         if last[name] != last[YARDSTICK]:
             raise RuntimeError(f"{system.name}: {name} gave {last[name]}, FMPy's loop {last[YARDSTICK]}")
@@ -313,14 +129,32 @@ def measure(system: System, n_steps: int, n_blocks: int) -> list[dict[str, objec
     return list(rows.values())
 
 
+def _in_turns(
+    steppers: Mapping[str, Any], n_steps: int, n_blocks: int
+) -> tuple[dict[str, list[float]], dict[str, list[float]]]:
+    """Return the microseconds a step of each master's blocks, and its outputs after the last."""
+    times: dict[str, list[float]] = {name: [] for name in steppers}
+    last: dict[str, list[float]] = {}
+    for block in range(n_blocks + 1):
+        for name, steps in steppers.items():
+            prepared = {"fmu": steps.prepare()} if hasattr(steps, "prepare") else {}
+            begun = perf_counter()
+            last[name] = list(steps(block * n_steps, n_steps, **prepared))
+            if block > 0:  # the first one warms up
+                times[name].append((perf_counter() - begun) / n_steps * 1e6)
+            if prepared:
+                prepared["fmu"].freeInstance()
+    return times, last
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Build, measure, write."""
+    """Build and measure the systems; print and keep the times."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--systems", nargs="+", help="those whose names contain one of these (default: all)")
     parser.add_argument("--steps", type=int, default=1000, help="of a block")
     parser.add_argument("--blocks", type=int, default=15)
     options = parser.parse_args(arguments)
-    rows: list[dict[str, object]] = []
+    rows: list[Row] = []
     with tempfile.TemporaryDirectory() as folder:
         for system in systems(Path(folder)):
             if not options.systems or any(part in system.name for part in options.systems):

@@ -1,6 +1,6 @@
-"""FMUs that are not of fmu_models: models in C, and one by pythonfmu.
+"""Builders of FMUs that do not come from fmu_models: models in C, and one by pythonfmu.
 
-`python -m benchmarks.native_fmus FOLDER` compiles those of docs/your-own-fmu.md, tests/foreign, into a folder.
+`python -m benchmarks.native_fmus FOLDER` builds the FMUs of docs/your-own-fmu.md (tests/foreign) in a folder.
 """
 
 import re
@@ -19,7 +19,7 @@ HEADERS = Path(fmpy.__file__).parent / "c-code"
 
 
 def compile_c(source: Path, target: Path, *options: str) -> Path:
-    """A C file compiled with gcc; returns target. Raises RuntimeError where it cannot be."""
+    """Compile a C file with gcc and return target. Raises RuntimeError if that fails."""
     gcc = shutil.which("gcc")
     if gcc is None:
         raise RuntimeError("gcc is not installed")
@@ -31,9 +31,9 @@ def compile_c(source: Path, target: Path, *options: str) -> Path:
 
 
 def build_c(source: Path, description: str, target: Path, *options: str) -> Path:
-    """A model that native/fmi_model.h makes an FMU of, and its modelDescription.xml, as target; raises RuntimeError.
+    """Build an FMU from a model for native/fmi_model.h and its modelDescription.xml, and return target.
 
-    The FMI version is that of the description.
+    The FMI version is that of the description. Raises RuntimeError if the model cannot be compiled.
     """
     identifier = re.search(r'modelIdentifier="(\w+)"', description)
     is_fmi_3 = 'fmiVersion="3' in description
@@ -48,16 +48,16 @@ def build_c(source: Path, description: str, target: Path, *options: str) -> Path
 
 
 def build_native(folder: Path) -> Path:
-    """oscillator.c as folder/native/Oscillator.fmu. Raises RuntimeError where it cannot be compiled."""
+    """Build folder/native/Oscillator.fmu from oscillator.c. Raises RuntimeError if it cannot be compiled."""
     target = folder / "native" / "Oscillator.fmu"
     target.parent.mkdir(parents=True, exist_ok=True)
     return build_c(SOURCES / "oscillator.c", (SOURCES / "modelDescription.xml").read_text(), target)
 
 
 def build_foreign(folder: Path) -> None:
-    """Axis (FMI 2.0), Axis-3 (FMI 3.0, model exchange too), Axis-ME (FMI 2.0, model exchange only), AxisController.
+    """Build Axis (FMI 2.0), Axis-3 (FMI 3.0, also model exchange), Axis-ME (model exchange only) and AxisController.
 
-    Raises RuntimeError where they cannot be compiled.
+    Raises RuntimeError if one cannot be compiled.
     """
     folder.mkdir(parents=True, exist_ok=True)
     for description in FOREIGN.glob("*.xml"):
@@ -68,7 +68,7 @@ def build_foreign(folder: Path) -> None:
 
 
 def build_python(folder: Path) -> Path:
-    """oscillator_fmu.py built by pythonfmu, as folder/python/Oscillator.fmu."""
+    """Build folder/python/Oscillator.fmu from oscillator_fmu.py with pythonfmu."""
     target = folder / "python" / "Oscillator.fmu"
     target.parent.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, "-m", "pythonfmu", "build", "-f", SOURCES / "oscillator_fmu.py", "-d", target.parent]

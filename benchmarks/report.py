@@ -1,42 +1,69 @@
-"""What every benchmark prints and keeps: an aligned table, and JSON with the facts of the machine it ran on."""
+"""Tables and JSON files of the benchmarks, with the facts of the machine on which they ran.
+
+Every benchmark prints a table and keeps its rows in results/, which are tracked. What they were made from, where it is
+large or a measurement goes on from it, is in raw/, which is not.
+"""
 
 import json
 import math
 import os
 import platform
-from collections.abc import Iterable
-from importlib.metadata import distributions
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from importlib.metadata import distributions, requires
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from cosim.files import to_json, write_text
+
 RESULTS = Path(__file__).parent / "results"
+RAW = Path(__file__).parent / "raw"
+
+Row = dict[str, Any]
 
 
-def write(name: str, rows: list[dict[str, object]], notes: str = "") -> None:
-    """Print the rows as a table and write benchmarks/results/NAME.json.
-
-    Columns are the keys in order of first appearance; a value that is a dict of `spread` prints as median [q1, q3].
-    """
+def write(name: str, rows: Sequence[Row], notes: str = "") -> None:
+    """Print the rows as a table and keep them in results/NAME.json."""
     print(table(rows))
     if notes:
         print(f"\n{notes}")
-    keep(name, rows, notes)
+    keep(RESULTS, name, rows, notes)
 
 
-def keep(name: str, rows: list[dict[str, object]], notes: str = "") -> None:
-    """Write benchmarks/results/NAME.json, whole or not at all. Not-a-number and infinities are null there."""
-    RESULTS.mkdir(exist_ok=True)
-    content = {"benchmark": name, "machine": machine(), "notes": notes, "rows": _finite(rows)}
-    target = RESULTS / f"{name}.json"
-    temporary = target.with_suffix(f".{os.getpid()}.tmp")
-    temporary.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    temporary.replace(target)
+def keep(folder: Path, name: str, rows: Sequence[Row], notes: str = "") -> None:
+    """Write NAME.json, whole or not at all; not-a-number and infinities become null."""
+    folder.mkdir(parents=True, exist_ok=True)
+    content = {"benchmark": name, "machine": machine(), "notes": notes, "rows": rows}
+    write_text(folder / f"{name}.json", to_lines(content))
 
 
-def spread(values: Iterable[float]) -> dict[str, Any]:
-    """Median, quartiles and number of values; NaN and 0 of none."""
+def stored(folder: Path, name: str) -> list[Row]:
+    """Return the rows of NAME.json, none if there is no such file."""
+    path = folder / f"{name}.json"
+    return json.loads(path.read_text(encoding="utf-8"))["rows"] if path.exists() else []
+
+
+def updated(name: str, rows: Iterable[Row], *keys: str) -> list[Row]:
+    """Return the rows of results/NAME.json with these in place of those that have the same keys, or after them."""
+    found = {tuple(row[key] for key in keys): row for row in stored(RESULTS, name)}
+    return list((found | {tuple(row[key] for key in keys): row for row in rows}).values())
+
+
+def to_lines(content: Mapping[str, Any]) -> str:
+    """Return a JSON object with a line for each key, and for each element of a list of objects."""
+
+    def text(value: Any) -> str:
+        if isinstance(value, list | tuple) and value and all(isinstance(v, Mapping) for v in value):
+            return "[\n" + ",\n".join(map(to_json, value)) + "\n]"
+        return to_json(value)
+
+    return "{\n" + ",\n".join(f"{to_json(key)}: {text(value)}" for key, value in content.items()) + "\n}\n"
+
+
+def spread(values: Iterable[float]) -> Row:
+    """Return median, quartiles and number of values; NaN and 0 if there are none."""
     data = np.array(list(values), dtype=float)
     if not len(data):
         return {"median": math.nan, "q1": math.nan, "q3": math.nan, "n": 0}
@@ -44,8 +71,11 @@ def spread(values: Iterable[float]) -> dict[str, Any]:
     return {"median": median, "q1": q1, "q3": q3, "n": len(data)}
 
 
-def table(rows: list[dict[str, object]]) -> str:
-    """The rows under their keys: text left, numbers right."""
+def table(rows: Sequence[Row]) -> str:
+    """Return the rows under their keys, in order of first appearance: text left, numbers right.
+
+    A value made by `spread` is shown as median [q1, q3].
+    """
     columns = list(dict.fromkeys(key for row in rows for key in row))
     cells = [[_cell(row.get(column, "")) for column in columns] for row in rows]
     width = [max(map(len, column)) for column in zip(columns, *cells, strict=True)]
@@ -57,16 +87,27 @@ def table(rows: list[dict[str, object]]) -> str:
     return "\n".join(lines)
 
 
-def machine() -> dict[str, object]:
-    """Processor, cores, memory, and versions of system, Python and installed packages."""
+def machine() -> Row:
+    """Return processor, cores, memory, and versions of the system, of Python and of the packages that count."""
     return {
         "cpu": _processor(),
         "cores": os.cpu_count(),
         "memory_gib": round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1),
         "system": platform.platform(),
         "python": platform.python_version(),
-        "packages": dict(sorted((d.metadata["Name"], d.version) for d in distributions())),
+        "packages": _packages(),
     }
+
+
+def _packages() -> dict[str, str]:
+    """Return the versions of this package and of those installed that it names among its dependencies."""
+    named = {_normal(re.split(r"[\s\[<>=!~;]", required, maxsplit=1)[0]) for required in requires("fmu-retune") or ()}
+    found = {d.metadata["Name"]: d.version for d in distributions()}
+    return {name: found[name] for name in sorted(found) if _normal(name) in named | {"fmu-retune"}}
+
+
+def _normal(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
 
 
 def _processor() -> str:
@@ -82,18 +123,8 @@ def _cell(value: object) -> str:
         return f"{_cell(value['median'])} [{_cell(value['q1'])}, {_cell(value['q3'])}]" if value.get("n", 1) else "-"
     if isinstance(value, bool) or not isinstance(value, float):
         return "" if value is None else str(value)
-    return "-" if math.isnan(value) else f"{value:.0f}" if 1000.0 <= abs(value) < math.inf else f"{value:.3g}"
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(k): _finite(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(v) for v in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    return "-" if math.isnan(value) else f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.3g}"
 
 
 if __name__ == "__main__":
-    print(json.dumps(machine(), indent=1))
+    print(to_json(machine(), indent=1))

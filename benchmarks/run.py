@@ -1,11 +1,11 @@
-"""The whole quadrotor scenario, `target`, each FMU in its own process: how many times real time, and where it goes.
+"""The whole quadrotor scenario, `target`, each FMU in its own process: how many times real time, and where time goes.
 
     python -m benchmarks.run [--seeds 5] [--scenario quadrotor] [--estimator target]
 
-A seed is run twice, with and without a clock around the calls of each part; what the clock costs is the difference. The
-clock sits outside: the classes' methods are wrapped while it runs. A part's time is its own, without that of the parts
-that it calls. The FMUs' own time is that of the recorded steps, done again by each FMU alone in its process; in a group
-of FMUs that step at the same time the slowest counts. What the master waits beyond it is the exchange.
+Each seed is run twice, with and without a clock around the calls of each part; the difference is what the clock costs.
+The clock is outside our code: it wraps the methods of the classes while it runs. The time of a part does not include
+that of the parts it calls. The FMUs' own time is that of the same steps, repeated by each FMU alone in a process; in a
+group of FMUs that step at the same time the slowest counts. What the master waits beyond that is the exchange.
 """
 
 import argparse
@@ -31,8 +31,8 @@ from cosim.system.master import Master
 from estimator import DerivativeResidual, PaperBO, ResidualWindow, TargetVector, triggers
 
 REACH = 6.0
-"""Times real time, overall."""
-_OWNERS: tuple[tuple[str, type[Any], tuple[str, ...]], ...] = (
+"""Times real time that a whole run should reach."""
+PARTS: tuple[tuple[str, type[Any], tuple[str, ...]], ...] = (
     ("start of the FMUs", simulation._Loop, ("initialize",)),
     ("FMUs and exchange", Master, ("begin", "finish")),
     ("sampling", Sampler, ("take", "row")),
@@ -44,16 +44,17 @@ _OWNERS: tuple[tuple[str, type[Any], tuple[str, ...]], ...] = (
     ("ask", PaperBO, ("ask",)),
     ("tell", TargetVector, ("tell", "rescore")),
     ("tell", PaperBO, ("tell",)),
-    ("belief", TargetVector, ("estimate",)),
-    ("belief", PaperBO, ("estimate",)),
+    ("estimate", TargetVector, ("estimate",)),
+    ("estimate", PaperBO, ("estimate",)),
     ("recording", Recorder, ("row", "event", "close")),
     ("loop", simulation._Loop, ("_exchange",)),
 )
+"""Parts of a run: name, class and methods."""
 _STEPS = "FMUs and exchange"
 
 
 class Clock:
-    """Own time of each part [s], gathered from wrapped methods."""
+    """Own time of each part [s], taken by wrapped methods."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = defaultdict(float)
@@ -63,13 +64,13 @@ class Clock:
 
     @contextmanager
     def running(self) -> Generator[None]:
-        """Wrap the parts' methods meanwhile."""
-        places = [(owner, name, part) for part, owner, names in _OWNERS for name in names]
+        """Wrap the methods of the parts until the block ends."""
+        places = [(owner, name, part) for part, owner, names in PARTS for name in names]
         original = [(owner, name, owner.__dict__[name]) for owner, name, _ in places]
         begin_step = Slave.begin_step
         try:
             for owner, name, part in places:
-                setattr(owner, name, self._timed(owner.__dict__[name], part))
+                setattr(owner, name, self.timed(owner.__dict__[name], part))
             Slave.begin_step = self._noted(begin_step)
             yield
         finally:
@@ -77,7 +78,8 @@ class Clock:
             for owner, name, function in original:
                 setattr(owner, name, function)
 
-    def _timed(self, function: Any, part: str) -> Any:
+    def timed(self, function: Any, part: str) -> Any:
+        """Return the function, made to add its own time to that of a part."""
         seconds, inner = self.seconds, self._inner
 
         def timed(*arguments: Any, **named: Any) -> Any:
@@ -102,7 +104,7 @@ class Clock:
 
 
 def main() -> None:
-    """Parse, measure, print."""
+    """Measure the runs; print and keep the time of each part."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenario", default="quadrotor")
     parser.add_argument("--estimator", default="target")
@@ -116,7 +118,7 @@ def main() -> None:
 
 
 def rows(runs: Sequence[Mapping[str, float]], span: float) -> list[dict[str, object]]:
-    """A row a part: wall time [s] in a run of span [s], median and quartiles over the runs."""
+    """Return a row for each part: wall time [s] in a run of span [s], median and quartiles over the runs."""
     return [
         {"part": part, "s": spread(r[part] for r in runs), "times real time": spread(span / r[part] for r in runs)}
         for part in runs[0]
@@ -125,7 +127,7 @@ def rows(runs: Sequence[Mapping[str, float]], span: float) -> list[dict[str, obj
 
 
 def measured(scenario: Scenario, estimator: str, seed: int) -> dict[str, float]:
-    """Wall time [s] of each part of one run, and of the whole without a clock."""
+    """Return the wall time [s] of each part of one run, and of the whole without a clock."""
     plain, folder_seconds = _run(scenario, estimator, seed)
     clock = Clock()
     with clock.running():
@@ -148,7 +150,7 @@ def measured(scenario: Scenario, estimator: str, seed: int) -> dict[str, float]:
 
 
 def _run(scenario: Scenario, estimator: str, seed: int) -> tuple[Any, float]:
-    """A recorded run, and what is written of it after its last step [s]."""
+    """Return a recorded run, and the time taken to complete its folder after its last step [s]."""
     with tempfile.TemporaryDirectory() as folder:
         begun = perf_counter()
         result = simulation.run(scenario, estimator, seed, Path(folder))
@@ -156,7 +158,7 @@ def _run(scenario: Scenario, estimator: str, seed: int) -> tuple[Any, float]:
 
 
 def _alone(scenario: Scenario, steps: Mapping[str, Sequence[tuple[Any, ...]]]) -> float:
-    """Own time [s] of the FMUs on the way from one communication point to the next, summed over the run."""
+    """Return the time [s] that the FMUs themselves need for all macro steps."""
     seconds: dict[str, Any] = {}
     for name, path in fmu_paths(scenario).items():
         with get_context("spawn").Pool(1) as pool:
@@ -167,7 +169,7 @@ def _alone(scenario: Scenario, steps: Mapping[str, Sequence[tuple[Any, ...]]]) -
 
 
 def _steps_of(scenario: Scenario, name: str, path: Path, steps: Sequence[tuple[Any, ...]]) -> list[float]:
-    """Wall time [s] of each of these steps of one FMU in this process."""
+    """Return the wall time [s] of each of these steps of one FMU in this process."""
     settings = scenario.scenario
     begun = [r.partition(".") for r in scenario.connections if r.startswith(f"{name}.")]
     written = [*scenario.changes, *(p.writes for p in scenario.estimation.parameters)]

@@ -1,14 +1,15 @@
-"""What an evaluation costs as the problem grows, and whether an hour of simulated time leaves memory and pace alone.
+"""What an evaluation costs as the problem grows, and whether memory and pace stay the same for an hour.
 
     python -m benchmarks.scaling growth [--estimators target bo-scalar paper] [--seeds 3]
     python -m benchmarks.scaling endurance [--steps 360000] [--limit SECONDS]
 
-`growth` runs the product's own loop (`Retuner`: one evaluation a macro step, every stored candidate judged anew on each
-new sample) on a synthetic plant whose parameters are known. An evaluation is ask + score + tell + belief, in time of
-the processor: the wall's on an idle machine, and without a busy one's load. From the base case each size is varied
-alone; the exponent is the slope of log cost over log size. `endurance` runs the pendulum, recorded, each FMU in its
-own process, with a mass and a rod that change every ten seconds; Linux only. Every 10,000 macro steps it notes the
-resident memory of this process and of the FMUs'. Interrupted, or at its limit, it tells what it has so far.
+`growth` runs our own loop (`Retuner`: one evaluation per macro step, every stored candidate scored again on each new
+sample) on a synthetic plant whose parameters are known. The cost of an evaluation is the processor time of asking for a
+candidate, scoring it, telling its score and making the estimate; on an idle machine that is the wall time, and a busy
+one does not change it. Each size is varied alone from a base case; the exponent is the slope of log cost over log size.
+`endurance` runs the pendulum, recorded, each FMU in its own process, with a mass and a length that change every ten
+seconds; Linux only. Every 10,000 macro steps it notes the resident memory of this process and of those of the FMUs.
+Interrupted, or at its limit, it reports what it has so far.
 """
 
 import argparse
@@ -32,22 +33,22 @@ from estimator.retuner import Budget, Retuner
 from estimator.triggers import AlwaysTrigger
 
 SIGMA = 1e-3
-"""Noise of the synthetic plant's derivatives."""
+"""Standard deviation of the noise of the synthetic plant's derivatives."""
 MOST_SCALAR = 60
 """Observations up to which the scalar methods are measured: GPy's fits are cubic in them."""
 BLOCK = 10_000
-"""Macro steps between two looks at the memory."""
+"""Macro steps between two readings of the memory."""
 RECURRING = {
     "changes.'plant.m'": "1.75 if t % 20 < 10 else 4.271",
     "changes.'plant.l'": "0.75 if t % 20 < 10 else 0.981",
     "estimation.instants": "[]",
     "estimation.budget": "15",
 }
-"""The pendulum's change, undone and done again every ten seconds, and half the evaluations."""
+"""Overrides that repeat and undo the pendulum's change every ten seconds, with half the evaluations."""
 
 
 class Size(NamedTuple):
-    """How large a problem is."""
+    """Size of a problem."""
 
     observations: int = 60
     dimensions: int = 4
@@ -64,7 +65,7 @@ SIZES: dict[str, tuple[int, ...]] = {
 
 
 def main() -> None:
-    """Parse, measure, print."""
+    """Measure growth or endurance."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(required=True)
     grow = commands.add_parser("growth")
@@ -80,7 +81,7 @@ def main() -> None:
 
 
 def growth(estimators: Sequence[str], n_seeds: int, sizes: Mapping[str, Sequence[int]] = SIZES) -> None:
-    """Vary each size alone, for each estimator; print and write."""
+    """Vary each size alone, for each estimator; print and keep the costs."""
     rows: list[dict[str, object]] = []
     fits: list[str] = []
     with threadpool_limits(1):
@@ -90,12 +91,12 @@ def growth(estimators: Sequence[str], n_seeds: int, sizes: Mapping[str, Sequence
                     values = [v for v in values if v <= MOST_SCALAR]
                 of_size = [_row(name, what, Size()._replace(**{what: v}), n_seeds) for v in values]
                 rows += of_size
-                fits.append(f"{name}: {_exponents(what, values, of_size)}")
+                fits.append(f"{name}: {exponents(what, values, of_size)}")
     write("scaling", rows, "exponents of the median:\n" + "\n".join(fits))
 
 
-def _exponents(what: str, values: Sequence[int], rows: Sequence[Mapping[str, Any]]) -> str:
-    """Slope of log cost over log size: fitted to all, and between the last two, which shows where it is bounded."""
+def exponents(what: str, values: Sequence[int], rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the slope of log cost over log size, as text: fitted to all sizes, and between the last two."""
     x, y = np.log(values), np.log([r["ms"]["median"] for r in rows])
     if len(x) < 2:
         return f"{what}: one size only"
@@ -103,7 +104,7 @@ def _exponents(what: str, values: Sequence[int], rows: Sequence[Mapping[str, Any
 
 
 def _row(name: str, what: str, size: Size, n_seeds: int) -> dict[str, object]:
-    """Cost of the last third of the evaluations, but at most 60: those at about this number of observations."""
+    """Return the cost of the last third of the evaluations, at most 60: those with about this many observations."""
     last = min(max(size.observations // 3, 1), 60)
     milliseconds: list[float] = []
     errors: list[float] = []
@@ -129,7 +130,7 @@ def _row(name: str, what: str, size: Size, n_seeds: int) -> dict[str, object]:
 
 
 def _memory(name: str, size: Size) -> float:
-    """What Python holds more after the evaluations than before them [KiB]."""
+    """Return how much more memory Python holds after the evaluations than before them [KiB]."""
     tracemalloc.start()
     try:
         retuner, samples, _ = synthetic(name, size, 0)
@@ -143,7 +144,7 @@ def _memory(name: str, size: Size) -> float:
 
 
 def synthetic(name: str, size: Size, seed: int) -> tuple[Retuner, list[Sample], np.ndarray]:
-    """A loop that never idles, a sample for each evaluation, and the plant's theta (d,).
+    """Return a loop that never idles, a sample for each evaluation, and the plant's theta (d,).
 
     xdot = Phi(x) tanh(log theta), a smooth model whose rows Phi differ from sample to sample: every theta is seen.
     """
@@ -169,7 +170,7 @@ def synthetic(name: str, size: Size, seed: int) -> tuple[Retuner, list[Sample], 
 
 
 def endurance(n_steps: int, limit: float = math.inf) -> None:
-    """Run, print and write; a row a block."""
+    """Run the pendulum; print and keep a row for each block of macro steps."""
     scenario = Scenario.load("pendulum", RECURRING | {"scenario.stop_time": repr(0.01 * n_steps)})
     watch = Watch(min(BLOCK, max(n_steps // 4, 1)), limit)
     with tempfile.TemporaryDirectory() as folder:
@@ -191,7 +192,7 @@ PARENT, CHILDREN = "this process [MiB]", "the FMUs' [MiB]"
 
 
 class Watch:
-    """A run's progress: the time of each macro step, and the memory after each block of them."""
+    """Progress of a run that takes the time of each macro step, and the memory after each block of them."""
 
     def __init__(self, block: int, limit: float) -> None:
         self.rows: list[dict[str, Any]] = []
@@ -219,7 +220,7 @@ class Watch:
 
 
 def _resident(process_id: int) -> float:
-    """Resident memory of a process [MiB]."""
+    """Return the resident memory of a process [MiB]."""
     pages = int(Path(f"/proc/{process_id}/statm").read_text(encoding="ascii").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 

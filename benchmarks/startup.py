@@ -1,11 +1,11 @@
-"""How long `retune` takes to say something, and to make its first macro step, from the start of its process.
+"""Time from the start of `retune` to its help text, and to the end of its first macro step.
 
     python -m benchmarks.startup [--repeats 5] [--imports]
 
-The first macro step is that of a run that ends there: its series is closed right after, and the time of that file is
-what counts, so nothing is measured inside. Every command is a process of its own; the files are in the cache of the
-operating system after the first, which is shown apart. `--imports` prints what the commands and an FMU's process import
-that takes longest (python -X importtime).
+The run ends with its first macro step and closes its series right after; the time stamp of that file is what counts, so
+nothing is measured inside. Every command is a process of its own. After the first one the files are in the cache of the
+operating system, so the first time is shown apart. `--imports` lists the slowest imports of the command and of an FMU's
+process (python -X importtime).
 """
 
 import argparse
@@ -21,13 +21,13 @@ from pathlib import Path
 from benchmarks.report import spread, write
 
 HELP_REACH, STEP_REACH = 0.3, 2.5
-"""[s]"""
+"""Times that should be reached [s]."""
 _RETUNE = (sys.executable, "-c", "import sys; from cosim.cli import main; sys.exit(main())")
 _RUN = ("run", "quadrotor", "--only", "--set", "scenario.stop_time=0.01", "--set", "estimation.instants=[]")
 
 
 def main() -> None:
-    """Parse, measure, print."""
+    """Measure each command; print and keep the times."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--imports", action="store_true", help="list the slowest imports instead")
@@ -50,14 +50,14 @@ def main() -> None:
 
 
 def help_shown() -> float:
-    """Wall time of `retune --help` [s]."""
+    """Return the wall time of `retune --help` [s]."""
     begun = time.perf_counter()
     subprocess.run([*_RETUNE, "--help"], check=True, stdout=subprocess.DEVNULL)
     return time.perf_counter() - begun
 
 
 def first_step(estimator: str, to_end: bool = False) -> float:
-    """Wall time from the start of `retune run` to the end of its first macro step, or to its own [s]."""
+    """Return the wall time from the start of `retune run` to the end of its first macro step, or of the run [s]."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "run"
         begun = time.time_ns()
@@ -68,7 +68,7 @@ def first_step(estimator: str, to_end: bool = False) -> float:
 
 
 def slowest_imports(arguments: Sequence[str], n: int = 25) -> str:
-    """The imports of longest cumulative time of a Python program, a line each: [ms], module."""
+    """Return the imports of a Python program with the longest cumulative times, a line for each: [ms], module."""
     with tempfile.TemporaryDirectory() as folder:
         program = [sys.executable, "-X", "importtime", *arguments]
         path = os.pathsep.join(str(Path(p).resolve()) for p in sys.path if p)

@@ -50,7 +50,6 @@ def test_a_ring_of_equal_oscillators_is_one_that_drives_itself(systems):
 def test_a_master_that_computes_something_else_is_found_out(systems, monkeypatch):
     other = lambda system: master.ours(systems["oscillator, pythonfmu"], "none")  # noqa: E731
     monkeypatch.setitem(master.MASTERS, "ours, isolated", other)
-    monkeypatch.setattr(master, "H", 0.01)
     with pytest.raises(RuntimeError, match=r"pendulum: ours, isolated gave .*, FMPy's loop"):
         master.measure(systems["pendulum"], 5, 1)
 

@@ -17,8 +17,8 @@ def test_intervals_of_target_cover_as_often_as_they_say(scenario):
     labels = {"scenario": scenario, "how": "frozen", "estimator": "target"}
     with threadpool_limits(1):
         for seed in range(60):
-            for belief in frozen(scenario, "target", seed):
-                count(tally, space, labels, belief)
+            for interval in frozen(scenario, "target", seed):
+                count(tally, space, labels, interval)
     rows = list(tally.values())
     print("\n" + table(summary(rows)))
     margin = 0.02  # two deviations of 120 intervals, of which those of one estimate err together

@@ -22,6 +22,7 @@ import numpy as np
 
 from benchmarks.report import spread, write
 from cosim.runs import simulation
+from cosim.runs.loop import Loop
 from cosim.runs.record import Recorder
 from cosim.sampling.sampler import Sampler
 from cosim.scenarios.scenario import Scenario
@@ -33,7 +34,7 @@ from estimator import DerivativeResidual, PaperBO, ResidualWindow, TargetVector,
 REACH = 6.0
 """Times real time that a whole run should reach."""
 PARTS: tuple[tuple[str, type[Any], tuple[str, ...]], ...] = (
-    ("start of the FMUs", simulation._Loop, ("initialize",)),
+    ("start of the FMUs", Loop, ("initialize",)),
     ("FMUs and exchange", Master, ("begin", "finish")),
     ("sampling", Sampler, ("take", "row")),
     ("trigger", triggers.InnovationTrigger, ("__call__",)),
@@ -47,7 +48,7 @@ PARTS: tuple[tuple[str, type[Any], tuple[str, ...]], ...] = (
     ("estimate", TargetVector, ("estimate",)),
     ("estimate", PaperBO, ("estimate",)),
     ("recording", Recorder, ("row", "event", "close")),
-    ("loop", simulation._Loop, ("_exchange",)),
+    ("loop", Loop, ("execute",)),
 )
 """Parts of a run: name, class and methods."""
 _STEPS = "FMUs and exchange"

@@ -46,7 +46,7 @@ class Information:
 
 
 def information(jacobian: Vector) -> Information:
-    """DataSupport of residuals whose sensitivity to z is jacobian (D, d); D may be smaller than d."""
+    """Information of residuals whose sensitivity to z is jacobian (D, d); D may be smaller than d."""
     d = jacobian.shape[1]
     _, s, directions = np.linalg.svd(jacobian, full_matrices=True)
     singular_values = np.zeros(d)
@@ -55,6 +55,6 @@ def information(jacobian: Vector) -> Information:
 
 
 def information_of_covariance(P: Vector) -> Information:
-    """DataSupport of an estimate whose covariance in the unit cube is P (d, d), symmetric: P = V^T diag(1/s^2) V."""
+    """Information of an estimate whose covariance in the unit cube is P (d, d), symmetric: P = V^T diag(1/s^2) V."""
     variances, directions = np.linalg.eigh(P)  # from small to large: s from large to small
     return Information(1.0 / np.sqrt(np.maximum(variances, 1e-24)), directions.T)

@@ -1,4 +1,4 @@
-"""What runs in an FMU's own process: its Instance, and the answers to a Worker's requests.
+"""What runs in an FMU's own process: its Instance, and the answers to a FmuProcess's requests.
 
 The process lives at most as long as the one that has started it: it ends when its channel or its standard input, which
 is never written to, ends. Neither fmu_models nor pythonfmu is imported here: an FMU ships its own.

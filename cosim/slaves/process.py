@@ -47,7 +47,7 @@ main(channel)
 """
 
 
-class Worker:
+class FmuProcess:
     """The handle of an FMU's process.
 
     Loading starts with the constructor and is waited for in the first call, so several FMUs load at the same time.

@@ -25,8 +25,8 @@ from ..fmi.folder import PrivateFolder
 from ..fmi.ports import Catalogue, Ports
 from ..fmi.step_batch import decode_outputs, encode_steps
 from ..fmi.value_buffers import PYTHON_TYPE, Value
-from .host import Home, SameProcess
-from .process import Worker
+from .host import Host, InProcessFmu
+from .process import FmuProcess
 
 Isolation = Literal["process", "none"]
 
@@ -70,11 +70,15 @@ def open_slave(
             "pythonfmu" in (description.generationTool or "").lower(),
             "fmi2" if description.fmiVersion == "2.0" else "fmi3",
         )
-        home = Worker(identity, timeout, memory_limit=memory_limit) if isolation == "process" else SameProcess(identity)
+        host = (
+            FmuProcess(identity, timeout, memory_limit=memory_limit)
+            if isolation == "process"
+            else InProcessFmu(identity)
+        )
     except BaseException:
         folder.remove()
         raise
-    return Slave(fmu, instance_name, description, home, folder, out_of_range)
+    return Slave(fmu, instance_name, description, host, folder, out_of_range)
 
 
 class _Phase(Enum):
@@ -97,7 +101,7 @@ class Slave:
         fmu: Path,
         instance_name: str,
         description: ModelDescription,
-        home: Home,
+        host: Host,
         folder: PrivateFolder,
         out_of_range: OutOfRange = "fault",
     ) -> None:
@@ -106,7 +110,7 @@ class Slave:
         self.name = instance_name
         self.description = description
         self._catalogue = Catalogue(fmu.name, description.modelVariables)
-        self._home = home
+        self._host = host
         self._phase = _Phase.INSTANTIATED
         self._time: float | None = None
         self._fault: SlaveError | None = None
@@ -115,7 +119,7 @@ class Slave:
         self._strayed: set[str] = set()
         self._values: tuple[float, ...] | None = None
         self._inputs, self._tunables, self._outputs = (Ports(role, ()) for role in ("input", "parameter", "output"))
-        self._finalizer = weakref.finalize(self, _release, home, folder, os.getpid())
+        self._finalizer = weakref.finalize(self, _release, host, folder, os.getpid())
 
     def bind(self, inputs: Sequence[str] = (), tunables: Sequence[str] = (), outputs: Sequence[str] = ()) -> None:
         """Say which variables are set and got at communication points, and in which order.
@@ -131,7 +135,7 @@ class Slave:
         self._outputs = self._catalogue.ports("output", outputs, self._is_lenient)
         self._values = None
         ports = (self._inputs, self._tunables, self._outputs)
-        self._guarded(self._home.bind, *(port.variables for port in ports))
+        self._guarded(self._host.bind, *(port.variables for port in ports))
 
     def initialize(self, start: Mapping[str, Value], start_time: float = 0.0, stop_time: float | None = None) -> None:
         """Set start values by name and go through initialization mode; times in s.
@@ -140,7 +144,7 @@ class Slave:
         """
         self._must_be("initialize", _Phase.INSTANTIATED)
         values = [self._start_value(name, value, start_time) for name, value in start.items()]
-        self._guarded(self._home.call, "initialize", start_time, values, start_time, stop_time)
+        self._guarded(self._host.call, "initialize", start_time, values, start_time, stop_time)
         self._time, self._phase, self._values = start_time, _Phase.RUNNING, None
 
     def enter_initialization(
@@ -149,7 +153,7 @@ class Slave:
         """As initialize, but stay in initialization mode, for propagate and exit_initialization."""
         self._must_be("enter_initialization", _Phase.INSTANTIATED)
         values = [self._start_value(name, value, start_time) for name, value in start.items()]
-        self._guarded(self._home.call, "enter_initialization", start_time, values, start_time, stop_time)
+        self._guarded(self._host.call, "enter_initialization", start_time, values, start_time, stop_time)
         self._time, self._phase = start_time, _Phase.INITIALIZING
 
     def propagate(self, inputs: Sequence[float] | None) -> tuple[float, ...]:
@@ -160,12 +164,12 @@ class Slave:
         self._must_be("propagate", _Phase.INITIALIZING)
         if inputs is not None and len(inputs) != len(self._inputs.variables):
             raise ValueError(f"{self.name}: {len(self._inputs.variables)} values must be set, got {len(inputs)}.")
-        return tuple(self._guarded(self._home.call, "propagate", self._time, inputs))
+        return tuple(self._guarded(self._host.call, "propagate", self._time, inputs))
 
     def exit_initialization(self) -> None:
         """Leave initialization mode. Raises SlaveError."""
         self._must_be("exit_initialization", _Phase.INITIALIZING)
-        self._guarded(self._home.call, "exit_initialization", self._time)
+        self._guarded(self._host.call, "exit_initialization", self._time)
         self._phase, self._values = _Phase.RUNNING, None
 
     def restart(self) -> None:
@@ -174,17 +178,17 @@ class Slave:
         Not fmi2Reset, which many FMUs do not have. Raises SlaveError. One that declares
         canBeInstantiatedOnlyOncePerProcess may fail: it needs a new slave.
         """
-        self._guarded(self._home.call, "restart", self._time)
+        self._guarded(self._host.call, "restart", self._time)
         self._time = self._values = None
         self._phase = _Phase.INSTANTIATED
         ports = (self._inputs, self._tunables, self._outputs)
-        self._guarded(self._home.bind, *(port.variables for port in ports))
+        self._guarded(self._host.bind, *(port.variables for port in ports))
 
     def get(self) -> tuple[float, ...]:
         """The bound outputs at the present communication point. Raises SlaveError."""
         self._must_be("get", _Phase.RUNNING)
         if self._values is None:
-            values = tuple(self._guarded(self._home.call, "get", self._time))
+            values = tuple(self._guarded(self._host.call, "get", self._time))
             self._values = self._checked_outputs(values)
         return self._values
 
@@ -198,7 +202,7 @@ class Slave:
         self._refuse(self._inputs, inputs, t)
         if tunables is not None:
             self._refuse(self._tunables, tunables, t)
-        self._guarded(self._home.begin_step, t, h, inputs, tunables)
+        self._guarded(self._host.begin_step, t, h, inputs, tunables)
         self._time, self._end_of_step = t, t + h
 
     def end_step(self) -> tuple[float, ...]:
@@ -206,7 +210,7 @@ class Slave:
         end, self._end_of_step = self._end_of_step, None
         if end is None:
             raise RuntimeError(f"{self.name}: end_step must follow begin_step.")
-        values = self._guarded(self._home.end_step, self._time)
+        values = self._guarded(self._host.end_step, self._time)
         self._time = end
         self._values = self._checked_outputs(values)
         return values
@@ -231,7 +235,7 @@ class Slave:
             self._refuse(self._tunables, tunables, times[0])
         for t, values in zip(times, inputs, strict=False):
             self._refuse(self._inputs, values, t)
-        answer = self._guarded(self._home.call, "many_steps", times[0], encode_steps(times, inputs, tunables))
+        answer = self._guarded(self._host.call, "many_steps", times[0], encode_steps(times, inputs, tunables))
         rows = decode_outputs(answer, len(inputs))
         for t, row in zip(times[1:], rows, strict=True):
             self._time = t
@@ -254,7 +258,7 @@ class Slave:
         Raises StateTooLargeError, after which the FMU is as it was, SlaveError.
         """
         self._must_have_states("get_state")
-        state = self._guarded(self._home.call, "get_state", self._time)
+        state = self._guarded(self._host.call, "get_state", self._time)
         if not isinstance(state, bytes):
             reason = f"the state has {state} bytes; at most {LARGEST_STATE} can be saved"
             raise StateTooLargeError(self.name, "get_state", self._time, reason, COLON)
@@ -263,7 +267,7 @@ class Slave:
     def set_state(self, state: bytes) -> None:
         """Go back to a state. Raises SlaveError."""
         self._must_have_states("set_state")
-        self._guarded(self._home.call, "set_state", self._time, state)
+        self._guarded(self._host.call, "set_state", self._time, state)
         self._phase, self._values = _Phase.RUNNING, None  # the state of an FMU that was running
 
     @property
@@ -295,7 +299,7 @@ class Slave:
         if not self._finalizer.alive:
             return
         try:
-            self._home.close(self._time, self._fault is None)
+            self._host.close(self._time, self._fault is None)
         except SlaveError as error:
             _log.warning("%s", error)
         finally:
@@ -364,8 +368,8 @@ class Slave:
         return variable.name, variable.type, variable.reference, PYTHON_TYPE[variable.type](value)
 
 
-def _release(home: Home, folder: PrivateFolder, process_id: int) -> None:
+def _release(host: Host, folder: PrivateFolder, process_id: int) -> None:
     """Leave nothing behind: called by close, when a slave is forgotten, or at the end of the program."""
     if os.getpid() == process_id:  # not in a fork of it
-        home.close(None, is_polite=False)
+        host.close(None, is_polite=False)
         folder.remove()

@@ -9,7 +9,7 @@ from cosim.errors import SlaveError
 from cosim.fmi.archive import read_description, unpack
 from cosim.fmi.fmi2_co_simulation import Identity
 from cosim.fmi.value_buffers import Variable
-from cosim.slaves.process import Worker
+from cosim.slaves.process import FmuProcess
 from cosim.slaves.slave import Slave, open_slave
 from fmu_models.build import build
 
@@ -52,7 +52,7 @@ def test_a_parameter_that_is_not_finite_is_named(controller, tmp_path):
     folder = str(tmp_path / "unpacked")
     unpack(controller, folder)
     identity = Identity(folder, "QuadrotorController", str(description.guid), "controller", has_plain_log=True)
-    worker = Worker(identity, timeout_s=20.0)
+    worker = FmuProcess(identity, timeout_s=20.0)
     worker.bind([], [Variable("m", "Real", m.valueReference)], [])
     worker.call("initialize", 0.0, [], 0.0, None)
     worker.begin_step(0.0, 0.01, [], [math.nan])

@@ -22,7 +22,7 @@ from cosim.errors import ModelDescriptionError, SlaveError, WiringError
 from cosim.fmi.archive import read_description
 from cosim.fmi.fmu_log import MessageLog
 from cosim.fmi.value_buffers import Variable, blocks_of
-from cosim.slaves.process import Worker
+from cosim.slaves.process import FmuProcess
 from cosim.slaves.slave import open_slave
 
 pytestmark = pytest.mark.fmu
@@ -100,7 +100,7 @@ def mixer(tmp_path_factory) -> Path:
 def isolation(request, monkeypatch) -> str:
     """Every way an instance can be reached."""
     if request.param == "process on a pipe":
-        monkeypatch.setattr(cosim.slaves.slave, "Worker", functools.partial(Worker, kind="pipe"))
+        monkeypatch.setattr(cosim.slaves.slave, "FmuProcess", functools.partial(FmuProcess, kind="pipe"))
     return "none" if request.param == "none" else "process"
 
 

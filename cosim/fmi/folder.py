@@ -1,4 +1,4 @@
-"""The folder that an FMU is unpacked into: nobody else's, and gone afterwards however its process ends.
+"""Private folders that FMUs are unpacked into, and that are gone afterwards however a process ends.
 
 A process that is killed cannot clear up. So each folder is locked (flock, which ends with its holder) for as long as it
 is used, and whoever makes one first removes those that nobody holds any more.
@@ -32,7 +32,7 @@ class PrivateFolder:
     """
 
     path: str
-    """Absolute."""
+    """Absolute path."""
 
     def __init__(self) -> None:
         """Raises ModelDescriptionError where no folder has a name that every FMU can read."""
@@ -74,13 +74,13 @@ class PrivateFolder:
 
 
 class _Lock:
-    """The lock of a folder; that of no folder where the system has none."""
+    """The lock of a folder, on systems that have such locks."""
 
     def __init__(self) -> None:
         self._descriptor: int | None = None
 
     def take(self, folder: str) -> bool:
-        """Whether nobody else has it, and it is there. Raises OSError for one that is not ours."""
+        """Take a folder's lock; return whether nobody else has it, and the folder exists. Raises OSError."""
         if sys.platform == "win32":
             return False
         import fcntl
@@ -106,7 +106,7 @@ class _Lock:
         return True
 
     def give_back(self) -> None:
-        """Idempotent."""
+        """Give the lock back; idempotent."""
         if self._descriptor is not None:
             os.close(self._descriptor)
         self._descriptor = None

@@ -14,11 +14,10 @@ from estimator import Parameter
 
 from ..errors import CosimError, NotResumableError, ScenarioError, SlaveError
 from ..files import sha256
-from ..fmi.archive import model_exchange, unpacked
+from ..fmi.archive import fmu_to_load, unpacked
 from ..fmi.elements import resolved
-from ..fmi.fmi2_co_simulation import Identity
 from ..fmi.ports import Catalogue
-from ..fmi.value_buffers import Variable
+from ..fmi.value_buffers import ScalarVariable
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
 from ..slaves.process import FmuProcess
@@ -116,7 +115,7 @@ class FmuModel:
 
     def _binding(
         self, plant: Plant, parameters: Sequence[Parameter]
-    ) -> tuple[list[Variable], list[Variable], list[Variable]]:
+    ) -> tuple[list[ScalarVariable], list[ScalarVariable], list[ScalarVariable]]:
         """States and inputs, parameters, derivatives. Raises ScenarioError, WiringError."""
         fmu, known = self._fmu, self._description.modelVariables
         variables = {v.name: v for v in known}
@@ -142,15 +141,8 @@ class FmuModel:
         self._process = self._theta = None
 
     def _started(self) -> FmuProcess:
-        identity = Identity(
-            self._folder.path,
-            str(model_exchange(self._description).modelIdentifier),
-            str(self._description.guid),
-            self._fmu.stem,
-            self._description.fmiVersion != "2.0",
-            "fmi2-exchange" if self._description.fmiVersion == "2.0" else "fmi3-exchange",
-        )
-        process = FmuProcess(identity, self._timeout, memory_limit=self._memory_limit)
+        to_load = fmu_to_load(self._description, self._folder.path, self._fmu.stem, "model-exchange")
+        process = FmuProcess(to_load, self._timeout, memory_limit=self._memory_limit)
         try:
             process.bind(*self._bound)
             process.call("initialize", 0.0, (), 0.0, None)
@@ -160,8 +152,8 @@ class FmuModel:
         return process
 
 
-def _variable(variable: ModelVariable) -> Variable:
-    return Variable(variable.name, variable.type, variable.valueReference)
+def _variable(variable: ModelVariable) -> ScalarVariable:
+    return ScalarVariable(variable.name, variable.type, variable.valueReference)
 
 
 def _named(fmu: Path, kind: str, names: Iterable[str], known: Mapping[str, ModelVariable]) -> list[ModelVariable]:

@@ -1,20 +1,22 @@
-"""Where an FMU's code runs: in a process of its own (`FmuProcess`), or in this one, where it is trusted."""
+"""Hosts of an FMU's code: a process of its own (`FmuProcess`), or this one, where it is trusted."""
 
 from collections.abc import Sequence
 from functools import partial
 from typing import Any, Protocol
 
-from ..fmi.bindings import load
-from ..fmi.fmi2_co_simulation import Identity
-from ..fmi.fmu_log import pass_on
+from ..fmi.binding import FmuToLoad
+from ..fmi.fmu_log import log_message
+from ..fmi.loading import load
 from ..fmi.step_batch import take_steps
-from ..fmi.value_buffers import Variable
+from ..fmi.value_buffers import ScalarVariable
 
 
 class Host(Protocol):
-    """What calls an FMU's binding for a Slave: an FmuProcess or an InProcessFmu."""
+    """A caller of an FMU's binding on behalf of a Slave: FmuProcess or InProcessFmu."""
 
-    def bind(self, inputs: Sequence[Variable], tunables: Sequence[Variable], outputs: Sequence[Variable]) -> None: ...
+    def bind(
+        self, inputs: Sequence[ScalarVariable], tunables: Sequence[ScalarVariable], outputs: Sequence[ScalarVariable]
+    ) -> None: ...
     def call(self, function: str, t: float | None, *arguments: object) -> Any: ...
     def begin_step(self, t: float, h: float, inputs: Sequence[float], tunables: Sequence[float] | None) -> None: ...
     def end_step(self, t: float) -> tuple[float, ...]: ...
@@ -24,11 +26,13 @@ class Host(Protocol):
 class InProcessFmu:
     """An FMU that is trusted with this process: a call that hangs is waited for, and a crash ends this process."""
 
-    def __init__(self, identity: Identity) -> None:
-        self._load = partial(load, identity, partial(pass_on, identity.instance_name))
+    def __init__(self, fmu: FmuToLoad) -> None:
+        self._load = partial(load, fmu, partial(log_message, fmu.instance_name))
         self._binding = self._load()
 
-    def bind(self, inputs: Sequence[Variable], tunables: Sequence[Variable], outputs: Sequence[Variable]) -> None:
+    def bind(
+        self, inputs: Sequence[ScalarVariable], tunables: Sequence[ScalarVariable], outputs: Sequence[ScalarVariable]
+    ) -> None:
         self._binding.bind(inputs, tunables, outputs)
 
     def call(self, function: str, t: float | None, *arguments: Any) -> Any:

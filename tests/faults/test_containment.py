@@ -12,10 +12,13 @@ import pytest
 
 from cosim.commands import doctor
 from cosim.errors import NotResumableError, SlaveError, StateTooLargeError
-from cosim.fmi.fmi2_co_simulation import LARGEST_STATE
+from cosim.fmi.archive import fmu_to_load, unpacked
+from cosim.fmi.binding import LARGEST_STATE
+from cosim.fmi.value_buffers import ScalarVariable
 from cosim.runs.series import read_series
 from cosim.scenarios.schema.simulation import Settings
 from cosim.slaves.channel import CALL, LARGEST_MESSAGE, RESULT, encode
+from cosim.slaves.host import InProcessFmu
 from cosim.slaves.slave import open_slave
 
 pytestmark = [
@@ -46,6 +49,22 @@ def test_what_has_failed_is_not_called_again(faulty, tmp_path, monkeypatch, isol
             slave.step([0.0], 2 * H, H)
         slave.close()
     assert not marker.exists()
+
+
+def test_an_fmu_that_is_called_after_its_fault_notes_it(faulty, tmp_path, monkeypatch):
+    """So that the test before this one can fail."""
+    marker = tmp_path / "called"
+    monkeypatch.setenv("FAULT_MARKER", str(marker))
+    description, folder = unpacked(faulty)
+    fmu = InProcessFmu(fmu_to_load(description, folder.path, "plant"))
+    numbers = {v.name: v.valueReference for v in description.modelVariables}
+    start = [(name, "String", numbers[name], text) for name, text in (("how", "return False"), ("where", "exit_init"))]
+    fmu.bind([], [], [ScalarVariable("y", "Real", numbers["y"])])
+    fmu.call("initialize", 0.0, start, 0.0, None)
+    fmu.call("get", 0.0)
+    fmu.close(0.0, is_polite=True)
+    folder.remove()
+    assert marker.read_text() == "getterminate"
 
 
 @pytest.mark.parametrize("isolation", ["process", "none"])

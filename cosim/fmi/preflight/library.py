@@ -1,4 +1,4 @@
-"""Whether a shared library is a sound one of this machine, by its headers: it is read, not loaded."""
+"""Check that a shared library is a sound one for this machine, by its headers: it is read, not loaded."""
 
 import os
 import platform
@@ -27,12 +27,12 @@ _NEEDED_OF: Final = {
 
 
 def needed_functions(version: str, interface: str) -> frozenset[str]:
-    """Functions without which no FMU of a version ("2.0", "3.0") can be used by an interface ("co-simulation", ...)."""
+    """Return the functions that an FMU of a version ("2.0", ...) and interface ("co-simulation", ...) must have."""
     return frozenset((*_NEEDED.get(version[:3], ()), *_NEEDED_OF.get((version[:3], interface), ())))
 
 
 def library_problem(file: BinaryIO, needed: Set[str] = frozenset()) -> str | None:
-    """What is wrong with an FMU's library for this machine, or None. needed: functions that it must have."""
+    """Return what is wrong with an FMU's library for this machine, or None. needed: functions that it must have."""
     if sys.platform == "win32":
         return pe_problem(file.read(4096), platform.machine())
     if sys.platform == "linux":
@@ -41,7 +41,7 @@ def library_problem(file: BinaryIO, needed: Set[str] = frozenset()) -> str | Non
 
 
 def elf_problems(file: BinaryIO, size: int, machine: str, needed: Set[str] = frozenset()) -> Iterator[str]:
-    """What is wrong with a shared library for Linux of `size` bytes."""
+    """Yield what is wrong with a shared library for Linux of `size` bytes."""
     try:
         elf: Any = ELFFile(file)
         header = elf.header
@@ -70,7 +70,7 @@ def elf_problems(file: BinaryIO, size: int, machine: str, needed: Set[str] = fro
 
 
 def pe_problem(head: bytes, machine: str) -> str | None:
-    """What is wrong with a shared library for Windows, of which head is the beginning."""
+    """Return what is wrong with a shared library for Windows, of which head is the beginning, or None."""
     try:
         (offset,) = struct.unpack_from("<I", head, 0x3C)
         signature, its_machine = struct.unpack_from("<4sH", head, offset)

@@ -175,7 +175,7 @@ def content(fmu: Path, name: str) -> bytes:
         with zipfile.ZipFile(fmu) as archive:
             return archive.read(name)
     except (*_DAMAGED, KeyError) as error:
-        raise ModelDescriptionError(f"{fmu} has no sound {name}: {_text_of(error)}") from error
+        raise ModelDescriptionError(f"{fmu} has no readable {name}: {_text_of(error)}") from error
 
 
 def unpack(fmu: Path, folder: str) -> None:

@@ -52,7 +52,7 @@ class System:
     step_size: float | None = None
     """Distance of communication points [s]: the package's, else the smallest of the FMUs' default experiments."""
     ignored: tuple[str, ...] = ()
-    """Parameters that no component has. The standard wants them passed over."""
+    """Parameters that no component has; the standard wants them ignored."""
 
     @classmethod
     def from_ssp(cls, path: str | Path) -> "System":

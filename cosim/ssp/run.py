@@ -181,5 +181,5 @@ def report(run: SystemRun) -> str:
     rows = [["output", "first", "last", "smallest", "largest"]]
     for name, f in run.summary()["outputs"].items():
         rows.append([name, *(f"{f[key]:.6g}" for key in ("first", "last", "min", "max"))])
-    notes = [f"no component has the parameter '{name}': passed over" for name in run.system.ignored]
+    notes = [f"no component has the parameter '{name}': ignored" for name in run.system.ignored]
     return "\n".join([head, "", *aligned(rows), *notes, "", f"run folder {run.folder}"])

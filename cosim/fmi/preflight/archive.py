@@ -32,7 +32,7 @@ def archive_findings(entries: Sequence[ZipInfo]) -> Iterator[Finding]:
     if unpacked > LARGEST:
         yield Finding(_PLACE, f"unpacks to {unpacked / 1e9:.3g} GB; at most {LARGEST / 1e9:.3g} GB are unpacked")
     if unpacked > SMALL and unpacked > HIGHEST_RATIO * packed:
-        yield Finding(_PLACE, f"unpacks to {unpacked / max(packed, 1):.0f} times its size, as no FMU but a bomb does")
+        yield Finding(_PLACE, f"unpacks to {unpacked / max(packed, 1):.0f} times its size, as only a zip bomb does")
     for entry in entries:
         yield from _entry_findings(entry)
     yield from _name_findings([e.filename for e in entries])
@@ -68,7 +68,7 @@ def _name_findings(names: Sequence[str]) -> Iterator[Finding]:
     counts, folded = Counter(map(_unpacked, names)), dict[str, str]()
     for name, count in counts.items():
         if count > 1:
-            yield Finding(repr(name), f"is there {count} times; which one is meant cannot be known")
+            yield Finding(repr(name), f"is in the archive {count} times; it is not known which is meant")
         if (other := folded.setdefault(name.casefold(), name)) != name:
             yield warning(repr(name), f"differs from {other!r} in case only: they are one file on Windows")
     for name in counts:
@@ -87,4 +87,4 @@ def _overlaps(entries: Sequence[ZipInfo]) -> Iterator[Finding]:
     """Yield contents that share bytes: so an archive of some kB becomes one of some GB (Fifield 2019)."""
     for one, following in pairwise(sorted(entries, key=lambda e: e.header_offset)):
         if one.header_offset + _LOCAL_HEADER + one.compress_size > following.header_offset:
-            yield Finding(repr(one.filename), f"overlaps {following.filename!r} in the archive, as in a bomb")
+            yield Finding(repr(one.filename), f"overlaps {following.filename!r} in the archive, as in a zip bomb")

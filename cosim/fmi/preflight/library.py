@@ -66,7 +66,7 @@ def elf_problems(file: BinaryIO, size: int, machine: str, needed: Set[str] = fro
             if lacking:
                 yield f"lacks the function {', '.join(lacking)}"
     except (ELFError, ValueError, KeyError, AttributeError, TypeError, IndexError, struct.error, ArithmeticError):
-        yield "is no sound shared library for Linux (ELF)"  # a damaged file surprises the parser
+        yield "is not a valid shared library for Linux (ELF)"  # a damaged file surprises the parser
 
 
 def pe_problem(head: bytes, machine: str) -> str | None:
@@ -76,9 +76,9 @@ def pe_problem(head: bytes, machine: str) -> str | None:
         signature, its_machine = struct.unpack_from("<4sH", head, offset)
         (flags,) = struct.unpack_from("<H", head, offset + 22)
     except struct.error:
-        return "is no sound library for Windows (PE)"
+        return "is not a valid library for Windows (PE)"
     if head[:2] != b"MZ" or signature != b"PE\0\0":
-        return "is no sound library for Windows (PE)"
+        return "is not a valid library for Windows (PE)"
     if its_machine != _PE_MACHINES.get(machine.lower()):
         return f"is a library of another machine (PE machine {its_machine:#x}); this one is {machine}"
     return None if flags & _PE_IS_DLL else "is a program, not a library"

@@ -38,7 +38,7 @@ class PrivateFolder:
         """Raises ModelDescriptionError where no folder has a name that every FMU can read."""
         for parent in (tempfile.gettempdir(), *_OTHER_FOLDERS):
             if _SAFE.fullmatch(parent) and os.access(parent, os.W_OK | os.X_OK):
-                _remove_forsaken_once(parent)
+                _remove_abandoned_once(parent)
                 with suppress(OSError):
                     self._make(os.path.abspath(parent))
                     return
@@ -59,7 +59,7 @@ class PrivateFolder:
 
     def _make(self, parent: str) -> None:
         """Raises OSError."""
-        for _ in range(3):  # who clears up may take it for forsaken before it is locked
+        for _ in range(3):  # who clears up may take it for abandoned before it is locked
             self.path = os.path.join(parent, PREFIX + secrets.token_hex(8))
             # The finalizer first: an interrupt may come as soon as the folder is there.
             self._finalizer = weakref.finalize(self, _remove, self.path, os.getpid(), lock := _Lock())
@@ -67,7 +67,7 @@ class PrivateFolder:
             try:
                 if lock.take(self.path) or sys.platform == "win32":
                     return
-            except OSError:  # a file system without locks: nobody can take it for forsaken there either
+            except OSError:  # a file system without locks: nobody can take it for abandoned there either
                 return
             self.remove()
         raise OSError(f"no folder can be kept in {parent}")
@@ -112,7 +112,7 @@ class _Lock:
         self._descriptor = None
 
 
-def remove_forsaken(parent: str) -> None:
+def remove_abandoned(parent: str) -> None:
     """Remove the folders in parent that were made here and that no living process holds."""
     for folder in Path(parent).glob(f"{PREFIX}*"):
         lock = _Lock()
@@ -122,7 +122,7 @@ def remove_forsaken(parent: str) -> None:
         lock.give_back()
 
 
-_remove_forsaken_once = cache(remove_forsaken)  # a process: the folder of temporary files may hold thousands
+_remove_abandoned_once = cache(remove_abandoned)  # a process: the folder of temporary files may hold thousands
 
 
 def _remove(path: str, process_id: int, lock: _Lock) -> None:

@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Sequence
+from typing import Any
 
 from ..errors import COLON, SlaveError, WiringError, seconds
 from ..fmi.ports import Catalogue, Ports
@@ -66,11 +67,10 @@ class BoundVariables:
         """Return a start value as a host's initialize takes it. Raises WiringError, SlaveError."""
         port = self._catalogue.start_port(name, value)
         (variable,) = port.variables
-        its_type = TYPES[variable.type]
-        if its_type.is_numeric:
+        if TYPES[variable.type].is_numeric:
             self.check_set(port, [float(value)], t)
-        convert = its_type.python or str
-        return variable.name, variable.type, variable.reference, convert(value)  # pyright: ignore
+        convert: Any = TYPES[variable.type].python
+        return variable.name, variable.type, variable.reference, convert(value)
 
     def _warn(self, ports: Ports, values: Sequence[float], t: float | None) -> None:
         for name, text in ports.out_of_range(values):

@@ -28,10 +28,10 @@ def main(channel_argument: str) -> NoReturn:
     try:
         channel.send(encode(RESULT, None))
         fmu = FmuToLoad(*decode(channel.receive(None))[0])
-        process.remove_if_orphaned(fmu.folder)
+        process.end_with_parent(fmu.folder)
         _serve(channel, fmu)
     except (EOFError, BrokenPipeError, ConnectionResetError):
-        process.leave_orphaned()
+        process.leave(is_orphaned=True)
     except SlaveError as error:
         _report(channel, [error.function, error.time, error.reason, error.form])
     except Exception as error:  # whatever the FMU has caused, the other side must learn of it

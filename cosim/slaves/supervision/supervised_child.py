@@ -14,9 +14,9 @@ from .parent_death import end_after
 class SupervisedChild:
     """This process, supervised: it lives at most as long as the one that has started it.
 
-    1. SupervisedChild   takes over the standard streams, ignores Ctrl-C, and ends after its parent (Linux)
-    2. remove_if_orphaned  says which folder to remove when the parent has died
-    3. leave or leave_orphaned  ends it, with all that the FMU has started
+    1. SupervisedChild      takes over the standard streams, ignores Ctrl-C, and ends after its parent (Linux)
+    2. end_with_parent      ends it at once with its parent, and removes the FMU's folder then
+    3. leave                ends it, with all that the FMU has started
 
     Its standard input, which is never written to, ends with its parent.
     """
@@ -28,34 +28,28 @@ class SupervisedChild:
         self._parent = _take_over_standard_streams()
         end_after(self._parent)
 
-    def remove_if_orphaned(self, folder: str) -> None:
+    def end_with_parent(self, folder: str) -> None:
         """Wait in a thread for the parent's end, to remove the FMU's folder then and end.
 
         The channel shows that end too, but nobody looks there while the FMU computes, perhaps for ever. Where the FMU
         lets no thread run `end_after` ends this process: then the folder is left to the next that unpacks an FMU.
         """
         self._folder = folder
-        threading.Thread(target=self._end_with_parent, daemon=True).start()
+        threading.Thread(target=self._wait_for_parents_end, daemon=True).start()
 
-    def leave(self) -> NoReturn:
-        """End this process and what the FMU has started."""
+    def leave(self, is_orphaned: bool = False) -> NoReturn:
+        """End this process and what the FMU has started; an orphan removes the FMU's folder: nobody else is left."""
         if has_children():
             end_marked(os.environ.get(VARIABLE, ""))
+        if is_orphaned and self._folder is not None:
+            shutil.rmtree(self._folder, ignore_errors=True)
         # Not sys.exit: the FMU may have damaged this interpreter, and its clean-up could hang or crash.
         os._exit(0)
 
-    def leave_orphaned(self) -> NoReturn:
-        """End as leave does, and remove the FMU's folder: nobody else is left to do so."""
-        if has_children():
-            end_marked(os.environ.get(VARIABLE, ""))
-        if self._folder is not None:
-            shutil.rmtree(self._folder, ignore_errors=True)
-        os._exit(0)
-
-    def _end_with_parent(self) -> None:
+    def _wait_for_parents_end(self) -> None:
         while os.read(self._parent, 1):
             pass
-        self.leave_orphaned()
+        self.leave(is_orphaned=True)
 
 
 def _take_over_standard_streams() -> int:

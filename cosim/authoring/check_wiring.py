@@ -9,6 +9,7 @@ from ..fmi.component import Component
 from ..fmi.feedthrough import algebraic_loops
 from ..fmi.ports import Catalogue
 from ..fmi.table import is_table
+from ..fmi.types import is_real
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
 from ..system.unit_conversions import different
@@ -92,7 +93,7 @@ def check_connections(scenario: Scenario, components: Components) -> Iterator[Fi
         if any(problems) or to is None or of is None:
             continue
         types = [str(of.variables[of_name].type), str(to.variables[to_name].type)]
-        if types[0] != types[1] and types[1] not in ("Real", "Float32", "Float64"):
+        if types[0] != types[1] and not is_real(types[1]):
             yield warning(where, f"a {types[0]} goes to a {types[1]}: other than whole numbers end the run")
         yield from unit_finding(where, source, target, components, is_converted=True)
 

@@ -9,6 +9,7 @@ from ..errors import one_line
 from ..fmi.component import Component, ModelVariable
 from ..fmi.feedthrough import declared
 from ..fmi.ports import attribute
+from ..fmi.types import is_real
 from ..units import BASE_UNITS
 from .guess import CONTROLLER, PLANT, alike, best
 from .toml_lines import quoted, said
@@ -28,7 +29,7 @@ def parameter_pairs(components: Mapping[str, Component]) -> list[tuple[ModelVari
 
 
 def _is_real(v: ModelVariable) -> bool:
-    return v.type in ("Real", "Float64", "Float32")
+    return is_real(v.type)
 
 
 def sampling(plant: Component) -> list[str]:

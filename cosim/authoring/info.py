@@ -9,7 +9,7 @@ from ..fmi.archive import look_into
 from ..fmi.component import Component, ModelVariable, component_of
 from ..fmi.feedthrough import declared
 from ..fmi.ports import attribute, kind_of
-from ..fmi.value_buffers import Value
+from ..fmi.types import TYPES, Value
 from ..text_table import aligned
 
 _CAPABILITIES = {
@@ -170,7 +170,7 @@ def _table(title: str, variables: Sequence[Variable], columns: dict[str, str]) -
 
 
 def _name(v: Variable) -> str:
-    return v.name if v.type in ("Real", "Float64") else f"{v.name} ({v.type})"
+    return v.name if TYPES[v.type].is_double else f"{v.name} ({v.type})"
 
 
 def _short(value: Value | None) -> str:

@@ -10,11 +10,12 @@ from typing import Any, BinaryIO, Final, Literal
 from xml.etree.ElementTree import Element
 
 import fmpy
-from fmpy.model_description import CoSimulation, ModelDescription, ModelExchange, ValidationError
+from fmpy.model_description import CoSimulation, ModelDescription, ValidationError
 
 from ..errors import ModelDescriptionError, one_line
 from ..files import readable
 from ..findings import Finding
+from .binding import FmuToLoad
 from .elements import scalarized
 from .folder import PrivateFolder
 from .preflight.archive import archive_findings
@@ -23,8 +24,8 @@ from .preflight.library import library_problem, needed_functions
 from .preflight.xml import LARGEST, strict_root
 
 Interface = Literal["co-simulation", "model-exchange"]
-Judge = Callable[[Iterable[Finding]], None]
-"""Called with what one look at an FMU has found; may raise."""
+FindingsListener = Callable[[Iterable[Finding]], None]
+"""Called with the findings of one check of an FMU; may raise."""
 
 DESCRIPTION: Final = "modelDescription.xml"
 _DAMAGED: Final = (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, ValueError)  # what zipfile raises
@@ -39,11 +40,11 @@ class FmuFile:
     name: str
     """Instance name."""
     description: ModelDescription
-    """What it declares."""
+    """Its model description."""
 
 
 def read_description(fmu: Path, interface: Interface = "co-simulation") -> ModelDescription:
-    """The model description of an FMU that this machine can load, arrays as their elements.
+    """Return the model description of an FMU that this machine can load, arrays as their elements.
 
     Raises ModelDescriptionError.
     """
@@ -54,7 +55,7 @@ def read_description(fmu: Path, interface: Interface = "co-simulation") -> Model
 
 
 def unusable(description: ModelDescription, interface: Interface) -> str | None:
-    """That an FMU is of another version or kind than is asked for, or None."""
+    """Return why an FMU cannot be used: its version or kind is another than asked for; else None."""
     version, offered = str(description.fmiVersion), interfaces(description)
     if version.startswith(_VERSIONS[interface]) and interface in offered:
         return None
@@ -63,7 +64,7 @@ def unusable(description: ModelDescription, interface: Interface) -> str | None:
 
 
 def read_any(fmu: Path) -> ModelDescription:
-    """The model description of an FMU of any version and kind that this machine has a binary of.
+    """Return the model description of an FMU of any version and kind that has a binary for this machine.
 
     Raises ModelDescriptionError.
     """
@@ -74,24 +75,24 @@ def read_any(fmu: Path) -> ModelDescription:
 
 
 def no_binary(platforms: Sequence[str]) -> str | None:
-    """That an FMU, of these platforms, has no library for this one, or None."""
+    """Return why an FMU with binaries for these platforms cannot be loaded here, or None."""
     if fmpy.platform in platforms:
         return None
     others = ", ".join(platforms)
     return f"has no binary for {fmpy.platform}, {f'only for {others}' if others else 'nor for any other platform'}"
 
 
-def look_into(fmu: Path, judge: Judge | None = None) -> tuple[ModelDescription, list[str]]:
-    """The model description of an FMU of any version and kind, and its platforms: all of preflight but its library.
+def look_into(fmu: Path, on_findings: FindingsListener | None = None) -> tuple[ModelDescription, list[str]]:
+    """Return model description and platforms of an FMU of any kind, after all of preflight but its library.
 
-    judge: takes what is found; by default the first error ends it. Raises ModelDescriptionError.
+    on_findings: gets what is found; by default the first error is raised. Raises ModelDescriptionError.
     """
-    judge = judge or partial(_refuse, f"{fmu} is not a usable FMU")
+    on_findings = on_findings or partial(_refuse, f"{fmu} is not a usable FMU")
     try:
         with open(readable(fmu), "rb") as file:
-            judge(index_findings(_description_in(file, judge)))
+            on_findings(index_findings(_description_in(file, on_findings)))
             description = fmpy.read_model_description(file)
-            judge(description_findings(description))
+            on_findings(description_findings(description))
             platforms: list[str] = fmpy.supported_platforms(file)
     except ModelDescriptionError:
         raise
@@ -107,39 +108,48 @@ def look_into(fmu: Path, judge: Judge | None = None) -> tuple[ModelDescription, 
 
 
 def library_finding(library: BinaryIO, description: ModelDescription, interface: str) -> Iterable[Finding]:
-    """What is wrong with the library of an FMU."""
+    """Yield what is wrong with the library of an FMU."""
     problem = library_problem(library, needed_functions(str(description.fmiVersion), interface))
     if problem:
         yield Finding(library_path(description, interface), problem)
 
 
 def library_path(description: ModelDescription, interface: str) -> str:
-    """Where in an FMU its library for this machine must be."""
+    """Return the place in an FMU where its library for this machine must be."""
     place = fmpy.platform if str(description.fmiVersion).startswith("2") else fmpy.platform_tuple
     identifier = interfaces(description)[interface].modelIdentifier
     return f"binaries/{place}/{identifier}{fmpy.sharedLibraryExtension}"
 
 
+def fmu_to_load(
+    description: ModelDescription, folder: str, instance_name: str, interface: Interface = "co-simulation"
+) -> FmuToLoad:
+    """Return what loading.load needs to know of an FMU that is unpacked into folder."""
+    return FmuToLoad(
+        folder,
+        str(interfaces(description)[interface].modelIdentifier),
+        str(description.guid),
+        instance_name,
+        "pythonfmu" in (description.generationTool or "").lower(),
+        str(description.fmiVersion),
+        interface,
+    )
+
+
 def interfaces(description: ModelDescription) -> Mapping[str, Any]:
-    """The interfaces that an FMU offers, of those that are used here."""
+    """Return the interfaces that an FMU offers, of those that are used here."""
     offered = {"co-simulation": description.coSimulation, "model-exchange": description.modelExchange}
     return {name: part for name, part in offered.items() if part is not None}
 
 
 def co_simulation(description: ModelDescription) -> CoSimulation:
-    """The co-simulation part of a description that read_description has let through."""
+    """Return the co-simulation part of a description that read_description has accepted."""
     assert description.coSimulation is not None
     return description.coSimulation
 
 
-def model_exchange(description: ModelDescription) -> ModelExchange:
-    """The model-exchange part of a description that read_description has let through."""
-    assert description.modelExchange is not None
-    return description.modelExchange
-
-
 def unpacked(fmu: Path, interface: Interface = "co-simulation") -> tuple[ModelDescription, PrivateFolder]:
-    """An FMU that this machine can load in a folder of its own, and what it declares: it has passed all of preflight.
+    """Unpack an FMU into a folder of its own, after all of preflight, and return its description too.
 
     Raises ModelDescriptionError; nothing is left then.
     """
@@ -160,12 +170,12 @@ def unpacked(fmu: Path, interface: Interface = "co-simulation") -> tuple[ModelDe
 
 
 def content(fmu: Path, name: str) -> bytes:
-    """A file in an FMU. Raises ModelDescriptionError."""
+    """Return the content of a file in an FMU. Raises ModelDescriptionError."""
     try:
         with zipfile.ZipFile(fmu) as archive:
             return archive.read(name)
     except (*_DAMAGED, KeyError) as error:
-        raise ModelDescriptionError(f"{fmu} has no sound {name}: {_text_of(error)}") from error
+        raise ModelDescriptionError(f"{fmu} has no readable {name}: {_text_of(error)}") from error
 
 
 def unpack(fmu: Path, folder: str) -> None:
@@ -181,10 +191,10 @@ def unpack(fmu: Path, folder: str) -> None:
         raise ModelDescriptionError(f"{fmu} cannot be unpacked: {_text_of(error)}") from error
 
 
-def _description_in(file: BinaryIO, judge: Judge) -> Element:
-    """The model description of an archive that can be unpacked. Raises KeyError, ValueError, what zipfile raises."""
+def _description_in(file: BinaryIO, on_findings: FindingsListener) -> Element:
+    """Return the model description of an archive that can be unpacked. Raises what zipfile raises, ValueError."""
     with zipfile.ZipFile(file) as archive:
-        judge(archive_findings(archive.infolist()))
+        on_findings(archive_findings(archive.infolist()))
         if _BUILD in archive.namelist():  # FMPy reads it too
             _strict(archive, _BUILD)
         return _strict(archive, DESCRIPTION)
@@ -208,5 +218,5 @@ def _refuse(subject: str, findings: Iterable[Finding]) -> None:
 
 
 def _text_of(error: Exception) -> str:
-    """What an error says, in one line; a KeyError says its key in quotes."""
+    """Return an error's message in one line; a KeyError's without quotes."""
     return one_line(str(error.args[0] if isinstance(error, KeyError) else error) or type(error).__name__)

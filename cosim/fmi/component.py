@@ -25,12 +25,12 @@ class Component:
     description: ModelDescription
     """Its model description."""
     variables: Mapping[str, ModelVariable]
-    """By name."""
+    """Its variables by name."""
     units: Mapping[str, Unit]
-    """What the FMU says of its units."""
+    """Its units by name."""
 
     def having(self, causality: str, variability: str | None = None) -> list[ModelVariable]:
-        """Variables of a causality and, where given, a variability; what has no number left out."""
+        """Return the numeric variables of a causality and, where given, a variability."""
         return [
             v
             for v in self.variables.values()
@@ -50,19 +50,19 @@ class Component:
         return {name: float(value) for name, value in found.items() if value is not None}
 
     def unit(self, variable: str) -> Unit | None:
-        """Unit of a variable, where it has one."""
+        """Return the unit of a variable, where it has one."""
         v = self.variables[variable]
         name = v.unit or (v.declaredType.unit if v.declaredType is not None else None)
         return self.units.get(name, Unit(name)) if name else None
 
 
 def read_component(fmu: Path) -> Component:
-    """An FMU, or a table, as an element of a system. Raises ModelDescriptionError, ScenarioError for a bad table."""
+    """Read an FMU, or a table, as an element of a system. Raises ModelDescriptionError, ScenarioError for a table."""
     return component_of(fmu, describe(fmu, read_table(fmu)) if is_table(fmu) else read_description(fmu))
 
 
 def component_of(fmu: Path, description: ModelDescription) -> Component:
-    """An FMU whose description has been read. Raises ModelDescriptionError for a unit that is none."""
+    """Return the component of an FMU whose description has been read. Raises ModelDescriptionError for a bad unit."""
     variables = {v.name: v for v in description.modelVariables}
     try:
         units = defined_units(description.unitDefinitions)

@@ -9,31 +9,30 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import product
 from math import prod
-from typing import Final
+from typing import Any, Final, cast
 
 from fmpy.model_description import ModelDescription, ModelVariable
 
-TEXTS: Final = ("String", "Binary")
-"""Types that have an XML element for each start value, of which FMPy keeps the first, blanks and all."""
+from .types import TYPES
 
 _AXES: Final = "xyz"
 _ELEMENT = re.compile(r"(?P<stem>.*?\w)(?P<held>_held)?\[(?P<index>\d+(,\d+)*)\](?P<end>\)?)")
 
 
 def handle(reference: int, place: int) -> int:
-    """One number for a value reference and the place of an element in its array; the reference itself for place 0."""
+    """Return one number for a value reference and an element's place in its array; the reference itself for place 0."""
     return place << 32 | reference
 
 
 def of_handle(number: int) -> tuple[int, int]:
-    """Value reference and place."""
+    """Return the value reference and the place that a handle stands for."""
     return number & 0xFFFFFFFF, number >> 32
 
 
 def scalarized(description: ModelDescription) -> ModelDescription:
-    """A copy of the description with every array replaced by its elements, the last index fastest.
+    """Return a copy of the description with every array replaced by its elements, the last index fastest.
 
-    A `valueReference` is a `handle` then, an Enumeration an Int64.
+    A `valueReference` is a `handle` then, an Enumeration of the type whose functions set and get it.
     """
     elements = {id(v): _elements(v) for v in description.modelVariables}
     for v in description.modelVariables:
@@ -46,23 +45,23 @@ def scalarized(description: ModelDescription) -> ModelDescription:
 
 
 def starts_of(variable: ModelVariable) -> Sequence[str | None]:
-    """The start value of each element: one value is that of all."""
+    """Return the start value of each element: one value is that of all."""
     n = prod(variable.shape or ())
-    if not variable.shape or variable.start is None or variable.type in TEXTS:
+    if not variable.shape or variable.start is None or TYPES[variable.type].is_text:
         return [variable.start] * n
     starts = variable.start.split()
     return starts * n if len(starts) == 1 else starts
 
 
 def element_names(name: str, shape: Iterable[int]) -> list[str]:
-    """Names of an array's elements: der(r), (3,) -> der(r[1]), der(r[2]), der(r[3])."""
+    """Return the names of an array's elements: der(r), (3,) -> der(r[1]), der(r[2]), der(r[3])."""
     stem, end = (name[:-1], ")") if name.endswith(")") else (name, "")
     indices = product(*(range(1, n + 1) for n in shape))
     return [f"{stem}[{','.join(map(str, index))}]{end}" for index in indices]
 
 
 def plain(name: str) -> str:
-    """The other name of an element: r[1] -> r_x, R[1,2] -> R_12, der(r[1]) -> der(r_x); any other name unchanged."""
+    """Return the other name of an element: r[1] -> r_x, R[1,2] -> R_12, der(r[1]) -> der(r_x); else the name itself."""
     match = _ELEMENT.fullmatch(name)
     if match is None:
         return name
@@ -74,7 +73,7 @@ def plain(name: str) -> str:
 
 
 def resolved(name: str, known: Mapping[str, object]) -> str:
-    """The name by which `known` has a variable; the name itself where it has none."""
+    """Return the name by which `known` has a variable; the name itself where it has none."""
     if name in known:
         return name
     return next((k for k in known if plain(k) == plain(name)), name)
@@ -87,7 +86,8 @@ def _elements(variable: ModelVariable) -> list[ModelVariable]:
         part = copy.copy(variable)
         part.name, part.start, part.shape, part.dimensions = name, start, (), []
         part.valueReference = handle(variable.valueReference, place)
-        if part.type == "Enumeration":
-            part.type = "Int64"
+        access = TYPES[part.type].fmi3
+        if access is not None:
+            part.type = cast(Any, access.functions)
         parts.append(part)
     return parts

@@ -18,8 +18,8 @@ _REFERENCE: Final = 0xFFFFFFFF  # of an array's element: its other bits say whic
 
 
 @dataclass(frozen=True)
-class Loop:
-    """A way from a variable back to itself without a state in between."""
+class AlgebraicLoop:
+    """A path from a variable back to itself without a state in between."""
 
     nodes: tuple[str, ...]
     """`component.variable`, each but the last depending on the next, and that on the first."""
@@ -28,7 +28,7 @@ class Loop:
 
 
 def declared(component: Component, unknowns: Iterable[Unknown] | None = None) -> dict[str, list[str] | None]:
-    """The variables that each output depends on, by its name; None where the FMU does not say.
+    """Return the variables that each output depends on, by its name; None where the FMU does not declare them.
 
     unknowns: another list of its ModelStructure than the outputs.
     """
@@ -45,13 +45,13 @@ def declared(component: Component, unknowns: Iterable[Unknown] | None = None) ->
 
 
 def feedthrough(component: Component) -> dict[str, list[str]]:
-    """The inputs that each output depends on, by its name: all of them where the FMU does not say."""
+    """Return the inputs that each output depends on, by its name: all of them where the FMU declares none."""
     inputs = {v.name: None for v in component.having("input")}
     return {name: [i for i in inputs if on is None or i in on] for name, on in declared(component).items()}
 
 
-def algebraic_loops(components: Mapping[str, Component], connections: Mapping[str, str]) -> list[Loop]:
-    """One loop for each set of variables that depend on each other. connections: input = output."""
+def algebraic_loops(components: Mapping[str, Component], connections: Mapping[str, str]) -> list[AlgebraicLoop]:
+    """Return one loop for each set of variables that depend on each other. connections: input = output."""
     depends: dict[str, list[str]] = {target: [source] for target, source in connections.items()}
     for name, component in components.items():
         for output, inputs in feedthrough(component).items():
@@ -70,8 +70,8 @@ def algebraic_loops(components: Mapping[str, Component], connections: Mapping[st
     return [_loop(found, depends, components) for found in members.values() if len(found) > 1]
 
 
-def _loop(members: list[str], depends: Mapping[str, list[str]], components: Mapping[str, Component]) -> Loop:
-    """Walk within the set, where every variable depends on another, until one comes again."""
+def _loop(members: list[str], depends: Mapping[str, list[str]], components: Mapping[str, Component]) -> AlgebraicLoop:
+    """Follow the dependencies within a set of variables until one comes again."""
     way = [members[0]]
     while True:
         following = next(n for n in depends[way[-1]] if n in members)
@@ -81,10 +81,10 @@ def _loop(members: list[str], depends: Mapping[str, list[str]], components: Mapp
     nodes = way[way.index(following) :]
     outputs = [node.partition(".") for node in nodes]
     silent = [c for c, _, variable in outputs if declared(components[c]).get(variable, []) is None]
-    return Loop(tuple(nodes), tuple(dict.fromkeys(silent)))
+    return AlgebraicLoop(tuple(nodes), tuple(dict.fromkeys(silent)))
 
 
 def _key(component: Component, variable: Any) -> tuple[str, int]:
-    """An array's elements share it; in FMI 2.0 value references are unique within a type only."""
+    """Return a key that an array's elements share; in FMI 2.0 value references are unique within a type only."""
     kind = str(variable.type) if component.description.fmiVersion == "2.0" else ""
     return kind, variable.valueReference & _REFERENCE

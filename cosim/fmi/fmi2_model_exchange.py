@@ -1,4 +1,7 @@
-"""An FMI 2.0 model-exchange FMU as a function: what exchange3 is for FMI 3.0."""
+"""An FMI 2.0 model-exchange FMU as a function: a step sets states and inputs, and gets the states' derivatives.
+
+No time passes in it.
+"""
 
 from collections.abc import Sequence
 from ctypes import c_double
@@ -7,42 +10,43 @@ from typing import Any
 from fmpy import fmi2, read_model_description
 
 from ..errors import SlaveError
-from .fmi2_co_simulation import Identity, checked, loaded
-from .fmu_log import Hear, MessageLog
-from .value_buffers import Block, Value, Variable, blocks_of
+from .binding import FmuToLoad, StartValues
+from .fmi2_calls import checked, loaded
+from .fmu_log import LogListener, MessageLog
+from .value_buffers import ScalarVariable, ValueBuffer, buffers_of
 
 _MOST_UPDATES = 100  # of the discrete states, at one time
 
 
-class Exchange2:
-    """xdot = f(x, u; theta) of one FMU.
+class Fmi2ModelExchange:
+    """The function xdot = f(x, u; theta) of one FMU: see `Binding`.
 
     bind: inputs are the continuous states, in any order, then the model's inputs; outputs are their derivatives.
     """
 
-    def __init__(self, identity: Identity, hear: Hear | None = None) -> None:
-        self._name = identity.instance_name
+    def __init__(self, fmu: FmuToLoad, on_log: LogListener | None = None) -> None:
+        self._name = fmu.instance_name
         self._time: float | None = None
-        self._log = MessageLog(identity.has_plain_log, hear)
-        self._places = self._places_of(identity.folder)
+        self._log = MessageLog(fmu.has_plain_log, on_log)
+        self._places = self._places_of(fmu.folder)
         n = len(set(self._places.values()))
         self._x, self._rates = (c_double * n)(), (c_double * n)()
-        self._inputs: list[Block] = []
-        self._tunables: list[Block] = []
+        self._inputs: list[ValueBuffer] = []
+        self._tunables: list[ValueBuffer] = []
         self._state_places: list[int] = []
         self._rate_places: list[int] = []
-        self._fmu = loaded(fmi2.FMU2Model, identity, self._log)
+        self._fmu = loaded(fmi2.FMU2Model, fmu, self._log)
 
-    def bind(self, inputs: Sequence[Variable], tunables: Sequence[Variable], outputs: Sequence[Variable]) -> None:
-        """Say what a step sets (states, then inputs), which parameters may change, and which derivatives it returns."""
+    def bind(
+        self, inputs: Sequence[ScalarVariable], tunables: Sequence[ScalarVariable], outputs: Sequence[ScalarVariable]
+    ) -> None:
+        """Choose what a step sets (states, then inputs), the parameters to change, and the derivatives to return."""
         n = len(outputs)
         self._state_places = [self._places[v[2]] for v in inputs[:n]]
         self._rate_places = [self._places[v[2]] for v in outputs]
-        self._inputs, self._tunables = blocks_of(inputs[n:]), blocks_of(tunables)
+        self._inputs, self._tunables = buffers_of(inputs[n:]), buffers_of(tunables)
 
-    def initialize(
-        self, start: Sequence[tuple[str, str, int, Value]], start_time: float, stop_time: float | None
-    ) -> None:
+    def initialize(self, start: StartValues, start_time: float, stop_time: float | None) -> None:
         """Set start values (name, type, value reference, value), and go on to continuous-time mode; times in s."""
         self._time = start_time
         self._call("setup_experiment", self._fmu.setupExperiment, None, start_time, stop_time)
@@ -53,7 +57,7 @@ class Exchange2:
         self._leave_event_mode()
 
     def step(self, t: float, h: float, inputs: Sequence[float], tunables: Sequence[float] | None) -> tuple[float, ...]:
-        """The derivatives at the states and inputs, after setting the tunables if they are given."""
+        """Return the derivatives at the states and inputs, after setting the tunables if they are given."""
         fmu, n = self._fmu, len(self._state_places)
         if tunables is not None:
             self._call("enter_event_mode", fmu.enterEventMode)
@@ -75,7 +79,7 @@ class Exchange2:
         self._log.close()
 
     def _places_of(self, folder: str) -> dict[int, int]:
-        """Place of each state in x, and of its derivative in xdot, by value reference: FMI 2.0.4, section 2.2.8."""
+        """Return where each state is in x, and its derivative in xdot, by value reference: FMI 2.0.4, section 2.2.8."""
         places: dict[int, int] = {}
         for place, unknown in enumerate(read_model_description(folder, validate=False).derivatives):
             rate = unknown.variable
@@ -94,11 +98,11 @@ class Exchange2:
             raise SlaveError(self._name, "new_discrete_states", self._time, why)
         self._call("enter_continuous_time_mode", self._fmu.enterContinuousTimeMode)
 
-    def _set(self, blocks: Sequence[Block], values: Sequence[float]) -> None:
-        for block in blocks:
-            block.fill(values)
-            function = getattr(self._fmu, "fmi2" + block.setter.title().replace("_", ""))
-            self._call(block.setter, function, self._fmu.component, *block.arguments)
+    def _set(self, buffers: Sequence[ValueBuffer], values: Sequence[float]) -> None:
+        for buffer in buffers:
+            buffer.fill(values)
+            function = getattr(self._fmu, "fmi2" + buffer.setter.title().replace("_", ""))
+            self._call(buffer.setter, function, self._fmu.component, *buffer.arguments)
 
     def _call(self, name: str, function: Any, *arguments: object) -> Any:
         """Call a method of FMPy's. Raises SlaveError unless the FMU returns OK or Warning."""

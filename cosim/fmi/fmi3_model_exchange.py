@@ -1,6 +1,6 @@
 """An FMI 3.0 model-exchange FMU as a function: a step sets states and inputs, and gets the states' derivatives.
 
-It has the methods of instance.Instance, so that it can live in a process of its own. No time passes.
+No time passes in it.
 """
 
 from collections.abc import Sequence
@@ -9,24 +9,24 @@ from ctypes import byref, c_bool, c_double, c_size_t, c_void_p
 from fmpy import fmi3
 
 from ..errors import SlaveError
+from .binding import FmuToLoad, StartValues
 from .elements import of_handle
-from .fmi2_co_simulation import Identity
-from .fmi3_co_simulation import Fmi3
-from .fmu_log import Hear
-from .value_buffers import Value, Variable
-from .value_buffers3 import Block3, blocks3_of
+from .fmi3_calls import Fmi3Calls
+from .fmu_log import LogListener
+from .value_buffers import ScalarVariable
+from .value_buffers3 import ValueBuffer3, buffers3_of
 
 _MOST_UPDATES = 100  # of the discrete states, at one time
 
 
-class Exchange3:
-    """xdot = f(x, u; theta) of one FMU.
+class Fmi3ModelExchange:
+    """The function xdot = f(x, u; theta) of one FMU: see `Binding`.
 
     bind: inputs are the continuous states, in any order, then the model's inputs; outputs are their derivatives.
     """
 
-    def __init__(self, identity: Identity, hear: Hear | None = None) -> None:
-        self._fmi = fmi = Fmi3(identity, fmi3.FMU3Model, hear)
+    def __init__(self, fmu: FmuToLoad, on_log: LogListener | None = None) -> None:
+        self._fmi = fmi = Fmi3Calls(fmu, fmi3.FMU3Model, on_log)
         rates = [unknown.variable for unknown in fmi.description.derivatives]
         self._first: dict[int, int] = {}  # where a state begins in x, and its derivative in xdot, by value reference
         n = 0
@@ -36,8 +36,8 @@ class Exchange3:
             self._first[rate.valueReference] = self._first[rate.derivative.valueReference] = n
             n += len(fmi.start[rate.valueReference])
         self._x, self._rates = (c_double * n)(), (c_double * n)()
-        self._inputs: list[Block3] = []
-        self._tunables: list[Block3] = []
+        self._inputs: list[ValueBuffer3] = []
+        self._tunables: list[ValueBuffer3] = []
         self._state_places: list[int] = []
         self._rate_places: list[int] = []
         self._enter_event_mode = fmi.raw("fmi3EnterEventMode")
@@ -46,18 +46,18 @@ class Exchange3:
         self._set_states = fmi.raw("fmi3SetContinuousStates", c_void_p, c_size_t)
         self._get_rates = fmi.raw("fmi3GetContinuousStateDerivatives", c_void_p, c_size_t)
 
-    def bind(self, inputs: Sequence[Variable], tunables: Sequence[Variable], outputs: Sequence[Variable]) -> None:
-        """Say what a step sets (states, then inputs), which parameters may change, and which derivatives it returns."""
+    def bind(
+        self, inputs: Sequence[ScalarVariable], tunables: Sequence[ScalarVariable], outputs: Sequence[ScalarVariable]
+    ) -> None:
+        """Choose what a step sets (states, then inputs), the parameters to change, and the derivatives to return."""
         n = len(outputs)
         self._state_places, self._rate_places = self._places(inputs[:n]), self._places(outputs)
-        self._inputs = blocks3_of(inputs[n:], self._fmi.start)
-        self._tunables = blocks3_of(tunables, self._fmi.start)
-        for block in (*self._inputs, *self._tunables):
-            block.start(self._fmi.start)
+        self._inputs = buffers3_of(inputs[n:], self._fmi.start)
+        self._tunables = buffers3_of(tunables, self._fmi.start)
+        for buffer in (*self._inputs, *self._tunables):
+            buffer.start(self._fmi.start)
 
-    def initialize(
-        self, start: Sequence[tuple[str, str, int, Value]], start_time: float, stop_time: float | None
-    ) -> None:
+    def initialize(self, start: StartValues, start_time: float, stop_time: float | None) -> None:
         """Set start values (name, type, handle, value), and go on to continuous-time mode; times in s."""
         self._fmi.time = start_time
         self._fmi.set_start(start)
@@ -66,7 +66,7 @@ class Exchange3:
         self._leave_event_mode()
 
     def step(self, t: float, h: float, inputs: Sequence[float], tunables: Sequence[float] | None) -> tuple[float, ...]:
-        """The derivatives at the states and inputs, after setting the tunables if they are given."""
+        """Return the derivatives at the states and inputs, after setting the tunables if they are given."""
         fmi = self._fmi
         fmi.log.clear()
         if tunables is not None:
@@ -86,7 +86,7 @@ class Exchange3:
         """Terminate, if it was initialized, and free."""
         self._fmi.close()
 
-    def _places(self, variables: Sequence[Variable]) -> list[int]:
+    def _places(self, variables: Sequence[ScalarVariable]) -> list[int]:
         pairs = [of_handle(variable[2]) for variable in variables]
         return [self._first[reference] + element for reference, element in pairs]
 

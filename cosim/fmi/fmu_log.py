@@ -1,4 +1,4 @@
-"""What an FMU logs, and which line of it says why a call has failed."""
+"""Messages that an FMU logs, and the one among them that says why a call has failed."""
 
 import logging
 import re
@@ -12,7 +12,7 @@ from fmpy import fmi1, fmi2
 
 from ..errors import one_line
 
-Hear = Callable[[int, str], None]
+LogListener = Callable[[int, str], None]
 """Called with status and text of each message, while the FMU's call goes on."""
 
 _WARNING, _ERROR = 1, 3
@@ -21,9 +21,9 @@ _log: Final = logging.getLogger(__name__)
 _UNKNOWN: Final = re.compile(rb"Fatal py exception encountered.*\sunknown error\s*", re.DOTALL)
 
 
-def pass_on(name: str, status: int, text: str, is_told: bool = False) -> None:
-    """Log a message of the FMU `name`: a warning, or only information where it is that, or is_told otherwise."""
-    _log.log(logging.WARNING if status >= _WARNING and not is_told else logging.INFO, "%s: %s", name, text)
+def log_message(name: str, status: int, text: str, is_fault: bool = False) -> None:
+    """Log a message of the FMU `name` by its status; as information where a fault that is raised says the same."""
+    _log.log(logging.WARNING if status >= _WARNING and not is_fault else logging.INFO, "%s: %s", name, text)
 
 
 class Messages:
@@ -32,14 +32,14 @@ class Messages:
     PythonFMU's "unknown error" is fatal but says nothing: an error logged before it stays.
     """
 
-    def __init__(self, hear: Hear | None = None) -> None:
+    def __init__(self, on_log: LogListener | None = None) -> None:
         self.text = ""
         self._status = -1
-        self._hear = hear
+        self._on_log = on_log
 
     def add(self, status: int, message: bytes) -> None:
-        if self._hear is not None:
-            self._hear(status, one_line(message.decode("utf-8", "replace")))
+        if self._on_log is not None:
+            self._on_log(status, one_line(message.decode("utf-8", "replace")))
         if status < self._status or (self._status >= _ERROR and _UNKNOWN.fullmatch(message)):
             return
         self.text = message.decode("utf-8", "replace")
@@ -49,7 +49,7 @@ class Messages:
         self.text, self._status = "", -1
 
     def reason(self) -> str:
-        """The message in one line: of a traceback what follows its frames, of a PythonFMU exception the exception."""
+        """Return the message in one line: what follows the frames of a traceback, or PythonFMU's exception alone."""
         lines = [line for line in self.text.splitlines() if line.strip()]
         if any(line.startswith("Traceback (most recent call last)") for line in lines):
             after_frames = [*takewhile(lambda line: not line[0].isspace(), reversed(lines))]
@@ -68,8 +68,8 @@ class MessageLog(Messages):
 
     _open: "dict[int, MessageLog]" = {}
 
-    def __init__(self, has_plain_text: bool, hear: Hear | None = None) -> None:
-        super().__init__(hear)
+    def __init__(self, has_plain_text: bool, on_log: LogListener | None = None) -> None:
+        super().__init__(on_log)
         self._has_plain_text = has_plain_text
         self._open[id(self)] = self
         self.callbacks = fmi2.fmi2CallbackFunctions()

@@ -1,4 +1,4 @@
-"""The folder that an FMU is unpacked into: nobody else's, and gone afterwards however its process ends.
+"""Private folders that FMUs are unpacked into, and that are gone afterwards however a process ends.
 
 A process that is killed cannot clear up. So each folder is locked (flock, which ends with its holder) for as long as it
 is used, and whoever makes one first removes those that nobody holds any more.
@@ -32,13 +32,13 @@ class PrivateFolder:
     """
 
     path: str
-    """Absolute."""
+    """Absolute path."""
 
     def __init__(self) -> None:
         """Raises ModelDescriptionError where no folder has a name that every FMU can read."""
         for parent in (tempfile.gettempdir(), *_OTHER_FOLDERS):
             if _SAFE.fullmatch(parent) and os.access(parent, os.W_OK | os.X_OK):
-                _remove_forsaken_once(parent)
+                _remove_abandoned_once(parent)
                 with suppress(OSError):
                     self._make(os.path.abspath(parent))
                     return
@@ -59,7 +59,7 @@ class PrivateFolder:
 
     def _make(self, parent: str) -> None:
         """Raises OSError."""
-        for _ in range(3):  # who clears up may take it for forsaken before it is locked
+        for _ in range(3):  # who clears up may take it for abandoned before it is locked
             self.path = os.path.join(parent, PREFIX + secrets.token_hex(8))
             # The finalizer first: an interrupt may come as soon as the folder is there.
             self._finalizer = weakref.finalize(self, _remove, self.path, os.getpid(), lock := _Lock())
@@ -67,20 +67,20 @@ class PrivateFolder:
             try:
                 if lock.take(self.path) or sys.platform == "win32":
                     return
-            except OSError:  # a file system without locks: nobody can take it for forsaken there either
+            except OSError:  # a file system without locks: nobody can take it for abandoned there either
                 return
             self.remove()
         raise OSError(f"no folder can be kept in {parent}")
 
 
 class _Lock:
-    """The lock of a folder; that of no folder where the system has none."""
+    """The lock of a folder, on systems that have such locks."""
 
     def __init__(self) -> None:
         self._descriptor: int | None = None
 
     def take(self, folder: str) -> bool:
-        """Whether nobody else has it, and it is there. Raises OSError for one that is not ours."""
+        """Take a folder's lock; return whether nobody else has it, and the folder exists. Raises OSError."""
         if sys.platform == "win32":
             return False
         import fcntl
@@ -106,13 +106,13 @@ class _Lock:
         return True
 
     def give_back(self) -> None:
-        """Idempotent."""
+        """Give the lock back; idempotent."""
         if self._descriptor is not None:
             os.close(self._descriptor)
         self._descriptor = None
 
 
-def remove_forsaken(parent: str) -> None:
+def remove_abandoned(parent: str) -> None:
     """Remove the folders in parent that were made here and that no living process holds."""
     for folder in Path(parent).glob(f"{PREFIX}*"):
         lock = _Lock()
@@ -122,7 +122,7 @@ def remove_forsaken(parent: str) -> None:
         lock.give_back()
 
 
-_remove_forsaken_once = cache(remove_forsaken)  # a process: the folder of temporary files may hold thousands
+_remove_abandoned_once = cache(remove_abandoned)  # a process: the folder of temporary files may hold thousands
 
 
 def _remove(path: str, process_id: int, lock: _Lock) -> None:

@@ -1,4 +1,4 @@
-"""What may cross into and out of an FMU: which variables in which role, and which values."""
+"""The values that may cross into and out of an FMU: which variables in which role, and within which limits."""
 
 import difflib
 import math
@@ -9,35 +9,28 @@ from typing import Final, SupportsFloat
 from fmpy.model_description import ModelVariable
 
 from ..errors import WiringError
-from .value_buffers import Value, Variable
+from .types import TYPES, FmiType, Value
+from .value_buffers import ScalarVariable
 
 _LARGEST: Final = sys.float_info.max
-_DEFAULT_RANGE: Final = {
-    "Integer": (-(2.0**31) + 1, 2.0**31 - 1), "Boolean": (0.0, 1.0),
-    **{f"Int{bits}": (-(2.0 ** (bits - 1)), 2.0 ** (bits - 1) - 1) for bits in (8, 16, 32)},
-    **{f"UInt{bits}": (0.0, 2.0**bits - 1) for bits in (8, 16, 32)},
-    "Int64": (-(2.0**53), 2.0**53), "UInt64": (0.0, 2.0**53),  # what a double holds exactly
-}  # fmt: skip
 _ANY_NUMBER: Final = (-_LARGEST, _LARGEST)
-_NOT_WHOLE: Final = ("Real", "Float32", "Float64")
-_NO_NUMBERS: Final = ("String", "Binary", "Clock")
 
 
 class Ports:
-    """Variables whose values cross together: their names, and the values they may have."""
+    """Variables that are set or got together: their names, and the values they may have."""
 
     def __init__(self, role: str, variables: Sequence[ModelVariable], is_lenient: bool = False) -> None:
-        """is_lenient: min and max are not looked at by `problem`, but by `strayed`."""
-        self.variables = [Variable(v.name, _type_of(v), v.valueReference) for v in variables]
+        """is_lenient: min and max are not looked at by `problem`, but by `out_of_range`."""
+        self.variables = [ScalarVariable(v.name, _type_of(v), v.valueReference) for v in variables]
         self._role = role
         self._units = [attribute(v, "unit") or "" for v in variables]
         self._declared = [_range_of(v) for v in variables]
         self._ranges = [_default_range(v) for v in variables] if is_lenient else self._declared
-        self._whole = [i for i, v in enumerate(self.variables) if v.type not in _NOT_WHOLE]
+        self._whole = [i for i, v in enumerate(self.variables) if TYPES[v.type].is_whole]
         self._bounded = [(i, *limits) for i, limits in enumerate(self._ranges) if limits != _ANY_NUMBER]
 
     def problem(self, values: Sequence[float]) -> str | None:
-        """What is wrong with the first value that is not finite, outside [min, max] or not of its type, or None."""
+        """Return what is wrong with the first value that is not finite, in [min, max] and of its type, or None."""
         if math.isfinite(sum(values)):  # all are finite then: the sum of others is an infinity or NaN
             for i, low, high in self._bounded:
                 if not low <= values[i] <= high:
@@ -46,16 +39,16 @@ class Ports:
                 return self._fraction(values) if self._whole else None
         return self._first_problem(values)
 
-    def strayed(self, values: Sequence[float]) -> Iterator[tuple[str, str]]:
-        """Name, and what is wrong, of each value outside the declared [min, max]."""
+    def out_of_range(self, values: Sequence[float]) -> Iterator[tuple[str, str]]:
+        """Yield name and problem of each value outside the declared [min, max]."""
         for i, (value, limits) in enumerate(zip(values, self._declared, strict=True)):
             if not limits[0] <= value <= limits[1]:
-                yield self.variables[i].name, self._out_of_range(i, value, limits)
+                yield self.variables[i].name, self._range_problem(i, value, limits)
 
     def _first_problem(self, values: Sequence[float]) -> str | None:
         for i, (value, (low, high)) in enumerate(zip(values, self._ranges, strict=True)):
             if not low <= value <= high:  # NaN is in no range
-                return self._out_of_range(i, value, (low, high))
+                return self._range_problem(i, value, (low, high))
         return self._fraction(values)
 
     def _fraction(self, values: Sequence[float]) -> str | None:
@@ -64,7 +57,7 @@ class Ports:
                 return f"{self._role} {self.variables[i].name!r} must be a whole number, got {values[i]:g}"
         return None
 
-    def _out_of_range(self, i: int, value: float, limits: tuple[float, float]) -> str:
+    def _range_problem(self, i: int, value: float, limits: tuple[float, float]) -> str:
         name = f"{self._role} {self.variables[i].name!r}"
         if not math.isfinite(value):
             return f"{name} is {value:g}"
@@ -80,14 +73,14 @@ class Catalogue:
         self._variables = {v.name: v for v in variables}
 
     def ports(self, role: str, names: Sequence[str], is_lenient: bool = False) -> Ports:
-        """The variables of these names, in the role 'input', 'tunable parameter' or 'output'.
+        """Return the variables of these names, in the role 'input', 'tunable parameter' or 'output'.
 
         An input or tunable parameter must be one; an output may be anything but a String. Raises WiringError.
         """
         return Ports(role.removeprefix("tunable "), [self._in_role(name, role) for name in names], is_lenient)
 
     def start_port(self, name: str, value: Value) -> Ports:
-        """The variable of that name, if it takes a start value of value's type; its range is not looked at.
+        """Return the variable of that name, if it takes a start value of value's type; its range is not looked at.
 
         Raises WiringError.
         """
@@ -98,8 +91,7 @@ class Catalogue:
             initial = f", initial {variable.initial}" if variable.initial else ""
             raise WiringError(f"{name!r} of {self._fmu_name} takes no start value: it is {kind}{initial}.")
         its_type = _type_of(variable)
-        is_fit = isinstance(value, str) if its_type in _NO_NUMBERS else isinstance(value, SupportsFloat)
-        if not is_fit or (isinstance(value, bool) and its_type != "Boolean"):
+        if not _is_fit(value, TYPES[its_type]):
             raise WiringError(f"{name!r} of {self._fmu_name} is a {its_type} and cannot start as {value!r}.")
         return Ports(kind_of(variable), [variable])
 
@@ -123,12 +115,12 @@ class Catalogue:
 
 
 def is_numeric(variable: ModelVariable) -> bool:
-    """Its values can be exchanged at communication points."""
-    return variable.type not in _NO_NUMBERS
+    """Whether a variable's values can be exchanged at communication points."""
+    return TYPES[variable.type].is_numeric
 
 
 def kind_of(variable: ModelVariable) -> str:
-    """What a variable is, in words: 'input', 'tunable parameter', 'local variable', ..."""
+    """Return the kind of a variable in words: 'input', 'tunable parameter', 'local variable', ..."""
     if variable.variability == "constant":
         return "constant"
     if variable.causality == "parameter":
@@ -143,22 +135,35 @@ def _with_article(kind: str) -> str:
 
 
 def _type_of(variable: ModelVariable) -> str:
-    return "Integer" if variable.type == "Enumeration" else str(variable.type)
+    """Return a variable's type; an Enumeration's is the one by whose functions FMI 2.0 sets and gets it.
+
+    Those of FMI 3.0 have become an Int64 in `elements.scalarized`.
+    """
+    access = TYPES[variable.type].fmi2
+    return access.functions if access is not None else str(variable.type)
+
+
+def _is_fit(value: Value, its_type: FmiType) -> bool:
+    """Whether a variable of a type can start as value; a Boolean is no number here."""
+    if not its_type.is_numeric:
+        return its_type.python is str and isinstance(value, str)
+    return isinstance(value, SupportsFloat) and (its_type.python is bool or not isinstance(value, bool))
 
 
 def attribute(variable: ModelVariable, name: str) -> str | None:
-    """The unit, min or max of a variable: its own, or its declared type's."""
+    """Return the unit, min or max of a variable: its own, or its declared type's."""
     own = getattr(variable, name)
     return own if own is not None or variable.declaredType is None else getattr(variable.declaredType, name)
 
 
 def _default_range(variable: ModelVariable) -> tuple[float, float]:
-    """The finite numbers that a variable of its type can be."""
-    return _DEFAULT_RANGE.get(_type_of(variable), _ANY_NUMBER)
+    """Return the smallest and the largest number that a variable of its type can be."""
+    limits = TYPES[variable.type].limits
+    return _ANY_NUMBER if limits is None else (float(limits[0]), float(limits[1]))
 
 
 def _range_of(variable: ModelVariable) -> tuple[float, float]:
-    """The finite numbers that a variable may be."""
+    """Return the smallest and the largest number that a variable may be."""
     low, high = _default_range(variable)
     declared_low, declared_high = attribute(variable, "min"), attribute(variable, "max")
     return (

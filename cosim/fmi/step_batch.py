@@ -1,4 +1,4 @@
-"""Many steps of an FMU as one call: the bytes that go to its process, and back. Nothing comes between the steps."""
+"""Many steps of an FMU as one call: the bytes that go to its process, and back."""
 
 import struct
 from array import array
@@ -7,13 +7,13 @@ from typing import Final
 
 _HEAD: Final = struct.Struct("<QQQ")
 Step = Callable[[float, float, Sequence[float], Sequence[float] | None], tuple[float, ...]]
-"""Instance.step."""
+"""`Binding.step`."""
 
 
 def encode_steps(
     times: Sequence[float], inputs: Sequence[Sequence[float]], tunables: Sequence[float] | None = None
 ) -> bytes:
-    """n steps: from each of the times (n + 1,) [s] to the next with these inputs (n, p); tunables are set before."""
+    """Encode n steps, from each of times (n + 1,) [s] to the next with inputs (n, p); tunables are set before them."""
     flat = array("d", times)
     for values in inputs:
         flat.extend(values)
@@ -22,7 +22,7 @@ def encode_steps(
 
 
 def take_steps(step: Step, message: bytes) -> bytes:
-    """Do what encode_steps asks for; the outputs after each step."""
+    """Take the steps of an encode_steps message; return the outputs after each, encoded."""
     n, p, n_tunables = _HEAD.unpack_from(message)
     values = array("d", message[_HEAD.size :])
     outputs = array("d")
@@ -35,7 +35,7 @@ def take_steps(step: Step, message: bytes) -> bytes:
 
 
 def decode_outputs(message: bytes, n_steps: int) -> list[tuple[float, ...]]:
-    """The outputs after each step. Raises ValueError for bytes that are none."""
+    """Return the outputs after each step. Raises ValueError for bytes that are none."""
     values = array("d", message).tolist()
     width, rest = divmod(len(values), max(n_steps, 1))
     if rest:

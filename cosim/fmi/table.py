@@ -22,7 +22,7 @@ from ..errors import ScenarioError, WiringError, one_line
 from ..unit_text import understood
 from ..units import BASE_UNITS
 from .ports import Catalogue
-from .value_buffers import Value
+from .types import Value
 
 SUFFIX: Final = ".csv"
 _HEADER: Final = re.compile(r"(?P<name>.+?)\s*(\[(?P<unit>[^\[\]]*)\])?")
@@ -30,18 +30,18 @@ _ROUNDING: Final = 1e-9  # of a macro step: t + h may fall short of the time of 
 
 
 @dataclass(frozen=True)
-class Table:
+class TimeTable:
     """Columns over time."""
 
     times: tuple[float, ...]
-    """[s] (n,), not decreasing."""
+    """Times [s] (n,), not decreasing."""
     rows: tuple[tuple[float, ...], ...]
-    """(n, columns)."""
+    """Values (n, columns)."""
     units: Mapping[str, str | None]
-    """Of each column, by its name, in the file's order."""
+    """Unit of each column, by its name, in the file's order."""
 
     def at(self, t: float, slack: float = 0.0) -> tuple[float, ...]:
-        """The values at t [s]; a row that is less than slack [s] ahead counts as reached."""
+        """Return the values at t [s]; a row that is less than slack [s] ahead counts as reached."""
         i = bisect_right(self.times, t + slack)
         if i in (0, len(self.times)):
             return self.rows[max(i - 1, 0)]
@@ -55,8 +55,8 @@ def is_table(path: Path) -> bool:
     return path.suffix.lower() == SUFFIX
 
 
-def read_table(path: Path) -> Table:
-    """The table in a CSV file: a header, the first column `time [s]`, finite numbers.
+def read_table(path: Path) -> TimeTable:
+    """Read the table in a CSV file: a header, the first column `time [s]`, finite numbers.
 
     Commas, semicolons or tabs separate; empty lines and those that begin with # are passed over.
     Raises ScenarioError, one line with file and line number.
@@ -77,11 +77,11 @@ def read_table(path: Path) -> Table:
         rows.append(_row(cells, len(header), f"{path}, line {line}"))
         if len(rows) > 1 and rows[-1][0] < rows[-2][0]:
             raise ScenarioError(f"{path}, line {line}: time must not go back, got {rows[-1][0]:g} s.")
-    return Table(tuple([row[0] for row in rows]), tuple([row[1:] for row in rows]), units)
+    return TimeTable(tuple([row[0] for row in rows]), tuple([row[1:] for row in rows]), units)
 
 
 def _units(header: Sequence[str], path: Path) -> dict[str, str | None]:
-    """Unit of each column but the first. Raises ScenarioError."""
+    """Return the unit of each column but the first. Raises ScenarioError."""
     columns = [_HEADER.fullmatch(cell) for cell in header]
     parts = [(m["name"], (m["unit"] or "").strip() or None) if m else ("", None) for m in columns]
     name, unit = parts[0]
@@ -105,8 +105,8 @@ def _row(cells: Sequence[str], n: int, place: str) -> tuple[float, ...]:
     return values
 
 
-def describe(path: Path, table: Table) -> ModelDescription:
-    """What an FMU with these outputs would declare."""
+def describe(path: Path, table: TimeTable) -> ModelDescription:
+    """Return the model description that an FMU with these outputs would have."""
     variables = [
         ModelVariable(
             name, i, "Real", causality="output", variability="continuous", initial="exact", unit=unit,
@@ -122,7 +122,7 @@ def describe(path: Path, table: Table) -> ModelDescription:
 
 
 def _defined(text: str) -> Unit:
-    """What a column's header says of its unit, as a model description would; undefined where it is not understood."""
+    """Return a column's unit as a model description has it; undefined where it is not understood."""
     unit = understood(text)
     if unit.exponents is None:
         return Unit(text)
@@ -157,14 +157,14 @@ class TableSlave:
     enter_initialization = initialize
 
     def propagate(self, inputs: Sequence[float] | None) -> tuple[float, ...]:
-        """As get."""
+        """Return the bound columns: see get."""
         return self.get()
 
     def exit_initialization(self) -> None:
-        """Nothing."""
+        """Do nothing: a table has no such mode, and nothing to free."""
 
     def get(self) -> tuple[float, ...]:
-        """The bound columns at the present communication point."""
+        """Return the bound columns at the present communication point."""
         values = self._table.at(self._time, self._slack)
         return tuple([values[i] for i in self._bound])
 
@@ -173,24 +173,24 @@ class TableSlave:
         self._time, self._slack = t + h, _ROUNDING * h
 
     def end_step(self) -> tuple[float, ...]:
-        """As get."""
+        """Return the bound columns: see get."""
         return self.get()
 
     @property
     def checkpoint_name(self) -> str:
-        """See `cosim.runs.checkpoint.Alive`."""
+        """Name in messages about checkpoints: see `cosim.runs.checkpoint.Alive`."""
         return f"table {self.name}"
 
     def to_checkpoint(self) -> tuple[float, float]:
-        """Where it stands; its rows are in its file."""
+        """Return the present time; its rows are in its file."""
         return self._time, self._slack
 
     def from_checkpoint(self, saved: tuple[float, float]) -> None:
-        """Go there."""
+        """Go back to a checkpoint's time."""
         self._time, self._slack = saved
 
     def close(self) -> None:
-        """Nothing."""
+        """Do nothing: a table has no such mode, and nothing to free."""
 
     def __enter__(self) -> Self:
         return self

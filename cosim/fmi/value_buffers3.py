@@ -1,42 +1,42 @@
-"""The arrays in which values are handed to FMI 3.0's C functions: whole variables, of which some elements are named."""
+"""The arrays in which values are handed to the C functions of FMI 3.0: whole variables, some elements of them bound."""
 
 import ctypes
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Any
 
 from fmpy.model_description import ModelDescription
 
 from .elements import of_handle, starts_of
-from .value_buffers import Variable
-
-_C_TYPES: Final[dict[str, Any]] = {
-    "Float32": ctypes.c_float, "Float64": ctypes.c_double, "Boolean": ctypes.c_bool,
-    "Int8": ctypes.c_int8, "Int16": ctypes.c_int16, "Int32": ctypes.c_int32, "Int64": ctypes.c_int64,
-    "UInt8": ctypes.c_uint8, "UInt16": ctypes.c_uint16, "UInt32": ctypes.c_uint32, "UInt64": ctypes.c_uint64,
-}  # fmt: skip
+from .types import TYPES
+from .value_buffers import ScalarVariable, positions_by_type
 
 Arrays = dict[int, list[float]]
-"""Values of all elements, by value reference."""
+"""Values of all elements of each variable, by value reference."""
 
 
 def start_arrays(description: ModelDescription) -> Arrays:
-    """What each numeric variable is before anybody has set it; zero where the description does not say."""
+    """Return the start values of each numeric variable; zero where the description has none."""
     return {
         v.valueReference: [_number(start) for start in starts_of(v)]
         for v in description.modelVariables
-        if v.type in _C_TYPES or v.type == "Enumeration"
+        if TYPES[v.type].is_numeric
     }
 
 
-class Block3:
+class ValueBuffer3:
     """The variables of one type among those that are set or got together, in arrays that live as long as the FMU.
 
-    FMI 3.0 sets an array as a whole: elements that nobody names keep the values of `arrays`.
+    FMI 3.0 sets an array as a whole: elements that are not bound keep the values of `arrays`.
     """
 
-    def __init__(self, kind: str, variables: Sequence[Variable], positions: Sequence[int], arrays: Arrays) -> None:
-        self.getter, self.setter = f"fmi3Get{kind}", f"fmi3Set{kind}"
+    def __init__(
+        self, type_name: str, variables: Sequence[ScalarVariable], positions: Sequence[int], arrays: Arrays
+    ) -> None:
+        fmi_type = TYPES[type_name]
+        access = fmi_type.fmi3
+        assert access is not None
+        self.getter, self.setter = f"fmi3Get{access.functions}", f"fmi3Set{access.functions}"
         self.positions = tuple(positions)
         places = [of_handle(variables[i][2]) for i in positions]
         first: dict[int, int] = {}
@@ -49,19 +49,19 @@ class Block3:
         self._places = [first[reference] + element for reference, element in places]
         self._is_whole = self._places == list(range(n))
         self._references = (ctypes.c_uint * len(first))(*first)
-        self._values: Any = (_C_TYPES[kind] * n)()
-        self._convert: Any = bool if kind == "Boolean" else float if kind.startswith("Float") else int
-        self._unfilled = [math.nan] * n if kind.startswith("Float") else None
+        self._values: Any = (access.c_type * n)()
+        self._convert: Any = fmi_type.python
+        self._unfilled = [math.nan] * n if fmi_type.is_real else None
         self.arguments = (self._references, len(first), self._values, n)
 
     def start(self, arrays: Arrays) -> None:
-        """Take the elements that nobody names from these values."""
+        """Take the elements that are not bound from these values."""
         for reference, at in self._first.items():
             values = arrays[reference]
             self._values[at : at + len(values)] = [self._convert(value) for value in values]
 
     def fill(self, values: Sequence[float]) -> None:
-        """Put into the array what belongs to this block among all the values that are set together."""
+        """Put into the array what belongs to this buffer among all the values that are set together."""
         if self._is_whole and self._convert is float and len(values) == len(self.positions):
             self._values[:] = values
             return
@@ -74,21 +74,20 @@ class Block3:
             self._values[:] = self._unfilled
 
     def read(self) -> list[float]:
-        """The values of the variables that were named; NaN where a get has filled nothing."""
+        """Return the values of the bound variables; NaN where a get has filled nothing."""
         values = self._values[:]
         return values if self._is_whole else [values[place] for place in self._places]
 
 
-def blocks3_of(variables: Sequence[Variable], arrays: Arrays) -> list[Block3]:
-    """variables grouped by type, each group in its order."""
-    positions: dict[str, list[int]] = {}
-    for i, variable in enumerate(variables):
-        positions.setdefault(variable[1], []).append(i)
-    return [Block3(kind, variables, of_kind, arrays) for kind, of_kind in positions.items()]
+def buffers3_of(variables: Sequence[ScalarVariable], arrays: Arrays) -> list[ValueBuffer3]:
+    """Return a buffer for each type of the variables, each in their order."""
+    return [
+        ValueBuffer3(kind, variables, positions, arrays) for kind, positions in positions_by_type(variables).items()
+    ]
 
 
 def overlaid(arrays: Mapping[int, Sequence[float]], values: Mapping[int, float]) -> Arrays:
-    """The arrays with some elements replaced, by their handles."""
+    """Return the arrays with some elements replaced, by their handles."""
     result = {reference: list(elements) for reference, elements in arrays.items()}
     for number, value in values.items():
         reference, element = of_handle(number)

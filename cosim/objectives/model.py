@@ -14,14 +14,13 @@ from estimator import Parameter
 
 from ..errors import CosimError, NotResumableError, ScenarioError, SlaveError
 from ..files import sha256
-from ..fmi.archive import model_exchange, unpacked
+from ..fmi.archive import fmu_to_load, unpacked
 from ..fmi.elements import resolved
-from ..fmi.fmi2_co_simulation import Identity
 from ..fmi.ports import Catalogue
-from ..fmi.value_buffers import Variable
+from ..fmi.value_buffers import ScalarVariable
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
-from ..slaves.process import Worker
+from ..slaves.process import FmuProcess
 from ..system.fmu_cache import find_fmu
 from ..system.plant import Plant
 from ..user_code import load
@@ -71,11 +70,11 @@ class FmuModel:
         self._fmu, self._timeout, self._memory_limit = fmu, timeout, memory_limit
         self._parameters = [p.name for p in parameters]
         self._theta: tuple[float, ...] | None = None
-        self._home: Worker | None = None
+        self._process: FmuProcess | None = None
         self._description, self._folder = unpacked(fmu, "model-exchange")
         try:
             self._bound = self._binding(plant, parameters)
-            self._home = self._started()
+            self._process = self._started()
         except BaseException:
             self.close()
             raise
@@ -84,10 +83,10 @@ class FmuModel:
         """The derivatives (n,) in the order of x. Raises ValueError where the FMU fails."""
         theta = tuple([float(parameters[name]) for name in self._parameters])
         try:
-            home = self._home = self._home or self._started()
-            home.begin_step(0.0, 0.0, (*x, *u), None if theta == self._theta else theta)
+            process = self._process = self._process or self._started()
+            process.begin_step(0.0, 0.0, (*x, *u), None if theta == self._theta else theta)
             self._theta = theta
-            return home.end_step(0.0)
+            return process.end_step(0.0)
         except SlaveError as error:
             self._end()
             raise ValueError(str(error)) from error
@@ -106,17 +105,17 @@ class FmuModel:
     def close(self) -> None:
         """End the FMU and remove its folder; idempotent."""
         try:
-            if self._home is not None:
-                self._home.close(0.0, is_polite=True)
+            if self._process is not None:
+                self._process.close(0.0, is_polite=True)
         except SlaveError:  # it has ended, and what it has computed is not touched by it
             pass
         finally:
-            self._home = None
+            self._process = None
             self._folder.remove()
 
     def _binding(
         self, plant: Plant, parameters: Sequence[Parameter]
-    ) -> tuple[list[Variable], list[Variable], list[Variable]]:
+    ) -> tuple[list[ScalarVariable], list[ScalarVariable], list[ScalarVariable]]:
         """States and inputs, parameters, derivatives. Raises ScenarioError, WiringError."""
         fmu, known = self._fmu, self._description.modelVariables
         variables = {v.name: v for v in known}
@@ -137,31 +136,24 @@ class FmuModel:
         )
 
     def _end(self) -> None:
-        if self._home is not None:
-            self._home.close(None, is_polite=False)
-        self._home = self._theta = None
+        if self._process is not None:
+            self._process.close(None, is_polite=False)
+        self._process = self._theta = None
 
-    def _started(self) -> Worker:
-        identity = Identity(
-            self._folder.path,
-            str(model_exchange(self._description).modelIdentifier),
-            str(self._description.guid),
-            self._fmu.stem,
-            self._description.fmiVersion != "2.0",
-            "fmi2-exchange" if self._description.fmiVersion == "2.0" else "fmi3-exchange",
-        )
-        home = Worker(identity, self._timeout, memory_limit=self._memory_limit)
+    def _started(self) -> FmuProcess:
+        to_load = fmu_to_load(self._description, self._folder.path, self._fmu.stem, "model-exchange")
+        process = FmuProcess(to_load, self._timeout, memory_limit=self._memory_limit)
         try:
-            home.bind(*self._bound)
-            home.call("initialize", 0.0, (), 0.0, None)
+            process.bind(*self._bound)
+            process.call("initialize", 0.0, (), 0.0, None)
         except BaseException:
-            home.close(None, is_polite=False)
+            process.close(None, is_polite=False)
             raise
-        return home
+        return process
 
 
-def _variable(variable: ModelVariable) -> Variable:
-    return Variable(variable.name, variable.type, variable.valueReference)
+def _variable(variable: ModelVariable) -> ScalarVariable:
+    return ScalarVariable(variable.name, variable.type, variable.valueReference)
 
 
 def _named(fmu: Path, kind: str, names: Iterable[str], known: Mapping[str, ModelVariable]) -> list[ModelVariable]:

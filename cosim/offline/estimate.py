@@ -16,6 +16,7 @@ from estimator.space import Scale
 from ..errors import CosimError, WiringError
 from ..fmi.component import Component, read_component
 from ..fmi.ports import Catalogue
+from ..fmi.types import is_real
 from .log_windows import Cut, LogWindow, Signals, windows_of
 from .logs import LogError, read_log
 from .rollout import Plant, RolloutResidual, Rollouts, noise_of
@@ -208,7 +209,7 @@ def _space(request: Request, component: Component) -> tuple[ParameterSpace, Vect
     nominal: list[float] = []
     for p in request.parameters:
         port = catalogue.start_port(p.name, p.lower)
-        if (kind := port.variables[0].type) not in ("Real", "Float64", "Float32"):
+        if not is_real(kind := port.variables[0].type):
             raise WiringError(
                 f"'{p.name}' of {request.fmu.name} is of type {kind}; only real numbers can be estimated."
             )

@@ -6,7 +6,7 @@ from typing import Final
 from fmu_models.ode import integrate
 
 from ..errors import COLON, SlaveError
-from ..system.master import Value
+from ..fmi.types import Value
 from ..system.plant import Plant
 
 MAX_STEP_S: Final = 0.005

@@ -1,1 +1,1 @@
-"""Where FMUs run: processes, how they are placed, and what is sent to and fro."""
+"""Running FMUs: slave, host process and child, and the channel between them; supervision/ guards the processes."""

@@ -30,11 +30,11 @@ class Channel(Protocol):
     """One end of a two-way connection between two processes."""
 
     def send(self, message: bytes) -> None:
-        """Hand over one message of at least one byte. Raises OSError when the other side is gone."""
+        """Send one message of at least one byte. Raises OSError when the other side is gone."""
         ...
 
     def receive(self, timeout_s: float | None) -> bytes:
-        """The next message. Raises TimeoutError, EOFError when the other side is gone, OSError."""
+        """Return the next message. Raises TimeoutError, EOFError when the other side is gone, OSError."""
         ...
 
     def hang_up(self) -> None:
@@ -42,7 +42,7 @@ class Channel(Protocol):
         ...
 
     def close(self) -> None:
-        """Give the end back; idempotent."""
+        """Close this end; idempotent."""
         ...
 
 
@@ -134,14 +134,14 @@ class PipeChannel:
             raise EOFError("the other side has closed the channel") from error
 
     def hang_up(self) -> None:
-        """Not for a pipe: a wait goes on to its limit."""
+        """Do nothing: a wait on a pipe goes on to its limit."""
 
     def close(self) -> None:
         self._connection.close()
 
 
 KIND: Final = "packet" if sys.platform == "linux" and hasattr(socket, "SOCK_SEQPACKET") else "pipe"
-"""What channel_pair makes unless told otherwise: chosen once, when this module is imported."""
+"""Default kind of channel_pair: chosen once, when this module is imported."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ class ChildEnd:
     handle: int
     """File descriptor, or Windows handle, that the child has to inherit."""
     owner: "socket.socket | Connection[bytes, bytes]"
-    """What closes the parent's copy."""
+    """Object that closes the parent's copy."""
 
     def popen_arguments(self) -> dict[str, Any]:
         """Keyword arguments of subprocess.Popen that let the child inherit the handle, and nothing else."""
@@ -169,7 +169,7 @@ class ChildEnd:
 
 
 def channel_pair(kind: str = KIND) -> tuple[Channel, ChildEnd]:
-    """This process's channel and the end for a child; kind is 'packet' or 'pipe'."""
+    """Return this process's channel and the end for a child; kind is 'packet' or 'pipe'."""
     if kind == "packet":
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         return PacketChannel(ours), ChildEnd(f"packet:{theirs.fileno()}", theirs.fileno(), theirs)
@@ -178,7 +178,7 @@ def channel_pair(kind: str = KIND) -> tuple[Channel, ChildEnd]:
 
 
 def open_channel(argument: str) -> Channel:
-    """The child's channel, from its ChildEnd's argument. Grandchildren do not inherit it."""
+    """Open the child's channel, from its ChildEnd's argument. Grandchildren do not inherit it."""
     kind, _, number = argument.partition(":")
     handle = int(number)
     if kind == "packet":
@@ -202,7 +202,7 @@ _HEAD = struct.Struct("<BI")
 
 
 class StepCodec:
-    """The messages of a step, all doubles: kind, t, h, inputs, tunables one way; kind, outputs the other."""
+    """The codec for messages of a step, all doubles: kind, t, h, inputs, tunables one way; kind, outputs the other."""
 
     def __init__(self, n_inputs: int, n_tunables: int, n_outputs: int) -> None:
         self._n_inputs = n_inputs
@@ -217,7 +217,7 @@ class StepCodec:
         return self._step_tuned.pack(STEP_TUNED, t, h, *inputs, *tunables)
 
     def decode_step(self, message: bytes) -> tuple[float, float, Sequence[float], Sequence[float] | None]:
-        """(t [s], h [s], inputs, tunables or None)."""
+        """Return t [s], h [s], inputs, and tunables or None."""
         if message[0] == STEP:
             _, t, h, *inputs = self._step.unpack(message)
             return t, h, inputs, None
@@ -233,13 +233,13 @@ class StepCodec:
 
 
 def encode(kind: int, value: object, blob: bytes | None = None) -> bytes:
-    """A message of a JSON value and, behind it, raw bytes or None."""
+    """Return a message of a JSON value and, behind it, raw bytes or None."""
     text = json.dumps([value, blob is not None]).encode()
     return _HEAD.pack(kind, len(text)) + text + (blob or b"")
 
 
 def decode(message: bytes) -> tuple[Any, bytes | None]:
-    """The value and the bytes of a message of encode. Raises ValueError for any other bytes."""
+    """Return the value and the bytes of a message of encode. Raises ValueError for any other bytes."""
     try:
         _, length = _HEAD.unpack_from(message)
         end = _HEAD.size + length

@@ -1,10 +1,12 @@
-"""One FMU seen from outside: by variable names, in its own process unless told otherwise.
+"""One FMU as a master sees it: by variable names, in its own process unless told otherwise.
 
-with open_slave(Path("Pendulum.fmu"), "plant") as plant:
-    plant.bind(inputs=["u"], tunables=["m", "l"], outputs=["phi", "phi_dot"])
-    plant.initialize({"phi": 1.0}, start_time=0.0, stop_time=10.0)
-    phi, phi_dot = plant.get()
-    phi, phi_dot = plant.step([0.0], t=0.0, h=0.01)
+    with open_slave(Path("Pendulum.fmu"), "plant") as plant:
+        plant.bind(inputs=["u"], tunables=["m", "l"], outputs=["phi", "phi_dot"])
+        plant.initialize({"phi": 1.0}, start_time=0.0, stop_time=10.0)
+        phi, phi_dot = plant.get()
+        phi, phi_dot = plant.step([0.0], t=0.0, h=0.01)
+
+A call goes from here through a `Host` (process.py, or host.py without a process) to the FMU's `Binding`.
 """
 
 import logging
@@ -12,28 +14,27 @@ import math
 import os
 import weakref
 from collections.abc import Mapping, Sequence
-from enum import Enum
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
 from fmpy.model_description import ModelDescription
 
-from ..errors import COLON, NotResumableError, SlaveError, StateTooLargeError, WiringError, seconds
-from ..fmi.archive import co_simulation, unpacked
-from ..fmi.fmi2_co_simulation import LARGEST_STATE, Identity
+from ..errors import COLON, NotResumableError, SlaveError, StateTooLargeError
+from ..fmi.archive import co_simulation, fmu_to_load, unpacked
+from ..fmi.binding import LARGEST_STATE
 from ..fmi.folder import PrivateFolder
-from ..fmi.ports import Catalogue, Ports
+from ..fmi.ports import Catalogue
 from ..fmi.step_batch import decode_outputs, encode_steps
-from ..fmi.value_buffers import PYTHON_TYPE, Value
-from .host import Home, SameProcess
-from .process import Worker
+from ..fmi.types import Value
+from .bound_variables import BoundVariables
+from .host import Host, InProcessFmu
+from .life_cycle import LifeCycle, Phase
+from .process import FmuProcess
 
 Isolation = Literal["process", "none"]
+OutOfRange = Literal["fault", "warning"]
 
 _log = logging.getLogger(__name__)
-
-
-OutOfRange = Literal["fault", "warning"]
 
 
 def open_slave(
@@ -45,13 +46,13 @@ def open_slave(
     out_of_range: OutOfRange = "fault",
     memory_limit: float = 0.0,
 ) -> "Slave":
-    """An FMU for co-simulation, FMI 2.0 or 3.0, unpacked into a private folder and loaded.
+    """Unpack an FMU for co-simulation, FMI 2.0 or 3.0, into a private folder, and load it.
 
-    isolation "process" (the default) gives it a process of its own, and returns while it is still loading: open
-    several and they load at the same time. "none" loads it into this process: for trusted native FMUs.
+    isolation: "process" (the default) gives it a process of its own, and returns while it is still loading: open
+    several and they load at the same time. "none" loads it into this process, and trusts it with all that is in it.
     timeout is the time each call may take [s], memory_limit what its process may hold [MB] (0: half of the
     machine's memory; Linux); only a process of its own can be held to them.
-    out_of_range is what an input or output outside its declared min and max is: a fault, or a warning, given once.
+    out_of_range: whether an input or output outside its declared min and max is a fault, or a warning, given once.
 
     Raises ModelDescriptionError for a bad file, SlaveError when loading fails (isolated: in the first call).
     """
@@ -62,31 +63,24 @@ def open_slave(
     fmu = Path(fmu)
     description, folder = unpacked(fmu)
     try:
-        identity = Identity(
-            folder.path,
-            str(co_simulation(description).modelIdentifier),
-            str(description.guid),
-            instance_name,
-            "pythonfmu" in (description.generationTool or "").lower(),
-            "fmi2" if description.fmiVersion == "2.0" else "fmi3",
-        )
-        home = Worker(identity, timeout, memory_limit=memory_limit) if isolation == "process" else SameProcess(identity)
+        to_load = fmu_to_load(description, folder.path, instance_name)
+        isolated = isolation == "process"
+        host = FmuProcess(to_load, timeout, memory_limit=memory_limit) if isolated else InProcessFmu(to_load)
     except BaseException:
         folder.remove()
         raise
-    return Slave(fmu, instance_name, description, home, folder, out_of_range)
-
-
-class _Phase(Enum):
-    """How far an FMU's life has come; the value says what brings it there."""
-
-    INSTANTIATED = "must come before initialize"
-    INITIALIZING = "must follow enter_initialization"
-    RUNNING = "must follow initialize"
+    return Slave(fmu, instance_name, description, host, folder, out_of_range)
 
 
 class Slave:
-    """One FMU. Its life: bind, initialize, any number of step (or begin_step, end_step) and get, close.
+    """One FMU, from loading to freeing.
+
+    1. open_slave       unpacks and loads it
+    2. bind             names the variables that are set and got at communication points
+    3. initialize       sets start values, passes initialization mode; or, to exchange values in that mode:
+       enter_initialization, propagate, exit_initialization
+    4. get, and step, or begin_step and end_step, any number of times; get_state and set_state go back
+    5. close            terminates and frees it
 
     After a SlaveError that the FMU has caused only close may be called; a value that is refused before it reaches the
     FMU leaves the slave as it was. A call out of order does not reach the FMU: it raises RuntimeError.
@@ -97,76 +91,61 @@ class Slave:
         fmu: Path,
         instance_name: str,
         description: ModelDescription,
-        home: Home,
+        host: Host,
         folder: PrivateFolder,
         out_of_range: OutOfRange = "fault",
     ) -> None:
-        """Made by open_slave."""
+        """Called by open_slave."""
         self.fmu = fmu
         self.name = instance_name
         self.description = description
-        self._catalogue = Catalogue(fmu.name, description.modelVariables)
-        self._home = home
-        self._phase = _Phase.INSTANTIATED
-        self._time: float | None = None
-        self._fault: SlaveError | None = None
-        self._end_of_step: float | None = None
-        self._is_lenient = out_of_range == "warning"
-        self._strayed: set[str] = set()
+        self._host = host
+        self._life = LifeCycle(instance_name)
+        is_lenient = out_of_range == "warning"
+        self._bound = BoundVariables(instance_name, Catalogue(fmu.name, description.modelVariables), is_lenient)
         self._values: tuple[float, ...] | None = None
-        self._inputs, self._tunables, self._outputs = (Ports(role, ()) for role in ("input", "parameter", "output"))
-        self._finalizer = weakref.finalize(self, _release, home, folder, os.getpid())
+        self._finalizer = weakref.finalize(self, _release, host, folder, os.getpid())
 
     def bind(self, inputs: Sequence[str] = (), tunables: Sequence[str] = (), outputs: Sequence[str] = ()) -> None:
-        """Say which variables are set and got at communication points, and in which order.
+        """Choose the variables that are set and got at communication points, and their order.
 
         inputs must have causality input, tunables be tunable parameters; outputs may be anything but a String.
         Raises WiringError, SlaveError.
         """
-        for names in (inputs, tunables):
-            if len(set(names)) != len(names):
-                raise WiringError(f"{self.name}: a variable is bound twice in {', '.join(names)}")
-        self._inputs = self._catalogue.ports("input", inputs, self._is_lenient)
-        self._tunables = self._catalogue.ports("tunable parameter", tunables)
-        self._outputs = self._catalogue.ports("output", outputs, self._is_lenient)
+        self._bound.bind(inputs, tunables, outputs)
         self._values = None
-        ports = (self._inputs, self._tunables, self._outputs)
-        self._guarded(self._home.bind, *(port.variables for port in ports))
+        self._life.call(self._host.bind, *self._bound.all)
 
     def initialize(self, start: Mapping[str, Value], start_time: float = 0.0, stop_time: float | None = None) -> None:
-        """Set start values by name and go through initialization mode; times in s.
+        """Set start values by name and pass initialization mode; times in s.
 
         Raises WiringError for a variable that takes no start value or one of another type, SlaveError.
         """
-        self._must_be("initialize", _Phase.INSTANTIATED)
-        values = [self._start_value(name, value, start_time) for name, value in start.items()]
-        self._guarded(self._home.call, "initialize", start_time, values, start_time, stop_time)
-        self._time, self._phase, self._values = start_time, _Phase.RUNNING, None
+        self._initialize("initialize", start, start_time, stop_time)
+        self._life.phase, self._values = Phase.RUNNING, None
 
     def enter_initialization(
         self, start: Mapping[str, Value], start_time: float = 0.0, stop_time: float | None = None
     ) -> None:
-        """As initialize, but stay in initialization mode, for propagate and exit_initialization."""
-        self._must_be("enter_initialization", _Phase.INSTANTIATED)
-        values = [self._start_value(name, value, start_time) for name, value in start.items()]
-        self._guarded(self._home.call, "enter_initialization", start_time, values, start_time, stop_time)
-        self._time, self._phase = start_time, _Phase.INITIALIZING
+        """Set start values as initialize does, but stay in initialization mode."""
+        self._initialize("enter_initialization", start, start_time, stop_time)
+        self._life.phase = Phase.INITIALIZING
 
     def propagate(self, inputs: Sequence[float] | None) -> tuple[float, ...]:
-        """The bound outputs in initialization mode, after setting the inputs unless they are None.
+        """Return the bound outputs in initialization mode, after setting the inputs unless they are None.
 
         On the way to consistent values ranges are not looked at. Raises SlaveError.
         """
-        self._must_be("propagate", _Phase.INITIALIZING)
-        if inputs is not None and len(inputs) != len(self._inputs.variables):
-            raise ValueError(f"{self.name}: {len(self._inputs.variables)} values must be set, got {len(inputs)}.")
-        return tuple(self._guarded(self._home.call, "propagate", self._time, inputs))
+        self._life.check("propagate", Phase.INITIALIZING)
+        if inputs is not None:
+            self._bound.check_number(self._bound.inputs, inputs)
+        return tuple(self._life.call(self._host.call, "propagate", self._life.time, inputs))
 
     def exit_initialization(self) -> None:
         """Leave initialization mode. Raises SlaveError."""
-        self._must_be("exit_initialization", _Phase.INITIALIZING)
-        self._guarded(self._home.call, "exit_initialization", self._time)
-        self._phase, self._values = _Phase.RUNNING, None
+        self._life.check("exit_initialization", Phase.INITIALIZING)
+        self._life.call(self._host.call, "exit_initialization", self._life.time)
+        self._life.phase, self._values = Phase.RUNNING, None
 
     def restart(self) -> None:
         """Free the FMU's instance and make a new one in its place, with the same variables bound; initialize follows.
@@ -174,17 +153,16 @@ class Slave:
         Not fmi2Reset, which many FMUs do not have. Raises SlaveError. One that declares
         canBeInstantiatedOnlyOncePerProcess may fail: it needs a new slave.
         """
-        self._guarded(self._home.call, "restart", self._time)
-        self._time = self._values = None
-        self._phase = _Phase.INSTANTIATED
-        ports = (self._inputs, self._tunables, self._outputs)
-        self._guarded(self._home.bind, *(port.variables for port in ports))
+        self._life.call(self._host.call, "restart", self._life.time)
+        self._life.time = self._values = None
+        self._life.phase = Phase.INSTANTIATED
+        self._life.call(self._host.bind, *self._bound.all)
 
     def get(self) -> tuple[float, ...]:
-        """The bound outputs at the present communication point. Raises SlaveError."""
-        self._must_be("get", _Phase.RUNNING)
+        """Return the bound outputs at the present communication point. Raises SlaveError."""
+        self._life.check("get", Phase.RUNNING)
         if self._values is None:
-            values = tuple(self._guarded(self._home.call, "get", self._time))
+            values = tuple(self._life.call(self._host.call, "get", self._life.time))
             self._values = self._checked_outputs(values)
         return self._values
 
@@ -193,48 +171,49 @@ class Slave:
 
         Raises SlaveError, ValueError for another number of values than bound.
         """
-        if self._phase is not _Phase.RUNNING:
-            self._must_be("begin_step", _Phase.RUNNING)
-        self._refuse(self._inputs, inputs, t)
+        life, bound = self._life, self._bound
+        if life.phase is not Phase.RUNNING:
+            life.check("begin_step", Phase.RUNNING)
+        bound.check_set(bound.inputs, inputs, t)
         if tunables is not None:
-            self._refuse(self._tunables, tunables, t)
-        self._guarded(self._home.begin_step, t, h, inputs, tunables)
-        self._time, self._end_of_step = t, t + h
+            bound.check_set(bound.tunables, tunables, t)
+        life.call(self._host.begin_step, t, h, inputs, tunables)
+        life.step_begins(t, h)
 
     def end_step(self) -> tuple[float, ...]:
-        """Wait for the step; the bound outputs after it. Raises SlaveError."""
-        end, self._end_of_step = self._end_of_step, None
-        if end is None:
-            raise RuntimeError(f"{self.name}: end_step must follow begin_step.")
-        values = self._guarded(self._home.end_step, self._time)
-        self._time = end
+        """Wait for the step, and return the bound outputs after it. Raises SlaveError."""
+        life = self._life
+        end = life.end_of_step()
+        values = life.call(self._host.end_step, life.time)
+        life.time = end
         self._values = self._checked_outputs(values)
         return values
 
     def step(
         self, inputs: Sequence[float], t: float, h: float, tunables: Sequence[float] | None = None
     ) -> tuple[float, ...]:
-        """begin_step and end_step."""
+        """Take a step: begin_step and end_step."""
         self.begin_step(inputs, t, h, tunables)
         return self.end_step()
 
     def many_steps(
         self, times: Sequence[float], inputs: Sequence[Sequence[float]], tunables: Sequence[float] | None = None
     ) -> list[tuple[float, ...]]:
-        """Steps from each of times (n + 1,) [s] to the next with inputs (n, p); the bound outputs after each.
+        """Step from each of times (n + 1,) [s] to the next with inputs (n, p); return the bound outputs after each.
 
         As n calls of step, the first with the tunables, but in one call of the FMU's process, which has the timeout for
         all of them.
         """
-        self._must_be("many_steps", _Phase.RUNNING)
+        life, bound = self._life, self._bound
+        life.check("many_steps", Phase.RUNNING)
         if tunables is not None:
-            self._refuse(self._tunables, tunables, times[0])
+            bound.check_set(bound.tunables, tunables, times[0])
         for t, values in zip(times, inputs, strict=False):
-            self._refuse(self._inputs, values, t)
-        answer = self._guarded(self._home.call, "many_steps", times[0], encode_steps(times, inputs, tunables))
+            bound.check_set(bound.inputs, values, t)
+        answer = life.call(self._host.call, "many_steps", times[0], encode_steps(times, inputs, tunables))
         rows = decode_outputs(answer, len(inputs))
         for t, row in zip(times[1:], rows, strict=True):
-            self._time = t
+            life.time = t
             self._values = self._checked_outputs(row)
         return rows
 
@@ -246,43 +225,43 @@ class Slave:
 
     def check_tunables(self, names: Sequence[str]) -> None:
         """Raises WiringError where one of them is no tunable parameter."""
-        self._catalogue.ports("tunable parameter", names)
+        self._bound.check_tunables(names)
 
     def get_state(self) -> bytes:
-        """The FMU's state, for set_state of a slave of the same FMU.
+        """Return the FMU's state, for set_state of a slave of the same FMU.
 
         Raises StateTooLargeError, after which the FMU is as it was, SlaveError.
         """
-        self._must_have_states("get_state")
-        state = self._guarded(self._home.call, "get_state", self._time)
+        self._check_has_states("get_state")
+        state = self._life.call(self._host.call, "get_state", self._life.time)
         if not isinstance(state, bytes):
             reason = f"the state has {state} bytes; at most {LARGEST_STATE} can be saved"
-            raise StateTooLargeError(self.name, "get_state", self._time, reason, COLON)
+            raise StateTooLargeError(self.name, "get_state", self._life.time, reason, COLON)
         return state
 
     def set_state(self, state: bytes) -> None:
         """Go back to a state. Raises SlaveError."""
-        self._must_have_states("set_state")
-        self._guarded(self._home.call, "set_state", self._time, state)
-        self._phase, self._values = _Phase.RUNNING, None  # the state of an FMU that was running
+        self._check_has_states("set_state")
+        self._life.call(self._host.call, "set_state", self._life.time, state)
+        self._life.phase, self._values = Phase.RUNNING, None  # the state of an FMU that was running
 
     @property
     def checkpoint_name(self) -> str:
-        """See `cosim.runs.checkpoint.Alive`."""
+        """Name in messages about checkpoints: see `cosim.runs.checkpoint.Alive`."""
         return f"FMU {self.name}"
 
     def to_checkpoint(self) -> tuple[bytes, float | None, tuple[float, ...] | None]:
-        """State, communication point and outputs. Raises NotResumableError, SlaveError."""
+        """Return state, communication point and outputs. Raises NotResumableError, SlaveError."""
         if not self.has_states:
             raise NotResumableError(f"{self.fmu.name} cannot save and restore its state")
         try:
-            return self.get_state(), self._time, self._values
+            return self.get_state(), self._life.time, self._values
         except StateTooLargeError as error:
             raise NotResumableError(f"{self.fmu.name}: {error.reason}") from error
 
     def from_checkpoint(self, saved: tuple[bytes, float | None, tuple[float, ...] | None]) -> None:
-        """Go back there. Raises NotResumableError where the FMU then gives other outputs, SlaveError."""
-        state, self._time, outputs = saved
+        """Go back to a checkpoint. Raises NotResumableError where the FMU then gives other outputs, SlaveError."""
+        state, self._life.time, outputs = saved
         self.set_state(state)
         if outputs is not None and self.get() != outputs:
             raise NotResumableError(f"{self.fmu.name} gives other outputs once its state is restored")
@@ -295,10 +274,11 @@ class Slave:
         if not self._finalizer.alive:
             return
         try:
-            self._home.close(self._time, self._fault is None)
+            self._host.close(self._life.time, self._life.fault is None)
         except SlaveError as error:
             _log.warning("%s", error)
         finally:
+            self._life.close()
             self._finalizer()
 
     def __enter__(self) -> Self:
@@ -307,65 +287,28 @@ class Slave:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _must_be(self, function: str, phase: _Phase) -> None:
-        self._must_be_usable()
-        if self._phase is not phase:
-            raise RuntimeError(f"{self.name}: {function} {phase.value}.")
-
-    def _must_be_usable(self) -> None:
-        if self._fault is not None or not self._finalizer.alive:
-            raise RuntimeError(f"{self.name} must not be called after {self._fault or 'close'}.")
-        if self._end_of_step is not None:
-            raise RuntimeError(f"{self.name}: begin_step must be followed by end_step.")
-
-    def _guarded(self, function: Any, *arguments: Any) -> Any:
-        """Call the FMU unless it is closed, has failed before, or is in a step."""
-        self._must_be_usable()
-        try:
-            return function(*arguments)
-        except SlaveError as error:
-            self._fault = error
-            raise
+    def _initialize(self, function: str, start: Mapping[str, Value], start_time: float, stop: float | None) -> None:
+        self._life.check(function, Phase.INSTANTIATED)
+        values = [self._bound.start_value(name, value, start_time) for name, value in start.items()]
+        self._life.call(self._host.call, function, start_time, values, start_time, stop)
+        self._life.time = start_time
 
     def _checked_outputs(self, values: tuple[float, ...]) -> tuple[float, ...]:
-        problem = self._outputs.problem(values)
-        if problem is not None:
-            self._fault = SlaveError(self.name, "get", self._time, problem, COLON)
-            raise self._fault
-        if self._is_lenient:
-            self._warn(self._outputs, values)
+        try:
+            self._bound.check_outputs(values, self._life.time)
+        except SlaveError as error:
+            self._life.fault = error
+            raise
         return values
 
-    def _refuse(self, ports: Ports, values: Sequence[float], t: float) -> None:
-        if len(values) != len(ports.variables):
-            raise ValueError(f"{self.name}: {len(ports.variables)} values must be set, got {len(values)}.")
-        problem = ports.problem(values)
-        if problem is not None:
-            raise SlaveError(self.name, "set", t, problem, COLON)
-        if self._is_lenient:
-            self._warn(ports, values)
-
-    def _warn(self, ports: Ports, values: Sequence[float]) -> None:
-        for name, text in ports.strayed(values):
-            if name not in self._strayed:
-                self._strayed.add(name)
-                _log.warning("%s at t = %s s: %s", self.name, seconds(self._time or 0.0), text)
-
-    def _must_have_states(self, function: str) -> None:
+    def _check_has_states(self, function: str) -> None:
         if not self.has_states:
             reason = f"{self.fmu.name} cannot save and restore its state"
-            raise SlaveError(self.name, function, self._time, reason, COLON)
-
-    def _start_value(self, name: str, value: Value, t: float) -> tuple[str, str, int, Value]:
-        port = self._catalogue.start_port(name, value)
-        (variable,) = port.variables
-        if variable.type != "String":
-            self._refuse(port, [float(value)], t)
-        return variable.name, variable.type, variable.reference, PYTHON_TYPE[variable.type](value)
+            raise SlaveError(self.name, function, self._life.time, reason, COLON)
 
 
-def _release(home: Home, folder: PrivateFolder, process_id: int) -> None:
+def _release(host: Host, folder: PrivateFolder, process_id: int) -> None:
     """Leave nothing behind: called by close, when a slave is forgotten, or at the end of the program."""
     if os.getpid() == process_id:  # not in a fork of it
-        home.close(None, is_polite=False)
+        host.close(None, is_polite=False)
         folder.remove()

@@ -1,4 +1,4 @@
-"""From the connections of nested systems to those between FMUs, units converted on the way."""
+"""Flattening of the connections of nested systems to those between FMUs, units converted on the way."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from ..errors import SspError, one_line
 from ..names import did_you_mean
 from ..ssv.xml import attribute, number
 from ..units import IDENTITY, Linear, Unit, conversion
-from .tree import Connector, Node
+from .tree import Connector, SystemElement
 
 _PARAMETERS = ("parameter", "structuralParameter")
 _GIVES = ("output", "calculatedParameter", "inout")
@@ -36,16 +36,16 @@ class Connection(NamedTuple):
     target: End
     """An input of an FMU."""
     transform: Linear
-    """From the source's number to the target's."""
+    """Transformation from the source's number to the target's."""
 
 
-class Wiring(NamedTuple):
-    """What a structure's connections come to."""
+class FlatConnections(NamedTuple):
+    """The connections of a whole system structure, followed through its nested systems."""
 
     connections: tuple[Connection, ...]
-    """Between FMUs, in the file's order of inputs."""
+    """Connections between FMUs, in the file's order of inputs."""
     inherited: Mapping[End, Connection]
-    """Variables of FMUs whose value is that of a system's connector (`source`), by variable."""
+    """Connections of variables that take the value of a system's connector (`source`), by variable."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +55,8 @@ class _Edge:
     is_converted: bool
 
 
-def connect(top: Node, where: str) -> Wiring:
-    """Every connection to an FMU, followed through the systems' connectors. Raises SspError."""
+def connect(top: SystemElement, where: str) -> FlatConnections:
+    """Follow every connection to an FMU through the systems' connectors. Raises SspError."""
     edges: dict[End, _Edge] = {}
     kinds: dict[End, Connector] = {}
     is_component: dict[str, bool] = {}
@@ -80,17 +80,17 @@ def connect(top: Node, where: str) -> Wiring:
             raise SspError(f"{where}: '{source}' leads to the parameter '{target}', not to an input.")
         else:
             connections.append(Connection(source, target, transform))
-    return Wiring(tuple(connections), inherited)
+    return FlatConnections(tuple(connections), inherited)
 
 
-def _nodes(node: Node) -> Iterator[Node]:
+def _nodes(node: SystemElement) -> Iterator[SystemElement]:
     yield node
     for child in node.children.values():
         yield from _nodes(child)
 
 
-def _edge(system: Node, element: Element, where: str) -> tuple[End, _Edge]:
-    """Where a connection leads, and from where: the standard names a start and an end, some tools swap them."""
+def _edge(system: SystemElement, element: Element, where: str) -> tuple[End, _Edge]:
+    """Return the target and the edge of a connection: the standard names a start and an end, some tools swap them."""
     place = f"{where}: connection {' -> '.join(_written(element, side) for side in ('start', 'end'))}"
     (start, start_gives, start_takes), (end, end_gives, end_takes) = (
         _end(system, element, side, place) for side in ("start", "end")
@@ -105,8 +105,8 @@ def _edge(system: Node, element: Element, where: str) -> tuple[End, _Edge]:
     return target, _Edge(source, transformation(element, place), is_converted)
 
 
-def _end(system: Node, element: Element, side: str, place: str) -> tuple[End, bool, bool]:
-    """One end, whether it can give a value within the system, and whether it can take one."""
+def _end(system: SystemElement, element: Element, side: str, place: str) -> tuple[End, bool, bool]:
+    """Return one end, whether it can give a value within the system, and whether it can take one."""
     name, connector = element.get(f"{side}Element"), attribute(element, f"{side}Connector", place)
     node = system
     if name:
@@ -127,7 +127,7 @@ def _written(element: Element, side: str) -> str:
 
 
 def transformation(element: Element, place: str) -> Linear:
-    """The linear transformation in an element, the only kind that is supported. Raises SspError."""
+    """Return the linear transformation in an element, the only kind that is supported. Raises SspError."""
     for child in element:
         if child.tag == "LinearTransformation":
             factor, offset = number(child, "factor", place, 1.0), number(child, "offset", place, 0.0)
@@ -144,7 +144,7 @@ def _follow(
     is_component: Mapping[str, bool],
     where: str,
 ) -> tuple[End, Linear, Unit | None]:
-    """Back to where a value comes from: a component, or a system's connector that nothing leads to.
+    """Follow a value back to where it comes from: a component, or a system's connector that nothing leads to.
 
     Returns it, the transformation on the way, and the unit in which it arrives.
     """

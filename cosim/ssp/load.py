@@ -1,4 +1,4 @@
-"""A scenario from wherever it is: named, in a TOML file, or in an SSP package."""
+"""Loading of scenarios: named ones, those of TOML files, and those in SSP packages."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,7 +10,7 @@ from ..scenarios.scenario import Scenario, find_scenario, read_tables
 def load_scenario(
     source: str | Path, overrides: Mapping[str, str] | None = None, system: str | Path | None = None
 ) -> Scenario:
-    """The named scenario, that of a TOML file or that in an SSP package, with `key.path = value` overrides.
+    """Load a named scenario, that of a TOML file or that in an SSP package, with `key.path = value` overrides.
 
     system: an SSP package whose components, connections and start values take the place of the file's.
     Raises ScenarioError, one line with file, key and rule; SspError, ModelDescriptionError for a bad package.

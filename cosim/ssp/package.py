@@ -14,7 +14,7 @@ from ..errors import SspError
 from ..files import readable
 from ..fmi.archive import unpack
 from ..fmi.component import Component
-from ..fmi.value_buffers import Value
+from ..fmi.types import Value
 from ..ssv.xml import attribute, defined_in, number, parse
 from ..system.fmu_cache import cache_folder
 from .connections import Connection, connect
@@ -36,7 +36,7 @@ class System:
     """
 
     name: str
-    """As the package says."""
+    """Name in the package."""
     folder: Path
     """The unpacked package."""
     components: Mapping[str, Component]
@@ -46,17 +46,17 @@ class System:
     start: Mapping[str, Mapping[str, Value]]
     """Start values by component and variable, in the variable's unit."""
     start_time: float = 0.0
-    """[s]"""
+    """Start time of the default experiment [s]."""
     stop_time: float | None = None
-    """Of the default experiment [s]; None where the package says nothing."""
+    """Stop time of the default experiment [s]; None where the package has none."""
     step_size: float | None = None
     """Distance of communication points [s]: the package's, else the smallest of the FMUs' default experiments."""
     ignored: tuple[str, ...] = ()
-    """Parameters that no component has. The standard wants them passed over."""
+    """Parameters that no component has; the standard wants them ignored."""
 
     @classmethod
     def from_ssp(cls, path: str | Path) -> "System":
-        """The system of an SSP package, which is unpacked into the user's cache.
+        """Read the system of an SSP package, which is unpacked into the user's cache.
 
         Raises SspError, ModelDescriptionError: one line with the file, the place in it and the rule.
         """
@@ -77,7 +77,7 @@ class System:
 
 
 def unpacked(path: Path) -> Path:
-    """The folder of an unpacked package, kept in the user's cache under its content's hash.
+    """Unpack a package into the user's cache, under its content's hash, and return its folder.
 
     Raises SspError, ModelDescriptionError for an archive that cannot be read or would write outside its folder.
     """
@@ -125,7 +125,7 @@ def _read(path: Path) -> System:
 def _experiment(
     root: Element, components: Mapping[str, Component], where: str
 ) -> tuple[float, float | None, float | None]:
-    """Start and stop time and step size [s]."""
+    """Return start time, stop time and step size [s]."""
     element = root.find("DefaultExperiment")
     if element is None:
         element = Element("DefaultExperiment")

@@ -1,4 +1,4 @@
-"""From the parameter bindings of a system structure to start values of its FMUs. SSP 1.0, section 5.4.1.3."""
+"""Start values of FMUs from the parameter bindings of a system structure: SSP 1.0, section 5.4.1.3."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -8,12 +8,12 @@ from xml.etree.ElementTree import Element
 
 from ..errors import SspError
 from ..fmi.component import Component
-from ..fmi.value_buffers import Value
+from ..fmi.types import Value
 from ..ssv.document import ParameterSet, ParameterValue, parameter_set
 from ..ssv.xml import attribute, check, parse
 from ..units import IDENTITY, Linear, Unit, conversion
-from .connections import End, Wiring, transformation
-from .tree import Node, resource
+from .connections import End, FlatConnections, transformation
+from .tree import SystemElement, resource
 
 
 class _Bound(NamedTuple):
@@ -27,7 +27,7 @@ class _Bound(NamedTuple):
 
 @dataclass
 class _Found:
-    """What has been bound so far; what is bound later, higher up, takes its place."""
+    """The values bound so far; one that is bound later, higher up, takes their place."""
 
     variables: dict[End, _Bound] = field(default_factory=dict[End, _Bound])
     connectors: dict[End, _Bound] = field(default_factory=dict[End, _Bound])
@@ -35,9 +35,9 @@ class _Found:
 
 
 def start_values(
-    top: Node, wiring: Wiring, folder: Path, units: Mapping[str, Unit], where: str
+    top: SystemElement, wiring: FlatConnections, folder: Path, units: Mapping[str, Unit], where: str
 ) -> tuple[dict[str, dict[str, Value]], tuple[str, ...]]:
-    """Start values by component and variable, in the variable's unit; and the names that no component has.
+    """Return start values by component and variable, in the variable's unit, and the names that no component has.
 
     Bindings of a system come before those of what is in it, and later ones before earlier ones. Raises SspError.
     """
@@ -55,12 +55,12 @@ def start_values(
 
 
 def variable_value(parameters: ParameterSet, given: ParameterValue, target: End, component: Component) -> Value:
-    """A parameter of a set as the start value of a component's variable, converted to its unit. Raises SspError."""
+    """Return a parameter as the start value of a component's variable, converted to its unit. Raises SspError."""
     bound = _Bound(given.value, _unit(parameters, given.unit), IDENTITY, parameters.where)
     return _value(bound, component, target.element, target.connector, IDENTITY)
 
 
-def _collect(node: Node, found: _Found, folder: Path, units: Mapping[str, Unit], where: str) -> None:
+def _collect(node: SystemElement, found: _Found, folder: Path, units: Mapping[str, Unit], where: str) -> None:
     for child in node.children.values():
         _collect(child, found, folder, units, where)
     for binding in node.element.findall("ParameterBindings/ParameterBinding"):
@@ -68,7 +68,7 @@ def _collect(node: Node, found: _Found, folder: Path, units: Mapping[str, Unit],
             _place(node, name, bound, found)
 
 
-def _place(node: Node, name: str, bound: _Bound, found: _Found) -> None:
+def _place(node: SystemElement, name: str, bound: _Bound, found: _Found) -> None:
     """Put a value where its hierarchical name leads from an element."""
     if node.component is not None:
         if name in node.component.variables:
@@ -90,7 +90,7 @@ def _place(node: Node, name: str, bound: _Bound, found: _Found) -> None:
 
 
 def _bound_in(binding: Element, folder: Path, units: Mapping[str, Unit], place: str) -> Iterator[tuple[str, _Bound]]:
-    """Names, as seen from the element, and values of one binding."""
+    """Yield names, as seen from the element, and values of one binding."""
     parameters = _parameters_of(binding, folder, units, place)
     prefix = binding.get("prefix", "")
     given = {prefix + p.name: _Bound(p.value, _unit(parameters, p.unit), IDENTITY, parameters.where)
@@ -121,7 +121,7 @@ def _parameters_of(binding: Element, folder: Path, units: Mapping[str, Unit], pl
 
 
 def _content(element: Element, kind: str, folder: Path, place: str) -> Element:
-    """The parameter set or mapping that an element holds, or that is in the file it names. Raises SspError."""
+    """Return the parameter set or mapping that an element holds, or that its file has. Raises SspError."""
     inline = element.find(kind)
     if inline is not None:
         return check(inline, place, kind)
@@ -136,7 +136,7 @@ def _unit(parameters: ParameterSet, name: str | None) -> Unit | None:
 
 
 def _value(bound: _Bound, component: Component, name: str, variable: str, way: Linear) -> Value:
-    """The value in the variable's unit and of its type. Raises SspError."""
+    """Return the value in the variable's unit and of its type. Raises SspError."""
     value, v = bound.value, component.variables[variable]
     if isinstance(value, str) and v.type == "Enumeration" and v.declaredType is not None:
         items = {item.name: int(item.value or 0) for item in v.declaredType.items}
@@ -148,7 +148,7 @@ def _value(bound: _Bound, component: Component, name: str, variable: str, way: L
 
 
 def _in_unit(bound: _Bound, unit: Unit | None, name: str) -> _Bound:
-    """The number in another unit, transformed; as it is where either unit is not given. Raises SspError."""
+    """Convert a number to another unit; it stays as it is where either unit is not given. Raises SspError."""
     try:
         convert = conversion(bound.unit, unit).then(bound.transformation)
     except ValueError as e:

@@ -1,4 +1,4 @@
-"""Simulates a system plainly: all FMUs step in parallel, nothing is estimated, every output is recorded.
+"""Simulation of a system without an estimator: all FMUs step in parallel, and every output is recorded.
 
 At t_k, at the start too, every input takes its source's output at t_k, then all FMUs step: libcosim's default.
 """
@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from ..errors import FolderError, SlaveError, WiringError
 from ..files import sha256, write_json
-from ..fmi.value_buffers import Value
+from ..fmi.ports import is_numeric
+from ..fmi.types import Value
 from ..runs.lock import locked
 from ..runs.record import Recorder, recording
 from ..runs.run_files import CSV, MANIFEST, RESULT
@@ -34,7 +35,7 @@ class SystemRun:
     """A finished simulation of a system. `run["plant.phi"]` is that output's series."""
 
     system: System
-    """What was simulated."""
+    """The simulated system."""
     settings: Settings
     """Times and steps."""
     series: Mapping[str, NDArray[np.float64]]
@@ -54,11 +55,11 @@ class SystemRun:
         return self.series["time"]
 
     def __getitem__(self, name: str) -> NDArray[np.float64]:
-        """An output's series (n,), by `component.variable`. Raises KeyError."""
+        """Return an output's series (n,), by `component.variable`. Raises KeyError."""
         return self.series[name]
 
     def summary(self) -> dict[str, Any]:
-        """The run's figures as JSON values."""
+        """Return the run's figures as JSON values."""
         outputs = {name: s for name, s in self.series.items() if name != "time" and len(s)}
         figures = {
             name: {"first": float(s[0]), "last": float(s[-1]), "min": float(s.min()), "max": float(s.max())}
@@ -111,7 +112,7 @@ def _simulated(system: System, settings: Settings, out: Path | None) -> SystemRu
 
 
 def wiring_of(system: System, slaves: Mapping[str, Slave]) -> dict[str, Wiring]:
-    """Each component's part. Outputs are all that the FMU declares, but Strings."""
+    """Return each component's part. Outputs are all that the FMU declares, as far as they are numbers."""
     sources: dict[str, dict[str, str]] = {name: {} for name in slaves}
     conversions: dict[str, dict[str, Linear]] = {name: {} for name in slaves}
     for connection in system.connections:
@@ -120,7 +121,7 @@ def wiring_of(system: System, slaves: Mapping[str, Slave]) -> dict[str, Wiring]:
             conversions[connection.target.element][connection.target.connector] = connection.transform
     outputs: dict[str, tuple[str, ...]] = {}
     for name, slave in slaves.items():
-        declared = [v.name for v in slave.description.modelVariables if v.causality == "output" and v.type != "String"]
+        declared = [v.name for v in slave.description.modelVariables if v.causality == "output" and is_numeric(v)]
         own = [c.source.connector for c in system.connections if c.source.element == name]
         outputs[name] = tuple(dict.fromkeys(chain(declared, own)))
     return {
@@ -129,7 +130,7 @@ def wiring_of(system: System, slaves: Mapping[str, Slave]) -> dict[str, Wiring]:
 
 
 def _initialize(master: Master, settings: Settings) -> str | None:
-    """Why an FMU failed, or None. Raises WiringError for a start value that is refused before it reaches the FMU."""
+    """Return why an FMU failed, or None. Raises WiringError for a start value that is not passed on to the FMU."""
     try:
         master.initialize(settings.start_time, settings.stop_time, is_propagated=True)
     except SlaveError as fault:
@@ -174,11 +175,11 @@ def _numbers(transform: Linear) -> tuple[float, ...]:
 
 
 def report(run: SystemRun) -> str:
-    """What `retune run` prints: each output's first and last value, and its range."""
+    """Return the lines that `retune run` prints: each output's first and last value, and its range."""
     end = float(run.time[-1]) if len(run.time) else run.settings.start_time
     head = f"{run.system.name}: {end - run.settings.start_time:g} s simulated in {run.wall:.1f} s, no estimator"
     rows = [["output", "first", "last", "smallest", "largest"]]
     for name, f in run.summary()["outputs"].items():
         rows.append([name, *(f"{f[key]:.6g}" for key in ("first", "last", "min", "max"))])
-    notes = [f"no component has the parameter '{name}': passed over" for name in run.system.ignored]
+    notes = [f"no component has the parameter '{name}': ignored" for name in run.system.ignored]
     return "\n".join([head, "", *aligned(rows), *notes, "", f"run folder {run.folder}"])

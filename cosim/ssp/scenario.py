@@ -11,21 +11,21 @@ from ..units import conversion
 from .package import System, unpacked
 
 EXTRA = "extra/org.fmu-retune"
-"""Where a package of ours keeps its scenario: `extra/` is for data that the standard does not define (section 3)."""
+"""Folder of the scenario in a package of ours: `extra/` is for data that the standard does not define (section 3)."""
 SCENARIO = "scenario.toml"
 
 
 def scenario_in(package: Path) -> Path | None:
-    """The scenario file that a package brings along, if it does. Raises SspError, ModelDescriptionError."""
+    """Return the scenario file that a package has, if any. Raises SspError, ModelDescriptionError."""
     file = unpacked(package) / EXTRA / SCENARIO
     return file if file.is_file() else None
 
 
 def with_system(tree: Mapping[str, Any], system: System) -> dict[str, Any]:
-    """A scenario's tables with the components and connections of a system.
+    """Return a scenario's tables with the components and connections of a system.
 
     A start value of the tables stays where it is of a parameter that the scenario changes; all others are the
-    package's. Raises SspError for what a scenario has no words for: nested systems, converted connections.
+    package's. Raises SspError for what a scenario cannot express: nested systems, converted connections.
     """
     for name in system.components:
         if "." in name:
@@ -48,7 +48,7 @@ def with_system(tree: Mapping[str, Any], system: System) -> dict[str, Any]:
 
 
 def _start(tree: Mapping[str, Any], component: str) -> dict[str, Any]:
-    """A component's start values in the tables; whatever is wrong there is the schema's to say."""
+    """Return a component's start values in the tables; the schema reports whatever is wrong there."""
     found: Any = tree
     for key in ("components", component, "start"):
         found = cast(dict[str, Any], found).get(key, {}) if isinstance(found, dict) else {}

@@ -1,4 +1,4 @@
-"""How a system is simulated: times and steps, from the package, from `--set` and from SSV files."""
+"""Times and steps of a system's simulation, from the package, from `--set` and from SSV files."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -7,7 +7,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from ..errors import SspError
-from ..fmi.value_buffers import Value
+from ..fmi.types import Value
 from ..names import did_you_mean
 from ..scenarios.overrides import override
 from ..scenarios.schema.simulation import Settings
@@ -18,7 +18,7 @@ from .start_values import StartValues, read_start_values
 
 
 def settings_of(system: System, given: Mapping[str, Any]) -> Settings:
-    """Times and steps: what is given, else what the package says.
+    """Return times and steps: those given, else those of the package.
 
     Raises SspError where neither says how long and in what steps, and for values that do not fit together.
     """
@@ -44,7 +44,7 @@ class _Start(Table):
 
 
 class _Overrides(Table):
-    """What `--set` can say of a system."""
+    """The keys of a system that `--set` takes."""
 
     scenario: dict[str, Any] = {}
     components: dict[str, _Start] = {}
@@ -53,8 +53,10 @@ class _Overrides(Table):
 def overridden(
     system: System, overrides: Mapping[str, str], start_values: Sequence[StartValues] = ()
 ) -> tuple[System, Settings]:
-    """A system with the start values of SSV files and then of `components.NAME.start.VARIABLE = value`; and its
-    settings, with `scenario.KEY = value`. Raises SspError, ScenarioError.
+    """Return a system with other start values, and its settings with `scenario.KEY = value`.
+
+    Start values are those of SSV files, then of `components.NAME.start.VARIABLE = value`. Raises SspError,
+    ScenarioError.
     """
     tree: dict[str, Any] = {}
     for key, text in overrides.items():

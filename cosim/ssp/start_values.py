@@ -5,7 +5,7 @@ from pathlib import Path
 
 from ..errors import SspError
 from ..fmi.component import Component, read_component
-from ..fmi.value_buffers import Value
+from ..fmi.types import Value
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
 from ..ssv.document import read_ssv
@@ -18,9 +18,9 @@ StartValues = tuple[str | None, Path]
 
 
 def with_start_values(scenario: Scenario, files: Sequence[StartValues]) -> Scenario:
-    """The scenario with the start values of SSV files in place of its own, a later file's before an earlier one's.
+    """Return the scenario with the start values of SSV files in place of its own; a later file wins.
 
-    Raises SspError, one line with the file and the parameter, for one that no component has: nothing is passed over.
+    Raises SspError, one line with the file and the parameter, for one that no component has: none is ignored.
     """
     found = {
         name: read_component(component_path(c, scenario.folder)) for name, c in scenario.components.items() if c.fmu
@@ -34,7 +34,7 @@ def with_start_values(scenario: Scenario, files: Sequence[StartValues]) -> Scena
 
 
 def read_start_values(files: Sequence[StartValues], components: Mapping[str, Component]) -> dict[str, dict[str, Value]]:
-    """Start values by component and variable, converted to the variable's unit. Raises SspError."""
+    """Return start values by component and variable, converted to the variable's unit. Raises SspError."""
     start: dict[str, dict[str, Value]] = {name: {} for name in components}
     for component, path in files:
         if component is not None and component not in components:
@@ -52,7 +52,7 @@ def read_start_values(files: Sequence[StartValues], components: Mapping[str, Com
 
 
 def _parts(name: str, path: Path, components: Mapping[str, Component]) -> tuple[str, str]:
-    """Component and variable of a parameter that names both. Raises SspError."""
+    """Return component and variable of a parameter that names both. Raises SspError."""
     owner = max((c for c in components if name.startswith(f"{c}.")), key=len, default=None)
     if owner is not None:
         return owner, name[len(owner) + 1 :]

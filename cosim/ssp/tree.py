@@ -8,41 +8,41 @@ from xml.etree.ElementTree import Element
 
 from ..errors import SspError, one_line
 from ..fmi.component import Component, read_component
+from ..fmi.types import TYPES
 from ..names import did_you_mean
 from ..ssv.xml import attribute
 from ..units import Unit, conversion
 
-_TYPES = {"Float64": "Real", "Float32": "Real"} | {f"{u}Int{n}": "Integer" for u in ("", "U") for n in (8, 16, 32, 64)}
-_SIMPLE = {"Real", "Integer", "Boolean", "String", "Enumeration", "Binary", *_TYPES}
+_SSP_TYPES = {row.name: row.ssp for row in TYPES.values() if row.ssp is not None}  # SSP 2.0 has FMI 3.0's names too
 
 
 @dataclass(frozen=True)
 class Connector:
-    """Where an element is connected."""
+    """A variable of an element that connections can lead to or from."""
 
     kind: str
     """input, output, parameter, calculatedParameter, inout, ..."""
     unit: Unit | None
-    """As declared here; for a component's, where nothing is declared, as in the FMU."""
+    """Its unit: for a component's connector the FMU's, else as declared here."""
 
 
 @dataclass(frozen=True)
-class Node:
-    """An element of a system structure."""
+class SystemElement:
+    """An element of a system structure: a system or a component."""
 
     name: str
     """Names down from the top system, joined with dots; empty for the top itself."""
     element: Element
-    """What the file says of it."""
+    """Its XML element."""
     connectors: Mapping[str, Connector]
-    """By name."""
+    """Connectors by name."""
     component: Component | None
     """The FMU; None for a system."""
-    children: Mapping[str, "Node"]
-    """Of a system, by their own names."""
+    children: Mapping[str, "SystemElement"]
+    """Elements of a system, by their own names."""
 
     def components(self) -> Iterator[tuple[str, Component]]:
-        """Every component below, or this one, with its hierarchical name."""
+        """Yield every component below, or this one, with its hierarchical name."""
         if self.component is not None:
             yield self.name, self.component
         for child in self.children.values():
@@ -56,9 +56,9 @@ class TreeReader:
         self._folder, self._units, self._where = folder, units, where
         self._components: dict[Path, Component] = {}
 
-    def system(self, element: Element, name: str = "") -> Node:
-        """A system and all that is in it. Raises SspError, ModelDescriptionError."""
-        children: dict[str, Node] = {}
+    def system(self, element: Element, name: str = "") -> SystemElement:
+        """Read a system and all that is in it. Raises SspError, ModelDescriptionError."""
+        children: dict[str, SystemElement] = {}
         for child in element.findall("Elements/*"):
             own = attribute(child, "name", self._where)
             full = f"{name}.{own}" if name else own
@@ -70,16 +70,16 @@ class TreeReader:
                 children[own] = self._component(child, full)
             else:
                 raise SspError(f"{self._where}: '{full}' is a {one_line(child.tag)}, which is not supported.")
-        return Node(name, element, self._connectors(element, name, None), None, children)
+        return SystemElement(name, element, self._connectors(element, name, None), None, children)
 
-    def _component(self, element: Element, name: str) -> Node:
+    def _component(self, element: Element, name: str) -> SystemElement:
         kind = element.get("type", "application/x-fmu-sharedlibrary")
         if kind != "application/x-fmu-sharedlibrary":
             raise SspError(f"{self._where}: component '{name}' is of type {one_line(kind)}; only FMUs are supported.")
         fmu = resource(self._folder, attribute(element, "source", self._where), f"{self._where}: component '{name}'")
         component = self._components.get(fmu) or read_component(fmu)
         self._components[fmu] = component
-        return Node(name, element, self._connectors(element, name, component), component, {})
+        return SystemElement(name, element, self._connectors(element, name, component), component, {})
 
     def _connectors(self, element: Element, name: str, component: Component | None) -> dict[str, Connector]:
         found: dict[str, Connector] = {}
@@ -92,7 +92,7 @@ class TreeReader:
         return found
 
     def _connector(self, element: Element, name: str, place: str, component: Component | None) -> Connector:
-        typed = next((e for e in element if e.tag in _SIMPLE), None)
+        typed = next((e for e in element if e.tag in _SSP_TYPES), None)
         unit_name = typed.get("unit") if typed is not None else None
         unit = self._units.get(unit_name, Unit(unit_name)) if unit_name else None
         if component is not None:
@@ -100,13 +100,13 @@ class TreeReader:
                 hint = did_you_mean(name, component.variables) or "."
                 raise SspError(f"{place}: no variable '{name}' in {component.fmu.name}{hint}")
             kind = str(component.variables[name].type)
-            if typed is not None and _TYPES.get(typed.tag, typed.tag) != _TYPES.get(kind, kind):
+            if typed is not None and _SSP_TYPES[typed.tag] != _SSP_TYPES.get(kind):
                 raise SspError(f"{place} is declared {typed.tag}, but in {component.fmu.name} it is {kind}.")
             unit = self._checked(unit, component.unit(name), place)
         return Connector(attribute(element, "kind", self._where), unit)
 
     def _checked(self, declared: Unit | None, own: Unit | None, place: str) -> Unit | None:
-        """The FMU's unit, which is what its numbers are in; the declared one must be of its dimension."""
+        """Return the FMU's unit, in which its numbers are; the declared one must be of the same dimension."""
         try:
             conversion(declared, own)
         except ValueError as e:
@@ -115,7 +115,7 @@ class TreeReader:
 
 
 def resource(folder: Path, source: str, place: str) -> Path:
-    """The file that a relative URI of a package names. Raises SspError where it leads out of it or to no file."""
+    """Return the file that a relative URI of a package names. Raises SspError where it leads out or to no file."""
     path = unquote(source.partition("#")[0]).removeprefix("./")
     if not path or path.startswith("/") or ".." in path.split("/") or "\\" in path or ":" in path:
         raise SspError(f"{place}: '{one_line(source)}' is not a path within the package.")

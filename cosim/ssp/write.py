@@ -16,7 +16,8 @@ import tomli_w
 
 from ..errors import SspError, WiringError
 from ..fmi.component import Component, ModelVariable, read_component
-from ..fmi.value_buffers import PYTHON_TYPE, Value
+from ..fmi.ports import is_numeric
+from ..fmi.types import TYPES, Value, is_real
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
 from ..ssv.document import ParameterValue, add_units, document, ssv_element
@@ -35,14 +36,14 @@ _OWN_PACKAGES = ("cosim", "estimator", "fmu_models")
 
 
 def to_ssp(scenario: Scenario) -> bytes:
-    """The package: structure, FMUs, parameters and, for `retune run`, the scenario. Same input, same bytes.
+    """Write a package of structure, FMUs, parameters and, for `retune run`, the scenario. Same input, same bytes.
 
-    Parameters are the scenario's start values, what its changes say of the start, and what it will estimate.
+    Parameters are the scenario's start values, those of its changes at the start, and those that it will estimate.
     Raises ScenarioError, ModelDescriptionError, WiringError; SspError where units do not agree, and for FMI 3.0 FMUs.
     """
     for name, c in scenario.components.items():
         if c.table:
-            raise SspError(f"component '{name}' is a table, which SSP has no words for: use an FMU that plays it.")
+            raise SspError(f"component '{name}' is a table, which SSP cannot express: use an FMU that plays it.")
     components = {name: read_component(path) for name, path in fmu_paths(scenario).items()}
     newer = next((name for name, c in components.items() if c.description.fmiVersion != "2.0"), None)
     if newer is not None:
@@ -64,7 +65,7 @@ def to_ssp(scenario: Scenario) -> bytes:
 
 
 def _places(components: Mapping[str, Component]) -> dict[str, str]:
-    """Where each FMU is kept: under its own name, unless another has that too. ASCII, as the standard recommends."""
+    """Return each FMU's place in the package: under its own name, unless another has that too; ASCII (section 3)."""
     places: dict[str, str] = {}
     taken: dict[str, Path] = {}
     for name, component in components.items():
@@ -120,15 +121,15 @@ def _structure(scenario: Scenario, components: Mapping[str, Component], places: 
 def _is_connector(scenario: Scenario, component: str, v: ModelVariable) -> bool:
     if v.causality == "input":
         return f"{component}.{v.name}" in scenario.connections
-    return v.type != "String" and (v.causality == "output" or f"{component}.{v.name}" in scenario.connections.values())
+    return is_numeric(v) and (v.causality == "output" or f"{component}.{v.name}" in scenario.connections.values())
 
 
 def _add_connector(table: Element, v: ModelVariable, component: Component) -> dict[str, Unit]:
-    """Append a typed connector; its unit, where that is defined."""
+    """Append a typed connector; return its unit, where that is defined."""
     kind = "input" if v.causality == "input" else "output"
     connector = SubElement(table, "ssd:Connector", {"name": v.name, "kind": kind})
     connector.attrib |= {"description": v.description} if v.description else {}
-    unit = component.unit(v.name) if v.type == "Real" else None
+    unit = component.unit(v.name) if is_real(v.type) else None
     is_defined = unit is not None and unit.exponents is not None
     kind = "Integer" if v.type == "Enumeration" else v.type  # libcosim knows no Enumeration
     SubElement(connector, f"ssc:{kind}", {"unit": unit.name} if unit is not None and is_defined else {})
@@ -136,7 +137,7 @@ def _add_connector(table: Element, v: ModelVariable, component: Component) -> di
 
 
 def _add_experiment(root: Element, start: float, stop: float, step: float) -> None:
-    """Append the default experiment, with libcosim's annotation of the step: SSP itself has no word for it."""
+    """Append the default experiment, with libcosim's annotation of the step: SSP itself has none."""
     experiment = SubElement(root, "ssd:DefaultExperiment", {"startTime": repr(start), "stopTime": repr(stop)})
     annotations = SubElement(experiment, "ssd:Annotations")
     # libcosim takes every attribute of Algorithm, a namespace too, for an algorithm.
@@ -146,7 +147,7 @@ def _add_experiment(root: Element, start: float, stop: float, step: float) -> No
 
 
 def _parameters(scenario: Scenario, name: str, component: Component) -> list[ParameterValue]:
-    """What a component starts with. Raises WiringError."""
+    """Return a component's start values. Raises WiringError."""
     values: dict[str, Value] = dict(scenario.components[name].start)
     for reference, change in scenario.change_functions().items():
         owner, _, variable = reference.partition(".")
@@ -162,7 +163,7 @@ def _parameters(scenario: Scenario, name: str, component: Component) -> list[Par
 
 def _parameter(component: Component, name: str, variable: str, value: Value) -> ParameterValue:
     v = _variable(component, name, variable)
-    kind = PYTHON_TYPE.get("Integer" if v.type == "Enumeration" else str(v.type), float)
+    kind: Any = TYPES[v.type].python
     if isinstance(value, str) != (kind is str):
         raise WiringError(f"'{name}.{variable}' is a {v.type} and cannot start as {value!r}.")
     unit = component.unit(variable)
@@ -177,7 +178,7 @@ def _variable(component: Component, name: str, variable: str) -> ModelVariable:
 
 
 def _check_connections(scenario: Scenario, components: Mapping[str, Component]) -> None:
-    """Raises WiringError for an unknown variable, SspError for units between which nobody can convert."""
+    """Raises WiringError for an unknown variable, SspError for units that cannot be converted."""
     for target, source in scenario.connections.items():
         units: list[Unit | None] = []
         for reference in (source, target):
@@ -191,7 +192,7 @@ def _check_connections(scenario: Scenario, components: Mapping[str, Component]) 
 
 
 def _tables(scenario: Scenario, places: Mapping[str, str]) -> dict[str, Any]:
-    """The scenario as TOML tables, with the FMUs where they are in the package."""
+    """Return the scenario as TOML tables, with the FMUs where they are in the package."""
     tables = scenario.model_dump(mode="json", exclude_unset=True, exclude_none=True)
     up = "../" * (EXTRA.count("/") + 1)
     for name, component in tables["components"].items():
@@ -201,7 +202,7 @@ def _tables(scenario: Scenario, places: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _modules(scenario: Scenario) -> Iterator[tuple[str, bytes]]:
-    """Sources of the user's modules that the scenario names, found beside it or in the working directory."""
+    """Yield the sources of the user's modules that the scenario names, from its folder or the working directory."""
     estimation = scenario.estimation
     references = [estimation.model, estimation.objective, *(name for name in estimation.methods if ":" in name)]
     if estimation.linear is not None:
@@ -216,7 +217,7 @@ def _modules(scenario: Scenario) -> Iterator[tuple[str, bytes]]:
 
 
 def _zipped(files: Mapping[str, bytes]) -> bytes:
-    """A ZIP archive as the standard wants it (section 3): deflated, ASCII names; with no time of day in it."""
+    """Return a ZIP archive as the standard wants it (section 3): deflated, ASCII names; with no time of day in it."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in files.items():

@@ -1,1 +1,1 @@
-"""The SSV format: parameter values for SSP tools."""
+"""The SSV format: parameter values for other tools, and the XML that all SSP formats share."""

@@ -1,16 +1,16 @@
-"""Parameter values for other tools, and from them: System Structure Parameter Values, SSP 1.0, section 6."""
+"""Reading and writing of parameter values: System Structure Parameter Values, SSP 1.0, section 6."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 from ..errors import SspError, one_line
 from ..files import readable
-from ..fmi.value_buffers import Value
+from ..fmi.types import TYPES, Value
 from ..units import Unit
 from .xml import NAMESPACES, attribute, defined_in, parse
 
@@ -19,9 +19,9 @@ class ParameterValue(NamedTuple):
     """A parameter and its value."""
 
     name: str
-    """As the component knows it, or `component.variable` in a set for a system."""
+    """Name in the component, or `component.variable` in a set for a system."""
     value: Value
-    """In its unit."""
+    """Value in its unit."""
     unit: str | None = None
     """Name of the unit; without one, the unit that the component declares."""
 
@@ -31,24 +31,24 @@ class ParameterSet:
     """The content of an SSV file."""
 
     name: str
-    """For the user."""
+    """Name of the set, for people."""
     values: tuple[ParameterValue, ...]
-    """In the file's order; the value of an Enumeration is its item's name."""
+    """Parameters in the file's order; the value of an Enumeration is its item's name."""
     units: Mapping[str, Unit]
-    """What the file says of units, by name."""
+    """Units that the file defines, by name."""
     where: str
     """The file, for messages."""
 
 
 def to_ssv(name: str, parameters: Sequence[ParameterValue], defined: Mapping[str, Unit] | None = None) -> str:
-    """An SSV document of these parameters, with the definitions of those units that are known by name."""
+    """Return an SSV document of these parameters, with the definitions of those units that are known by name."""
     return document(ssv_element(name, parameters, defined or {}, {"ssv", "ssc"}))
 
 
 def ssv_element(
     name: str, parameters: Sequence[ParameterValue], defined: Mapping[str, Unit], prefixes: Iterable[str]
 ) -> Element:
-    """A `ssv:ParameterSet` that declares these prefixes. Raises ValueError for a number that is not finite.
+    """Return a `ssv:ParameterSet` that declares these prefixes. Raises ValueError for a number that is not finite.
 
     Prefixes and version are literal: libcosim and ecos look for these very names.
     """
@@ -78,13 +78,13 @@ def add_units(root: Element, prefix: str, defined: Iterable[Unit]) -> None:
 
 
 def document(root: Element) -> str:
-    """The text of an XML file, indented."""
+    """Return the text of an XML file, indented."""
     ElementTree.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
 def read_ssv(path: Path) -> ParameterSet:
-    """The parameters of an SSV file, version 1.0 or 2.0. Raises SspError."""
+    """Read the parameters of an SSV file, version 1.0 or 2.0. Raises SspError."""
     try:
         content = readable(path).read_bytes()
     except OSError as e:
@@ -93,16 +93,18 @@ def read_ssv(path: Path) -> ParameterSet:
 
 
 def parameter_set(root: Element, where: str, outer: Mapping[str, Unit] | None = None) -> ParameterSet:
-    """The content of a ParameterSet element; outer: units of the file that it stands in. Raises SspError."""
+    """Read a ParameterSet element; outer: units of the file that it stands in. Raises SspError."""
     values = tuple(_parameter(element, where) for element in root.findall("Parameters/Parameter"))
     return ParameterSet(root.get("name", ""), values, {**(outer or {}), **defined_in(root, where)}, where)
 
 
-_READERS: Mapping[str, Callable[[str], Value]] = {
-    "Real": float, "Float64": float, "Float32": float, "Integer": int, "String": str, "Enumeration": str,
-    **{f"{sign}Int{bits}": int for sign in ("", "U") for bits in (8, 16, 32, 64)},
-    "Boolean": lambda text: {"true": True, "1": True, "false": False, "0": False}[text],
-}  # fmt: skip
+def _boolean(text: str) -> bool:
+    return {"true": True, "1": True, "false": False, "0": False}[text]
+
+
+_READ_AS: Mapping[Any, Callable[[str], Value]] = {float: float, int: int, bool: _boolean, str: str}
+_READERS = {row.name: _READ_AS[row.python] for row in TYPES.values() if row.python in _READ_AS}
+_READERS["Enumeration"] = str  # SSP writes the item's name
 
 
 def _parameter(element: Element, where: str) -> ParameterValue:
@@ -122,7 +124,7 @@ def _parameter(element: Element, where: str) -> ParameterValue:
 
 
 def _written(value: Value) -> tuple[str, str]:
-    """Type and text of a value."""
+    """Return type and text of a value."""
     if isinstance(value, bool):
         return "Boolean", str(value).lower()
     if isinstance(value, int):

@@ -14,14 +14,14 @@ NAMESPACES: Mapping[str, str] = {
     "ssv": "http://ssp-standard.org/SSP1/SystemStructureParameterValues",
     "ssm": "http://ssp-standard.org/SSP1/SystemStructureParameterMapping",
 }
-"""Of SSP 1.0, and of 2.0, which kept them."""
+"""Namespaces of SSP 1.0, which 2.0 has kept, by their usual prefix."""
 
 _NAMESPACE = re.compile(r"\{http://ssp-standard\.org/SSP\d/\w+\}")
 _VERSION = re.compile(r"[12]\.\d+(-.*)?")
 
 
 def parse(content: bytes, where: str, kind: str) -> Element:
-    """The root of a file of SSP 1.x or 2.x, its elements named without a namespace; others keep theirs.
+    """Return the root of a file of SSP 1.x or 2.x, its elements named without a namespace; others keep theirs.
 
     where: for the messages; kind: what the root must be, such as `SystemStructureDescription`. Raises SspError.
     """
@@ -35,7 +35,7 @@ def parse(content: bytes, where: str, kind: str) -> Element:
 
 
 def check(root: Element, where: str, kind: str) -> Element:
-    """The element, where it is of that kind and of a version that is understood. Raises SspError."""
+    """Return the element, if it is of that kind and of a version that is understood. Raises SspError."""
     if root.tag != kind:
         raise SspError(f"{where} must be a {kind} of SSP 1.0 or 2.0, got the element '{one_line(root.tag)}'.")
     version = root.get("version", "")
@@ -45,7 +45,7 @@ def check(root: Element, where: str, kind: str) -> Element:
 
 
 def attribute(element: Element, name: str, where: str) -> str:
-    """A required attribute. Raises SspError."""
+    """Return a required attribute. Raises SspError."""
     value = element.get(name)
     if not value:
         raise SspError(f"{where}: a {element.tag} has no {name}.")
@@ -53,7 +53,7 @@ def attribute(element: Element, name: str, where: str) -> str:
 
 
 def number(element: Element, name: str, where: str, default: float | None = None) -> float | None:
-    """An attribute that is a number, or the default. Raises SspError."""
+    """Return an attribute that is a number, or the default. Raises SspError."""
     text = element.get(name)
     if text is None:
         return default
@@ -64,7 +64,7 @@ def number(element: Element, name: str, where: str, default: float | None = None
 
 
 def defined_in(root: Element, where: str) -> dict[str, Unit]:
-    """The units that a file defines, by name. Raises SspError."""
+    """Return the units that a file defines, by name. Raises SspError."""
     found: dict[str, Unit] = {}
     for element in root.findall("Units/Unit"):
         name, base = attribute(element, "name", where), element.find("BaseUnit")

@@ -9,9 +9,8 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from ..errors import WiringError
+from ..fmi.types import Value
 from ..units import IDENTITY, Linear
-
-Value = float | int | bool | str
 
 
 class Steppable(Protocol):

@@ -278,7 +278,7 @@ def test_all_errors_of_an_fmu_are_listed(unsound, command):
     lines = out.splitlines()
     assert (code, err) == (2, "")
     assert lines[-1] == f"{unsound}: 4 errors, 1 warning"  # the start value is outside the bounds, which are none
-    for word in ("outside its folder", "min 101 > max 100", "startTime nan", "no sound shared library"):
+    for word in ("outside its folder", "min 101 > max 100", "startTime nan", "not a valid shared library"):
         assert sum(word in line for line in lines) == 1
 
 
@@ -293,11 +293,11 @@ PE = b"MZ" + bytes(58) + struct.pack("<I", 64) + b"PE\0\0" + struct.pack("<H", 0
         (PE[:-2] + b"\x22\x00", "AMD64", "is a program, not a library"),
         (PE.replace(b"\x64\x86", b"\x4c\x01"), "x86", None),
         (PE, "x86_64", None),
-        (PE.replace(b"PE\0\0", b"NE\0\0"), "AMD64", "is no sound library for Windows (PE)"),
-        (PE[:70], "AMD64", "is no sound library for Windows (PE)"),
-        (b"\x7fELF" + PE[4:], "AMD64", "is no sound library for Windows (PE)"),
-        (PE[:60] + struct.pack("<I", 1 << 31) + PE[64:], "AMD64", "is no sound library for Windows (PE)"),
-        (b"", "AMD64", "is no sound library for Windows (PE)"),
+        (PE.replace(b"PE\0\0", b"NE\0\0"), "AMD64", "is not a valid library for Windows (PE)"),
+        (PE[:70], "AMD64", "is not a valid library for Windows (PE)"),
+        (b"\x7fELF" + PE[4:], "AMD64", "is not a valid library for Windows (PE)"),
+        (PE[:60] + struct.pack("<I", 1 << 31) + PE[64:], "AMD64", "is not a valid library for Windows (PE)"),
+        (b"", "AMD64", "is not a valid library for Windows (PE)"),
     ],
     ids=["sound", "other machine", "program", "32 bit", "other name", "older", "cut", "ELF", "offset beyond", "empty"],
 )

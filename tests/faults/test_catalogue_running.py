@@ -38,7 +38,7 @@ def check(fmu, kind, row, caplog, capfd):
         try:
             name_of_input, names = EXAMPLES[kind]
             slave.bind(inputs=[name_of_input], outputs=names)
-            slave._home._timeout_s = row.get("timeout", 30.0)  # now: a busy machine may take its time to load an FMU
+            slave._host._timeout_s = row.get("timeout", 30.0)  # now: a busy machine may take its time to load an FMU
             run(slave, outputs, "" if is_early else how, "" if is_early else where)
         except SlaveError as error:
             fault = error

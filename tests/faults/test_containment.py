@@ -1,9 +1,8 @@
-"""What is kept from an FMU in this process, what may stray, and what the command says of a run that faulted."""
+"""Calls after a fault, values out of range, and the command's words for a run that faulted."""
 
 import inspect
 import json
 import re
-import subprocess
 import sys
 import zipfile
 from importlib.resources import files
@@ -13,10 +12,13 @@ import pytest
 
 from cosim.commands import doctor
 from cosim.errors import NotResumableError, SlaveError, StateTooLargeError
-from cosim.fmi.fmi2_co_simulation import LARGEST_STATE
+from cosim.fmi.archive import fmu_to_load, unpacked
+from cosim.fmi.binding import LARGEST_STATE
+from cosim.fmi.value_buffers import ScalarVariable
 from cosim.runs.series import read_series
 from cosim.scenarios.schema.simulation import Settings
 from cosim.slaves.channel import CALL, LARGEST_MESSAGE, RESULT, encode
+from cosim.slaves.host import InProcessFmu
 from cosim.slaves.slave import open_slave
 
 pytestmark = [
@@ -32,42 +34,9 @@ def steps(slave, how, where, n=4, u=0.0):
     return [slave.step([u], k * H, H) for k in range(n)]
 
 
-@pytest.mark.parametrize(
-    ("how", "what"),
-    [
-        ("round upwards", "the floating-point state"),
-        ("flush denormals", "the floating-point state"),
-        ("change directory", "the working directory"),
-        ("change environment", "the environment"),
-        ("change locale", "the locale"),
-        ("take signals", "the handling of signals"),
-    ],
-)
-def test_what_an_fmu_in_this_process_changes_is_put_back_and_told(native, caplog, how, what):
-    """That it is put back the fixture of this folder proves."""
-    with open_slave(native, "plant", isolation="none") as slave:
-        steps(slave, how, "exit_init")
-    (record,) = caplog.records
-    assert record.getMessage() == f"plant: has changed {what} of this process; put back."
-
-
-@pytest.mark.parametrize("how", ["round upwards", "flush denormals"])
-def test_the_floating_point_state_is_put_back_after_each_step(native, caplog, how):
-    with open_slave(native, "plant", isolation="none") as slave:
-        slave.bind(inputs=["u"], outputs=["y"])
-        slave.initialize({"how": how, "where": "do_step"})
-        third, tiny = 3.0, 5e-324
-        for k in range(4):
-            slave.step([0.0], k * H, H)
-            assert (1.0 / third, tiny * 1.0) == (0.3333333333333333, 5e-324)
-    assert {r.getMessage() for r in caplog.records} == {
-        "plant: has changed the floating-point state of this process; put back."
-    }
-
-
 @pytest.mark.parametrize("isolation", ["process", "none"])
 def test_what_has_failed_is_not_called_again(faulty, tmp_path, monkeypatch, isolation):
-    """Neither to terminate nor to be freed. It would note any call; that it notes calls is shown by one of ours."""
+    """Neither to terminate nor to be freed: it would note any call."""
     marker = tmp_path / "called"
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("FAULT_MARKER", str(marker))
@@ -78,12 +47,24 @@ def test_what_has_failed_is_not_called_again(faulty, tmp_path, monkeypatch, isol
             slave.step([0.0], k * H, H)
         with pytest.raises(SlaveError, match="returned discard"):
             slave.step([0.0], 2 * H, H)
-        if isolation == "none":
-            slave._home._instance.get()
-            assert marker.read_text() == "get"
-            marker.unlink()
         slave.close()
     assert not marker.exists()
+
+
+def test_an_fmu_that_is_called_after_its_fault_notes_it(faulty, tmp_path, monkeypatch):
+    """So that the test before this one can fail."""
+    marker = tmp_path / "called"
+    monkeypatch.setenv("FAULT_MARKER", str(marker))
+    description, folder = unpacked(faulty)
+    fmu = InProcessFmu(fmu_to_load(description, folder.path, "plant"))
+    numbers = {v.name: v.valueReference for v in description.modelVariables}
+    start = [(name, "String", numbers[name], text) for name, text in (("how", "return False"), ("where", "exit_init"))]
+    fmu.bind([], [], [ScalarVariable("y", "Real", numbers["y"])])
+    fmu.call("initialize", 0.0, start, 0.0, None)
+    fmu.call("get", 0.0)
+    fmu.close(0.0, is_polite=True)
+    folder.remove()
+    assert marker.read_text() == "getterminate"
 
 
 @pytest.mark.parametrize("isolation", ["process", "none"])
@@ -111,41 +92,6 @@ def test_a_scenario_can_set_what_a_slave_can_be_told():
     options = Settings(name="x", stop_time=1.0, macro_step=0.1).slave_options
     parameters = inspect.signature(open_slave).parameters
     assert options == {name: p.default for name, p in parameters.items() if p.kind is p.KEYWORD_ONLY}
-
-
-PROGRAM = """
-import sys
-from cosim.slaves.slave import open_slave
-slave = open_slave(sys.argv[1], "plant", isolation="none")
-slave.bind(inputs=["u"], outputs=["y"])
-slave.initialize({"how": sys.argv[2], "where": sys.argv[3]})
-for k in range(4):
-    slave.step([0.0], 0.01 * k, 0.01)
-if sys.argv[4] == "close":
-    slave.close()
-"""
-
-
-@pytest.mark.parametrize(
-    ("where", "told"),
-    [("do_step", r"do_step at t = 0\.020 s"), ("exit_init", "initialize.*"), ("terminate", "terminate.*")],
-)
-def test_an_exit_of_an_fmu_in_this_process_is_no_success(native, where, told):
-    ended = ended_program(native, "exit 0", where, "close")
-    assert ended.returncode == 1
-    told = rf"retune: plant: {told} ended this process, which it was part of\n"
-    assert re.fullmatch(told, ended.stderr), ended.stderr
-
-
-@pytest.mark.parametrize("end", ["close", "leave open"])
-def test_an_exit_of_ours_is_what_it_was(native, end):
-    ended = ended_program(native, "nothing", "do_step", end)
-    assert (ended.returncode, ended.stderr) == (0, "")
-
-
-def ended_program(*arguments: object) -> subprocess.CompletedProcess:
-    command = [sys.executable, "-c", PROGRAM, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
 
 
 # The command.

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from cosim.fmi.folder import PREFIX, PrivateFolder, remove_forsaken
+from cosim.fmi.folder import PREFIX, PrivateFolder, remove_abandoned
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="locks folders with flock")
 ROOT = Path(__file__).parents[2]
@@ -41,7 +41,7 @@ BUILDER = """
     from pathlib import Path
     tempfile.tempdir = sys.argv[1]
     os.environ["FMU_RETUNE_CACHE"] = sys.argv[1] + "-cache"
-    from cosim.scenarios.library import build_into, find_fmu
+    from cosim.system.fmu_cache import build_into, find_fmu
     from fmu_models import build
     def wait(*_, **__):
         print("ready", flush=True)
@@ -55,7 +55,7 @@ def test_what_a_killed_process_leaves_is_removed_by_the_next_and_not_before(temp
     with start(HOLDER, temporary) as process:
         (folder,) = temporary.iterdir()
         assert folder.name.startswith(PREFIX)
-        remove_forsaken(str(temporary))
+        remove_abandoned(str(temporary))
         assert (folder / "x").exists()
         process.kill()
     assert (folder / "x").exists()  # nobody was left to do it
@@ -63,7 +63,7 @@ def test_what_a_killed_process_leaves_is_removed_by_the_next_and_not_before(temp
         (its_own,) = temporary.iterdir()
         assert its_own != folder
         another.kill()
-    remove_forsaken(str(temporary))
+    remove_abandoned(str(temporary))
     assert list(temporary.iterdir()) == []
 
 
@@ -74,7 +74,7 @@ def test_what_a_killed_build_leaves_is_removed_by_the_next(temporary, call):
     with start(BUILDER.format(call=call), temporary) as process:
         assert any(path.name == "source" for path in temporary.rglob("*"))
         process.kill()
-    remove_forsaken(str(temporary))
+    remove_abandoned(str(temporary))
     assert list(temporary.iterdir()) == []
 
 
@@ -85,7 +85,7 @@ def test_what_is_not_ours_is_left_alone(temporary, tmp_path):
     (temporary / f"{PREFIX}link").symlink_to(theirs)
     (temporary / f"{PREFIX}file").touch()
     (temporary / "fmu-retune-of-an-older-version").mkdir()
-    remove_forsaken(str(temporary))
+    remove_abandoned(str(temporary))
     assert (theirs / "x").exists()
     assert len(list(temporary.iterdir())) == 3
     for path in temporary.iterdir():
@@ -97,7 +97,7 @@ def test_another_users_folder_is_left_alone_even_by_root(temporary):
     folder = temporary / f"{PREFIX}0"
     folder.mkdir()
     os.chown(folder, 12345, 12345)
-    remove_forsaken(str(temporary))
+    remove_abandoned(str(temporary))
     assert folder.exists()
     folder.rmdir()
 

@@ -6,10 +6,9 @@ from pathlib import Path
 import pytest
 
 from cosim.errors import SlaveError
-from cosim.fmi.archive import read_description, unpack
-from cosim.fmi.fmi2_co_simulation import Identity
-from cosim.fmi.value_buffers import Variable
-from cosim.slaves.process import Worker
+from cosim.fmi.archive import fmu_to_load, read_description, unpack
+from cosim.fmi.value_buffers import ScalarVariable
+from cosim.slaves.process import FmuProcess
 from cosim.slaves.slave import Slave, open_slave
 from fmu_models.build import build
 
@@ -51,12 +50,11 @@ def test_a_parameter_that_is_not_finite_is_named(controller, tmp_path):
     m = next(v for v in description.modelVariables if v.name == "m")
     folder = str(tmp_path / "unpacked")
     unpack(controller, folder)
-    identity = Identity(folder, "QuadrotorController", str(description.guid), "controller", has_plain_log=True)
-    worker = Worker(identity, timeout_s=20.0)
-    worker.bind([], [Variable("m", "Real", m.valueReference)], [])
-    worker.call("initialize", 0.0, [], 0.0, None)
-    worker.begin_step(0.0, 0.01, [], [math.nan])
+    process = FmuProcess(fmu_to_load(description, folder, "controller"), timeout_s=20.0)
+    process.bind([], [ScalarVariable("m", "Real", m.valueReference)], [])
+    process.call("initialize", 0.0, [], 0.0, None)
+    process.begin_step(0.0, 0.01, [], [math.nan])
     reason = "returned fatal: ValueError: QuadrotorController: m must be finite, got nan"
     with pytest.raises(SlaveError, match=f"^controller: do_step at t = 0.000 s {reason}"):
-        worker.end_step(0.0)
-    worker.close(0.0, is_polite=False)
+        process.end_step(0.0)
+    process.close(0.0, is_polite=False)

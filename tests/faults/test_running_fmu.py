@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from cosim.errors import SlaveError
-from cosim.fmi.folder import remove_forsaken
+from cosim.fmi.folder import remove_abandoned
 from cosim.slaves.slave import Slave, open_slave
 
 pytestmark = [
@@ -261,7 +261,7 @@ def test_nor_does_one_that_lets_no_other_python_code_run(faulty, temporary, proc
         assert program.stdout.readline() == b"ready\n"
         program.kill()
     assert becomes_true(lambda: not is_running(worker), within_s=40.0)
-    remove_forsaken(str(temporary))
+    remove_abandoned(str(temporary))
     assert not list(temporary.iterdir())
 
 

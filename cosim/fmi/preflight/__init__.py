@@ -1,1 +1,1 @@
-"""What is looked at in an FMU before any of its code runs: the archive, its XML, what it declares, its library."""
+"""Checks of an FMU before any of its code runs: the archive, its XML, what it declares, its library."""

@@ -1,4 +1,4 @@
-"""Whether a zip archive can be unpacked safely, by what its directory says: nothing is decompressed."""
+"""Check that a zip archive can be unpacked safely, by its directory: nothing is decompressed."""
 
 import stat
 from collections import Counter
@@ -10,10 +10,10 @@ from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipInfo
 from ...findings import Finding, warning
 
 LARGEST: Final = 4 << 30
-"""Bytes of all files, unpacked."""
+"""Largest number of bytes of all files, unpacked."""
 MOST_FILES: Final = 50_000
 HIGHEST_RATIO: Final = 200
-"""Unpacked by packed bytes of an archive that unpacks to more than SMALL: text and tables reach 20, zeros 1000."""
+"""Largest ratio of unpacked to packed bytes, for more than SMALL bytes: text and tables reach 20, zeros 1000."""
 SMALL: Final = 256 << 20
 """Bytes that do no harm, however well they are packed."""
 LONGEST_NAME: Final = 1000
@@ -25,14 +25,14 @@ _LOCAL_HEADER: Final = 30  # bytes before name and content of an entry
 
 
 def archive_findings(entries: Sequence[ZipInfo]) -> Iterator[Finding]:
-    """What is wrong with the entries of an archive."""
+    """Yield what is wrong with the entries of an archive."""
     unpacked, packed = sum(e.file_size for e in entries), sum(e.compress_size for e in entries)
     if len(entries) > MOST_FILES:
         yield Finding(_PLACE, f"holds {len(entries)} files; at most {MOST_FILES} are unpacked")
     if unpacked > LARGEST:
         yield Finding(_PLACE, f"unpacks to {unpacked / 1e9:.3g} GB; at most {LARGEST / 1e9:.3g} GB are unpacked")
     if unpacked > SMALL and unpacked > HIGHEST_RATIO * packed:
-        yield Finding(_PLACE, f"unpacks to {unpacked / max(packed, 1):.0f} times its size, as no FMU but a bomb does")
+        yield Finding(_PLACE, f"unpacks to {unpacked / max(packed, 1):.0f} times its size, as only a zip bomb does")
     for entry in entries:
         yield from _entry_findings(entry)
     yield from _name_findings([e.filename for e in entries])
@@ -64,11 +64,11 @@ def leads_out(name: str) -> bool:
 
 
 def _name_findings(names: Sequence[str]) -> Iterator[Finding]:
-    """Of names that are one file, in the archive, once it is unpacked, or where the system has it so."""
+    """Yield names that are one file: in the archive, once it is unpacked, or on systems that ignore case."""
     counts, folded = Counter(map(_unpacked, names)), dict[str, str]()
     for name, count in counts.items():
         if count > 1:
-            yield Finding(repr(name), f"is there {count} times; which one is meant cannot be known")
+            yield Finding(repr(name), f"is in the archive {count} times; it is not known which is meant")
         if (other := folded.setdefault(name.casefold(), name)) != name:
             yield warning(repr(name), f"differs from {other!r} in case only: they are one file on Windows")
     for name in counts:
@@ -79,12 +79,12 @@ def _name_findings(names: Sequence[str]) -> Iterator[Finding]:
 
 
 def _unpacked(name: str) -> str:
-    """A name as zipfile unpacks it."""
+    """Return a name as zipfile unpacks it."""
     return "/".join(part for part in name.split("/") if part not in ("", ".")) + "/" * name.endswith("/")
 
 
 def _overlaps(entries: Sequence[ZipInfo]) -> Iterator[Finding]:
-    """Contents that share bytes: how an archive of some kB becomes one of some GB (Fifield 2019)."""
+    """Yield contents that share bytes: so an archive of some kB becomes one of some GB (Fifield 2019)."""
     for one, following in pairwise(sorted(entries, key=lambda e: e.header_offset)):
         if one.header_offset + _LOCAL_HEADER + one.compress_size > following.header_offset:
-            yield Finding(repr(one.filename), f"overlaps {following.filename!r} in the archive, as in a bomb")
+            yield Finding(repr(one.filename), f"overlaps {following.filename!r} in the archive, as in a zip bomb")

@@ -1,4 +1,4 @@
-"""Whether what a model description declares can be true: its names, numbers, aliases and structure.
+"""Check that what a model description declares can be true: its names, numbers, aliases and structure.
 
 FMPy has validated it against the schema before: types, legal combinations, unique names, start values that are needed.
 An error is what cannot work or would do harm; against the letter of the standard is a warning.
@@ -14,19 +14,17 @@ from xml.etree.ElementTree import Element
 from fmpy.model_description import ModelDescription, ModelVariable
 
 from ...findings import Finding, warning
-from ..elements import TEXTS
+from ..types import TYPES, is_real
 
 MOST_ELEMENTS: Final = 1_000_000
 """Scalars that the arrays of an FMU may have together."""
 
 _PLACE: Final = "modelDescription.xml"
 _IDENTIFIER: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
-_REALS: Final = ("Real", "Float32", "Float64")
-_BASE_TYPE: Final = {"Enumeration": "Integer"}  # set and got by the same functions
 
 
 def description_findings(description: ModelDescription) -> Iterator[Finding]:
-    """What is wrong with a model description."""
+    """Yield what is wrong with a model description."""
     yield from _identifiers(description)
     yield from _sizes(description.modelVariables)
     if description.fmiVersion == "2.0":
@@ -40,7 +38,7 @@ def description_findings(description: ModelDescription) -> Iterator[Finding]:
 
 
 def index_findings(root: Element) -> Iterator[Finding]:
-    """What is wrong with the indices of an FMI 2.0 model description, of which FMPy takes 0 as the last variable's."""
+    """Yield wrong indices of an FMI 2.0 model description; FMPy takes 0 for the last variable's."""
     variables = root.findall("ModelVariables/ScalarVariable")
     for kind in ("Outputs", "Derivatives", "InitialUnknowns"):
         seen: set[str] = set()
@@ -84,17 +82,19 @@ def _sizes(variables: Sequence[ModelVariable]) -> Iterator[Finding]:
         shape = list(v.shape or ())
         if shape and min(shape) < 1:
             yield Finding(_PLACE, f"{_named(v)} has the dimensions {shape}; each must be at least 1")
-        starts = v.start if shape and isinstance(v.start, str) and v.type not in TEXTS else "one"
+        starts = v.start if shape and isinstance(v.start, str) and not TYPES[v.type].is_text else "one"
         n, n_starts = prod(shape), len(starts.split())
         if n_starts not in (1, n):
             yield Finding(_PLACE, f"{_named(v)} has {n_starts} start values; its dimensions {shape} need {n} or 1")
 
 
 def _aliases(variables: Iterable[ModelVariable]) -> Iterator[Finding]:
-    """FMI 2.0.4, section 2.2.7: at most one of a set of aliases is set from outside, at most one has a start value."""
+    """Check FMI 2.0.4, section 2.2.7: at most one of a set of aliases is set from outside, and has a start value."""
     sets: dict[tuple[str, int], list[ModelVariable]] = {}
     for v in variables:
-        sets.setdefault((_BASE_TYPE.get(v.type, v.type), v.valueReference), []).append(v)
+        access = TYPES[v.type].fmi2  # aliases are set and got by the same functions
+        functions = access.functions if access is not None else str(v.type)
+        sets.setdefault((functions, v.valueReference), []).append(v)
     for (_, reference), of_one in sets.items():
         if len(of_one) == 1:
             continue
@@ -112,7 +112,7 @@ def _aliases(variables: Iterable[ModelVariable]) -> Iterator[Finding]:
 
 
 def _numbers(variable: ModelVariable) -> Iterator[Finding]:
-    if variable.type in (*TEXTS, "Clock", "Boolean"):
+    if TYPES[variable.type].python not in (float, int):
         return
     declared = variable.declaredType
     low, high, nominal = (
@@ -148,7 +148,7 @@ def _derivatives(variables: Iterable[ModelVariable]) -> Iterator[Finding]:
             continue
         if state is v:
             yield Finding(_PLACE, f"{_named(v)} is declared the derivative of itself")
-        elif state.type not in _REALS or (state.shape or ()) != (v.shape or ()):
+        elif not is_real(state.type) or (state.shape or ()) != (v.shape or ()):
             yield Finding(_PLACE, f"{_named(v)} is declared the derivative of {state.name!r}, which is of another kind")
         elif (other := rates.setdefault(id(state), v)) is not v and not v.alias:
             yield warning(_PLACE, f"{state.name!r} has two derivatives: {other.name!r} and {v.name!r}")

@@ -1,4 +1,4 @@
-"""Whether a shared library is a sound one of this machine, by its headers: it is read, not loaded."""
+"""Check that a shared library is a sound one for this machine, by its headers: it is read, not loaded."""
 
 import os
 import platform
@@ -27,12 +27,12 @@ _NEEDED_OF: Final = {
 
 
 def needed_functions(version: str, interface: str) -> frozenset[str]:
-    """Functions without which no FMU of a version ("2.0", "3.0") can be used by an interface ("co-simulation", ...)."""
+    """Return the functions that an FMU of a version ("2.0", ...) and interface ("co-simulation", ...) must have."""
     return frozenset((*_NEEDED.get(version[:3], ()), *_NEEDED_OF.get((version[:3], interface), ())))
 
 
 def library_problem(file: BinaryIO, needed: Set[str] = frozenset()) -> str | None:
-    """What is wrong with an FMU's library for this machine, or None. needed: functions that it must have."""
+    """Return what is wrong with an FMU's library for this machine, or None. needed: functions that it must have."""
     if sys.platform == "win32":
         return pe_problem(file.read(4096), platform.machine())
     if sys.platform == "linux":
@@ -41,7 +41,7 @@ def library_problem(file: BinaryIO, needed: Set[str] = frozenset()) -> str | Non
 
 
 def elf_problems(file: BinaryIO, size: int, machine: str, needed: Set[str] = frozenset()) -> Iterator[str]:
-    """What is wrong with a shared library for Linux of `size` bytes."""
+    """Yield what is wrong with a shared library for Linux of `size` bytes."""
     try:
         elf: Any = ELFFile(file)
         header = elf.header
@@ -66,19 +66,19 @@ def elf_problems(file: BinaryIO, size: int, machine: str, needed: Set[str] = fro
             if lacking:
                 yield f"lacks the function {', '.join(lacking)}"
     except (ELFError, ValueError, KeyError, AttributeError, TypeError, IndexError, struct.error, ArithmeticError):
-        yield "is no sound shared library for Linux (ELF)"  # a damaged file surprises the parser
+        yield "is not a valid shared library for Linux (ELF)"  # a damaged file surprises the parser
 
 
 def pe_problem(head: bytes, machine: str) -> str | None:
-    """What is wrong with a shared library for Windows, of which head is the beginning."""
+    """Return what is wrong with a shared library for Windows, of which head is the beginning, or None."""
     try:
         (offset,) = struct.unpack_from("<I", head, 0x3C)
         signature, its_machine = struct.unpack_from("<4sH", head, offset)
         (flags,) = struct.unpack_from("<H", head, offset + 22)
     except struct.error:
-        return "is no sound library for Windows (PE)"
+        return "is not a valid library for Windows (PE)"
     if head[:2] != b"MZ" or signature != b"PE\0\0":
-        return "is no sound library for Windows (PE)"
+        return "is not a valid library for Windows (PE)"
     if its_machine != _PE_MACHINES.get(machine.lower()):
         return f"is a library of another machine (PE machine {its_machine:#x}); this one is {machine}"
     return None if flags & _PE_IS_DLL else "is a program, not a library"

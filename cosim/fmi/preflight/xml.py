@@ -1,10 +1,10 @@
-"""XML read strictly: no document type, hence no entities, and no more of it than can be meant."""
+"""Strict reading of XML: no document type, hence no entities, and a largest size."""
 
 from typing import Final
 from xml.etree.ElementTree import Element, ParseError, TreeBuilder, XMLParser, fromstring
 
 LARGEST: Final = 256 << 20
-"""Bytes; a description of a million variables has about this size."""
+"""Largest number of bytes; a description of a million variables has about this size."""
 
 
 class _NoDoctype(TreeBuilder):
@@ -15,7 +15,7 @@ class _NoDoctype(TreeBuilder):
 
 
 def strict_root(content: bytes) -> Element:
-    """The root of an XML file. Raises ValueError, in one line."""
+    """Return the root of an XML file. Raises ValueError, in one line."""
     if len(content) > LARGEST:
         raise ValueError(f"it has {len(content) >> 20} MiB; at most {LARGEST >> 20} MiB are read")
     try:

@@ -1,1 +1,2 @@
-"""Supervision of FMU processes: what they print, hold, fork and leave behind."""
+"""Supervision of FMU processes: what they print, hold, start and leave behind. Doors: `SupervisedProcess`, and in the
+process itself `SupervisedChild`."""

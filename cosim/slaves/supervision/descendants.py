@@ -19,7 +19,7 @@ _MOST_LOOKS: Final = 20
 
 
 def new_mark() -> str:
-    """For the environment of one FMU's process."""
+    """Return a mark for the environment of one FMU's process."""
     return secrets.token_hex(8)
 
 
@@ -31,7 +31,7 @@ def adopt_orphans() -> None:
 
 
 def has_children() -> bool:
-    """Whether this process has any, its own or adopted."""
+    """Whether this process has any children, its own or adopted."""
     if sys.platform != "linux":
         return False
     with suppress(OSError):

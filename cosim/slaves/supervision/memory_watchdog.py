@@ -1,46 +1,45 @@
-"""A look at an FMU's process from time to time, while the thread that steps it waits for an answer.
+"""A thread that looks at an FMU's process from time to time, while another waits for an answer from it.
 
-An FMU that takes ever more memory is ended before the whole machine suffers. One that has died is told to who waits,
-even where a child of it has inherited the channel and keeps it open.
+An FMU that takes ever more memory is ended before the whole machine suffers. The death of one is reported to whoever
+waits, even where a child of it has inherited the channel and keeps it open.
 """
 
 import os
 import signal
 import sys
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from ..channel import Channel
-
 PERIOD_S: Final = 0.05
-"""Between two looks [s]; in it a process can touch about 100 MB."""
+"""Time between two looks [s], in which a process can touch about 100 MB."""
 _MB: Final = 1e6
 
 
 def half_of_memory() -> float:
-    """Half of this machine's memory [MB]."""
+    """Return half of this machine's memory [MB]."""
     if sys.platform == "win32":
         return float("inf")
     return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2 / _MB
 
 
-class Watch:
-    """A thread that looks after one process, the leader of its group, until `end`. Elsewhere than on Linux: nothing."""
+class MemoryWatchdog:
+    """A thread that watches one process, the leader of its group, until `end`; on Linux only."""
 
-    def __init__(self, process_id: int, channel: Channel, memory_limit: float) -> None:
-        """memory_limit: resident memory that the process may have [MB]."""
+    def __init__(self, process_id: int, on_death: Callable[[], None], memory_limit: float) -> None:
+        """memory_limit: resident memory that the process may have [MB]; on_death: called once it has ended."""
         self.reason: str | None = None
         """Why the process has been ended, in words that follow "the FMU's process"."""
-        self._id, self._channel, self._limit = process_id, channel, memory_limit
+        self._id, self._on_death, self._limit = process_id, on_death, memory_limit
         self._is_over = threading.Event()
-        self._thread = threading.Thread(target=self._look, name=f"watch of {process_id}", daemon=True)
+        self._thread = threading.Thread(target=self._look, name=f"memory watchdog of {process_id}", daemon=True)
         if sys.platform == "linux":
             self._thread.start()
 
     def end(self) -> None:
-        """Look no more; idempotent. To be called before the process is buried: its id may be another's then."""
+        """Stop watching; idempotent. To be called before the process is waited for: its id may be another's then."""
         self._is_over.set()
         if self._thread.is_alive():
             self._thread.join()
@@ -56,5 +55,5 @@ class Watch:
                     os.killpg(self._id, signal.SIGKILL)
             with suppress(OSError):
                 if os.waitid(os.P_PID, self._id, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
-                    self._channel.hang_up()
+                    self._on_death()
                     return

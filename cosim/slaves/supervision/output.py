@@ -1,4 +1,4 @@
-"""What an FMU prints, passed on to standard error line by line under its instance's name.
+"""Passing on what an FMU prints to standard error, line by line under its instance's name.
 
 A pipe of its own, not our standard error itself: a process could put that into another mode, cut or fill it.
 """
@@ -10,11 +10,11 @@ from contextlib import suppress
 from typing import Final
 
 MOST: Final = 1 << 20
-"""Bytes that are passed on; what an FMU prints after that is read and left out."""
+"""Bytes that are passed on; what an FMU prints after that is left out."""
 _CLOSE_TIMEOUT_S: Final = 1.0  # a child that the FMU has left behind may hold the other end
 
 
-class Output:
+class OutputRelay:
     """The reading end of what one FMU prints; `descriptor` is the end to write to."""
 
     def __init__(self, name: str) -> None:
@@ -24,17 +24,17 @@ class Output:
         self._thread = threading.Thread(target=self._pass_on, name=f"output of {name}", daemon=True)
 
     def start(self) -> None:
-        """Once the process has the writing end: give ours back, and pass on what comes."""
+        """Close our copy of the writing end, which the process has now, and pass on what comes."""
         os.close(self.descriptor)
         self._thread.start()
 
     def abandon(self) -> None:
-        """In the place of start, where there is no process."""
+        """Close both ends: there is no process."""
         os.close(self.descriptor)
         os.close(self._source)
 
     def wait(self) -> None:
-        """Until all is passed on, after the process has ended."""
+        """Wait until all is passed on, after the process has ended."""
         self._thread.join(_CLOSE_TIMEOUT_S)
 
     def _pass_on(self) -> None:
@@ -61,6 +61,6 @@ class Output:
 
 
 def _shown(line: bytes) -> str:
-    """As text that stays in its line: a terminal would obey escape sequences, and write over what is there."""
+    """Return a line as text that stays in its line: a terminal would obey escape sequences."""
     text = line.decode("utf-8", "replace").rstrip()
     return "".join(c if c.isprintable() or c == "\t" else c.encode("unicode_escape").decode() for c in text)

@@ -1,4 +1,4 @@
-"""On which core an FMU's process runs: one that steps fast on the core of whoever waits for it, a slow one on any.
+"""Cores for FMUs' processes: one that steps fast shares the core of the thread that waits for it, a slow one has any.
 
 Waking a process on a core that sleeps costs 20 to 50 us (an interrupt, in a virtual machine an exit and an entry too),
 on the core that goes to wait itself 2 us. Left alone, the scheduler chooses the sleeping core. FMUs that share a core
@@ -14,9 +14,9 @@ from contextlib import contextmanager, suppress
 from typing import Any, Final
 
 REVIEW: Final = 64
-"""Steps between two looks at how long they take."""
+"""Number of steps after which it is looked at how long they take."""
 SLOW_S: Final = 150e-6
-"""A step that takes longer [s] is not worth a shared core; one of half of it is again."""
+"""Time [s] from which on a step is not worth a shared core; one of half of it is again."""
 
 _libc: Any = ctypes.CDLL(None) if sys.platform == "linux" else None
 _ASK, _NO_RANDOM_ADDRESSES = 0xFFFFFFFF, 0x0040000  # personality(2)
@@ -24,7 +24,7 @@ _ASK, _NO_RANDOM_ADDRESSES = 0xFFFFFFFF, 0x0040000  # personality(2)
 
 @contextmanager
 def same_addresses() -> Generator[None]:
-    """A process started by this thread in here has its memory laid out as every other such process.
+    """Lay out the memory of a process that is started in here as that of every other such process.
 
     Processes that take turns on a core then share what its branch predictors have learnt of the interpreter; with
     addresses chosen at random three FMUs take twice as long. Where the system does not permit it, it stays like that.
@@ -40,7 +40,7 @@ def same_addresses() -> Generator[None]:
 
 
 class Placement:
-    """Where one FMU's process runs, and with it the thread that waits for it."""
+    """The core that one FMU's process shares with the thread that waits for it, if any."""
 
     def __init__(self, process_id: int) -> None:
         self._process_id = process_id
@@ -72,5 +72,5 @@ class Placement:
 
     def _place(self, cores: set[int]) -> None:
         if sys.platform == "linux":
-            with suppress(OSError):  # it has ended, which the next message tells
+            with suppress(OSError):  # it has ended, which the next message shows
                 os.sched_setaffinity(self._process_id, cores)

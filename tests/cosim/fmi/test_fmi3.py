@@ -1,6 +1,5 @@
 """FMI 3.0 FMUs in the master: alone, and mixed with those of FMI 2.0."""
 
-import ctypes
 import math
 import re
 
@@ -10,8 +9,8 @@ import pytest
 from cosim import ModelDescriptionError, Scenario, SlaveError, WiringError, open_slave, run
 from cosim.fmi.archive import read_description
 from cosim.fmi.elements import handle
-from cosim.fmi.value_buffers import Variable
-from cosim.fmi.value_buffers3 import blocks3_of, overlaid
+from cosim.fmi.value_buffers import ScalarVariable
+from cosim.fmi.value_buffers3 import buffers3_of, overlaid
 from cosim.system.fmu_cache import find_fmu
 
 pytestmark = pytest.mark.fmu
@@ -157,36 +156,26 @@ def test_the_quadrotor_scenario_runs_on_either_version_mixed(three, isolation):
 # -- arrays of values -----------------------------------------------------------------------------------------------
 
 
-def test_a_block_sets_whole_arrays_and_reads_single_elements():
+def test_a_buffer_sets_whole_arrays_and_reads_single_elements():
     arrays = {1: [0.0, 10.0, 20.0], 2: [5.0]}
-    variables = [Variable("b", "Float64", 2), Variable("a[3]", "Float64", handle(1, 2))]
-    (block,) = blocks3_of(variables, arrays)
-    block.start(arrays)
-    block.fill([6.0, 22.0])
-    references, n, values, total = block.arguments
+    variables = [ScalarVariable("b", "Float64", 2), ScalarVariable("a[3]", "Float64", handle(1, 2))]
+    (buffer,) = buffers3_of(variables, arrays)
+    buffer.start(arrays)
+    buffer.fill([6.0, 22.0])
+    references, n, values, total = buffer.arguments
     assert (list(references), n, list(values), total) == ([2, 1], 2, [6.0, 0.0, 10.0, 22.0], 4)
-    assert list(block.read()) == [6.0, 22.0]
-    block.clear()
-    assert all(math.isnan(value) for value in block.read())
+    assert list(buffer.read()) == [6.0, 22.0]
+    buffer.clear()
+    assert all(math.isnan(value) for value in buffer.read())
 
 
-@pytest.mark.parametrize(
-    ("kind", "ctype", "value"),
-    [("Int8", ctypes.c_int8, -7), ("UInt64", ctypes.c_uint64, 2**52), ("Boolean", ctypes.c_bool, 1),
-     ("Float32", ctypes.c_float, 0.5)],
-)  # fmt: skip
-def test_every_type_has_its_c_array(kind, ctype, value):
-    (block,) = blocks3_of([Variable("a", kind, 0)], {0: [0.0]})
-    block.start({0: [0.0]})
-    block.fill([float(value)])
-    assert isinstance(block.arguments[2], ctype * 1)
-    assert list(block.read()) == [value]
-
-
-def test_variables_of_different_types_are_different_blocks():
-    variables = [Variable("a", "Float64", 0), Variable("n", "Int32", 1), Variable("b", "Float64", 2)]
-    blocks = blocks3_of(variables, {0: [0.0], 1: [0.0], 2: [0.0]})
-    assert [(block.setter, block.positions) for block in blocks] == [("fmi3SetFloat64", (0, 2)), ("fmi3SetInt32", (1,))]
+def test_variables_of_different_types_are_different_buffers():
+    variables = [ScalarVariable("a", "Float64", 0), ScalarVariable("n", "Int32", 1), ScalarVariable("b", "Float64", 2)]
+    buffers = buffers3_of(variables, {0: [0.0], 1: [0.0], 2: [0.0]})
+    assert [(b.setter, b.positions) for b in buffers] == [
+        ("fmi3SetFloat64", (0, 2)),
+        ("fmi3SetInt32", (1,)),
+    ]
 
 
 def test_values_overlay_single_elements():

@@ -37,7 +37,7 @@ def entries(*names, **attributes):
     return made
 
 
-BOMB = "archive: error: unpacks to {} times its size, as no FMU but a bomb does"
+BOMB = "archive: error: unpacks to {} times its size, as only a zip bomb does"
 
 
 @pytest.mark.parametrize(
@@ -115,8 +115,8 @@ def test_kinds_of_entries(attributes, n):
         (["a/", "a/b", "a/c"], []),
         (["a/", "a//b"], []),
         (["./a", "b/./a", "b//c", "./"], []),
-        (["a/b", "a//b"], ["'a/b': error: is there 2 times; which one is meant cannot be known"]),
-        (["a", "./a"], ["'a': error: is there 2 times; which one is meant cannot be known"]),
+        (["a/b", "a//b"], ["'a/b': error: is in the archive 2 times; it is not known which is meant"]),
+        (["a", "./a"], ["'a': error: is in the archive 2 times; it is not known which is meant"]),
     ],
 )
 def test_names_that_are_one_file(names, expected):
@@ -129,7 +129,9 @@ def test_contents_that_share_bytes(place, overlaps):
     one, other = entries("a", "b")
     other.header_offset = place
     for order in ([one, other], [other, one]):
-        assert told(archive_findings(order)) == (["'a': error: overlaps 'b' in the archive, as in a bomb"] * overlaps)
+        assert told(archive_findings(order)) == (
+            ["'a': error: overlaps 'b' in the archive, as in a zip bomb"] * overlaps
+        )
 
 
 def test_how_long_an_xml_file_may_be(monkeypatch):

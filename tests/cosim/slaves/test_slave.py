@@ -21,8 +21,8 @@ import cosim.slaves.slave
 from cosim.errors import ModelDescriptionError, SlaveError, WiringError
 from cosim.fmi.archive import read_description
 from cosim.fmi.fmu_log import MessageLog
-from cosim.fmi.value_buffers import Variable, blocks_of
-from cosim.slaves.process import Worker
+from cosim.fmi.value_buffers import ScalarVariable, buffers_of
+from cosim.slaves.process import FmuProcess
 from cosim.slaves.slave import open_slave
 
 pytestmark = pytest.mark.fmu
@@ -100,7 +100,7 @@ def mixer(tmp_path_factory) -> Path:
 def isolation(request, monkeypatch) -> str:
     """Every way an instance can be reached."""
     if request.param == "process on a pipe":
-        monkeypatch.setattr(cosim.slaves.slave, "Worker", functools.partial(Worker, kind="pipe"))
+        monkeypatch.setattr(cosim.slaves.slave, "FmuProcess", functools.partial(FmuProcess, kind="pipe"))
     return "none" if request.param == "none" else "process"
 
 
@@ -376,15 +376,15 @@ def test_a_forgotten_slave_leaves_nothing(mixer, temporary, children):
 
 def test_what_a_get_does_not_fill_is_nan():
     # An FMU whose fmi2GetReal returns OK and does nothing must not be read as 0.0.
-    variables = [Variable("a", "Real", 0), Variable("n", "Integer", 1), Variable("b", "Real", 2)]
-    reals, integers = blocks_of(variables)
+    variables = [ScalarVariable("a", "Real", 0), ScalarVariable("n", "Integer", 1), ScalarVariable("b", "Real", 2)]
+    reals, integers = buffers_of(variables)
     assert (reals.positions, integers.positions) == ((0, 2), (1,))
-    for block in (reals, integers):
-        block.fill([1.5, 2.0, 3.0])
+    for buffer in (reals, integers):
+        buffer.fill([1.5, 2.0, 3.0])
     assert (reals.read(), integers.read()) == ((1.5, 3.0), (2.0,))
-    for block in (reals, integers):
-        block.clear()
-        assert all(math.isnan(value) for value in block.read())
+    for buffer in (reals, integers):
+        buffer.clear()
+        assert all(math.isnan(value) for value in buffer.read())
 
 
 def call_logger(log: MessageLog, environment: int | None, text: bytes, *arguments: object) -> None:

@@ -6,6 +6,7 @@ import pytest
 from fmpy.ssp.ssd import read_ssv as fmpy_read_ssv
 
 from cosim.errors import SspError
+from cosim.fmi.types import TYPES
 from cosim.ssv.document import ParameterValue, read_ssv, to_ssv
 from cosim.units import make_unit
 
@@ -60,10 +61,14 @@ def test_prefixes_of_the_written_file_are_literal():
     assert '<ssc:BaseUnit rad="1" factor="0.017453292519943295" />' in to_ssv("set", VALUES, UNITS)
 
 
-def test_version_2_has_more_types(read):
-    a = '<x:Parameter name="a"><x:Float64 value="1.5"/></x:Parameter>'
-    b = '<x:Parameter name="b"><x:UInt8 value="7"/></x:Parameter>'
-    assert read(ssv(a + b, "2.0")).values == (ParameterValue("a", 1.5), ParameterValue("b", 7))
+READABLE = [row for row in TYPES.values() if row.python not in (bytes, None)]
+
+
+@pytest.mark.parametrize("row", READABLE, ids=lambda row: row.name)
+def test_a_value_is_read_by_its_type_fmi_3s_from_version_2(read, row):
+    (parameter,) = read(ssv(f'<x:Parameter name="a"><x:{row.name} value="1"/></x:Parameter>', "2.0")).values
+    assert parameter.value == ("1" if row.ssp in ("String", "Enumeration") else 1)
+    assert type(parameter.value) is (str if row.name == "Enumeration" else row.python)  # SSP writes the item's name
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from cosim.errors import FolderError
-from cosim.fmi.folder import remove_forsaken
+from cosim.fmi.folder import remove_abandoned
 from cosim.runs.result import read_run
 from cosim.runs.series import read_series
 from cosim.system.fmu_cache import build_into
@@ -660,7 +660,7 @@ def test_a_killed_run_leaves_readable_rows_and_no_process(workplace, leaves_noth
     np.testing.assert_array_equal(times, 0.01 * np.arange(len(times)))
     assert json.loads((folder / "manifest.json").read_text())["status"] == "running"
     assert becomes_true(lambda: not processes_of_session(process.pid))
-    remove_forsaken(str(leaves_nothing))  # as the next start does: nobody was left to clear up
+    remove_abandoned(str(leaves_nothing))  # as the next start does: nobody was left to clear up
 
 
 # Building.

@@ -1,0 +1,24 @@
+"""Loading an FMU into this process: one class for each FMI version and interface, all of them a `Binding`."""
+
+from .binding import Binding, FmuToLoad
+from .fmu_log import LogListener
+
+
+def load(fmu: FmuToLoad, on_log: LogListener | None = None) -> Binding:
+    """Load and instantiate an FMU; on_log gets what it logs. Raises SlaveError."""
+    # What an FMU's process does not need it does not import.
+    if fmu.fmi_version == "2.0":
+        if fmu.interface == "model-exchange":
+            from .fmi2_model_exchange import Fmi2ModelExchange
+
+            return Fmi2ModelExchange(fmu, on_log)
+        from .fmi2_co_simulation import Fmi2CoSimulation
+
+        return Fmi2CoSimulation(fmu, on_log)
+    if fmu.interface == "model-exchange":
+        from .fmi3_model_exchange import Fmi3ModelExchange
+
+        return Fmi3ModelExchange(fmu, on_log)
+    from .fmi3_co_simulation import Fmi3CoSimulation
+
+    return Fmi3CoSimulation(fmu, on_log)

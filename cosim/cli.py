@@ -9,6 +9,7 @@ from collections.abc import Generator, Sequence
 from contextlib import contextmanager, nullcontext
 from importlib import import_module
 
+from .shadowing import check_packages
 from .terminal.exit_codes import INTERRUPTED, REFUSED, UNFINISHED
 from .terminal.options import make_parser
 from .terminal.signals import Signals
@@ -40,6 +41,10 @@ def _ended(arguments: Sequence[str] | None) -> int:
     options = make_parser().parse_args(arguments)
     from .errors import CosimError, is_refusal  # here and below: --help must not wait for NumPy and GPy
 
+    try:
+        check_packages()
+    except ImportError as e:
+        return _end(options, str(e), REFUSED)
     try:
         with _everything_logged() if options.debug else nullcontext():
             code = import_module(f".commands.{options.command}", __package__).command(options)

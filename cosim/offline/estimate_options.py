@@ -53,8 +53,6 @@ def request_of(options: argparse.Namespace) -> "Request":
     if options.samples is not None and not (options.online and options.samples):
         raise EstimateError("--samples must be 1 or more, and goes with --online.")
     evaluations = options.evaluations if options.evaluations is not None else 30 if options.online else 60
-    if evaluations < 1 or options.jobs == 0:
-        raise EstimateError("--evaluations and --jobs must be 1 or more.")
     return Request(
         fmu=options.fmu,
         logs=tuple(options.logs),
@@ -71,7 +69,7 @@ def request_of(options: argparse.Namespace) -> "Request":
         method=options.method,
         evaluations=evaluations,
         seed=options.seed,
-        jobs=options.jobs or os.cpu_count() or 1,
+        jobs=(os.cpu_count() or 1) if options.jobs is None else options.jobs,
         timeout=options.timeout,
     )
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final, NoReturn
 
+from .. import __version__
 from ..offline.estimate_options import add_options
 from ..scenarios.named import named_scenarios
 from .exit_codes import REFUSED
@@ -23,6 +24,7 @@ class Parser(argparse.ArgumentParser):
 def make_parser() -> Parser:
     """The parser of all commands; `command` of what it returns is the name of the one that was chosen."""
     parser = Parser(prog="retune", description="Re-tune a controller FMU while it runs.", allow_abbrev=False)
+    parser.add_argument("--version", action="version", version=f"fmu-retune {__version__}")
     table = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=Parser)
     for name, (text, add) in _OPTIONS.items():
         one = table.add_parser(name, help=text, allow_abbrev=False)

@@ -18,6 +18,7 @@ import fmpy
 import numpy as np
 import pytest
 
+import cosim
 from cosim.errors import FolderError
 from cosim.fmi.folder import remove_forsaken
 from cosim.runs.result import read_run
@@ -156,6 +157,10 @@ def test_help_names_every_scenario(called, command):
     code, out, err = called(command, "--help")
     assert (code, err) == (0, "")
     assert "pendulum, quadrotor, rigid-body, stiction, " in " ".join(out.split())
+
+
+def test_the_version_is_printed(called):
+    assert called("--version") == (0, f"fmu-retune {cosim.__version__}\n", "")
 
 
 # Refusals.

@@ -66,7 +66,8 @@ def run(
     `none`, `true`, or `module:Class` of the user's own.
 
     scenario: a Scenario, the name of one, or a TOML file. The same seed gives the same run, bit for bit, on one
-    machine. With `out`, an absent or empty folder, everything is recorded there. A fault of an FMU ends the run with status `faulted`: the rows so far are kept.
+    machine. With `out`, an absent or empty folder, everything is recorded there. A fault of an FMU ends the run with
+    status `faulted`: the rows so far are kept.
     Raises ScenarioError, ModelDescriptionError, WiringError or FolderError before any step; KeyboardInterrupt when
     interrupted and UnfinishedError when the disk is full, the rows so far recorded: `resume` goes on with them.
     """

@@ -530,21 +530,6 @@ def test_an_estimator_that_raises_ends_the_run_with_its_rows_kept(called, own, w
     assert json.loads((workplace / "out" / "result.json").read_text())["status"] == "faulted"
 
 
-def test_the_readmes_estimator_of_ones_own_works(called, workplace):
-    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
-    (example,) = (
-        block for block in re.findall(r"```python\n(.*?)```", readme, re.DOTALL) if "class Evolution" in block
-    )
-    (workplace / "readmes_estimator.py").write_text(example)
-    command = ["run", "pendulum", "--only", "--json", "--estimator", "readmes_estimator:Evolution", "--out", "out"]
-    code, out, err = called(*command, "--set", "scenario.stop_time=1.0", *EARLY_CHANGE)
-    assert (code, err) == (0, "")
-    result = json.loads(out)
-    assert result["evaluations"] > 100
-    (m, *_) = result["parameters"]
-    assert abs(m["estimated"] - m["true"]) < 0.2 * m["true"]
-
-
 # Runs that do not finish.
 
 

@@ -27,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         signals.take()
         return _ended(arguments)
     except KeyboardInterrupt:
-        print("retune: interrupted; what there is so far is in the run folder", file=sys.stderr)
+        print("retune: interrupted; what was recorded so far is in the run folder", file=sys.stderr)
         return INTERRUPTED
     finally:
         signals.give_back()
@@ -63,7 +63,7 @@ def _ended(arguments: Sequence[str] | None) -> int:
         why = f"{type(e).__name__}: {e}; --debug shows where"
         if isinstance(e, OSError) and not can_print():
             drop_output()
-            why = f"cannot write what it prints: {e.strerror or e}"
+            why = f"cannot write its output: {e.strerror or e}"
         return _end(options, why, UNFINISHED)
 
 

@@ -1,7 +1,6 @@
 """Code of the user's, loaded from beside a scenario or from the working directory."""
 
 import importlib
-import importlib.util
 import sys
 from importlib.machinery import PathFinder
 from pathlib import Path

@@ -64,7 +64,7 @@ def estimate(
     request = Request(
         fmu=Path(fmu),
         logs=tuple(map(Path, paths)),
-        parameters=tuple(Sought(name, *bounds) for name, bounds in parameters.items()),
+        parameters=tuple(_sought(name, bounds) for name, bounds in parameters.items()),
         measured=measured,
         inputs=inputs or {},
         start=start or {},
@@ -89,3 +89,7 @@ def estimate(
                 write_files(found, folder)
                 draw_fit(found, folder / "fit.png")
     return found
+
+
+def _sought(name: str, bounds: Bounds) -> Sought:
+    return Sought(name, bounds[0], bounds[1], "linear" if len(bounds) == 2 else bounds[2])

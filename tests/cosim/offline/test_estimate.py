@@ -230,7 +230,7 @@ def test_where_all_roll_outs_fail_the_first_reason_is_told(ask, oracles):
 def test_a_wrong_start_value_shows_in_the_words(ask, oracles):
     found = estimate(ask(oracles.measure(0), start={"x": 0.3}))
     told = " ".join(words(found))
-    assert "times the noise: the model lacks something" in told
+    assert "times the noise: something is missing from the model" in told
     assert "correlated from row to row" in told
 
 

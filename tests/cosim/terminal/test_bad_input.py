@@ -88,7 +88,7 @@ CASES = {
         ("steps.csv", [("^0.1, 1, 0.5", "0.1, , 0.5")], dict.fromkeys(("new", "check", "run"), (None, 2, "steps.csv"))),
         ("log.csv", [("^0.5,.*", "0.5,,")], {
             "estimate": (ESTIMATE, 0, "warning: log.csv: gaps split it into 2 windows")}),
-        ("log.csv", [("^0.5,(.*),.*", r"0.5,\1,")], {"estimate": (ESTIMATE, 0, "75 of 100 rows fitted to")}),
+        ("log.csv", [("^0.5,(.*),.*", r"0.5,\1,")], {"estimate": (ESTIMATE, 0, "fitted to 75 of 100 rows")}),
     ],
     "not a number": [
         ("steps.csv", [("^0.1, 1, 0.5", "0.1, nan, 0.5")],

@@ -757,7 +757,7 @@ def shell(command, **environment):
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="has no device that is always full")
 def test_output_for_which_there_is_no_room_is_told_and_the_run_is_there(workplace):
     done = shell(f"{shlex.join(['retune', *SHORT])} --out r > /dev/full")
-    assert (done.returncode, done.stderr) == (1, "retune: cannot write what it prints: No space left on device\n")
+    assert (done.returncode, done.stderr) == (1, "retune: cannot write its output: No space left on device\n")
     assert read_run(Path("r")).status == "done"
 
 

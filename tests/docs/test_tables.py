@@ -1,10 +1,13 @@
 """The tables of docs/scenario.md and docs/estimators.md are those of the schema, and the README stays short."""
 
+import re
+import tomllib
 from pathlib import Path
 
 import pytest
 
 from cosim.scenarios.reference import rendered, scenario_tables
+from cosim.scenarios.scenario import Scenario
 from cosim.scenarios.schema.guard import GuardSettings
 
 ROOT = Path(__file__).parents[2]
@@ -29,6 +32,13 @@ def test_a_page_is_left_as_it_is_but_for_its_tables():
     assert new.startswith("before\n<!-- tables: scenario -->\n\n### The file")
     assert new.endswith("\n\n<!-- end of tables -->\nafter\n")
     assert "\nold\n" not in new
+
+
+def test_the_example_on_the_page_is_a_scenario():
+    page = (ROOT / "docs" / "scenario.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    scenario = Scenario.from_tables(tomllib.loads(example), None, ROOT, Path("example.toml"))
+    assert (scenario.plant, scenario.estimation.space.names) == ("plant", ("m",))
 
 
 def test_the_readme_is_short_and_its_links_work_on_the_package_page():

@@ -5,7 +5,7 @@ INTEROP := .venv-interop
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
-.PHONY: run test interop experiments evaluation lint format clean
+.PHONY: run test interop experiments evaluation lint docs-tables format clean
 
 run: $(VENV)/.run
 	$(BIN)/retune run pendulum
@@ -31,6 +31,9 @@ lint: $(VENV)/.test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
+
+docs-tables: $(VENV)/.run
+	$(BIN)/python -m cosim.scenarios.reference docs/scenario.md docs/estimators.md
 
 format: $(VENV)/.test
 	$(BIN)/ruff check --fix .

@@ -9,6 +9,7 @@ from collections.abc import Generator, Sequence
 from contextlib import contextmanager, nullcontext
 from importlib import import_module
 
+from .shadowing import check_packages
 from .terminal.exit_codes import INTERRUPTED, REFUSED, UNFINISHED
 from .terminal.options import make_parser
 from .terminal.signals import Signals
@@ -26,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         signals.take()
         return _ended(arguments)
     except KeyboardInterrupt:
-        print("retune: interrupted; what there is so far is in the run folder", file=sys.stderr)
+        print("retune: interrupted; what was recorded so far is in the run folder", file=sys.stderr)
         return INTERRUPTED
     finally:
         signals.give_back()
@@ -40,6 +41,10 @@ def _ended(arguments: Sequence[str] | None) -> int:
     options = make_parser().parse_args(arguments)
     from .errors import CosimError, is_refusal  # here and below: --help must not wait for NumPy and GPy
 
+    try:
+        check_packages()
+    except ImportError as e:
+        return _end(options, str(e), REFUSED)
     try:
         with _everything_logged() if options.debug else nullcontext():
             code = import_module(f".commands.{options.command}", __package__).command(options)
@@ -58,7 +63,7 @@ def _ended(arguments: Sequence[str] | None) -> int:
         why = f"{type(e).__name__}: {e}; --debug shows where"
         if isinstance(e, OSError) and not can_print():
             drop_output()
-            why = f"cannot write what it prints: {e.strerror or e}"
+            why = f"cannot write its output: {e.strerror or e}"
         return _end(options, why, UNFINISHED)
 
 

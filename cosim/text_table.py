@@ -25,3 +25,8 @@ def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
         ).rstrip()
         for row in rows
     ]
+
+
+def counted(n: int, noun: str) -> str:
+    """Return a count with its noun: `1 episode`, `2 episodes`."""
+    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from .errors import ScenarioError
+from .shadowing import namesake
 
 
 def load(reference: str, folder: Path, key: str = "estimation.model") -> Any:
@@ -16,6 +17,8 @@ def load(reference: str, folder: Path, key: str = "estimation.model") -> Any:
     """
     module_name, _, name = reference.partition(":")
     places = [str(folder.resolve()), str(Path.cwd())]
+    if (path := namesake(module_name, places)) is not None:
+        raise ScenarioError(f"{key}: {path} has the name of a package of fmu-retune: rename it.")
     _forget(module_name.partition(".")[0], places)
     sys.path[:0] = places
     try:

@@ -29,7 +29,7 @@ class NormSettings:
     difference_step: float = 0.0
     """Finite-difference step for the gradient, as a share of each parameter's bounds; 0: the minimizer's own, 1e-8."""
     max_iterations: int = 50
-    """Iterations a solve."""
+    """Iterations in a solve."""
 
     def __post_init__(self) -> None:
         if self.noise < 0.0:
@@ -117,7 +117,7 @@ class LeastSquaresSettings:
     """Settings of `LeastSquares`."""
 
     max_evaluations: int = 200
-    """Evaluations a solve, those for the Jacobian included."""
+    """Evaluations in a solve, those for the Jacobian included."""
     n_starts: int = 1
     """Places to start from: the last estimate, then random ones, as long as evaluations are left."""
     identifiable_below: float = IDENTIFIABLE_BELOW

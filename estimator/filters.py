@@ -21,9 +21,9 @@ class RecursiveSettings:
     """Settings of `RecursiveLeastSquares`."""
 
     forgetting: float = 0.8
-    """lambda: what a sample's weight is multiplied by at each one that follows."""
+    """Forgetting factor lambda: a sample's weight is multiplied by it at each later sample."""
     noise: float = 0.01
-    """Standard deviation of a row's target, in its unit: weighs the first samples against the start."""
+    """Standard deviation of a row's target, in its unit; it weighs the first samples against the start."""
     spread: float = 1.0
     """Standard deviation of the coefficients at the start, relative to that over the bounds."""
     identifiable_below: float = IDENTIFIABLE_BELOW

@@ -39,12 +39,12 @@ class TargetSettings:
     initial_step: float = 0.2
     """Share of the scaled bounds, divided by d, by which each parameter is moved, alone, to learn the slopes."""
     n_modelled: int | None = None
-    """Best candidates that the surrogate is of, beside the newest d, and that outlive an episode; None: 3 d + 2. Others
-    would only bend it, and make it slow."""
+    """Number of best candidates that the surrogate is fitted to, beside the newest d, and that are kept for the next
+    episode; by default 3 d + 2. More would only distort it and slow it down."""
     n_outputs: int = 10
-    """Most principal components of the residual that get a GP."""
+    """Number of principal components of the residual, at most, that are modelled by a GP."""
     significance: float = 3.0
-    """Standard deviations by which the data must ask for a change, direction by direction; else it is held."""
+    """Standard deviations by which the data must ask for a change in a direction; else that direction is held."""
     identifiable_below: float = IDENTIFIABLE_BELOW
     """A parameter counts as identifiable when its standard deviation is below this share of the scaled bounds."""
 

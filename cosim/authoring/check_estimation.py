@@ -19,7 +19,7 @@ def check_changes(scenario: Scenario, components: Components) -> Iterator[Findin
         if problem:
             yield Finding(f'changes."{reference}"', problem)
     if not scenario.changes:
-        yield warning("changes", "nothing happens to the plant: there is nothing to find")
+        yield warning("changes", "nothing changes in the plant: there is nothing to estimate")
 
 
 def check_tracking(scenario: Scenario, components: Components) -> Iterator[Finding]:
@@ -76,7 +76,7 @@ def _problems(scenario: Scenario, parameter: EstimatedParameter, components: Com
     plant, name = parts(true, components)
     if plant is not None and name not in plant.variables:
         hint = did_you_mean(name, plant.variables)
-        yield True, f"no variable '{name}' in {plant.fmu.name}{hint or '; say with true = ... which one it stands for'}"
+        yield True, f"no variable '{name}' in {plant.fmu.name}{hint or '; give the one it stands for with true = ...'}"
     elif plant is not None and true not in scenario.changes and _start(scenario, true, components) is None:
         yield True, f"'{true}' has no start value; give it one under components.{scenario.plant}.start"
     yield from ((f.is_error, f.what) for f in unit_finding("", true, parameter.writes, components) if f.is_error)
@@ -91,13 +91,13 @@ def _problems(scenario: Scenario, parameter: EstimatedParameter, components: Com
     if problem := parameter_problem(parameter, variable):
         yield True, problem.rstrip(".")
     if attribute(variable, "min") is None and attribute(variable, "max") is None:
-        yield False, f"{controller.fmu.name} declares neither min nor max: lower and upper alone guard what is written"
+        yield False, f"{controller.fmu.name} declares neither min nor max: only lower and upper limit what is written"
     start = _start(scenario, parameter.writes, components)
     if start is None:
         component = parameter.writes.partition(".")[0]
         yield True, f"'{parameter.writes}' has no start value; give it one under components.{component}.start"
     elif not parameter.lower <= start <= parameter.upper:
-        yield False, f"'{parameter.writes}' starts as {start:g}, outside [{parameter.lower:g}, {parameter.upper:g}]"
+        yield False, f"'{parameter.writes}' starts at {start:g}, outside [{parameter.lower:g}, {parameter.upper:g}]"
 
 
 def _start(scenario: Scenario, reference: str, components: Components) -> float | None:

@@ -38,16 +38,18 @@ def check_filter(scenario: Scenario, components: Components) -> Iterator[Finding
             yield warning("sampling", f"the state '{state}' is no output: the model is called without it")
     kernel = kernel_of(settings, scenario.scenario.macro_step)
     if len(kernel.weights) >= scenario.scenario.n_steps:
-        yield Finding(_WHERE, f"it needs {len(kernel.weights) + 1} points, the run ends before")
+        yield Finding(_WHERE, f"it needs {len(kernel.weights) + 1} points, and the run ends before that")
     difference = np.sqrt(2.0) / kernel.macro_step
     if kernel.noise_gain > _LITTLE * difference:
         share = kernel.noise_gain / difference
-        yield warning(_WHERE, f"it hardly smooths: {share:.0%} of the noise of a plain difference is left")
+        yield warning(_WHERE, f"it hardly smooths: {share:.0%} of the noise of a plain difference remains")
     every, loop = settings.every or kernel.independent_after, scenario.estimation
     n_samples = loop.budget // (loop.evaluations_per_step * every)
     if n_samples < _FEW and loop.trigger.kind != "always":
-        episode = f"an episode of {loop.budget} evaluations, {loop.evaluations_per_step} a macro step"
-        yield warning("estimation.budget", f"{episode}, sees {n_samples} samples, one being made every {every} points")
+        episode = f"an episode of {loop.budget} evaluations, {loop.evaluations_per_step} per macro step"
+        yield warning(
+            "estimation.budget", f"{episode}, sees {n_samples} samples, as one is produced every {every} points"
+        )
     if settings.every and settings.every < kernel.independent_after:
         text = f"samples every {settings.every} points share noise, up to {kernel.independent_after} points apart"
         yield warning(f"{_WHERE}.every", f"{text}: standard deviations come out too small")
@@ -69,7 +71,7 @@ def check_filtered_model(scenario: Scenario, plant: Plant, x: Vector, theta: Vec
     judged = derivative_noise(scenario.sampling, scenario.scenario.macro_step)
     for name, own, more in zip(scenario.sampling.derivatives, judged, of_states.tolist(), strict=True):
         if more > _SHARE * own:
-            text = f"the states' noise comes to the residual's by the model, {more:.3g} beside {own:.3g}"
+            text = f"through the model the states' noise adds {more:.3g} to the residual's {own:.3g}"
             yield warning(
                 f'sampling.derivatives."{name}"', f"{text} at the start: give noise = {np.hypot(own, more):.3g}"
             )
@@ -79,10 +81,8 @@ def _long(kernel: Kernel, slopes: Vector) -> Iterator[Finding]:
     fastest = float(np.abs(np.linalg.eigvals(slopes)).max())
     length = len(kernel.weights) * kernel.macro_step
     if fastest * length > _LONG:
-        text = (
-            f"it takes means over {length:.3g} s, and a time constant of the plant is {1 / fastest:.3g} s at the start"
-        )
-        yield warning(_WHERE, f"{text}: late, and biased where the plant is not linear")
+        text = f"it averages over {length:.3g} s, and a time constant of the plant is {1 / fastest:.3g} s at the start"
+        yield warning(_WHERE, f"{text}: its output is late, and biased where the plant is not linear")
 
 
 def _slopes(scenario: Scenario, plant: Plant, x: Vector, theta: Vector) -> Vector:

@@ -94,7 +94,9 @@ def check_connections(scenario: Scenario, components: Components) -> Iterator[Fi
             continue
         types = [str(of.variables[of_name].type), str(to.variables[to_name].type)]
         if types[0] != types[1] and not is_real(types[1]):
-            yield warning(where, f"a {types[0]} goes to a {types[1]}: other than whole numbers end the run")
+            yield warning(
+                where, f"{types[0]} output, {types[1]} input: a value that is not a whole number ends the run"
+            )
         yield from unit_finding(where, source, target, components, is_converted=True)
 
 
@@ -118,9 +120,9 @@ def check_loops(scenario: Scenario, components: Components) -> Iterator[Finding]
         way = " <- ".join([*loop.nodes, loop.nodes[0]])
         if loop.undeclared:
             silent = ", ".join(components[name].fmu.name for name in loop.undeclared)
-            yield warning("connections", f"there may be an algebraic loop, {silent} not saying by what it goes: {way}")
+            yield warning("connections", f"there may be an algebraic loop, as {silent} declares no dependencies: {way}")
         else:
-            yield warning("connections", f"algebraic loop, closed with a value of the macro step before: {way}")
+            yield warning("connections", f"algebraic loop, closed with the value of the previous macro step: {way}")
 
 
 def check_steps(scenario: Scenario, components: Components) -> Iterator[Finding]:
@@ -131,14 +133,17 @@ def check_steps(scenario: Scenario, components: Components) -> Iterator[Finding]
         if is_table(component.fmu):
             start, end = experiment["start_time"], experiment["stop_time"]
             if start > settings.start_time or end < settings.stop_time:
-                text = f"its rows are from {start:g} to {end:g} s: the nearest is held outside"
+                text = f"its rows cover {start:g} to {end:g} s: outside them the nearest is held"
                 yield warning(f"components.{name}", text)
             continue
         interface = co_simulation(component.description)
         if interface.needsExecutionTool is True:
-            yield warning(f"components.{name}", f"{component.fmu.name} needs the tool that made it on this machine")
+            yield warning(
+                f"components.{name}",
+                f"{component.fmu.name} needs the tool that made it to be installed on this machine",
+            )
         step = experiment.get("step_size")
         is_fixed = interface.canHandleVariableCommunicationStepSize is False
         if is_fixed and step is not None and abs(step - settings.macro_step) > 1e-9 * settings.macro_step:
-            text = f"{component.fmu.name} declares steps of {step:g} s, and no others"
+            text = f"{component.fmu.name} supports no other steps than {step:g} s"
             yield warning("scenario.macro_step", text)

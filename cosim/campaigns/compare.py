@@ -22,23 +22,26 @@ RUNS: Final = "runs.jsonl"
 
 
 def compare(
-    scenario: Scenario,
+    scenario: Scenario | Path | str,
     estimators: Sequence[str] | None = None,
     seeds: int | Sequence[int] = 10,
     jobs: int | None = None,
-    out: Path | None = None,
+    out: Path | str | None = None,
     keep: bool = False,
     progress: Progress | None = None,
 ) -> Comparison:
     """Run each of `none`, `true` and the estimators with each seed; a count of seeds means 0, 1, ..., seeds - 1.
 
-    Without estimators: all that this scenario and the installed packages allow.
+    scenario: a Scenario, the name of one, or a TOML file. estimators: by default all that this scenario and the
+    installed packages allow.
 
-    Up to `jobs` runs (default: one a processor) go at a time, each in a process of its own; their number changes no
-    bit but those of wall times. With `out`, an absent or empty folder, each run is told in runs.jsonl as it ends, and
+    Up to `jobs` runs (default: one per processor) go on at a time, each in a process of its own; their number changes
+    nothing but wall times. With `out`, an absent or empty folder, each run is recorded in runs.jsonl as it ends, and
     the tables are written at the end; with `keep` each run has its folder there, too. Diverged and faulted runs count.
     Raises ValueError for seeds or jobs that make no sense; CosimError for what `run` refuses.
     """
+    scenario = scenario if isinstance(scenario, Scenario) else Scenario.load(scenario)
+    out = None if out is None else Path(out)
     names = tuple(dict.fromkeys(("none", "true", *(usable(scenario) if estimators is None else estimators))))
     for name in names:
         check_estimator(name, scenario)

@@ -44,6 +44,11 @@ class Comparison:
     is_open_loop: bool = False
     """Whether the runs replay one record: they differ in their estimates, not in their tracking."""
 
+    def __repr__(self) -> str:
+        """One line: the records would fill pages."""
+        names = ", ".join(self.estimators)
+        return f"<Comparison on {self.scenario.scenario.name}: {names}; seeds {list(self.seeds)}>"
+
     @property
     def groups(self) -> dict[str, tuple[str, ...]]:
         """Estimated parameters of the same unit, by label: `m [kg]`, `J [kg.m2]`."""

@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
+from ..text_table import counted
+
 if TYPE_CHECKING:
     from .comparison import Comparison
 
@@ -126,17 +128,19 @@ def notes(comparison: "Comparison") -> list[str]:
     notes = [f"{r['estimator']}, seed {r['seed']}: {_ending(r)}" for r in runs if r["status"] != "done"]
     if notes:
         notes.append(
-            "A run that did not finish counts with the rows that it has; (k) is the number of runs that a cell is "
-            "from, where it is not all of them."
+            "A run that did not finish counts with the rows it has; (k) is the number of runs behind a cell, where "
+            "that is not all of them."
         )
     if not comparison.is_open_loop and any(comparison.ratio(r) is None for r in runs if r["estimator"] == "true"):
-        notes.append("The floor is zero but for rounding, or has no rows, with some seeds: no ratio to it there.")
+        notes.append(
+            "With some seeds the floor is zero to within rounding, or has no rows: there is no ratio to it then."
+        )
     if comparison.jobs == 1:
-        return [*notes, f"Latencies are those of one run at a time, on {cpus} processors."]
+        return [*notes, f"Latencies are those of one run at a time, on {counted(cpus, 'processor')}."]
     return [
         *notes,
-        f"{comparison.jobs} runs at a time on {cpus} processors: wall times, so latencies and missed deadlines, "
-        "are longer than alone; measure them with --jobs 1.",
+        f"With {comparison.jobs} runs at a time on {counted(cpus, 'processor')}, latencies and missed deadlines are "
+        "greater than those of a single run; measure them with --jobs 1.",
     ]
 
 

@@ -7,18 +7,18 @@ from ..authoring.check import check
 from ..authoring.check_fmu import check_fmu
 from ..errors import ScenarioError
 from ..terminal.exit_codes import DONE, REFUSED
+from ..text_table import counted
 
 
 def command(options: argparse.Namespace) -> int:
     """Returns the exit code."""
     is_fmu = options.scenario.lower().endswith(".fmu")
     if is_fmu and options.overrides:
-        raise ScenarioError("--set is of a scenario, not of an FMU.")
+        raise ScenarioError("--set is for a scenario, not for an FMU.")
     findings = check_fmu(Path(options.scenario)) if is_fmu else check(options.scenario, dict(options.overrides))
     for finding in findings:
         print(f"{options.scenario}: {finding}")
     n_errors = sum(finding.is_error for finding in findings)
     n_warnings = sum(not (finding.is_error or finding.is_note) for finding in findings)
-    plural = ["" if n == 1 else "s" for n in (n_errors, n_warnings)]
-    print(f"{options.scenario}: {n_errors} error{plural[0]}, {n_warnings} warning{plural[1]}")
+    print(f"{options.scenario}: {counted(n_errors, 'error')}, {counted(n_warnings, 'warning')}")
     return REFUSED if n_errors else DONE

@@ -29,6 +29,6 @@ def estimate_online(options: argparse.Namespace, request: Request) -> int:
             write_text(options.ssv, estimates_ssv(found))
     print(to_json(summary(found)) if options.json else f"{report(found)}\n\nwritten to {folder}")
     if found.failure is not None:
-        print(f"retune: {found.failure}; what there is so far is in {folder}", file=sys.stderr)
+        print(f"retune: {found.failure}; what was recorded so far is in {folder}", file=sys.stderr)
         return UNFINISHED
     return DONE

@@ -18,5 +18,5 @@ def command(options: argparse.Namespace) -> int:
     for mark, what in (("FILL", "to fill in"), ("GUESS", "to look at")):
         for number, line in written.lines(mark):
             print(f"{options.out}:{number}: {what}: {' '.join(line.split())}")
-    print(f"then: retune check {options.out}")
+    print(f"next: retune check {options.out}")
     return DONE

@@ -7,7 +7,7 @@ from pathlib import Path
 from ..errors import FolderError
 from ..runs.lock import locked
 from ..runs.manifest import read_manifest, scenario_of
-from ..runs.result import Run, read_run
+from ..runs.result import Run, read_run, remove_half_written
 from ..runs.resumable import has_begun, has_ended
 from ..runs.simulation import resume, run
 from ..terminal.run_output import BASELINES, simulated, tell
@@ -27,6 +27,10 @@ def command(options: argparse.Namespace) -> int:
             if has_ended(path):
                 runs[path] = read_run(path)
                 continue
-            go_on = partial(resume, path) if has_begun(path) else partial(run, scenario, name, begun.seed, path)
+            if has_begun(path):
+                go_on = partial(resume, path)
+            else:
+                remove_half_written(path)
+                go_on = partial(run, scenario, name, begun.seed, path)
             runs[path] = simulated(scenario, name, go_on)
         return tell(folder, runs, options.json, len(runs) > 1 or begun.estimator in BASELINES)

@@ -21,6 +21,6 @@ def run_package(options: argparse.Namespace) -> int:
         result = simulate(system, settings, folder)
     print(to_json(result.summary()) if options.json else report(result))
     if result.error:
-        print(f"retune: {result.error}; rows so far are in {folder}.", file=sys.stderr)
+        print(f"retune: {result.error}; the rows so far are in {folder}.", file=sys.stderr)
         return UNFINISHED
     return DONE

@@ -82,6 +82,8 @@ class Request:
             raise EstimateError(f"no method '{self.method}' for a log; there are {', '.join(OFFLINE)}.")
         if not (self.measured and self.parameters and self.logs):
             raise EstimateError("a log, a --parameter and a --measured output are needed, or more.")
+        if self.evaluations < 1 or self.jobs < 1:
+            raise EstimateError("--evaluations and --jobs must be 1 or more.")
         if self.step is not None and not 0.0 < self.step < np.inf:
             raise EstimateError(f"--step must be positive, got {self.step:g} s.")
         if not 0.0 < self.timeout < np.inf:
@@ -122,7 +124,22 @@ class Estimation:
     evaluations: tuple[tuple[Vector, float, str | None], ...]
     """theta, sum of squares and, of one that failed, the reason: of each candidate, in order."""
     seconds: float
-    """Time that it took."""
+    """Wall time [s]."""
+
+    def __repr__(self) -> str:
+        """One line: the series would fill pages."""
+        values = ", ".join(f"{name} = {value:.5g} ± {self.std[name]:.2g}" for name, value in self.estimates.items())
+        return f"<Estimation from {self.request.fmu.name}: {values}>"
+
+    @property
+    def estimates(self) -> dict[str, float]:
+        """The estimated value of each parameter, in its unit."""
+        return self.space.named(self.fit.theta)
+
+    @property
+    def std(self) -> dict[str, float]:
+        """The standard deviation of each estimate; see `docs/estimate.md` for what it covers."""
+        return self.space.named(self.fit.std)
 
     @property
     def failures(self) -> Mapping[str, int]:

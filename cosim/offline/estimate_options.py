@@ -19,16 +19,31 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("fmu", type=Path, metavar="FMU", help="the plant, for co-simulation")
     add("logs", type=Path, metavar="LOG", nargs="+", help=".csv, .parquet, .mat or .mf4; units in brackets")
     add("--parameter", action="append", type=_sought, required=True, metavar="NAME=LOW:HIGH[:log]", dest="parameters",
-        help="parameter or start value of the FMU to estimate; several")  # fmt: skip
-    add("--measured", action="append", type=_pair, required=True, metavar="OUTPUT=COLUMN", help="several")
-    add("--input", action="append", type=_pair, default=[], metavar="INPUT=COLUMN", dest="inputs", help="several")
+        help="parameter or start value of the FMU to estimate; may be repeated")  # fmt: skip
+    add(
+        "--measured",
+        action="append",
+        type=_pair,
+        required=True,
+        metavar="OUTPUT=COLUMN",
+        help="output that was measured; may be repeated",
+    )
+    add(
+        "--input",
+        action="append",
+        type=_pair,
+        default=[],
+        metavar="INPUT=COLUMN",
+        dest="inputs",
+        help="input that was recorded; may be repeated",
+    )
     add("--start", action="append", type=_pair, default=[], metavar="VARIABLE=COLUMN|VALUE",
         help="start value: a known parameter, or a state at the window's first row")  # fmt: skip
     add("--noise", action="append", type=_noise, default=[], metavar="OUTPUT=STD",
         help="standard deviation, in the FMU's unit (default: from the log)")  # fmt: skip
     add("--time", metavar="COLUMN", help="time stamps (default: the column 'time' or 't')")
     add("--window", action="append", type=_window, default=[], metavar="FROM:TO", dest="windows",
-        help="part of each log to use, in s; several")  # fmt: skip
+        help="part of each log to use [s]; may be repeated")  # fmt: skip
     add("--validate", action="append", type=Path, default=[], metavar="LOG", help="a log that is held out as a whole")
     add("--holdout", type=_number, metavar="SHARE", help="last rows held out (default: 0.25; 0 with --validate)")
     add("--step", type=_number, metavar="S", help="communication step (default: from row to row)")
@@ -38,11 +53,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--online", action="store_true",
         help="sample by sample, as if the loop ran: when it triggers, what it writes")  # fmt: skip
     add("--samples", type=_count, metavar="N", help="with --online: samples a candidate is judged on (default: 50)")
-    add("--seed", type=_count, default=0, metavar="N", help="of the search (default: 0)")
-    add("--jobs", type=_count, metavar="N", help="roll-outs at a time (default: one a processor)")
+    add("--seed", type=_count, default=0, metavar="N", help="seed of the search (default: 0)")
+    add("--jobs", type=_count, metavar="N", help="roll-outs at a time (default: one per processor)")
     add("--timeout", type=_number, default=10.0, metavar="S", help="for each call of the FMU (default: 10)")
     add("--out", type=Path, metavar="DIR", help="absent or empty (default: runs/FMU-estimate-n)")
-    add("--ssv", type=Path, metavar="FILE", help="write the estimates there too: SSV, a new file")
+    add("--ssv", type=Path, metavar="FILE", help="also write the estimates to this new SSV file")
     add("--json", action="store_true", help="print one JSON object")
 
 
@@ -53,8 +68,6 @@ def request_of(options: argparse.Namespace) -> "Request":
     if options.samples is not None and not (options.online and options.samples):
         raise EstimateError("--samples must be 1 or more, and goes with --online.")
     evaluations = options.evaluations if options.evaluations is not None else 30 if options.online else 60
-    if evaluations < 1 or options.jobs == 0:
-        raise EstimateError("--evaluations and --jobs must be 1 or more.")
     return Request(
         fmu=options.fmu,
         logs=tuple(options.logs),
@@ -71,7 +84,7 @@ def request_of(options: argparse.Namespace) -> "Request":
         method=options.method,
         evaluations=evaluations,
         seed=options.seed,
-        jobs=options.jobs or os.cpu_count() or 1,
+        jobs=(os.cpu_count() or 1) if options.jobs is None else options.jobs,
         timeout=options.timeout,
     )
 

@@ -12,7 +12,7 @@ from ..files import write_json, write_text
 from ..runs.run_files import ESTIMATES
 from ..runs.series import write_csv
 from ..ssv.document import ParameterValue, to_ssv
-from ..text_table import aligned, with_std
+from ..text_table import aligned, counted, with_std
 from .estimate import Estimation
 
 _CORRELATED: Final = 0.3
@@ -25,11 +25,14 @@ def report(found: Estimation) -> str:
     n_fit = sum(w.n_fit for w in found.windows)
     logs = ", ".join(path.name for path in (*request.logs, *request.validation))
     split = (
-        f"{n_fit} of {rows} rows fitted to, {rows - n_fit} held out" if n_fit < rows else f"{rows} rows, all fitted to"
+        f"fitted to {n_fit} of {counted(rows, 'row')}, {rows - n_fit} held out"
+        if n_fit < rows
+        else f"fitted to all {counted(rows, 'row')}"
     )
     lines = [
         f"{request.fmu.name}, {logs}: {split}",
-        f"{len(found.evaluations)} roll-outs, method {request.method}, seed {request.seed}, {found.seconds:.1f} s",
+        f"{counted(len(found.evaluations), 'roll-out')}, method {request.method}, seed {request.seed}, "
+        f"{found.seconds:.1f} s",
     ]
     lines += [f"warning: {warning}" for warning in found.warnings]
     return "\n".join(
@@ -143,25 +146,28 @@ def _of_fit(found: Estimation) -> list[str]:
     told = [f"The residuals are {fit.misfit:.3g} times the noise (root mean square)."]
     if fit.misfit > 2.0:
         told = [
-            f"The residuals are {fit.misfit:.3g} times the noise: the model lacks something, the search has not found "
-            "the best place (--evaluations, --method multi-start), or a start value is wrong (--start)."
+            f"The residuals are {fit.misfit:.3g} times the noise: something is missing from the model, the search has "
+            "not found the best fit (--evaluations, --method multi-start), or a start value is wrong (--start)."
         ]
     if fit.autocorrelation > _CORRELATED:
         told.append(
-            f"The residuals are correlated from row to row ({fit.autocorrelation:.2f}): more than noise is left, and "
-            f"the standard deviations, which take it for white, are too small, by about {fit.inflation:.1f} times."
+            f"The residuals are correlated from row to row ({fit.autocorrelation:.2f}): they are more than "
+            "noise, and the standard deviations, which assume white noise, are too small by a factor of about "
+            f"{fit.inflation:.1f}."
         )
     inside, outside = (found.rms(found.after, is_held_out) for is_held_out in (False, True))
     for name, fitted, held_out in zip(found.request.measured, inside, outside, strict=True):
         if held_out > 2.0 * fitted:
             told.append(
-                f"On the held-out rows {name} is missed by {held_out:.3g}, {held_out / fitted:.1f} times the error of "
-                "those fitted to: do not trust it beyond them."
+                f"On the held-out rows the error of {name} is {held_out:.3g}, {held_out / fitted:.1f} times that on "
+                "the fitted rows: do not trust the fit beyond them."
             )
     n = sum(found.failures.values())
     if n:
         reason, _ = max(found.failures.items(), key=lambda item: item[1])
-        told.append(f"{n} of {len(found.evaluations)} roll-outs failed and count as bad, such as: {reason}.")
+        told.append(
+            f"{n} of {len(found.evaluations)} roll-outs failed and count as bad candidates; one reason: {reason}."
+        )
     return told
 
 

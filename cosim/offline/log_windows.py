@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from estimator.space import Vector
 
 from ..fmi.component import Component
+from ..text_table import counted
 from ..unit_text import understood
 from ..units import Unit, conversion
 from .logs import Column, Log, LogError
@@ -111,7 +112,7 @@ def _table(log: Log, signals: Signals, component: Component) -> tuple[Vector, di
     warnings: list[str] = []
     known = np.isfinite(time)
     if n := np.count_nonzero(~known):
-        warnings.append(f"{log.path}: {n} rows without a time stamp are left out.")
+        warnings.append(f"{log.path}: {counted(int(n), 'row')} without a time stamp left out.")
         time, table = time[known], {role: values[known] for role, values in table.items()}
     if len(time) < 2:
         raise LogError(f"{log.path} must have two rows or more, got {len(time)}.")

@@ -15,7 +15,7 @@ from estimator.events import Event
 from ..files import write_json, write_text
 from ..runs.run_files import ESTIMATES
 from ..ssv.document import ParameterValue, to_ssv
-from ..text_table import aligned
+from ..text_table import aligned, counted
 from .fit_report import with_std
 from .online import Online, Watched
 
@@ -25,10 +25,10 @@ def report(found: Online) -> str:
     request, windows = found.request, found.watched
     n_rows, n_candidates = sum(len(w.window.time) for w in windows), sum(w.n_candidates for w in windows)
     lines = [
-        f"{request.fmu.name}, {', '.join(path.name for path in request.logs)}: {n_rows} rows as if online, "
+        f"{request.fmu.name}, {', '.join(path.name for path in request.logs)}: {counted(n_rows, 'row')} as if online, "
         f"triggered {_times(found, 'trigger')}, written {_times(found, 'write')}",
-        f"{n_candidates} candidates, each on {found.n_samples} samples, method {request.method}, seed {request.seed}, "
-        f"{found.seconds:.1f} s",
+        f"{counted(n_candidates, 'candidate')}, each on {counted(found.n_samples, 'sample')}, method {request.method}, "
+        f"seed {request.seed}, {found.seconds:.1f} s",
         *dict.fromkeys(w.how for w in windows),
         *(f"warning: {warning}" for warning in found.understood.warnings),
     ]
@@ -122,7 +122,8 @@ def _shown(events: Sequence[Event]) -> Iterator[tuple[Event, str]]:
             if kind == "trigger":
                 yield event, event.detail["reason"]
             elif kind == "write":
-                yield event, f"the last of {len(together)}: {event.detail['reason']}"
+                last = f"the last of {len(together)}: " if len(together) > 1 else ""
+                yield event, last + event.detail["reason"]
             else:
                 yield event, f"episode {event.detail['episode']}"
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from ..text_table import aligned, with_std
+from ..text_table import aligned, counted, with_std
 from .result import Run
 
 _ROLES = {"none": "nominal controller", "true": "true parameters (floor)"}
@@ -75,10 +75,10 @@ def _latency(run: Run) -> list[str]:
     if latency["p50"] is None:
         return []
     return [
-        f"{figures['evaluations']} evaluations in {figures['episodes']} episodes, one in {latency['p50']:.1f} ms "
-        f"(median), {latency['p99']:.1f} ms (99 %), {latency['max']:.1f} ms (longest)",
-        f"macro step {figures['deadline_ms']:g} ms: missed by {figures['missed_deadlines']} "
-        f"of {len(run.latencies)} steps with evaluations",
+        f"{counted(figures['evaluations'], 'evaluation')} in {counted(figures['episodes'], 'episode')}; one takes "
+        f"{latency['p50']:.1f} ms (median), {latency['p99']:.1f} ms (99th percentile), {latency['max']:.1f} ms (most)",
+        f"deadline {figures['deadline_ms']:g} ms, the macro step: missed in {figures['missed_deadlines']} of "
+        f"{counted(len(run.latencies), 'step')} with evaluations",
     ]
 
 
@@ -94,9 +94,9 @@ def _oversight(run: Run) -> list[str]:
     if (seen := run.observations) and seen["kept_out"]:
         most = sorted(seen["found"].items(), key=lambda item: -item[1])
         told = ", ".join(f"{name} ({n})" for name, n in most[:4])
-        failed = f"; bad at the end, so that re-tuning rests: {', '.join(seen['failed'])}" if seen["failed"] else ""
+        failed = f"; re-tuning is suspended, bad at the end: {', '.join(seen['failed'])}" if seen["failed"] else ""
         more = f" and {len(most) - 4} more" if len(most) > 4 else ""
-        lines.append(f"samples kept out: {seen['kept_out']}: {told}{more}{failed}")
+        lines.append(f"{counted(seen['kept_out'], 'sample')} kept out: {told}{more}{failed}")
     return lines
 
 

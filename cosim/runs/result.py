@@ -64,6 +64,12 @@ class Run:
     belief: FinalEstimate | None = None
     """What was estimated in the end; None where nothing was estimated."""
 
+    def __repr__(self) -> str:
+        """One line: the series would fill pages."""
+        name, end = self.scenario.scenario.name, f" at {self.time[-1]:g} s" if len(self.time) else ""
+        figures = ", ".join(f"{error:.4g}" for error in self.mse)
+        return f"<Run {name}, {self.estimator}, seed {self.seed}: {self.status}{end}, mse [{figures}]>"
+
     @property
     def time(self) -> Series:
         """Communication points [s] (n,)."""
@@ -168,9 +174,16 @@ def begin_folder(
         "scenario": scenario.model_dump(mode="json"),
     }
     write_manifest(folder, content)
-    half_written = (path for path in folder.glob(".*-????????") if path.is_file())
-    for path in (*(folder / name for name in (RESULT, LATENCIES, ESTIMATES, CSV)), *half_written):
-        path.unlink(missing_ok=True)
+    remove_half_written(folder)
+    for name in (RESULT, LATENCIES, ESTIMATES, CSV):
+        (folder / name).unlink(missing_ok=True)
+
+
+def remove_half_written(folder: Path) -> None:
+    """Remove the files that a killed process was about to put in the place of others."""
+    for path in folder.glob(".*-????????"):
+        if path.is_file():
+            path.unlink(missing_ok=True)
 
 
 def end_folder(run: Run, folder: Path, units: Mapping[str, Unit]) -> None:
@@ -192,12 +205,13 @@ def end_folder(run: Run, folder: Path, units: Mapping[str, Unit]) -> None:
         (folder / CHECKPOINT).unlink(missing_ok=True)
 
 
-def read_run(folder: Path) -> Run:
-    """The run that a folder records, also one that goes on or was killed, as far as it is written: status `running` or
-    `unfinished`.
+def read_run(folder: Path | str) -> Run:
+    """Return the run that a folder records.
 
+    One that goes on, or was killed, is returned as far as it is written, with status `running` or `unfinished`.
     Raises FolderError for a folder that holds no run, or a damaged one.
     """
+    folder = Path(folder)
     manifest = read_manifest(folder)
     scenario = scenario_of(folder, manifest)
     if manifest.status == "running":

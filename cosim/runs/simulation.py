@@ -21,10 +21,11 @@ from .manifest import read_manifest, scenario_of
 from .record import Recorder, recording, uninterrupted
 from .result import Run, begin_folder, end_folder
 from .resumable import Unfinished, has_begun, read_unfinished
+from .run_files import new_run_folder
 
 
 def run(
-    scenario: Scenario,
+    scenario: Scenario | Path | str,
     estimator: str = "target",
     seed: int = 0,
     out: Path | str | None = None,
@@ -33,11 +34,13 @@ def run(
     """Simulate the scenario with its controller re-tuned by `estimator`: an estimator's name,
     `none`, `true`, or `module:Class` of the user's own.
 
-    The same seed gives the same run, bit for bit, on one machine. With `out`, an existing empty folder, everything is
-    recorded there. A fault of an FMU ends the run with status `faulted`: the rows so far are kept.
+    scenario: a Scenario, the name of one, or a TOML file. The same seed gives the same run, bit for bit, on one
+    machine. With `out`, an absent or empty folder, everything is recorded there. A fault of an FMU ends the run with
+    status `faulted`: the rows so far are kept.
     Raises ScenarioError, ModelDescriptionError, WiringError or FolderError before any step; KeyboardInterrupt when
     interrupted and UnfinishedError when the disk is full, the rows so far recorded: `resume` goes on with them.
     """
+    scenario = scenario if isinstance(scenario, Scenario) else Scenario.load(scenario)
     return _simulated(scenario, estimator, seed, None if out is None else Path(out), progress)
 
 
@@ -85,6 +88,8 @@ def _simulated(
         if old is not None and old.checkpoint is not None:
             loop.go_to(old.checkpoint, fault)
         if out is not None:
+            if old is None and not has_begun(out):
+                new_run_folder(settings.name, out)
             stack.enter_context(locked(out))
             if old is None and has_begun(out):
                 raise FolderError(f"{out} holds a run already.")

@@ -74,8 +74,10 @@ class SensorHealth:
             n_bad = sum(any(name == sensor for _, sensor in bad) for bad in self._bad)
             if name not in self.failed and n_bad > self._patience / 2:
                 self.failed[name] = None
-                reason = f"{name} was bad in {n_bad} of {len(self._bad)} samples, now {now[name]}: re-tuning rests"
+                reason = (
+                    f"{name} was bad in {n_bad} of {len(self._bad)} samples, now {now[name]}: re-tuning is suspended"
+                )
                 yield Event(t, "sensor", {"sensor": name, "reason": reason})
             elif name in self.failed and n_bad <= self._patience / 10:
                 del self.failed[name]
-                yield Event(t, "sensor", {"sensor": name, "reason": f"{name} is good again: re-tuning goes on"})
+                yield Event(t, "sensor", {"sensor": name, "reason": f"{name} is good again: re-tuning resumes"})

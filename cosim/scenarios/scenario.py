@@ -22,28 +22,28 @@ from .validation import first_error
 
 
 class Scenario(Table):
-    """A complete description of a run but for estimator and seed."""
+    """Everything that defines a run except the estimator and the seed."""
 
     scenario: Settings
-    """Name, times, coupling."""
+    """Name, times and coupling."""
     components: dict[str, Component] = Field(min_length=1)
     """FMUs by instance name."""
     connections: dict[Reference, Reference] = {}
-    """Input = output."""
+    """Each connected input, and the output it takes: `"controller.phi" = "plant.phi"`; units are converted."""
     definitions: dict[str, float | str] = {}
-    """Named functions of t for the formulas, each may use those before it."""
+    """Named functions of t [s] for the formulas of `changes`; each may use those before it."""
     changes: dict[Reference, Change] = {}
-    """Tunable parameters of the plant over time, unknown to the estimator."""
+    """What happens to the plant: its tunable parameters as a value, a formula in t, or rows `[time, value]`."""
     tracking: dict[Reference, Reference] = Field(min_length=1)
-    """Tracked output = its reference."""
+    """Each tracked output, and its reference: `"plant.phi" = "reference.phi_ref"`."""
     sampling: Sampling
-    """What the estimator sees."""
+    """What is measured of the plant, with its noise."""
     estimation: Estimation
-    """What it does with it."""
+    """What is estimated, by which model, and how."""
     limits: Limits = Limits()
-    """When the run is given up."""
+    """When the run is stopped."""
     observations: ObservationSettings = ObservationSettings()
-    """Which samples the estimator does not get."""
+    """Which samples are kept from the estimator."""
     guard: GuardSettings = GuardSettings()
     """What may be written into the controller, and what is taken back."""
     folder: Path = Field(default=Path(), exclude=True)

@@ -20,7 +20,7 @@ from ..fmi.ports import is_numeric
 from ..fmi.types import Value
 from ..runs.lock import locked
 from ..runs.record import Recorder, recording
-from ..runs.run_files import CSV, MANIFEST, RESULT
+from ..runs.run_files import CSV, MANIFEST, RESULT, new_run_folder
 from ..runs.series import write_csv
 from ..scenarios.schema.simulation import Settings
 from ..slaves.slave import Slave, open_slave
@@ -73,12 +73,14 @@ class SystemRun:
 
 
 def simulate(system: System, settings: Settings, out: Path | None = None) -> SystemRun:
-    """Simulate the system; with `out`, an existing empty folder, everything is recorded there.
+    """Simulate the system; with `out`, an absent or empty folder, everything is recorded there.
 
     A fault of an FMU ends the run with status `faulted`: the rows so far are kept. Raises WiringError,
     ModelDescriptionError and FolderError, where `out` has a run or is another command's, before any step;
     KeyboardInterrupt when interrupted and UnfinishedError when the disk is full, the rows so far recorded.
     """
+    if out is not None and not (out / MANIFEST).exists():
+        new_run_folder(system.name, out)
     with nullcontext() if out is None else locked(out):
         if out is not None and (out / MANIFEST).exists():
             raise FolderError(f"{out} holds a run already.")

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final, NoReturn
 
+from .. import __version__
 from ..offline.estimate_options import add_options
 from ..scenarios.named import named_scenarios
 from .exit_codes import REFUSED
@@ -23,6 +24,7 @@ class Parser(argparse.ArgumentParser):
 def make_parser() -> Parser:
     """The parser of all commands; `command` of what it returns is the name of the one that was chosen."""
     parser = Parser(prog="retune", description="Re-tune a controller FMU while it runs.", allow_abbrev=False)
+    parser.add_argument("--version", action="version", version=f"fmu-retune {__version__}")
     table = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=Parser)
     for name, (text, add) in _OPTIONS.items():
         one = table.add_parser(name, help=text, allow_abbrev=False)
@@ -33,7 +35,7 @@ def make_parser() -> Parser:
 
 
 def _build(parser: Parser) -> None:
-    parser.add_argument("--out", type=Path, default=Path("fmus"), metavar="DIR", help="where to (default: fmus)")
+    parser.add_argument("--out", type=Path, default=Path("fmus"), metavar="DIR", help="folder to write (default: fmus)")
     parser.add_argument("--force", action="store_true", help="replace FMUs that differ")
     parser.add_argument("--estimator", metavar="SCENARIO", help="build this scenario's estimator instead, as one FMU")
     parser.add_argument("--method", metavar="NAME", help="the estimator's method (default: target)")
@@ -44,15 +46,17 @@ def _build(parser: Parser) -> None:
 
 def _run(parser: Parser) -> None:
     _add_scenario(parser, ", an SSP package")
-    parser.add_argument("--estimator", default="target", help="target (default), none, true, another, or module:Class")
-    parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of noise and search (default: 0)")
+    parser.add_argument(
+        "--estimator", default="target", help="target (default), another estimator, none, true, or module:Class"
+    )
+    parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="seed of noise and search (default: 0)")
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="run folder, absent or empty (default: runs/SCENARIO-n)"
     )
     _add_set(parser)
     parser.add_argument("--scenario", type=Path, metavar="FILE", dest="tables", help="TOML file for an SSP without one")
     _add_start_values(parser)
-    parser.add_argument("--ssv", type=Path, metavar="FILE", help="write the estimates there too: SSV, a new file")
+    parser.add_argument("--ssv", type=Path, metavar="FILE", help="also write the estimates to this new SSV file")
     parser.add_argument("--only", action="store_true", help="leave out the runs with nominal and true parameters")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
@@ -65,10 +69,13 @@ def _resume(parser: Parser) -> None:
 def _compare(parser: Parser) -> None:
     _add_scenario(parser)
     parser.add_argument(
-        "--estimators", type=_names, metavar="A,B,C", help="default: all that the scenario and this machine allow"
+        "--estimators",
+        type=_names,
+        metavar="A,B,C",
+        help="default: all that the scenario and the installed packages allow",
     )
     parser.add_argument("--seeds", type=_count, default=10, metavar="N", help="seeds 0 to N - 1 (default: 10)")
-    parser.add_argument("--jobs", type=_count, metavar="N", help="runs at a time (default: one a processor)")
+    parser.add_argument("--jobs", type=_count, metavar="N", help="runs at a time (default: one per processor)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="absent or empty (default: runs/SCENARIO-compare-n)")
     parser.add_argument("--keep", action="store_true", help="keep a run folder for each run")
     _add_set(parser)
@@ -77,16 +84,16 @@ def _compare(parser: Parser) -> None:
 
 def _replay(parser: Parser) -> None:
     parser.add_argument("run", type=Path, metavar="RUN", help="run folder")
-    parser.add_argument("--estimator", type=_names, required=True, metavar="A,B,C", help="one or several")
-    parser.add_argument("--seed", type=_seed, metavar="N", help="of the search (default: the run's)")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write the tables there too: absent or empty")
+    parser.add_argument("--estimator", type=_names, required=True, metavar="A,B,C", help="one estimator or several")
+    parser.add_argument("--seed", type=_seed, metavar="N", help="seed of the search (default: the run's)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="also write the tables there, absent or empty")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def _figures(parser: Parser) -> None:
     parser.add_argument("--out", type=Path, default=Path("figures"), metavar="DIR", help="absent or empty")
-    parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of noise and search (default: 0)")
-    parser.add_argument("--jobs", type=_count, metavar="N", help="runs at a time (default: one a processor)")
+    parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="seed of noise and search (default: 0)")
+    parser.add_argument("--jobs", type=_count, metavar="N", help="runs at a time (default: one per processor)")
 
 
 def _new(parser: Parser) -> None:
@@ -121,7 +128,7 @@ def _export(parser: Parser) -> None:
 
 def _illustrate(parser: Parser) -> None:
     parser.add_argument("--out", type=Path, default=Path("illustration.png"), metavar="FILE", help="PNG, new")
-    parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of noise (default: 0)")
+    parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="seed of the noise (default: 0)")
 
 
 def _add_scenario(parser: argparse.ArgumentParser, also: str = "") -> None:
@@ -177,14 +184,14 @@ _OPTIONS: Final[Mapping[str, tuple[str, Callable[[Parser], None]]]] = {
     "build": ("build the FMUs that come with the package, or an estimator", _build),
     "run": ("simulate a scenario with its controller re-tuned", _run),
     "resume": ("go on with a run from its last checkpoint, to the same bits", _resume),
-    "compare": ("every estimator on the same plant, noise and seeds", _compare),
-    "replay": ("other estimators on the recorded samples of a run, open loop", _replay),
-    "figures": ("the paper's figures and table from runs of ours", _figures),
-    "new": ("write a scenario for FMUs of yours, to look over", _new),
-    "check": ("what is wrong or risky in a scenario or an FMU, before anything runs", _check),
-    "info": ("what is in an FMU: parameters, inputs, outputs, states, capabilities", _info),
-    "doctor": ("what an FMU needs here, and how to start an importer for it", _doctor),
-    "export": ("a scenario's system for other tools", _export),
-    "estimate": ("a plant's parameters from logs of it", add_options),
+    "compare": ("run every estimator on the same plant, noise and seeds", _compare),
+    "replay": ("give the recorded samples of a run to other estimators, open loop", _replay),
+    "figures": ("draw the paper's figures and table from runs made here", _figures),
+    "new": ("write a scenario for your own FMUs, to look over", _new),
+    "check": ("list what is wrong or risky in a scenario or an FMU, before it runs", _check),
+    "info": ("list the parameters, inputs, outputs, states and capabilities of an FMU", _info),
+    "doctor": ("say what an FMU needs on this machine, and how to start an importer for it", _doctor),
+    "export": ("write a scenario's system for other tools, as an SSP package", _export),
+    "estimate": ("estimate a plant's parameters from logs", add_options),
     "illustrate": ("draw the one-dimensional illustration", _illustrate),
 }

@@ -13,9 +13,9 @@ import pytest
 import cosim
 
 PUBLIC = [
-    "CosimError", "FolderError", "ModelDescriptionError", "Run", "Scenario", "ScenarioError", "Slave", "SlaveError",
-    "SspError",
-    "System", "WiringError", "load_scenario", "open_slave", "resume", "run",
+    "Comparison", "CosimError", "Estimation", "FolderError", "ModelDescriptionError", "Run", "Scenario",
+    "ScenarioError", "Slave", "SlaveError", "SspError", "System", "UnfinishedError", "WiringError", "compare",
+    "estimate", "load_scenario", "open_slave", "read_run", "resume", "run",
 ]  # fmt: skip
 WORKSHOP = {"cosim", "estimator", "fmu_models"}
 
@@ -134,6 +134,21 @@ def test_the_public_names_are_these():
     }
     assert reexported == set(PUBLIC)
     assert {name: getattr(cosim, name).__name__ for name in PUBLIC} == {name: name for name in PUBLIC}
+
+
+def test_dir_lists_the_public_names_before_any_is_loaded():
+    program = "import cosim; print(*dir(cosim))"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
+    assert [name for name in done.stdout.split() if not name.startswith("_")] == PUBLIC
+
+
+def test_the_version_is_that_of_the_distribution():
+    assert cosim.__version__ == distribution("fmu-retune").version
+
+
+@pytest.mark.parametrize("package", ["cosim", "estimator"])
+def test_a_type_checker_of_a_user_is_told_that_there_are_types(package):
+    assert (files(package) / "py.typed").is_file()
 
 
 def test_an_unknown_public_name_is_an_attribute_error():

@@ -27,7 +27,7 @@ pytestmark = [
 
 LIBPYTHON = find_libpython() if sys.platform == "linux" else None
 HERE = Path(sys.executable).parent
-QUIET_END = {"GLIBC_TUNABLES": "glibc.malloc.tcache_count=65535"}  # see README.md
+QUIET_END = {"GLIBC_TUNABLES": "glibc.malloc.tcache_count=65535"}  # see docs/commands.md
 needs_libpython = pytest.mark.skipif(LIBPYTHON is None, reason="this Python was built without a shared library")
 
 SLAVE = '''

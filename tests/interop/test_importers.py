@@ -231,7 +231,7 @@ def simulated(tmp_path_factory):
     def simulate(importer):
         there, back = folder / f"{importer}.json", folder / f"{importer}-rows.json"
         there.write_text(json.dumps({name: asdict(job) for name, job in jobs_of(importer).items()}), encoding="utf-8")
-        # As README.md advises: pythonfmu's library touches freed memory when its process ends.
+        # As docs/commands.md advises: pythonfmu's library touches freed memory when its process ends.
         environment = os.environ | {"GLIBC_TUNABLES": "glibc.malloc.tcache_count=65535", "PYTHONPATH": ""}
         done = subprocess.run(
             [python_of(importer), SCRIPTS / f"run_{importer}.py", there, back],

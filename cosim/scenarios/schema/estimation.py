@@ -49,17 +49,17 @@ class Loop(Table):
     trigger: TriggerSettings
     """When an episode begins."""
     budget: int = Field(default=30, ge=1, le=MOST)
-    """N, evaluations an episode."""
+    """Evaluations in an episode."""
     evaluations_per_step: int = Field(default=1, ge=1, le=MOST)
-    """Evaluations a macro step."""
+    """Evaluations in a macro step."""
     commit: Literal["incumbent", "candidate"] = "incumbent"
     """What is written into the controller: the best so far, or each candidate."""
     window: int = Field(default=10, ge=1, le=MOST)
-    """Most samples that a residual is taken over."""
+    """Number of newest samples, at most, that a candidate is judged on."""
 
 
 class EstimatedParameter(Table):
-    """A parameter to estimate, and where it goes."""
+    """A parameter to estimate, and the controller's parameter that it is written to."""
 
     name: str = Field(min_length=1)
     """The model's keyword argument and, unless `true` says otherwise, the plant's variable."""
@@ -70,11 +70,11 @@ class EstimatedParameter(Table):
     unit: str = "1"
     """FMI unit string; must be the controller variable's."""
     scale: Literal["linear", "log"] = "linear"
-    """Scale on which it is searched."""
+    """Scale of the search."""
     writes: Reference
     """The controller's tunable parameter."""
     true: Reference | None = None
-    """The plant's parameter that it stands for, for the report only."""
+    """The plant's parameter that the estimate is compared with in the report; not used in the estimation."""
 
     @model_validator(mode="after")
     def _is_sound(self) -> Self:
@@ -96,35 +96,35 @@ class LinearModel(Table):
 
 
 class RolloutSettings(Table):
-    """How candidates are simulated, where the objective is `rollout`. Budgets are the loop's, in roll-outs."""
+    """How candidates are simulated, where the objective is `rollout`; `budget` then counts roll-outs."""
 
     fmu: str | None = Field(default=None, min_length=1)
-    """What is simulated: by default the plant's FMU; else a built-in one, or a path relative to the scenario's."""
+    """The FMU to simulate, the plant's by default: a built-in one by name, or a path relative to the scenario's."""
     start: Literal["auto", "state", "measured", "replay"] = "auto"
     """How a roll-out begins: in the plant's saved FMU state, in measured states, or simulated from the start."""
     jobs: int = Field(default=2, ge=1, le=256)
-    """Processes; the results do not depend on it."""
+    """Number of processes; the results do not depend on it."""
 
 
 class Estimation(Loop):
     """What is estimated, by which model, and how."""
 
     objective: str = Field(default="auto", pattern=r"^(auto|derivative|rollout|[\w.]+:\w+)$")
-    """What a candidate is judged by: sampled derivatives against the model's, outputs measured against simulated, or
-    `module:function`, called as f(theta, samples) for residuals in standard deviations. See `objectives`."""
+    """How a candidate is judged: `derivative` compares sampled derivatives with the model's, `rollout` measured outputs
+    with simulated ones; `module:function` is called as f(theta, samples) for residuals in standard deviations."""
     model: str | None = Field(default=None, pattern=r"^([\w.]+:\w+|.+\.fmu|[A-Za-z]\w*)$")
     """`module:function`, called as f(x, u, **parameters) for the plant's state derivatives; or a model-exchange FMU:
     a path relative to the scenario's, or the name of a built-in plant. Needed for derivatives only."""
     rollout: RolloutSettings = RolloutSettings()
-    """How candidates are simulated."""
+    """How candidates are simulated, with the objective `rollout`."""
     parameters: tuple[EstimatedParameter, ...] = Field(min_length=1)
-    """In the order of theta."""
+    """The parameters to estimate, in the order of theta."""
     instants: tuple[float, ...] = ()
     """Times [s] at which the report compares estimated and true parameters."""
     linear: LinearModel | None = None
     """The model's linear form, for recursive least squares."""
     methods: dict[str, dict[str, Any]] = {}
-    """Settings of single estimators, and replacements of the above for them: in a file, `[estimation.NAME]`."""
+    """Settings of single estimators, and what replaces the above for them: `[estimation.NAME]` in a file."""
 
     @classmethod
     def known_keys(cls) -> set[str]:

@@ -11,22 +11,23 @@ class GuardSettings(Table):
     enabled: bool = True
     """Whether writes are guarded."""
     rate: float = Field(default=0.5, gt=0.0, le=1.0)
-    """Most that a parameter may move in a macro step, as a share."""
+    """Largest change of a parameter in a macro step, as a share."""
     material: float = Field(default=0.05, ge=0.0, le=1.0)
-    """Smaller changes since the last one looked into are neither predicted nor put on probation, as a share."""
+    """Change since the last predicted write, as a share, below which a write is neither predicted nor watched."""
     unseen: float = Field(default=0.35, gt=0.0, le=1.0)
-    """A direction of which the standard deviation exceeds this share is not seen by the data, and not written."""
+    """Standard deviation, as a share, above which a direction counts as unseen by the data and is not written."""
     foresight: bool = True
     """Whether the closed loop is simulated ahead before a material write."""
     horizon: int = Field(default=50, ge=1, le=MOST)
-    """Macro steps that it is simulated ahead."""
+    """Macro steps that are simulated ahead."""
     n_std: float = Field(default=2.0, ge=0.0)
-    """Standard deviations by which the estimate is widened for it, along the worst direction."""
+    """Standard deviations by which the estimate is varied in that prediction, along the direction known least."""
     growth: float = Field(default=1.5, ge=1.0)
-    """Predicted peaks of the tracking error may exceed that without the write, and errors the predicted, by this."""
+    """Factor by which the predicted peak of the tracking error may exceed that without the write, and the error then
+    the predicted one."""
     tolerance: float | None = Field(default=None, gt=0.0)
-    """A tracking error below it is never a reason to revert, in the norm of the tracked outputs; none: a hundredth of
-    limits.divergence."""
+    """Tracking error below which no write is reverted, in the norm of the tracked outputs; by default a hundredth of
+    `limits.divergence`."""
     probation: int = Field(default=100, ge=1, le=MOST)
     """Macro steps for which the tracking error is watched after a write."""
     reverts: int = Field(default=3, ge=1, le=MOST)

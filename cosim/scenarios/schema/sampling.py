@@ -15,7 +15,7 @@ class Noise(Table):
 
 
 class Derivative(Noise):
-    """A state's derivative, measured or made by the filter."""
+    """A state's derivative, measured or computed by the filter."""
 
     of: Reference | None = None
     """The state that the filter differentiates; its noise gives the derivative's, unless `noise` does."""
@@ -27,11 +27,11 @@ class SavitzkyGolay(Table):
     kind: Literal["savitzky-golay"]
     """savitzky-golay"""
     points: int = Field(default=11, ge=3, le=MOST)
-    """How many; odd."""
+    """Number of points; odd."""
     order: int = Field(default=3, ge=1, le=MOST)
-    """Of the polynomial."""
+    """Order of the polynomial."""
     every: int | None = Field(default=None, ge=1, le=MOST)
-    """A sample every so many points; by default so many that two share at most 5 % of their noise."""
+    """Points from one sample to the next; by default enough that two samples share at most 5 % of their noise."""
 
     @model_validator(mode="after")
     def _fits_a_polynomial(self) -> Self:
@@ -46,32 +46,33 @@ class StateVariable(Table):
     kind: Literal["state-variable"]
     """state-variable"""
     cutoff: float = Field(gt=0.0)
-    """[rad/s]"""
+    """Cutoff frequency [rad/s]."""
     order: int = Field(default=2, ge=1, le=10)
-    """How many low-passes follow one another."""
+    """Number of low-pass filters in series."""
     every: int | None = Field(default=None, ge=1, le=MOST)
-    """A sample every so many points; by default so many that two share at most 5 % of their noise."""
+    """Points from one sample to the next; by default enough that two samples share at most 5 % of their noise."""
 
 
 class SensorFault(Table):
-    """What goes wrong with a sensor, to try out a set-up; the estimator is not told."""
+    """A sensor fault to inject, to try out a set-up; the estimator does not know of it."""
 
     kind: Literal["dropout", "infinite", "bias", "noise", "spikes", "sign", "scale", "stuck", "delay", "late"]
-    """dropout: not a number. noise: Gaussian, of standard deviation size, added. spikes: +-size added, the sign at
-    random. sign: multiplied by -1; scale: by size. stuck: the value at the fault's beginning. delay: the value of
-    `steps` before; late: the whole sample of then, its time stamp and input included."""
+    """dropout: not a number. bias: `size` is added. noise: Gaussian noise of standard deviation `size` is added.
+    spikes: `size` is added with random sign. sign: multiplied by -1. scale: multiplied by `size`. stuck: holds the
+    value at the fault's start. delay: the value of `steps` earlier. late: the whole sample of `steps` earlier, its
+    time stamp and input included."""
     sensor: Reference | None = None
-    """A sampled derivative or a state of the plant; none: all of them."""
+    """A sampled derivative or a state of the plant; by default all of them."""
     start: float = 0.0
-    """In force from this time on [s]."""
+    """Time at which the fault begins [s]."""
     stop: float | None = None
-    """Until before this time [s]; none: to the end."""
+    """Time before which it ends [s]; by default it lasts to the end."""
     size: float = 0.0
-    """Of bias, noise, spikes, in the sensor's unit; of scale."""
+    """Size of a bias, of noise or of spikes, in the sensor's unit; the factor of scale."""
     steps: int = Field(default=1, ge=1, le=10_000)
-    """Of delay, late: macro steps."""
+    """Macro steps of a delay, or by which a sample is late."""
     probability: float = Field(default=1.0, gt=0.0, le=1.0)
-    """That a sample in that time is hit."""
+    """Probability that a sample in that time is affected."""
 
     @model_validator(mode="after")
     def _is_sound(self) -> Self:
@@ -87,16 +88,16 @@ class SensorFault(Table):
 
 
 class Sampling(Table):
-    """What the estimator gets to see."""
+    """What is measured of the plant."""
 
     derivatives: dict[Reference, Derivative] = {}
     """Derivatives that are compared with the model's, all of one component: the plant."""
     filter: Annotated[SavitzkyGolay | StateVariable, Field(discriminator="kind")] | None = None
-    """Makes the derivatives from sampled states, where they are not measured."""
+    """The filter that computes the derivatives from sampled states, where they are not measured."""
     outputs: dict[Reference, Noise] = {}
     """Outputs of the plant that are compared with simulated ones."""
     states: dict[Reference, Noise] = {}
-    """Noise on states, where they are not measured exactly; one that is among the outputs has that noise."""
+    """Measurement noise of states, which are exact without it. A state among `outputs` has its noise there."""
     faults: tuple[SensorFault, ...] = ()
     """Faults of the sensors, in the order in which they act."""
 
@@ -140,15 +141,15 @@ class Sampling(Table):
 
 
 class ObservationSettings(Table):
-    """Which samples the estimator does not get."""
+    """Which samples are kept from the estimator."""
 
     enabled: bool = True
-    """Whether samples are looked at."""
+    """Whether samples are checked."""
     outlier: float = Field(default=8.0, gt=0.0)
-    """Jump of the residual, in its usual standard deviations, that the next sample must confirm."""
+    """Jump of the residual, in its usual standard deviations, above which the next sample must confirm it."""
     inconsistent: float = Field(default=8.0, gt=0.0)
-    """Standard deviations by which a derivative, summed, may differ from the change of its state."""
+    """Standard deviations by which an integrated derivative may differ from the change of its state."""
     stuck: int = Field(default=10, ge=2, le=MOST)
-    """Times that a sensor which should move has repeated its bits when it is taken for stuck."""
+    """Identical readings in a row after which a sensor that should have changed counts as stuck."""
     patience: int = Field(default=100, ge=2, le=MOST)
-    """Newest samples of which more than half must be bad for a sensor to count as failed."""
+    """Number of newest samples; a sensor that is bad in more than half of them counts as failed."""

@@ -11,27 +11,27 @@ class Settings(Table):
     """The co-simulation itself."""
 
     name: str = Field(min_length=1, pattern=r"^[A-Za-z0-9_-]+$")
-    """Used for run folders."""
+    """Name of the scenario, and of its run folders."""
     description: str = ""
     """One line for the report."""
     start_time: float = 0.0
-    """[s]"""
+    """Time of the first communication point [s]."""
     stop_time: float = Field(gt=0.0)
-    """[s]"""
+    """Time of the last communication point [s]."""
     macro_step: float = Field(gt=0.0)
-    """Distance of communication points [s]."""
+    """Time from one communication point to the next [s]."""
     coupling: Literal["sequential", "parallel"] = "sequential"
-    """Sequential: controllers step first, the others use their outputs at once. Parallel: all step together."""
+    """Sequential: controllers step first, and the others use their outputs at once. Parallel: all step together."""
     isolation: Literal["process", "none"] = "process"
-    """Each FMU in a process of its own, or all in this one."""
+    """Each FMU in a process of its own, or all of them in this process."""
     timeout: float = Field(default=10.0, gt=0.0, le=MOST)
     """Longest time that one call of an FMU may take [s]."""
     checkpoint: int = Field(default=500, ge=0, le=MOST)
     """Communication points from one checkpoint of a run folder to the next, for `retune resume`; 0: none."""
     memory_limit: float = Field(default=0.0, ge=0.0)
-    """Memory that the process of one FMU may hold [MB]; 0: half of the machine's. Linux only."""
+    """Memory that the process of one FMU may hold [MB]; 0: half of the machine's memory. Linux only."""
     out_of_range: Literal["fault", "warning"] = "fault"
-    """What an input or output outside its declared min and max is; one that is not finite is a fault."""
+    """How an input or output outside its declared min and max is treated; one that is not finite is always a fault."""
 
     @model_validator(mode="after")
     def _spans_whole_steps(self) -> Self:
@@ -59,14 +59,14 @@ class Settings(Table):
 
 
 class Component(Table):
-    """One FMU, or a table that is played."""
+    """One FMU, or a CSV file that is played back."""
 
     fmu: str | None = Field(default=None, min_length=1)
     """Name of a built-in FMU, or a path to a file, relative to the scenario's."""
     fmi: Literal[2, 3] = 2
     """FMI version of a built-in FMU; a file says its own."""
     table: str | None = Field(default=None, pattern=r"(?i)\.csv$")
-    """Instead of it: path of a CSV file, see `cosim.fmi.table`."""
+    """Instead of an FMU: path of a CSV file whose columns are played back over time."""
     start: dict[str, Value] = {}
     """Start values set before initialisation."""
 
@@ -80,7 +80,7 @@ class Component(Table):
 
 
 class Limits(Table):
-    """When a run is given up."""
+    """When a run is stopped."""
 
     divergence: float = Field(default=100.0, gt=0.0)
     """A tracked error above this ends the run as diverged, in the tracked output's unit."""

@@ -95,7 +95,7 @@ CASES = {
     "a fixed parameter changes": (('"plant.mass.m" = [[', '"plant.damper.d" = [['), 'changes."plant.damper.d"',
         "error: 'damper.d' of Axis.fmu is a fixed parameter, not a tunable parameter"),
     "nothing changes": (('"plant.mass.m" = [[0.0, 2.0], [0.3, 3.0]]\n', ""), "changes",
-        "warning: nothing happens to the plant"),
+        "warning: nothing changes in the plant"),
     "tracked in another unit": (('"plant.mass.s" = "reference.s_ref"\n[sampling',
         '"plant.mass.s" = "reference.v_ref"\n[sampling'), 'tracking."plant.mass.s"',
         "error: 'reference.v_ref' to 'plant.mass.s': 'm/s' cannot be converted to 'm': the dimensions differ"),
@@ -113,16 +113,16 @@ CASES = {
     "no limits in the FMU": (('unit = "kg"\nwrites = "controller.m"', 'unit = "N/m"\nwrites = "controller.c"'),
         "estimation.parameters.0 (m)", "warning: AxisController.fmu declares neither min nor max"),
     "starts outside": (("lower = 0.5", "lower = 2.5"), "estimation.parameters.0 (m)",
-        "warning: 'controller.m' starts as 2, outside [2.5, 10]"),
+        "warning: 'controller.m' starts at 2, outside [2.5, 10]"),
     "not in the plant": (('true = "plant.mass.m"\n', ""), "estimation.parameters.0 (m)",
-        "error: no variable 'm' in Axis.fmu; say with true = ... which one it stands for"),
+        "error: no variable 'm' in Axis.fmu; give the one it stands for with true = ..."),
     "takes no start": (('"Axis.fmu" }', '"Axis.fmu", start = { "der(mass.s)" = 1.0 } }'),
         "components.plant.start.der(mass.s)", "error: 'der(mass.s)' of Axis.fmu takes no start value"),
     "starts beyond the FMU's limits": (('"Axis.fmu" }', '"Axis.fmu", start = { "mass.m" = 30.0 } }'),
         "components.plant.start.mass.m", "error: tunable parameter 'mass.m' must be within [0.5, 20] kg, got 30"),
     "no such FMU": (('"Axis.fmu"', '"Axle.fmu"'), "components.plant", "error: no FMU 'Axle.fmu'"),
     "a table that ends": (("stop_time = 1.0", "stop_time = 2.0"), "components.reference",
-        "warning: its rows are from 0 to 1 s"),
+        "warning: its rows cover 0 to 1 s"),
     "no loop through a state": (('"plant.mass.v"', '"plant.der(mass.s)"'), REMOVED, ""),
     "no module": (('"axis_model:derivative"', '"axle_model:derivative"'), "estimation.model",
         "error: cannot load 'axle_model:derivative': ModuleNotFoundError"),
@@ -187,7 +187,7 @@ def test_feedthrough_that_closes_a_loop_is_a_warning_and_the_plants_inertia_none
     )  # f_cmd depends on v_meas, that on f_cmd
     found = {f.where: f for f in check(path)}
     assert not any(f.is_error for f in found.values()), list(map(str, found.values()))
-    assert "AxisController.fmu not saying by what it goes" in found["connections"].what
+    assert "as AxisController.fmu declares no dependencies" in found["connections"].what
     assert "controller.f_cmd" in found["connections"].what
     assert "filter.y" in found["connections"].what
     assert "Filter.fmu needs the tool that made it" in found["components.filter"].what
@@ -232,7 +232,7 @@ def test_a_step_that_an_fmu_does_not_take_is_a_warning(axis, described):
             fmu.writestr(name, content)
     new = ('reference = { table = "steps.csv" }', 'reference = { table = "steps.csv" }\nf = { fmu = "Fixed.fmu" }')
     (found,) = check(axis(new))
-    assert str(found) == "scenario.macro_step: warning: Fixed.fmu declares steps of 0.002 s, and no others"
+    assert str(found) == "scenario.macro_step: warning: Fixed.fmu supports no other steps than 0.002 s"
     assert check(axis(new, ("macro_step = 0.01", "macro_step = 0.002"))) == []
 
 

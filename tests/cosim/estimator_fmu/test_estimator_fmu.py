@@ -430,7 +430,7 @@ def test_the_readme_s_script_re_tunes_the_pendulum(tmp_path):
         built(name, tmp_path / "fmus")
     build_estimator(Scenario.load("pendulum"), tmp_path / "fmus")
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
-    environment["GLIBC_TUNABLES"] = "glibc.malloc.tcache_count=65535"  # see the README
+    environment["GLIBC_TUNABLES"] = "glibc.malloc.tcache_count=65535"  # see docs/commands.md
     done = subprocess.run(
         [sys.executable, "-c", script], cwd=tmp_path, env=environment, capture_output=True, text=True
     )  # fmt: skip

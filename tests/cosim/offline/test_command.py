@@ -34,7 +34,7 @@ def test_what_it_prints_and_writes(command, oracles, capsys, tmp_path):
     ssv = tmp_path / "mine.ssv"
     assert command(*SOUGHT, *ROLES, "--evaluations", "40", "--ssv", str(ssv)) == 0
     printed = capsys.readouterr().out
-    assert "601 of 801 rows fitted to, 200 held out" in printed
+    assert "fitted to 601 of 801 rows, 200 held out" in printed
     assert "Each parameter is identifiable." in printed
     assert "written to runs/Plant-estimate-1" in printed
     folder = tmp_path / "work" / "runs" / "Plant-estimate-1"

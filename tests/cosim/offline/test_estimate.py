@@ -1,11 +1,13 @@
 """Parameters estimated from logs, against closed forms and DOP853."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+import cosim
 from cosim.errors import WiringError
 from cosim.offline.estimate import EstimateError, FailedError, Request, Sought, estimate
 from cosim.offline.fit_report import report, words
@@ -51,6 +53,26 @@ def test_the_fmu_follows_the_closed_form(plant, oracles):
         slave.initialize(vars(oracles.TRUTH))
         rows = [slave.get(), *(slave.step([f], t_k, 0.01) for t_k, f in zip(t[:-1], oracles.pushes(t), strict=False))]
     assert np.abs(np.array(rows) - np.column_stack([x, v])).max() < 1e-10  # RK4 at 1 ms
+
+
+def test_the_function_of_the_library_is_the_command_with_keywords(ask, oracles, tmp_path):
+    request = ask(oracles.measure(0), seed=3)
+    keywords = {"measured": {"x": "x", "v": "v"}, "inputs": {"F": "force"}, "evaluations": 40, "seed": 3}
+    bounds = {"m": (0.5, 4.0), "c": (0.05, 5.0, "log"), "k": (5.0, 60.0, "log")}
+    found = cosim.estimate(str(request.fmu), request.logs[0], bounds, **keywords, out=tmp_path / "new" / "folder")
+    expected = estimate(request)
+    assert found.estimates == expected.space.named(expected.fit.theta)
+    assert found.std == expected.space.named(expected.fit.std)
+    assert repr(found).startswith(f"<Estimation from Plant.fmu: m = {found.estimates['m']:.5g} ± ")
+    written = json.loads((tmp_path / "new" / "folder" / "estimate.json").read_text())
+    assert {name: p["value"] for name, p in written["parameters"].items()} == found.estimates
+
+
+def test_the_function_of_the_library_refuses_in_one_line(plant, tmp_path):
+    for keywords, reason in (({"evaluations": 0}, "must be 1 or more"), ({"jobs": 0}, "must be 1 or more")):
+        with pytest.raises(cosim.CosimError, match=reason):
+            cosim.estimate(plant, tmp_path / "no.csv", {"m": (0.5, 4.0)}, {"x": "x"}, out=tmp_path / "out", **keywords)
+    assert not (tmp_path / "out").exists()
 
 
 def test_intervals_cover_the_truth(ask, oracles):
@@ -208,7 +230,7 @@ def test_where_all_roll_outs_fail_the_first_reason_is_told(ask, oracles):
 def test_a_wrong_start_value_shows_in_the_words(ask, oracles):
     found = estimate(ask(oracles.measure(0), start={"x": 0.3}))
     told = " ".join(words(found))
-    assert "times the noise: the model lacks something" in told
+    assert "times the noise: something is missing from the model" in told
     assert "correlated from row to row" in told
 
 

@@ -424,3 +424,20 @@ def test_the_quadrotor_flies_its_reference_with_true_parameters():
     correlation = np.corrcoef(noise)
     assert noise.shape == (6, 101)
     assert np.all(np.abs(correlation - np.eye(6)) < 5.0 / math.sqrt(101))
+
+
+# As others call it.
+
+
+def test_run_takes_a_name_makes_its_folder_and_shows_itself_in_one_line(tmp_path):
+    out = tmp_path / "deep" / "folder"
+    done = run("pendulum", "none", out=str(out))
+    assert repr(done) == f"<Run pendulum, none, seed 0: done at 10 s, mse [{done.mse[0]:.4g}]>"
+    assert repr(read_run(str(out))) == repr(done)
+
+
+def test_a_folder_with_anything_in_it_is_refused_and_left(pendulum, tmp_path):
+    (tmp_path / "mine").write_text("precious")
+    with pytest.raises(FolderError, match="is not empty"):
+        run(pendulum(), "none", out=tmp_path)
+    assert [p.name for p in tmp_path.iterdir() if p.is_file()] == ["mine"]

@@ -176,7 +176,7 @@ WARNED = {
     "long for the plant": ({"sampling.filter.points": "201"}, "time constant of the plant is 0.5 s"),
     "the states' own noise": (
         {'sampling.states."plant.mass.s".noise': "1e-3"},
-        "states' noise comes to the residual's",
+        "through the model the states' noise adds",
     ),
 }
 
@@ -190,4 +190,4 @@ def test_settings_that_do_not_fit_are_warned_of(axis, overrides, message):
 
 def test_a_filter_longer_than_the_run_is_an_error(axis):
     (found,) = [f for f in check(axis, {"scenario.stop_time": "0.05"}) if f.is_error]
-    assert "it needs 9 points, the run ends before" in found.what
+    assert "it needs 9 points, and the run ends before" in found.what

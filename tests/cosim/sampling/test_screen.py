@@ -169,8 +169,8 @@ def test_a_sensor_that_is_bad_in_more_than_half_of_the_samples_rests_re_tuning_u
         sensors += [(k, e.detail["sensor"], e.detail["reason"]) for e in seen.events if e.kind == "sensor"]
     assert gets == [False] * 29 + [True] * 31  # of the newest 20, 2 are bad at number 28
     assert sensors == [
-        (10, "der(x)", "der(x) was bad in 11 of 11 samples, now missing: re-tuning rests"),
-        (28, "der(x)", "der(x) is good again: re-tuning goes on"),
+        (10, "der(x)", "der(x) was bad in 11 of 11 samples, now missing: re-tuning is suspended"),
+        (28, "der(x)", "der(x) is good again: re-tuning resumes"),
     ]
     assert watched.summary() == {"kept_out": 29, "found": {"missing der(x)": 11}, "failed": []}
 

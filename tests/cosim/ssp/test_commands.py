@@ -147,7 +147,7 @@ def test_a_fault_keeps_the_rows_so_far(called, package, workplace):
     code, _, err = called("run", package(), *settings, "--out", "plain")
     assert (code, err.count("\n")) == (1, 1)
     assert err.startswith("retune: controller: ")
-    assert "rows so far are in plain" in err
+    assert "the rows so far are in plain" in err
     assert json.loads((workplace / "plain" / "result.json").read_text())["status"] == "faulted"
     assert json.loads((workplace / "plain" / "events.jsonl").read_text())["kind"] == "fault"
     assert 10 <= len(read_series(workplace / "plain")["time"]) <= 12

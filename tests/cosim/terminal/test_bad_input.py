@@ -88,7 +88,7 @@ CASES = {
         ("steps.csv", [("^0.1, 1, 0.5", "0.1, , 0.5")], dict.fromkeys(("new", "check", "run"), (None, 2, "steps.csv"))),
         ("log.csv", [("^0.5,.*", "0.5,,")], {
             "estimate": (ESTIMATE, 0, "warning: log.csv: gaps split it into 2 windows")}),
-        ("log.csv", [("^0.5,(.*),.*", r"0.5,\1,")], {"estimate": (ESTIMATE, 0, "75 of 100 rows fitted to")}),
+        ("log.csv", [("^0.5,(.*),.*", r"0.5,\1,")], {"estimate": (ESTIMATE, 0, "fitted to 75 of 100 rows")}),
     ],
     "not a number": [
         ("steps.csv", [("^0.1, 1, 0.5", "0.1, nan, 0.5")],
@@ -100,7 +100,7 @@ CASES = {
         ("log.csv", [("^0.5,", "0.3,")], {"estimate": (ESTIMATE, 2, "time must not go back")}),
     ],
     "a time stamp again": [  # a jump, as the table has one already
-        ("steps.csv", [("^0.2, ", "0.1, ")], {"check": (CHECK, 0, "warning: its rows are from 0 to 0.1 s")}),
+        ("steps.csv", [("^0.2, ", "0.1, ")], {"check": (CHECK, 0, "warning: its rows cover 0 to 0.1 s")}),
         ("log.csv", [("^0.5,", "0.49,")], {"estimate": (ESTIMATE, 0, "warning: log.csv: 1 repeated time stamps")}),
     ],
     "a parameter that there is not": [

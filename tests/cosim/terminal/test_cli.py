@@ -18,6 +18,7 @@ import fmpy
 import numpy as np
 import pytest
 
+import cosim
 from cosim.errors import FolderError
 from cosim.fmi.folder import remove_abandoned
 from cosim.runs.result import read_run
@@ -156,6 +157,10 @@ def test_help_names_every_scenario(called, command):
     code, out, err = called(command, "--help")
     assert (code, err) == (0, "")
     assert "pendulum, quadrotor, rigid-body, stiction, " in " ".join(out.split())
+
+
+def test_the_version_is_printed(called):
+    assert called("--version") == (0, f"fmu-retune {cosim.__version__}\n", "")
 
 
 # Refusals.
@@ -525,21 +530,6 @@ def test_an_estimator_that_raises_ends_the_run_with_its_rows_kept(called, own, w
     assert json.loads((workplace / "out" / "result.json").read_text())["status"] == "faulted"
 
 
-def test_the_readmes_estimator_of_ones_own_works(called, workplace):
-    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
-    (example,) = (
-        block for block in re.findall(r"```python\n(.*?)```", readme, re.DOTALL) if "class Evolution" in block
-    )
-    (workplace / "readmes_estimator.py").write_text(example)
-    command = ["run", "pendulum", "--only", "--json", "--estimator", "readmes_estimator:Evolution", "--out", "out"]
-    code, out, err = called(*command, "--set", "scenario.stop_time=1.0", *EARLY_CHANGE)
-    assert (code, err) == (0, "")
-    result = json.loads(out)
-    assert result["evaluations"] > 100
-    (m, *_) = result["parameters"]
-    assert abs(m["estimated"] - m["true"]) < 0.2 * m["true"]
-
-
 # Runs that do not finish.
 
 
@@ -767,7 +757,7 @@ def shell(command, **environment):
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="has no device that is always full")
 def test_output_for_which_there_is_no_room_is_told_and_the_run_is_there(workplace):
     done = shell(f"{shlex.join(['retune', *SHORT])} --out r > /dev/full")
-    assert (done.returncode, done.stderr) == (1, "retune: cannot write what it prints: No space left on device\n")
+    assert (done.returncode, done.stderr) == (1, "retune: cannot write its output: No space left on device\n")
     assert read_run(Path("r")).status == "done"
 
 

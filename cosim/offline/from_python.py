@@ -1,0 +1,95 @@
+"""`cosim.estimate`: what `retune estimate` does, as a function."""
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from threadpoolctl import threadpool_limits
+
+from estimator.offline import Progress
+from estimator.space import Scale
+
+from ..runs.lock import new_locked_folder
+from ..runs.record import recording
+from .estimate import Estimation, Request, Sought
+from .estimate import estimate as estimate_from
+from .fit_plot import draw_fit
+from .fit_report import write_files
+from .log_windows import Cut
+
+Bounds = tuple[float, float] | tuple[float, float, Scale]
+"""Lower bound, upper bound and, where it is not "linear", the scale of the search: "log"."""
+
+
+def estimate(
+    fmu: Path | str,
+    logs: Path | str | Sequence[Path | str],
+    parameters: Mapping[str, Bounds],
+    measured: Mapping[str, str],
+    inputs: Mapping[str, str] | None = None,
+    *,
+    start: Mapping[str, str | float] | None = None,
+    noise: Mapping[str, float] | None = None,
+    time: str | None = None,
+    windows: Sequence[Cut] = (),
+    validation: Sequence[Path | str] = (),
+    holdout: float | None = None,
+    step: float | None = None,
+    method: str = "target",
+    evaluations: int = 60,
+    seed: int = 0,
+    jobs: int | None = None,
+    timeout: float = 10.0,
+    out: Path | str | None = None,
+    progress: Progress = lambda n, cost: None,
+) -> Estimation:
+    """Estimate parameters of a plant FMU from logs of what was measured.
+
+    fmu: the plant, for co-simulation. logs: one file or several (.csv, .parquet, .mat, .mf4).
+    parameters: bounds by name, in the FMU's units, `{"m": (0.5, 4.0), "J": (0.1, 12.0, "log")}`.
+    measured, inputs: the log's column for each output and input of the FMU.
+    start: the start value of a state or of a known parameter, as a number or as a column of the log.
+    noise: standard deviation by output, in its unit; estimated from the logs by default.
+    time: the column of time stamps. windows: parts of each log to use, (from, to) [s].
+    validation: logs that are not fitted to. holdout: share of each log's rows that is not fitted to, 0.25 by default.
+    step: communication step [s]; by default from row to row.
+    method: "target", "least-squares" or "multi-start". evaluations: candidates that the search may simulate.
+    jobs: roll-outs at a time, by default one per processor. timeout: for each call of the FMU [s].
+    out: an absent or empty folder for the files that `retune estimate` writes; nothing is written by default.
+    progress: called with the evaluations so far and the least sum of squares.
+
+    Raises CosimError in one line for what is refused, and where no roll-out succeeds.
+    """
+    paths = [logs] if isinstance(logs, Path | str) else logs
+    request = Request(
+        fmu=Path(fmu),
+        logs=tuple(map(Path, paths)),
+        parameters=tuple(_sought(name, bounds) for name, bounds in parameters.items()),
+        measured=measured,
+        inputs=inputs or {},
+        start=start or {},
+        noise=noise or {},
+        time=time,
+        windows=tuple(windows),
+        validation=tuple(map(Path, validation)),
+        holdout=holdout,
+        step=step,
+        method=method,
+        evaluations=evaluations,
+        seed=seed,
+        jobs=(os.cpu_count() or 1) if jobs is None else jobs,
+        timeout=timeout,
+    )
+    with threadpool_limits(1):  # as the command runs: the number of BLAS threads changes bits
+        if out is None:
+            return estimate_from(request, progress)
+        with new_locked_folder(request.fmu.stem, Path(out)) as folder:
+            found = estimate_from(request, progress)
+            with recording(folder):
+                write_files(found, folder)
+                draw_fit(found, folder / "fit.png")
+    return found
+
+
+def _sought(name: str, bounds: Bounds) -> Sought:
+    return Sought(name, bounds[0], bounds[1], "linear" if len(bounds) == 2 else bounds[2])

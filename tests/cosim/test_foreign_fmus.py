@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete
 
+from benchmarks.native_fmus import FOREIGN
+
 pytestmark = pytest.mark.fmu
 STEP = 0.01  # s
-STEPS = "time [s], s_ref [m], v_ref [m/s]\n0, 0, 0\n2, 1, 0.5\n2, 1, 0\n5, 1, 0\n"
 
 
 def oscillation(path, m, c, d, noise, end=4.0):
@@ -55,7 +56,7 @@ def refused(called, *arguments, code=2):
 )
 def test_the_plant_as_model_exchange_fmu_leaves_only_the_change_to_fill_in(foreign, workplace, called, plant, model):
     """A line of the written scenario is uncommented, and the mass that it jumps to is found."""
-    Path("steps.csv").write_text(STEPS)
+    shutil.copy(FOREIGN / "steps.csv", workplace)
     fmus = ["--plant", foreign / f"{plant}.fmu", "--controller", foreign / "AxisController.fmu"]
     more = ["--model", foreign / f"{model}.fmu"] if model else []
     code, out, _ = called("new", *fmus, "--reference", "steps.csv", *more, "-o", "axis.toml")

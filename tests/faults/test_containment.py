@@ -185,10 +185,7 @@ def scenario(native, tmp_path):
     ],
     ids=["crash", "exit", "hang", "memory", "initialization", "status"],
 )
-def test_a_run_that_faults_says_so_and_keeps_its_rows(
-    scenario, command, tmp_path, monkeypatch, how, where, settings, message
-):
-    monkeypatch.setenv("FMU_RETUNE_CACHE", str(tmp_path / "cache"))
+def test_a_run_that_faults_says_so_and_keeps_its_rows(scenario, command, tmp_path, how, where, settings, message):
     out = tmp_path / "out"
     more = [option for s in settings for option in ("--set", f"scenario.{s}")]
     code, printed, err = command("run", scenario(how, where), "--only", "--estimator", "none", "--out", out, *more)

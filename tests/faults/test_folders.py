@@ -41,7 +41,7 @@ BUILDER = """
     from pathlib import Path
     tempfile.tempdir = sys.argv[1]
     os.environ["FMU_RETUNE_CACHE"] = sys.argv[1] + "-cache"
-    from cosim.scenarios.library import build_into, find_fmu
+    from cosim.system.fmu_cache import build_into, find_fmu
     from fmu_models import build
     def wait(*_, **__):
         print("ready", flush=True)

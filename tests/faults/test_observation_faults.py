@@ -26,13 +26,6 @@ QUADROTOR = {"scenario.stop_time": "0.8", "scenario.isolation": "none"}
 NOISY_STATES = {"sampling.states": '{"plant.phi" = {noise = 1e-5}, "plant.phi_dot" = {noise = 1e-5}}'}
 
 
-@pytest.fixture(scope="module", autouse=True)
-def cache(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("FMU_RETUNE_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
 def fault(kind, sensor=None, **settings):
     """One fault as a TOML table."""
     settings = {"kind": f'"{kind}"'} | ({"sensor": f'"{sensor}"'} if sensor else {}) | settings

@@ -38,21 +38,15 @@ SHORT = "scenario.stop_time=0.1"
 WALL_TIMES = {"run", "wall_s", "latency_ms", "missed_deadlines"}
 
 
-@pytest.fixture(scope="module")
-def environment(tmp_path_factory) -> dict[str, str]:
-    """Of the commands; FMUs are built once."""
-    return os.environ | {"FMU_RETUNE_CACHE": str(tmp_path_factory.mktemp("cache"))}
-
-
 @pytest.fixture
-def started(environment, temporary) -> Iterator[Callable[..., subprocess.Popen]]:
+def started(temporary) -> Iterator[Callable[..., subprocess.Popen]]:
     """Starts the command in a session of its own; whatever of it is left at the end is killed."""
     processes: list[subprocess.Popen] = []
 
     def start(*arguments: object, **options: object) -> subprocess.Popen:
         process = subprocess.Popen(
             [RETUNE, *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-            start_new_session=True, env=environment | {"TMPDIR": str(temporary)}, **options,
+            start_new_session=True, env=os.environ | {"TMPDIR": str(temporary)}, **options,
         )  # fmt: skip
         processes.append(process)
         return process
@@ -124,7 +118,7 @@ def assert_readable(undisturbed: Path, folder: Path) -> int:
 
 
 @pytest.fixture(scope="module")
-def undisturbed(environment, tmp_path_factory) -> Callable[..., Path]:
+def undisturbed(tmp_path_factory) -> Callable[..., Path]:
     """The folder of a run that nobody disturbs, made once."""
     made: dict[tuple[str, ...], Path] = {}
 
@@ -132,7 +126,7 @@ def undisturbed(environment, tmp_path_factory) -> Callable[..., Path]:
         if arguments not in made:
             made[arguments] = tmp_path_factory.mktemp("undisturbed") / "run"
             command = [RETUNE, *arguments, "--out", made[arguments]]
-            subprocess.run(command, env=environment, check=True, capture_output=True)
+            subprocess.run(command, check=True, capture_output=True)
         return made[arguments]
 
     return of

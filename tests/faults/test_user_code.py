@@ -54,7 +54,6 @@ def module(tmp_path, monkeypatch):
         folder = tmp_path / "user"
         folder.mkdir()
         monkeypatch.chdir(folder)
-        monkeypatch.setenv("FMU_RETUNE_CACHE", str(tmp_path / "cache"))
         name = f"user_{tmp_path.name}"
         (folder / f"{name}.py").write_text(text)
         return name

@@ -20,13 +20,6 @@ HERE = Path(__file__).parent
 pytestmark = pytest.mark.fmu
 
 
-@pytest.fixture(scope="module", autouse=True)
-def cache(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("FMU_RETUNE_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
 @pytest.fixture(scope="module")
 def plan(tmp_path_factory):
     """The scenario as FMUs and connections: what a user of another importer would draw."""

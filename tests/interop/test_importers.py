@@ -106,13 +106,6 @@ each_case = pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.impo
 each_loop = pytest.mark.parametrize("loop", LOOPS)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def cache_of_fmus(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("FMU_RETUNE_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
 # -- jobs ---------------------------------------------------------------------------------------------------------
 
 

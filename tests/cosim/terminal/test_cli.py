@@ -526,7 +526,7 @@ def test_an_estimator_that_raises_ends_the_run_with_its_rows_kept(called, own, w
 
 
 def test_the_readmes_estimator_of_ones_own_works(called, workplace):
-    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    readme = (Path(__file__).parents[3] / "README.md").read_text(encoding="utf-8")
     (example,) = (
         block for block in re.findall(r"```python\n(.*?)```", readme, re.DOTALL) if "class Evolution" in block
     )

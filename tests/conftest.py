@@ -13,6 +13,15 @@ from filelock import FileLock
 import fmu_models
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Marks the cases of a test as `full`, but for those that its mark `full_but` names."""
+    for item in items:
+        mark = item.get_closest_marker("full_but")
+        if mark and item.callspec.id not in mark.args:
+            item.add_marker("full")
+
+
 @pytest.fixture(scope="session", autouse=True)
 def interruptible():
     """A suite that was started in the background ignores SIGINT, and so would the programs that it starts."""

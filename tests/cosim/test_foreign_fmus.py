@@ -51,6 +51,7 @@ def refused(called, *arguments, code=2):
 # -- compiled from C --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.full_but("FMI 2")
 @pytest.mark.parametrize(
     ("plant", "model"), [("Axis", "Axis-ME"), ("Axis-3", None), ("Axis", "Axis-3")], ids=["FMI 2", "FMI 3", "both"]
 )
@@ -73,6 +74,7 @@ def test_the_plant_as_model_exchange_fmu_leaves_only_the_change_to_fill_in(forei
     assert float(last["controller.c"]) == pytest.approx(8.0, rel=5e-3)
 
 
+@pytest.mark.full_but("FMI 2")
 @pytest.mark.parametrize("name", ["Axis", "Axis-3"], ids=["FMI 2", "FMI 3"])
 def test_its_parameters_are_found_in_a_log(foreign, workplace, called, name):
     """To the error of its own integration, semi-implicit Euler over half a millisecond."""

@@ -168,6 +168,7 @@ def scenario(native, tmp_path):
     return write
 
 
+@pytest.mark.full_but("crash", "exit", "initialization", "status")
 @pytest.mark.parametrize(
     ("how", "where", "settings", "message"),
     [

@@ -249,6 +249,7 @@ def test_no_fmu_outlives_a_program_that_is_killed(faulty, temporary, processes, 
     assert becomes_true(lambda: not list(temporary.iterdir()))
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("how", ["compute in C", "sleep in C and let no Python run"])
 def test_nor_does_one_that_lets_no_other_python_code_run(faulty, temporary, processes, how):
     """Nobody is left to remove its folder, but nobody holds it either."""
@@ -265,6 +266,7 @@ def test_nor_does_one_that_lets_no_other_python_code_run(faulty, temporary, proc
     assert not list(temporary.iterdir())
 
 
+@pytest.mark.full_but("exception")
 @pytest.mark.parametrize("words", ["", "raise SystemExit(3)", "1 / 0"], ids=["end", "exit", "exception"])
 def test_a_program_that_forgets_to_close_leaves_nothing(faulty, temporary, words):
     program = start_program(faulty, temporary, "", f"import sys; sys.stderr = open('/dev/null', 'w')\n{words}")

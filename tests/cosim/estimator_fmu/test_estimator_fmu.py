@@ -68,6 +68,7 @@ def feed(slave, n_steps: int, truth=TRUTH, first: int = 0, error: float = 0.5, n
 # -- what it declares ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.full_but("pendulum")
 @fmu
 @pytest.mark.parametrize("name", named_scenarios())
 def test_every_scenario_s_estimator_is_a_valid_fmu_with_the_plant_s_names_and_units(tmp_path, name):
@@ -105,6 +106,7 @@ def built(name: str, folder: Path) -> Path:
     return build(name, folder)
 
 
+@pytest.mark.full
 @fmu
 def test_the_same_scenario_gives_the_same_bytes_anywhere(tmp_path):
     code = "import sys; from cosim.cli import main; main(['build', '--estimator', 'pendulum', '--out', sys.argv[1]])"
@@ -334,6 +336,7 @@ def test_a_user_s_model_is_shipped_with_what_it_imports(users, tmp_path):
     assert result["modules"] == []  # neither installed ones nor names that another FMU could have
 
 
+@pytest.mark.full
 @fmu
 def test_two_models_of_the_same_name_share_a_process(users, tmp_path):
     """The second model accelerates half as much: that of half the length, but for the little friction."""
@@ -371,6 +374,7 @@ os._exit(0)
 """
 
 
+@pytest.mark.full_but("scipy")
 @fmu
 @pytest.mark.parametrize("package", ["GPy", "scipy"])
 def test_a_missing_package_is_told_in_the_log_and_instantiation_fails_again_and_again(tmp_path, package):

@@ -96,6 +96,7 @@ def live_objective(leaves_nothing):
         yield made
 
 
+@pytest.mark.full_but("measured")
 @pytest.mark.parametrize("way", ["state", "measured", "replay", None])
 def test_a_residual_is_the_simulated_minus_the_measured_outputs(live_objective, way):
     """The FMU's own steps of 10 ms by the classical Runge-Kutta rule are good to 1e-7 rad here; the noise is 1e-3."""
@@ -112,6 +113,7 @@ def test_a_residual_is_the_simulated_minus_the_measured_outputs(live_objective, 
     assert objective.way == (way or "state")
 
 
+@pytest.mark.full
 def test_all_ways_of_beginning_lead_to_the_same_residuals(live_objective):
     found = {}
     for way in ("state", "measured", "replay"):
@@ -137,6 +139,7 @@ def test_a_replay_takes_the_parameters_that_were_believed_then(live_objective):
     np.testing.assert_allclose(found.residual, expected.T.reshape(-1), atol=2e-3)
 
 
+@pytest.mark.full_but("measured")
 @pytest.mark.parametrize("way", ["state", "measured", "replay"])
 def test_following_gives_what_a_whole_roll_out_gives_a_step_at_a_time(live_objective, way):
     objective, step = live_objective(way)
@@ -159,6 +162,7 @@ def end(result):
     return np.array([result.estimates[name][-1] for name in ("m", "l")])
 
 
+@pytest.mark.full_but("measured")
 @pytest.mark.parametrize("way", ["state", "measured", "replay"])
 def test_a_changed_pendulum_is_found_from_its_outputs_alone(pendulum, leaves_nothing, way):
     settings = EARLY | ROLLOUT | {"estimation.rollout.start": way}
@@ -172,6 +176,7 @@ def test_a_changed_pendulum_is_found_from_its_outputs_alone(pendulum, leaves_not
     assert "as asked" in result.objective
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("trigger", [pytest.param("tracking", marks=slow), "innovation"])
 def test_the_same_bits_come_of_any_number_of_processes_and_of_the_same_seed(
     pendulum, tmp_path, leaves_nothing, trigger
@@ -198,6 +203,7 @@ def test_innovations_of_outputs_begin_an_episode_where_the_jump_was(pendulum, tm
     assert first["samples"] == f"the last {n_past}, which they do not explain, and the next {10 - n_past}"
 
 
+@pytest.mark.full
 def test_a_jump_in_mid_window_is_made_good_by_the_next_episode(pendulum, tmp_path):
     """The second jump, 50 ms after the first, is inside the window of thirty samples."""
     twice = {
@@ -210,6 +216,7 @@ def test_a_jump_in_mid_window_is_made_good_by_the_next_episode(pendulum, tmp_pat
     np.testing.assert_allclose(end(result), [2.3, 0.8], rtol=0.1)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     "name",
     [
@@ -226,6 +233,7 @@ def test_every_estimator_of_episodes_takes_roll_outs_within_its_budget(pendulum,
     assert result.summary()["model_calls"] >= result.n_evaluations
 
 
+@pytest.mark.full
 def test_a_recorded_run_is_replayed_from_its_measured_states(pendulum, tmp_path):
     """There is no plant to take a state of; the measured states, with the noise of the outputs, are on record."""
     settings = EARLY | SHORT | {"estimation.rollout.start": "measured"}
@@ -327,6 +335,7 @@ FAULTS = {
 }
 
 
+@pytest.mark.full_but("raises")
 @pytest.mark.parametrize(
     "fault",
     [pytest.param(f, id=n, marks=slow if n in ("exits", "is not finite") else ()) for n, f in FAULTS.items()],
@@ -367,6 +376,7 @@ START_METHODS = {
 }
 
 
+@pytest.mark.full_but("states can be saved")
 @pytest.mark.parametrize(("declared", "hidden", "told"), START_METHODS.values(), ids=START_METHODS)
 def test_the_first_way_that_is_seen_to_work_is_taken_and_why_is_said(tmp_path, leaves_nothing, declared, hidden, told):
     path = toml(tmp_path, spoilt(tmp_path, hidden, declared=declared))
@@ -486,6 +496,7 @@ def swinging(axis):
     )
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("way", ["auto", "replay"])
 def test_an_fmu_in_c_is_re_tuned_from_its_position_alone(swinging, leaves_nothing, way):
     scenario = Scenario.load(swinging, {"estimation.rollout.start": way})
@@ -531,6 +542,7 @@ def partial(theta, samples):
 """
 
 
+@pytest.mark.full_but('{ kind = "innovation" }')
 @pytest.mark.parametrize("trigger", ['{ kind = "innovation" }', '{ kind = "tracking", threshold = 0.01 }'])
 def test_a_function_of_the_users_is_an_objective(pendulum, workplace, trigger):
     (workplace / "mine.py").write_text(FUNCTION)
@@ -548,6 +560,7 @@ FUNCTION_FAULTS = {
 }
 
 
+@pytest.mark.full_but("raises")
 @pytest.mark.parametrize(("function", "told"), FUNCTION_FAULTS.values(), ids=FUNCTION_FAULTS)
 def test_a_function_that_gives_no_residuals_ends_the_run_in_one_line(pendulum, workplace, function, told):
     (workplace / "mine.py").write_text(FUNCTION)
@@ -557,6 +570,7 @@ def test_a_function_that_gives_no_residuals_ends_the_run_in_one_line(pendulum, w
     assert told in result.error
 
 
+@pytest.mark.full
 def test_candidates_at_which_a_function_has_no_value_have_failed(pendulum, workplace):
     (workplace / "mine.py").write_text(FUNCTION)
     (workplace / "out").mkdir()

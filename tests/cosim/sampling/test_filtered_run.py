@@ -36,6 +36,7 @@ def bare(axis, bare_axis) -> Path:
     )
 
 
+@pytest.mark.full_but("target-savitzky-golay")
 @pytest.mark.parametrize("overrides", [{}, STATE_VARIABLE], ids=["savitzky-golay", "state-variable"])
 @pytest.mark.parametrize("estimator", ["target", "least-squares"])
 def test_the_mass_of_an_axis_without_derivatives_is_found(bare, overrides, estimator):
@@ -67,12 +68,14 @@ def _new(folder: Path) -> Path:
     return folder / "run"
 
 
+@pytest.mark.full
 def test_compare_runs_on_filtered_derivatives(bare):
     comparison = compare(Scenario.load(bare, {"scenario.stop_time": "2.0"}), ["target"], 2, jobs=1)
     assert len(comparison.runs) == 6
     assert {record["status"] for record in comparison.runs} == {"done"}
 
 
+@pytest.mark.full
 def test_the_pendulum_is_re_tuned_from_sampled_states():
     """Its mean squared error is 0.32 rad^2 as it is; with measured derivatives 0.0005, here 0.0015 to 0.0027."""
     overrides = {

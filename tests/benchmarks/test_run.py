@@ -30,6 +30,7 @@ print(json.dumps(clock.seconds))
     assert printed(program) == {"inner": 2.5, "outer": 7.5}
 
 
+@pytest.mark.full
 @pytest.mark.fmu
 def test_every_part_of_a_run_is_found_and_the_product_is_left_as_it_was():
     program = """

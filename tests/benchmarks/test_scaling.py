@@ -20,6 +20,7 @@ def results(program, tmp_path, name):
     return json.loads((tmp_path / f"{name}.json").read_text(encoding="utf-8"))
 
 
+@pytest.mark.full
 def test_growth_finds_the_known_parameters_and_fits_an_exponent_to_each_size(tmp_path):
     sizes = {"observations": (20, 30), "dimensions": (2, 3), "window": (1, 4)}
     written = results(f"scaling.growth(['target', 'paper'], 1, {sizes})", tmp_path, "scaling")
@@ -42,6 +43,7 @@ report.write("exponent", [{"text": text}])
     assert row["text"] == "n 1.50, 1.50 at the end"
 
 
+@pytest.mark.full
 @pytest.mark.fmu
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="reads /proc")
 @pytest.mark.parametrize(

@@ -182,6 +182,7 @@ def shipped():
     return find
 
 
+@pytest.mark.full
 @pytest.mark.interop
 @pytest.mark.parametrize("version", [2, 3])
 def test_a_container_of_fmu_manipulation_toolbox(foreign, workplace, called, version):
@@ -203,6 +204,7 @@ def test_a_container_of_fmu_manipulation_toolbox(foreign, workplace, called, ver
     assert found == pytest.approx({"axis.mass.m": 3.0, "axis.spring.c": 11.0}, rel=1e-3)
 
 
+@pytest.mark.full
 @pytest.mark.interop
 def test_the_oscillator_of_component_model(shipped, workplace, called):
     """Made by component-model with pythonfmu 0.6.9, indices in the names; it needs pint."""
@@ -227,6 +229,7 @@ GFORTRAN_1.4 { global: _gfortran_transfer_character_write; _gfortran_transfer_in
 """
 
 
+@pytest.mark.full
 @pytest.mark.interop
 @pytest.mark.skipif(sys.platform != "linux" or shutil.which("gcc") is None, reason="gcc on Linux")
 def test_the_heated_room_of_jmodelica_that_modestpy_ships(shipped, workplace):

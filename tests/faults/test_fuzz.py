@@ -120,6 +120,7 @@ def mutants(n: int):
     return range(SEED, SEED + (N_MUTANTS or n))
 
 
+@pytest.mark.full_but("Native-2")
 @pytest.mark.parametrize(("name", "fmi"), [("Pendulum", 2), ("Pendulum", 3), ("Native", 2)])
 def test_descriptions(native, tmp_path, name, fmi):
     sound = native if name == "Native" else find_fmu(name, Path(), fmi)
@@ -135,6 +136,7 @@ def test_descriptions(native, tmp_path, name, fmi):
         told(try_fmu, path, seed)
 
 
+@pytest.mark.full
 def test_archives_and_libraries(native, tmp_path):
     """Bytes of the archive; every second time those of the library within a sound archive."""
     with zipfile.ZipFile(native) as archive:
@@ -152,6 +154,7 @@ def test_archives_and_libraries(native, tmp_path):
         told(try_fmu, path, seed)
 
 
+@pytest.mark.full_but("pendulum")
 @pytest.mark.parametrize("name", named_scenarios())
 def test_scenarios(tmp_path, name):
     text = (files("cosim") / "scenarios" / f"{name}.toml").read_text(encoding="utf-8")

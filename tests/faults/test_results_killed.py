@@ -139,6 +139,7 @@ KILLS = {
 }
 
 
+@pytest.mark.full_but("rls")
 @pytest.mark.parametrize(("arguments", "n_kills"), KILLS.values(), ids=KILLS)
 def test_a_run_that_is_killed_again_and_again_ends_with_the_same_bits(
     started, undisturbed, temporary, processes, tmp_path, arguments, n_kills
@@ -160,6 +161,7 @@ def test_a_run_that_is_killed_again_and_again_ends_with_the_same_bits(
     assert list(temporary.iterdir()) == []
 
 
+@pytest.mark.full
 def test_a_run_that_is_killed_while_it_is_compared_goes_on_with_that(
     started, undisturbed, temporary, processes, tmp_path
 ):
@@ -234,6 +236,7 @@ def test_a_run_on_a_full_disk_goes_on_when_there_is_room(started, undisturbed, t
     assert list(temporary.iterdir()) == []
 
 
+@pytest.mark.full_but("export")
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -259,6 +262,7 @@ def test_every_command_for_which_the_disk_has_no_room_says_so_and_has_not_finish
     assert [path.name for path in disk.rglob("*") if path.is_file() and path.stat().st_size] == ["filler"]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", [CHECKPOINT, SERIES])
 def test_a_run_whose_files_may_not_grow_goes_on_when_they_may(
     started, undisturbed, temporary, tmp_path, processes, name

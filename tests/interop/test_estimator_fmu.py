@@ -17,7 +17,7 @@ from cosim.estimator_fmu.build import build_estimator
 from fmu_models.build import build
 
 HERE = Path(__file__).parent
-pytestmark = pytest.mark.fmu
+pytestmark = [pytest.mark.full, pytest.mark.fmu]
 
 
 @pytest.fixture(scope="module")

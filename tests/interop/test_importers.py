@@ -24,7 +24,7 @@ from cosim.system.fmu_cache import find_fmu
 from cosim.system.master import Master, Wiring
 from fmu_models.build import NAMES
 
-pytestmark = [pytest.mark.interop, pytest.mark.fmu]
+pytestmark = [pytest.mark.full, pytest.mark.interop, pytest.mark.fmu]
 
 ROOT = Path(__file__).parents[2]
 SCRIPTS = Path(__file__).with_name("importers")

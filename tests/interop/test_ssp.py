@@ -23,7 +23,7 @@ from cosim.ssp.run import wiring_of
 from cosim.ssp.write import to_ssp
 from cosim.system.master import Master
 
-pytestmark = pytest.mark.fmu
+pytestmark = [pytest.mark.full, pytest.mark.fmu]
 
 STEPS, STEP = 200, 0.01
 NAMES = {

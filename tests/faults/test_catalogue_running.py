@@ -44,11 +44,10 @@ def check(fmu, kind, row, caplog, capfd):
     is_early = where == "instantiate"
     name = f"instantiate: {how}" if is_early else "plant"
     fault, outputs = None, []
-    with open_slave(fmu, name, timeout=30.0, memory_limit=row.get("memory", 0.0)) as slave:
+    with open_slave(fmu, name, timeout=row.get("timeout", 30.0), memory_limit=row.get("memory", 0.0)) as slave:
         try:
             name_of_input, names = EXAMPLES[kind]
             slave.bind(inputs=[name_of_input], outputs=names)
-            slave._home._timeout_s = row.get("timeout", 30.0)  # now: a busy machine may take its time to load an FMU
             run(slave, outputs, "" if is_early else how, "" if is_early else where)
         except SlaveError as error:
             fault = error

@@ -3,6 +3,7 @@
 import inspect
 import json
 import re
+import runpy
 import subprocess
 import sys
 import zipfile
@@ -78,12 +79,13 @@ def test_what_has_failed_is_not_called_again(faulty, tmp_path, monkeypatch, isol
             slave.step([0.0], k * H, H)
         with pytest.raises(SlaveError, match="returned discard"):
             slave.step([0.0], 2 * H, H)
-        if isolation == "none":
-            slave._home._instance.get()
-            assert marker.read_text() == "get"
-            marker.unlink()
         slave.close()
-    assert not marker.exists()
+        assert not marker.exists()
+        failed = runpy.run_path(str(faulty.with_name("running_fmu_faulty.py")))["Faulty"](instance_name="ours")
+        failed.how, failed.where = "return False", "do_step"
+        assert not failed.do_step(2 * H, H)
+        failed.get_y()
+    assert marker.read_text() == "get"
 
 
 @pytest.mark.parametrize("isolation", ["process", "none"])

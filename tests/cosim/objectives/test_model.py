@@ -86,10 +86,12 @@ def test_a_candidate_without_a_value_is_nan_and_the_next_one_is_not(model):
     assert fmu(X, U, **THETA) == before
 
 
-def test_an_fmu_that_dies_on_a_candidate_is_started_anew(model):
+def test_an_fmu_that_dies_on_a_candidate_is_started_anew(model, children):
+    others = children()
     fmu = model("quadrotor")
     before = fmu(X, U, **THETA)
-    os.kill(fmu._home._process.pid, signal.SIGKILL)
+    (process,) = children() - others
+    os.kill(process, signal.SIGKILL)
     with pytest.raises(ValueError, match=r"Quadrotor: .*process was ended by SIGKILL"):
         fmu(X, U, **THETA)
     assert fmu(X, U, **THETA) == before

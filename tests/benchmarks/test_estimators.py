@@ -99,6 +99,7 @@ def test_a_later_measurement_of_some_keeps_the_rows_of_the_others(measure):
     assert "optuna-gp" in printed
 
 
+@pytest.mark.full_but("arguments0")
 @pytest.mark.parametrize("arguments", [["--only", "emukti"], ["--repetitions", "0"], ["--evaluations", "5"]])
 def test_what_cannot_be_measured_is_refused(arguments):
     done = subprocess.run(

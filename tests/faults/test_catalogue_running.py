@@ -29,12 +29,12 @@ def rows(kind):
         seen.add(outcome)
 
 
-@pytest.mark.parametrize("row", rows("native"))
+@pytest.mark.parametrize("row", list(rows("native")))
 def test_native(native, row, caplog, capfd):
     check(native, "native", row, caplog, capfd)
 
 
-@pytest.mark.parametrize("row", rows("python"))
+@pytest.mark.parametrize("row", list(rows("python")))
 def test_python(faulty, row, caplog, capfd):
     check(faulty, "python", row, caplog, capfd)
 
@@ -61,7 +61,8 @@ def check(fmu, kind, row, caplog, capfd):
         assert re.fullmatch(row["expected"], told), told
         assert "\n" not in told
         assert fault.instance == name
-        assert (fault.time is None) == is_early
+        time = re.search(r"at t = (\S+) s", told)
+        assert fault.time == (None if is_early else pytest.approx(float(time[1])))
         assert outputs == [(float(k), *((0.0,) if kind == "native" else ())) for k in range(len(outputs))]
     else:
         assert fault is None, told

@@ -182,6 +182,7 @@ def test_a_run_that_is_killed_while_it_is_compared_goes_on_with_that(
     assert (code, out, err) == (2, "", f"retune: {folder} cannot be resumed: it is done.\n")
 
 
+@pytest.mark.full
 def test_a_run_that_goes_on_is_nobody_elses(started, tmp_path, processes):
     folder = tmp_path / "run"
     process = started(*PENDULUM, "--only", "--out", folder, "--set", "scenario.stop_time=36000")
@@ -223,6 +224,7 @@ def disk(tmp_path) -> Iterator[Path]:
     subprocess.run(["umount", str(folder)], check=True)
 
 
+@pytest.mark.full
 def test_a_run_on_a_full_disk_goes_on_when_there_is_room(started, undisturbed, temporary, disk):
     arguments = [*PENDULUM, "--only"]
     whole, folder = undisturbed(*arguments), disk / "run"

@@ -81,7 +81,7 @@ def test_where_no_folder_will_do_it_is_said_in_one_line(odd, tmp_path, monkeypat
         open_slave(path, "plant")
 
 
-@pytest.mark.full_but("a space")
+@pytest.mark.full
 @pytest.mark.fmu
 def test_the_command_runs_there(odd):
     """In a fresh process, with folder, output and temporary files of an odd name."""

@@ -110,6 +110,7 @@ def test_units_of_the_log_become_those_of_the_fmu(ask, oracles):
     assert estimate(ask(scaled)).fit.theta == pytest.approx(estimate(ask(columns)).fit.theta, rel=1e-9)
 
 
+@pytest.mark.full
 def test_several_logs_count_together(ask, oracles, tmp_path):
     one = estimate(ask(oracles.measure(0), holdout=0.0))
     more = tuple(oracles.write_log(tmp_path / f"log{i}.csv", oracles.measure(i)) for i in range(4))

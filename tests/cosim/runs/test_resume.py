@@ -96,7 +96,7 @@ VARIANTS = {
 }
 
 
-@pytest.mark.full_but("innovation and noise on the states")
+@pytest.mark.full
 @pytest.mark.parametrize("settings", VARIANTS.values(), ids=VARIANTS)
 def test_every_kind_of_run_goes_on_to_the_same_bits(tmp_path, settings):
     check_resume(Scenario.load("pendulum", EARLY_CHANGE | settings), "target", tmp_path)
@@ -204,6 +204,7 @@ def test_a_folder_that_holds_a_run_is_not_run_in(tmp_path):
     assert {p: p.read_bytes() for p in (tmp_path / "left").iterdir()} == before
 
 
+@pytest.mark.full
 def test_without_a_change_the_same_seed_goes_on_with_the_same_noise(tmp_path):
     """Independent of any estimator: the residual noise after the checkpoint is the generator's own continuation."""
     scenario = Scenario.load("pendulum", IN_PROCESS | {"scenario.stop_time": "0.6", "scenario.checkpoint": "15"})

@@ -239,7 +239,7 @@ def test_measured_outputs_are_recorded_with_noise_of_their_own(pendulum):
     np.testing.assert_array_equal(measured["plant.phi"], run(pendulum(SWING), "none")["plant.phi"])
 
 
-@pytest.mark.full_but("target")
+@pytest.mark.full
 @pytest.mark.parametrize("estimator", ["target", "paper"])
 def test_the_same_seed_gives_the_same_run_bit_for_bit_and_another_one_another(pendulum, tmp_path, estimator):
     series = []

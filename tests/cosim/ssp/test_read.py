@@ -162,6 +162,7 @@ def zipped(files):
     return buffer.getvalue()
 
 
+@pytest.mark.full
 def test_units_are_converted_on_a_connection(package, flat):
     fmu = {"resources/models/PendulumReference.fmu": zipped(in_degrees("PendulumReference"))}
     start = values(real("reference.phi_initial", 30.0) + real("plant.phi", 0.4))

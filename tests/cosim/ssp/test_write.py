@@ -26,6 +26,7 @@ def export(tmp_path):
     return export
 
 
+@pytest.mark.full_but("pendulum")
 @pytest.mark.parametrize("name", ["pendulum", "quadrotor", "stiction", "rigid-body"])
 def test_the_files_are_valid(export, name):
     path = export(Scenario.load(name))
@@ -87,7 +88,7 @@ def test_parameters_are_start_values_changes_and_what_is_estimated(export):
 
 def test_an_export_re_tunes_again_with_the_same_result(export, pendulum):
     scenario = pendulum({'changes."plant.m"': "[[0.0, 2.0], [0.2, 4.271]]", "estimation.instants": "[0.3]"})
-    package = Scenario.load(export(scenario))
+    package = load_scenario(export(scenario))
     one, other = run(scenario, seed=3), run(package, seed=3)
     assert one.n_episodes > 0
     assert list(one.series) == list(other.series)
@@ -106,10 +107,11 @@ def test_what_another_tool_edits_in_the_package_counts(export, pendulum, tmp_pat
     with zipfile.ZipFile(edited, "w") as archive:
         for name, content in files.items():
             archive.writestr(name, content)
-    assert Scenario.load(edited).components["plant"].start == {"phi": 0.5, "phi_dot": 0.0}
-    assert Scenario.load(edited, {"components.plant.start.phi": "0.7"}).components["plant"].start["phi"] == 0.7
+    assert load_scenario(edited).components["plant"].start == {"phi": 0.5, "phi_dot": 0.0}
+    assert load_scenario(edited, {"components.plant.start.phi": "0.7"}).components["plant"].start["phi"] == 0.7
 
 
+@pytest.mark.full
 def test_a_package_steps_as_our_parallel_coupling_does(export, pendulum):
     """Where inputs start as the plant's states do; a scenario leaves them to their start values."""
     known = {"phi": 0.9, "phi_dot": 0.0, "phi_ref": 0.3, "phi_dot_ref": 0.0}
@@ -131,7 +133,7 @@ def test_a_model_of_the_users_goes_along(export, pendulum, tmp_path):
     settings = {"estimation.model": "a_pendulum_of_mine:derivative", 'changes."plant.m"': "[[0.0, 1.75], [0.1, 4.0]]"}
     path = export(pendulum(settings).model_copy(update={"folder": tmp_path}))
     (tmp_path / "a_pendulum_of_mine.py").unlink()
-    assert run(Scenario.load(path), seed=0).n_evaluations > 0
+    assert run(load_scenario(path), seed=0).n_evaluations > 0
 
 
 def test_two_fmus_of_one_name_are_kept_apart(export, pendulum, tmp_path):
@@ -164,7 +166,7 @@ def test_the_scenario_on_a_system_from_elsewhere(package, tmp_path):
     ]
     file.write_text(tomli_w.dumps(clean))
     overrides = {"scenario.stop_time": "0.2", 'changes."plant.m"': "[[0.0, 1.75], [0.1, 4.0]]"}
-    result = run(Scenario.load(file, overrides, package()))
+    result = run(load_scenario(file, overrides, package()))
     assert result.status == "done"
     assert result.estimates["m"][-1] == pytest.approx(4.0, abs=0.2)
 

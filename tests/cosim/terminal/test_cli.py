@@ -103,6 +103,7 @@ def test_isolation_does_not_change_a_bit(workplace):
 # The report and the pictures.
 
 
+@pytest.mark.full
 def test_a_whole_run_is_compared_with_nominal_and_true_parameters_and_drawn(workplace):
     done = retune("run", "pendulum", "--out", "mine", "--set", "scenario.stop_time=0.5", *EARLY_CHANGE)
     assert (done.returncode, done.stderr) == (0, "")

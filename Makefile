@@ -17,7 +17,7 @@ test: $(VENV)/.test
 	$(BIN)/python -m pytest
 
 test-full: $(VENV)/.test
-	$(BIN)/python -m pytest -m 'full and not slow'
+	FUZZ_MUTANTS=400 $(BIN)/python -m pytest -m 'full and not slow'
 
 interop: $(VENV)/.test $(INTEROP)/cofmupy/.installed $(INTEROP)/gemseo/.installed
 	$(BIN)/python -m pytest -m interop

@@ -1,11 +1,11 @@
-# make run | test | interop | experiments | evaluation | lint | clean. Everything is set up in .venv on first use.
+# make run | test | test-full | interop | experiments | evaluation | lint | clean. Everything is set up in .venv on first use.
 PYTHON ?= python3
 VENV := .venv
 INTEROP := .venv-interop
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
-.PHONY: run test interop experiments evaluation lint docs-tables format clean
+.PHONY: run test test-full interop experiments evaluation lint docs-tables format clean
 
 run: $(VENV)/.run
 	$(BIN)/retune run pendulum
@@ -16,11 +16,14 @@ test: $(VENV)/.test
 	$(BIN)/ruff format --check .
 	$(BIN)/python -m pytest
 
+test-full: $(VENV)/.test
+	FUZZ_MUTANTS=400 $(BIN)/python -m pytest -m 'full and not slow'
+
 interop: $(VENV)/.test $(INTEROP)/cofmupy/.installed $(INTEROP)/gemseo/.installed
 	$(BIN)/python -m pytest -m interop
 
 experiments: $(VENV)/.test
-	$(BIN)/python -m pytest -m slow -s
+	$(BIN)/python -m pytest -m slow -n 0 -s
 
 evaluation: $(VENV)/.test
 	$(BIN)/python -m benchmarks.evaluation measure
@@ -48,9 +51,9 @@ $(VENV)/.run: $(VENV)/.python pyproject.toml
 	$(PIP) install --editable .
 	@touch $@
 
-$(VENV)/.test: $(VENV)/.run
+$(VENV)/.test: $(VENV)/.python pyproject.toml
 	$(PIP) install --editable '.[test]'
-	@touch $@
+	@touch $(VENV)/.run $@
 
 # Importers that pin what we do not: an environment each, 1 GB each.
 $(INTEROP)/cofmupy/.installed: PACKAGE := cofmupy==1.0.0

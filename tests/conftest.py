@@ -1,8 +1,25 @@
-"""What holds for all tests."""
+"""What holds for all tests, and what is built for them once a change."""
 
+import hashlib
+import shutil
 import signal
+from collections.abc import Callable, Iterator
+from importlib.metadata import version
+from pathlib import Path
 
 import pytest
+from filelock import FileLock
+
+import fmu_models
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Marks the cases of a test as `full`, but for those that its mark `full_but` names."""
+    for item in items:
+        mark = item.get_closest_marker("full_but")
+        if mark and item.callspec.id not in mark.args:
+            item.add_marker("full")
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -13,3 +30,45 @@ def interruptible():
         signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
+
+
+@pytest.fixture(scope="session")
+def made_once(pytestconfig) -> Callable[..., Path]:
+    """made_once(make, *what): a folder that make(folder) filled, once as long as `what` stays the same.
+
+    It is kept for the next session, and shared by the workers of pytest-xdist. what: all that the files follow from
+    beside the builders' versions; of a path, the bytes of the file or of all in the folder count.
+    """
+    versions = [version(name) for name in ("fmpy", "pythonfmu", "pythonfmu3")]
+
+    def made(make: Callable[[Path], object], *what: object) -> Path:
+        key = hashlib.sha256(repr([versions, *map(_content, what)]).encode()).hexdigest()[:16]
+        folder = pytestconfig.cache.mkdir("made") / key
+        with FileLock(f"{folder}.lock"):
+            if not folder.is_dir():
+                unfinished = folder.with_suffix(".unfinished")
+                shutil.rmtree(unfinished, ignore_errors=True)
+                unfinished.mkdir()
+                make(unfinished)
+                unfinished.rename(folder)
+        return folder
+
+    return made
+
+
+def _content(what: object) -> object:
+    if not isinstance(what, Path):
+        return what
+    paths = sorted(p for p in what.rglob("*") if p.is_file() and p.suffix != ".pyc") if what.is_dir() else [what]
+    return [(p.name, hashlib.sha256(p.read_bytes()).hexdigest()) for p in paths]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def cache(made_once, tmp_path_factory) -> Iterator[Path]:
+    """Where the built-in FMUs are kept: never the user's cache. What is unpacked there is a session's own."""
+    folder = tmp_path_factory.mktemp("cache")
+    built = made_once(lambda folder: None, "built-in FMUs", Path(fmu_models.__file__).parent)
+    (folder / "fmus").symlink_to(built)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("FMU_RETUNE_CACHE", str(folder))
+        yield folder

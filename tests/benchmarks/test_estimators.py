@@ -65,6 +65,7 @@ def measure(tmp_path):
     return program
 
 
+@pytest.mark.full
 @pytest.mark.fmu
 def test_ours_and_peers_are_measured_and_those_that_are_absent_or_fail_are_named(measure):
     printed, rows = measure("target", "emukit", "gpyopt", "botorch", "optuna-gp")
@@ -88,6 +89,7 @@ def test_ours_and_peers_are_measured_and_those_that_are_absent_or_fail_are_named
         assert any(name in line and reason in line for line in printed.splitlines())
 
 
+@pytest.mark.full
 @pytest.mark.fmu
 def test_a_later_measurement_of_some_keeps_the_rows_of_the_others(measure):
     _, before = measure("optuna-gp")
@@ -97,6 +99,7 @@ def test_a_later_measurement_of_some_keeps_the_rows_of_the_others(measure):
     assert "optuna-gp" in printed
 
 
+@pytest.mark.full_but("arguments0")
 @pytest.mark.parametrize("arguments", [["--only", "emukti"], ["--repetitions", "0"], ["--evaluations", "5"]])
 def test_what_cannot_be_measured_is_refused(arguments):
     done = subprocess.run(

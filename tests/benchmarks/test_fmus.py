@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks import fmus, native_fmus, report
 
-pytestmark = pytest.mark.fmu
+pytestmark = [pytest.mark.full, pytest.mark.fmu]
 
 
 def test_every_way_has_a_row_and_they_agree(tmp_path, monkeypatch):

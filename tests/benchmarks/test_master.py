@@ -9,7 +9,11 @@ import pytest
 
 from benchmarks import master, report
 
-pytestmark = [pytest.mark.fmu, pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")]
+pytestmark = [
+    pytest.mark.full,
+    pytest.mark.fmu,
+    pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed"),
+]
 
 
 @pytest.fixture(scope="module")

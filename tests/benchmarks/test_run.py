@@ -14,6 +14,7 @@ def test_a_part_has_its_own_time_without_that_of_the_parts_it_calls(monkeypatch)
     assert clock.seconds == {"inner": 2.5, "outer": 7.5}
 
 
+@pytest.mark.full
 @pytest.mark.fmu
 def test_every_part_of_a_run_is_found_and_the_product_is_left_as_it_was():
     methods = [(owner, name, owner.__dict__[name]) for _, owner, names in run.PARTS for name in names]

@@ -14,6 +14,7 @@ def results(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.full
 def test_growth_finds_the_known_parameters_and_fits_an_exponent_to_each_size(results, capsys):
     sizes = {"observations": (20, 30), "dimensions": (2, 3), "window": (1, 4)}
     scaling.growth(["target", "bo-scalar"], 1, sizes)
@@ -33,6 +34,7 @@ def test_the_exponent_is_the_slope_of_log_cost_over_log_size():
     assert scaling.exponents("n", sizes, costs) == "n 1.50, 1.50 at the end"
 
 
+@pytest.mark.full
 @pytest.mark.fmu
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="reads /proc")
 @pytest.mark.parametrize(("limit", "steps"), [(math.inf, [15, 30, 45, 60]), (0.0, [15])], ids=["whole", "limited"])

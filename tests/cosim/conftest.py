@@ -1,4 +1,4 @@
-"""Where FMUs are kept and unpacked while the co-simulation is tested, and the proof that nothing of a run is left."""
+"""FMUs that are not built in, scenarios of them, and the proof that nothing of a run is left."""
 
 import os
 import re
@@ -15,18 +15,9 @@ import fmpy
 import pytest
 from pythonfmu import FmuBuilder
 
-from benchmarks.native_fmus import build_foreign
+from benchmarks.native_fmus import FOREIGN, SOURCES, build_foreign
 from cosim.cli import main
 from cosim.scenarios.scenario import Scenario
-
-
-@pytest.fixture(scope="session", autouse=True)
-def cache(tmp_path_factory) -> Iterator[Path]:
-    """The built-in FMUs are built once a session, never into the user's cache."""
-    folder = tmp_path_factory.mktemp("cache")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("FMU_RETUNE_CACHE", str(folder))
-        yield folder
 
 
 def children_of(process_id: int) -> set[int]:
@@ -105,12 +96,15 @@ class FaultyReference(Fmi2Slave):
 
 
 @pytest.fixture(scope="session")
-def faulty_reference(tmp_path_factory) -> Path:
+def faulty_reference(made_once) -> Path:
     """An FMU that raises in its sixth step of 10 ms; it has none of PendulumReference's parameters."""
-    folder = tmp_path_factory.mktemp("faulty")
-    script = folder / "faulty_reference.py"
-    script.write_text(FAULTY_REFERENCE)
-    return FmuBuilder.build_FMU(script, dest=folder)
+
+    def make(folder: Path) -> None:
+        script = folder / "faulty_reference.py"
+        script.write_text(FAULTY_REFERENCE)
+        FmuBuilder.build_FMU(script, dest=folder)
+
+    return made_once(make, FAULTY_REFERENCE) / "FaultyReference.fmu"
 
 
 @pytest.fixture
@@ -124,13 +118,33 @@ def faulty_toml(faulty_reference, tmp_path) -> Path:
 
 
 @pytest.fixture(scope="session")
-def foreign(tmp_path_factory) -> Path:
+def foreign(made_once) -> Path:
     """A folder with FMUs that are not of our making, compiled here: see build_foreign."""
     if shutil.which("gcc") is None:
         pytest.skip("no C compiler: gcc is not installed")
-    folder = tmp_path_factory.mktemp("foreign")
-    build_foreign(folder)
-    return folder
+    return made_once(build_foreign, SOURCES, FOREIGN)
+
+
+@pytest.fixture
+def axis(foreign, tmp_path) -> Callable[..., Path]:
+    """axis((old, new), ...): the path of tests/foreign/axis.toml, of which these texts are replaced, beside its files.
+
+    The mass jumps from 2 to 3 kg; the position is to be 1 m, or what `steps` says, rows of time, position and velocity.
+    """
+    for name in ("Axis.fmu", "AxisController.fmu"):
+        (tmp_path / name).symlink_to(foreign / name)
+    shutil.copy(FOREIGN / "axis_model.py", tmp_path)
+
+    def write(*replacements: tuple[str, str], steps: str = "0, 1, 0\n1, 1, 0") -> Path:
+        (tmp_path / "steps.csv").write_text(f"time [s], s_ref [m], v_ref [m/s]\n{steps}\n")
+        text = (FOREIGN / "axis.toml").read_text()
+        for old, new in replacements:
+            assert text.count(old) == 1, old
+            text = text.replace(old, new)
+        (tmp_path / "axis.toml").write_text(text)
+        return tmp_path / "axis.toml"
+
+    return write
 
 
 @pytest.fixture

@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete
 
+from benchmarks.native_fmus import FOREIGN
+
 pytestmark = pytest.mark.fmu
 STEP = 0.01  # s
-STEPS = "time [s], s_ref [m], v_ref [m/s]\n0, 0, 0\n2, 1, 0.5\n2, 1, 0\n5, 1, 0\n"
 
 
 def oscillation(path, m, c, d, noise, end=4.0):
@@ -50,12 +51,13 @@ def refused(called, *arguments, code=2):
 # -- compiled from C --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.full_but("FMI 2")
 @pytest.mark.parametrize(
     ("plant", "model"), [("Axis", "Axis-ME"), ("Axis-3", None), ("Axis", "Axis-3")], ids=["FMI 2", "FMI 3", "both"]
 )
 def test_the_plant_as_model_exchange_fmu_leaves_only_the_change_to_fill_in(foreign, workplace, called, plant, model):
     """A line of the written scenario is uncommented, and the mass that it jumps to is found."""
-    Path("steps.csv").write_text(STEPS)
+    shutil.copy(FOREIGN / "steps.csv", workplace)
     fmus = ["--plant", foreign / f"{plant}.fmu", "--controller", foreign / "AxisController.fmu"]
     more = ["--model", foreign / f"{model}.fmu"] if model else []
     code, out, _ = called("new", *fmus, "--reference", "steps.csv", *more, "-o", "axis.toml")
@@ -72,6 +74,7 @@ def test_the_plant_as_model_exchange_fmu_leaves_only_the_change_to_fill_in(forei
     assert float(last["controller.c"]) == pytest.approx(8.0, rel=5e-3)
 
 
+@pytest.mark.full_but("FMI 2")
 @pytest.mark.parametrize("name", ["Axis", "Axis-3"], ids=["FMI 2", "FMI 3"])
 def test_its_parameters_are_found_in_a_log(foreign, workplace, called, name):
     """To the error of its own integration, semi-implicit Euler over half a millisecond."""
@@ -179,6 +182,7 @@ def shipped():
     return find
 
 
+@pytest.mark.full
 @pytest.mark.interop
 @pytest.mark.parametrize("version", [2, 3])
 def test_a_container_of_fmu_manipulation_toolbox(foreign, workplace, called, version):
@@ -200,6 +204,7 @@ def test_a_container_of_fmu_manipulation_toolbox(foreign, workplace, called, ver
     assert found == pytest.approx({"axis.mass.m": 3.0, "axis.spring.c": 11.0}, rel=1e-3)
 
 
+@pytest.mark.full
 @pytest.mark.interop
 def test_the_oscillator_of_component_model(shipped, workplace, called):
     """Made by component-model with pythonfmu 0.6.9, indices in the names; it needs pint."""
@@ -224,6 +229,7 @@ GFORTRAN_1.4 { global: _gfortran_transfer_character_write; _gfortran_transfer_in
 """
 
 
+@pytest.mark.full
 @pytest.mark.interop
 @pytest.mark.skipif(sys.platform != "linux" or shutil.which("gcc") is None, reason="gcc on Linux")
 def test_the_heated_room_of_jmodelica_that_modestpy_ships(shipped, workplace):

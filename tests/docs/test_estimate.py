@@ -16,7 +16,7 @@ DOCUMENT = Path(__file__).parents[2] / "docs" / "estimate.md"
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?")
 BLOCKS = re.findall(r"```\w*\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)
 
-pytestmark = pytest.mark.fmu
+pytestmark = [pytest.mark.full, pytest.mark.fmu]
 
 
 def run_as_told(command, shown, line_of_time, capsys):

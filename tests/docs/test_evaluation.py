@@ -51,6 +51,7 @@ def test_the_prose_names_no_measured_number_by_hand():
     assert set(re.findall(r"\d+\.\d+", ours)) <= quoted
 
 
+@pytest.mark.full
 @pytest.mark.fmu
 @pytest.mark.parametrize(
     "estimator",

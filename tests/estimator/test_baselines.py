@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy import optimize
 from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
 
-from estimator import DerivativeResidual, Objective, Parameter, ParameterSpace, ResidualWindow, Sample, baselines
+from estimator import DerivativeResidual, Objective, Parameter, ParameterSpace, ResidualWindow, Sample
 from estimator.baselines import LeastSquares, LeastSquaresSettings, NoisyNorm, NormSettings
 from fmu_models import quadrotor
 
@@ -215,11 +216,11 @@ def test_what_is_minimised_is_the_norm_with_fresh_noise_at_each_evaluation(monke
     """3-4-0 has norm 5. Kolmogorov and Smirnov against that normal distribution."""
     values = []
 
-    def take(function, x0, bounds, settings):
+    def take(function, x0, **_):
         values.extend(function(x0) for _ in range(2000))
         return type("Result", (), {"x": x0, "fun": values[-1]})
 
-    monkeypatch.setattr(baselines, "_minimize", take)
+    monkeypatch.setattr(optimize, "minimize", take)
     estimate, asked = noisy_norm(LINE, [0.5], lambda theta: np.array([3.0, -4.0, 0.0]), noise=noise)
     assert (len(asked), estimate.n_evaluations, estimate.cost) == (2000, 2000, values[-1])
     if noise:
@@ -231,10 +232,10 @@ def test_what_is_minimised_is_the_norm_with_fresh_noise_at_each_evaluation(monke
 def test_where_the_model_has_no_value_the_norm_is_a_large_number(monkeypatch):
     """Optimisers need one; NaN would compare as no worse than anything."""
 
-    def take(function, x0, bounds, settings):
+    def take(function, x0, **_):
         return type("Result", (), {"x": x0, "fun": function(x0)})
 
-    monkeypatch.setattr(baselines, "_minimize", take)
+    monkeypatch.setattr(optimize, "minimize", take)
     estimate, _ = noisy_norm(LINE, [0.5], lambda theta: np.array([np.nan, 1.0]), noise=0.0)
     assert estimate.cost == 1e12
 

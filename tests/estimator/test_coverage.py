@@ -55,6 +55,7 @@ def n_covered(name, change):
     return covered
 
 
+@pytest.mark.full_but("3.0")
 @pytest.mark.parametrize("change", [2.0, 2.5, 3.0, 4.0, 12.0])
 def test_intervals_of_target_cover_although_it_holds_small_changes(change):
     """Changes below three standard deviations are held at the old value: a bias that the interval has to have."""

@@ -165,6 +165,7 @@ MUTANTS = [
 ]  # fmt: skip
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("name", "old", "new", "check"),
     [pytest.param(*m[1:4], check, id=f"{m[0]}-{check.removeprefix('check_')}") for m in MUTANTS for check in m[4]],

@@ -48,7 +48,7 @@ def test_what_has_failed_is_not_called_again(faulty, tmp_path, monkeypatch, isol
         with pytest.raises(SlaveError, match="returned discard"):
             slave.step([0.0], 2 * H, H)
         slave.close()
-    assert not marker.exists()
+        assert not marker.exists()
 
 
 def test_an_fmu_that_is_called_after_its_fault_notes_it(faulty, tmp_path, monkeypatch):
@@ -114,6 +114,7 @@ def scenario(native, tmp_path):
     return write
 
 
+@pytest.mark.full_but("crash", "exit", "initialization", "status")
 @pytest.mark.parametrize(
     ("how", "where", "settings", "message"),
     [
@@ -131,10 +132,7 @@ def scenario(native, tmp_path):
     ],
     ids=["crash", "exit", "hang", "memory", "initialization", "status"],
 )
-def test_a_run_that_faults_says_so_and_keeps_its_rows(
-    scenario, command, tmp_path, monkeypatch, how, where, settings, message
-):
-    monkeypatch.setenv("FMU_RETUNE_CACHE", str(tmp_path / "cache"))
+def test_a_run_that_faults_says_so_and_keeps_its_rows(scenario, command, tmp_path, how, where, settings, message):
     out = tmp_path / "out"
     more = [option for s in settings for option in ("--set", f"scenario.{s}")]
     code, printed, err = command("run", scenario(how, where), "--only", "--estimator", "none", "--out", out, *more)

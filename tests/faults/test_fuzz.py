@@ -120,8 +120,9 @@ def mutants(n: int):
     return range(SEED, SEED + (N_MUTANTS or n))
 
 
+@pytest.mark.full_but("Native-2")
 @pytest.mark.parametrize(("name", "fmi"), [("Pendulum", 2), ("Pendulum", 3), ("Native", 2)])
-def test_descriptions(native, tmp_path, name, fmi, faults_cache):
+def test_descriptions(native, tmp_path, name, fmi):
     sound = native if name == "Native" else find_fmu(name, Path(), fmi)
     with zipfile.ZipFile(sound) as archive:
         contents = {n: archive.read(n) for n in archive.namelist() if n.startswith(("modelD", "binaries"))}
@@ -135,6 +136,7 @@ def test_descriptions(native, tmp_path, name, fmi, faults_cache):
         told(try_fmu, path, seed)
 
 
+@pytest.mark.full
 def test_archives_and_libraries(native, tmp_path):
     """Bytes of the archive; every second time those of the library within a sound archive."""
     with zipfile.ZipFile(native) as archive:
@@ -152,8 +154,9 @@ def test_archives_and_libraries(native, tmp_path):
         told(try_fmu, path, seed)
 
 
+@pytest.mark.full_but("pendulum")
 @pytest.mark.parametrize("name", named_scenarios())
-def test_scenarios(tmp_path, name, faults_cache):
+def test_scenarios(tmp_path, name):
     text = (files("cosim") / "scenarios" / f"{name}.toml").read_text(encoding="utf-8")
     path = tmp_path / "mutant.toml"
     for seed in mutants(60):
@@ -169,11 +172,3 @@ def told(function, path: Path, seed: int) -> None:
     except Exception as error:
         error.add_note(f"the mutant of FUZZ_SEED={seed} FUZZ_MUTANTS=1, kept at {path}")
         raise
-
-
-@pytest.fixture(scope="module")
-def faults_cache(tmp_path_factory):
-    """The built-in FMUs are built once, never into the user's cache."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("FMU_RETUNE_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield

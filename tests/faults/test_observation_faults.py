@@ -26,13 +26,6 @@ QUADROTOR = {"scenario.stop_time": "0.8", "scenario.isolation": "none"}
 NOISY_STATES = {"sampling.states": '{"plant.phi" = {noise = 1e-5}, "plant.phi_dot" = {noise = 1e-5}}'}
 
 
-@pytest.fixture(scope="module", autouse=True)
-def cache(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("FMU_RETUNE_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
 def fault(kind, sensor=None, **settings):
     """One fault as a TOML table."""
     settings = {"kind": f'"{kind}"'} | ({"sensor": f'"{sensor}"'} if sensor else {}) | settings
@@ -91,6 +84,7 @@ ROWS = {
 }  # fmt: skip
 
 
+@pytest.mark.full_but("one NaN", "infinity", "one spike", "bias", "stuck", "late once")
 @pytest.mark.parametrize(("faults", "found", "kept_out", "failed"), ROWS.values(), ids=list(ROWS))
 def test_a_fault_is_found_counted_and_kept_from_the_estimator(faults, found, kept_out, failed, tmp_path):
     result, events = ran(tmp_path / "run", *faults)
@@ -132,6 +126,7 @@ OUTPUT_ROWS = {
 }  # fmt: skip
 
 
+@pytest.mark.full_but("NaN for 0.2 s")
 @pytest.mark.parametrize("name", OUTPUT_ROWS)
 def test_a_bad_output_is_left_out_of_roll_outs_which_find_the_parameters_all_the_same(name, tmp_path):
     faults, found, kept_out, failed = OUTPUT_ROWS[name]
@@ -208,6 +203,7 @@ def test_a_bias_of_a_state_that_was_always_there_is_not_found(tmp_path):
     assert result.observations["kept_out"] <= 2
 
 
+@pytest.mark.full
 def test_several_sensors_of_the_quadrotor_are_told_apart(tmp_path):
     result, _ = ran(
         tmp_path / "run",
@@ -218,6 +214,7 @@ def test_several_sensors_of_the_quadrotor_are_told_apart(tmp_path):
     assert set(result.observations["found"]) >= {"missing plant.der(v_x)", "stuck plant.der(Omega_z)"}
 
 
+@pytest.mark.full_but("least-squares")
 @pytest.mark.parametrize("estimator", ["paper", "bo-scalar", "least-squares", "rls", "ukf", "sqp"])
 def test_spikes_and_gaps_end_no_estimator(estimator, tmp_path):
     faults = fault("dropout", RATE, probability=0.2), fault("spikes", RATE, size=20.0, probability=0.05)

@@ -53,31 +53,28 @@ class Runs(NamedTuple):
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory) -> Iterator[Runs]:
     folder = tmp_path_factory.mktemp("runs")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("FMU_RETUNE_CACHE", str(folder / "cache"))
-        build("Pendulum", folder)
-        (folder / f"{MODEL}.py").write_text("from fmu_models.pendulum import derivative as derivative\n")
-        source = Path(main.__code__.co_filename).parent / "scenarios" / "pendulum.toml"
-        shutil.copy(source, folder / "mine.toml")
-        scenario = Scenario.load(folder / "mine.toml", SETTINGS)
+    build("Pendulum", folder)
+    (folder / f"{MODEL}.py").write_text("from fmu_models.pendulum import derivative as derivative\n")
+    source = Path(main.__code__.co_filename).parent / "scenarios" / "pendulum.toml"
+    shutil.copy(source, folder / "mine.toml")
+    scenario = Scenario.load(folder / "mine.toml", SETTINGS)
 
-        def stop(t, _):
-            if t > 0.445:
-                raise Stopped
+    def stop(t, _):
+        if t > 0.445:
+            raise Stopped
 
-        for name in ("done", "left"):
-            (folder / name).mkdir()
-        run(scenario, "target", 1, folder / "done")
-        with pytest.raises(Stopped):
-            run(scenario, "target", 1, folder / "left", stop)
-        yield Runs(folder, folder / "done", folder / "left")
+    for name in ("done", "left"):
+        (folder / name).mkdir()
+    run(scenario, "target", 1, folder / "done")
+    with pytest.raises(Stopped):
+        run(scenario, "target", 1, folder / "left", stop)
+    yield Runs(folder, folder / "done", folder / "left")
     sys.modules.pop(MODEL)
 
 
 @pytest.fixture(autouse=True)
-def restored(runs, monkeypatch) -> Iterator[None]:
+def restored(runs) -> Iterator[None]:
     """What the scenario is made of is put back after each row; so is what the command changes in this process."""
-    monkeypatch.setenv("FMU_RETUNE_CACHE", str(runs.scenario / "cache"))
     kept = {path: path.read_bytes() for path in runs.scenario.iterdir() if path.is_file()}
     handler, environment = signal.getsignal(signal.SIGTERM), dict(os.environ)
     yield

@@ -38,21 +38,15 @@ SHORT = "scenario.stop_time=0.1"
 WALL_TIMES = {"run", "wall_s", "latency_ms", "missed_deadlines"}
 
 
-@pytest.fixture(scope="module")
-def environment(tmp_path_factory) -> dict[str, str]:
-    """Of the commands; FMUs are built once."""
-    return os.environ | {"FMU_RETUNE_CACHE": str(tmp_path_factory.mktemp("cache"))}
-
-
 @pytest.fixture
-def started(environment, temporary) -> Iterator[Callable[..., subprocess.Popen]]:
+def started(temporary) -> Iterator[Callable[..., subprocess.Popen]]:
     """Starts the command in a session of its own; whatever of it is left at the end is killed."""
     processes: list[subprocess.Popen] = []
 
     def start(*arguments: object, **options: object) -> subprocess.Popen:
         process = subprocess.Popen(
             [RETUNE, *map(str, arguments)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-            start_new_session=True, env=environment | {"TMPDIR": str(temporary)}, **options,
+            start_new_session=True, env=os.environ | {"TMPDIR": str(temporary)}, **options,
         )  # fmt: skip
         processes.append(process)
         return process
@@ -124,7 +118,7 @@ def assert_readable(undisturbed: Path, folder: Path) -> int:
 
 
 @pytest.fixture(scope="module")
-def undisturbed(environment, tmp_path_factory) -> Callable[..., Path]:
+def undisturbed(tmp_path_factory) -> Callable[..., Path]:
     """The folder of a run that nobody disturbs, made once."""
     made: dict[tuple[str, ...], Path] = {}
 
@@ -132,7 +126,7 @@ def undisturbed(environment, tmp_path_factory) -> Callable[..., Path]:
         if arguments not in made:
             made[arguments] = tmp_path_factory.mktemp("undisturbed") / "run"
             command = [RETUNE, *arguments, "--out", made[arguments]]
-            subprocess.run(command, env=environment, check=True, capture_output=True)
+            subprocess.run(command, check=True, capture_output=True)
         return made[arguments]
 
     return of
@@ -145,6 +139,7 @@ KILLS = {
 }
 
 
+@pytest.mark.full_but("rls")
 @pytest.mark.parametrize(("arguments", "n_kills"), KILLS.values(), ids=KILLS)
 def test_a_run_that_is_killed_again_and_again_ends_with_the_same_bits(
     started, undisturbed, temporary, processes, tmp_path, arguments, n_kills
@@ -166,6 +161,7 @@ def test_a_run_that_is_killed_again_and_again_ends_with_the_same_bits(
     assert list(temporary.iterdir()) == []
 
 
+@pytest.mark.full
 def test_a_run_that_is_killed_while_it_is_compared_goes_on_with_that(
     started, undisturbed, temporary, processes, tmp_path
 ):
@@ -186,6 +182,7 @@ def test_a_run_that_is_killed_while_it_is_compared_goes_on_with_that(
     assert (code, out, err) == (2, "", f"retune: {folder} cannot be resumed: it is done.\n")
 
 
+@pytest.mark.full
 def test_a_run_that_goes_on_is_nobody_elses(started, tmp_path, processes):
     folder = tmp_path / "run"
     process = started(*PENDULUM, "--only", "--out", folder, "--set", "scenario.stop_time=36000")
@@ -227,6 +224,7 @@ def disk(tmp_path) -> Iterator[Path]:
     subprocess.run(["umount", str(folder)], check=True)
 
 
+@pytest.mark.full
 def test_a_run_on_a_full_disk_goes_on_when_there_is_room(started, undisturbed, temporary, disk):
     arguments = [*PENDULUM, "--only"]
     whole, folder = undisturbed(*arguments), disk / "run"
@@ -240,6 +238,7 @@ def test_a_run_on_a_full_disk_goes_on_when_there_is_room(started, undisturbed, t
     assert list(temporary.iterdir()) == []
 
 
+@pytest.mark.full_but("export")
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -265,6 +264,7 @@ def test_every_command_for_which_the_disk_has_no_room_says_so_and_has_not_finish
     assert [path.name for path in disk.rglob("*") if path.is_file() and path.stat().st_size] == ["filler"]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", [CHECKPOINT, SERIES])
 def test_a_run_whose_files_may_not_grow_goes_on_when_they_may(
     started, undisturbed, temporary, tmp_path, processes, name

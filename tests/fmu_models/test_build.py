@@ -45,6 +45,7 @@ def copy_of_the_package(directory):
     return directory
 
 
+@pytest.mark.full
 def test_two_processes_in_two_directories_build_the_same_bytes(tmp_path):
     for name, seed in (("a", "1"), ("somewhere/else", "2")):
         in_a_process(BUILD_ALL, tmp_path / name, PYTHONHASHSEED=seed, TZ="Asia/Tokyo" if seed == "2" else "UTC")
@@ -52,6 +53,7 @@ def test_two_processes_in_two_directories_build_the_same_bytes(tmp_path):
     assert set(digests(tmp_path / "a")) == {f"{name}.fmu" for name in build.NAMES}
 
 
+@pytest.mark.full
 def test_fmi_3_builds_are_the_same_bytes_too(tmp_path):
     for name, seed in (("a", "1"), ("somewhere/else", "2")):
         in_a_process(BUILD_FMI_3, tmp_path / name, PYTHONHASHSEED=seed, TZ="Asia/Tokyo" if seed == "2" else "UTC")
@@ -100,6 +102,7 @@ def test_the_guid_follows_the_sources(tmp_path):
     assert in_a_process(code, root=root).strip() != build.guid("Pendulum")
 
 
+@pytest.mark.full
 def test_an_installed_package_is_not_written_to(tmp_path):
     root = copy_of_the_package(tmp_path / "site")
     before = digests(root / "fmu_models")
@@ -115,6 +118,7 @@ def digests_of_a_build(directory):
     return digests(directory)
 
 
+@pytest.mark.full
 def test_builds_at_the_same_time_leave_whole_files_and_nothing_else(tmp_path):
     command = [sys.executable, "-P", "-c", BUILD_ALL, str(tmp_path / "out")]
     variables = {**os.environ, "PYTHONPATH": str(PACKAGE.parent)}

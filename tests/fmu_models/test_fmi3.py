@@ -136,6 +136,7 @@ def test_elements_keep_their_order_and_none_is_lost(name):
 # -- descriptions ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.full_but("me")
 @fmu
 @pytest.mark.parametrize("kind", [3, "me"])
 def test_fmpy_finds_nothing_to_say(fmus, kind):
@@ -226,6 +227,7 @@ def test_references_depend_on_time(name):
 # -- co-simulation --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.full_but("Pendulum", "QuadrotorControllerAdaptive")
 @fmu
 @each_model
 def test_it_computes_bit_for_bit_what_the_fmi_2_fmu_does(fmus, name):
@@ -237,6 +239,7 @@ def test_it_computes_bit_for_bit_what_the_fmi_2_fmu_does(fmus, name):
     assert ours["rows"][0] != ours["rows"][-1]
 
 
+@pytest.mark.full_but("Pendulum")
 @fmu
 @each_model
 def test_a_rollback_repeats_every_bit_here_and_in_another_instance(fmus, name):
@@ -247,6 +250,7 @@ def test_a_rollback_repeats_every_bit_here_and_in_another_instance(fmus, name):
     assert result["rows"][0] == result["rows"][1] == result["rows"][2]
 
 
+@pytest.mark.full_but("Pendulum")
 @fmu
 @each_model
 def test_an_fmu_brings_all_it_needs(fmus, name):
@@ -331,6 +335,7 @@ def simulated(path, **options):
     return {name: np.array(values) for name, values in json.loads(done.stdout).items()}
 
 
+@pytest.mark.full_but("Pendulum", "Quadrotor")
 @fmu
 @each_model
 def test_it_runs_in_fmpy(fmus, name):

@@ -308,6 +308,7 @@ def test_thrust_needs_neither_rates_nor_yaw_nor_higher_derivatives():
 # -- simulation ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.full_but("Pendulum", "QuadrotorController")
 @fmu
 @pytest.mark.interop
 @each_model
@@ -482,6 +483,7 @@ def test_a_per_cent_sign_in_an_error_reaches_the_logger_doubled(tmp_path):
     assert all("%" not in other.replace("%%", "") for _, other in others)
 
 
+@pytest.mark.full
 @fmu
 def test_all_share_one_process(fmus):
     rows = host("together", fmus=list(fmus.values()), n_steps=5)["rows"]
@@ -525,6 +527,7 @@ def test_an_fmu_brings_all_it_needs(fmus, name):
         assert "/resources/" in modules[module].replace("\\", "/")
 
 
+@pytest.mark.full_but("Pendulum")
 @fmu
 @each_model
 def test_the_script_s_namespace_outlives_many_instances(fmus, name):

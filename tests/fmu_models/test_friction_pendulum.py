@@ -328,6 +328,7 @@ def test_the_model_agrees_with_the_truth(check):
     CHECKS[check](friction_pendulum)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("old", "new", "check"),
     [pytest.param(*m[1:3], check, id=f"{m[0]}-{check.removeprefix('check_')}") for m in MUTANTS for check in m[3]],

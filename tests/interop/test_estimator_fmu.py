@@ -17,14 +17,7 @@ from cosim.estimator_fmu.build import build_estimator
 from fmu_models.build import build
 
 HERE = Path(__file__).parent
-pytestmark = pytest.mark.fmu
-
-
-@pytest.fixture(scope="module", autouse=True)
-def cache(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("FMU_RETUNE_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield
+pytestmark = [pytest.mark.full, pytest.mark.fmu]
 
 
 @pytest.fixture(scope="module")
@@ -131,7 +124,7 @@ def as_components(scenario: Scenario, wired: dict) -> Scenario:
     libcosim passes on initial outputs before the first step; here the controller's inputs start as they are then.
     """
     tree, phi = scenario.model_dump(), scenario.components["plant"].start["phi"]
-    tree["scenario"] |= {"coupling": "parallel"}
+    tree["scenario"] |= {"coupling": "parallel", "timeout": 60.0}  # the estimator loads GPy
     tree["components"] = {
         n: {"fmu": path, "start": dict(wired["start"].get(n, {}))} for n, path in wired["fmus"].items()
     }
@@ -147,7 +140,8 @@ def test_libcosim_joins_the_four_fmus_by_connections_alone_and_re_tunes(plan, tm
     pytest.importorskip("libcosimpy")
     scenario, wired = plan("pendulum", 5.0)
     seen = rows_of("libcosim_master.py", wired, str(tmp_path))
-    ours = run(as_components(scenario, wired), "none").series
+    ours = run(as_components(scenario, wired), "none")
+    assert ours.status == "done", ours.error
     n = scenario.scenario.n_steps
     np.testing.assert_allclose(seen["plant.phi"], ours["plant.phi"][1 : n + 1], rtol=0.0, atol=1e-9)
     for name in ("controller.m_held", "controller.l_held"):  # a search ends elsewhere for a rounding of what it is told

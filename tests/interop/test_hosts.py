@@ -19,6 +19,7 @@ from cosim import open_slave
 from fmu_models.build import NAMES, build_all
 
 pytestmark = [
+    pytest.mark.full,
     pytest.mark.interop,
     pytest.mark.fmu,
     pytest.mark.skipif(sys.platform != "linux", reason="LD_PRELOAD is Linux's"),

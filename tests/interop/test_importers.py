@@ -24,7 +24,7 @@ from cosim.system.fmu_cache import find_fmu
 from cosim.system.master import Master, Wiring
 from fmu_models.build import NAMES
 
-pytestmark = [pytest.mark.interop, pytest.mark.fmu]
+pytestmark = [pytest.mark.full, pytest.mark.interop, pytest.mark.fmu]
 
 ROOT = Path(__file__).parents[2]
 SCRIPTS = Path(__file__).with_name("importers")
@@ -104,13 +104,6 @@ START = {"pendulum": {"reference.phi_initial": 0.8, "reference.step_time": 0.305
 each_importer = pytest.mark.parametrize("importer", IMPORTERS)
 each_case = pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.importer}-{case.order}")
 each_loop = pytest.mark.parametrize("loop", LOOPS)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def cache_of_fmus(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("FMU_RETUNE_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield
 
 
 # -- jobs ---------------------------------------------------------------------------------------------------------

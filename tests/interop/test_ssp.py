@@ -23,7 +23,7 @@ from cosim.ssp.run import wiring_of
 from cosim.ssp.write import to_ssp
 from cosim.system.master import Master
 
-pytestmark = pytest.mark.fmu
+pytestmark = [pytest.mark.full, pytest.mark.fmu]
 
 STEPS, STEP = 200, 0.01
 NAMES = {
@@ -86,11 +86,9 @@ print(json.dumps(list(zip(*rows))), flush=True)
 def exported(request, tmp_path_factory):
     """Name of the scenario, its package, and our simulation of that (n, variables)."""
     path = tmp_path_factory.mktemp("ssp") / f"{request.param}.ssp"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("FMU_RETUNE_CACHE", str(tmp_path_factory.getbasetemp() / "ssp-cache"))
-        path.write_bytes(to_ssp(Scenario.load(request.param, SETTINGS.get(request.param, {}))))
-        system = System.from_ssp(path)
-        run = system.simulate(stop_time=STEPS * STEP)
+    path.write_bytes(to_ssp(Scenario.load(request.param, SETTINGS.get(request.param, {}))))
+    system = System.from_ssp(path)
+    run = system.simulate(stop_time=STEPS * STEP)
     ours = np.stack([run[name] for name in NAMES[request.param]], axis=1)
     assert np.all(np.ptp(ours[:, :2], axis=0) > 1e-3)  # a loop at rest would agree with anything
     return request.param, path, system, ours

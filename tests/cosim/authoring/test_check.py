@@ -1,7 +1,6 @@
 """`retune check`: each thing that is wrong or risky is found where it is, and a sound scenario has none."""
 
 import re
-from pathlib import Path
 
 import pytest
 
@@ -11,60 +10,6 @@ from cosim.errors import ScenarioError
 from cosim.scenarios.named import named_scenarios
 
 pytestmark = pytest.mark.fmu
-
-AXIS = """
-[scenario]
-name = "axis"
-stop_time = 1.0
-macro_step = 0.01
-[components]
-plant = { fmu = "Axis.fmu" }
-controller = { fmu = "AxisController.fmu" }
-reference = { table = "steps.csv" }
-[connections]
-"controller.s_meas" = "plant.mass.s"
-"controller.v_meas" = "plant.mass.v"
-"controller.sRef" = "reference.s_ref"
-"controller.vRef" = "reference.v_ref"
-"plant.f" = "controller.f_cmd"
-[changes]
-"plant.mass.m" = [[0.0, 2.0], [0.3, 3.0]]
-[tracking]
-"plant.mass.s" = "reference.s_ref"
-[sampling.derivatives]
-"plant.der(mass.v)" = { noise = 1e-3 }
-[estimation]
-model = "axis_model:derivative"
-trigger = { kind = "innovation" }
-[[estimation.parameters]]
-name = "m"
-lower = 0.5
-upper = 10.0
-unit = "kg"
-writes = "controller.m"
-true = "plant.mass.m"
-"""
-MODEL = "def derivative(x, u, m):\n    return ((u[0] - 8.0 * x[1] - x[0]) / m, x[0])\n"
-
-
-@pytest.fixture
-def axis(foreign, tmp_path):
-    """Writes the scenario beside its FMUs and its table, with pairs of text replaced; its path."""
-    for name in ("Axis.fmu", "AxisController.fmu"):
-        (tmp_path / name).symlink_to(foreign / name)
-    (tmp_path / "steps.csv").write_text("time [s], s_ref [m], v_ref [m/s]\n0, 1, 0\n1, 1, 0\n")
-    (tmp_path / "axis_model.py").write_text(MODEL)
-
-    def write(*replacements: tuple[str, str]) -> Path:
-        text = AXIS
-        for old, new in replacements:
-            assert text.count(old) == 1, old
-            text = text.replace(old, new)
-        path = tmp_path / "axis.toml"
-        path.write_text(text)
-        return path
-
-    return write
 
 
 @pytest.mark.parametrize("name", named_scenarios())

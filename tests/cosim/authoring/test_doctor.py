@@ -62,6 +62,7 @@ def finding(diagnosis, subject):
     return found
 
 
+@pytest.mark.full_but("Pendulum")
 @pytest.mark.parametrize("name", NAMES)
 def test_our_fmus_lack_nothing(tmp_path, name):
     diagnosis = diagnose(find_fmu(name, tmp_path))

@@ -1,10 +1,12 @@
 """`retune new`: from FMUs that nobody has joined to a re-tuned controller, by way of one file to look over."""
 
 import re
+import shutil
 import tomllib
 
 import pytest
 
+from benchmarks.native_fmus import FOREIGN
 from cosim.authoring.check import check
 from cosim.authoring.draft import draft
 from cosim.cli import main
@@ -14,9 +16,6 @@ from cosim.scenarios.scenario import Scenario
 from cosim.system.fmu_cache import find_fmu
 
 pytestmark = pytest.mark.fmu
-
-STEPS = "time [s], s_ref [m], v_ref [m/s]\n0, 0, 0\n2, 1, 0.5\n2, 1, 0\n5, 1, 0\n"
-AXIS_MODEL = "def derivative(x, u, m, c):\n    v, s = x\n    return ((u[0] - c * s - 1.0 * v) / m, v)\n"
 
 
 def uncommented(text: str, *keys: str) -> str:
@@ -37,7 +36,7 @@ def ours(tmp_path):
 @pytest.fixture
 def theirs(foreign, tmp_path):
     """FMUs compiled from C whose names and units do not agree in every way, and a table of set points."""
-    (tmp_path / "steps.csv").write_text(STEPS)
+    shutil.copy(FOREIGN / "steps.csv", tmp_path)
     return {
         "plant": foreign / "Axis.fmu",
         "controller": foreign / "AxisController.fmu",
@@ -81,7 +80,7 @@ def test_foreign_fmus_run_once_model_and_change_are_filled_in(theirs, tmp_path, 
     out = capsys.readouterr().out
     assert out.count("to fill in") == 2
     path.write_text(uncommented(path.read_text(), "plant.mass.m", "plant.spring.c"))
-    (tmp_path / "plant_model.py").write_text(AXIS_MODEL)
+    shutil.copy(FOREIGN / "axis_model.py", tmp_path / "plant_model.py")
     findings = check(path)
     assert not any(f.is_error for f in findings), findings
     result = run(Scenario.load(path))
@@ -95,7 +94,7 @@ def test_a_plant_without_derivatives_is_drafted_with_a_filter_and_runs(theirs, b
     assert capsys.readouterr().out.count("to fill in") == 2  # the model and what changes, as with derivatives
     text = uncommented(path.read_text(), "plant.mass.m", "plant.spring.c")
     path.write_text(text)
-    (tmp_path / "plant_model.py").write_text(AXIS_MODEL)
+    shutil.copy(FOREIGN / "axis_model.py", tmp_path / "plant_model.py")
     tree = tomllib.loads(text)
     assert tree["sampling"]["derivatives"] == {"plant.der(mass.v)": {"of": "plant.mass.v"}}  # der(mass.s) is mass.v
     assert list(tree["sampling"]["states"]) == ["plant.mass.v", "plant.mass.s"]

@@ -221,6 +221,7 @@ def real(test):
     return pytest.mark.fmu(pytest.mark.usefixtures("leaves_nothing")(test))
 
 
+@pytest.mark.full
 @real
 def test_the_number_of_jobs_changes_no_bit_but_those_of_wall_times(pendulum, tmp_path):
     scenario = pendulum(EARLY_CHANGE)
@@ -265,6 +266,7 @@ def check_folder(out, comparison):
         assert [row[0] for row in csv.reader(file)] == ["estimator", "none", "true", "target"]
 
 
+@pytest.mark.full
 @real
 def test_runs_that_diverge_are_rows_with_their_time(pendulum):
     comparison = compare(pendulum(EARLY_CHANGE | {"limits.divergence": "0.01"}), ["none"], 2, jobs=2)
@@ -295,6 +297,7 @@ def test_what_is_refused_in_a_process_is_one_line_here_and_leaves_nothing(pendul
     assert list(out.iterdir()) == []
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("befalls", "told"),
     [
@@ -334,6 +337,7 @@ def test_what_makes_no_sense_is_refused(pendulum, settings, rule):
         compare(pendulum(), [], **settings)
 
 
+@pytest.mark.full_but("killed")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL], ids=["Ctrl-C", "killed"])
 @real
 def test_an_interrupted_comparison_keeps_what_is_done_and_leaves_no_process(

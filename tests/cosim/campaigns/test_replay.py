@@ -56,6 +56,7 @@ def folder(recorded: Run, tmp_path: Path) -> Path:
     return Path(shutil.copytree(recorded.folder, tmp_path / "run"))
 
 
+@pytest.mark.full_but("innovation")
 @pytest.mark.parametrize(("estimator", "settings"), OWN.values(), ids=OWN)
 def test_a_runs_own_estimator_makes_the_same_of_its_samples(
     tmp_path: Path, estimator: str, settings: dict[str, str]
@@ -70,6 +71,7 @@ def test_a_runs_own_estimator_makes_the_same_of_its_samples(
     assert [len(step) for step in again.latencies] == [len(step) for step in original.latencies]
 
 
+@pytest.mark.full
 def test_another_seed_searches_otherwise_on_the_same_samples(recorded: Run) -> None:
     a, b = (replayed(recorded, "paper", seed) for seed in (5, 6))
     assert not np.array_equal(a.estimates["m"], b.estimates["m"])

@@ -38,14 +38,19 @@ def slave_of(scenario: Scenario, method: str = "target", **start: float) -> Esti
     return slave
 
 
+def places_of(slave, *names) -> list[int]:
+    """Value references."""
+    known = [variable.name for variable in slave.variables]
+    return [known.index(name) for name in names]
+
+
 def put(slave, **values) -> None:
-    for name, value in values.items():
-        i = slave._place[name]
+    for i, value in zip(places_of(slave, *values), values.values(), strict=True):
         getattr(slave, f"set_{slave.variables[i].type.lower()}")([i], [value])
 
 
 def get(slave, *names):
-    places = [slave._place[name] for name in names]
+    places = places_of(slave, *names)
     return [getattr(slave, f"get_{slave.variables[i].type.lower()}")([i])[0] for i in places]
 
 
@@ -61,13 +66,14 @@ def feed(slave, n_steps: int, truth=TRUTH, first: int = 0, error: float = 0.5, n
         phi, phi_dot, u = rng.uniform(-1.5, 1.5), rng.uniform(-2.0, 2.0), rng.uniform(-30.0, 30.0)
         xdot = acceleration(phi, phi_dot, u, **truth) + noise * rng.standard_normal()
         put(slave, phi=phi, phi_dot=phi_dot, u_held=u, phi_ref=phi + error)
-        slave.set_real([slave._place["der(phi_dot)"]], [xdot])
+        slave.set_real(places_of(slave, "der(phi_dot)"), [xdot])
         slave.do_step(0.01 * k, 0.01)
 
 
 # -- what it declares ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.full_but("pendulum")
 @fmu
 @pytest.mark.parametrize("name", named_scenarios())
 def test_every_scenario_s_estimator_is_a_valid_fmu_with_the_plant_s_names_and_units(tmp_path, name):
@@ -105,6 +111,7 @@ def built(name: str, folder: Path) -> Path:
     return build(name, folder)
 
 
+@pytest.mark.full
 @fmu
 def test_the_same_scenario_gives_the_same_bytes_anywhere(tmp_path):
     code = "import sys; from cosim.cli import main; main(['build', '--estimator', 'pendulum', '--out', sys.argv[1]])"
@@ -232,10 +239,10 @@ def test_a_saved_state_repeats_every_bit():
     for _ in range(2):
         assert get(slave, "m", "l", "n_evaluations") == before
         feed(slave, 40, first=10, noise=1e-3)
-        runs.append(list(slave._values))
+        runs.append(get(slave, *(variable.name for variable in slave.variables)))
         slave._set_fmu_state(saved)
     assert runs[0] == runs[1]
-    assert runs[0][slave._place["n_evaluations"]] > before[2]
+    assert runs[0][places_of(slave, "n_evaluations")[0]] > before[2]
 
 
 # -- what it ships, and where that is not enough --------------------------------------------------------------------
@@ -334,6 +341,7 @@ def test_a_user_s_model_is_shipped_with_what_it_imports(users, tmp_path):
     assert result["modules"] == []  # neither installed ones nor names that another FMU could have
 
 
+@pytest.mark.full
 @fmu
 def test_two_models_of_the_same_name_share_a_process(users, tmp_path):
     """The second model accelerates half as much: that of half the length, but for the little friction."""
@@ -371,6 +379,7 @@ os._exit(0)
 """
 
 
+@pytest.mark.full_but("scipy")
 @fmu
 @pytest.mark.parametrize("package", ["GPy", "scipy"])
 def test_a_missing_package_is_told_in_the_log_and_instantiation_fails_again_and_again(tmp_path, package):
@@ -417,7 +426,7 @@ def test_it_needs_no_more_than_it_says(tmp_path):
 def test_the_archive_holds_no_more_of_the_co_simulation_than_is_loaded(tmp_path):
     with zipfile.ZipFile(build_estimator(Scenario.load("quadrotor"), tmp_path)) as archive:
         names = {Path(name).name for name in archive.namelist() if name.startswith("resources/cosim_")}
-    assert names == {"__init__.py", "loop.py", "slave.py", "reconfigure.py", "triggers.py"}
+    assert names == {"__init__.py", "loop.py", "slave.py"}
 
 
 @fmu

@@ -129,6 +129,7 @@ def versions(*components):
     return {f"components.{component}.fmi": "3" for component in components}
 
 
+@pytest.mark.full_but("plant")
 @pytest.mark.parametrize("three", [("plant",), ("controller", "reference"), ALL], ids="-".join)
 def test_a_re_tuned_pendulum_is_the_same_bit_for_bit(pendulum, three):
     at_once = {"estimation.trigger": '{ kind = "always" }'}
@@ -140,6 +141,7 @@ def test_a_re_tuned_pendulum_is_the_same_bit_for_bit(pendulum, three):
         np.testing.assert_array_equal(mixed[name], two[name])
 
 
+@pytest.mark.full_but("plant-none")
 @pytest.mark.parametrize("isolation", ["process", "none"])
 @pytest.mark.parametrize("three", [("plant",), ("controller",), ALL], ids="-".join)
 def test_the_quadrotor_scenario_runs_on_either_version_mixed(three, isolation):

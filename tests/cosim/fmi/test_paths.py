@@ -34,6 +34,7 @@ def test_an_fmu_s_folder_has_a_name_that_a_uri_keeps(odd):
     assert not folder.exists()
 
 
+@pytest.mark.full_but("c++-2")
 @pytest.mark.fmu
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_a_scenario_runs_from_an_odd_folder(odd, fmi, leaves_no_folder):
@@ -80,6 +81,7 @@ def test_where_no_folder_will_do_it_is_said_in_one_line(odd, tmp_path, monkeypat
         open_slave(path, "plant")
 
 
+@pytest.mark.full
 @pytest.mark.fmu
 def test_the_command_runs_there(odd):
     """In a fresh process, with folder, output and temporary files of an odd name."""

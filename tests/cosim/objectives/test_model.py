@@ -97,6 +97,7 @@ def test_an_fmu_that_dies_on_a_candidate_is_started_anew(model, children):
     assert fmu(X, U, **THETA) == before
 
 
+@pytest.mark.full
 def test_the_pendulum_is_re_tuned_with_an_fmu_as_its_model(leaves_nothing):
     """The scenario of the paper to a second after the jump to 4.271 kg and 0.981 m; noise 1e-3 rad/s^2."""
     settings = {"scenario.stop_time": "4.0", "estimation.model": "Pendulum"}

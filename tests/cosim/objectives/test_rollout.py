@@ -96,6 +96,7 @@ def live_objective(leaves_nothing):
         yield made
 
 
+@pytest.mark.full_but("measured")
 @pytest.mark.parametrize("way", ["state", "measured", "replay", None])
 def test_a_residual_is_the_simulated_minus_the_measured_outputs(live_objective, way):
     """The FMU's own steps of 10 ms by the classical Runge-Kutta rule are good to 1e-7 rad here; the noise is 1e-3."""
@@ -112,6 +113,7 @@ def test_a_residual_is_the_simulated_minus_the_measured_outputs(live_objective, 
     assert objective.way == (way or "state")
 
 
+@pytest.mark.full
 def test_all_ways_of_beginning_lead_to_the_same_residuals(live_objective):
     found = {}
     for way in ("state", "measured", "replay"):
@@ -137,18 +139,18 @@ def test_a_replay_takes_the_parameters_that_were_believed_then(live_objective):
     np.testing.assert_allclose(found.residual, expected.T.reshape(-1), atol=2e-3)
 
 
+@pytest.mark.full_but("measured")
 @pytest.mark.parametrize("way", ["state", "measured", "replay"])
-def test_following_gives_what_a_whole_roll_out_gives_a_step_at_a_time(live_objective, way):
+def test_following_gives_what_a_whole_roll_out_gives_a_step_at_a_time(live_objective, monkeypatch, way):
     objective, step = live_objective(way)
-    window = EpisodeWindow(objective, 6)
+    window, track, stretches = EpisodeWindow(objective, 6), objective.track, []
+    monkeypatch.setattr(objective, "track", lambda theta, s: stretches.append(s) or track(theta, s))
     for _ in range(28):
         window.append(*step(1, is_heard=False))
         followed = window.track(TRUTH)
-        stretch = window._stretch_from(window._anchors[-1])
-        whole = (
-            objective.evaluate([TRUTH], stretch)[0].residual if stretch.n_steps and objective.is_ready else np.empty(0)
-        )
-        np.testing.assert_allclose(followed, whole, rtol=1e-9, atol=1e-9)
+        if stretches and objective.is_ready:
+            (whole,) = objective.evaluate([TRUTH], stretches[-1])
+            np.testing.assert_allclose(followed, whole.residual if len(followed) else [], rtol=1e-9, atol=1e-9)
     assert len(followed)
 
 
@@ -159,6 +161,7 @@ def end(result):
     return np.array([result.estimates[name][-1] for name in ("m", "l")])
 
 
+@pytest.mark.full_but("measured")
 @pytest.mark.parametrize("way", ["state", "measured", "replay"])
 def test_a_changed_pendulum_is_found_from_its_outputs_alone(pendulum, leaves_nothing, way):
     settings = EARLY | ROLLOUT | {"estimation.rollout.start": way}
@@ -172,6 +175,7 @@ def test_a_changed_pendulum_is_found_from_its_outputs_alone(pendulum, leaves_not
     assert "as asked" in result.objective
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("trigger", [pytest.param("tracking", marks=slow), "innovation"])
 def test_the_same_bits_come_of_any_number_of_processes_and_of_the_same_seed(
     pendulum, tmp_path, leaves_nothing, trigger
@@ -198,6 +202,7 @@ def test_innovations_of_outputs_begin_an_episode_where_the_jump_was(pendulum, tm
     assert first["samples"] == f"the last {n_past}, which they do not explain, and the next {10 - n_past}"
 
 
+@pytest.mark.full
 def test_a_jump_in_mid_window_is_made_good_by_the_next_episode(pendulum, tmp_path):
     """The second jump, 50 ms after the first, is inside the window of thirty samples."""
     twice = {
@@ -210,6 +215,7 @@ def test_a_jump_in_mid_window_is_made_good_by_the_next_episode(pendulum, tmp_pat
     np.testing.assert_allclose(end(result), [2.3, 0.8], rtol=0.1)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     "name",
     [
@@ -226,6 +232,7 @@ def test_every_estimator_of_episodes_takes_roll_outs_within_its_budget(pendulum,
     assert result.summary()["model_calls"] >= result.n_evaluations
 
 
+@pytest.mark.full
 def test_a_recorded_run_is_replayed_from_its_measured_states(pendulum, tmp_path):
     """There is no plant to take a state of; the measured states, with the noise of the outputs, are on record."""
     settings = EARLY | SHORT | {"estimation.rollout.start": "measured"}
@@ -327,6 +334,7 @@ FAULTS = {
 }
 
 
+@pytest.mark.full_but("raises")
 @pytest.mark.parametrize(
     "fault",
     [pytest.param(f, id=n, marks=slow if n in ("exits", "is not finite") else ()) for n, f in FAULTS.items()],
@@ -367,6 +375,7 @@ START_METHODS = {
 }
 
 
+@pytest.mark.full_but("states can be saved")
 @pytest.mark.parametrize(("declared", "hidden", "told"), START_METHODS.values(), ids=START_METHODS)
 def test_the_first_way_that_is_seen_to_work_is_taken_and_why_is_said(tmp_path, leaves_nothing, declared, hidden, told):
     path = toml(tmp_path, spoilt(tmp_path, hidden, declared=declared))
@@ -455,39 +464,7 @@ def test_an_objective_is_chosen_by_what_there_is(pendulum, settings, kind):
 
 # -- FMUs compiled from C, with neither states to save nor derivatives that are asked for -------------------------
 
-AXIS = """
-[scenario]
-name = "axis"
-stop_time = 3.0
-macro_step = 0.01
-[components]
-plant = { fmu = "Axis.fmu", start = { "mass.v" = 5.0, "damper.d" = 20.0 } }
-controller = { fmu = "AxisController.fmu", start = { d = 20.0 } }
-reference = { table = "steps.csv" }
-[connections]
-"controller.s_meas" = "plant.mass.s"
-"controller.v_meas" = "plant.mass.v"
-"controller.sRef" = "reference.s_ref"
-"controller.vRef" = "reference.v_ref"
-"plant.f" = "controller.f_cmd"
-[changes]
-"plant.mass.m" = [[0.0, 2.0], [1.0, 3.0]]
-"plant.spring.c" = [[0.0, 8.0], [1.0, 14.0]]
-[tracking]
-"plant.mass.s" = "reference.s_ref"
-[sampling.outputs]
-"plant.mass.s" = { noise = 1e-4 }
-[estimation]
-trigger = { kind = "innovation" }
-window = 20
-[[estimation.parameters]]
-name = "m"
-lower = 0.5
-upper = 10.0
-unit = "kg"
-scale = "log"
-writes = "controller.m"
-true = "plant.mass.m"
+STIFFER_TOO = """true = "plant.mass.m"
 [[estimation.parameters]]
 name = "c"
 lower = 1.0
@@ -500,19 +477,28 @@ true = "plant.spring.c"
 
 
 @pytest.fixture
-def axis(foreign, tmp_path):
-    for name in ("Axis.fmu", "AxisController.fmu"):
-        (tmp_path / name).symlink_to(foreign / name)
+def swinging(axis):
+    """The axis follows a sine; mass and stiffness jump, and are sought in measurements of its position."""
     t = np.arange(0.0, 3.01, 0.01)
     rows = [f"{x:.2f}, {math.sin(5 * x):.9f}, {5 * math.cos(5 * x):.9f}" for x in t]
-    (tmp_path / "steps.csv").write_text("time [s], s_ref [m], v_ref [m/s]\n" + "\n".join(rows))
-    (tmp_path / "axis.toml").write_text(AXIS)
-    return tmp_path / "axis.toml"
+    return axis(
+        ("stop_time = 1.0", "stop_time = 3.0"),
+        ('"Axis.fmu"', '"Axis.fmu", start = { "mass.v" = 5.0, "damper.d" = 20.0 }'),
+        ('"AxisController.fmu"', '"AxisController.fmu", start = { d = 20.0 }'),
+        ("[[0.0, 2.0], [0.3, 3.0]]", '[[0.0, 2.0], [1.0, 3.0]]\n"plant.spring.c" = [[0.0, 8.0], [1.0, 14.0]]'),
+        ("[sampling.derivatives]", "[sampling.outputs]"),
+        ('"plant.der(mass.v)" = { noise = 1e-3 }', '"plant.mass.s" = { noise = 1e-4 }'),
+        ('model = "axis_model:derivative"', "window = 20"),
+        ('unit = "kg"', 'unit = "kg"\nscale = "log"'),
+        ('true = "plant.mass.m"\n', STIFFER_TOO),
+        steps="\n".join(rows),
+    )
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("way", ["auto", "replay"])
-def test_an_fmu_in_c_is_re_tuned_from_its_position_alone(axis, leaves_nothing, way):
-    scenario = Scenario.load(axis, {"estimation.rollout.start": way})
+def test_an_fmu_in_c_is_re_tuned_from_its_position_alone(swinging, leaves_nothing, way):
+    scenario = Scenario.load(swinging, {"estimation.rollout.start": way})
     result = run(scenario, "target")
     assert result.status == "done", result.error
     assert ("measured states" if way != "replay" else "from the start") in result.objective
@@ -555,6 +541,7 @@ def partial(theta, samples):
 """
 
 
+@pytest.mark.full_but('{ kind = "innovation" }')
 @pytest.mark.parametrize("trigger", ['{ kind = "innovation" }', '{ kind = "tracking", threshold = 0.01 }'])
 def test_a_function_of_the_users_is_an_objective(pendulum, workplace, trigger):
     (workplace / "mine.py").write_text(FUNCTION)
@@ -572,6 +559,7 @@ FUNCTION_FAULTS = {
 }
 
 
+@pytest.mark.full_but("raises")
 @pytest.mark.parametrize(("function", "told"), FUNCTION_FAULTS.values(), ids=FUNCTION_FAULTS)
 def test_a_function_that_gives_no_residuals_ends_the_run_in_one_line(pendulum, workplace, function, told):
     (workplace / "mine.py").write_text(FUNCTION)
@@ -581,6 +569,7 @@ def test_a_function_that_gives_no_residuals_ends_the_run_in_one_line(pendulum, w
     assert told in result.error
 
 
+@pytest.mark.full
 def test_candidates_at_which_a_function_has_no_value_have_failed(pendulum, workplace):
     (workplace / "mine.py").write_text(FUNCTION)
     (workplace / "out").mkdir()

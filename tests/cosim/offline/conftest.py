@@ -8,13 +8,13 @@ import pytest
 import scipy.linalg  # noqa: F401 -- its BLAS must be loaded to be limited
 from threadpoolctl import threadpool_limits
 
-from benchmarks.native_fmus import build_c
+from benchmarks.native_fmus import SOURCES, build_c
 
 HERE = Path(__file__).parent
 
 
 @pytest.fixture(scope="session")
-def compile_plant(tmp_path_factory):
+def compile_plant(made_once):
     """compile_plant(*gcc options, **attributes of CoSimulation): the path of the FMU."""
     if shutil.which("gcc") is None:
         pytest.skip("gcc is not installed")
@@ -25,8 +25,12 @@ def compile_plant(tmp_path_factory):
             other = "false" if value == "true" else "true"
             assert f'{name}="{other}"' in description
             description = description.replace(f'{name}="{other}"', f'{name}="{value}"')
-        path = tmp_path_factory.mktemp("plant") / "Plant.fmu"
-        return build_c(HERE / "mass_spring_damper.c", description, path, *options)
+        source = HERE / "mass_spring_damper.c"
+        folder = made_once(
+            lambda folder: build_c(source, description, folder / "Plant.fmu", *options),
+            source, SOURCES, description, options,
+        )  # fmt: skip
+        return folder / "Plant.fmu"
 
     return compiled
 
@@ -43,14 +47,6 @@ def oracles():
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
-
-
-@pytest.fixture(scope="session", autouse=True)
-def cache(tmp_path_factory):
-    """The built-in FMUs are built once a session, never into the user's cache."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("FMU_RETUNE_CACHE", str(tmp_path_factory.mktemp("cache")))
-        yield
 
 
 @pytest.fixture(scope="session", autouse=True)

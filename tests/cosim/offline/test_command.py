@@ -136,6 +136,7 @@ def test_an_fmu_that_is_none(command, log, capsys, tmp_path):
     assert capsys.readouterr().err.count("\n") == 1
 
 
+@pytest.mark.full
 def test_ctrl_c_ends_all_processes(plant, tmp_path, oracles):
     log = oracles.write_log(tmp_path / "long.csv", oracles.measure(0, end=60.0, h=0.001))
     command = [sys.executable, "-m", "cosim.cli", "estimate", str(plant), str(log), *SOUGHT, *ROLES, "--out", "out"]

@@ -75,6 +75,7 @@ def test_the_function_of_the_library_refuses_in_one_line(plant, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.full
 def test_intervals_cover_the_truth(ask, oracles):
     found = [estimate(ask(oracles.measure(seed), seed=seed)) for seed in range(12)]
     z = np.array([errors(f, oracles) for f in found])
@@ -85,6 +86,7 @@ def test_intervals_cover_the_truth(ask, oracles):
     assert all(f.fit.misfit == pytest.approx(1.0, abs=0.15) for f in found)  # the noise is told from the log
 
 
+@pytest.mark.full_but("least-squares")
 @pytest.mark.parametrize("method", ["least-squares", "multi-start"])
 def test_other_methods_end_at_the_same_place(ask, oracles, method):
     columns = oracles.measure(1)
@@ -130,6 +132,7 @@ def test_units_of_the_log_become_those_of_the_fmu(ask, oracles):
     assert estimate(ask(scaled)).fit.theta == pytest.approx(estimate(ask(columns)).fit.theta, rel=1e-9)
 
 
+@pytest.mark.full
 def test_several_logs_count_together(ask, oracles, tmp_path):
     one = estimate(ask(oracles.measure(0), holdout=0.0))
     more = tuple(oracles.write_log(tmp_path / f"log{i}.csv", oracles.measure(i)) for i in range(4))
@@ -222,6 +225,7 @@ def test_roll_outs_that_fail_are_bad_candidates_with_a_reason(ask, oracles):
     assert f"{found.failures[reason]} of {len(found.evaluations)} roll-outs failed" in report(found)
 
 
+@pytest.mark.full
 def test_where_all_roll_outs_fail_the_first_reason_is_told(ask, oracles):
     with pytest.raises(FailedError, match=r"every roll-out failed, the first so: plant: do_step .* returned error"):
         estimate(ask(oracles.measure(0), start={"c_limit": 0.01}))
@@ -240,12 +244,14 @@ def test_a_bound_that_is_met_is_named(ask, oracles):
     assert any(word.startswith("k is at its lower bound, 25 N/m") for word in words(found))
 
 
+@pytest.mark.full
 def test_an_fmu_that_a_process_can_have_only_once(compile_plant, ask, oracles):
     request = ask(oracles.measure(0, end=2.0), evaluations=12)
     once = compile_plant("-DONCE", canBeInstantiatedOnlyOncePerProcess="true")
     assert estimate(replace(request, fmu=once)).fit.theta.tolist() == estimate(request).fit.theta.tolist()
 
 
+@pytest.mark.full
 def test_uneven_rows(compile_plant, ask, oracles):
     rng = np.random.default_rng(0)
     t = np.cumsum(rng.uniform(0.008, 0.012, 800))
@@ -260,6 +266,7 @@ def test_uneven_rows(compile_plant, ask, oracles):
     assert estimate(ask(columns, fmu=rigid, step=0.001)).fit.theta == pytest.approx(exact, rel=0.01)
 
 
+@pytest.mark.full_but("2")
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_a_pendulum_of_ours_against_dop853(tmp_path, oracles, fmi):
     m, l, b, g = 1.3, 0.6, 0.1, 9.81

@@ -43,6 +43,7 @@ def of(watched, kind):
     return [event for event in watched.events if event.kind == kind]
 
 
+@pytest.mark.full_but("0")
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_jump_is_seen_within_samples_and_the_new_values_are_written(ask, oracles, seed):
     (watched,) = ask(oracles.jump(seed), seed=seed).watched
@@ -56,6 +57,7 @@ def test_a_jump_is_seen_within_samples_and_the_new_values_are_written(ask, oracl
     assert of(watched, "end")[0].t == pytest.approx(of(watched, "write")[0].t + 0.29)  # an evaluation a sample
 
 
+@pytest.mark.full
 def test_without_a_jump_nothing_is_written(ask, oracles):
     for seed in (0, 1, 2):
         (watched,) = ask(oracles.measure(seed)).watched
@@ -64,6 +66,7 @@ def test_without_a_jump_nothing_is_written(ask, oracles):
         assert watched.failure is None
 
 
+@pytest.mark.full
 def test_a_wrong_start_value_is_corrected_in_one_episode(ask, oracles):
     (watched,) = ask(oracles.measure(0), start={"k": 23.0} | STATES).watched  # m and c as the FMU starts: 1 and 0.5
     assert len(of(watched, "trigger")) == 1
@@ -71,6 +74,7 @@ def test_a_wrong_start_value_is_corrected_in_one_episode(ask, oracles):
     assert np.abs((watched.theta - [1.7, 0.9]) / last.detail["std"]).max() < 4.0
 
 
+@pytest.mark.full
 def test_a_fixed_parameter_is_estimated_where_states_are_measured(ask, oracles):
     (watched,) = ask(oracles.jump(0, m=1.7, c=0.9, k=30.0), parameters=(SPRING,)).watched
     (trigger,) = of(watched, "trigger")
@@ -103,6 +107,7 @@ def test_what_cannot_be_is_refused(ask, oracles):
         ask(columns, start=KNOWN | {"x": "x"}, parameters=(SPRING,))
 
 
+@pytest.mark.full
 def test_each_window_begins_anew(ask, oracles):
     columns = oracles.jump(0, end=12.0)
     columns["force [N]"][600:620] = np.nan  # a gap after the jump
@@ -115,6 +120,7 @@ def test_each_window_begins_anew(ask, oracles):
         assert watched.theta == pytest.approx([2.6, 1.4], rel=0.05)
 
 
+@pytest.mark.full
 def test_samples_are_taken_at_the_communication_step(ask, oracles):
     columns = oracles.jump(0, force=lambda t: oracles.pushes(0.02 * np.floor(t / 0.02 + 1e-6)))  # changes there only
     (watched,) = ask(columns, 25, step=0.02).watched
@@ -206,6 +212,7 @@ def test_a_bad_command_is_refused_in_one_line(command, capsys, tmp_path, options
     assert not (tmp_path / "work" / "runs").exists()
 
 
+@pytest.mark.full
 def test_a_plant_that_never_runs_is_exit_code_1(command, capsys):
     assert command("--start", "c_limit=0.01") == 1
     error = capsys.readouterr().err

@@ -224,6 +224,7 @@ def test_the_quoted_table_is_whole() -> None:
     assert sum(sum(r.estimate) for r in PAPER_ROWS) == pytest.approx(179.38)
 
 
+@pytest.mark.full
 def test_files_are_written_whole_and_hold_what_is_drawn(tmp_path: Path) -> None:
     paths = draw_figures(tmp_path, {"none": pendulum("none"), "target": pendulum()}, ALL, seed=3)
     assert sorted(tmp_path.iterdir()) == sorted(paths)
@@ -265,6 +266,7 @@ def test_ipopt_is_preferred_and_its_stand_in_is_named() -> None:
     assert "without Ipopt" in LABELS["ipm-scipy"]
 
 
+@pytest.mark.full
 @pytest.mark.fmu
 @pytest.mark.usefixtures("leaves_nothing")
 def test_the_runs_are_made_in_processes_of_their_own_and_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -288,6 +290,7 @@ def test_the_runs_are_made_in_processes_of_their_own_and_drawn(tmp_path: Path, m
     assert {k: run[k] for k in recorded if k != "run"} == {k: v for k, v in recorded.items() if k != "run"}
 
 
+@pytest.mark.full
 @pytest.mark.fmu
 @pytest.mark.usefixtures("leaves_nothing")
 def test_a_run_that_is_refused_is_one_line_and_leaves_no_process(tmp_path: Path) -> None:

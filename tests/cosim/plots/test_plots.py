@@ -56,6 +56,7 @@ def check_pictures(paths: list[Path]) -> set[str]:
     return {path.name for path in paths}
 
 
+@pytest.mark.full
 @pytest.mark.fmu
 def test_a_run_of_the_pendulum_has_all_four_figures(tmp_path: Path) -> None:
     scenario = Scenario.load("pendulum", {"scenario.stop_time": "3.6"})
@@ -85,6 +86,7 @@ def test_a_baseline_without_a_row_is_left_out(tmp_path: Path) -> None:
 HUGE = np.where(np.arange(50) < 40, 1.0, 1e300)
 
 
+@pytest.mark.full_but("nan")
 @pytest.mark.parametrize(
     "columns",
     [
@@ -119,6 +121,7 @@ def test_events_that_say_little_or_are_cut_short_are_survived(tmp_path: Path) ->
     assert check_pictures(draw_run(made_up_run(tmp_path), {})) == OVER_TIME | {"response.png"}
 
 
+@pytest.mark.full
 def test_seven_outputs_with_long_and_odd_names_are_drawn(tmp_path: Path) -> None:
     names = [f"plant.{'very_long_' * 6}name[{i}].$x^_{{" for i in range(7)]
     tracking = dict.fromkeys(names, "reference.phi_ref")

@@ -148,6 +148,7 @@ def does_nothing(slave, state):
     slave._values = None
 
 
+@pytest.mark.full_but("restore nothing")
 @pytest.mark.parametrize(
     ("function", "does", "told"),
     [

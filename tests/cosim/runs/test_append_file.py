@@ -69,25 +69,43 @@ class Full:
         return written
 
 
+@pytest.fixture
+def disk(monkeypatch):
+    """disk(room, signals_at): what is opened from here on is on a disk with that much room."""
+
+    def of(room, signals_at=0):
+        disks = []
+
+        def opened(*arguments, **options):
+            file = open(*arguments, **options)  # noqa: SIM115  closed by the file on the disk
+            disks.append(Full(file, room, signals_at))
+            return disks[-1]
+
+        monkeypatch.setattr("cosim.runs.append_file.open", opened, raising=False)
+        return disks
+
+    return of
+
+
 @pytest.mark.parametrize("room", range(9))
-def test_on_a_full_disk_a_piece_is_whole_or_not_there(tmp_path, room):
+def test_on_a_full_disk_a_piece_is_whole_or_not_there(tmp_path, disk, room):
+    disks = disk(3 + room)
     file = AppendFile(tmp_path / "f")
     file.append(b"abc")
-    file._file = Full(file._file, room)
     with pytest.raises(OSError, match="No space left"):
         file.append(b"123456789")
     assert (tmp_path / "f").read_bytes() == b"abc"
-    file._file.room = 100
+    disks[0].room = 100
     file.append(b"987654321")
     assert file.sync() == prefix_of(b"abc987654321")
     assert (tmp_path / "f").read_bytes() == b"abc987654321"
     file.close()
 
 
-def test_an_interrupted_piece_is_not_there(tmp_path):
+def test_an_interrupted_piece_is_not_there(tmp_path, disk):
+    disk(100, signals_at=7)
     file = AppendFile(tmp_path / "f")
     file.append(b"abc")
-    file._file = Full(file._file, 100, signals_at=7)
     with pytest.raises(KeyboardInterrupt):
         file.append(b"123456789")
     file.close()

@@ -79,6 +79,7 @@ def test_full_batches_are_on_disk_while_the_run_goes_on(tmp_path):
     recorder.close()
 
 
+@pytest.mark.full
 def test_a_series_cut_at_any_byte_is_a_prefix_or_refused(tmp_path):
     recorded(tmp_path).close()
     whole = (tmp_path / SERIES).read_bytes()

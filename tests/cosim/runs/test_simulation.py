@@ -146,6 +146,7 @@ def test_the_controller_is_retuned_to_the_changed_plant(pendulum, tmp_path):
     assert all(held[k] == held[k - 1] for k in range(1, 101) if k not in writes)
 
 
+@pytest.mark.full
 def test_a_count_may_be_written_as_a_float_in_every_table(pendulum):
     counts = {"estimation.budget": "12.0", "estimation.paper.n_initial": "4.0"}
     assert run(pendulum(EARLY_CHANGE | counts), "paper").n_evaluations >= 12
@@ -213,6 +214,7 @@ def test_the_noise_is_white_and_as_large_as_the_scenario_says(pendulum):
     assert kstest(e, "norm").pvalue > 1e-5
 
 
+@pytest.mark.full
 def test_the_noise_is_the_same_whoever_looks_at_it(pendulum):
     noises = {name: residue(run(pendulum(EARLY_CHANGE), name, seed=2)) for name in ("none", "target", "true")}
     np.testing.assert_allclose(noises["target"], noises["none"], atol=1e-12)
@@ -237,6 +239,7 @@ def test_measured_outputs_are_recorded_with_noise_of_their_own(pendulum):
     np.testing.assert_array_equal(measured["plant.phi"], run(pendulum(SWING), "none")["plant.phi"])
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("estimator", ["target", "paper"])
 def test_the_same_seed_gives_the_same_run_bit_for_bit_and_another_one_another(pendulum, tmp_path, estimator):
     series = []
@@ -322,6 +325,7 @@ def test_an_interrupt_leaves_the_rows_and_goes_on_to_the_caller(pendulum, tmp_pa
     assert events_of(out)[-1]["kind"] == "interrupt"
 
 
+@pytest.mark.full_but("cosim.runs.record:Recorder.close")
 @pytest.mark.parametrize(
     "place",
     [

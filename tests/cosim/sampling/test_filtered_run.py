@@ -14,69 +14,41 @@ from cosim.scenarios.scenario import Scenario
 
 pytestmark = pytest.mark.fmu
 
-AXIS = """
-[scenario]
-name = "axis"
-stop_time = 4.0
-macro_step = 0.01
-[components]
-plant = { fmu = "BareAxis.fmu" }
-controller = { fmu = "AxisController.fmu" }
-reference = { table = "steps.csv" }
-[connections]
-"controller.s_meas" = "plant.mass.s"
-"controller.v_meas" = "plant.mass.v"
-"controller.sRef" = "reference.s_ref"
-"plant.f" = "controller.f_cmd"
-[changes]
-"plant.mass.m" = [[0.0, 2.0], [1.0, 3.0]]
-[tracking]
-"plant.mass.s" = "reference.s_ref"
-[sampling]
-derivatives = { "plant.der(mass.v)" = { of = "plant.mass.v" } }
-states = { "plant.mass.v" = { noise = 1e-5 }, "plant.mass.s" = { noise = 1e-5 } }
-filter = { kind = "savitzky-golay", points = 9, order = 3 }
-[estimation]
-model = "axis_model:derivative"
-trigger = { kind = "innovation" }
-budget = 100
-[[estimation.parameters]]
-name = "m"
-lower = 0.5
-upper = 10.0
-unit = "kg"
-writes = "controller.m"
-true = "plant.mass.m"
-"""
-MODEL = "def derivative(x, u, m):\n    return ((u[0] - 8.0 * x[1] - x[0]) / m, x[0])\n"
 STATE_VARIABLE = {"sampling.filter": '{ kind = "state-variable", cutoff = 60.0 }'}
+FILTER = 'filter = { kind = "savitzky-golay", points = 9, order = 3 }\n'
+SAMPLED = f"""[sampling]
+derivatives = {{ "plant.der(mass.v)" = {{ of = "plant.mass.v" }} }}
+states = {{ "plant.mass.v" = {{ noise = 1e-5 }}, "plant.mass.s" = {{ noise = 1e-5 }} }}
+{FILTER}"""
 
 
 @pytest.fixture
-def axis(bare_axis, foreign) -> Path:
+def bare(axis, bare_axis) -> Path:
     """The scenario of an axis that declares no derivatives."""
-    folder = bare_axis.parent
-    (folder / "AxisController.fmu").symlink_to(foreign / "AxisController.fmu")
-    steps = "\n".join(f"{t}, {s}" for k in range(4) for t, s in ((k, k % 2), (k + 1, k % 2)))
-    (folder / "steps.csv").write_text(f"time [s], s_ref [m]\n{steps}\n")
-    (folder / "axis_model.py").write_text(MODEL)
-    path = folder / "axis.toml"
-    path.write_text(AXIS)
-    return path
+    return axis(
+        ("stop_time = 1.0", "stop_time = 4.0"),
+        ('"Axis.fmu"', '"BareAxis.fmu"'),
+        ('"controller.vRef" = "reference.v_ref"\n', ""),
+        ("[0.3, 3.0]", "[1.0, 3.0]"),
+        ('[sampling.derivatives]\n"plant.der(mass.v)" = { noise = 1e-3 }\n', SAMPLED),
+        ('trigger = { kind = "innovation" }', 'trigger = { kind = "innovation" }\nbudget = 100'),
+        steps="\n".join(f"{t}, {s}, 0" for k in range(4) for t, s in ((k, k % 2), (k + 1, k % 2))),
+    )
 
 
+@pytest.mark.full_but("target-savitzky-golay")
 @pytest.mark.parametrize("overrides", [{}, STATE_VARIABLE], ids=["savitzky-golay", "state-variable"])
 @pytest.mark.parametrize("estimator", ["target", "least-squares"])
-def test_the_mass_of_an_axis_without_derivatives_is_found(axis, overrides, estimator):
-    result = run(Scenario.load(axis, overrides), estimator)
+def test_the_mass_of_an_axis_without_derivatives_is_found(bare, overrides, estimator):
+    result = run(Scenario.load(bare, overrides), estimator)
     assert result["controller.m"][90] == pytest.approx(2.0, rel=0.01)  # no false alarm of consequence before the change
     assert result["controller.m"][-1] == pytest.approx(3.0, rel=0.01)
     assert result.n_episodes >= 1
 
 
-def test_what_the_filter_made_is_recorded_with_its_time_beside_what_was_measured(axis, tmp_path):
+def test_what_the_filter_made_is_recorded_with_its_time_beside_what_was_measured(bare, tmp_path):
     """Against NumPy's fit of a polynomial to the points measured, not SciPy's coefficients."""
-    result = run(Scenario.load(axis, {"scenario.stop_time": "1.0"}), "none", out=_new(tmp_path))
+    result = run(Scenario.load(bare, {"scenario.stop_time": "1.0"}), "none", out=_new(tmp_path))
     rows = np.flatnonzero(np.isfinite(result["filtered.time"]))
     assert rows.tolist() == list(range(8, 101, 8))
     assert result["filtered.time"][rows] == pytest.approx(result.time[rows] - 0.04)
@@ -96,12 +68,14 @@ def _new(folder: Path) -> Path:
     return folder / "run"
 
 
-def test_compare_runs_on_filtered_derivatives(axis):
-    comparison = compare(Scenario.load(axis, {"scenario.stop_time": "2.0"}), ["target"], 2, jobs=1)
+@pytest.mark.full
+def test_compare_runs_on_filtered_derivatives(bare):
+    comparison = compare(Scenario.load(bare, {"scenario.stop_time": "2.0"}), ["target"], 2, jobs=1)
     assert len(comparison.runs) == 6
     assert {record["status"] for record in comparison.runs} == {"done"}
 
 
+@pytest.mark.full
 def test_the_pendulum_is_re_tuned_from_sampled_states():
     """Its mean squared error is 0.32 rad^2 as it is; with measured derivatives 0.0005, here 0.0015 to 0.0027."""
     overrides = {
@@ -135,9 +109,9 @@ def test_the_pendulum_is_re_tuned_from_sampled_states():
                       "sampling.states": '{ "plant.mass.v" = { noise = 1e-5 } }'}, "roll-outs", id="outputs too"),
     ],
 )  # fmt: skip
-def test_a_filter_that_cannot_be_is_refused_in_one_line(axis, overrides, message):
+def test_a_filter_that_cannot_be_is_refused_in_one_line(bare, overrides, message):
     with pytest.raises(ScenarioError, match=message) as refused:
-        Scenario.load(axis, overrides)
+        Scenario.load(bare, overrides)
     assert len(str(refused.value).splitlines()) == 1
 
 
@@ -149,21 +123,21 @@ def test_a_filter_that_cannot_be_is_refused_in_one_line(axis, overrides, message
         pytest.param({'sampling.states."controller.f_cmd".noise': "1.0"}, r"controller\.f_cmd", id="another FMU's"),
     ],
 )
-def test_states_that_cannot_be_sampled_are_refused_and_found(axis, overrides, message):
+def test_states_that_cannot_be_sampled_are_refused_and_found(bare, overrides, message):
     with pytest.raises(CosimError, match=message):
-        run(Scenario.load(axis, overrides), "none")
-    assert any(f.is_error and message.replace("\\", "") in str(f) for f in check(axis, overrides))
+        run(Scenario.load(bare, overrides), "none")
+    assert any(f.is_error and message.replace("\\", "") in str(f) for f in check(bare, overrides))
 
 
-def test_without_a_filter_a_derivative_of_a_state_is_refused(axis):
-    axis.write_text(AXIS.replace('filter = { kind = "savitzky-golay", points = 9, order = 3 }', ""))
+def test_without_a_filter_a_derivative_of_a_state_is_refused(bare):
+    bare.write_text(bare.read_text().replace(FILTER, ""))
     with pytest.raises(ScenarioError, match=r"needs sampling\.filter"):
-        Scenario.load(axis)
+        Scenario.load(bare)
 
 
-def test_the_estimator_fmu_has_no_filter_and_says_so(axis):
+def test_the_estimator_fmu_has_no_filter_and_says_so(bare):
     with pytest.raises(ScenarioError, match=r"sampling\.filter cannot be built into an FMU"):
-        estimator_settings(Scenario.load(axis))
+        estimator_settings(Scenario.load(bare))
 
 
 WARNED = {
@@ -182,12 +156,12 @@ WARNED = {
 
 
 @pytest.mark.parametrize(("overrides", "message"), WARNED.values(), ids=WARNED)
-def test_settings_that_do_not_fit_are_warned_of(axis, overrides, message):
+def test_settings_that_do_not_fit_are_warned_of(bare, overrides, message):
     """sqrt(c/m) = 2 rad/s."""
-    assert [f for f in check(axis) if "sampling" in f.where or "budget" in f.where] == []
-    assert any(message in str(f) and not f.is_error for f in check(axis, overrides))
+    assert [f for f in check(bare) if "sampling" in f.where or "budget" in f.where] == []
+    assert any(message in str(f) and not f.is_error for f in check(bare, overrides))
 
 
-def test_a_filter_longer_than_the_run_is_an_error(axis):
-    (found,) = [f for f in check(axis, {"scenario.stop_time": "0.05"}) if f.is_error]
+def test_a_filter_longer_than_the_run_is_an_error(bare):
+    (found,) = [f for f in check(bare, {"scenario.stop_time": "0.05"}) if f.is_error]
     assert "it needs 9 points, and the run ends before" in found.what

@@ -31,6 +31,7 @@ def test_an_export_runs_as_the_scenario_does(called, workplace):
     assert (workplace / "one" / "events.jsonl").stat().st_size > 0
 
 
+@pytest.mark.full
 def test_estimates_leave_as_ssv_and_start_another_run(called, workplace):
     _, out, _ = called("run", "pendulum", *CHANGE, *SHORT, "--ssv", "found.ssv")
     held = json.loads(out)["parameters"]
@@ -93,6 +94,7 @@ def test_bad_start_values_are_refused_in_one_line(called, workplace, content, me
     assert list(workplace.iterdir()) == [workplace / "start.ssv"]
 
 
+@pytest.mark.full_but("one")
 @pytest.mark.parametrize(
     ("files", "m"),
     [(["controller=m.ssv"], 1.0), (["controller=m.ssv", "all.ssv"], 3.0), (["all.ssv", "controller=m.ssv"], 1.0)],

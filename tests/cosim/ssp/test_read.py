@@ -130,6 +130,7 @@ def nested(flat):
     ).replace('name="phi_dot" kind="output"/>', 'name="phi_dot" kind="output"/><Connector name="m" kind="parameter"/>')
 
 
+@pytest.mark.full
 def test_systems_within_systems_are_dissolved(package, flat):
     start = values(real("drive.plant.phi", 0.9) + real("drive.mass", 2000))
     inner = System.from_ssp(package(bound(nested(flat), "top", start), name="nested.ssp"))
@@ -161,6 +162,7 @@ def zipped(files):
     return buffer.getvalue()
 
 
+@pytest.mark.full
 def test_units_are_converted_on_a_connection(package, flat):
     fmu = {"resources/models/PendulumReference.fmu": zipped(in_degrees("PendulumReference"))}
     start = values(real("reference.phi_initial", 30.0) + real("plant.phi", 0.4))
@@ -176,6 +178,7 @@ def test_units_are_converted_on_a_connection(package, flat):
     assert unconverted["plant.phi"].tolist() == radians["plant.phi"].tolist()
 
 
+@pytest.mark.full
 def test_a_connection_is_transformed(package, flat):
     halved = flat.replace(
         'startConnector="phi_ref" endElement="controller" endConnector="phi_ref"/>',

@@ -26,6 +26,7 @@ def export(tmp_path):
     return export
 
 
+@pytest.mark.full_but("pendulum")
 @pytest.mark.parametrize("name", ["pendulum", "quadrotor", "stiction", "rigid-body"])
 def test_the_files_are_valid(export, name):
     path = export(Scenario.load(name))
@@ -110,6 +111,7 @@ def test_what_another_tool_edits_in_the_package_counts(export, pendulum, tmp_pat
     assert load_scenario(edited, {"components.plant.start.phi": "0.7"}).components["plant"].start["phi"] == 0.7
 
 
+@pytest.mark.full
 def test_a_package_steps_as_our_parallel_coupling_does(export, pendulum):
     """Where inputs start as the plant's states do; a scenario leaves them to their start values."""
     known = {"phi": 0.9, "phi_dot": 0.0, "phi_ref": 0.3, "phi_dot_ref": 0.0}

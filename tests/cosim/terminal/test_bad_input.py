@@ -5,13 +5,15 @@ And nothing that the user has is altered.
 
 import hashlib
 import re
+import shutil
 from pathlib import Path
 
 import pytest
 
+from benchmarks.native_fmus import FOREIGN
+
 pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("workplace")]
 STEPS = "time [s], s_ref [m], v_ref [m/s]\n0, 0, 0\n0.1, 1, 0.5\n0.1, 1, 0\n0.2, 1, 0\n"
-MODEL = "def derivative(x, u, m):\n    return ((u[0] - 8.0 * x[1] - x[0]) / m, x[0])\n"
 FMUS = ["--plant", "Axis.fmu", "--controller", "AxisController.fmu", "--reference", "steps.csv"]
 
 
@@ -22,7 +24,7 @@ def files(foreign, workplace, called):
     for fmu in ("Axis.fmu", "AxisController.fmu", "Axis-ME.fmu"):
         (workplace / fmu).write_bytes((foreign / fmu).read_bytes())
     (workplace / "steps.csv").write_text(STEPS)
-    (workplace / "plant_model.py").write_text(MODEL)
+    shutil.copy(FOREIGN / "axis_model.py", workplace / "plant_model.py")
     assert called("new", *FMUS, "-o", "axis.toml")[0] == 0
     text = (workplace / "axis.toml").read_text()
     text = text[: text.rindex("[[estimation.parameters]]")]  # the stiffness

@@ -78,6 +78,7 @@ def test_json_has_null_where_there_is_no_figure(called):
     assert (result["evaluations"], result["episodes"], result["missed_deadlines"]) == (0, 0, 0)
 
 
+@pytest.mark.full
 def test_a_seed_is_repeated_exactly(called):
     arguments = [*SHORT, *EARLY_CHANGE, "--json", "--set", "scenario.stop_time=0.3"]
     results = [json.loads(called(*arguments, "--seed", seed)[1]) for seed in ("3", "3", "4")]
@@ -88,6 +89,7 @@ def test_a_seed_is_repeated_exactly(called):
     assert results[0]["parameters"] != results[2]["parameters"]
 
 
+@pytest.mark.full
 def test_isolation_does_not_change_a_bit(workplace):
     # A process of its own: FMUs that are loaded into a process stay there.
     for isolation in ("none", "process"):
@@ -102,6 +104,7 @@ def test_isolation_does_not_change_a_bit(workplace):
 # The report and the pictures.
 
 
+@pytest.mark.full
 def test_a_whole_run_is_compared_with_nominal_and_true_parameters_and_drawn(workplace):
     done = retune("run", "pendulum", "--out", "mine", "--set", "scenario.stop_time=0.5", *EARLY_CHANGE)
     assert (done.returncode, done.stderr) == (0, "")
@@ -258,6 +261,7 @@ def test_bad_input_is_refused_in_one_line_with_exit_code_2_and_nothing_left_behi
     assert {p: p.is_file() and p.read_bytes() for p in inputs.rglob("*")} == before
 
 
+@pytest.mark.full_but("FMU")
 @pytest.mark.parametrize(
     "arguments", [["run", "pendulm"], [*SHORT, "--set", "components.plant.fmu=Pendulm"]], ids=["scenario", "FMU"]
 )
@@ -429,6 +433,7 @@ def own(workplace):
     sys.modules.pop(name, None)
 
 
+@pytest.mark.full_but("Asker")
 @pytest.mark.parametrize("kind", ["Asker", "Solver"])
 def test_an_estimator_of_ones_own_is_run_with_its_settings(called, own, workplace, kind):
     name = f"{own}:{kind}"
@@ -455,6 +460,7 @@ def test_an_estimator_of_ones_own_is_run_with_its_settings(called, own, workplac
     assert json.loads(out)["runs"][0]["parameters"] == result["parameters"]
 
 
+@pytest.mark.full
 def test_an_estimator_of_ones_own_may_have_defaults_and_need_the_linear_form(called, own, workplace):
     name = f"{own}:Linear"
     command = ["--only", "--json", "--estimator", name, "--set", "scenario.stop_time=0.2", *EARLY_CHANGE]
@@ -470,6 +476,7 @@ def test_an_estimator_of_ones_own_may_have_defaults_and_need_the_linear_form(cal
     assert err == f"retune: estimator '{name}' needs estimation.linear, the model's linear form.\n"
 
 
+@pytest.mark.full
 def test_an_estimator_of_ones_own_is_compared(called, own):
     command = [
         "compare",
@@ -513,6 +520,7 @@ def test_an_estimator_of_ones_own_that_is_wrong_is_told_in_one_line(called, own,
     assert {p.name for p in workplace.iterdir()} <= {f"{own}.py", "__pycache__"}
 
 
+@pytest.mark.full_but("Tires-RuntimeError: no more")
 @pytest.mark.parametrize(
     ("kind", "reason"),
     [
@@ -604,6 +612,7 @@ def start_endless(folder, becomes_true):
     return process
 
 
+@pytest.mark.full_but("SIGINT")
 @pytest.mark.parametrize(
     ("send", "number"),
     [(os.kill, signal.SIGINT), (os.killpg, signal.SIGINT), (os.kill, signal.SIGTERM)],
@@ -623,6 +632,7 @@ def test_an_interrupted_run_exits_130_with_its_rows_kept_and_no_process_left(wor
     assert becomes_true(lambda: not processes_of_session(process.pid))
 
 
+@pytest.mark.full
 def test_two_signals_interrupt_a_run_as_one_does(workplace, leaves_nothing, becomes_true):
     process = start_endless(workplace / "mine", becomes_true)
     for _ in range(2):
@@ -656,6 +666,7 @@ def test_a_killed_run_leaves_readable_rows_and_no_process(workplace, leaves_noth
 # Building.
 
 
+@pytest.mark.full
 def test_build_builds_all_and_then_leaves_them_unchanged(called, workplace):
     code, out, err = called("build", "--out", "fmus")
     assert (code, err) == (0, "")
@@ -670,6 +681,7 @@ def test_build_builds_all_and_then_leaves_them_unchanged(called, workplace):
     assert {p: (p.stat().st_mtime_ns, p.read_bytes()) for p in (workplace / "fmus").iterdir()} == before
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("options", "names", "interface"),
     [(["--fmi", "3"], NAMES, "coSimulation"), (["--model-exchange"], PLANTS, "modelExchange")],
@@ -685,6 +697,7 @@ def test_build_makes_fmi_3(called, workplace, options, names, interface):
         assert getattr(description, interface).modelIdentifier == name
 
 
+@pytest.mark.full
 def test_a_named_scenario_runs_on_fmi_3_and_is_read_back(called, workplace):
     """Its folder holds the names that the FMUs have, and `replay` finds them there; the model is an FMU."""
     settings = ("scenario.stop_time=0.1", "components.plant.fmi=3", "estimation.model=Quadrotor")
@@ -697,6 +710,7 @@ def test_a_named_scenario_runs_on_fmi_3_and_is_read_back(called, workplace):
     assert "least-squares" in out
 
 
+@pytest.mark.full
 def test_build_replaces_a_different_file_only_when_forced(called, workplace):
     fmus = workplace / "fmus"
     fmus.mkdir()
@@ -735,6 +749,7 @@ def test_build_on_a_full_disk_keeps_the_file_that_it_was_to_replace(tmp_path, mo
 # Output that nobody reads.
 
 
+@pytest.mark.full
 def test_a_reader_that_has_gone_is_no_traceback(workplace):
     process = subprocess.Popen([RETUNE, *SHORT, "--estimator", "none"], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     process.stdout.close()
@@ -754,6 +769,7 @@ def shell(command, **environment):
     )  # fmt: skip
 
 
+@pytest.mark.full
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="has no device that is always full")
 def test_output_for_which_there_is_no_room_is_told_and_the_run_is_there(workplace):
     done = shell(f"{shlex.join(['retune', *SHORT])} --out r > /dev/full")
@@ -761,12 +777,14 @@ def test_output_for_which_there_is_no_room_is_told_and_the_run_is_there(workplac
     assert read_run(Path("r")).status == "done"
 
 
+@pytest.mark.full
 def test_output_without_the_characters_that_it_needs_is_escaped(workplace):
     done = shell(f"{shlex.join(['retune', *SHORT])} --out l\u00e4uft", PYTHONIOENCODING="ascii")
     assert (done.returncode, done.stderr) == (0, "")
     assert "run folder l\\xe4uft" in done.stdout
 
 
+@pytest.mark.full_but("refusal")
 @pytest.mark.parametrize(
     ("command", "code"), [(shlex.join(["retune", *SHORT]), 0), ("retune check none.fmu", 2)], ids=["run", "refusal"]
 )

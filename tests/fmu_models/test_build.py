@@ -91,22 +91,39 @@ def test_the_guid_is_known_before_the_build(tmp_path):
     assert len({build.guid(name) for name in build.NAMES}) == len(build.NAMES)
 
 
+def test_a_plant_is_found_by_its_folder(tmp_path):
+    root = copy_of_the_package(tmp_path)
+    crane = root / "fmu_models" / "crane"
+    shutil.copytree(root / "fmu_models" / "pendulum", crane)
+    (crane / "plant.png").unlink()
+    for path in crane.glob("*.py"):
+        path.write_text(path.read_text(encoding="utf-8").replace("Pendulum", "Crane"), encoding="utf-8")
+    code = "import sys; from fmu_models import build; build.build('Crane', sys.argv[1]); print(*build.NAMES)"
+    names = in_a_process(code, tmp_path / "out", root=root).split()
+    own = ["Crane", "CraneController", "CraneControllerAdaptive", "CraneReference", "CraneSine"]
+    assert names == sorted([*build.NAMES, *own])
+    with zipfile.ZipFile(tmp_path / "out" / "Crane.fmu") as archive:
+        assert "model.png" not in archive.namelist()  # rather none than another plant's
+        assert "(g/l) sin" in archive.read("documentation/index.html").decode()
+
+
 def test_the_guid_follows_the_sources(tmp_path):
     root = copy_of_the_package(tmp_path)
     code = "from fmu_models import build; print(build.guid('Pendulum'))"
     assert in_a_process(code, root=root).strip() == build.guid("Pendulum")
-    with (root / "fmu_models" / "ode.py").open("a") as file:
+    with (root / "fmu_models" / "kernel" / "ode.py").open("a") as file:
         file.write("# changed\n")
     assert in_a_process(code, root=root).strip() != build.guid("Pendulum")
 
 
 def test_an_installed_package_is_not_written_to(tmp_path):
     root = copy_of_the_package(tmp_path / "site")
-    before = digests(root / "fmu_models")
-    for path in (root / "fmu_models", root):
-        path.chmod(0o555)
+    folders = [root, *(path for path in root.rglob("*") if path.is_dir())]
+    before = [digests(folder) for folder in folders]
+    for folder in folders:
+        folder.chmod(0o555)
     in_a_process(BUILD_ALL, tmp_path / "out", root=root, PYTHONDONTWRITEBYTECODE="1")
-    assert digests(root / "fmu_models") == before
+    assert [digests(folder) for folder in folders] == before
     assert digests(tmp_path / "out") == digests_of_a_build(tmp_path / "again")
 
 
@@ -156,7 +173,9 @@ def test_an_fmu_holds_the_whole_package_and_no_trace_of_its_build(tmp_path):
     assert {entry.date_time for entry in entries} == {(1980, 1, 1, 0, 0, 0)}
     assert not [name for name in names if "__pycache__" in name or name.endswith(".pyc")]
     suffix = build.guid("Quadrotor")[:8]
-    assert {f"resources/fmu_models_{suffix}/{path.name}" for path in PACKAGE.glob("*.py")} <= set(names)
+    assert {
+        f"resources/fmu_models_{suffix}/{path.relative_to(PACKAGE).as_posix()}" for path in PACKAGE.rglob("*.py")
+    } <= set(names)
     assert script == f"quadrotor_fmu_{suffix}".encode()
     binaries = {"binaries/linux64/Quadrotor.so", "binaries/win64/Quadrotor.dll"}
     assert {*binaries, f"resources/quadrotor_fmu_{suffix}.py"} <= set(names)

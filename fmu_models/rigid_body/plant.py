@@ -1,10 +1,11 @@
-"""Entry script of RigidBody.fmu."""
+"""The plant FMU of the rigid body."""
 
 from pythonfmu import DefaultExperiment
 
-from fmu_models import rigid_body, so3
-from fmu_models.blocks import Plant, Vector
-from fmu_models.description import input_variable, parameter, state
+from ..kernel import so3
+from ..kernel.blocks import Plant, Vector
+from ..kernel.description import input_variable, parameter, state
+from . import equations
 
 J = ("J_xx", "J_yy", "J_zz", "J_xy", "J_xz", "J_yz")
 C = ("c_x", "c_y", "c_z")
@@ -52,7 +53,7 @@ class RigidBody(Plant):
             for a in "xyz"
         ),
     )  # fmt: skip
-    derivative = staticmethod(rigid_body.derivative)
+    derivative = staticmethod(equations.derivative)
 
     @staticmethod
     def project(x: Vector) -> Vector:

@@ -1,23 +1,33 @@
-"""Reference trajectories with their time derivatives."""
+"""Desired trajectory of a quadrotor, with its time derivatives."""
 
 from math import atan2, cos, pi, sin
-from typing import Literal
+from typing import Literal, NamedTuple
 
-from .quadrotor import Trajectory
-from .so3 import Vector3
+from ..kernel.references import sinusoid
+from ..kernel.so3 import Vector3
 
 Yaw = Literal["paper", "smooth"]
 
 
-def step(t: float, initial: float, final: float, step_time: float) -> float:
-    """`initial` before `step_time` [s], `final` from then on."""
-    return final if t >= step_time else initial
+class Trajectory(NamedTuple):
+    """Desired position to its fourth derivative and yaw to its second, at one time."""
 
-
-def sinusoid(t: float, amplitude: float, omega: float) -> tuple[float, float, float, float, float]:
-    """amplitude sin(omega t) with its first four time derivatives;  t [s], omega [rad/s]."""
-    s, c = amplitude * sin(omega * t), amplitude * cos(omega * t)
-    return (s, omega * c, -(omega**2) * s, -(omega**3) * c, omega**4 * s)
+    r: Vector3
+    """Position, inertial [m]."""
+    v: Vector3
+    """Velocity [m/s]."""
+    a: Vector3
+    """Acceleration [m/s^2]."""
+    j: Vector3
+    """Jerk [m/s^3]."""
+    s: Vector3
+    """Snap [m/s^4]."""
+    psi: float
+    """Yaw [rad]."""
+    psi_dot: float
+    """Yaw rate [rad/s]."""
+    psi_ddot: float
+    """Yaw acceleration [rad/s^2]."""
 
 
 def sinusoid_trajectory(t: float, amplitudes: Vector3, omega: float, yaw: Yaw = "paper") -> Trajectory:

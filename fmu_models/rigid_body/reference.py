@@ -1,10 +1,10 @@
-"""Entry script of RigidBodyReference.fmu."""
+"""The reference FMU of the rigid body."""
 
 from pythonfmu import DefaultExperiment
 
-from fmu_models import rigid_body
-from fmu_models.blocks import Reference, Vector
-from fmu_models.description import output, parameter
+from ..kernel.blocks import Reference, Vector
+from ..kernel.description import output, parameter
+from . import equations
 
 POSITION = (
     ("r_d", "m", "Desired position"),
@@ -50,5 +50,5 @@ class RigidBodyReference(Reference):
 
     def outputs(self, time: float, parameters: Vector) -> Vector:
         """Position and derivatives, then attitude and derivatives."""
-        d = rigid_body.motion(time, parameters[0:3], parameters[3:6], parameters[6])
+        d = equations.motion(time, parameters[0:3], parameters[3:6], parameters[6])
         return (*d.r, *d.v, *d.a, *d.R, *d.Omega, *d.Omega_dot)

@@ -1,8 +1,8 @@
-"""Entry script of Pendulum.fmu."""
+"""The plant FMU of the pendulum."""
 
-from fmu_models import pendulum
-from fmu_models.blocks import Plant
-from fmu_models.description import input_variable, parameter, state
+from ..kernel.blocks import Plant
+from ..kernel.description import input_variable, parameter, state
+from . import equations
 
 
 class Pendulum(Plant):
@@ -17,4 +17,4 @@ class Pendulum(Plant):
         state("phi", "rad", 0.5, "Angle from hanging down", depends=("phi_dot",)),
         state("phi_dot", "rad/s", 0.0, "Angular velocity", depends=("m", "l", "b", "g", "u", "phi", "phi_dot")),
     )
-    derivative = staticmethod(pendulum.derivative)
+    derivative = staticmethod(equations.derivative)

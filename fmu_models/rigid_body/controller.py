@@ -1,12 +1,12 @@
-"""Entry script of RigidBodyController.fmu."""
+"""The controller FMUs of the rigid body."""
 
 from pythonfmu import DefaultExperiment
 
-from fmu_models import rigid_body
-from fmu_models.blocks import Controller, Vector
-from fmu_models.description import input_variable, output, parameter
+from ..kernel.blocks import Adaptive, Controller, Vector
+from ..kernel.description import input_variable, output, parameter
+from . import equations
 
-GAINS = rigid_body.Gains()
+GAINS = equations.Gains()
 C = tuple(
     parameter(f"c_{a}", "m", 0.0, f"Centre of mass the controller believes in, body {a}", min=-0.3, max=0.3)
     for a in "xyz"
@@ -73,5 +73,11 @@ class RigidBodyController(Controller):
     def outputs(self, inputs: Vector, parameters: Vector) -> Vector:
         """The control law."""
         i, p = inputs, parameters
-        d = rigid_body.Motion(i[18:21], i[21:24], i[36:39], i[24:33], i[33:36], i[39:42])
-        return rigid_body.control(i[:18], d, p[0], p[1:4], p[9:15], p[4], rigid_body.Gains(*p[5:9]))
+        d = equations.Motion(i[18:21], i[21:24], i[36:39], i[24:33], i[33:36], i[39:42])
+        return equations.control(i[:18], d, p[0], p[1:4], p[9:15], p[4], equations.Gains(*p[5:9]))
+
+
+class RigidBodyControllerAdaptive(Adaptive, RigidBodyController):
+    """Computed-torque controller of a free rigid body on SE(3), with its ten inertial parameters as inputs."""
+
+    estimated = ("m", *(v.name for v in (*C, *INERTIA)))

@@ -1,8 +1,8 @@
-"""Entry script of PendulumController.fmu."""
+"""The controller FMUs of the pendulum."""
 
-from fmu_models import pendulum
-from fmu_models.blocks import Controller, Vector
-from fmu_models.description import input_variable, output, parameter
+from ..kernel.blocks import Adaptive, Controller, Vector
+from ..kernel.description import input_variable, output, parameter
+from . import equations
 
 PARAMETERS = (
     parameter("m", "kg", 1.75, "Mass the controller believes in", min=0.1, max=5.0),
@@ -31,4 +31,10 @@ class PendulumController(Controller):
 
     def outputs(self, inputs: Vector, parameters: Vector) -> Vector:
         """The control law."""
-        return (pendulum.control(inputs[0:2], inputs[2:4], *parameters),)
+        return (equations.control(inputs[0:2], inputs[2:4], *parameters),)
+
+
+class PendulumControllerAdaptive(Adaptive, PendulumController):
+    """Feedback-linearising controller of an actuated pendulum, with its mass and length as inputs."""
+
+    estimated = ("m", "l")

@@ -9,7 +9,7 @@ Lee, Leok, McClamroch (2010), "Geometric tracking control of a quadrotor UAV on 
 from math import cos, sin
 from typing import NamedTuple
 
-from .so3 import (
+from ..kernel.so3 import (
     Matrix3,
     Vector3,
     add,
@@ -25,6 +25,7 @@ from .so3 import (
     unit_derivatives,
     vee,
 )
+from .trajectory import Trajectory
 
 State = tuple[float, ...]
 
@@ -87,27 +88,6 @@ class Gains(NamedTuple):
     """Attitude [N m]."""
     K_Omega: Vector3 = (5.0, 10.0, 20.0)
     """Angular velocity [N m s]."""
-
-
-class Trajectory(NamedTuple):
-    """Desired position to its fourth derivative and yaw to its second, at one time."""
-
-    r: Vector3
-    """Position, inertial [m]."""
-    v: Vector3
-    """Velocity [m/s]."""
-    a: Vector3
-    """Acceleration [m/s^2]."""
-    j: Vector3
-    """Jerk [m/s^3]."""
-    s: Vector3
-    """Snap [m/s^4]."""
-    psi: float
-    """Yaw [rad]."""
-    psi_dot: float
-    """Yaw rate [rad/s]."""
-    psi_ddot: float
-    """Yaw acceleration [rad/s^2]."""
 
 
 class Attitude(NamedTuple):

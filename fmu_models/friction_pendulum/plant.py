@@ -1,8 +1,8 @@
-"""Entry script of FrictionPendulum.fmu."""
+"""The plant FMU of the pendulum with stiction."""
 
-from fmu_models import friction_pendulum
-from fmu_models.blocks import Plant
-from fmu_models.description import input_variable, parameter, state
+from ..kernel.blocks import Plant
+from ..kernel.description import input_variable, parameter, state
+from . import equations
 
 PARAMETERS = (
     parameter("m", "kg", 1.75, "Mass", min=0.1, max=5.0),
@@ -30,4 +30,4 @@ class FrictionPendulum(Plant):
             depends=(*(v.name for v in PARAMETERS), "u", "phi", "phi_dot"),
         ),
     )  # fmt: skip
-    derivative = staticmethod(friction_pendulum.derivative)
+    derivative = staticmethod(equations.derivative)

@@ -1,10 +1,10 @@
-"""Entry script of QuadrotorReference.fmu."""
+"""The reference FMU of the quadrotor."""
 
 from pythonfmu import DefaultExperiment
 
-from fmu_models import references
-from fmu_models.blocks import Reference, Vector
-from fmu_models.description import output, parameter
+from ..kernel.blocks import Reference, Vector
+from ..kernel.description import output, parameter
+from .trajectory import sinusoid_trajectory
 
 POSITION = (
     ("r_d", "m", "Desired position"),
@@ -40,5 +40,5 @@ class QuadrotorReference(Reference):
         """Position and derivatives, then yaw and derivatives."""
         *amplitudes, omega, smooth_yaw = parameters
         yaw = "smooth" if smooth_yaw else "paper"
-        d = references.sinusoid_trajectory(time, tuple(amplitudes), omega, yaw)
+        d = sinusoid_trajectory(time, tuple(amplitudes), omega, yaw)
         return (*d.r, *d.v, *d.a, *d.j, *d.s, d.psi, d.psi_dot, d.psi_ddot)

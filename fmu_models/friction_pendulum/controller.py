@@ -1,8 +1,8 @@
-"""Entry script of FrictionPendulumController.fmu."""
+"""The controller FMUs of the pendulum with stiction."""
 
-from fmu_models import friction_pendulum
-from fmu_models.blocks import Controller, Vector
-from fmu_models.description import input_variable, output, parameter
+from ..kernel.blocks import Adaptive, Controller, Vector
+from ..kernel.description import input_variable, output, parameter
+from . import equations
 
 PARAMETERS = (
     parameter("m", "kg", 1.75, "Mass the controller believes in", min=0.1, max=5.0),
@@ -38,4 +38,10 @@ class FrictionPendulumController(Controller):
 
     def outputs(self, inputs: Vector, parameters: Vector) -> Vector:
         """The control law."""
-        return (friction_pendulum.control(inputs[0:2], inputs[2:5], *parameters),)
+        return (equations.control(inputs[0:2], inputs[2:5], *parameters),)
+
+
+class FrictionPendulumControllerAdaptive(Adaptive, FrictionPendulumController):
+    """Feedback-linearising controller of a pendulum with stiction, with what is estimated as inputs."""
+
+    estimated = ("m", "l", "F_c", "F_s", "u_d")

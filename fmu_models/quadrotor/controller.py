@@ -1,10 +1,11 @@
-"""Entry script of QuadrotorController.fmu."""
+"""The controller FMUs of the quadrotor."""
 
 from pythonfmu import DefaultExperiment
 
-from fmu_models import quadrotor
-from fmu_models.blocks import Controller, Vector
-from fmu_models.description import Variable, input_variable, output, parameter
+from ..kernel.blocks import Adaptive, Controller, Vector
+from ..kernel.description import Variable, input_variable, output, parameter
+from . import equations
+from .trajectory import Trajectory
 
 
 def triple(make, name: str, unit: str, start, text: str, **bounds: float) -> tuple[Variable, ...]:
@@ -13,7 +14,7 @@ def triple(make, name: str, unit: str, start, text: str, **bounds: float) -> tup
 
 
 ZERO = (0.0, 0.0, 0.0)
-GAINS = quadrotor.Gains()
+GAINS = equations.Gains()
 INERTIA = triple(
     parameter, "J", "kg.m2", (1.1, 1.1, 2.2), "Inertia the controller believes in, body", min=0.1, max=12.0
 )
@@ -73,12 +74,18 @@ class QuadrotorController(Controller):
     def outputs(self, inputs: Vector, parameters: Vector) -> Vector:
         """The control law. Raises ValueError where it has none."""
         i, p = inputs, parameters
-        d = quadrotor.Trajectory(i[18:21], i[21:24], i[24:27], i[27:30], i[30:33], i[33], i[34], i[35])
-        gains = quadrotor.Gains(p[5:8], p[8:11], p[11:14], p[14:17])
+        d = Trajectory(i[18:21], i[21:24], i[24:27], i[27:30], i[30:33], i[33], i[34], i[35])
+        gains = equations.Gains(p[5:8], p[8:11], p[11:14], p[14:17])
         try:
-            return quadrotor.control(i[:18], d, p[0], p[1:4], p[4], gains)
+            return equations.control(i[:18], d, p[0], p[1:4], p[4], gains)
         except ZeroDivisionError as error:
             raise ValueError(
                 "desired attitude undefined: the commanded force is zero or along the heading; "
                 "lower the reference's acceleration or the position and velocity gains."
             ) from error
+
+
+class QuadrotorControllerAdaptive(Adaptive, QuadrotorController):
+    """Geometric tracking controller of Lee, Leok and McClamroch (2010), with mass and inertia as inputs."""
+
+    estimated = ("m", "J_x", "J_y", "J_z")

@@ -1,10 +1,11 @@
-"""Entry script of Quadrotor.fmu."""
+"""The plant FMU of the quadrotor."""
 
 from pythonfmu import DefaultExperiment
 
-from fmu_models import quadrotor, so3
-from fmu_models.blocks import Plant, Vector
-from fmu_models.description import input_variable, parameter, state
+from ..kernel import so3
+from ..kernel.blocks import Plant, Vector
+from ..kernel.description import input_variable, parameter, state
+from . import equations
 
 J = ("J_x", "J_y", "J_z")
 AXES = {"1": "x", "2": "y", "3": "z"}
@@ -38,7 +39,7 @@ class Quadrotor(Plant):
             ) for a in "xyz"
         ),
     )  # fmt: skip
-    derivative = staticmethod(quadrotor.derivative)
+    derivative = staticmethod(equations.derivative)
 
     @staticmethod
     def project(x: Vector) -> Vector:

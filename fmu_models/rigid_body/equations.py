@@ -9,7 +9,7 @@ Featherstone (2008), "Rigid Body Dynamics Algorithms", sections 2.13-2.15: Newto
 from math import cos, sin
 from typing import NamedTuple
 
-from .so3 import Matrix3, Vector3, add, apply, cross, product, scale, subtract, transpose, vee
+from ..kernel.so3 import Matrix3, Vector3, add, apply, cross, product, scale, subtract, transpose, vee
 
 State = tuple[float, ...]
 Wrench = tuple[float, float, float, float, float, float]

@@ -6,7 +6,7 @@ import sys
 import tempfile
 import threading
 import zipfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Generator, Iterable, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from hashlib import sha256
@@ -25,6 +25,7 @@ from pythonfmu3 import __version__ as pythonfmu3_version
 
 from . import documentation
 from .kernel.blocks import Adaptive, Plant
+from .kernel.description import Variable
 from .kernel.slave import NAMESPACE, Slave
 from .kernel.theory import ADAPTIVE, Theory
 
@@ -95,7 +96,7 @@ def build(name: str, out_dir: Path | str, fmi: int = 2, interface: Interface = "
         name=name,
         summary=model.__doc__ or "",
         theory=_theory(model),
-        variables=model.exchange_table() if interface == "ModelExchange" else model.variables,
+        variables=_variables(model, interface),
         icon=_icon(model),
     )
     libraries = ("pythonfmu",) if fmi == 2 else ("pythonfmu", "pythonfmu3")
@@ -158,6 +159,10 @@ def _files(name: str, fmi: int, interface: Interface) -> tuple[str, dict[str, by
     return script, sources(PACKAGE) | libraries | {f"{script}.py": _ENTRY_3.format(**values).encode()}
 
 
+def _variables(model: type[Slave], interface: Interface) -> tuple[Variable, ...]:
+    return model.exchange_table() if interface == "ModelExchange" and issubclass(model, Plant) else model.variables
+
+
 def _theory(model: type[Slave]) -> Theory:
     """Return the text of the model, or of what it is derived from, by its folder's module `theory`."""
     texts = import_module(f"{model.__module__.rpartition('.')[0]}.theory").THEORY
@@ -180,7 +185,7 @@ def _identity(name: str, fmi: int, files: Mapping[str, bytes]) -> str:
 
 
 @contextmanager
-def _imports_restored(module: str) -> Iterator[None]:
+def _imports_restored(module: str) -> Generator[None]:
     """sys.path and sys.modules as they were: the builder imports its script by stem, and leaves both changed."""
     with _imports:
         path, loaded = list(sys.path), sys.modules.pop(module, None)
@@ -202,7 +207,7 @@ def _rewrite(
     look for a package in the folder of the one that came first, which may be gone or of another version.
     """
     suffix = f"_{identity[:8]}"
-    tops = {path: re.match(r"\w+", path)[0] for path in files if path.endswith(".py")}
+    tops = {path: path.partition("/")[0].removesuffix(".py") for path in files if path.endswith(".py")}
     own = {f"resources/{path}": f"resources/{top}{suffix}{path[len(top) :]}" for path, top in tops.items()}
     with zipfile.ZipFile(raw) as source, zipfile.ZipFile(target, "x", zipfile.ZIP_DEFLATED) as copy:
         # Nobody builds this FMU from C++: FMI 3.0 asks for a build description beside sources.

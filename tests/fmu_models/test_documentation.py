@@ -17,9 +17,9 @@ from fmu_models.kernel.theory import Theory
 from fmu_models.pendulum.plant import Pendulum
 
 KINDS = [
-    *(pytest.param(name, 2, "CoSimulation", id=f"{name}-2") for name in build.NAMES),
-    *(pytest.param(name, 3, "CoSimulation", id=f"{name}-3") for name in ("Quadrotor", "PendulumController")),
-    *(pytest.param(name, 3, "ModelExchange", id=f"{name}-3-me") for name in ("Quadrotor", "Pendulum")),
+    *(pytest.param(2, name, id=f"{name}-2") for name in build.NAMES),
+    *(pytest.param(3, name, id=f"{name}-3") for name in ("Quadrotor", "PendulumController")),
+    *(pytest.param("me", name, id=f"{name}-3-me") for name in ("Quadrotor", "Pendulum")),
 ]
 VOID = {"meta", "br"}
 
@@ -55,38 +55,37 @@ def page(summary):
     return Page("Pendulum", summary, Theory(("a = b",), "Notes."), Pendulum.variables)
 
 
-@pytest.fixture(scope="module")
-def files_of(tmp_path_factory):
-    """Contents by path of an FMU of that kind."""
-    folder = tmp_path_factory.mktemp("fmus")
+@pytest.fixture
+def files_of(built):
+    """Contents by path of an FMU of that kind and name."""
 
-    def read(*kind):
-        with zipfile.ZipFile(build.build(kind[0], folder / "-".join(map(str, kind)), *kind[1:])) as archive:
-            return {name: archive.read(name) for name in archive.namelist()}
+    def read(kind, name):
+        with zipfile.ZipFile(built[kind][name]) as archive:
+            return {path: archive.read(path) for path in archive.namelist()}
 
     return read
 
 
-@pytest.mark.parametrize(("name", "fmi", "interface"), KINDS)
-def test_an_fmu_holds_its_page_its_licences_and_its_icon(files_of, name, fmi, interface):
-    found = files_of(name, fmi, interface)
+@pytest.mark.parametrize(("kind", "name"), KINDS)
+def test_an_fmu_holds_its_page_its_licences_and_its_icon(files_of, kind, name):
+    found = files_of(kind, name)
     page = Html(found["documentation/index.html"].decode())
     assert page.links == []
     model = build.MODELS[name]
-    table = model.exchange_table() if interface == "ModelExchange" else model.variables
+    table = model.exchange_table() if kind == "me" else model.variables
     for v in table:
         assert {v.name, v.unit or "Boolean", f"{v.variability} {v.causality}", v.description} <= set(page.texts)
     assert found["documentation/licenses/license.txt"] == Path(__file__).parents[2].joinpath("LICENSE").read_bytes()
     assert b"Permission is hereby granted" in found["documentation/licenses/pythonfmu.txt"]
-    assert ("documentation/licenses/pythonfmu3.txt" in found) == (fmi == 3)
-    assert found["model.png" if fmi == 2 else "terminalsAndIcons/icon.png"] == icon_of(name).read_bytes()
-    assert ("terminalsAndIcons/terminalsAndIcons.xml" in found) == (fmi == 3)
+    assert ("documentation/licenses/pythonfmu3.txt" in found) == (kind != 2)
+    assert found["model.png" if kind == 2 else "terminalsAndIcons/icon.png"] == icon_of(name).read_bytes()
+    assert ("terminalsAndIcons/terminalsAndIcons.xml" in found) == (kind != 2)
     assert not [path for path in found if path.startswith("sources/")]
 
 
 def test_the_terminals_and_icons_of_fmi_3_are_valid(files_of):
     schema = Path(fmpy.__file__).parent / "schema" / "fmi3" / "fmi3TerminalsAndIcons.xsd"
-    text = files_of("Pendulum", 3, "CoSimulation")["terminalsAndIcons/terminalsAndIcons.xml"]
+    text = files_of(3, "Pendulum")["terminalsAndIcons/terminalsAndIcons.xml"]
     etree.XMLSchema(etree.parse(schema)).assertValid(etree.fromstring(text))
 
 
@@ -118,7 +117,7 @@ def test_a_page_escapes_what_is_no_markup():
 
 def test_an_adaptive_controller_has_the_equations_of_its_controller_and_says_what_it_adds(files_of):
     texts = [
-        Html(files_of(name, 2, "CoSimulation")["documentation/index.html"].decode()).texts
+        Html(files_of(2, name)["documentation/index.html"].decode()).texts
         for name in ("PendulumController", "PendulumControllerAdaptive")
     ]
     equations = [text for text in texts[0] if "φ̈" in text or "sin φ" in text]

@@ -26,8 +26,8 @@ from benchmarks.native_fmus import SOURCES, compile_c
 from benchmarks.report import Row, spread, write
 from fmu_models import quadrotor
 from fmu_models.build import build
-from fmu_models.ode import rk4_step
-from fmu_models.quadrotor_fmu import Quadrotor
+from fmu_models.kernel.ode import rk4_step
+from fmu_models.quadrotor.plant import Quadrotor
 
 H = 0.01
 """Communication step [s]."""

@@ -6,12 +6,13 @@ import sys
 import tempfile
 import threading
 import zipfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Generator, Iterable, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from hashlib import sha256
 from importlib import import_module
 from pathlib import Path
-from types import MappingProxyType
+from types import MappingProxyType, ModuleType
 from typing import Literal
 from uuid import uuid4, uuid5
 from xml.etree import ElementTree
@@ -23,43 +24,53 @@ from pythonfmu3 import FmuBuilder as Fmi3Builder
 from pythonfmu3 import __version__ as pythonfmu3_version
 
 from . import documentation
-from .slave import NAMESPACE
+from .kernel.blocks import Adaptive, Plant
+from .kernel.description import Variable
+from .kernel.slave import NAMESPACE, Slave
+from .kernel.theory import ADAPTIVE, Theory
 
 PACKAGE = Path(__file__).parent
-_SCRIPTS = MappingProxyType(
-    {
-        "FrictionPendulum": "friction_pendulum_fmu",
-        "FrictionPendulumController": "friction_pendulum_controller_fmu",
-        "FrictionPendulumControllerAdaptive": "friction_pendulum_controller_adaptive_fmu",
-        "Pendulum": "pendulum_fmu",
-        "PendulumController": "pendulum_controller_fmu",
-        "PendulumControllerAdaptive": "pendulum_controller_adaptive_fmu",
-        "PendulumReference": "pendulum_reference_fmu",
-        "PendulumSine": "pendulum_sine_fmu",
-        "Quadrotor": "quadrotor_fmu",
-        "QuadrotorController": "quadrotor_controller_fmu",
-        "QuadrotorControllerAdaptive": "quadrotor_controller_adaptive_fmu",
-        "QuadrotorReference": "quadrotor_reference_fmu",
-        "RigidBody": "rigid_body_fmu",
-        "RigidBodyController": "rigid_body_controller_fmu",
-        "RigidBodyControllerAdaptive": "rigid_body_controller_adaptive_fmu",
-        "RigidBodyReference": "rigid_body_reference_fmu",
+MODULES = ("plant", "controller", "reference")
+"""The modules of a plant's folder that hold FMUs."""
+
+
+def _find_models() -> Mapping[str, type[Slave]]:
+    """Return the classes that the modules of the plants' folders define, by name."""
+    paths = [path for path in sorted(PACKAGE.glob("*/*.py")) if path.stem in MODULES]
+    modules = [import_module(f"{__package__}.{path.parent.name}.{path.stem}") for path in paths]
+    defined = {
+        name: value for module in modules for name, value in vars(module).items() if _is_defined_in(module, value)
     }
-)
-NAMES = tuple(_SCRIPTS)
+    return MappingProxyType(dict(sorted(defined.items())))
+
+
+def _is_defined_in(module: ModuleType, value: object) -> bool:
+    return isinstance(value, type) and issubclass(value, Slave) and value.__module__ == module.__name__
+
+
+MODELS = _find_models()
+"""The classes of the FMUs that come with the package, by name: all that there are in the plants' folders."""
+NAMES = tuple(MODELS)
+PLANTS = tuple(name for name, model in MODELS.items() if issubclass(model, Plant))
+"""What there is for model exchange, in FMI 3.0: the others have no states."""
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 _imports = threading.Lock()
 
-
 Interface = Literal["CoSimulation", "ModelExchange"]
-PLANTS = ("FrictionPendulum", "Pendulum", "Quadrotor", "RigidBody")
-"""What there is for model exchange, in FMI 3.0: the others have no states."""
-_ENTRY = """\"\"\"Entry script of {name}.fmu, FMI 3.0.\"\"\"
+_ENTRY = """\"\"\"Entry script of {name}.fmu.\"\"\"
+
+from {module} import {name} as Model
+
+
+class {name}(Model):
+    __doc__ = Model.__doc__
+"""
+_ENTRY_3 = """\"\"\"Entry script of {name}.fmu, FMI 3.0.\"\"\"
 
 from pythonfmu3 import Fmi3SlaveBase
 
-from fmu_models.fmi3 import Fmi3{interface}
-from fmu_models.{script} import {name} as Model
+from fmu_models.kernel.fmi3 import Fmi3{interface}
+from {module} import {name} as Model
 
 
 class {name}(Fmi3{interface}, Fmi3SlaveBase):
@@ -80,11 +91,16 @@ def build(name: str, out_dir: Path | str, fmi: int = 2, interface: Interface = "
     for model exchange of what is no plant, or in FMI 2.0.
     """
     script, files = _files(name, fmi, interface)
-    model = getattr(import_module(f"{__package__}.{_SCRIPTS[name]}"), name)
-    variables = model.exchange_table() if interface == "ModelExchange" else model.variables
+    model = MODELS[name]
+    page = documentation.Page(
+        name=name,
+        summary=model.__doc__ or "",
+        theory=_theory(model),
+        variables=_variables(model, interface),
+        icon=_icon(model),
+    )
     libraries = ("pythonfmu",) if fmi == 2 else ("pythonfmu", "pythonfmu3")
-    extra = documentation.files(name, model.__doc__, variables, fmi, libraries)
-    return assemble(name, script, files, extra, out_dir, fmi)
+    return assemble(name, script, files, documentation.files(page, fmi, libraries), out_dir, fmi)
 
 
 def assemble(
@@ -122,24 +138,42 @@ def build_all(out_dir: Path | str, fmi: int = 2, interface: Interface = "CoSimul
 
 
 def sources(package: Path) -> dict[str, bytes]:
-    """The modules of a package by their paths in an FMU."""
-    return {f"{package.name}/{path.name}": path.read_bytes() for path in sorted(package.glob("*.py"))}
+    """The modules of a package, those in its folders too, by their paths in an FMU."""
+    return {path.relative_to(package.parent).as_posix(): path.read_bytes() for path in sorted(package.rglob("*.py"))}
 
 
 def _files(name: str, fmi: int, interface: Interface) -> tuple[str, dict[str, bytes]]:
     """Entry script, and the files of what it is and imports, by their paths."""
-    if name not in _SCRIPTS:
+    if name not in MODELS:
         raise ValueError(f"name must be one of {', '.join(NAMES)}, got {name!r}.")
     if fmi not in (2, 3):
         raise ValueError(f"fmi must be 2 or 3, got {fmi!r}.")
     if interface == "ModelExchange" and (name not in PLANTS or fmi != 3):
         raise ValueError(f"model exchange is for {', '.join(PLANTS)} in FMI 3.0, got {name} in FMI {fmi}.0.")
-    script = _SCRIPTS[name]
+    stem = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower() + "_fmu"
+    values = {"name": name, "module": MODELS[name].__module__, "interface": interface}
     if fmi == 2:
-        return script, sources(PACKAGE) | {f"{script}.py": (PACKAGE / f"{script}.py").read_bytes()}
-    entry = f"{script}3_{interface.lower()}"  # the Slave inside needs the Python part of pythonfmu too
-    text = _ENTRY.format(name=name, script=script, interface=interface).encode()
-    return entry, sources(PACKAGE) | sources(Path(pythonfmu.__file__).parent) | {f"{entry}.py": text}
+        return stem, sources(PACKAGE) | {f"{stem}.py": _ENTRY.format(**values).encode()}
+    script = f"{stem}3_{interface.lower()}"  # the Slave inside needs the Python part of pythonfmu too
+    libraries = sources(Path(pythonfmu.__file__).parent)
+    return script, sources(PACKAGE) | libraries | {f"{script}.py": _ENTRY_3.format(**values).encode()}
+
+
+def _variables(model: type[Slave], interface: Interface) -> tuple[Variable, ...]:
+    return model.exchange_table() if interface == "ModelExchange" and issubclass(model, Plant) else model.variables
+
+
+def _theory(model: type[Slave]) -> Theory:
+    """Return the text of the model, or of what it is derived from, by its folder's module `theory`."""
+    texts = import_module(f"{model.__module__.rpartition('.')[0]}.theory").THEORY
+    theory = next(texts[base.__name__] for base in model.__mro__ if base.__name__ in texts)
+    return replace(theory, notes=theory.notes + ADAPTIVE) if issubclass(model, Adaptive) else theory
+
+
+def _icon(model: type[Slave]) -> bytes | None:
+    """Return the picture beside the module that defines the model, `controller.png` of `controller.py`, if any."""
+    path = PACKAGE.parent.joinpath(*model.__module__.split(".")).with_suffix(".png")
+    return path.read_bytes() if path.is_file() else None
 
 
 def _identity(name: str, fmi: int, files: Mapping[str, bytes]) -> str:
@@ -151,7 +185,7 @@ def _identity(name: str, fmi: int, files: Mapping[str, bytes]) -> str:
 
 
 @contextmanager
-def _imports_restored(module: str) -> Iterator[None]:
+def _imports_restored(module: str) -> Generator[None]:
     """sys.path and sys.modules as they were: the builder imports its script by stem, and leaves both changed."""
     with _imports:
         path, loaded = list(sys.path), sys.modules.pop(module, None)
@@ -173,7 +207,7 @@ def _rewrite(
     look for a package in the folder of the one that came first, which may be gone or of another version.
     """
     suffix = f"_{identity[:8]}"
-    tops = {path: re.match(r"\w+", path)[0] for path in files if path.endswith(".py")}
+    tops = {path: path.partition("/")[0].removesuffix(".py") for path in files if path.endswith(".py")}
     own = {f"resources/{path}": f"resources/{top}{suffix}{path[len(top) :]}" for path, top in tops.items()}
     with zipfile.ZipFile(raw) as source, zipfile.ZipFile(target, "x", zipfile.ZIP_DEFLATED) as copy:
         # Nobody builds this FMU from C++: FMI 3.0 asks for a build description beside sources.

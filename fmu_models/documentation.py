@@ -1,13 +1,13 @@
 """The files in an FMU that are for people: documentation/index.html, the licences, the icon. Standard library only."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from html import escape
 from importlib.metadata import distribution
 from pathlib import Path
 
-from .description import Variable
-from .equations import described
-from .icon import png
+from .kernel.description import Variable
+from .kernel.theory import Theory
 
 LICENSE = Path(__file__).with_name("LICENSE")
 _STYLE = (
@@ -17,48 +17,61 @@ _STYLE = (
 )
 
 
-def files(
-    name: str, summary: str, variables: Sequence[Variable], fmi: int, libraries: Sequence[str]
-) -> dict[str, bytes]:
-    """Contents by path in the FMU.
+@dataclass(frozen=True)
+class Page:
+    """What an FMU tells people about itself."""
+
+    name: str
+    """Its model's name."""
+    summary: str
+    """One sentence."""
+    theory: Theory
+    """What it computes."""
+    variables: Sequence[Variable]
+    """Its table of variables."""
+    icon: bytes | None = None
+    """A PNG picture; None for an FMU without one."""
+
+    def html(self) -> str:
+        """Return the model's documentation, HTML that needs nothing from elsewhere."""
+        lines = "".join(f'<p class="equation">{equation}</p>\n' for equation in self.theory.equations)
+        rows = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in _cells(v))}</tr>\n" for v in self.variables)
+        heads = "".join(f"<th>{head}</th>" for head in ("Name", "Unit", "Kind", "Start", "Range", "Description"))
+        source = f"<p>{self.theory.source}</p>" if self.theory.source else ""
+        return (
+            '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+            f"<title>{self.name}</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n"
+            f"<h1>{self.name}</h1>\n<p>{escape(self.summary)}</p>\n"
+            f"<h2>Equations</h2>\n{lines}<p>{self.theory.notes}</p>\n{source}\n"
+            f"<h2>Behaviour</h2>\n<p>{_behaviour(self.variables)}</p>\n"
+            f"<h2>Variables</h2>\n<table>\n<tr>{heads}</tr>\n{rows}</table>\n"
+            "<p>MIT licence: see the folder licenses.</p>\n</body>\n</html>\n"
+        )
+
+
+def files(page: Page, fmi: int, libraries: Sequence[str]) -> dict[str, bytes]:
+    """Return the files for people by their paths in the FMU.
 
     fmi: 2 or 3, which say where the icon belongs;  libraries: the distributions whose code the FMU holds beside ours.
     """
     licences = {name: distribution(name).read_text("licenses/LICENSE") or "" for name in libraries}
     return {
-        "documentation/index.html": page(name, summary, variables).encode(),
+        "documentation/index.html": page.html().encode(),
         "documentation/licenses/license.txt": LICENSE.read_bytes(),
         **{f"documentation/licenses/{library}.txt": text.encode() for library, text in licences.items()},
-        **({"model.png": png(name)} if fmi == 2 else _terminals_and_icons(name)),
+        **({} if page.icon is None else {"model.png": page.icon} if fmi == 2 else _terminals_and_icons(page.icon)),
     }
 
 
-def _terminals_and_icons(name: str) -> dict[str, bytes]:
-    """The icon in its place, and how large it is drawn. FMI 3.0.1, section 2.6."""
+def _terminals_and_icons(icon: bytes) -> dict[str, bytes]:
+    """Return the icon in its place, and how large it is drawn. FMI 3.0.1, section 2.6."""
     xml = (
         '<?xml version="1.0" encoding="UTF-8"?>\n<fmiTerminalsAndIcons fmiVersion="3.0">\n  <GraphicalRepresentation>\n'
         '    <CoordinateSystem x1="-100" y1="-100" x2="100" y2="100" suggestedScalingFactorTo_mm="0.1"/>\n'
         '    <Icon x1="-100" y1="-100" x2="100" y2="100"/>\n'
         "  </GraphicalRepresentation>\n</fmiTerminalsAndIcons>\n"
     )
-    return {"terminalsAndIcons/icon.png": png(name), "terminalsAndIcons/terminalsAndIcons.xml": xml.encode()}
-
-
-def page(name: str, summary: str, variables: Sequence[Variable]) -> str:
-    """The model's documentation, HTML that needs nothing from elsewhere."""
-    equations, notes, source = described(name)
-    lines = "".join(f'<p class="equation">{equation}</p>\n' for equation in equations)
-    rows = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in _cells(v))}</tr>\n" for v in variables)
-    heads = "".join(f"<th>{head}</th>" for head in ("Name", "Unit", "Kind", "Start", "Range", "Description"))
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        f"<title>{name}</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n"
-        f"<h1>{name}</h1>\n<p>{escape(summary)}</p>\n"
-        f"<h2>Equations</h2>\n{lines}<p>{notes}</p>\n{f'<p>{source}</p>' if source else ''}\n"
-        f"<h2>Behaviour</h2>\n<p>{_behaviour(variables)}</p>\n"
-        f"<h2>Variables</h2>\n<table>\n<tr>{heads}</tr>\n{rows}</table>\n"
-        "<p>MIT licence: see the folder licenses.</p>\n</body>\n</html>\n"
-    )
+    return {"terminalsAndIcons/icon.png": icon, "terminalsAndIcons/terminalsAndIcons.xml": xml.encode()}
 
 
 def _cells(v: Variable) -> tuple[str, ...]:

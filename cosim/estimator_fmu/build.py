@@ -18,7 +18,7 @@ import fmu_models
 from estimator import Sample, Vector
 from fmu_models import documentation
 from fmu_models.build import assemble, sources
-from fmu_models.description import base_unit
+from fmu_models.kernel.description import base_unit
 
 from ..errors import ScenarioError
 from ..fmi.archive import FmuFile
@@ -33,6 +33,7 @@ from ..system.parameters import check_parameters, start_value
 from ..system.plant import Plant, plant_of
 from ..system.wiring import wire
 from .slave import variable_table
+from .theory import ICON, THEORY
 
 _SHIPPED = (
     "estimator_fmu/__init__.py",
@@ -72,8 +73,8 @@ def build_estimator(scenario: Scenario, out_dir: Path, method: str = "target") -
     files[f"{script}.py"] = _entry(name, scenario, settings | {"ships": tops}).encode()
     try:
         summary = f"Estimator of the scenario {scenario.scenario.name}: {method}"
-        people = documentation.files(name, summary, variable_table(settings), 2, ("pythonfmu",))
-        return assemble(name, script, files, people, out_dir)
+        page = documentation.Page(name, summary, THEORY, variable_table(settings), ICON.read_bytes())
+        return assemble(name, script, files, documentation.files(page, 2, ("pythonfmu",)), out_dir)
     except RuntimeError as e:  # the FMU is instantiated for its description
         raise ScenarioError(f"{e}.") from e
 

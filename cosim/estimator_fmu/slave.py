@@ -1,4 +1,4 @@
-"""The estimator as an FMU: the loop of `reconfigure` behind the FMI calls of `fmu_models.slave`.
+"""The estimator as an FMU: the loop of `reconfigure` behind the FMI calls of `fmu_models.kernel.slave`.
 
 It is shipped inside the FMU, and loads nothing but the standard library and pythonfmu before it has been seen that the
 rest is there. One communication point is one sample: inputs are what the plant's outputs are at that time.
@@ -15,8 +15,8 @@ from xml.etree.ElementTree import Element
 
 from pythonfmu import DefaultExperiment
 
-from fmu_models.description import Variable, input_variable, output, parameter
-from fmu_models.slave import Slave
+from fmu_models.kernel.description import Variable, input_variable, output, parameter
+from fmu_models.kernel.slave import Slave
 
 _LARGEST_INTEGER = 2**31 - 1
 

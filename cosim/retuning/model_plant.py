@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Final
 
-from fmu_models.ode import integrate
+from fmu_models.kernel.ode import integrate
 
 from ..errors import COLON, SlaveError
 from ..fmi.types import Value

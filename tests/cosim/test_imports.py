@@ -77,7 +77,7 @@ pass"""
 
 
 def test_importing_the_models_loads_pythonfmu_and_the_standard_library_only():
-    plain, loaded = loaded_by("pass"), loaded_by("import fmu_models.build, fmu_models.blocks")
+    plain, loaded = loaded_by("pass"), loaded_by("import fmu_models.build, fmu_models.kernel.blocks")
     third_party = {m for m in loaded - plain if m not in sys.stdlib_module_names and not m.startswith("_")}
     assert "pythonfmu" in third_party
     assert third_party <= {"pythonfmu", "pythonfmu3", "fmu_models"}

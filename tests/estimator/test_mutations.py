@@ -1,30 +1,7 @@
-"""Each oracle rejects wrong formulas: the source of a module with one slip in it, and the check that must see it.
+"""Each oracle of the estimators rejects wrong formulas. Every check of oracles.py is here at least once."""
 
-A check that passes on a mutant cannot bite. Every check of oracles.py is here at least once.
-"""
-
-import sys
-from importlib.resources import files
-from types import ModuleType
-
-import pytest
-
-
-@pytest.fixture
-def mutant(monkeypatch):
-    """The module `estimator.name` from its source with the one `old` replaced by `new`, or unchanged where empty."""
-
-    def load(name, old, new):
-        source = files("estimator").joinpath(f"{name}.py").read_text(encoding="utf-8")
-        assert not old or source.count(old) == 1, f"{old!r} must be in {name}.py once, got {source.count(old)}"
-        module = ModuleType(f"estimator.{name}_mutant")
-        module.__package__ = "estimator"
-        monkeypatch.setitem(sys.modules, module.__name__, module)  # dataclasses look their module up there
-        exec(compile(source.replace(old, new) if old else source, f"mutant of {name}.py", "exec"), module.__dict__)
-        return module
-
-    return load
-
+from tests.estimator import oracles
+from tests.mutation import checks_of, mutation_tests
 
 EI_QUAD = "check_expected_improvement_against_quadrature"
 EI_DRAWS = "check_expected_improvement_against_monte_carlo"
@@ -53,7 +30,9 @@ UNSEEN = "check_std_of_what_is_not_seen_is_the_whole_cube"
 BY_HAND = "check_significant_directions_by_hand"
 PROJECTOR = "check_significant_is_a_projector_that_loses_little"
 
-GP = "gaussian_process"
+GP = "estimator.gaussian_process"
+ACQUISITION = "estimator.acquisition"
+IDENTIFIABILITY = "estimator.identifiability"
 EI = (EI_QUAD, EI_DRAWS)
 BOTH = (PREDICTION, TEXTBOOK)
 SLOPES = (JACOBIAN, JACOBIAN_DIFFERENCES)
@@ -62,36 +41,36 @@ MATERNS = (MATERN, MATERN_TEXTBOOK)
 
 MUTANTS = [
     # id, module, old, new, the checks that must reject it
-    ("ei-density-sign", "acquisition", "ndtr(d) + sigma * np.exp", "ndtr(d) - sigma * np.exp", EI),
-    ("ei-density-without-half", "acquisition", "np.exp(-0.5 * d * d)", "np.exp(-d * d)", EI),
-    ("ei-density-norm", "acquisition", "np.sqrt(2.0 * np.pi)", "np.sqrt(np.pi)", EI),
-    ("ei-of-the-larger", "acquisition", "d = (incumbent - mu) / sigma", "d = (mu - incumbent) / sigma", EI),
-    ("ei-without-density", "acquisition", "sigma * np.exp(", "0.0 * np.exp(", EI),
-    ("ei-variance-for-std", "acquisition", "np.sqrt(np.asarray(variance, dtype=float))\n    d",
+    ("ei-density-sign", ACQUISITION, "ndtr(d) + sigma * np.exp", "ndtr(d) - sigma * np.exp", EI),
+    ("ei-density-without-half", ACQUISITION, "np.exp(-0.5 * d * d)", "np.exp(-d * d)", EI),
+    ("ei-density-norm", ACQUISITION, "np.sqrt(2.0 * np.pi)", "np.sqrt(np.pi)", EI),
+    ("ei-of-the-larger", ACQUISITION, "d = (incumbent - mu) / sigma", "d = (mu - incumbent) / sigma", EI),
+    ("ei-without-density", ACQUISITION, "sigma * np.exp(", "0.0 * np.exp(", EI),
+    ("ei-variance-for-std", ACQUISITION, "np.sqrt(np.asarray(variance, dtype=float))\n    d",
      "np.asarray(variance, dtype=float)\n    d", EI),
-    ("pi-variance-for-std", "acquisition", "/ np.sqrt(np.asarray(variance, dtype=float)))",
+    ("pi-variance-for-std", ACQUISITION, "/ np.sqrt(np.asarray(variance, dtype=float)))",
      "/ np.asarray(variance, dtype=float))", (PI_QUAD,)),
-    ("pi-of-the-larger", "acquisition", "ndtr((incumbent - np.asarray(mean", "ndtr(-(incumbent - np.asarray(mean",
+    ("pi-of-the-larger", ACQUISITION, "ndtr((incumbent - np.asarray(mean", "ndtr(-(incumbent - np.asarray(mean",
      (PI_QUAD,)),
-    ("lcb-upper", "acquisition", "return kappa * np.sqrt", "return -kappa * np.sqrt", (LCB,)),
-    ("lcb-variance-for-std", "acquisition", "kappa * np.sqrt(np.asarray(variance, dtype=float))",
+    ("lcb-upper", ACQUISITION, "return kappa * np.sqrt", "return -kappa * np.sqrt", (LCB,)),
+    ("lcb-variance-for-std", ACQUISITION, "kappa * np.sqrt(np.asarray(variance, dtype=float))",
      "kappa * np.asarray(variance, dtype=float)", (LCB,)),
-    ("sum-mean-without-variance", "acquisition", "np.sum(mu * mu + v,", "np.sum(mu * mu,",
+    ("sum-mean-without-variance", ACQUISITION, "np.sum(mu * mu + v,", "np.sum(mu * mu,",
      (LOG_NORMAL, HOPELESS)),
-    ("sum-variance-of-one-square", "acquisition", "np.sum(2.0 * v * v +", "np.sum(1.0 * v * v +", (LOG_NORMAL,)),
-    ("sum-variance-cross-term", "acquisition", "4.0 * mu * mu * v", "2.0 * mu * mu * v", (LOG_NORMAL, SMALL, TAIL)),
-    ("shape-of-the-mean", "acquisition", "V / M / M", "V / M", (LOG_NORMAL, SMALL, TAIL)),
-    ("location-sign", "acquisition", "/ s + 0.5 * s", "/ s - 0.5 * s", (LOG_NORMAL,)),
-    ("partial-mean-unshifted", "acquisition", "M * ndtr(likely - s)", "M * ndtr(likely)", (LOG_NORMAL, SMALL)),
-    ("partial-mean-shifted-up", "acquisition", "M * ndtr(likely - s)", "M * ndtr(likely + s)", (LOG_NORMAL, SMALL)),
-    ("tail-without-incumbent", "acquisition", "tail = np.log(incumbent) - 0.5", "tail = -0.5", (TAIL, LOG_NORMAL)),
-    ("tail-without-half", "acquisition", "- 0.5 * unlikely * unlikely", "- unlikely * unlikely", (TAIL, LOG_NORMAL)),
-    ("tail-of-one-mills-ratio", "acquisition", " - erfcx((s - unlikely) / SQRT2)", "", (TAIL, LOG_NORMAL, SMALL)),
-    ("tail-shifted-down", "acquisition", "erfcx((s - unlikely)", "erfcx((-s - unlikely)", (TAIL, LOG_NORMAL, SMALL)),
-    ("mills-twice", "acquisition", "np.log(0.5 * np.maximum(mills", "np.log(1.0 * np.maximum(mills",
+    ("sum-variance-of-one-square", ACQUISITION, "np.sum(2.0 * v * v +", "np.sum(1.0 * v * v +", (LOG_NORMAL,)),
+    ("sum-variance-cross-term", ACQUISITION, "4.0 * mu * mu * v", "2.0 * mu * mu * v", (LOG_NORMAL, SMALL, TAIL)),
+    ("shape-of-the-mean", ACQUISITION, "V / M / M", "V / M", (LOG_NORMAL, SMALL, TAIL)),
+    ("location-sign", ACQUISITION, "/ s + 0.5 * s", "/ s - 0.5 * s", (LOG_NORMAL,)),
+    ("partial-mean-unshifted", ACQUISITION, "M * ndtr(likely - s)", "M * ndtr(likely)", (LOG_NORMAL, SMALL)),
+    ("partial-mean-shifted-up", ACQUISITION, "M * ndtr(likely - s)", "M * ndtr(likely + s)", (LOG_NORMAL, SMALL)),
+    ("tail-without-incumbent", ACQUISITION, "tail = np.log(incumbent) - 0.5", "tail = -0.5", (TAIL, LOG_NORMAL)),
+    ("tail-without-half", ACQUISITION, "- 0.5 * unlikely * unlikely", "- unlikely * unlikely", (TAIL, LOG_NORMAL)),
+    ("tail-of-one-mills-ratio", ACQUISITION, " - erfcx((s - unlikely) / SQRT2)", "", (TAIL, LOG_NORMAL, SMALL)),
+    ("tail-shifted-down", ACQUISITION, "erfcx((s - unlikely)", "erfcx((-s - unlikely)", (TAIL, LOG_NORMAL, SMALL)),
+    ("mills-twice", ACQUISITION, "np.log(0.5 * np.maximum(mills", "np.log(1.0 * np.maximum(mills",
      (TAIL, LOG_NORMAL, SMALL)),
-    ("mills-without-root", "acquisition", "erfcx(-unlikely / SQRT2)", "erfcx(-unlikely)", (TAIL, LOG_NORMAL)),
-    ("body-for-tail", "acquisition", "np.where(d > 0.0,", "np.where(d < 0.0,", (TAIL, LOG_NORMAL, SMALL)),
+    ("mills-without-root", ACQUISITION, "erfcx(-unlikely / SQRT2)", "erfcx(-unlikely)", (TAIL, LOG_NORMAL)),
+    ("body-for-tail", ACQUISITION, "np.where(d > 0.0,", "np.where(d < 0.0,", (TAIL, LOG_NORMAL, SMALL)),
     ("noise-twice", GP, "NOISE: Final = 1e-8", "NOISE: Final = 2e-8", (DENSITY, GRADIENT, *BOTH)),
     ("concentrated-degrees", GP, "Y, alpha) / n,",
      "Y, alpha) / (n - 1),", (DENSITY, GRADIENT, DIFFERENCES)),
@@ -147,38 +126,21 @@ MUTANTS = [
     ("slope-in-the-matern-lengthscales", GP, "5.0 / 6.0 * (squares", "5.0 / 3.0 * (squares", ML),
     ("slope-of-another-matern", GP, "* (1.0 + s) * decay", "* decay", ML),
     ("slope-of-one-triangle", GP, "(2.0 * lower - alpha[:, None]", "(lower - alpha[:, None]", ML),
-    ("std-of-the-singular-values", "identifiability", "np.maximum(self.singular_values, 1e-12)[:, None])",
+    ("std-of-the-singular-values", IDENTIFIABILITY, "np.maximum(self.singular_values, 1e-12)[:, None])",
      "(1.0 / np.maximum(self.singular_values, 1e-12))[:, None])", (STD, REFITS)),
-    ("std-is-a-variance", "identifiability", "np.minimum(np.sqrt(variance), 1.0)", "np.minimum(variance, 1.0)",
+    ("std-is-a-variance", IDENTIFIABILITY, "np.minimum(np.sqrt(variance), 1.0)", "np.minimum(variance, 1.0)",
      (STD, REFITS, UNSEEN)),
-    ("std-along-the-rows", "identifiability", "** 2, axis=0)", "** 2, axis=1)", (STD, REFITS)),
-    ("std-beyond-the-bounds", "identifiability", "np.minimum(np.sqrt(variance), 1.0)", "np.sqrt(variance)", (UNSEEN,)),
-    ("std-of-the-best-direction", "identifiability", "np.sum((self.directions", "np.min((self.directions",
+    ("std-along-the-rows", IDENTIFIABILITY, "** 2, axis=0)", "** 2, axis=1)", (STD, REFITS)),
+    ("std-beyond-the-bounds", IDENTIFIABILITY, "np.minimum(np.sqrt(variance), 1.0)", "np.sqrt(variance)", (UNSEEN,)),
+    ("std-of-the-best-direction", IDENTIFIABILITY, "np.sum((self.directions", "np.min((self.directions",
      (STD, REFITS)),
-    ("change-unweighted", "identifiability", "self.singular_values * np.abs(", "np.abs(", (BY_HAND, PROJECTOR)),
-    ("change-of-one-sign", "identifiability", "np.abs(self.directions @ change)", "(self.directions @ change)",
+    ("change-unweighted", IDENTIFIABILITY, "self.singular_values * np.abs(", "np.abs(", (BY_HAND, PROJECTOR)),
+    ("change-of-one-sign", IDENTIFIABILITY, "np.abs(self.directions @ change)", "(self.directions @ change)",
      (PROJECTOR,)),
-    ("held-for-moved", "identifiability", "> n_std]", "<= n_std]", (BY_HAND, PROJECTOR)),
-    ("threshold-unused", "identifiability", "> n_std]", "> 0.0]", (BY_HAND, PROJECTOR)),
-    ("projector-on-columns", "identifiability", "np.abs(self.directions @ change)",
+    ("held-for-moved", IDENTIFIABILITY, "> n_std]", "<= n_std]", (BY_HAND, PROJECTOR)),
+    ("threshold-unused", IDENTIFIABILITY, "> n_std]", "> 0.0]", (BY_HAND, PROJECTOR)),
+    ("projector-on-columns", IDENTIFIABILITY, "np.abs(self.directions @ change)",
      "np.abs(self.directions.T @ change)", (PROJECTOR,)),
 ]  # fmt: skip
 
-
-@pytest.mark.full
-@pytest.mark.parametrize(
-    ("name", "old", "new", "check"),
-    [pytest.param(*m[1:4], check, id=f"{m[0]}-{check.removeprefix('check_')}") for m in MUTANTS for check in m[4]],
-)
-def test_a_wrong_formula_is_rejected(oracles, mutant, name, old, new, check):
-    with pytest.raises(AssertionError, match="Not equal to tolerance"):
-        getattr(oracles, check)(mutant(name, old, new))
-
-
-@pytest.mark.parametrize(("name", "check"), sorted({(m[1], check) for m in MUTANTS for check in m[4]}))
-def test_the_unchanged_source_passes(oracles, mutant, name, check):
-    getattr(oracles, check)(mutant(name, "", ""))
-
-
-def test_every_check_has_a_mutant(oracles):
-    assert {name for name in vars(oracles) if name.startswith("check_")} == {c for m in MUTANTS for c in m[4]}
+TestMutants = mutation_tests(MUTANTS, checks_of(oracles))

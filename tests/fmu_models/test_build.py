@@ -16,9 +16,9 @@ import fmu_models
 from fmu_models import build
 
 PACKAGE = Path(fmu_models.__file__).parent
-BUILD_ALL = "import sys; from fmu_models import build; build.build_all(sys.argv[1])"
-BUILD_FMI_3 = (
-    "import sys; from fmu_models import build; build.build_all(sys.argv[1], 3);"
+BUILD = "import sys; from fmu_models import build; build.build('Pendulum', sys.argv[1])"
+BUILD_ALL = (
+    "import sys; from fmu_models import build; build.build_all(sys.argv[1]); build.build_all(sys.argv[1] + '/3', 3);"
     "build.build_all(sys.argv[1] + '/me', 3, 'ModelExchange')"
 )
 
@@ -49,15 +49,7 @@ def copy_of_the_package(directory):
 def test_two_processes_in_two_directories_build_the_same_bytes(tmp_path):
     for name, seed in (("a", "1"), ("somewhere/else", "2")):
         in_a_process(BUILD_ALL, tmp_path / name, PYTHONHASHSEED=seed, TZ="Asia/Tokyo" if seed == "2" else "UTC")
-    assert digests(tmp_path / "a") == digests(tmp_path / "somewhere" / "else")
-    assert set(digests(tmp_path / "a")) == {f"{name}.fmu" for name in build.NAMES}
-
-
-@pytest.mark.full
-def test_fmi_3_builds_are_the_same_bytes_too(tmp_path):
-    for name, seed in (("a", "1"), ("somewhere/else", "2")):
-        in_a_process(BUILD_FMI_3, tmp_path / name, PYTHONHASHSEED=seed, TZ="Asia/Tokyo" if seed == "2" else "UTC")
-    for folder, names in ((".", build.NAMES), ("me", build.PLANTS)):
+    for folder, names in ((".", build.NAMES), ("3", build.NAMES), ("me", build.PLANTS)):
         assert set(digests(tmp_path / "a" / folder)) == {f"{name}.fmu" for name in names}
         assert digests(tmp_path / "a" / folder) == digests(tmp_path / "somewhere" / "else" / folder)
 
@@ -86,18 +78,33 @@ def test_what_there_is_not_is_refused(arguments, reason):
         build.guid(*arguments)
 
 
-def test_the_guid_is_known_before_the_build(tmp_path):
-    paths = build.build_all(tmp_path)
-    assert list(paths) == list(build.NAMES)
-    assert {name: guid_of(path) for name, path in paths.items()} == {name: build.guid(name) for name in build.NAMES}
+def test_the_guid_is_known_before_the_build(built):
+    assert list(built[2]) == list(build.NAMES)
+    assert {name: guid_of(path) for name, path in built[2].items()} == {name: build.guid(name) for name in build.NAMES}
     assert len({build.guid(name) for name in build.NAMES}) == len(build.NAMES)
+
+
+def test_a_plant_is_found_by_its_folder(tmp_path):
+    root = copy_of_the_package(tmp_path)
+    crane = root / "fmu_models" / "crane"
+    shutil.copytree(root / "fmu_models" / "pendulum", crane)
+    (crane / "plant.png").unlink()
+    for path in crane.glob("*.py"):
+        path.write_text(path.read_text(encoding="utf-8").replace("Pendulum", "Crane"), encoding="utf-8")
+    code = "import sys; from fmu_models import build; build.build('Crane', sys.argv[1]); print(*build.NAMES)"
+    names = in_a_process(code, tmp_path / "out", root=root).split()
+    own = ["Crane", "CraneController", "CraneControllerAdaptive", "CraneReference", "CraneSine"]
+    assert names == sorted([*build.NAMES, *own])
+    with zipfile.ZipFile(tmp_path / "out" / "Crane.fmu") as archive:
+        assert "model.png" not in archive.namelist()  # rather none than another plant's
+        assert "(g/l) sin" in archive.read("documentation/index.html").decode()
 
 
 def test_the_guid_follows_the_sources(tmp_path):
     root = copy_of_the_package(tmp_path)
     code = "from fmu_models import build; print(build.guid('Pendulum'))"
     assert in_a_process(code, root=root).strip() == build.guid("Pendulum")
-    with (root / "fmu_models" / "ode.py").open("a") as file:
+    with (root / "fmu_models" / "kernel" / "ode.py").open("a") as file:
         file.write("# changed\n")
     assert in_a_process(code, root=root).strip() != build.guid("Pendulum")
 
@@ -105,22 +112,23 @@ def test_the_guid_follows_the_sources(tmp_path):
 @pytest.mark.full
 def test_an_installed_package_is_not_written_to(tmp_path):
     root = copy_of_the_package(tmp_path / "site")
-    before = digests(root / "fmu_models")
-    for path in (root / "fmu_models", root):
-        path.chmod(0o555)
-    in_a_process(BUILD_ALL, tmp_path / "out", root=root, PYTHONDONTWRITEBYTECODE="1")
-    assert digests(root / "fmu_models") == before
+    folders = [root, *(path for path in root.rglob("*") if path.is_dir())]
+    before = [digests(folder) for folder in folders]
+    for folder in folders:
+        folder.chmod(0o555)
+    in_a_process(BUILD, tmp_path / "out", root=root, PYTHONDONTWRITEBYTECODE="1")
+    assert [digests(folder) for folder in folders] == before
     assert digests(tmp_path / "out") == digests_of_a_build(tmp_path / "again")
 
 
 def digests_of_a_build(directory):
-    build.build_all(directory)
+    build.build("Pendulum", directory)
     return digests(directory)
 
 
 @pytest.mark.full
 def test_builds_at_the_same_time_leave_whole_files_and_nothing_else(tmp_path):
-    command = [sys.executable, "-P", "-c", BUILD_ALL, str(tmp_path / "out")]
+    command = [sys.executable, "-P", "-c", BUILD, str(tmp_path / "out")]
     variables = {**os.environ, "PYTHONPATH": str(PACKAGE.parent)}
     builders = [subprocess.Popen(command, env=variables) for _ in range(4)]
     assert [builder.wait() for builder in builders] == [0] * 4
@@ -160,7 +168,9 @@ def test_an_fmu_holds_the_whole_package_and_no_trace_of_its_build(tmp_path):
     assert {entry.date_time for entry in entries} == {(1980, 1, 1, 0, 0, 0)}
     assert not [name for name in names if "__pycache__" in name or name.endswith(".pyc")]
     suffix = build.guid("Quadrotor")[:8]
-    assert {f"resources/fmu_models_{suffix}/{path.name}" for path in PACKAGE.glob("*.py")} <= set(names)
+    assert {
+        f"resources/fmu_models_{suffix}/{path.relative_to(PACKAGE).as_posix()}" for path in PACKAGE.rglob("*.py")
+    } <= set(names)
     assert script == f"quadrotor_fmu_{suffix}".encode()
     binaries = {"binaries/linux64/Quadrotor.so", "binaries/win64/Quadrotor.dll"}
     assert {*binaries, f"resources/quadrotor_fmu_{suffix}.py"} <= set(names)

@@ -1,9 +1,8 @@
 """What is in an FMU for people: pages, licences, icons."""
 
-import io
+import inspect
 import zipfile
 from html.parser import HTMLParser
-from importlib import import_module
 from pathlib import Path
 
 import fmpy
@@ -12,20 +11,20 @@ import pytest
 from lxml import etree
 from PIL import Image
 
-from fmu_models import build, documentation
-from fmu_models.equations import EQUATIONS, described
-from fmu_models.icon import SIZE, Stroke, _rasterized, png
-from fmu_models.pendulum_fmu import Pendulum
+from fmu_models import build
+from fmu_models.documentation import Page, files
+from fmu_models.kernel.theory import Theory
+from fmu_models.pendulum.plant import Pendulum
 
 KINDS = [
-    *(pytest.param(name, 2, "CoSimulation", id=f"{name}-2") for name in build.NAMES),
-    *(pytest.param(name, 3, "CoSimulation", id=f"{name}-3") for name in ("Quadrotor", "PendulumController")),
-    *(pytest.param(name, 3, "ModelExchange", id=f"{name}-3-me") for name in ("Quadrotor", "Pendulum")),
+    *(pytest.param(2, name, id=f"{name}-2") for name in build.NAMES),
+    *(pytest.param(3, name, id=f"{name}-3") for name in ("Quadrotor", "PendulumController")),
+    *(pytest.param("me", name, id=f"{name}-3-me") for name in ("Quadrotor", "Pendulum")),
 ]
 VOID = {"meta", "br"}
 
 
-class Page(HTMLParser):
+class Html(HTMLParser):
     """The text of a page whose tags are all closed, in the right order; and whatever it takes from elsewhere."""
 
     def __init__(self, html):
@@ -47,69 +46,82 @@ class Page(HTMLParser):
         self.texts.append(data)
 
 
-@pytest.fixture(scope="module")
-def files_of(tmp_path_factory):
-    """Contents by path of an FMU of that kind."""
-    folder = tmp_path_factory.mktemp("fmus")
+def icon_of(name):
+    """The picture beside the module of the model's class."""
+    return Path(inspect.getfile(build.MODELS[name])).with_suffix(".png")
 
-    def read(*kind):
-        with zipfile.ZipFile(build.build(kind[0], folder / "-".join(map(str, kind)), *kind[1:])) as archive:
-            return {name: archive.read(name) for name in archive.namelist()}
+
+def page(summary):
+    return Page("Pendulum", summary, Theory(("a = b",), "Notes."), Pendulum.variables)
+
+
+@pytest.fixture
+def files_of(built):
+    """Contents by path of an FMU of that kind and name."""
+
+    def read(kind, name):
+        with zipfile.ZipFile(built[kind][name]) as archive:
+            return {path: archive.read(path) for path in archive.namelist()}
 
     return read
 
 
-@pytest.mark.parametrize(("name", "fmi", "interface"), KINDS)
-def test_an_fmu_holds_its_page_its_licences_and_its_icon(files_of, name, fmi, interface):
-    files = files_of(name, fmi, interface)
-    page = Page(files["documentation/index.html"].decode())
+@pytest.mark.parametrize(("kind", "name"), KINDS)
+def test_an_fmu_holds_its_page_its_licences_and_its_icon(files_of, kind, name):
+    found = files_of(kind, name)
+    page = Html(found["documentation/index.html"].decode())
     assert page.links == []
-    model = getattr(import_module(f"fmu_models.{build._SCRIPTS[name]}"), name)
-    table = model.exchange_table() if interface == "ModelExchange" else model.variables
+    model = build.MODELS[name]
+    table = model.exchange_table() if kind == "me" else model.variables
     for v in table:
         assert {v.name, v.unit or "Boolean", f"{v.variability} {v.causality}", v.description} <= set(page.texts)
-    assert files["documentation/licenses/license.txt"] == Path(__file__).parents[2].joinpath("LICENSE").read_bytes()
-    assert b"Permission is hereby granted" in files["documentation/licenses/pythonfmu.txt"]
-    assert ("documentation/licenses/pythonfmu3.txt" in files) == (fmi == 3)
-    assert files["model.png" if fmi == 2 else "terminalsAndIcons/icon.png"] == png(name)
-    assert not [path for path in files if path.startswith("sources/")]
+    assert found["documentation/licenses/license.txt"] == Path(__file__).parents[2].joinpath("LICENSE").read_bytes()
+    assert b"Permission is hereby granted" in found["documentation/licenses/pythonfmu.txt"]
+    assert ("documentation/licenses/pythonfmu3.txt" in found) == (kind != 2)
+    assert found["model.png" if kind == 2 else "terminalsAndIcons/icon.png"] == icon_of(name).read_bytes()
+    assert ("terminalsAndIcons/terminalsAndIcons.xml" in found) == (kind != 2)
+    assert not [path for path in found if path.startswith("sources/")]
 
 
 def test_the_terminals_and_icons_of_fmi_3_are_valid(files_of):
     schema = Path(fmpy.__file__).parent / "schema" / "fmi3" / "fmi3TerminalsAndIcons.xsd"
-    text = files_of("Pendulum", 3, "CoSimulation")["terminalsAndIcons/terminalsAndIcons.xml"]
+    text = files_of(3, "Pendulum")["terminalsAndIcons/terminalsAndIcons.xml"]
     etree.XMLSchema(etree.parse(schema)).assertValid(etree.fromstring(text))
 
 
-@pytest.mark.parametrize("name", build.NAMES)
-def test_an_icon_is_a_picture(name):
-    image = np.asarray(Image.open(io.BytesIO(png(name))))  # Pillow's decoder, not our encoder
-    assert image.shape == (SIZE, SIZE, 4)
+@pytest.mark.parametrize(
+    "path", sorted({icon_of(name) for name in build.NAMES}), ids=lambda p: f"{p.parent.name}-{p.stem}"
+)
+def test_an_icon_is_a_picture_on_a_transparent_ground(path):
+    image = np.asarray(Image.open(path).convert("RGBA"))
+    assert image.shape[0] == image.shape[1] >= 100  # FMI 3.0.1, section 2.6
     alpha = image[..., 3]
     assert alpha[0, 0] == 0
     assert 0.05 < (alpha == 255).mean() < 0.5
-    assert len({tuple(pixel) for pixel in image[alpha == 255]}) >= 3  # dark, grey and a colour
-    assert png.__wrapped__(name) == png(name)
 
 
-def test_an_icon_says_plant_or_controller_or_reference():
-    assert len({png(name) for name in ("Pendulum", "PendulumController", "PendulumReference", "Quadrotor")}) == 4
+def test_a_plant_a_controller_and_a_reference_have_different_icons():
+    names = ("Pendulum", "PendulumController", "PendulumReference", "Quadrotor", "FrictionPendulum")
+    assert len({icon_of(name).read_bytes() for name in names}) == len(names)
 
 
-def test_every_model_has_its_equations():
-    assert set(EQUATIONS) == {name for name in build.NAMES if not name.endswith("Adaptive")} | {"Estimator"}
-    for equations, notes, _ in map(described, (*build.NAMES, "QuadrotorEstimator")):
-        assert equations
-        assert notes
-
-
-def test_a_stroke_has_its_width_and_a_soft_edge():
-    """A line of 10 pixels at 45 degrees covers length times width, and its round ends: 10 d + pi 10^2 / 4."""
-    row = np.array(_rasterized([Stroke((0.25, 0.25), (0.75, 0.75), 10 / SIZE, (255, 0, 0))])).reshape(SIZE, SIZE, 4)
-    area = row[..., 3].sum() / 255.0
-    assert area == pytest.approx(10 * SIZE / 2 * np.sqrt(2) + np.pi * 25, rel=0.01)
+def test_an_fmu_without_an_icon_has_no_place_for_one():
+    for fmi in (2, 3):
+        paths = files(page("Nothing"), fmi, ())
+        assert sorted(paths) == ["documentation/index.html", "documentation/licenses/license.txt"]
 
 
 def test_a_page_escapes_what_is_no_markup():
-    page = documentation.page("Pendulum", "1 < 2 & 3", Pendulum.variables)
-    assert "1 &lt; 2 &amp; 3" in page
+    assert "1 &lt; 2 &amp; 3" in page("1 < 2 & 3").html()
+
+
+def test_an_adaptive_controller_has_the_equations_of_its_controller_and_says_what_it_adds(files_of):
+    texts = [
+        Html(files_of(2, name)["documentation/index.html"].decode()).texts
+        for name in ("PendulumController", "PendulumControllerAdaptive")
+    ]
+    equations = [text for text in texts[0] if "φ̈" in text or "sin φ" in text]
+    assert equations
+    assert set(equations) <= set(texts[1])
+    assert not any("update_ready" in text for text in texts[0])
+    assert any("used from a step on at which update_ready is true" in text for text in texts[1])

@@ -5,44 +5,20 @@ import random
 import re
 import subprocess
 import sys
-from importlib import import_module
-from pathlib import Path
 
 import fmpy
 import numpy as np
 import pytest
-from fmpy.validation import validate_fmu
 from scipy.integrate import solve_ivp
 
 from fmu_models import build
-from fmu_models.arrays import arrays
-from fmu_models.description import input_variable, parameter, state
-from fmu_models.description3 import variables_of
-from fmu_models.fmi3 import Fmi3CoSimulation, Fmi3ModelExchange
+from fmu_models.kernel.arrays import arrays
+from fmu_models.kernel.blocks import Reference
+from fmu_models.kernel.description import input_variable, output, parameter, state
+from fmu_models.kernel.description3 import variables_of
+from fmu_models.kernel.fmi3 import Fmi3CoSimulation, Fmi3ModelExchange
+from tests.fmu_models.scripts import script_of, values_of
 
-SCRIPTS = {  # values to set before a step, as a host's master would; FMI 2.0 gets the elements
-    "FrictionPendulum": {"0": {"u": 4.0}, "15": {"u": -6.0, "u_d": 2.0}, "30": {"u": 1.0, "F_c": 2.5}},
-    "FrictionPendulumController": {"0": {"phi": 0.3}, "15": {"phi_dot_ref": 0.5, "F_s": 2.0}, "30": {"phi_dot": -0.2}},
-    "Pendulum": {"0": {"u": 2.0}, "15": {"u": -3.0, "m": 4.271}, "30": {"u": 1.0}},
-    "PendulumController": {"0": {"phi": 0.3}, "15": {"phi_ref": 0.5, "m": 2.0}, "30": {"phi_dot": -0.2}},
-    "PendulumReference": {"15": {"step_time": 0.35, "phi_final": 0.9}},
-    "PendulumSine": {"15": {"omega_2": 4.0}, "30": {"amplitude_1": 0.3}},
-    "Quadrotor": {
-        "0": {"F": 13.0, "M": [0.1, 0.0, 0.0]},
-        "15": {"M": [0.1, -0.2, 0.0], "m": 1.4, "J": [1.0, 2.0, 3.0]},
-    },
-    "QuadrotorController": {"0": {"r": [0.3, 0.1, 0.0], "J": [1.0, 2.0, 3.0]}, "15": {"Omega": [0.5, 0.1, -0.1]}},
-    "QuadrotorReference": {"15": {"omega": 0.8}, "30": {"smooth_yaw": True}},
-    "RigidBody": {"0": {"F": [1.0, 0.0, -30.0], "M": [0.1, 0.0, 0.2]}, "15": {"c": [0.1, 0.0, -0.1], "J_xy": -0.2}},
-    "RigidBodyController": {"0": {"r": [0.3, 0.1, 0.0]}, "15": {"c": [0.0, 0.0, 0.1]}, "30": {"a_d": [1.0, 0.0, 0.0]}},
-    "RigidBodyReference": {"15": {"omega": 0.8}, "30": {"amplitude": [0.1, 0.2, 0.3]}},
-    "FrictionPendulumControllerAdaptive": {
-        "0": {"phi": 0.3}, "15": {"F_s": 2.0, "update_ready": True}, "30": {"phi_dot": -0.2},
-    },
-    "PendulumControllerAdaptive": {"0": {"phi": 0.3}, "15": {"m": 2.0, "update_ready": True}, "30": {"phi_dot": -0.2}},
-    "QuadrotorControllerAdaptive": {"0": {"r": [0.3, 0.1, 0.0]}, "15": {"m": 2.0, "update_ready": True}},
-    "RigidBodyControllerAdaptive": {"0": {"r": [0.3, 0.1, 0.0]}, "15": {"m": 2.0, "update_ready": True}},
-}  # fmt: skip
 ROTATION = [[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]]
 STARTS = {"Quadrotor": {"R": ROTATION, "Omega": [1.0, -2.0, 3.0], "max_step": 0.002}, "RigidBody": {"R": ROTATION}}
 each_model = pytest.mark.parametrize("name", build.NAMES)
@@ -51,7 +27,7 @@ fmu = pytest.mark.fmu
 
 
 def model_of(name):
-    return getattr(import_module(f"fmu_models.{build._SCRIPTS[name]}"), name)
+    return build.MODELS[name]
 
 
 def exchange(name):
@@ -61,37 +37,6 @@ def exchange(name):
 
 def co_simulation(name):
     return type(name, (Fmi3CoSimulation,), {"model": model_of(name)})(instance_name="one")
-
-
-@pytest.fixture(scope="module")
-def fmus(tmp_path_factory):
-    """Paths of all FMUs, by FMI version or "me", and name."""
-    folder = tmp_path_factory.mktemp("fmus")
-    kinds = {2: (2, "CoSimulation"), 3: (3, "CoSimulation"), "me": (3, "ModelExchange")}
-    return {
-        kind: {name: str(path) for name, path in build.build_all(folder / str(kind), *how).items()}
-        for kind, how in kinds.items()
-    }
-
-
-def host(task, **arguments):
-    """What the task returned in an interpreter without site-packages."""
-    script = Path(__file__).with_name("fmu_host.py")
-    done = subprocess.run(
-        [sys.executable, "-I", "-S", str(script), task, json.dumps(arguments)], capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
-
-
-def scalars(name, values):
-    """Values of FMI 3.0 variables as those of FMI 2.0: each element under its own name."""
-    members = {a.name: [m.name for m in a.members] for a in variables_of(model_of(name).variables)}
-    return {
-        element: x
-        for variable, value in values.items()
-        for element, x in zip(members[variable], np.ravel(value).tolist(), strict=True)
-    }
 
 
 # -- arrays ---------------------------------------------------------------------------------------------------------
@@ -138,15 +83,9 @@ def test_elements_keep_their_order_and_none_is_lost(name):
 
 @pytest.mark.full_but("me")
 @fmu
-@pytest.mark.parametrize("kind", [3, "me"])
-def test_fmpy_finds_nothing_to_say(fmus, kind):
-    assert {name: validate_fmu(path) for name, path in fmus[kind].items()} == {name: [] for name in fmus[kind]}
-
-
-@fmu
 @each_model
-def test_every_variable_is_described(fmus, name):
-    description = fmpy.read_model_description(fmus[3][name])
+def test_every_variable_is_described(built, name):
+    description = fmpy.read_model_description(built[3][name])
     assert description.coSimulation.canGetAndSetFMUstate
     assert description.coSimulation.canSerializeFMUstate
     units = {unit.name for unit in description.unitDefinitions}
@@ -157,8 +96,8 @@ def test_every_variable_is_described(fmus, name):
 
 
 @fmu
-def test_the_quadrotor_s_arrays_are_these(fmus):
-    variables = {v.name: v for v in fmpy.read_model_description(fmus[3]["Quadrotor"]).modelVariables}
+def test_the_quadrotor_s_arrays_are_these(built):
+    variables = {v.name: v for v in fmpy.read_model_description(built[3]["Quadrotor"]).modelVariables}
     assert {name: v.shape for name, v in variables.items() if v.shape} == {
         "J": (3,), "M": (3,), "r": (3,), "v": (3,), "R": (3, 3), "Omega": (3,), "M_held": (3,),
         "der(r)": (3,), "der(v)": (3,), "der(R)": (3, 3), "der(Omega)": (3,),
@@ -230,65 +169,31 @@ def test_references_depend_on_time(name):
 @pytest.mark.full_but("Pendulum", "QuadrotorControllerAdaptive")
 @fmu
 @each_model
-def test_it_computes_bit_for_bit_what_the_fmi_2_fmu_does(fmus, name):
-    script, start = SCRIPTS[name], STARTS.get(name, {})
-    ours = host("simulate", fmu=fmus[3][name], n_steps=50, start=start, script=script)
-    flat = {k: scalars(name, values) for k, values in script.items()}
-    theirs = host("simulate", fmu=fmus[2][name], n_steps=50, start=scalars(name, start), script=flat)
-    assert ours["rows"] == theirs["rows"]
-    assert ours["rows"][0] != ours["rows"][-1]
-
-
-@pytest.mark.full_but("Pendulum")
-@fmu
-@each_model
-def test_a_rollback_repeats_every_bit_here_and_in_another_instance(fmus, name):
-    script = SCRIPTS[name]
-    (junk, *_) = script.values()
-    result = host("rollback", fmu=fmus[3][name], script=script, junk=junk)
-    assert result["statuses"] == [0, 0]
-    assert result["rows"][0] == result["rows"][1] == result["rows"][2]
-
-
-@pytest.mark.full_but("Pendulum")
-@fmu
-@each_model
-def test_an_fmu_brings_all_it_needs(fmus, name):
-    modules = host("modules", fmu=fmus[3][name])
-    where = {re.sub(r"_[0-9a-f]{8}(?=$|\.)", "", module): path.replace("\\", "/") for module, path in modules.items()}
-    for module in ("pythonfmu3", "pythonfmu", "fmu_models", "fmu_models.fmi3"):
-        assert "/resources/" in where[module]
-    assert "numpy" not in modules
-
-
-@fmu
-@pytest.mark.parametrize(
-    ("name", "values", "message"),
-    [
-        ("Quadrotor", {"M": [0.0, float("nan"), 0.0]}, "Quadrotor: M_y must be finite, got nan."),
-        ("QuadrotorController", {"a_d": [0.0, 0.0, 9.81]}, "desired attitude undefined: the commanded force is zero"),
-    ],
-)
-def test_a_fault_is_logged_and_harms_no_later_instance(fmus, name, values, message):
-    result = host("fault", fmu=fmus[3][name], values=values, n_times=20)
-    assert result["statuses"] == [[0, 4]] * 20  # fmi3Fatal, what pythonfmu3 makes of every exception
-    for messages in result["messages"]:
-        status, text = messages[0]
-        assert status == 3
-        assert "Traceback" in text
-        assert f"ValueError: {message}" in text
-
-
-@fmu
-def test_many_instances_need_no_fault_to_be_freed(fmus):
-    assert host("fault", fmu=fmus[3]["Quadrotor"], values={}, n_times=40)["statuses"] == [[0, 0]] * 40
+def test_it_computes_bit_for_bit_what_the_fmi_2_fmu_does(built, host, name):
+    runs = [
+        host(
+            "simulate", fmu=built[fmi][name], n_steps=50,
+            start=values_of(fmi, name, STARTS.get(name, {})), script=script_of(fmi, name),
+        ) for fmi in (2, 3)
+    ]  # fmt: skip
+    assert runs[0]["rows"] == runs[1]["rows"]
+    assert runs[0]["rows"][0] != runs[0]["rows"][-1]
 
 
 def test_texts_for_the_logger_are_no_formats():
-    model = co_simulation("Pendulum")
-    model._slave.log("100 % sure")
-    (message,) = model._get_log_queue()
-    assert message.msg == "100 % sure"
+    class Faulty(Reference):
+        """Always wrong."""
+
+        table = (output("y", "1", "Nothing", depends=()),)
+
+        def outputs(self, time, parameters):
+            raise ValueError("100 % wrong")
+
+    model = type("Faulty", (Fmi3CoSimulation,), {"model": Faulty})(instance_name="one")
+    with pytest.raises(ValueError, match="100 % wrong"):
+        model.get_float64([0])
+    (message,) = model._get_log_queue()  # pythonfmu3's loader takes the messages there
+    assert message.msg.rstrip().endswith("ValueError: 100 % wrong")
 
 
 @pytest.mark.parametrize(
@@ -338,14 +243,14 @@ def simulated(path, **options):
 @pytest.mark.full_but("Pendulum", "Quadrotor")
 @fmu
 @each_model
-def test_it_runs_in_fmpy(fmus, name):
-    result = simulated(fmus[3][name], stop_time=1.0)
+def test_it_runs_in_fmpy(built, name):
+    result = simulated(built[3][name], stop_time=1.0)
     outputs = [a for a in variables_of(model_of(name).variables) if a.members[0].causality == "output"]
     assert {k: v.shape for k, v in result.items()} == {"time": (101,)} | {a.name: (101, *a.shape) for a in outputs}
 
 
 @fmu
-def test_model_exchange_in_fmpy_s_cvode_follows_an_independent_solver(fmus):
+def test_model_exchange_in_fmpy_s_cvode_follows_an_independent_solver(built):
     """The free spin of the quadrotor: Euler's equations and R_dot = R hat(Omega), by DOP853 from matrices.
 
     CVode keeps its local error below rtol = 1e-10; over 2 s at |Omega| = 3.7 rad/s the global one stays below 1e-7.
@@ -361,7 +266,7 @@ def test_model_exchange_in_fmpy_s_cvode_follows_an_independent_solver(fmus):
 
     truth = solve_ivp(spin, (0.0, 2.0), [*np.ravel(ROTATION), *Omega_0], "DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
     start = {"Omega": Omega_0.tolist(), "R": np.ravel(ROTATION).tolist()}
-    result = simulated(fmus["me"]["Quadrotor"], stop_time=2.0, start_values=start, relative_tolerance=1e-10)
+    result = simulated(built["me"]["Quadrotor"], stop_time=2.0, start_values=start, relative_tolerance=1e-10)
     np.testing.assert_allclose(result["R"][-1].ravel(), truth[:9], atol=1e-7)
     np.testing.assert_allclose(result["Omega"][-1], truth[9:], atol=1e-7)
 

@@ -1,6 +1,5 @@
 """The FMUs, in hosts that have nothing but the FMU: see fmu_host.py."""
 
-import json
 import os
 import random
 import shutil
@@ -14,105 +13,29 @@ import fmpy
 import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
-from pythonfmu import FmuBuilder
-from scipy.integrate import solve_ivp
 
 import fmu_models
 from fmu_models import build
-from fmu_models.friction_pendulum_controller_adaptive_fmu import FrictionPendulumControllerAdaptive
-from fmu_models.friction_pendulum_controller_fmu import FrictionPendulumController
-from fmu_models.friction_pendulum_fmu import FrictionPendulum
-from fmu_models.pendulum_controller_adaptive_fmu import PendulumControllerAdaptive
-from fmu_models.pendulum_controller_fmu import PendulumController
-from fmu_models.pendulum_fmu import Pendulum
-from fmu_models.pendulum_reference_fmu import PendulumReference
-from fmu_models.pendulum_sine_fmu import PendulumSine
-from fmu_models.quadrotor_controller_adaptive_fmu import QuadrotorControllerAdaptive
-from fmu_models.quadrotor_controller_fmu import QuadrotorController
-from fmu_models.quadrotor_fmu import Quadrotor
-from fmu_models.quadrotor_reference_fmu import QuadrotorReference
-from fmu_models.rigid_body_controller_adaptive_fmu import RigidBodyControllerAdaptive
-from fmu_models.rigid_body_controller_fmu import RigidBodyController
-from fmu_models.rigid_body_fmu import RigidBody
-from fmu_models.rigid_body_reference_fmu import RigidBodyReference
+from fmu_models.build import MODELS
+from tests.fmu_models.scripts import JUNK, script_of, values_of
 
-MODELS = {
-    model.__name__: model
-    for model in (
-        FrictionPendulum,
-        FrictionPendulumController,
-        FrictionPendulumControllerAdaptive,
-        Pendulum,
-        PendulumController,
-        PendulumControllerAdaptive,
-        PendulumReference,
-        PendulumSine,
-        Quadrotor,
-        QuadrotorController,
-        QuadrotorControllerAdaptive,
-        QuadrotorReference,
-        RigidBody,
-        RigidBodyController,
-        RigidBodyControllerAdaptive,
-        RigidBodyReference,
-    )
-}
-SCRIPTS = {  # values to set before a step, as a host's master would
-    "FrictionPendulum": {"0": {"u": 4.0}, "15": {"u": -6.0, "u_d": 2.0}, "30": {"u": 1.0, "F_c": 2.5}},
-    "FrictionPendulumController": {"0": {"phi": 0.3}, "15": {"phi_dot_ref": 0.5, "F_s": 2.0}, "30": {"phi_dot": -0.2}},
-    "FrictionPendulumControllerAdaptive": {
-        "0": {"phi": 0.3},
-        "15": {"update_ready": True, "m": 3.0},
-        "30": {"phi": 0.4},
-    },
-    "Pendulum": {"0": {"u": 2.0}, "15": {"u": -3.0, "m": 4.271}, "30": {"u": 1.0}},
-    "PendulumController": {"0": {"phi": 0.3}, "15": {"phi_ref": 0.5, "m": 2.0}, "30": {"phi_dot": -0.2}},
-    "PendulumControllerAdaptive": {"0": {"phi": 0.3}, "15": {"update_ready": True, "l": 2.0}, "30": {"phi": 0.4}},
-    "PendulumReference": {"15": {"step_time": 0.35, "phi_final": 0.9}},
-    "PendulumSine": {"15": {"omega_2": 4.0}, "30": {"amplitude_1": 0.3}},
-    "Quadrotor": {"0": {"F": 13.0, "M_x": 0.1}, "15": {"M_y": -0.2, "m": 1.4, "J_z": 3.0}, "30": {"M_z": 0.3}},
-    "QuadrotorController": {"0": {"r_x": 0.3, "R_12": 0.1}, "15": {"Omega_x": 0.5, "J_x": 2.0}, "30": {"j_d_x": 1.0}},
-    "QuadrotorControllerAdaptive": {"0": {"r_x": 0.3}, "15": {"update_ready": True, "m": 2.0}, "30": {"r_x": 0.4}},
-    "QuadrotorReference": {"15": {"omega": 0.8}, "30": {"smooth_yaw": True}},
-    "RigidBody": {"0": {"F_x": 1.0, "M_x": 0.1}, "15": {"M_y": -0.2, "m": 4.0, "c_x": 0.1}, "30": {"J_xy": -0.2}},
-    "RigidBodyController": {"0": {"r_x": 0.3, "R_12": 0.1}, "15": {"Omega_x": 0.5, "c_z": 0.1}, "30": {"a_d_x": 1.0}},
-    "RigidBodyControllerAdaptive": {"0": {"r_x": 0.3}, "15": {"update_ready": True, "m": 2.0}, "30": {"r_x": 0.4}},
-    "RigidBodyReference": {"15": {"omega": 0.8}, "30": {"amplitude_phi": 0.1}},
-}
-JUNK = {
-    "FrictionPendulum": {"u": 9.0, "F_s": 3.0},
-    "FrictionPendulumController": {"phi": 9.0, "u_d": 3.0},
-    "FrictionPendulumControllerAdaptive": {"update_ready": True, "u_d": 3.0},
-    "Pendulum": {"u": 9.0, "m": 3.0},
-    "PendulumController": {"phi": 9.0, "Kp": 3.0},
-    "PendulumControllerAdaptive": {"update_ready": True, "m": 3.0},
-    "PendulumReference": {"step_time": 9.0},
-    "PendulumSine": {"omega_1": 9.0},
-    "Quadrotor": {"F": 9.0, "M_z": 9.0, "m": 3.0},
-    "QuadrotorController": {"r_y": 9.0, "K_v_x": 3.0},
-    "QuadrotorControllerAdaptive": {"update_ready": True, "m": 3.0},
-    "QuadrotorReference": {"amplitude_z": 9.0},
-    "RigidBody": {"F_z": 9.0, "M_z": 9.0, "m": 3.0},
-    "RigidBodyController": {"r_y": 9.0, "K_v": 3.0},
-    "RigidBodyControllerAdaptive": {"update_ready": True, "m": 3.0},
-    "RigidBodyReference": {"amplitude_z": 9.0},
-}
-each_model = pytest.mark.parametrize("name", list(MODELS))
+ONE_OF_EACH_KIND = ("Quadrotor", "QuadrotorController", "QuadrotorReference", "PendulumControllerAdaptive")
+each_model = pytest.mark.parametrize("name", build.NAMES)
+each_fmu = pytest.mark.parametrize(
+    ("fmi", "name"),
+    [
+        pytest.param(fmi, name, id=f"{name}-{fmi}", marks=() if name in ONE_OF_EACH_KIND else pytest.mark.full)
+        for name in build.NAMES
+        for fmi in (2, 3)
+    ],
+)
 fmu = pytest.mark.fmu
 
 
 @pytest.fixture(scope="session")
-def fmus(tmp_path_factory):
-    """Paths of all FMUs, by name."""
-    return {name: str(path) for name, path in build.build_all(tmp_path_factory.mktemp("fmus")).items()}
-
-
-def host(task, **arguments):
-    """What the task returned in an interpreter without site-packages."""
-    command = [sys.executable, "-I", "-S", str(Path(__file__).with_name("fmu_host.py")), task, json.dumps(arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
+def fmus(built):
+    """Paths of all FMUs of FMI 2.0, by name."""
+    return built[2]
 
 
 def column(result, *names):
@@ -124,9 +47,9 @@ def column(result, *names):
 
 
 @fmu
-@each_model
-def test_the_description_is_valid(fmus, name):
-    assert validate_fmu(fmus[name]) == []
+@pytest.mark.parametrize("kind", [2, 3, "me"])
+def test_the_descriptions_are_valid(built, kind):
+    assert {name: validate_fmu(path) for name, path in built[kind].items()} == {name: [] for name in built[kind]}
 
 
 @fmu
@@ -300,7 +223,7 @@ def test_dependencies_at_communication_points_are_exactly_what_a_perturbation_sh
 
 
 def test_thrust_needs_neither_rates_nor_yaw_nor_higher_derivatives():
-    depends = declared(QuadrotorController, "Outputs")["F"]
+    depends = declared(MODELS["QuadrotorController"], "Outputs")["F"]
     assert not {name for name in depends if name.startswith(("Omega", "j_d", "s_d", "psi", "R_11"))}
     assert {"r_x", "v_z", "R_33", "a_d_y"} <= depends
 
@@ -335,33 +258,8 @@ os._exit(0)
     assert len((tmp_path / "out.csv").read_text().splitlines()) > 2
 
 
-def damped_pendulum(_, x, force, m, l, b, g):
-    """Newton's second law along the tangent, where the speed is l phi_dot."""
-    return (x[1], (force - m * g * np.sin(x[0]) - b * l * x[1]) / (m * l))
-
-
 @fmu
-def test_the_pendulum_follows_an_independent_solver(fmus):
-    """Largest error over 10 s against DOP853.
-
-    RK4 with h = 5 ms on w = sqrt(g/l) = 3.6 rad/s has a phase error of w (w h)^4 / 120 a second: 3e-9 rad/s, times
-    10 s, times the speed 5 rad/s: 2e-7 rad at the most. Halving h divides it by 16.
-    """
-    start = {"phi": 1.2, "phi_dot": 0.4, "u": 3.0, "m": 2.0, "b": 0.2}
-    t = np.arange(1001) * 0.01
-    truth = solve_ivp(
-        damped_pendulum, (0.0, 10.0), (1.2, 0.4), "DOP853", t, args=(3.0, 2.0, 0.75, 0.2, 9.81), rtol=1e-12, atol=1e-13
-    ).y.T  # fmt: skip
-    errors = []
-    for max_step in (0.005, 0.0025):
-        result = host("simulate", fmu=fmus["Pendulum"], n_steps=1000, start={**start, "max_step": max_step})
-        errors.append(np.abs(column(result, "phi", "phi_dot") - truth).max())
-    assert errors[0] < 2e-7
-    assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.1)
-
-
-@fmu
-def test_derivative_outputs_are_the_derivatives_of_the_states(fmus):
+def test_derivative_outputs_are_the_derivatives_of_the_states(fmus, host):
     """Central differences, h = 10 ms apart: h^2/6 times the third derivative of phi_dot, 200 rad/s^4, is 3e-3."""
     result = host("simulate", fmu=fmus["Pendulum"], n_steps=100, start={"phi": 1.2}, script={"0": {"u": 3.0}})
     x, rates = column(result, "phi", "phi_dot"), column(result, "der(phi)", "der(phi_dot)")
@@ -369,7 +267,7 @@ def test_derivative_outputs_are_the_derivatives_of_the_states(fmus):
 
 
 @fmu
-def test_the_quadrotor_s_attitude_stays_a_rotation(fmus):
+def test_the_quadrotor_s_attitude_stays_a_rotation(fmus, host):
     start = {"Omega_x": 1.0, "Omega_y": -2.0, "Omega_z": 3.0}
     result = host("simulate", fmu=fmus["Quadrotor"], n_steps=1600, start=start)
     R = column(result, *(f"R_{i}{j}" for i in "123" for j in "123")).reshape(-1, 3, 3)
@@ -378,7 +276,7 @@ def test_the_quadrotor_s_attitude_stays_a_rotation(fmus):
 
 
 @fmu
-def test_a_free_spin_keeps_the_quadrotor_s_angular_momentum(fmus):
+def test_a_free_spin_keeps_the_quadrotor_s_angular_momentum(fmus, host):
     """R J Omega is constant without moments.
 
     RK4 with h = 5 ms and |Omega| = 3.7 rad/s loses (|Omega| h)^5 / 120 = 2e-11 of it a step: 5e-7 N m s in 16 s.
@@ -391,7 +289,7 @@ def test_a_free_spin_keeps_the_quadrotor_s_angular_momentum(fmus):
 
 
 @fmu
-def test_references_start_at_the_start_time(fmus):
+def test_references_start_at_the_start_time(fmus, host):
     result = host("simulate", fmu=fmus["PendulumReference"], n_steps=2, start={}, start_time=3.0)
     assert column(result, "phi_ref")[0] == pytest.approx(np.pi / 3.0)
     result = host("simulate", fmu=fmus["QuadrotorReference"], n_steps=0, start={}, start_time=1.0)
@@ -401,7 +299,7 @@ def test_references_start_at_the_start_time(fmus):
 
 @fmu
 @pytest.mark.parametrize(("smooth", "jump"), [(False, -np.pi), (True, 0.0)], ids=["paper", "smooth"])
-def test_the_paper_s_yaw_jumps_and_the_smooth_one_does_not(fmus, smooth, jump):
+def test_the_paper_s_yaw_jumps_and_the_smooth_one_does_not(fmus, smooth, jump, host):
     result = host("simulate", fmu=fmus["QuadrotorReference"], n_steps=1000, start={"smooth_yaw": smooth})
     steps = np.diff(column(result, "psi_d")[:, 0])
     # Between jumps the yaw moves by at most 0.64 rad/s times 10 ms.
@@ -410,7 +308,7 @@ def test_the_paper_s_yaw_jumps_and_the_smooth_one_does_not(fmus, smooth, jump):
 
 
 @fmu
-def test_the_controller_hovers_where_it_is_asked_to(fmus):
+def test_the_controller_hovers_where_it_is_asked_to(fmus, host):
     result = host("simulate", fmu=fmus["QuadrotorController"], n_steps=1, start={})
     assert column(result, "F", "M_x", "M_y", "M_z")[-1] == pytest.approx([1.25 * 9.81, 0.0, 0.0, 0.0])
 
@@ -419,9 +317,10 @@ def test_the_controller_hovers_where_it_is_asked_to(fmus):
 
 
 @fmu
-@each_model
-def test_a_rollback_repeats_every_bit_here_and_in_another_instance(fmus, name):
-    result = host("rollback", fmu=fmus[name], script=SCRIPTS[name], junk=JUNK[name])
+@each_fmu
+def test_a_rollback_repeats_every_bit_here_and_in_another_instance(built, host, fmi, name):
+    script, junk = script_of(fmi, name), values_of(fmi, name, JUNK[name])
+    result = host("rollback", fmu=built[fmi][name], script=script, junk=junk)
     assert result["statuses"] == [0, 0]
     assert result["at_once"][0] == result["at_once"][1] == result["at_once"][2]
     assert result["rows"][0] == result["rows"][1] == result["rows"][2]
@@ -429,18 +328,19 @@ def test_a_rollback_repeats_every_bit_here_and_in_another_instance(fmus, name):
 
 
 @fmu
+@pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize(
     ("name", "values", "message"),
     [
-        ("Pendulum", {"u": float("nan")}, "Pendulum: u must be finite, got nan."),
-        ("Quadrotor", {"J_y": float("inf")}, "Quadrotor: J_y must be finite, got inf."),
-        ("QuadrotorReference", {"omega": float("nan")}, "QuadrotorReference: omega must be finite, got nan."),
-        ("QuadrotorController", {"a_d_z": 9.81}, "desired attitude undefined: the commanded force is zero"),
+        ("Quadrotor", {"M": [0.0, float("nan"), 0.0]}, "Quadrotor: M_y must be finite, got nan."),
+        ("QuadrotorReference", {"omega": float("inf")}, "QuadrotorReference: omega must be finite, got inf."),
+        ("QuadrotorController", {"a_d": [0.0, 0.0, 9.81]}, "desired attitude undefined: the commanded force is zero"),
     ],
+    ids=["plant", "reference", "controller"],
 )
-def test_a_fault_is_logged_and_harms_no_later_instance(fmus, name, values, message):
-    result = host("fault", fmu=fmus[name], start={}, values=values, n_times=20)
-    # 4 is fmi2Fatal, what pythonfmu makes of every exception; 3 is the level of our own message.
+def test_a_fault_is_logged_and_harms_no_later_instance(built, host, fmi, name, values, message):
+    result = host("fault", fmu=built[fmi][name], values=values_of(fmi, name, values), n_times=20)
+    # 4 is fmi2Fatal and fmi3Fatal, what the loaders make of every exception; 3 is the level of our own message.
     assert result["statuses"] == [[0, 4]] * 20
     for messages in result["messages"]:
         status, text = messages[0]
@@ -450,18 +350,17 @@ def test_a_fault_is_logged_and_harms_no_later_instance(fmus, name, values, messa
 
 
 @fmu
-def test_a_value_set_at_the_wrong_time_is_refused(fmus):
+def test_a_value_set_at_the_wrong_time_is_refused(fmus, host):
     result = host("fault", fmu=fmus["Pendulum"], start={}, values={"phi": 1.0}, n_times=1)
     assert result["statuses"][0][0] == 4
     assert "phi must not be set as Real after initialisation" in result["messages"][0][0][1]
 
 
 @fmu
-def test_a_per_cent_sign_in_an_error_reaches_the_logger_doubled(tmp_path):
-    script = tmp_path / "faulty.py"
-    script.write_text(
-        "from fmu_models.blocks import Reference\n"
-        "from fmu_models.description import output\n"
+def test_a_per_cent_sign_in_an_error_reaches_the_logger_doubled(host, tmp_path):
+    script = (
+        "from fmu_models.kernel.blocks import Reference\n"
+        "from fmu_models.kernel.description import output\n"
         "class Faulty(Reference):\n"
         "    '''Always wrong.'''\n"
         "    table = (output('y', '1', 'Nothing', depends=()),)\n"
@@ -469,12 +368,8 @@ def test_a_per_cent_sign_in_an_error_reaches_the_logger_doubled(tmp_path):
         "        if time > 0.0: raise ValueError('100 % wrong: %s %n')\n"
         "        return (0.0,)\n"
     )
-    package = tmp_path / "package" / "fmu_models"
-    package.mkdir(parents=True)
-    for source in Path(fmu_models.__file__).parent.glob("*.py"):
-        (package / source.name).write_bytes(source.read_bytes())
-    with build._imports_restored("faulty"):
-        path = FmuBuilder.build_FMU(script, dest=tmp_path / "out", project_files=[package])
+    files = {"faulty_fmu.py": script.encode(), **build.sources(build.PACKAGE)}
+    path = build.assemble("Faulty", "faulty_fmu", files, {}, tmp_path)
     result = host("fault", fmu=str(path), start={}, values={}, n_times=1)
     (status, text), *others = result["messages"][0]
     assert (result["statuses"][0], status) == ([0, 4], 3)
@@ -485,18 +380,18 @@ def test_a_per_cent_sign_in_an_error_reaches_the_logger_doubled(tmp_path):
 
 @pytest.mark.full
 @fmu
-def test_all_share_one_process(fmus):
+def test_all_share_one_process(fmus, host):
     rows = host("together", fmus=list(fmus.values()), n_steps=5)["rows"]
     alone = [host("together", fmus=[path], n_steps=5)["rows"][0] for path in fmus.values()]
     assert rows == alone
 
 
 @fmu
-def test_two_versions_share_one_process(fmus, tmp_path):
+def test_two_versions_share_one_process(fmus, tmp_path, host):
     root = tmp_path / "other"
     shutil.copytree(Path(fmu_models.__file__).parent, root / "fmu_models")
-    changed = (root / "fmu_models" / "pendulum_fmu.py").read_text(encoding="utf-8").replace("0.5, ", "0.7, ")
-    (root / "fmu_models" / "pendulum_fmu.py").write_text(changed, encoding="utf-8")
+    changed = (root / "fmu_models" / "pendulum" / "plant.py").read_text(encoding="utf-8").replace("0.5, ", "0.7, ")
+    (root / "fmu_models" / "pendulum" / "plant.py").write_text(changed, encoding="utf-8")
     code = "import sys; from fmu_models import build; build.build('Pendulum', sys.argv[1])"
     subprocess.run([sys.executable, "-P", "-c", code, root], check=True, env=os.environ | {"PYTHONPATH": str(root)})
     rows = host("together", fmus=[fmus["Pendulum"], str(root / "Pendulum.fmu")], n_steps=0)["rows"]
@@ -518,21 +413,23 @@ print([len(fmpy.simulate_fmu(path, stop_time=0.1)) > 1 for path in sys.argv[1:]]
 
 
 @fmu
-@each_model
-def test_an_fmu_brings_all_it_needs(fmus, name):
+@each_fmu
+def test_an_fmu_brings_all_it_needs(built, host, fmi, name):
     """Loaded in an interpreter without site-packages: whatever is not the standard library is in the FMU."""
-    modules = host("modules", fmu=fmus[name])
-    package = f"fmu_models_{build.guid(name)[:8]}"
-    for module in ("pythonfmu", package, f"{package}.slave"):
+    modules = host("modules", fmu=built[fmi][name])
+    suffix = build.guid(name, fmi)[:8]
+    libraries = ["pythonfmu"] if fmi == 2 else [f"pythonfmu_{suffix}", "pythonfmu3"]
+    for module in (*libraries, f"fmu_models_{suffix}", f"fmu_models_{suffix}.kernel.slave"):
         assert "/resources/" in modules[module].replace("\\", "/")
+    assert "numpy" not in modules
 
 
 @pytest.mark.full_but("Pendulum")
 @fmu
-@each_model
-def test_the_script_s_namespace_outlives_many_instances(fmus, name):
-    """pythonfmu drops a reference to it at every load."""
-    result = host("fault", fmu=fmus[name], start={}, values={}, n_times=40)
+@each_fmu
+def test_the_script_s_namespace_outlives_many_instances(built, host, fmi, name):
+    """The loaders drop a reference to it at every load."""
+    result = host("fault", fmu=built[fmi][name], values={}, n_times=40)
     assert result["statuses"] == [[0, 0]] * 40
     assert result["messages"] == [[]] * 40
 

@@ -1,14 +1,13 @@
 """The pendulum with stiction and a dead band against independent truths, each of which rejects wrong formulas.
 
 Newton's law is written here in Cartesian coordinates with a taut rod; stick-slip is DOP853 between events, where
-stuck is at rest. The checks take the module, so that they can be handed a wrong one, as in test_mutations.py.
+stuck is at rest. The checks take the module, so that they can be handed a wrong one.
 """
 
 import inspect
 import tomllib
 from functools import cache, partial
 from importlib.resources import files
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -17,10 +16,11 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
 from fmu_models import friction_pendulum
-from fmu_models.friction_pendulum_controller_fmu import FrictionPendulumController
-from fmu_models.friction_pendulum_fmu import FrictionPendulum
-from fmu_models.ode import integrate
-from fmu_models.pendulum_sine_fmu import PendulumSine
+from fmu_models.friction_pendulum.controller import FrictionPendulumController
+from fmu_models.friction_pendulum.plant import FrictionPendulum
+from fmu_models.kernel.ode import integrate
+from fmu_models.pendulum.reference import PendulumSine
+from tests.mutation import mutation_tests
 
 ROUNDING = 1e-11
 """Both sides are a few dozen operations on numbers below 1e3: they differ by rounding alone."""
@@ -275,6 +275,7 @@ LAW, REVERSAL = (
     "check_control_breaks_away_and_does_not_jump_at_a_reversal",
 )
 
+FRICTION_PENDULUM = "fmu_models.friction_pendulum.equations"
 MUTANTS = [
     # id, old, new, the checks that must reject it
     ("gravity-up", "u_d) - m * g * sin(phi)", "u_d) + m * g * sin(phi)", (SLIP, POWER, BREAK_AWAY, STICK_SLIP)),
@@ -313,33 +314,12 @@ MUTANTS = [
     ("control-jumps", "min(max(z / width, -1.0), 1.0)", "copysign(1.0, z)", (REVERSAL,)),
 ]  # fmt: skip
 
-
-def mutant(old, new):
-    """The module from its source with the one `old` replaced by `new`."""
-    source = inspect.getsource(friction_pendulum)
-    assert source.count(old) == 1, f"{old!r} must be in friction_pendulum.py once, got {source.count(old)}"
-    module = ModuleType("fmu_models.friction_pendulum_mutant")
-    exec(compile(source.replace(old, new), "mutant of friction_pendulum.py", "exec"), module.__dict__)
-    return module
+TestMutants = mutation_tests([(name, FRICTION_PENDULUM, *mutant) for name, *mutant in MUTANTS], CHECKS)
 
 
 @pytest.mark.parametrize("check", list(CHECKS))
 def test_the_model_agrees_with_the_truth(check):
     CHECKS[check](friction_pendulum)
-
-
-@pytest.mark.full
-@pytest.mark.parametrize(
-    ("old", "new", "check"),
-    [pytest.param(*m[1:3], check, id=f"{m[0]}-{check.removeprefix('check_')}") for m in MUTANTS for check in m[3]],
-)
-def test_a_wrong_formula_is_rejected(old, new, check):
-    with pytest.raises(AssertionError, match="Not equal to tolerance"):
-        CHECKS[check](mutant(old, new))
-
-
-def test_every_check_has_a_mutant():
-    assert set(CHECKS) == {check for m in MUTANTS for check in m[3]}
 
 
 # The FMUs' tables and the scenario.

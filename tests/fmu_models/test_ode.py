@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from fmu_models import ode
+from fmu_models.kernel import ode
 
 
 def van_der_pol(x):

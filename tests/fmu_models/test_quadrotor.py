@@ -4,7 +4,8 @@ from numpy.testing import assert_allclose
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from fmu_models import ode, quadrotor, references
+from fmu_models import quadrotor
+from fmu_models.kernel import ode
 
 J = (0.7, 1.1, 1.6)
 PAPER = (1.25, (1.1, 1.1, 2.2), 9.81)
@@ -90,7 +91,7 @@ def test_attitude_is_undefined_without_a_force_or_with_the_force_along_the_headi
 
 
 def _papers_reference(t):
-    return references.sinusoid_trajectory(t, (4.0, 5.0, 2.0), 0.4, "smooth")
+    return quadrotor.sinusoid_trajectory(t, (4.0, 5.0, 2.0), 0.4, "smooth")
 
 
 def test_a_start_on_the_papers_trajectory_stays_on_it(oracles):

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from fmu_models import references
+from fmu_models import quadrotor
+from fmu_models.kernel import references
 
 
 def test_step_changes_at_the_step_time():
@@ -15,25 +16,25 @@ def test_sinusoid_comes_with_its_first_four_derivatives(oracles):
 
 
 def test_trajectory_comes_with_its_first_four_derivatives(oracles):
-    oracles.check_trajectory_derivatives_against_spectral_differences(references)
+    oracles.check_trajectory_derivatives_against_spectral_differences(quadrotor)
 
 
 def test_yaw_rates_are_those_of_the_smooth_branch_for_both(oracles):
-    oracles.check_yaw_rates_against_spectral_differences(references)
+    oracles.check_yaw_rates_against_spectral_differences(quadrotor)
 
 
 def test_papers_yaw_is_the_atan2_with_its_limit_at_zero_and_jumps_by_pi(oracles):
-    oracles.check_paper_yaw(references)
+    oracles.check_paper_yaw(quadrotor)
 
 
 @pytest.mark.parametrize("yaw", ["paper", "smooth"])
 def test_papers_start(yaw):
-    d = references.sinusoid_trajectory(0.0, (4.0, 5.0, 2.0), 0.4, yaw)
+    d = quadrotor.sinusoid_trajectory(0.0, (4.0, 5.0, 2.0), 0.4, yaw)
     # r_d_dot(0) = (4 * 0.8, 5 * 0.4, 2 * 0.4), psi_d(0) = atan2(5, 8).
     assert_allclose([*d.r, *d.v, d.psi], [0, 0, 0, 3.2, 2.0, 0.8, np.arctan2(5, 8)], atol=1e-15)
 
 
 def test_yaw_is_the_papers_unless_asked_otherwise():
-    d = references.sinusoid_trajectory(9.0, (4.0, 5.0, 2.0), 0.4)
-    assert d == references.sinusoid_trajectory(9.0, (4.0, 5.0, 2.0), 0.4, "paper")
-    assert d != references.sinusoid_trajectory(9.0, (4.0, 5.0, 2.0), 0.4, "smooth")
+    d = quadrotor.sinusoid_trajectory(9.0, (4.0, 5.0, 2.0), 0.4)
+    assert d == quadrotor.sinusoid_trajectory(9.0, (4.0, 5.0, 2.0), 0.4, "paper")
+    assert d != quadrotor.sinusoid_trajectory(9.0, (4.0, 5.0, 2.0), 0.4, "smooth")

@@ -8,8 +8,9 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
-from fmu_models import ode, rigid_body
-from fmu_models.rigid_body_reference_fmu import RigidBodyReference
+from fmu_models import rigid_body
+from fmu_models.kernel import ode
+from fmu_models.rigid_body.reference import RigidBodyReference
 
 SCENARIO = tomllib.loads(files("cosim").joinpath("scenarios/rigid-body.toml").read_text(encoding="utf-8"))
 NAMES = ("m", "c_x", "c_y", "c_z", "J_xx", "J_yy", "J_zz", "J_xy", "J_xz", "J_yz")

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from fmu_models import so3
+from fmu_models.kernel import so3
 
 numbers = st.floats(-100, 100, allow_subnormal=False)
 small = st.floats(-0.05, 0.05, allow_subnormal=False)

@@ -1,0 +1,20 @@
+"""The plant FMU of the pendulum."""
+
+from ..kernel.blocks import Plant
+from ..kernel.description import input_variable, parameter, state
+from . import equations
+
+
+class Pendulum(Plant):
+    """Actuated planar pendulum with friction; phi = 0 hangs down."""
+
+    table = (
+        parameter("m", "kg", 1.75, "Mass", min=0.1, max=5.0),
+        parameter("l", "m", 0.75, "Length", min=0.1, max=3.0),
+        parameter("b", "kg/s", 0.1, "Friction", min=0.0),
+        parameter("g", "m/s2", 9.81, "Gravity", min=0.0),
+        input_variable("u", "N", 0.0, "Tangential force", nominal=10.0),
+        state("phi", "rad", 0.5, "Angle from hanging down", depends=("phi_dot",)),
+        state("phi_dot", "rad/s", 0.0, "Angular velocity", depends=("m", "l", "b", "g", "u", "phi", "phi_dot")),
+    )
+    derivative = staticmethod(equations.derivative)

@@ -45,7 +45,7 @@ def check_filter(scenario: Scenario, components: Components) -> Iterator[Finding
         yield warning(_WHERE, f"it hardly smooths: {share:.0%} of the noise of a plain difference is left")
     every, loop = settings.every or kernel.independent_after, scenario.estimation
     n_samples = loop.budget // (loop.evaluations_per_step * every)
-    if n_samples < _FEW and loop.trigger.kind != "always":
+    if n_samples < _FEW and not loop.trigger.is_endless:
         episode = f"an episode of {loop.budget} evaluations, {loop.evaluations_per_step} a macro step"
         yield warning("estimation.budget", f"{episode}, sees {n_samples} samples, one being made every {every} points")
     if settings.every and settings.every < kernel.independent_after:

@@ -7,14 +7,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from time import perf_counter
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from estimator import METHODS, EpisodeWindow, ParameterSpace, Sample, Vector
 from estimator.events import Event
 from estimator.retuner import Budget, Retuner
-from estimator.triggers import WindowTrigger
+from estimator.triggers import InnovationSettings
 
 from ..errors import ScenarioError, WiringError
 from ..fmi.archive import co_simulation
@@ -23,13 +23,10 @@ from ..objectives.rollout import RolloutObjective
 from ..objectives.rollout_fmu import START_METHODS, Shadow, StartMethod
 from ..objectives.rollout_fmu import told as said
 from ..objectives.rollout_start import NoisyStartObjective
-from ..scenarios.schema.estimation import Innovation
 from .estimate import EstimateError, Request, Understood, understand
 from .log_windows import LogWindow
 from .rollout import grid_of, noise_of
 
-FALSE_ALARM: Final = float(Innovation.model_fields["false_alarm"].default)
-"""Probability of triggering on one sample where nothing has changed: a scenario's default."""
 Progress = Callable[[int, int], None]
 """Called with the samples taken so far, and how many there are."""
 
@@ -122,7 +119,7 @@ def _watched(
     events: list[Event] = []
     with NoisyStartObjective(partial(RolloutObjective, shadow, theta, None, None, request.jobs), noise) as objective:
         stretch = EpisodeWindow(objective, n_samples)
-        trigger, budget = WindowTrigger(stretch.track, FALSE_ALARM), Budget(request.evaluations)
+        trigger, budget = InnovationSettings().trigger(stretch.innovation), Budget(request.evaluations)
         retuner = Retuner(_search(request, space, theta, rng), stretch, trigger, budget, theta)
         for n, sample in enumerate(samples[1:], 2):
             try:

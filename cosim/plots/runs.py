@@ -13,7 +13,6 @@ from ..errors import CosimError
 from ..fmi.component import read_component
 from ..runs.result import Run
 from ..runs.run_files import EVENTS
-from ..scenarios.schema.estimation import Tracking
 from ..system.fmu_cache import component_path
 from .canvas import (
     BLACK,
@@ -139,8 +138,8 @@ def _error_limits(errors: Sequence[Series], divergence: float) -> Limits:
 def _threshold(run: Run) -> float | None:
     """Tracking error [unit of the tracked outputs] that begins an episode of this run, where it is that which does."""
     estimation = run.scenario.estimation
-    trigger = estimation.trigger if run.estimator in _BASELINES else estimation.loop(run.estimator).trigger
-    return trigger.threshold if isinstance(trigger, Tracking) else None
+    loop = estimation if run.estimator in _BASELINES else estimation.loop(run.estimator)
+    return loop.trigger.tracking_error
 
 
 def _norm(errors: Sequence[Series]) -> Series:

@@ -8,7 +8,6 @@ import numpy as np
 
 from estimator import DerivativeResidual, EpisodeWindow, LinearForm, Method, Sample, Vector
 from estimator.retuner import Budget, Reconfiguration, Retuner, make_retuner
-from estimator.triggers import AlwaysTrigger, InnovationTrigger, TrackingTrigger, Trigger, WindowTrigger
 
 from ..errors import CosimError, ScenarioError, one_line, seconds
 from ..objectives.choice import ENDLESS, chosen, open_objective
@@ -16,7 +15,6 @@ from ..objectives.model import opened_model
 from ..objectives.rollout_fmu import RunningPlant
 from ..sampling.derivative_filter import derivative_noise
 from ..scenarios.scenario import Scenario
-from ..scenarios.schema.estimation import Always, Innovation, Loop, Tracking
 from ..system.plant import Plant
 from ..user_code import USERS, load
 from .estimators import find_method, make_estimator
@@ -124,21 +122,18 @@ def make_policy(
     if choice.kind == "derivative":
         whitened = whitened or _residual(scenario, plant, stack)
         text = f"derivatives of {scenario.estimation.model} ({choice.why})"
-        return make_retuner(search, whitened, _trigger(loop, whitened), budget, loop.window, theta, form, text)
+        return make_retuner(search, whitened, loop.trigger.trigger(whitened), budget, loop.window, theta, form, text)
     if method.needs_derivatives:
         raise ScenarioError(
             f"estimator '{estimator}' takes derivatives sample by sample: no estimation.objective else."
         )
-    if isinstance(loop.trigger, Always):
+    if loop.trigger.is_endless:
         raise ScenarioError(ENDLESS)
     judge = open_objective(scenario, plant, theta, live, stack)
     is_rollout = choice.kind == "rollout"
     noise = [n.noise for n in scenario.sampling.outputs.values()] if is_rollout and not search.is_whitened else None
     window = EpisodeWindow(judge, loop.window, noise)
-    if isinstance(loop.trigger, Innovation):
-        trigger: Trigger = WindowTrigger(window.track, loop.trigger.false_alarm)
-    else:
-        trigger = TrackingTrigger(loop.trigger.threshold)
+    trigger = loop.trigger.trigger(window.innovation)
     return Retuner(search, window, trigger, budget, theta, form, judge.describe)
 
 
@@ -174,16 +169,6 @@ def try_model(scenario: Scenario, estimator: str, plant: Plant, theta: Vector, f
             raise ValueError(f"rows are {rows.shape}, targets {targets.shape}")
     except USERS as e:
         raise ScenarioError(f"estimation.linear: failed: {type(e).__name__}: {e}.") from e
-
-
-def _trigger(loop: Loop, residual: DerivativeResidual) -> Trigger:
-    match loop.trigger:
-        case Innovation():
-            return InnovationTrigger(residual, loop.trigger.false_alarm)
-        case Tracking():
-            return TrackingTrigger(loop.trigger.threshold)
-        case _:
-            return AlwaysTrigger()
 
 
 def _residual(scenario: Scenario, plant: Plant, stack: ExitStack) -> DerivativeResidual:

@@ -1,6 +1,6 @@
 """The tables of a scenario file, each validated when built."""
 
-from typing import Annotated, Any, Literal, Self, cast
+from typing import Any, Literal, Self, cast
 
 from pydantic import (
     Field,
@@ -10,43 +10,16 @@ from pydantic import (
 )
 
 from estimator import METHODS, Method, Parameter, ParameterSpace
+from estimator.triggers import TriggerSettings
 
 from ...names import did_you_mean
 from .table import MOST, Reference, Table
 
 
-class Tracking(Table):
-    """Trigger on the tracking error."""
-
-    kind: Literal["tracking"]
-    """tracking"""
-    threshold: float = Field(gt=0.0)
-    """tau_e, in the norm of the tracked outputs."""
-
-
-class Innovation(Table):
-    """Trigger on the residual of the newest sample."""
-
-    kind: Literal["innovation"]
-    """innovation"""
-    false_alarm: float = Field(default=1e-6, gt=0.0, lt=1.0)
-    """Probability of firing on one sample where nothing has changed."""
-
-
-class Always(Table):
-    """One episode from the first sample to the end, for recursive estimators."""
-
-    kind: Literal["always"]
-    """always"""
-
-
-TriggerSettings = Annotated[Tracking | Innovation | Always, Field(discriminator="kind")]
-
-
 class Loop(Table):
     """How the controller is re-tuned. An estimator's own table may replace any of these."""
 
-    trigger: TriggerSettings
+    trigger: TriggerSettings = Field(discriminator="kind")
     """When an episode begins."""
     budget: int = Field(default=30, ge=1, le=MOST)
     """N, evaluations an episode."""

@@ -20,7 +20,8 @@ from fmpy.validation import validate_fmu
 from cosim import Scenario, ScenarioError
 from cosim.authoring.doctor import diagnose
 from cosim.cli import main
-from cosim.estimator_fmu.build import build_estimator, estimator_settings
+from cosim.estimator_fmu.build import build_estimator
+from cosim.estimator_fmu.settings import estimator_settings
 from cosim.estimator_fmu.slave import EstimatorSlave
 from cosim.scenarios.scenario import named_scenarios
 
@@ -417,7 +418,7 @@ def test_it_needs_no_more_than_it_says(tmp_path):
 def test_the_archive_holds_no_more_of_the_co_simulation_than_is_loaded(tmp_path):
     with zipfile.ZipFile(build_estimator(Scenario.load("quadrotor"), tmp_path)) as archive:
         names = {Path(name).name for name in archive.namelist() if name.startswith("resources/cosim_")}
-    assert names == {"__init__.py", "loop.py", "slave.py", "reconfigure.py", "triggers.py"}
+    assert names == {"__init__.py", "loop.py", "slave.py"}
 
 
 @fmu

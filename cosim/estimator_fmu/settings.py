@@ -25,6 +25,7 @@ from ..system.fmu_cache import fmu_paths
 from ..system.parameters import check_parameters, start_value
 from ..system.plant import Plant, plant_of
 from ..system.wiring import wire
+from ..variable_name import VariableName
 
 
 def estimator_settings(scenario: Scenario, method: str = "target") -> dict[str, Any]:
@@ -59,12 +60,12 @@ def estimator_settings(scenario: Scenario, method: str = "target") -> dict[str, 
             }
             for p, start in zip(scenario.estimation.parameters, theta.tolist(), strict=True)
         ],
-        "states": [variables.of(f"{plant.name}.{name}") for name in plant.states],
-        "inputs": [variables.of(f"{plant.name}.{name}") for name in plant.inputs],
+        "states": [variables.of(VariableName(f"{plant.name}.{name}")) for name in plant.states],
+        "inputs": [variables.of(VariableName(f"{plant.name}.{name}")) for name in plant.inputs],
         "held": [_suffixed(name, "_held") for name in plant.inputs],
         "derivatives": [
             variables.of(reference)
-            | {"noise": noise.noise, "channel": channel, "noise_name": "noise_" + _word(reference.partition(".")[2])}
+            | {"noise": noise.noise, "channel": channel, "noise_name": "noise_" + _word(reference.variable)}
             for (reference, noise), channel in zip(scenario.sampling.derivatives.items(), plant.channels, strict=True)
         ],
         "watched": variables.watched,
@@ -98,30 +99,30 @@ class _Variables:
 
     def __init__(self, scenario: Scenario, fmus: Mapping[str, FmuFile], plant: Plant) -> None:
         self._scenario, self._fmus = scenario, fmus
-        own = {f"{plant.name}.{name}" for name in plant.states} | set(scenario.sampling.derivatives)
-        taken = {reference.partition(".")[2] for reference in own}
+        own = {VariableName(f"{plant.name}.{name}") for name in plant.states} | set(scenario.sampling.derivatives)
+        taken = {reference.variable for reference in own}
         self._names: dict[str, str] = {}
         self.watched: list[dict[str, Any]] = []
         """What is tracked, and what it should be, as far as they are no states."""
         for reference in (r for pair in scenario.tracking.items() for r in pair if r not in own):
             if reference not in self._names:
-                name = reference.partition(".")[2]
+                name = reference.variable
                 self._names[reference] = reference if name in taken else name
                 taken.add(self._names[reference])
-                text = f"{reference.partition('.')[0]}: {self._declared(reference).description or name}"
+                text = f"{reference.component}: {self._declared(reference).description or name}"
                 self.watched.append(self.of(reference) | {"text": text})
 
-    def name_of(self, reference: str) -> str:
-        return self._names.get(reference) or reference.partition(".")[2]
+    def name_of(self, reference: VariableName) -> str:
+        return self._names.get(reference) or reference.variable
 
-    def of(self, reference: str) -> dict[str, Any]:
+    def of(self, reference: VariableName) -> dict[str, Any]:
         declared = self._declared(reference)
         has_start = declared.start is not None
         start = start_value(self._scenario, self._fmus, reference) if has_start else 0.0
         return {"name": self.name_of(reference), "unit": _fmi_unit(declared.unit or "1"), "start": start}
 
-    def _declared(self, reference: str) -> Any:
-        component, _, name = reference.partition(".")
+    def _declared(self, reference: VariableName) -> Any:
+        component, name = reference.parts
         return next(v for v in self._fmus[component].description.modelVariables if v.name == name)
 
 

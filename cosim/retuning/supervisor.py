@@ -18,6 +18,7 @@ from ..sampling.screen import OutputScreen, SampleScreen, Seen, Sensors
 from ..scenarios.scenario import Scenario
 from ..system.master import Master
 from ..system.plant import Plant
+from ..variable_name import VariableName
 from .data_support import DataSupport, NoDataSupport
 from .guard import Guard, Peak
 from .lookahead import Lookahead, Running
@@ -184,7 +185,7 @@ class _Slope:
 
 
 def _sensors(scenario: Scenario, plant: Plant, residual: DerivativeResidual) -> Sensors:
-    states = [f"{plant.name}.{name}" for name in plant.states]
+    states = [VariableName(f"{plant.name}.{name}") for name in plant.states]
     on_states = scenario.sampling.states
     is_noisy = [name in on_states and on_states[name].noise > 0.0 for name in states]
     n = len(scenario.sampling.derivatives)

@@ -2,7 +2,10 @@
 
 from typing import Annotated
 
-from pydantic import AfterValidator, BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, GetPydanticSchema
+from pydantic_core import core_schema
+
+from ...variable_name import VariableName
 
 MOST = 1_000_000_000
 """Of whatever is counted, or waited for [s]: more is a slip, and what a machine cannot hold."""
@@ -11,14 +14,10 @@ MOST = 1_000_000_000
 Value = float | int | bool | str
 
 
-def _is_reference(name: str) -> str:
-    component, _, variable = name.partition(".")
-    if not component or not variable:
-        raise ValueError(f"'{name}' must be COMPONENT.VARIABLE")
-    return name
-
-
-Reference = Annotated[str, AfterValidator(_is_reference)]
+_REFERENCE = GetPydanticSchema(
+    lambda _, handler: core_schema.no_info_after_validator_function(VariableName, handler(str))
+)
+Reference = Annotated[VariableName, _REFERENCE]
 """A variable of a component, such as `plant.der(phi_dot)`."""
 
 

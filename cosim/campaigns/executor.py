@@ -15,6 +15,7 @@ from typing import Any, Final, NamedTuple, NoReturn
 
 import numpy as np
 
+from .. import former_names
 from ..errors import CosimError, UnfinishedError, is_refusal, one_line
 from ..fmi.folder import PrivateFolder
 from ..runs.result import Run
@@ -207,6 +208,7 @@ def serve(channel_argument: str, temporary: str) -> NoReturn:
     null = os.open(os.devnull, os.O_RDONLY)
     os.dup2(null, 0)
     scenario: Scenario | None = None
+    former_names.LOG.disabled = True  # our parent has said it
     try:
         threading.Thread(target=_interrupt_at_end_of, args=(lifeline,), daemon=True).start()
         while True:

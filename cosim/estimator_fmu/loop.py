@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from estimator import METHODS, DerivativeResidual, LinearForm, Parameter, ParameterSpace, Sample
+from estimator import DerivativeResidual, LinearForm, Parameter, ParameterSpace, Sample
+from estimator.methods import method_named
 from estimator.retuner import Budget, make_retuner
 from estimator.triggers import TRIGGERS
 
@@ -43,7 +44,7 @@ class EstimatorLoop:
             tuple(value(d["noise_name"]) for d in derivatives),
         )
         trigger = TRIGGERS[settings["trigger"]](**{p["name"]: value(p["name"]) for p in settings["trigger_parameters"]})
-        method = METHODS[settings["method"]]
+        method = method_named(settings["method"])
         # As `run` spawns them: the noise's stream, which is the sampling's here, and the search's.
         rng = np.random.default_rng(np.random.SeedSequence(int(value("seed"))).spawn(2)[1])
         self._retuner = make_retuner(

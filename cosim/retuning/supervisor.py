@@ -61,8 +61,8 @@ class Supervisor:
         )
         self._screen = _screen(scenario, plant, whitened)
         self._foresight: Lookahead | None = None
-        self._why_blind = "guard.foresight is false"
-        if running is not None and self._guard is not None and scenario.guard.foresight:
+        self._why_blind = "guard.lookahead is false"
+        if running is not None and self._guard is not None and scenario.guard.lookahead:
             model = None if whitened is None else whitened.model
             try:
                 self._foresight = Lookahead(scenario, running, plant, model, stack)

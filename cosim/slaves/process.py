@@ -15,6 +15,7 @@ from pathlib import Path
 from time import monotonic, perf_counter
 from typing import Any, Final
 
+from ..blas_threads import ONE_THREAD
 from ..errors import COLON, IN_THE_CALL, SlaveError, one_line
 from ..fmi.fmi2_co_simulation import Identity
 from ..fmi.fmu_log import pass_on
@@ -32,9 +33,6 @@ MOST_LINES: Final = 1000
 CLOSE_TIMEOUT_S: Final = 2.0
 """For an FMU to terminate politely, and for its process to end."""
 
-_ONE_THREAD: Final = dict.fromkeys(
-    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"
-)
 # cosim may be importable only because of this process's sys.path; -P keeps the working directory out of it.
 _BOOT: Final = """
 import sys
@@ -253,7 +251,7 @@ def _start(channel: str, mark: str, output: int, handles: dict[str, Any]) -> "su
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=output,
-            env=os.environ | _ONE_THREAD | {VARIABLE: mark},
+            env=os.environ | ONE_THREAD | {VARIABLE: mark},
             **group,
             **handles,
         )

@@ -9,6 +9,7 @@ from collections.abc import Generator, Sequence
 from contextlib import contextmanager, nullcontext
 from importlib import import_module
 
+from .blas_threads import ONE_THREAD
 from .shadowing import check_packages
 from .terminal.exit_codes import INTERRUPTED, REFUSED, UNFINISHED
 from .terminal.options import make_parser
@@ -35,8 +36,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _ended(arguments: Sequence[str] | None) -> int:
     """The exit code of a command that has ended by itself."""
-    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")  # before NumPy: a second BLAS thread is slower and changes bits
+    for name, value in ONE_THREAD.items():
+        os.environ.setdefault(name, value)
     ready_streams()
     options = make_parser().parse_args(arguments)
     from .errors import CosimError, is_refusal  # here and below: --help must not wait for NumPy and GPy

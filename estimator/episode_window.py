@@ -181,6 +181,10 @@ class EpisodeWindow:
         self.n_model_calls += 1
         return self._objective.track(theta, stretch)
 
+    def innovation(self, theta: Vector, sample: Sample) -> Vector:
+        """Residual (D,) as a trigger asks for it, on the samples from the newest anchor to this one, the newest."""
+        return self.track(theta)
+
     def explain(self, theta: Vector, patient: bool = True) -> None:
         """The window does not change in an episode."""
 

@@ -1,7 +1,7 @@
 """The estimators by name."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from .baselines import LeastSquares, LeastSquaresSettings, NoisyNorm, NormSettings
@@ -40,7 +40,6 @@ _ONE_SOLVE = {"budget": 1, "evaluations_per_step": 1, "window": 1}
 _RECURSIVE = {"trigger": {"kind": "always"}, "evaluations_per_step": 1, "window": 1}
 # On a noisy function Ipopt's line searches take a hundred evaluations an iteration.
 _IPOPT = {"minimizer": "ipopt", "max_iterations": 10}
-_WIDE_STEP = {"difference_step": 0.05}
 
 METHODS: dict[str, Method] = {
     "target": Method(TargetVector, TargetSettings),
@@ -48,13 +47,20 @@ METHODS: dict[str, Method] = {
     "paper": Method(PaperBO, PaperSettings, None, {"commit": "candidate", "evaluations_per_step": 1, "window": 1}),
     "bo-scalar": Method(PaperBO, PaperSettings, "paper", {"commit": "incumbent", "refits": "seldom"}),
     "ipm": Method(NoisyNorm, NormSettings, "paper", _ONE_SOLVE | _IPOPT, needs_package="cyipopt"),
-    "ipm-wide-step": Method(NoisyNorm, NormSettings, "ipm", _WIDE_STEP, needs_package="cyipopt"),
     "ipm-scipy": Method(NoisyNorm, NormSettings, "paper", _ONE_SOLVE | {"minimizer": "trust-constr"}),
-    "ipm-scipy-wide-step": Method(NoisyNorm, NormSettings, "ipm-scipy", _WIDE_STEP),
     "sqp": Method(NoisyNorm, NormSettings, "paper", _ONE_SOLVE | {"minimizer": "SLSQP"}),
-    "sqp-wide-step": Method(NoisyNorm, NormSettings, "sqp", _WIDE_STEP),
     "least-squares": Method(LeastSquares, LeastSquaresSettings),
     "multi-start": Method(LeastSquares, LeastSquaresSettings, "least-squares", {"n_starts": 8}),
     "rls": Method(RecursiveLeastSquares, RecursiveSettings, None, _RECURSIVE, True, True, "filterpy"),
     "ukf": Method(UnscentedKalman, UnscentedSettings, None, _RECURSIVE, False, True, "filterpy"),
 }
+FORMER_METHODS: dict[str, Method] = {
+    f"{name}-wide-step": replace(METHODS[name], like=name, defaults={"difference_step": 0.05})
+    for name in ("ipm", "ipm-scipy", "sqp")
+}
+"""Names that were estimators of their own, and are now another, `like`, with settings, `defaults`."""
+
+
+def method_named(name: str) -> Method:
+    """The estimator that has that name, or had it once. Raises KeyError."""
+    return FORMER_METHODS[name] if name in FORMER_METHODS else METHODS[name]

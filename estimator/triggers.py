@@ -1,9 +1,13 @@
-"""When an idle loop begins an episode: the paper's tracking error, or samples that contradict what is in force."""
+"""When an idle loop begins an episode: the paper's tracking error, or samples that contradict what is in force.
+
+A trigger is two classes and a row of `TRIGGERS`: the trigger itself, and its settings, from which the scenario's
+table, the parameters of an estimator FMU and the threshold in the figures are made.
+"""
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Final, Literal, Protocol, get_args
 
 from . import Sample, Vector, chi2_limit
 
@@ -39,35 +43,17 @@ class InnovationTrigger:
     """
 
     residual: Callable[[Vector, Sample], Vector]
-    """Whitened residual (c,) of one sample."""
+    """Whitened residual (c,) of theta on one sample, or on those that end with it; empty where there is none."""
     false_alarm: float
     """Probability of firing on one sample where nothing has changed."""
 
     def __call__(self, sample: Sample, tracking_error: float, theta: Vector) -> str | None:
         """A reason where |r|^2 exceeds the limit."""
         r = self.residual(theta, sample)
-        squared, limit = float(r @ r), chi2_limit(self.false_alarm, len(r))
-        if squared <= limit:
-            return None
-        return f"normalised innovation squared {squared:.4g} exceeds {limit:.4g}"
-
-
-@dataclass(frozen=True)
-class WindowTrigger:
-    """The same for residuals of several samples: those since some place contradict the parameters in force."""
-
-    residual: Callable[[Vector], Vector]
-    """Whitened residual (D,) of theta, on as many samples as there are; empty where it cannot be told."""
-    false_alarm: float
-    """Probability of firing on these samples where nothing has changed."""
-
-    def __call__(self, sample: Sample, tracking_error: float, theta: Vector) -> str | None:
-        """A reason where |r|^2 exceeds the limit."""
-        r = self.residual(theta)
         squared, limit = float(r @ r), chi2_limit(self.false_alarm, len(r)) if len(r) else math.inf
         if squared <= limit:
             return None
-        return f"squared residuals of {len(r)} values, {squared:.4g}, exceed {limit:.4g}"
+        return f"normalised innovation squared {squared:.4g} exceeds {limit:.4g}"
 
 
 @dataclass(frozen=True)
@@ -77,3 +63,75 @@ class AlwaysTrigger:
     def __call__(self, sample: Sample, tracking_error: float, theta: Vector) -> str | None:
         """Always a reason."""
         return "every sample"
+
+
+def _limited(description: str, *, gt: float, lt: float | None = None, is_error: bool = False) -> dict[str, Any]:
+    """Metadata of a number: `gt`, `lt` and `description` as pydantic has them; whether it is a tracking error."""
+    limits = {"gt": gt} if lt is None else {"gt": gt, "lt": lt}
+    return {**limits, "description": description, "is_tracking_error": is_error}
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackingSettings:
+    """Trigger on the tracking error."""
+
+    kind: Literal["tracking"] = "tracking"
+    """tracking"""
+    threshold: float = field(
+        metadata=_limited("Tracking error at which an episode of estimation begins", gt=0.0, is_error=True)
+    )
+    """tau_e, in the norm of the tracked outputs."""
+    is_endless: ClassVar = False
+
+    @property
+    def tracking_error(self) -> float:
+        """The tracking error that begins an episode."""
+        return self.threshold
+
+    def trigger(self, residual: Callable[[Vector, Sample], Vector]) -> Trigger:
+        """The trigger of these settings."""
+        return TrackingTrigger(self.threshold)
+
+
+@dataclass(frozen=True, kw_only=True)
+class InnovationSettings:
+    """Trigger on the residual of the newest sample."""
+
+    kind: Literal["innovation"] = "innovation"
+    """innovation"""
+    false_alarm: float = field(
+        default=1e-6,
+        metadata=_limited(
+            "Probability that a sample begins an episode of estimation although nothing has changed", gt=0.0, lt=1.0
+        ),
+    )
+    """Probability of firing on one sample where nothing has changed."""
+    is_endless: ClassVar = False
+    tracking_error: ClassVar = None
+
+    def trigger(self, residual: Callable[[Vector, Sample], Vector]) -> Trigger:
+        """The trigger of these settings; residual: whitened, of theta on the samples that end with one."""
+        return InnovationTrigger(residual, self.false_alarm)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AlwaysSettings:
+    """One episode from the first sample to the end, for recursive estimators."""
+
+    kind: Literal["always"] = "always"
+    """always"""
+    is_endless: ClassVar = True
+    tracking_error: ClassVar = None
+
+    def trigger(self, residual: Callable[[Vector, Sample], Vector]) -> Trigger:
+        """The trigger of these settings."""
+        return AlwaysTrigger()
+
+
+TriggerSettings = TrackingSettings | InnovationSettings | AlwaysSettings
+"""Settings of any trigger. Each has, beside its fields: `is_endless`, whether its one episode lasts to the end of the
+run; `tracking_error`, that which begins an episode, None where none does; and `trigger`, which makes it."""
+TRIGGERS: Final[Mapping[str, Callable[..., TriggerSettings]]] = {
+    settings.__dataclass_fields__["kind"].default: settings for settings in get_args(TriggerSettings)
+}
+"""Settings' classes by `kind`."""

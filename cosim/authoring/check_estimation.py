@@ -8,6 +8,7 @@ from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
 from ..scenarios.schema.estimation import EstimatedParameter
 from ..system.parameters import parameter_problem
+from ..variable_name import VariableName
 from .check_wiring import Components, output_refusal, parts, refusal, unit_finding
 
 
@@ -40,7 +41,7 @@ def check_sampling(scenario: Scenario, components: Components) -> Iterator[Findi
     derivatives = plant.derivatives
     measured = [reference for reference, d in scenario.sampling.derivatives.items() if d.of is None]
     for reference in measured:
-        where, name = f'sampling.derivatives."{reference}"', reference.partition(".")[2]
+        where, name = f'sampling.derivatives."{reference}"', reference.variable
         problem = output_refusal(plant, name)
         if problem:
             yield Finding(where, problem)
@@ -49,7 +50,7 @@ def check_sampling(scenario: Scenario, components: Components) -> Iterator[Findi
             yield Finding(where, f"'{name}' is not declared as a state's derivative{hint}")
     is_filtered = scenario.sampling.filter is not None  # `check_filter` looks at its states
     for reference in () if is_filtered else scenario.sampling.states:
-        component, _, name = reference.partition(".")
+        component, name = reference.parts
         if component != scenario.plant or name not in derivatives:
             hint = did_you_mean(name, derivatives)
             yield Finding(f'sampling.states."{reference}"', f"no state with a declared derivative{hint}")
@@ -94,14 +95,14 @@ def _problems(scenario: Scenario, parameter: EstimatedParameter, components: Com
         yield False, f"{controller.fmu.name} declares neither min nor max: only lower and upper limit what is written"
     start = _start(scenario, parameter.writes, components)
     if start is None:
-        component = parameter.writes.partition(".")[0]
-        yield True, f"'{parameter.writes}' has no start value; give it one under components.{component}.start"
+        place = f"components.{parameter.writes.component}.start"
+        yield True, f"'{parameter.writes}' has no start value; give it one under {place}"
     elif not parameter.lower <= start <= parameter.upper:
         yield False, f"'{parameter.writes}' starts at {start:g}, outside [{parameter.lower:g}, {parameter.upper:g}]"
 
 
-def _start(scenario: Scenario, reference: str, components: Components) -> float | None:
-    component, _, name = reference.partition(".")
+def _start(scenario: Scenario, reference: VariableName, components: Components) -> float | None:
+    component, name = reference.parts
     value = scenario.components[component].start.get(name, components[component].variables[name].start)
     try:
         return None if value is None else float(value)

@@ -13,6 +13,7 @@ from ..objectives.model import opened_model
 from ..sampling.derivative_filter import Kernel, derivative_noise, kernel_of
 from ..scenarios.scenario import Scenario
 from ..system.plant import Plant
+from ..variable_name import VariableName
 from .check_wiring import Components, output_refusal
 
 _LITTLE: Final = 0.5  # of the noise of a plain difference
@@ -29,7 +30,7 @@ def check_filter(scenario: Scenario, components: Components) -> Iterator[Finding
     if settings is None or plant is None:
         return
     for reference in scenario.sampling.states:
-        component, _, name = reference.partition(".")
+        component, name = reference.parts
         problem = output_refusal(plant, name) if component == scenario.plant else f"no state of {scenario.plant}"
         if problem:
             yield Finding(f'sampling.states."{reference}"', problem)
@@ -45,7 +46,7 @@ def check_filter(scenario: Scenario, components: Components) -> Iterator[Finding
         yield warning(_WHERE, f"it hardly smooths: {share:.0%} of the noise of a plain difference remains")
     every, loop = settings.every or kernel.independent_after, scenario.estimation
     n_samples = loop.budget // (loop.evaluations_per_step * every)
-    if n_samples < _FEW and loop.trigger.kind != "always":
+    if n_samples < _FEW and not loop.trigger.is_endless:
         episode = f"an episode of {loop.budget} evaluations, {loop.evaluations_per_step} per macro step"
         yield warning(
             "estimation.budget", f"{episode}, sees {n_samples} samples, as one is produced every {every} points"
@@ -65,7 +66,7 @@ def check_filtered_model(scenario: Scenario, plant: Plant, x: Vector, theta: Vec
     if not np.all(np.isfinite(slopes)):
         return
     yield from _long(kernel, slopes)
-    states = [scenario.sampling.states.get(f"{plant.name}.{name}") for name in plant.states]
+    states = [scenario.sampling.states.get(VariableName(f"{plant.name}.{name}")) for name in plant.states]
     sigma = np.array([s.noise if s else 0.0 for s in states]) * float(np.linalg.norm(kernel.mean))
     of_states = np.linalg.norm(slopes[list(plant.channels)] * sigma, axis=1)
     judged = derivative_noise(scenario.sampling, scenario.scenario.macro_step)

@@ -14,6 +14,7 @@ from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
 from ..system.unit_conversions import different
 from ..units import IDENTITY, conversion
+from ..variable_name import VariableName
 
 Components = Mapping[str, Component]
 """Those that could be read, by instance name."""
@@ -21,7 +22,7 @@ Components = Mapping[str, Component]
 
 def parts(reference: str, components: Components) -> tuple[Component | None, str]:
     """The component of a reference, where it could be read, and the variable's name."""
-    name, _, variable = reference.partition(".")
+    name, variable = VariableName(reference).parts
     return components.get(name), variable
 
 
@@ -111,7 +112,7 @@ def check_inputs(scenario: Scenario, components: Components) -> Iterator[Finding
 
 def check_loops(scenario: Scenario, components: Components) -> Iterator[Finding]:
     """Outputs that depend on themselves within a communication point."""
-    known = {
+    known: dict[str, str] = {
         target: source
         for target, source in scenario.connections.items()
         if all(c is not None and name in c.variables for c, name in (parts(r, components) for r in (target, source)))

@@ -13,6 +13,7 @@ from typing import Final
 from ..errors import WiringError, one_line
 from ..fmi.component import Component, ModelVariable, read_component
 from ..fmi.table import is_table
+from ..variable_name import VariableName
 from .draft_estimation import described, estimation, model_states, parameter_pairs, parameters, sampling, unit_name
 from .guess import CONTROLLER, PLANT, REFERENCE, alike, best, guess_connections, have_one_unit, is_likely
 from .toml_lines import key, quoted, said
@@ -119,7 +120,7 @@ def _is_settable(v: ModelVariable) -> bool:
 def _connections(components: Mapping[str, Component]) -> list[str]:
     lines = ["[connections]           # input = output"]
     for guess in guess_connections(components):
-        name, _, variable = guess.target.partition(".")
+        name, variable = VariableName(guess.target).parts
         unit = components[name].unit(variable)
         of = f" [{unit.name}]" if unit else ""
         if guess.source is None:

@@ -12,6 +12,7 @@ from typing import Final
 
 from ..fmi.component import Component, ModelVariable
 from ..units import IDENTITY, conversion
+from ..variable_name import VariableName
 
 PLANT, CONTROLLER, REFERENCE = "plant", "controller", "reference"
 """Instance names."""
@@ -136,7 +137,7 @@ def _sources(name: str, variable: str) -> tuple[str, ...]:
 
 def _by_unit(guess: Guess, used: Iterable[str | None], components: Mapping[str, Component]) -> Guess:
     """The only output left that is in the input's unit."""
-    name, _, variable = guess.target.partition(".")
+    name, variable = VariableName(guess.target).parts
     other = _sources(name, variable)[0]
     free = [
         f"{other}.{o.name}"

@@ -15,6 +15,8 @@ from typing import Any, Final, NamedTuple, NoReturn
 
 import numpy as np
 
+from .. import former_names
+from ..blas_threads import ONE_THREAD
 from ..errors import CosimError, UnfinishedError, is_refusal, one_line
 from ..fmi.folder import PrivateFolder
 from ..runs.result import Run
@@ -25,7 +27,6 @@ from ..slaves.channel import CALL, FAULT, RESULT, channel_pair, decode, encode, 
 CLOSE_TIMEOUT_S: Final = 10.0
 """For an interrupted run to end its FMUs."""
 
-_ONE_THREAD: Final = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _BOOT: Final = """
 import sys
 root, channel, temporary, *path = sys.argv[1:]
@@ -134,7 +135,7 @@ class _Worker:
                 [sys.executable, "-P", "-c", _BOOT, root, theirs.argument, temporary, *filter(None, sys.path)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
-                env=os.environ | _ONE_THREAD | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), temporary),
+                env=os.environ | ONE_THREAD | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), temporary),
                 **group,
                 **theirs.popen_arguments(),
             )
@@ -207,6 +208,7 @@ def serve(channel_argument: str, temporary: str) -> NoReturn:
     null = os.open(os.devnull, os.O_RDONLY)
     os.dup2(null, 0)
     scenario: Scenario | None = None
+    former_names.LOG.disabled = True  # our parent has said it
     try:
         threading.Thread(target=_interrupt_at_end_of, args=(lifeline,), daemon=True).start()
         while True:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from ..text_table import counted
+from ..text_table import aligned, counted
 
 if TYPE_CHECKING:
     from .comparison import Comparison
@@ -217,10 +217,4 @@ def _folded(block: Block) -> Iterator[Block]:
 
 
 def _aligned(block: Block) -> str:
-    """The block's first column to the left, the others to the right."""
-    widths = _widths(block)
-    lines = [
-        "  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:], strict=True))]).rstrip()
-        for row in (block.header, *block.rows)
-    ]
-    return "\n".join([block.title, *lines])
+    return "\n".join([block.title, *aligned((block.header, *block.rows))])

@@ -11,7 +11,7 @@ from ..offline.fit_report import estimates_ssv, report, summary, write_files
 from ..runs.record import recording
 from ..terminal.exit_codes import DONE, INTERRUPTED, UNFINISHED
 from ..terminal.folders import must_be_new, new_folder
-from ..terminal.progress import bar_of_rollouts
+from ..terminal.progress import progress_bar
 
 
 def command(options: argparse.Namespace) -> int:
@@ -22,9 +22,13 @@ def command(options: argparse.Namespace) -> int:
         from .estimate_online import estimate_online
 
         return estimate_online(options, request)
+
+    def state(n: int, cost: float) -> tuple[int, int, str]:
+        return n, max(request.evaluations, n), f"sum of squares {cost:.4g}"
+
     try:
         with new_folder(f"{request.fmu.stem}-estimate", options.out) as folder:
-            with bar_of_rollouts(request.fmu.stem, request.evaluations) as progress:
+            with progress_bar(request.fmu.stem, "{n_fmt} of {total_fmt} candidates", state) as progress:
                 found = estimate(request, progress)
             with recording(folder):
                 write_files(found, folder)

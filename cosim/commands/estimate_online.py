@@ -10,14 +10,16 @@ from ..offline.online_report import estimates_ssv, report, summary, write_files
 from ..runs.record import recording
 from ..terminal.exit_codes import DONE, INTERRUPTED, UNFINISHED
 from ..terminal.folders import new_folder
-from ..terminal.progress import bar_of_samples
+from ..terminal.progress import progress_bar
 
 
 def estimate_online(options: argparse.Namespace, request: Request) -> int:
     """Returns the exit code."""
     try:
         with new_folder(f"{request.fmu.stem}-online", options.out) as folder:
-            with bar_of_samples(request.fmu.stem) as progress:
+            with progress_bar(
+                request.fmu.stem, "{n_fmt} of {total_fmt} samples", lambda n, n_all: (n, n_all, "")
+            ) as progress:
                 found = run_online(request, options.samples or 50, progress)
             with recording(folder):
                 write_files(found, folder)

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from estimator import METHODS, DerivativeResidual, LinearForm, Parameter, ParameterSpace, Sample
+from estimator import DerivativeResidual, LinearForm, Parameter, ParameterSpace, Sample
+from estimator.methods import method_named
 from estimator.retuner import Budget, make_retuner
-from estimator.triggers import AlwaysTrigger, InnovationTrigger, TrackingTrigger, Trigger
+from estimator.triggers import TRIGGERS
 
 try:
     from threadpoolctl import ThreadpoolController
@@ -42,13 +43,14 @@ class EstimatorLoop:
             tuple(d["channel"] for d in derivatives),
             tuple(value(d["noise_name"]) for d in derivatives),
         )
-        method = METHODS[settings["method"]]
+        trigger = TRIGGERS[settings["trigger"]](**{p["name"]: value(p["name"]) for p in settings["trigger_parameters"]})
+        method = method_named(settings["method"])
         # As `run` spawns them: the noise's stream, which is the sampling's here, and the search's.
         rng = np.random.default_rng(np.random.SeedSequence(int(value("seed"))).spawn(2)[1])
         self._retuner = make_retuner(
             method.estimator(space, start, rng, method.settings(**settings["settings"])),
             whitened,
-            _trigger(settings["trigger"], whitened, value),
+            trigger.trigger(whitened),
             Budget(value("budget"), int(value("evaluations_per_step")), settings["commit"]),
             int(value("window")),
             LinearForm(space, *(_load(r, settings["ships"]) for r in settings["linear"]))
@@ -96,13 +98,3 @@ def module_of(reference: str, shipped: Sequence[str]) -> str:
 
 def _load(reference: str, shipped: Sequence[str]) -> Callable[..., Any]:
     return getattr(importlib.import_module(module_of(reference, shipped)), reference.partition(":")[2])
-
-
-def _trigger(kind: str, whitened: DerivativeResidual, value: Callable[[str], float]) -> Trigger:
-    match kind:
-        case "innovation":
-            return InnovationTrigger(whitened, value("false_alarm"))
-        case "tracking":
-            return TrackingTrigger(value("threshold"))
-        case _:
-            return AlwaysTrigger()

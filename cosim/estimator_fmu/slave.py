@@ -126,12 +126,8 @@ def _parameters(settings: Mapping[str, Any]) -> list[Variable]:
     for d in settings["derivatives"]:
         text = f"Standard deviation of the noise on {d['name']}, by which its residual is weighed"
         table.append(_fixed(d["noise_name"], d["unit"], d["noise"], text, min=sys.float_info.min))
-    if settings["trigger"] == "tracking":
-        text = "Tracking error at which an episode of estimation begins"
-        table.append(_fixed("threshold", settings["tracking_unit"], loop["threshold"], text, min=sys.float_info.min))
-    elif settings["trigger"] == "innovation":
-        text = "Probability that a sample begins an episode of estimation although nothing has changed"
-        table.append(_fixed("false_alarm", "1", loop["false_alarm"], text, min=sys.float_info.min, max=1.0 - 2**-53))
+    for p in settings["trigger_parameters"]:
+        table.append(_fixed(p["name"], p["unit"], p["start"], p["text"], min=p["min"], max=p["max"]))
     counts = (
         ("budget", "Evaluations an episode", 1),
         ("evaluations_per_step", "Evaluations a step", 1),

@@ -11,7 +11,6 @@ from estimator import Evaluation, ParameterSpace, Sample, SampleSequence, Sequen
 
 from ..errors import ScenarioError, one_line
 from ..scenarios.scenario import Scenario
-from ..scenarios.schema.estimation import Always
 from ..system.plant import Plant
 from ..user_code import USERS, load
 from .rollout import RolloutObjective
@@ -65,7 +64,7 @@ def open_objective(
 def check_objective(scenario: Scenario, plant: Plant) -> str:
     """What candidates will be judged by, and why; no FMU is started. Raises ScenarioError for what `run` refuses."""
     choice, name = chosen(scenario), scenario.estimation.objective
-    if isinstance(scenario.estimation.trigger, Always):
+    if scenario.estimation.trigger.is_endless:
         raise ScenarioError(ENDLESS)
     if choice.kind == "function":
         _function(scenario)

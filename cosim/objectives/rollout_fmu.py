@@ -79,12 +79,12 @@ def shadow_of(scenario: Scenario, plant: Plant, is_live: bool) -> Shadow:
         description = read_description(fmu)
         variables = {v.name: v for v in description.modelVariables}
         catalogue = Catalogue(fmu.name, description.modelVariables)
-        inputs, outputs = tuple(plant.inputs), tuple(r.partition(".")[2] for r in scenario.sampling.outputs)
+        inputs, outputs = tuple(plant.inputs), tuple(r.variable for r in scenario.sampling.outputs)
         catalogue.ports("input", inputs)
         catalogue.ports("output", outputs)
         names: list[str] = []
         for p in scenario.estimation.parameters:
-            name = scenario.true_reference(p).partition(".")[2]
+            name = scenario.true_reference(p).variable
             names.append(name if name in variables else p.name)
             port = catalogue.start_port(names[-1], p.lower)
             if problem := port.problem([p.lower]) or port.problem([p.upper]):

@@ -7,14 +7,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from time import perf_counter
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from estimator import METHODS, EpisodeWindow, ParameterSpace, Sample, Vector
 from estimator.events import Event
 from estimator.retuner import Budget, Retuner
-from estimator.triggers import WindowTrigger
+from estimator.triggers import InnovationSettings
 
 from ..errors import ScenarioError, WiringError
 from ..fmi.archive import co_simulation
@@ -26,13 +26,10 @@ from ..objectives.rollout_start import NoisyStartObjective
 from ..retuning.data_support import NoDataSupport
 from ..retuning.decision import Point
 from ..retuning.supervisor import Supervisor
-from ..scenarios.schema.estimation import Innovation
 from .estimate import EstimateError, Request, Understood, understand
 from .log_windows import LogWindow
 from .rollout import grid_of, noise_of
 
-FALSE_ALARM: Final = float(Innovation.model_fields["false_alarm"].default)
-"""Probability of triggering on one sample where nothing has changed: a scenario's default."""
 Progress = Callable[[int, int], None]
 """Called with the samples taken so far, and how many there are."""
 
@@ -125,7 +122,7 @@ def _watched(
     events: list[Event] = []
     with NoisyStartObjective(partial(RolloutObjective, shadow, theta, None, None, request.jobs), noise) as objective:
         stretch = EpisodeWindow(objective, n_samples)
-        trigger, budget = WindowTrigger(stretch.track, FALSE_ALARM), Budget(request.evaluations)
+        trigger, budget = InnovationSettings().trigger(stretch.innovation), Budget(request.evaluations)
         retuner = Retuner(_search(request, space, theta, rng), stretch, trigger, budget)
         supervisor = Supervisor(request.method, retuner, NoDataSupport())
         for k, sample in enumerate(samples[1:], 1):

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from estimator import METHODS
+from estimator.methods import method_named
 
 from ..plots.panels import Event
 from ..runs.result import Run
@@ -110,7 +110,10 @@ def prediction_time(run: Run, events: Sequence[Event], t: float) -> float | None
     if episode is None or len(times) != len(run.latencies):
         return None
     spent = [sum(s) for at, s in zip(times, run.latencies, strict=True) if episode[0] <= at <= episode[1]]
-    return float(spent[-1] if hasattr(METHODS[run.estimator].estimator, "solve") else sum(spent)) if spent else None
+    if not spent:
+        return None
+    is_solver = hasattr(method_named(run.estimator).estimator, "solve")
+    return float(spent[-1] if is_solver else sum(spent))
 
 
 def _last_episode(events: Sequence[Event], t: float) -> tuple[float, float] | None:

@@ -13,8 +13,8 @@ from ..errors import CosimError
 from ..fmi.component import read_component
 from ..runs.result import Run
 from ..runs.run_files import EVENTS
-from ..scenarios.schema.estimation import Tracking
 from ..system.fmu_cache import component_path
+from ..variable_name import VariableName
 from .canvas import (
     BLACK,
     BLUE,
@@ -104,7 +104,8 @@ def tracking_limits(reference: Series, outputs: Sequence[Series]) -> Limits:
 
 def _draw_error(run: Run, curves: Sequence[Curve], events: Sequence[Event]) -> Figure:
     """Absolute tracking errors over time; with several tracked outputs, their norm, which triggers, above them."""
-    outputs, units = list(run.scenario.tracking), _units(run)
+    outputs: list[str] = list(run.scenario.tracking)
+    units = _units(run)
     contents: list[tuple[str | None, str | None, list[str]]] = [
         (name, units.get(o), [o]) for name, o in zip(short_names(outputs), outputs, strict=True)
     ]
@@ -139,8 +140,8 @@ def _error_limits(errors: Sequence[Series], divergence: float) -> Limits:
 def _threshold(run: Run) -> float | None:
     """Tracking error [unit of the tracked outputs] that begins an episode of this run, where it is that which does."""
     estimation = run.scenario.estimation
-    trigger = estimation.trigger if run.estimator in _BASELINES else estimation.loop(run.estimator).trigger
-    return trigger.threshold if isinstance(trigger, Tracking) else None
+    loop = estimation if run.estimator in _BASELINES else estimation.loop(run.estimator)
+    return loop.trigger.tracking_error
 
 
 def _norm(errors: Sequence[Series]) -> Series:
@@ -153,7 +154,7 @@ def _norm(errors: Sequence[Series]) -> Series:
 
 def short_names(references: Sequence[str]) -> list[str]:
     """Variables without their component, where that leaves them different."""
-    short = [r.partition(".")[2] for r in references]
+    short = [VariableName(r).variable for r in references]
     return short if len(set(short)) == len(short) else list(references)
 
 
@@ -161,7 +162,7 @@ def _units(run: Run) -> dict[str, str]:
     """Units of the tracked outputs by reference, as their FMUs declare them; none for an FMU that is gone."""
     units: dict[str, str] = {}
     for reference in run.scenario.tracking:
-        component, _, variable = reference.partition(".")
+        component, variable = reference.parts
         with suppress(CosimError):
             found = read_component(component_path(run.scenario.components[component], run.scenario.folder))
             if variable in found.variables and (unit := found.unit(variable)):

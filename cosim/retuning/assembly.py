@@ -11,7 +11,6 @@ import numpy as np
 from estimator import DerivativeResidual, EpisodeWindow, LinearForm, Method, Sample, Vector
 from estimator.retuner import Budget, Retuner, make_retuner
 from estimator.samples import RememberingModel
-from estimator.triggers import AlwaysTrigger, InnovationTrigger, TrackingTrigger, Trigger, WindowTrigger
 
 from ..errors import CosimError, ScenarioError
 from ..objectives.choice import ENDLESS, chosen, open_objective
@@ -20,9 +19,9 @@ from ..objectives.rollout_fmu import RunningPlant
 from ..sampling.derivative_filter import derivative_noise
 from ..sampling.screen import OutputScreen, SampleScreen, Sensors
 from ..scenarios.scenario import Scenario
-from ..scenarios.schema.estimation import Always, Innovation, Loop, Tracking
 from ..system.plant import Plant
 from ..user_code import USERS, load
+from ..variable_name import VariableName
 from .data_support import DataSupport, NoDataSupport
 from .estimators import find_method, make_estimator
 from .guard import Guard
@@ -100,32 +99,18 @@ def _retuner(
     form = _linear_form(method, scenario)
     if whitened is not None:
         text = f"derivatives of {scenario.estimation.model} ({choice.why})"
-        return make_retuner(search, whitened, _trigger(loop, whitened), budget, loop.window, form, text)
+        return make_retuner(search, whitened, loop.trigger.trigger(whitened), budget, loop.window, form, text)
     if method.needs_derivatives:
         raise ScenarioError(
             f"estimator '{estimator}' takes derivatives sample by sample: no estimation.objective else."
         )
-    if isinstance(loop.trigger, Always):
+    if loop.trigger.is_endless:
         raise ScenarioError(ENDLESS)
     objective = open_objective(scenario, plant, held, live, stack)
     is_rollout = choice.kind == "rollout"
     noise = [n.noise for n in scenario.sampling.outputs.values()] if is_rollout and not search.is_whitened else None
     window = EpisodeWindow(objective, loop.window, noise)
-    if isinstance(loop.trigger, Innovation):
-        trigger: Trigger = WindowTrigger(window.track, loop.trigger.false_alarm)
-    else:
-        trigger = TrackingTrigger(loop.trigger.threshold)
-    return Retuner(search, window, trigger, budget, form, objective.describe)
-
-
-def _trigger(loop: Loop, residual: DerivativeResidual) -> Trigger:
-    match loop.trigger:
-        case Innovation():
-            return InnovationTrigger(residual, loop.trigger.false_alarm)
-        case Tracking():
-            return TrackingTrigger(loop.trigger.threshold)
-        case _:
-            return AlwaysTrigger()
+    return Retuner(search, window, loop.trigger.trigger(window.innovation), budget, form, objective.describe)
 
 
 def _residual(scenario: Scenario, plant: Plant, stack: ExitStack) -> DerivativeResidual:
@@ -164,8 +149,8 @@ def _lookahead(
     """The loop that is simulated ahead, or the reason why none is."""
     if running is None:
         return "the FMUs do not run"
-    if not (scenario.guard.enabled and scenario.guard.foresight):
-        return "guard.foresight is false"
+    if not (scenario.guard.enabled and scenario.guard.lookahead):
+        return "guard.lookahead is false"
     try:
         return Lookahead(scenario, running, plant, None if whitened is None else whitened.model, stack)
     except CosimError as e:
@@ -202,7 +187,7 @@ class _Slope:
 
 def _sensors(scenario: Scenario, plant: Plant, residual: DerivativeResidual) -> Sensors:
     """The sampled values, as the screen sees them."""
-    states = [f"{plant.name}.{name}" for name in plant.states]
+    states = [VariableName(f"{plant.name}.{name}") for name in plant.states]
     on_states = scenario.sampling.states
     is_noisy = [name in on_states and on_states[name].noise > 0.0 for name in states]
     n = len(scenario.sampling.derivatives)

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from estimator import METHODS, AskTell, Method, Solver, Vector
+from estimator.methods import method_named
 
 from ..errors import ScenarioError
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
-from ..scenarios.schema.estimation import Loop
+from ..scenarios.schema.estimation import Loop, is_former_method
 from ..user_code import USERS, load
 
 ESTIMATORS = (*METHODS, "none", "true")
@@ -24,10 +25,10 @@ def find_method(name: str, scenario: Scenario) -> Method:
 
     Raises ScenarioError for an unknown name, and for an estimator that the scenario or this machine lacks something of.
     """
-    if ":" not in name and name not in METHODS:
+    if ":" not in name and name not in METHODS and not is_former_method(name):
         known = f"; the estimators are {', '.join(ESTIMATORS)}, or package.module:Class."
         raise ScenarioError(f"no estimator '{name}'{did_you_mean(name, ESTIMATORS) or known}")
-    method = _user_method(name, scenario) if ":" in name else METHODS[name]
+    method = _user_method(name, scenario) if ":" in name else method_named(name)
     if method.needs_package and not importlib.util.find_spec(method.needs_package):
         raise ScenarioError(f"estimator '{name}' needs {_INSTALL.get(method.needs_package, method.needs_package)}.")
     if method.needs_linear_form and scenario.estimation.linear is None:
@@ -68,7 +69,7 @@ def make_estimator(
 ) -> tuple[AskTell | Solver, Loop]:
     """An estimator beginning at theta (d,), and the loop's settings for it. Raises ScenarioError."""
     estimation = scenario.estimation
-    own = None if name in METHODS else method
+    own = method if ":" in name else None
     try:
         made = method.estimator(estimation.space, start, rng, estimation.settings(name, own))
     except USERS as e:

@@ -8,6 +8,7 @@ from fmu_models.kernel.ode import integrate
 from ..errors import COLON, SlaveError
 from ..fmi.types import Value
 from ..system.plant import Plant
+from ..variable_name import VariableName
 
 MAX_STEP_S: Final = 0.005
 """Of the Runge-Kutta steps."""
@@ -19,7 +20,7 @@ def not_given(plant: Plant, rates: Mapping[str, str], read: Iterable[str]) -> st
     rates: of which state each declared derivative is.
     """
     given = {f"{plant.name}.{name}" for name in (*plant.states, *rates)}
-    return next((r for r in sorted(read) if r.partition(".")[0] == plant.name and r not in given), None)
+    return next((r for r in sorted(read) if VariableName(r).component == plant.name and r not in given), None)
 
 
 class ModelPlant:

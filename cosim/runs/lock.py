@@ -3,23 +3,14 @@
 import errno
 import os
 import platform
-import stat
-import sys
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Final
+
+from filelock import FileLock, Timeout
 
 from ..errors import FolderError, one_line
 from .run_files import LOCK, new_run_folder
-
-if sys.platform != "win32":
-    import fcntl
-else:
-    import msvcrt
-
-_FAR: Final = 1 << 30
-"""Byte that Windows locks: nobody else can read those that are locked."""
 
 
 @contextmanager
@@ -30,26 +21,25 @@ def locked(folder: Path) -> Generator[None]:
     Raises FolderError where another process holds it.
     """
     path, me = folder / LOCK, f"process {os.getpid()} on {platform.node()}"
+    lock = FileLock(path, timeout=0)
     try:
-        file = _taken(path)
-        owner = _owner(path) if file is None else me
+        owner = me if _is_taken(lock, path) else _owner(path)
     except OSError as e:
         raise FolderError(f"cannot write in {folder}: {e.strerror or e}.") from e
     if owner != me:
         raise FolderError(f"{folder} is in use by {owner or 'another command'}; wait for it, or end it first.")
-    if file is None:
+    if not lock.is_locked:
         yield
         return
     try:
         try:
-            file.truncate(0)
-            file.write(me.encode())
+            path.write_text(me, encoding="utf-8")
         except OSError as e:
             raise FolderError(f"cannot write {path}: {e.strerror or e}.") from e
         yield
     finally:
         path.unlink(missing_ok=True)  # first: nobody shall take a file that is going to vanish
-        file.close()
+        lock.release()
 
 
 @contextmanager
@@ -65,39 +55,29 @@ def new_locked_folder(scenario: str, out: Path | None) -> Generator[Path]:
 
 def is_locked(folder: Path) -> bool:
     """Whether a command is at work in the folder."""
+    path = folder / LOCK
+    lock = FileLock(path, timeout=0)
     try:
-        with _opened(folder / LOCK, os.O_RDWR) as file:
-            return not _lock(file, shared=True)
+        if not path.exists() or not _is_taken(lock, path):
+            return path.exists()
     except OSError:
         return False
+    lock.release()
+    return False
 
 
-def _taken(path: Path) -> "IO[bytes] | None":
-    """The open lock file, ours now, or None where it is another's. Raises OSError."""
-    while True:
-        file = _opened(path, os.O_RDWR | os.O_CREAT | os.O_APPEND)  # closed by locked
-        if not _lock(file):
-            file.close()
-            return None
-        try:
-            if os.path.samestat(os.fstat(file.fileno()), os.stat(path)):
-                return file
-        except FileNotFoundError:
-            pass
-        file.close()  # its owner has removed it between our open and our lock
-
-
-def _opened(path: Path, flags: int) -> "IO[bytes]":
-    """The file of that name itself; opening it waits for nobody. Raises OSError, also for what is no file."""
-    for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY"):  # what there is of them
-        flags |= getattr(os, name, 0)
+def _is_taken(lock: FileLock, path: Path) -> bool:
+    """Whether the lock is ours now; False where it is another's. Raises OSError, also for what is no file."""
+    path.parent.stat()  # filelock would make the folder
     if path.is_symlink():
         raise OSError(errno.ELOOP, f"{path.name} is a symbolic link")
-    descriptor = os.open(path, flags, 0o666)
-    if stat.S_ISREG(os.fstat(descriptor).st_mode):
-        return open(descriptor, "r+b", buffering=0)
-    os.close(descriptor)
-    raise OSError(errno.EINVAL, f"{path.name} is not a regular file")
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EINVAL, f"{path.name} is not a regular file")
+    try:
+        lock.acquire()
+    except Timeout:
+        return False
+    return True
 
 
 def _owner(path: Path) -> str:
@@ -105,18 +85,3 @@ def _owner(path: Path) -> str:
         return one_line(path.read_text(encoding="utf-8", errors="replace"))
     except FileNotFoundError:
         return ""
-
-
-def _lock(file: "IO[bytes]", shared: bool = False) -> bool:
-    """Lock the file without waiting. Where the file system has no locks, nobody is kept out."""
-    try:
-        if sys.platform != "win32":
-            fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
-        else:
-            file.seek(_FAR)
-            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-    except (BlockingIOError, PermissionError):
-        return False
-    except OSError:
-        return not shared
-    return True

@@ -19,7 +19,18 @@ from .checkpoint import read_checkpoint
 from .final_estimate import FinalEstimate, final_estimate_from_json
 from .lock import is_locked
 from .manifest import Status, check_file, modules, read_json, read_manifest, scenario_of, versions, write_manifest
-from .run_files import CHECKPOINT, CSV, ESTIMATES, LATENCIES, LOCK, MANIFEST, RESULT, SERIES
+from .run_files import (
+    CHECKPOINT,
+    CSV,
+    ESTIMATES,
+    LATENCIES,
+    MADE_AT_END,
+    MANIFEST,
+    REQUIRED,
+    RESULT,
+    SERIES,
+    UNSEALED,
+)
 from .series import read_series, write_csv
 
 Series = NDArray[np.float64]
@@ -175,7 +186,7 @@ def begin_folder(
     }
     write_manifest(folder, content)
     remove_half_written(folder)
-    for name in (RESULT, LATENCIES, ESTIMATES, CSV):
+    for name in MADE_AT_END:
         (folder / name).unlink(missing_ok=True)
 
 
@@ -199,7 +210,7 @@ def end_folder(run: Run, folder: Path, units: Mapping[str, Unit]) -> None:
     write_csv(folder / CSV, run.series)
     manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
     final = (path for path in sorted(folder.iterdir()) if path.is_file())
-    hashes = {path.name: sha256(path) for path in final if path.name not in (MANIFEST, CHECKPOINT, LOCK)}
+    hashes = {path.name: sha256(path) for path in final if path.name not in UNSEALED}
     write_manifest(folder, manifest | {"status": run.status, "sha256": hashes})
     if run.status in ("done", "diverged"):
         (folder / CHECKPOINT).unlink(missing_ok=True)
@@ -219,7 +230,7 @@ def read_run(folder: Path | str) -> Run:
         _check_begun(folder)
         result, latencies = _Result(), ()
     else:
-        for name in (SERIES, RESULT, LATENCIES):
+        for name in REQUIRED:
             check_file(folder, name, manifest.sha256)
         status, result = manifest.status, read_json(folder, RESULT, _Result)
         latencies = read_json(folder, LATENCIES, tuple[tuple[float, ...], ...])

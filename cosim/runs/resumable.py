@@ -10,7 +10,7 @@ from .append_file import EMPTY, Prefix
 from .checkpoint import Checkpoint, read_checkpoint
 from .manifest import Manifest, read_manifest, scenario_of, versions
 from .record import Place
-from .run_files import CHECKPOINT, CSV, ESTIMATES, EVENTS, LATENCIES, MANIFEST, RESULT, SERIES
+from .run_files import CHECKPOINT, EVENTS, MADE_AT_END, MANIFEST, SERIES
 from .series import read_series
 
 
@@ -46,7 +46,7 @@ def read_unfinished(folder: Path) -> Unfinished:
     be had: the run has ended, it has no checkpoint, or what it depends on has changed.
     """
     manifest = read_manifest(folder)
-    for name in (RESULT, LATENCIES, ESTIMATES, CSV):  # which it makes anew
+    for name in MADE_AT_END:  # anew
         if (folder / name).exists() and not (folder / name).is_file():
             raise FolderError(f"{folder} is damaged: {name} is not a file.")
     if manifest.status in ("done", "diverged"):

@@ -1,27 +1,54 @@
 """The files of a run folder, and how a new folder is made."""
 
 import re
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 from ..errors import FolderError
 
 SERIES, EVENTS, MANIFEST, RESULT = "series.arrow", "events.jsonl", "manifest.json", "result.json"
-
-
-ESTIMATES, CSV = "estimates.ssv", "series.csv"
-
-
+ESTIMATES, CSV, LATENCIES = "estimates.ssv", "series.csv", "latencies.json"
 CHECKPOINT, LOCK = "checkpoint.bin", "lock"
 
 
-LATENCIES = "latencies.json"
-"""Wall time of each evaluation [s], a list a macro step that had any: no two runs agree in them."""
+@dataclass(frozen=True)
+class RunFile:
+    """A file of a run folder."""
+
+    name: str
+    """Its name."""
+    content: str
+    """What is in it, in a line."""
+    is_made_at_end: bool = False
+    """Whether the end of a run writes it: where a run begins or goes on, that of an earlier end is removed."""
+    is_required: bool = False
+    """Whether a run that has ended cannot be read without it."""
+    is_sealed: bool = True
+    """Whether the manifest of a run that has ended holds its SHA-256."""
+
+
+RUN_FILES: Final = (
+    RunFile(MANIFEST, "scenario, seed, versions, hashes of FMUs, modules and of the files here", is_sealed=False),
+    RunFile(SERIES, "every variable at every communication point, an Arrow IPC stream", is_required=True),
+    RunFile(EVENTS, "what re-tuning did and why, an event a line"),
+    RunFile(RESULT, "the run's figures", is_made_at_end=True, is_required=True),
+    RunFile(
+        LATENCIES, "wall time of each evaluation [s], a list a macro step that had any: no two runs agree in them",
+        is_made_at_end=True, is_required=True,
+    ),
+    RunFile(ESTIMATES, "what the controller holds in the end, for SSP tools", is_made_at_end=True),
+    RunFile(CSV, "the series once more, as text", is_made_at_end=True),
+    RunFile(CHECKPOINT, "where a run that was left goes on", is_sealed=False),
+    RunFile(LOCK, "which command is at work here", is_sealed=False),
+)  # fmt: skip
+"""All files of a run folder but its pictures. A new one is a row here, and what writes it."""
+MADE_AT_END: Final = tuple(file.name for file in RUN_FILES if file.is_made_at_end)
+REQUIRED: Final = tuple(file.name for file in RUN_FILES if file.is_required)
+UNSEALED: Final = frozenset(file.name for file in RUN_FILES if not file.is_sealed)
 
 
 _OWNER: Final = re.compile(rb"(process \d+ on [^\n]*)?")
-
-
 _LONGEST_OWNER: Final = 1000
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from estimator import Sample
 
 from ..scenarios.scenario import Scenario
+from ..scenarios.schema.sampling import Noise
 from ..system.plant import Plant
 from .derivative_filter import DerivativeFilter
 from .fault_injection import FaultInjection
@@ -41,7 +42,7 @@ class Sampler:
         self._faults = FaultInjection(sampling.faults, sensors, faults) if sampling.faults else None
         measured = [*derivatives, *states, *(name for name in sampling.outputs if name not in states)]
         self._measured = [place[name] for name in measured]
-        known = sampling.derivatives | sampling.outputs | sampling.states
+        known: dict[str, Noise] = {**sampling.derivatives, **sampling.outputs, **sampling.states}
         self._sigma = np.array([known[name].noise if name in known else 0.0 for name in measured])
         n = len(derivatives)
         self._xdot, self._x = slice(n), slice(n, n + len(states))

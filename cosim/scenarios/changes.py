@@ -7,6 +7,7 @@ from typing import Annotated
 
 from pydantic import BeforeValidator
 
+from ..variable_name import VariableName
 from .formula import CONSTANTS, FUNCTIONS, compile_formula
 
 
@@ -21,7 +22,7 @@ Change = Annotated[float | str | tuple[tuple[float, float | str], ...], BeforeVa
 
 
 def change_functions(
-    definitions: Mapping[str, float | str], changes: Mapping[str, Change]
+    definitions: Mapping[str, float | str], changes: Mapping[VariableName, Change]
 ) -> dict[str, Callable[[float], float]]:
     """Each changed parameter as a function of t [s]; a definition may use those before it. Raises ValueError."""
     defined: dict[str, Callable[[float], float]] = {}

@@ -7,8 +7,9 @@ can be named. Compiled once: a call takes 1 us, a general evaluator's 30.
 import ast
 import math
 from collections.abc import Callable, Mapping
-from difflib import get_close_matches
 from typing import Any, cast
+
+from ..names import did_you_mean
 
 FUNCTIONS: dict[str, Any] = {
     name: getattr(math, name)
@@ -74,5 +75,4 @@ def _check(node: ast.AST, text: str, definitions: Mapping[str, Callable[[float],
     if isinstance(node, ast.Name):
         known = {"t", *FUNCTIONS, *CONSTANTS, *definitions}
         if node.id not in known:
-            close = get_close_matches(node.id, known, n=1)
-            raise ValueError(f"'{text}' has '{node.id}'" + (f"; did you mean '{close[0]}'?" if close else "."))
+            raise ValueError(f"'{text}' has '{node.id}'{did_you_mean(node.id, known) or '.'}")

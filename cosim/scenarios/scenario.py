@@ -1,7 +1,7 @@
 """A scenario: which FMUs are joined how, what happens to the plant, what is sampled and estimated. TOML in."""
 
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any, Self
@@ -10,6 +10,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from ..errors import ScenarioError, one_line
 from ..names import did_you_mean
+from ..variable_name import VariableName
 from .changes import Change, change_functions
 from .named import named_scenarios
 from .overrides import override
@@ -86,19 +87,19 @@ class Scenario(Table):
     @property
     def plant(self) -> str:
         """Instance name of the component whose derivatives or outputs are sampled."""
-        return next(iter((*self.sampling.derivatives, *self.sampling.outputs))).partition(".")[0]
+        return next(iter((*self.sampling.derivatives, *self.sampling.outputs))).component
 
     def change_functions(self) -> dict[str, Callable[[float], float]]:
         """Each changed parameter as a function of t [s]."""
         return change_functions(self.definitions, self.changes)
 
-    def true_reference(self, parameter: EstimatedParameter) -> str:
+    def true_reference(self, parameter: EstimatedParameter) -> VariableName:
         """The plant's variable that an estimated parameter stands for."""
-        return parameter.true or f"{self.plant}.{parameter.name}"
+        return parameter.true or VariableName(f"{self.plant}.{parameter.name}")
 
     @model_validator(mode="after")
     def _names_fit(self) -> Self:
-        named = {
+        named: dict[str, Iterable[VariableName]] = {
             "connections": [*self.connections, *self.connections.values()],
             "changes": self.changes,
             "tracking": [*self.tracking, *self.tracking.values()],
@@ -108,10 +109,9 @@ class Scenario(Table):
         }
         for table, references in named.items():
             for reference in references:
-                component = reference.partition(".")[0]
-                if component not in self.components:
-                    hint = did_you_mean(component, self.components)
-                    raise ValueError(f"{table}: '{reference}': no component '{component}'{hint}")
+                if reference.component not in self.components:
+                    hint = did_you_mean(reference.component, self.components)
+                    raise ValueError(f"{table}: '{reference}': no component '{reference.component}'{hint}")
         self.change_functions()
         return self
 

@@ -1,8 +1,9 @@
 """What is wrong with a scenario file, in one line each. Keys that are known come from the schema's types."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from types import UnionType
-from typing import Annotated, Any, Union, get_args, get_origin
+from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
 from pydantic import ValidationError
 
@@ -26,9 +27,9 @@ def error_texts(error: ValidationError, root: type[Table]) -> list[str]:
 def _text(first: Mapping[str, Any], root: type[Table]) -> str:
     keys, _ = _place(first["loc"], root)
     key = ".".join(keys)
-    if first["type"] == "extra_forbidden":
+    if first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):  # of a table, of a dataclass
         _, table = _place(first["loc"][:-1], root)
-        known = table.known_keys() if table is not None else set[str]()
+        known = _known_keys(table) if table is not None else set[str]()
         return f"{key}: unknown key{did_you_mean(str(first['loc'][-1]), known)}"
     message = first["msg"].removeprefix("Value error, ").rstrip(".")
     value = first["input"]
@@ -38,7 +39,7 @@ def _text(first: Mapping[str, Any], root: type[Table]) -> str:
     return f"{key + ': ' if key else ''}{message[:1].lower()}{message[1:]}{got}"
 
 
-def _place(path: Sequence[int | str], root: type[Table]) -> tuple[list[str], type[Table] | None]:
+def _place(path: Sequence[int | str], root: type[Table]) -> tuple[list[str], type[Any] | None]:
     """The keys of pydantic's path, without what it adds to them, and the table that is there, if it is one."""
     keys: list[str] = []
     kind: Any = root
@@ -53,19 +54,32 @@ def _place(path: Sequence[int | str], root: type[Table]) -> tuple[list[str], typ
     return keys, tables[0] if len(tables) == 1 else None
 
 
-def _tables(kind: Any) -> list[type[Table]]:
-    """The tables that a value of this type can be."""
+def _tables(kind: Any) -> list[type[Any]]:
+    """The tables, and dataclasses read as tables, that a value of this type can be."""
     if get_origin(kind) is Annotated:
         return _tables(get_args(kind)[0])
     if get_origin(kind) in (Union, UnionType):
         return [table for member in get_args(kind) for table in _tables(member)]
-    return [kind] if isinstance(kind, type) and issubclass(kind, Table) else []
+    is_table = isinstance(kind, type) and (issubclass(kind, Table) or is_dataclass(kind))
+    return [kind] if is_table else []
 
 
-def _tags(table: type[Table]) -> tuple[Any, ...]:
+def _types(table: type[Any]) -> dict[str, Any]:
+    """The types of a table's fields by name."""
+    if issubclass(table, Table):
+        return {name: field.annotation for name, field in table.model_fields.items()}
+    hints = get_type_hints(table)
+    return {field.name: hints[field.name] for field in fields(table)}
+
+
+def _known_keys(table: type[Any]) -> set[str]:
+    """What may stand in a table."""
+    return table.known_keys() if issubclass(table, Table) else set(_types(table))
+
+
+def _tags(table: type[Any]) -> tuple[Any, ...]:
     """Values of `kind` that tell this table from others in a union."""
-    field = table.model_fields.get("kind")
-    return get_args(field.annotation) if field is not None else ()
+    return get_args(_types(table).get("kind"))
 
 
 def _item(kind: Any, key: int | str) -> Any:
@@ -74,5 +88,5 @@ def _item(kind: Any, key: int | str) -> Any:
         return get_args(kind)[1]
     if get_origin(kind) is tuple:
         return get_args(kind)[0]
-    fields = [table.model_fields[str(key)] for table in _tables(kind) if str(key) in table.model_fields]
-    return fields[0].annotation if len(fields) == 1 else None
+    found = [types[str(key)] for table in _tables(kind) if str(key) in (types := _types(table))]
+    return found[0] if len(found) == 1 else None

@@ -10,6 +10,7 @@ from typing import Any
 from ..errors import WiringError
 from ..fmi.elements import element_names, resolved
 from ..scenarios.scenario import Scenario
+from ..variable_name import VariableName
 from .plant import Described
 
 
@@ -20,9 +21,9 @@ def as_the_fmus_have_it(scenario: Scenario, slaves: Mapping[str, Described]) -> 
     """
     known = {name: {v.name: v for v in slave.description.modelVariables} for name, slave in slaves.items()}
 
-    def own(reference: str) -> str:
-        component, _, name = reference.partition(".")
-        return f"{component}.{resolved(name, known[component])}"
+    def own(reference: VariableName) -> VariableName:
+        component, name = reference.parts
+        return VariableName(f"{component}.{resolved(name, known[component])}")
 
     estimation = scenario.estimation
     parameters = tuple(
@@ -52,9 +53,11 @@ def as_the_fmus_have_it(scenario: Scenario, slaves: Mapping[str, Described]) -> 
     return scenario.model_copy(update=changed)
 
 
-def _connections(connections: Mapping[str, str], known: Mapping[str, Mapping[str, object]]) -> dict[str, str]:
+def _connections(
+    connections: Mapping[VariableName, VariableName], known: Mapping[str, Mapping[str, object]]
+) -> dict[VariableName, VariableName]:
     """Input = output, arrays element by element."""
-    result: dict[str, str] = {}
+    result: dict[VariableName, VariableName] = {}
     for target, source in connections.items():
         targets, sources = (_parts(reference, known) for reference in (target, source))
         if len(targets) != len(sources):
@@ -65,15 +68,15 @@ def _connections(connections: Mapping[str, str], known: Mapping[str, Mapping[str
     return result
 
 
-def _parts(reference: str, known: Mapping[str, Mapping[str, object]]) -> list[str]:
+def _parts(reference: VariableName, known: Mapping[str, Mapping[str, object]]) -> list[VariableName]:
     """The elements of an array, or what the FMU calls a scalar."""
-    component, _, name = reference.partition(".")
+    component, name = reference.parts
     names = known[component]
     found = resolved(name, names)
     if found in names:
-        return [f"{component}.{found}"]
+        return [VariableName(f"{component}.{found}")]
     first = (element_names(name, (1,) * n)[0] for n in (1, 2, 3))
     stem = next((f[: f.rindex("[") + 1] for f in first if f in names), None)
     if stem is None:
         return [reference]
-    return [f"{component}.{n}" for n in names if n.startswith(stem)]
+    return [VariableName(f"{component}.{n}") for n in names if n.startswith(stem)]

@@ -10,12 +10,13 @@ from ..fmi.ports import attribute
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
 from ..scenarios.schema.estimation import EstimatedParameter
+from ..variable_name import VariableName
 from .plant import Described
 
 
 def start_value(scenario: Scenario, slaves: Mapping[str, Described], reference: str) -> float:
     """Value that a variable has before the first step: the scenario's, else the FMU's. Raises WiringError."""
-    component, _, variable = reference.partition(".")
+    component, variable = VariableName(reference).parts
     start: Any = scenario.components[component].start.get(variable)
     if start is None:
         found = {v.name: v.start for v in slaves[component].description.modelVariables}
@@ -30,7 +31,7 @@ def start_value(scenario: Scenario, slaves: Mapping[str, Described], reference: 
 def check_parameters(scenario: Scenario, slaves: Mapping[str, Described]) -> None:
     """Raises WiringError where an estimate could be written that the controller does not accept."""
     for parameter in scenario.estimation.parameters:
-        component, _, name = parameter.writes.partition(".")
+        component, name = parameter.writes.parts
         found = {v.name: v for v in slaves[component].description.modelVariables}
         if name not in found:
             raise WiringError(f"no variable '{name}' in {component}{did_you_mean(name, found) or '.'}")

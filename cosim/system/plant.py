@@ -40,7 +40,7 @@ def plant_of(scenario: Scenario, slave: Described) -> Plant:
     sampling = scenario.sampling
     outputs, is_state = set(numeric_outputs(slave)), set(state_of.values())
     if sampling.filter is not None:
-        is_state = (is_state & outputs) | {name.partition(".")[2] for name in sampling.states}
+        is_state = (is_state & outputs) | {name.variable for name in sampling.states}
     elif not sampling.derivatives and not is_state <= outputs:
         is_state = set()  # where no model takes them they need not be seen
     states = tuple(v.name for v in variables if v.name in is_state)
@@ -49,12 +49,12 @@ def plant_of(scenario: Scenario, slave: Described) -> Plant:
             raise WiringError(f"'{reference}' is no state of {slave.name}{did_you_mean(reference, states) or '.'}")
     channels: list[int] = []
     for reference, derivative in sampling.derivatives.items():
-        name = reference.partition(".")[2]
+        name = reference.variable
         if derivative.of is None and name not in state_of:
             raise WiringError(
                 f"'{reference}' is not declared as a state's derivative{did_you_mean(name, state_of) or '.'}"
             )
-        channels.append(states.index(derivative.of.partition(".")[2] if derivative.of else state_of[name]))
+        channels.append(states.index(derivative.of.variable if derivative.of else state_of[name]))
     inputs = {v.name: float(v.start or 0.0) for v in variables if v.causality == "input"}
     return Plant(slave.name, states, inputs, tuple(channels))
 

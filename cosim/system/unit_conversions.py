@@ -7,6 +7,7 @@ from ..errors import WiringError
 from ..fmi.component import Component, ModelDescription, component_of
 from ..scenarios.scenario import Scenario
 from ..units import IDENTITY, Linear, Unit, conversion
+from ..variable_name import VariableName
 
 
 def unit_conversions(scenario: Scenario, descriptions: Mapping[str, ModelDescription]) -> dict[str, dict[str, Linear]]:
@@ -19,10 +20,10 @@ def unit_conversions(scenario: Scenario, descriptions: Mapping[str, ModelDescrip
     components = {name: component_of(Path(name), description) for name, description in descriptions.items()}
     found: dict[str, dict[str, Linear]] = {name: {} for name in components}
     for target, source in scenario.connections.items():
-        is_ours = scenario.components[source.partition(".")[0]].table is not None
+        is_ours = scenario.components[source.component].table is not None
         convert = _conversion(f'connections."{target}"', source, target, components, is_ours)
         if convert != IDENTITY:
-            component, _, variable = target.partition(".")
+            component, variable = target.parts
             found[component][variable] = convert
     compared = [(f'tracking."{tracked}"', reference, tracked) for tracked, reference in scenario.tracking.items()]
     for p in scenario.estimation.parameters:
@@ -43,7 +44,7 @@ def different(source: str, target: str, components: Mapping[str, Component]) -> 
 
 
 def _unit(reference: str, components: Mapping[str, Component]) -> Unit | None:
-    name, _, variable = reference.partition(".")
+    name, variable = VariableName(reference).parts
     component = components[name]
     return component.unit(variable) if variable in component.variables else None
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 from ..errors import WiringError
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
+from ..variable_name import VariableName
 from .master import Wiring
 from .plant import Described, numeric_outputs
 from .unit_conversions import unit_conversions
@@ -18,18 +19,18 @@ def wire(scenario: Scenario, slaves: Mapping[str, Described]) -> tuple[dict[str,
     """
     sources: dict[str, dict[str, str]] = {name: {} for name in slaves}
     for target, source in scenario.connections.items():
-        component, _, variable = target.partition(".")
+        component, variable = target.parts
         sources[component][variable] = source
     tunables: dict[str, list[str]] = {name: [] for name in slaves}
     for reference in [*scenario.changes, *(p.writes for p in scenario.estimation.parameters)]:
-        component, _, variable = reference.partition(".")
+        component, variable = reference.parts
         tunables[component].append(variable)
     outputs = {name: numeric_outputs(slave) for name, slave in slaves.items()}
     read = [*scenario.connections.values(), *scenario.tracking, *scenario.tracking.values()]
     sampling = scenario.sampling
     measured = [name for name, d in sampling.derivatives.items() if not d.of]
     for reference in [*read, *measured, *sampling.outputs, *sampling.states]:
-        component, _, variable = reference.partition(".")
+        component, variable = reference.parts
         if variable not in outputs[component]:
             known = outputs[component]
             raise WiringError(f"'{reference}' is no output of {component}{did_you_mean(variable, known) or '.'}")
@@ -43,9 +44,9 @@ def wire(scenario: Scenario, slaves: Mapping[str, Described]) -> tuple[dict[str,
     return wiring, _groups(scenario, list(slaves))
 
 
-def with_read_back(wiring: Mapping[str, Wiring], writes: Sequence[str]) -> dict[str, Wiring]:
+def with_read_back(wiring: Mapping[str, Wiring], writes: Sequence[VariableName]) -> dict[str, Wiring]:
     """The wiring with the re-tuned parameters among what is read, after the outputs."""
-    names = {name: [r.partition(".")[2] for r in writes if r.partition(".")[0] == name] for name in wiring}
+    names = {name: [r.variable for r in writes if r.component == name] for name in wiring}
     return {
         name: replace(w, outputs=(*w.outputs, *(n for n in names[name] if n not in w.outputs)))
         for name, w in wiring.items()
@@ -53,7 +54,7 @@ def with_read_back(wiring: Mapping[str, Wiring], writes: Sequence[str]) -> dict[
 
 
 def _groups(scenario: Scenario, names: Sequence[str]) -> list[list[str]]:
-    controllers = {p.writes.partition(".")[0] for p in scenario.estimation.parameters}
+    controllers = {p.writes.component for p in scenario.estimation.parameters}
     if scenario.scenario.coupling == "parallel" or len(controllers) == len(names):
         return [list(names)]
     return [[n for n in names if n in controllers], [n for n in names if n not in controllers]]

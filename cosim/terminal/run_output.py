@@ -34,5 +34,11 @@ def tell(folder: Path, runs: Mapping[Path, Run], is_json: bool, is_drawn: bool) 
 
 def simulated(scenario: Scenario, estimator: str, simulate: Callable[[Progress], Run]) -> Run:
     """The run that simulate makes, with a bar meanwhile."""
-    with progress_bar(scenario, estimator) as progress:
+    settings = scenario.scenario
+
+    def state(t: float, held: Mapping[str, float]) -> tuple[float, float, str]:
+        text = ", ".join(f"{name} {value:.4g}" for name, value in held.items())
+        return t - settings.start_time, settings.stop_time - settings.start_time, text
+
+    with progress_bar(f"{settings.name} {estimator}", "t = {n:.2f} s", state) as progress:
         return simulate(progress)

@@ -17,7 +17,7 @@ from estimator import (
 )
 from estimator.filters import UnscentedKalman
 from estimator.retuner import Budget, Retuner
-from estimator.triggers import AlwaysTrigger, InnovationTrigger, TrackingTrigger, WindowTrigger
+from estimator.triggers import AlwaysTrigger, InnovationTrigger, TrackingTrigger
 
 START = np.array([0.0])
 
@@ -493,6 +493,6 @@ def test_the_innovation_of_a_window_is_judged_by_its_chi_square_limit():
     """0.9999 quantiles of chi-square: 15.14 for one degree, 18.42 for two (Abramowitz and Stegun, table 26.8)."""
     for n, limit in ((1, 15.137), (2, 18.421)):
         for squared, fires in ((limit - 0.01, False), (limit + 0.01, True)):
-            trigger = WindowTrigger(lambda theta, r=np.full(n, np.sqrt(squared / n)): r, 1e-4)
+            trigger = InnovationTrigger(lambda theta, _, r=np.full(n, np.sqrt(squared / n)): r, 1e-4)
             assert (trigger(sample(), 0.0, START) is not None) == fires
-    assert WindowTrigger(lambda theta: np.empty(0), 1e-4)(sample(), 0.0, START) is None
+    assert InnovationTrigger(lambda theta, _: np.empty(0), 1e-4)(sample(), 0.0, START) is None

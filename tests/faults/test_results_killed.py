@@ -271,7 +271,7 @@ def test_a_run_whose_files_may_not_grow_goes_on_when_they_may(
 ):
     """A limit of the system's on the size of a file, below that of one which is still to be written."""
     # Without the second set of FMUs, which is unpacked in mid-run and would be too large itself.
-    arguments = [*PENDULUM, "--only", "--set", "guard.foresight=false"]
+    arguments = [*PENDULUM, "--only", "--set", "guard.lookahead=false"]
     whole, folder = undisturbed(*arguments), tmp_path / "run"
     process = started(*arguments, "--out", folder)
     assert processes[2](lambda: (folder / MANIFEST).exists() or process.poll() is not None, within_s=60.0)

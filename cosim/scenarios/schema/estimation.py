@@ -1,6 +1,6 @@
 """The tables of a scenario file, each validated when built."""
 
-from typing import Annotated, Any, Literal, Self, cast
+from typing import Any, Literal, Self, cast
 
 from pydantic import (
     Field,
@@ -10,43 +10,18 @@ from pydantic import (
 )
 
 from estimator import METHODS, Method, Parameter, ParameterSpace
+from estimator.methods import FORMER_METHODS, method_named
+from estimator.triggers import TriggerSettings
 
+from ...former_names import tell_new_name
 from ...names import did_you_mean
 from .table import MOST, Reference, Table
-
-
-class Tracking(Table):
-    """Trigger on the tracking error."""
-
-    kind: Literal["tracking"]
-    """tracking"""
-    threshold: float = Field(gt=0.0)
-    """tau_e, in the norm of the tracked outputs."""
-
-
-class Innovation(Table):
-    """Trigger on the residual of the newest sample."""
-
-    kind: Literal["innovation"]
-    """innovation"""
-    false_alarm: float = Field(default=1e-6, gt=0.0, lt=1.0)
-    """Probability of firing on one sample where nothing has changed."""
-
-
-class Always(Table):
-    """One episode from the first sample to the end, for recursive estimators."""
-
-    kind: Literal["always"]
-    """always"""
-
-
-TriggerSettings = Annotated[Tracking | Innovation | Always, Field(discriminator="kind")]
 
 
 class Loop(Table):
     """How the controller is re-tuned. An estimator's own table may replace any of these."""
 
-    trigger: TriggerSettings
+    trigger: TriggerSettings = Field(discriminator="kind")
     """When an episode begins."""
     budget: int = Field(default=30, ge=1, le=MOST)
     """Evaluations in an episode."""
@@ -137,7 +112,7 @@ class Estimation(Loop):
         return ParameterSpace(tuple(p.to_parameter() for p in self.parameters))
 
     def loop(self, name: str, method: Method | None = None) -> Loop:
-        """The loop's settings for one estimator; method: what it is, where it is none of `METHODS`."""
+        """The loop's settings for one estimator; method: what it is, where it is none of the package."""
         common = {name: getattr(self, name) for name in Loop.model_fields}
         own = {k: v for k, v in self._own(name, method).items() if k in Loop.model_fields}
         return Loop.model_validate(common | own)
@@ -145,11 +120,11 @@ class Estimation(Loop):
     def settings(self, name: str, method: Method | None = None) -> Any:
         """The estimator's own settings, an instance of its settings' class."""
         given = {k: v for k, v in self._own(name, method).items() if k not in Loop.model_fields}
-        return TypeAdapter((method or METHODS[name]).settings).validate_python(given)
+        return TypeAdapter((method or method_named(name)).settings).validate_python(given)
 
     def _own(self, name: str, method: Method | None = None) -> dict[str, Any]:
         """What is set for one estimator: by the one that it is like, by itself, by the scenario."""
-        method = method or METHODS[name]
+        method = method or method_named(name)
         known = {*Loop.model_fields, *method.setting_names}
         inherited = self._own(method.like) if method.like else {}
         return {k: v for k, v in inherited.items() if k in known} | dict(method.defaults) | self.methods.get(name, {})
@@ -160,7 +135,7 @@ class Estimation(Loop):
         if not isinstance(table, dict):
             return table
         given = cast(dict[str, Any], table)
-        named = {k: v for k, v in given.items() if k in METHODS or ":" in k}
+        named = {k: v for k, v in given.items() if k in METHODS or ":" in k or is_former_method(k)}
         for name, settings in named.items():
             if not isinstance(settings, dict):
                 raise ValueError(f"estimation.{name} must be a table, got {settings!r}")
@@ -170,13 +145,13 @@ class Estimation(Loop):
     @model_validator(mode="after")
     def _methods_know_their_settings(self) -> Self:
         _ = self.space
-        for name in METHODS:
+        for name in (*METHODS, *FORMER_METHODS):
             self.check_method(name)
         return self
 
     def check_method(self, name: str, method: Method | None = None) -> None:
         """Raises ValueError where an estimator's settings do not fit it."""
-        known = {*Loop.model_fields, *(method or METHODS[name]).setting_names}
+        known = {*Loop.model_fields, *(method or method_named(name)).setting_names}
         for key in self.methods.get(name, {}):
             if key not in known:
                 raise ValueError(f"estimation.{name} has no setting '{key}'{did_you_mean(key, known)}")
@@ -190,3 +165,13 @@ class Estimation(Loop):
             got = "" if "got" in message else f", got {first['input']!r}"
             message = f"{message[:1].lower()}{message[1:]}{got}"
             raise ValueError(f"estimation.{name}{'.' + place if place else ''}: {message}") from e
+
+
+def is_former_method(name: str) -> bool:
+    """Whether this was the name of an estimator that is now another with settings; if so the user is told."""
+    if name not in FORMER_METHODS:
+        return False
+    now = FORMER_METHODS[name]
+    settings = ", ".join(f"estimation.{now.like}.{key} = {value}" for key, value in now.defaults.items())
+    tell_new_name(f"estimator '{name}'", f"'{now.like}' with {settings}")
+    return True

@@ -1,5 +1,8 @@
 """The table on what may be written into the controller."""
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 from pydantic import Field
 
 from .table import MOST, Table
@@ -7,6 +10,8 @@ from .table import MOST, Table
 
 class GuardSettings(Table):
     """What may be written into the controller, and what is taken back. Shares are of the scaled bounds."""
+
+    former_keys: ClassVar[Mapping[str, str]] = {"guard.foresight": "guard.lookahead"}
 
     enabled: bool = True
     """Whether writes are guarded."""
@@ -16,7 +21,7 @@ class GuardSettings(Table):
     """Change since the last predicted write, as a share, below which a write is neither predicted nor watched."""
     unseen: float = Field(default=0.35, gt=0.0, le=1.0)
     """Standard deviation, as a share, above which a direction counts as unseen by the data and is not written."""
-    foresight: bool = True
+    lookahead: bool = True
     """Whether the closed loop is simulated ahead before a material write."""
     horizon: int = Field(default=50, ge=1, le=MOST)
     """Macro steps that are simulated ahead."""

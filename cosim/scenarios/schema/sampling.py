@@ -114,7 +114,7 @@ class Sampling(Table):
         compared = [*self.derivatives, *self.outputs]
         if not compared:
             raise ValueError("must have derivatives or outputs")
-        if len({name.partition(".")[0] for name in compared}) > 1:
+        if len({name.component for name in compared}) > 1:
             raise ValueError("all sampled derivatives and outputs must be of one component")
         twice = next((name for name in self.outputs if name in self.derivatives or name in self.states), None)
         if twice:
@@ -133,7 +133,7 @@ class Sampling(Table):
         for name, d in self.derivatives.items():
             if d.of is None:
                 raise ValueError(f"'{name}' must say of which state the filter makes it: of = \"plant.x\"")
-            if d.of.partition(".")[0] != name.partition(".")[0]:
+            if d.of.component != name.component:
                 raise ValueError(f"'{name}' and '{d.of}' must be of one component")
             if d.of not in self.states or not self.states[d.of].noise:
                 raise ValueError(f"'{d.of}' must have noise > 0 in sampling.states: it weighs the residual")

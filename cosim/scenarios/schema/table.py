@@ -1,8 +1,12 @@
 """What every table of a scenario file has in common."""
 
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, cast
 
-from pydantic import AfterValidator, BaseModel, ConfigDict
+from pydantic import AfterValidator, BaseModel, ConfigDict, GetPydanticSchema, model_validator
+
+from ...former_names import tell_new_name
+from ...variable_name import VariableName
 
 MOST = 1_000_000_000
 """Of whatever is counted, or waited for [s]: more is a slip, and what a machine cannot hold."""
@@ -11,14 +15,8 @@ MOST = 1_000_000_000
 Value = float | int | bool | str
 
 
-def _is_reference(name: str) -> str:
-    component, _, variable = name.partition(".")
-    if not component or not variable:
-        raise ValueError(f"'{name}' must be COMPONENT.VARIABLE")
-    return name
-
-
-Reference = Annotated[str, AfterValidator(_is_reference)]
+_REFERENCE = GetPydanticSchema(lambda _, handler: handler(Annotated[str, AfterValidator(VariableName)]))
+Reference = Annotated[VariableName, _REFERENCE]
 """A variable of a component, such as `plant.der(phi_dot)`."""
 
 
@@ -26,8 +24,25 @@ class Table(BaseModel):
     """A table of a scenario file: frozen, unknown keys refused, numbers finite."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    former_keys: ClassVar[Mapping[str, str]] = {}
+    """Keys that had another name, former = present, each with its table: `guard.foresight` = `guard.lookahead`."""
 
     @classmethod
     def known_keys(cls) -> set[str]:
         """What may stand in it."""
         return set(cls.model_fields)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _take_former_keys(cls, table: Any) -> Any:
+        if not isinstance(table, dict):
+            return table
+        given = dict(cast(dict[str, Any], table))
+        for former, now in cls.former_keys.items():
+            old, new = former.rpartition(".")[2], now.rpartition(".")[2]
+            if old in given:
+                if new in given:
+                    raise ValueError(f"'{old}' is now '{new}': leave out '{old}'")
+                given[new] = given.pop(old)
+                tell_new_name(former, now)
+        return given

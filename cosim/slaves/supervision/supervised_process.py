@@ -8,16 +8,13 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from math import inf
 from time import perf_counter
-from typing import Any, Final
+from typing import Any
 
+from ...blas_threads import ONE_THREAD
 from .descendants import VARIABLE, end_marked, new_mark
 from .memory_watchdog import MemoryWatchdog, half_of_memory
 from .output import OutputRelay
 from .placement import REVIEW, Placement, same_addresses
-
-_ONE_THREAD: Final = dict.fromkeys(
-    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS", "NUMEXPR_NUM_THREADS"), "1"
-)
 
 
 class SupervisedProcess:
@@ -118,7 +115,7 @@ def _start(command: Sequence[str], mark: str, output: int, handles: Mapping[str,
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=output,
-            env=os.environ | _ONE_THREAD | {VARIABLE: mark},
+            env=os.environ | ONE_THREAD | {VARIABLE: mark},
             **group,
             **handles,
         )

@@ -20,7 +20,8 @@ from fmpy.validation import validate_fmu
 from cosim import Scenario, ScenarioError
 from cosim.authoring.doctor import diagnose
 from cosim.cli import main
-from cosim.estimator_fmu.build import build_estimator, estimator_settings
+from cosim.estimator_fmu.build import build_estimator
+from cosim.estimator_fmu.settings import estimator_settings
 from cosim.estimator_fmu.slave import EstimatorSlave
 from cosim.scenarios.scenario import named_scenarios
 

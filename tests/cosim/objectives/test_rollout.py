@@ -16,7 +16,7 @@ from cosim import Scenario, ScenarioError, run
 from cosim.authoring.check import check
 from cosim.campaigns.replay import replayed
 from cosim.cli import main
-from cosim.estimator_fmu.build import estimator_settings
+from cosim.estimator_fmu.settings import estimator_settings
 from cosim.objectives.choice import chosen
 from cosim.objectives.rollout import RolloutObjective
 from cosim.objectives.rollout_fmu import RunningPlant, shadow_of

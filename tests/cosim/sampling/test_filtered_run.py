@@ -8,7 +8,7 @@ import pytest
 from cosim.authoring.check import check
 from cosim.campaigns.compare import compare
 from cosim.errors import CosimError, ScenarioError
-from cosim.estimator_fmu.build import estimator_settings
+from cosim.estimator_fmu.settings import estimator_settings
 from cosim.runs.simulation import run
 from cosim.scenarios.scenario import Scenario
 

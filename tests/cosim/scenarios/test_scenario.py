@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from cosim.errors import ScenarioError
+from cosim.former_names import tell_new_name
 from cosim.scenarios.named import named_scenarios
 from cosim.scenarios.scenario import Scenario
 
@@ -385,3 +386,45 @@ def test_toml_that_is_too_much_for_its_reader_is_refused_in_one_line(text, tmp_p
     path.write_text(text)
     with pytest.raises(ScenarioError, match=r"much\.toml: not a readable TOML file: .*$"):
         Scenario.load(path)
+
+
+# Former names.
+
+
+@pytest.fixture
+def told(caplog):
+    """The lines on former names; each is told once a process."""
+    tell_new_name.cache_clear()
+    return lambda: [record.getMessage() for record in caplog.records]
+
+
+def test_a_key_by_its_former_name_is_taken_and_the_new_one_told_once(told):
+    for _ in range(2):
+        scenario = Scenario.load("pendulum", {"guard.foresight": "false"})
+        assert not scenario.guard.lookahead
+    assert told() == ["guard.foresight is now guard.lookahead"]
+    assert "foresight" not in scenario.model_dump()["guard"]
+
+
+def test_a_key_by_both_names_is_refused():
+    message = refusal({"guard.foresight": "false", "guard.lookahead": "true"})
+    assert "guard: 'foresight' is now 'lookahead': leave out 'foresight'" in message
+
+
+@pytest.mark.parametrize("name", ["ipm", "ipm-scipy", "sqp"])
+def test_an_estimator_by_its_former_name_is_another_with_a_setting(told, name):
+    former = f"{name}-wide-step"
+    scenario = Scenario.load(
+        "pendulum", {f"estimation.{name}.noise": "0.5", f"estimation.{former}.max_iterations": "3"}
+    )
+    assert told() == [f"estimator '{former}' is now '{name}' with estimation.{name}.difference_step = 0.05"]
+    now = Scenario.load(
+        "pendulum",
+        {
+            f"estimation.{name}.{key}": value
+            for key, value in {"noise": "0.5", "max_iterations": "3", "difference_step": "0.05"}.items()
+        },
+    )
+    assert scenario.estimation.settings(former) == now.estimation.settings(name)
+    assert scenario.estimation.loop(former) == now.estimation.loop(name)
+    assert scenario.estimation.settings(name).difference_step == 0.0

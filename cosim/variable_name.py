@@ -1,0 +1,31 @@
+"""Names of variables in a co-simulation."""
+
+from typing import Self
+
+
+class VariableName(str):
+    """A variable of a component, `COMPONENT.VARIABLE`, such as `plant.der(phi_dot)`; equal to its text."""
+
+    __slots__ = ()
+
+    def __new__(cls, text: str) -> Self:
+        """Raises ValueError for what has no component or no variable."""
+        if not all(text.partition(".")[::2]):
+            raise ValueError(f"'{text}' must be COMPONENT.VARIABLE")
+        return super().__new__(cls, text)
+
+    @property
+    def parts(self) -> tuple[str, str]:
+        """The component, which has no dot, and its variable, which may have some."""
+        component, _, variable = self.partition(".")
+        return component, variable
+
+    @property
+    def component(self) -> str:
+        """Instance name of the component."""
+        return self.parts[0]
+
+    @property
+    def variable(self) -> str:
+        """The variable's name in the component's FMU."""
+        return self.parts[1]

@@ -13,7 +13,7 @@ from .blas_threads import ONE_THREAD
 from .shadowing import check_packages
 from .terminal.exit_codes import INTERRUPTED, REFUSED, UNFINISHED
 from .terminal.options import make_parser
-from .terminal.signals import Signals
+from .terminal.signals import SignalHandler
 from .terminal.streams import can_print, drop_output, ready_streams
 
 
@@ -23,7 +23,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Signals are handled as before afterwards, unless one has interrupted the command: then none may cut the end of the
     program short.
     """
-    signals = Signals()
+    signals = SignalHandler()
     try:
         signals.take()
         return _ended(arguments)

@@ -23,7 +23,7 @@ _ROUNDS: Final = 8
 """Most Gauss-Newton steps."""
 _DAMPINGS: Final = (1e-2, 1e2, 1e4, 1e6)
 """Of Gauss-Newton steps that are tried at once, in variances of the misfit."""
-Progress = Callable[[int, float], None]
+FitProgress = Callable[[int, float], None]
 """Called with the evaluations so far and the least sum of squares."""
 
 
@@ -89,7 +89,7 @@ def fit(
     method: str = "target",
     n_evaluations: int = 60,
     rng: np.random.Generator | None = None,
-    progress: Progress = lambda n, cost: None,
+    progress: FitProgress = lambda n, cost: None,
 ) -> Fit:
     """The parameters that explain the data best.
 
@@ -135,7 +135,7 @@ class _Best:
     difference_step = None
     max_evaluations = np.inf
 
-    def __init__(self, residual: Residual, space: ParameterSpace, progress: Progress) -> None:
+    def __init__(self, residual: Residual, space: ParameterSpace, progress: FitProgress) -> None:
         self._residual, self._space, self._progress = residual, space, progress
         self.best: _State | None = None
 

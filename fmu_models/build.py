@@ -24,8 +24,8 @@ from pythonfmu3 import FmuBuilder as Fmi3Builder
 from pythonfmu3 import __version__ as pythonfmu3_version
 
 from . import documentation
-from .kernel.blocks import Adaptive, Plant
-from .kernel.description import Variable
+from .kernel.blocks import Adaptive, PlantSlave
+from .kernel.description import VariableRow
 from .kernel.slave import NAMESPACE, Slave
 from .kernel.theory import ADAPTIVE, Theory
 
@@ -51,7 +51,7 @@ def _is_defined_in(module: ModuleType, value: object) -> bool:
 MODELS = _find_models()
 """The classes of the FMUs that come with the package, by name: all that there are in the plants' folders."""
 NAMES = tuple(MODELS)
-PLANTS = tuple(name for name, model in MODELS.items() if issubclass(model, Plant))
+PLANTS = tuple(name for name, model in MODELS.items() if issubclass(model, PlantSlave))
 """What there is for model exchange, in FMI 3.0: the others have no states."""
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 _imports = threading.Lock()
@@ -159,8 +159,8 @@ def _files(name: str, fmi: int, interface: Interface) -> tuple[str, dict[str, by
     return script, sources(PACKAGE) | libraries | {f"{script}.py": _ENTRY_3.format(**values).encode()}
 
 
-def _variables(model: type[Slave], interface: Interface) -> tuple[Variable, ...]:
-    return model.exchange_table() if interface == "ModelExchange" and issubclass(model, Plant) else model.variables
+def _variables(model: type[Slave], interface: Interface) -> tuple[VariableRow, ...]:
+    return model.exchange_table() if interface == "ModelExchange" and issubclass(model, PlantSlave) else model.variables
 
 
 def _theory(model: type[Slave]) -> Theory:

@@ -6,7 +6,7 @@ from html import escape
 from importlib.metadata import distribution
 from pathlib import Path
 
-from .kernel.description import Variable
+from .kernel.description import VariableRow
 from .kernel.theory import Theory
 
 LICENSE = Path(__file__).with_name("LICENSE")
@@ -27,7 +27,7 @@ class Page:
     """One sentence."""
     theory: Theory
     """What it computes."""
-    variables: Sequence[Variable]
+    variables: Sequence[VariableRow]
     """Its table of variables."""
     icon: bytes | None = None
     """A PNG picture; None for an FMU without one."""
@@ -74,14 +74,14 @@ def _terminals_and_icons(icon: bytes) -> dict[str, bytes]:
     return {"terminalsAndIcons/icon.png": icon, "terminalsAndIcons/terminalsAndIcons.xml": xml.encode()}
 
 
-def _cells(v: Variable) -> tuple[str, ...]:
+def _cells(v: VariableRow) -> tuple[str, ...]:
     start = "" if v.start is None else str(v.start).lower() if v.type == "Boolean" else f"{v.start:.10g}"
     low, high = ("" if bound is None else f"{bound:g}" for bound in (v.min, v.max))
     span = f"{low or '−∞'} … {high or '∞'}" if low or high else ""
     return (escape(v.name), v.unit or "Boolean", f"{v.variability} {v.causality}", start, span, escape(v.description))
 
 
-def _behaviour(variables: Sequence[Variable]) -> str:
+def _behaviour(variables: Sequence[VariableRow]) -> str:
     n_states = sum(v.derivative is not None for v in variables)
     if any(v.name == "max_step" for v in variables):
         return (

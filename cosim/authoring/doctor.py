@@ -32,7 +32,7 @@ _EXIT_OF_PYTHONFMU = "GLIBC_TUNABLES=glibc.malloc.tcache_count=65535"  # its lib
 
 
 @dataclass(frozen=True)
-class Finding:
+class Requirement:
     """One thing that was looked at."""
 
     subject: str
@@ -49,7 +49,7 @@ class Diagnosis:
 
     title: str
     """File, FMI version, kind, and the tool that made it."""
-    findings: tuple[Finding, ...]
+    findings: tuple[Requirement, ...]
     """In the order of the report."""
     advice: str
     """How to start an importer."""
@@ -65,7 +65,7 @@ class Diagnosis:
 
 
 @dataclass(frozen=True)
-class _Library:
+class _ElfLibrary:
     """What a shared library for Linux asks of the system."""
 
     needed: tuple[str, ...]
@@ -119,15 +119,17 @@ def _binary(folder: Path, identifiers: list[str]) -> Path:
     return next((path for path in found if path.stem in identifiers), found[0])
 
 
-def _found(binary: str, identifiers: list[str], library: _Library | None) -> Finding:
+def _found(binary: str, identifiers: list[str], library: _ElfLibrary | None) -> Requirement:
     if Path(binary).stem not in identifiers:
-        return Finding("binary", False, f"{' or '.join(identifiers)} by the model description, but here is {binary}")
+        return Requirement(
+            "binary", False, f"{' or '.join(identifiers)} by the model description, but here is {binary}"
+        )
     if library is None and sys.platform == "linux":
-        return Finding("binary", False, f"{binary} is no shared library for Linux")
-    return Finding("binary", True, binary if library else f"{binary}, which is not examined on this platform")
+        return Requirement("binary", False, f"{binary} is no shared library for Linux")
+    return Requirement("binary", True, binary if library else f"{binary}, which is not examined on this platform")
 
 
-def _read_library(path: Path) -> _Library | None:
+def _read_library(path: Path) -> _ElfLibrary | None:
     """None for what is no ELF file."""
     try:
         with path.open("rb") as file:
@@ -142,14 +144,14 @@ def _read_library(path: Path) -> _Library | None:
     glibc = [tuple(map(int, name.removeprefix("GLIBC_").split("."))) for name in asked if re.match(r"GLIBC_\d", name)]
     is_python = any(re.match(r"_?Py[A-Z_]", name) for name in undefined)
     has_libpython = any(name.startswith("libpython") for name in needed)
-    return _Library(needed, ".".join(map(str, max(glibc, default=()))), is_python and not has_libpython)
+    return _ElfLibrary(needed, ".".join(map(str, max(glibc, default=()))), is_python and not has_libpython)
 
 
-def _libraries(binary: Path, library: _Library) -> Iterator[Finding]:
+def _libraries(binary: Path, library: _ElfLibrary) -> Iterator[Requirement]:
     here = platform.libc_ver()[1] or "not glibc"
     if library.glibc:
         is_enough = bool(re.match(r"\d", here)) and _numbers(here) >= _numbers(library.glibc)
-        yield Finding("glibc", is_enough, f"{library.glibc} or newer, here {here}")
+        yield Requirement("glibc", is_enough, f"{library.glibc} or newer, here {here}")
     if shutil.which("ldd"):
         listing = subprocess.run(
             ["ldd", binary], capture_output=True, text=True, errors="replace", env=os.environ | {"LC_ALL": "C"}
@@ -159,18 +161,18 @@ def _libraries(binary: Path, library: _Library) -> Iterator[Finding]:
         if listing.returncode and not lacking:
             lacking = [one_line(lines[-1].strip()) if lines else "ldd says nothing"]
         names = ", ".join(library.needed) or "none"
-        yield Finding("libraries", not lacking, "; ".join(dict.fromkeys(lacking)) if lacking else names)
+        yield Requirement("libraries", not lacking, "; ".join(dict.fromkeys(lacking)) if lacking else names)
 
 
 def _numbers(text: str) -> tuple[int, ...]:
     return tuple(map(int, re.findall(r"\d+", text)))
 
 
-def _libpython(path: str | None) -> Finding:
+def _libpython(path: str | None) -> Requirement:
     python = f"Python {platform.python_version()} in {sys.prefix}"
     if path is None:
-        return Finding("libpython", False, f"none for {python}, which was built without a shared library")
-    return Finding("libpython", True, f"{path}, of {python}")
+        return Requirement("libpython", False, f"none for {python}, which was built without a shared library")
+    return Requirement("libpython", True, f"{path}, of {python}")
 
 
 class _Imports(ModuleFinder):
@@ -185,7 +187,7 @@ class _Imports(ModuleFinder):
             raise
 
 
-def _modules(script: Path) -> Finding:
+def _modules(script: Path) -> Requirement:
     """The packages that the FMU asks for, or else the modules that it imports and does not bring along.
 
     Modules imported by a computed name are not seen.
@@ -198,28 +200,28 @@ def _modules(script: Path) -> Finding:
     try:
         finder.run_script(str(entry))
     except (OSError, SyntaxError, ValueError) as error:
-        return Finding("modules", False, f"{entry.name} cannot be read: {one_line(str(error))}")
+        return Requirement("modules", False, f"{entry.name} cannot be read: {one_line(str(error))}")
     own = {name.partition(".")[0] for name in finder.modules}
     names = {name.partition(".")[0] for name in finder.any_missing()} - own - sys.stdlib_module_names
     here = sorted(name for name in names if find_spec(name) is not None)
     lacking = ", ".join(sorted(names - set(here)))
     if lacking:
-        return Finding("modules", False, f"{lacking} cannot be imported in {sys.prefix}")
+        return Requirement("modules", False, f"{lacking} cannot be imported in {sys.prefix}")
     known = packages_distributions() if here else {}
     versions = [f"{name} {version(known[name][0])}" if name in known else name for name in here]
-    return Finding("modules", True, ", ".join(versions) or "none but those of Python and its own")
+    return Requirement("modules", True, ", ".join(versions) or "none but those of Python and its own")
 
 
-def _requirements(text: str) -> Finding:
+def _requirements(text: str) -> Requirement:
     """Packages by name; of versions and other conditions nothing is said."""
     names = [match[0] for line in text.splitlines() if (match := re.match(r"\s*[A-Za-z][\w.-]*", line))]
     found = {distribution.name.lower(): distribution.version for distribution in distributions()}
     lacking = ", ".join(name for name in names if name.lower() not in found)
     if lacking:
-        return Finding(
+        return Requirement(
             "modules", False, f"{lacking} not installed in {sys.prefix}; python -m pythonfmu deploy -f FMU does it"
         )
-    return Finding("modules", True, ", ".join(f"{name} {found[name.lower()]}" for name in names) or "none")
+    return Requirement("modules", True, ", ".join(f"{name} {found[name.lower()]}" for name in names) or "none")
 
 
 def _advice(is_python: bool, libpython: str | None, is_pythonfmu: bool) -> str:

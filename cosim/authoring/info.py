@@ -27,7 +27,7 @@ _CAPABILITIES = {
 
 
 @dataclass(frozen=True)
-class Variable:
+class VariableInfo:
     """A variable, as text and numbers of its model description."""
 
     name: str
@@ -61,7 +61,7 @@ class Info:
     platforms: list[str]
     experiment: dict[str, float]
     """start_time, stop_time, step_size [s] and tolerance, as far as they are declared."""
-    variables: tuple[Variable, ...]
+    variables: tuple[VariableInfo, ...]
     """In the order of the model description."""
 
     def __str__(self) -> str:
@@ -96,10 +96,10 @@ def _capabilities(interface: object) -> list[str]:
     return list(dict.fromkeys(found))
 
 
-def _variable(component: Component, v: ModelVariable, on: Sequence[str] | None) -> Variable:
+def _variable(component: Component, v: ModelVariable, on: Sequence[str] | None) -> VariableInfo:
     unit = component.unit(v.name)
     size = f"[{','.join(map(str, v.shape))}]" if v.shape else ""
-    return Variable(
+    return VariableInfo(
         v.name,
         kind_of(v),
         f"{v.type}{size}",
@@ -159,7 +159,7 @@ def _span(experiment: Mapping[str, float]) -> str:
     )
 
 
-def _table(title: str, variables: Sequence[Variable], columns: dict[str, str]) -> list[str]:
+def _table(title: str, variables: Sequence[VariableInfo], columns: dict[str, str]) -> list[str]:
     """Rows with the descriptions at their end."""
     rows: list[list[str]] = [[title, *columns]]
     rows += [[_name(v), *(_short(getattr(v, name)) for name in columns.values())] for v in variables]
@@ -169,7 +169,7 @@ def _table(title: str, variables: Sequence[Variable], columns: dict[str, str]) -
     return [f"{line:{width}}  {text}".rstrip() for line, text in zip(lines, texts, strict=True)]
 
 
-def _name(v: Variable) -> str:
+def _name(v: VariableInfo) -> str:
     return v.name if TYPES[v.type].is_double else f"{v.name} ({v.type})"
 
 

@@ -15,7 +15,7 @@ from ..runs.lock import new_locked_folder
 from ..scenarios.scenario import Scenario
 from ..system.fmu_cache import fmu_paths
 from .comparison import Comparison
-from .executor import Executor, ExecutorError, Progress, Task
+from .executor import Executor, ExecutorError, RunsProgress, Task
 
 RUNS: Final = "runs.jsonl"
 """A line for each finished run, in the order in which they have ended."""
@@ -28,7 +28,7 @@ def compare(
     jobs: int | None = None,
     out: Path | str | None = None,
     keep: bool = False,
-    progress: Progress | None = None,
+    progress: RunsProgress | None = None,
 ) -> Comparison:
     """Run each of `none`, `true` and the estimators with each seed; a count of seeds means 0, 1, ..., seeds - 1.
 
@@ -87,7 +87,7 @@ def _numbers(seeds: int | Sequence[int]) -> tuple[int, ...]:
 
 
 def _all_records(
-    scenario: Scenario, tasks: Sequence[Task], jobs: int, out: Path | None, progress: Progress | None
+    scenario: Scenario, tasks: Sequence[Task], jobs: int, out: Path | None, progress: RunsProgress | None
 ) -> dict[tuple[str, int], dict[str, Any]]:
     """The record of each task, written down as it comes in."""
     records: dict[tuple[str, int], dict[str, Any]] = {}

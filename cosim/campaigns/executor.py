@@ -46,7 +46,7 @@ class UnfinishedExecutorError(ExecutorError, UnfinishedError):
     """One of many runs could not be finished: its process has died, or the disk is full."""
 
 
-Progress = Callable[[Mapping[str, Any], int, int], None]
+RunsProgress = Callable[[Mapping[str, Any], int, int], None]
 """Called when a run has ended with its record, the number of ended runs, and that of all."""
 
 

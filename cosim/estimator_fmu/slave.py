@@ -15,13 +15,13 @@ from xml.etree.ElementTree import Element
 
 from pythonfmu import DefaultExperiment
 
-from fmu_models.kernel.description import Variable, input_variable, output, parameter
+from fmu_models.kernel.description import VariableRow, input_variable, output, parameter
 from fmu_models.kernel.slave import Slave
 
 _LARGEST_INTEGER = 2**31 - 1
 
 
-def variable_table(settings: Mapping[str, Any]) -> tuple[Variable, ...]:
+def variable_table(settings: Mapping[str, Any]) -> tuple[VariableRow, ...]:
     """The variables of an estimator FMU; settings: see `estimator_fmu`."""
     return (*_parameters(settings), *_inputs(settings), *_outputs(settings)) if settings else ()
 
@@ -113,9 +113,9 @@ class EstimatorSlave(Slave):
                 raise ValueError(f"{self.modelName}: {v.name} must be in [{lower}, {upper}], got {value:g}.")
 
 
-def _parameters(settings: Mapping[str, Any]) -> list[Variable]:
+def _parameters(settings: Mapping[str, Any]) -> list[VariableRow]:
     loop = settings["loop"]
-    table: list[Variable] = []
+    table: list[VariableRow] = []
     for p in settings["parameters"]:
         name, unit = p["name"], p["fmi_unit"]
         table += [
@@ -140,7 +140,7 @@ def _parameters(settings: Mapping[str, Any]) -> list[Variable]:
     return [*table, _fixed("tracking_error_is_input", None, False, text)]
 
 
-def _inputs(settings: Mapping[str, Any]) -> list[Variable]:
+def _inputs(settings: Mapping[str, Any]) -> list[VariableRow]:
     return [
         *(input_variable(s["name"], s["unit"], s["start"], f"Sampled state {s['name']}") for s in settings["states"]),
         *(
@@ -156,16 +156,16 @@ def _inputs(settings: Mapping[str, Any]) -> list[Variable]:
     ]  # fmt: skip
 
 
-def _outputs(settings: Mapping[str, Any]) -> list[Variable]:
+def _outputs(settings: Mapping[str, Any]) -> list[VariableRow]:
     parameters = [(p["name"], p["fmi_unit"]) for p in settings["parameters"]]
 
-    def real(name: str, unit: str, text: str, *depends: str) -> Variable:
+    def real(name: str, unit: str, text: str, *depends: str) -> VariableRow:
         return output(name, unit, text, depends=depends, variability="discrete")
 
-    def counted(name: str, text: str) -> Variable:
+    def counted(name: str, text: str) -> VariableRow:
         return output(name, None, f"{text} so far", depends=(), type="Integer")
 
-    def flag(name: str, text: str) -> Variable:
+    def flag(name: str, text: str) -> VariableRow:
         return output(name, None, text, depends=(), type="Boolean")
 
     return [
@@ -181,5 +181,5 @@ def _outputs(settings: Mapping[str, Any]) -> list[Variable]:
     ]
 
 
-def _fixed(name: str, unit: str | None, start: float | bool, text: str, **options: Any) -> Variable:
+def _fixed(name: str, unit: str | None, start: float | bool, text: str, **options: Any) -> VariableRow:
     return parameter(name, unit, start, text, variability="fixed", **options)

@@ -23,7 +23,7 @@ from .preflight.description import description_findings, index_findings
 from .preflight.library import library_problem, needed_functions
 from .preflight.xml import LARGEST, strict_root
 
-Interface = Literal["co-simulation", "model-exchange"]
+InterfaceName = Literal["co-simulation", "model-exchange"]
 FindingsListener = Callable[[Iterable[Finding]], None]
 """Called with the findings of one check of an FMU; may raise."""
 
@@ -43,7 +43,7 @@ class FmuFile:
     """Its model description."""
 
 
-def read_description(fmu: Path, interface: Interface = "co-simulation") -> ModelDescription:
+def read_description(fmu: Path, interface: InterfaceName = "co-simulation") -> ModelDescription:
     """Return the model description of an FMU that this machine can load, arrays as their elements.
 
     Raises ModelDescriptionError.
@@ -54,7 +54,7 @@ def read_description(fmu: Path, interface: Interface = "co-simulation") -> Model
     return description if description.fmiVersion == "2.0" else scalarized(description)
 
 
-def unusable(description: ModelDescription, interface: Interface) -> str | None:
+def unusable(description: ModelDescription, interface: InterfaceName) -> str | None:
     """Return why an FMU cannot be used: its version or kind is another than asked for; else None."""
     version, offered = str(description.fmiVersion), interfaces(description)
     if version.startswith(_VERSIONS[interface]) and interface in offered:
@@ -122,7 +122,7 @@ def library_path(description: ModelDescription, interface: str) -> str:
 
 
 def fmu_to_load(
-    description: ModelDescription, folder: str, instance_name: str, interface: Interface = "co-simulation"
+    description: ModelDescription, folder: str, instance_name: str, interface: InterfaceName = "co-simulation"
 ) -> FmuToLoad:
     """Return what loading.load needs to know of an FMU that is unpacked into folder."""
     return FmuToLoad(
@@ -148,7 +148,7 @@ def co_simulation(description: ModelDescription) -> CoSimulation:
     return description.coSimulation
 
 
-def unpacked(fmu: Path, interface: Interface = "co-simulation") -> tuple[ModelDescription, PrivateFolder]:
+def unpacked(fmu: Path, interface: InterfaceName = "co-simulation") -> tuple[ModelDescription, PrivateFolder]:
     """Unpack an FMU into a folder of its own, after all of preflight, and return its description too.
 
     Raises ModelDescriptionError; nothing is left then.

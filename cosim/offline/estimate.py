@@ -10,16 +10,16 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator import Parameter, ParameterSpace, Vector
-from estimator.offline import OFFLINE, Fit, NoFitError, Progress, fit
+from estimator.offline import OFFLINE, Fit, FitProgress, NoFitError, fit
 from estimator.space import Scale
 
 from ..errors import CosimError, WiringError
 from ..fmi.component import Component, read_component
 from ..fmi.ports import Catalogue
 from ..fmi.types import is_real
-from .log_windows import Cut, LogWindow, Signals, windows_of
+from .log_windows import Cut, LogColumns, LogWindow, windows_of
 from .logs import LogError, read_log
-from .rollout import Plant, RolloutResidual, Rollouts, noise_of
+from .rollout import RolloutResidual, Rollouts, SimulatedPlant, noise_of
 
 HOLDOUT = 0.25
 """Share of each log's rows, the last ones, that parameters are not fitted to."""
@@ -180,14 +180,14 @@ def understand(request: Request) -> Understood:
     return Understood(component, space, nominal, windows, _noise(request, windows), warnings)
 
 
-def estimate(request: Request, progress: Progress = lambda n, cost: None) -> Estimation:
+def estimate(request: Request, progress: FitProgress = lambda n, cost: None) -> Estimation:
     """Parameters of a plant FMU from logs.
 
     Raises CosimError in one line for what is refused, FailedError where no roll-out succeeds.
     """
     began = perf_counter()
     component, space, nominal, windows, noise, warnings = understand(request)
-    plant = Plant(
+    plant = SimulatedPlant(
         request.fmu, tuple(request.inputs), tuple(request.measured), request.constants, request.step, request.timeout
     )
     with Rollouts(plant, component, windows, request.jobs) as rollouts:
@@ -248,7 +248,7 @@ def _space(request: Request, component: Component) -> tuple[ParameterSpace, Vect
     return space, np.clip(nominal, [p.lower for p in parameters], [p.upper for p in parameters])
 
 
-def _signals(request: Request, component: Component) -> Signals:
+def _signals(request: Request, component: Component) -> LogColumns:
     """Which column is what, the FMU's side of it checked. Raises CosimError."""
     catalogue = Catalogue(request.fmu.name, component.description.modelVariables)
     catalogue.ports("input", tuple(request.inputs))
@@ -260,10 +260,10 @@ def _signals(request: Request, component: Component) -> Signals:
         if name in request.inputs:
             raise EstimateError(f"input '{name}' starts as its column does; leave out its --start.")
     columns = {name: value for name, value in request.start.items() if isinstance(value, str)}
-    return Signals(request.inputs, request.measured, columns, request.time)
+    return LogColumns(request.inputs, request.measured, columns, request.time)
 
 
-def _windows(request: Request, signals: Signals, component: Component) -> tuple[list[LogWindow], list[str]]:
+def _windows(request: Request, signals: LogColumns, component: Component) -> tuple[list[LogWindow], list[str]]:
     """The windows of all logs, those of validation logs held out, and warnings. Raises LogError."""
     holdout = request.holdout if request.holdout is not None else 0.0 if request.validation else HOLDOUT
     windows: list[LogWindow] = []

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from estimator.offline import Progress
+from estimator.offline import FitProgress
 from estimator.space import Scale
 
 from ..runs.lock import new_locked_folder
@@ -41,7 +41,7 @@ def estimate(
     jobs: int | None = None,
     timeout: float = 10.0,
     out: Path | str | None = None,
-    progress: Progress = lambda n, cost: None,
+    progress: FitProgress = lambda n, cost: None,
 ) -> Estimation:
     """Estimate parameters of a plant FMU from logs of what was measured.
 

@@ -26,7 +26,7 @@ Cut = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class Signals:
+class LogColumns:
     """Which column of a log is what."""
 
     inputs: Mapping[str, str]
@@ -62,7 +62,7 @@ class LogWindow:
 
 
 def windows_of(
-    log: Log, signals: Signals, component: Component, cuts: Sequence[Cut] = (), holdout: float = 0.0
+    log: Log, signals: LogColumns, component: Component, cuts: Sequence[Cut] = (), holdout: float = 0.0
 ) -> tuple[list[LogWindow], list[str]]:
     """The windows of a log, and what has been passed over on the way, in words.
 
@@ -101,7 +101,7 @@ def windows_of(
     return _held_out(windows, holdout), warnings
 
 
-def _table(log: Log, signals: Signals, component: Component) -> tuple[Vector, dict[str, Vector], list[str]]:
+def _table(log: Log, signals: LogColumns, component: Component) -> tuple[Vector, dict[str, Vector], list[str]]:
     """Increasing time stamps (n,), and the columns of each role (n, ...) in the FMU's units. Raises LogError."""
     if signals.time is None:
         log = log.on_one_raster(signals.inputs.values(), [*signals.measured.values(), *signals.start.values()])

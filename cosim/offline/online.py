@@ -30,7 +30,7 @@ from .estimate import EstimateError, Request, Understood, understand
 from .log_windows import LogWindow
 from .rollout import grid_of, noise_of
 
-Progress = Callable[[int, int], None]
+SampleProgress = Callable[[int, int], None]
 """Called with the samples taken so far, and how many there are."""
 
 
@@ -70,7 +70,7 @@ class Online:
         return next((f"{w.window.name}: {w.failure}" for w in self.watched if w.failure is not None), None)
 
 
-def run_online(request: Request, n_samples: int, progress: Progress = lambda n, n_all: None) -> Online:
+def run_online(request: Request, n_samples: int, progress: SampleProgress = lambda n, n_all: None) -> Online:
     """Take each window of the logs through algorithm 1, sample by sample, each from the start and all anew.
 
     The parameters in force are at first the FMU's start values, or the request's. Candidates are judged on n_samples
@@ -94,7 +94,7 @@ def run_online(request: Request, n_samples: int, progress: Progress = lambda n, 
     return Online(request, understood, n_samples, tuple(watched), perf_counter() - began)
 
 
-def _told(progress: Progress, n_before: int, n_all: int, n: int) -> None:
+def _told(progress: SampleProgress, n_before: int, n_all: int, n: int) -> None:
     progress(n_before + n, n_all)
 
 

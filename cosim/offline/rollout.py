@@ -28,7 +28,7 @@ _UNEVEN: Final = 0.05
 
 
 @dataclass(frozen=True)
-class Plant:
+class SimulatedPlant:
     """What is simulated."""
 
     fmu: Path
@@ -65,7 +65,7 @@ class Grid(NamedTuple):
 class Rollouts:
     """The processes that simulate a plant over these windows. A context: leaving it ends them."""
 
-    def __init__(self, plant: Plant, component: Component, windows: Sequence[LogWindow], jobs: int) -> None:
+    def __init__(self, plant: SimulatedPlant, component: Component, windows: Sequence[LogWindow], jobs: int) -> None:
         """Raises LogError where the FMU cannot step as the log's rows ask."""
         interface: Any = co_simulation(component.description)
         is_even = not interface.canHandleVariableCommunicationStepSize

@@ -12,10 +12,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..campaigns.compare import usable
-from ..campaigns.executor import Executor, Progress, Task
+from ..campaigns.executor import Executor, RunsProgress, Task
 from ..files import write_json, write_text
 from ..plots.canvas import save_png, save_svg
-from ..plots.panels import Event
+from ..plots.panels import RecordedEvent
 from ..plots.response import draw_response
 from ..plots.runs import read_events
 from ..runs.lock import new_locked_folder
@@ -38,7 +38,7 @@ def figures(
     out: Path,
     seed: int = 0,
     jobs: int | None = None,
-    progress: Progress | None = None,
+    progress: RunsProgress | None = None,
     scenarios: tuple[Scenario, Scenario] | None = None,
 ) -> list[Path]:
     """Run what the paper shows, and draw it as PNG and SVG in `out`, absent or empty; returns the files written.
@@ -66,7 +66,7 @@ def _runs(
     todo: Mapping[str, tuple[Scenario, Sequence[str]]],
     seed: int,
     jobs: int,
-    progress: Progress | None,
+    progress: RunsProgress | None,
 ) -> dict[str, dict[str, Run]]:
     """The runs of each scenario by estimator, in folders in `out`/runs. Raises ExecutorError, FolderError."""
     (out / "runs").mkdir()
@@ -125,11 +125,11 @@ def draw_figures(out: Path, pendulum: Runs, quadrotor: Runs, seed: int, jobs: in
     return [*paths, out / "table.md", out / "figures.json"]
 
 
-def _events(runs: Runs) -> dict[str, list[Event]]:
+def _events(runs: Runs) -> dict[str, list[RecordedEvent]]:
     return {name: read_events(run.folder) if run.folder else [] for name, run in runs.items()}
 
 
-def _solution(runs: Runs, events: Mapping[str, Sequence[Event]], name: str) -> Figure | None:
+def _solution(runs: Runs, events: Mapping[str, Sequence[RecordedEvent]], name: str) -> Figure | None:
     """Figure 2: what the first episode searched; None without such a run or an episode of its."""
     if name not in runs or not len(runs[name].time):
         return None
@@ -147,7 +147,7 @@ def _numbers(run: Run, out: Path) -> dict[str, Any]:
     return run.summary() | {"label": label, "run": folder, "tracking": list(run.scenario.tracking)}
 
 
-def _episode(events: Sequence[Event]) -> dict[str, Any]:
+def _episode(events: Sequence[RecordedEvent]) -> dict[str, Any]:
     """Candidates of the first episode, in order."""
     ends = [i for i, e in enumerate(events) if e.get("kind") == "end"]
     first = events[: ends[0]] if ends else events

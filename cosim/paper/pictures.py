@@ -25,7 +25,7 @@ from ..plots.canvas import (
     top_legend,
     value_range,
 )
-from ..plots.panels import Curve, Event, finish, line, panels
+from ..plots.panels import Curve, RecordedEvent, finish, line, panels
 from ..plots.runs import short_names, tracking_limits
 from ..runs.result import Run
 
@@ -67,7 +67,7 @@ def ending_text(run: Run) -> str | None:
     return f"{run.status} at {run.time[-1]:.3g} s" if len(run.time) else f"{run.status} at the start"
 
 
-def draw_pendulum(runs: Mapping[str, Run], events: Sequence[Event]) -> Figure | None:
+def draw_pendulum(runs: Mapping[str, Run], events: Sequence[RecordedEvent]) -> Figure | None:
     """Position with its reference, and force, by estimator; None without a run of ours.
 
     runs: of the pendulum by estimator; events: the record of ours, whose episodes are shaded.

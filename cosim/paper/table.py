@@ -8,7 +8,7 @@ import numpy as np
 
 from estimator.methods import method_named
 
-from ..plots.panels import Event
+from ..plots.panels import RecordedEvent
 from ..runs.result import Run
 
 Theta = tuple[float, float, float, float]
@@ -62,7 +62,7 @@ IN_PAPER: Final = {"paper": "BO", "ipm": "IPM", "ipm-scipy": "IPM", "sqp": "SQP"
 """The paper's method by estimator here; any other is not in its table."""
 
 
-def rows(runs: Mapping[str, Run], events: Mapping[str, Sequence[Event]]) -> list[dict[str, Any]]:
+def rows(runs: Mapping[str, Run], events: Mapping[str, Sequence[RecordedEvent]]) -> list[dict[str, Any]]:
     """The table as JSON values: an estimator at an instant a row, what the paper prints and what was measured.
 
     runs: of the quadrotor by estimator; events: their records. `none` and `true` estimate nothing and are left out.
@@ -78,7 +78,7 @@ def rows(runs: Mapping[str, Run], events: Mapping[str, Sequence[Event]]) -> list
     return table
 
 
-def measured(run: Run, events: Sequence[Event], t: float) -> dict[str, Any] | None:
+def measured(run: Run, events: Sequence[RecordedEvent], t: float) -> dict[str, Any] | None:
     """Truth at t [s], the estimate in force, the errors' norms and the prediction time; None after the run's end.
 
     The estimate is that of the last whole episode until then, since in the midst of one the controller may hold a mere
@@ -100,7 +100,7 @@ def measured(run: Run, events: Sequence[Event], t: float) -> dict[str, Any] | No
     }
 
 
-def prediction_time(run: Run, events: Sequence[Event], t: float) -> float | None:
+def prediction_time(run: Run, events: Sequence[RecordedEvent], t: float) -> float | None:
     """Wall time [s] of all evaluations of the last whole episode until t [s], for a solver of its last solve.
 
     None before the first, or where the record is gone.
@@ -116,7 +116,7 @@ def prediction_time(run: Run, events: Sequence[Event], t: float) -> float | None
     return float(spent[-1] if is_solver else sum(spent))
 
 
-def _last_episode(events: Sequence[Event], t: float) -> tuple[float, float] | None:
+def _last_episode(events: Sequence[RecordedEvent], t: float) -> tuple[float, float] | None:
     """Begin and end [s] of the last whole episode until t [s]."""
     begun, last = None, None
     for event in events:

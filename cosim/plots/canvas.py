@@ -12,12 +12,12 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..files import write_bytes
+from ..runs.result import Series
 
-Series = NDArray[np.float64]
-Limits = tuple[float, float]
+AxisLimits = tuple[float, float]
 
 # Okabe and Ito (2008): told apart by every kind of colour vision.
 BLACK: Final = "#000000"
@@ -134,7 +134,7 @@ def _unit_text(unit: str) -> str:
     return raised.replace(".", " ").replace("$", r"\$")
 
 
-def value_range(series: Sequence[ArrayLike], percentile: float = 0.0) -> Limits | None:
+def value_range(series: Sequence[ArrayLike], percentile: float = 0.0) -> AxisLimits | None:
     """Smallest and largest value, or the percentiles that far from both ends; None where none is below 1e100."""
     flat = np.concatenate([np.ravel(np.asarray(s, dtype=float)) for s in series]) if series else np.empty(0)
     finite = flat[np.abs(flat) < 1e100]  # NaN is not
@@ -144,7 +144,7 @@ def value_range(series: Sequence[ArrayLike], percentile: float = 0.0) -> Limits 
     return float(low), float(high)
 
 
-def tame(values: ArrayLike, limits: Limits, is_log: bool = False) -> Series:
+def tame(values: ArrayLike, limits: AxisLimits, is_log: bool = False) -> Series:
     """Values (n,) that can be drawn: NaN where not finite (or not positive, on a log axis), else not far outside."""
     y = np.asarray(values, dtype=float)
     usable = np.isfinite(y) & ((y > 0.0) | (not is_log))
@@ -153,7 +153,7 @@ def tame(values: ArrayLike, limits: Limits, is_log: bool = False) -> Series:
     return np.where(usable, np.clip(np.where(usable, y, low), *far), np.nan)
 
 
-def set_linear(axes: Axes, limits: Limits, margin: float = 0.06) -> Limits:
+def set_linear(axes: Axes, limits: AxisLimits, margin: float = 0.06) -> AxisLimits:
     """Linear y axis over the limits and a margin; returns what it shows."""
     low, high = limits
     width = high - low or 0.1 * abs(high) or 1.0
@@ -163,7 +163,7 @@ def set_linear(axes: Axes, limits: Limits, margin: float = 0.06) -> Limits:
     return shown
 
 
-def set_log(axes: Axes, which: Literal["x", "y"], limits: Limits, margin: float = 0.06) -> Limits:
+def set_log(axes: Axes, which: Literal["x", "y"], limits: AxisLimits, margin: float = 0.06) -> AxisLimits:
     """Logarithmic axis over the limits > 0 and a margin of their logarithm, ticks as plain numbers."""
     low, high = limits
     widening = max(high / low, 1.05) ** margin

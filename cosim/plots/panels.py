@@ -7,9 +7,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..runs.result import Run
-from .canvas import GREY, Limits, Series, new_figure, tidy, top_legend
+from .canvas import GREY, AxisLimits, Series, new_figure, tidy, top_legend
 
-Event = Mapping[str, Any]
+RecordedEvent = Mapping[str, Any]
 """One line of the record: `t` [s], `kind`, and what belongs to that kind."""
 
 _SHADE: Final = "0.93"
@@ -26,7 +26,7 @@ class Curve(NamedTuple):
     """Of the line [pt]."""
 
 
-def panels(run: Run, events: Sequence[Event], n: int) -> tuple[Figure, list[Axes]]:
+def panels(run: Run, events: Sequence[RecordedEvent], n: int) -> tuple[Figure, list[Axes]]:
     """n axes over the scenario's time, in two columns where there are many; episodes shaded."""
     n_columns = 1 if n <= 5 else 2
     n_rows = -(-n // n_columns)
@@ -67,7 +67,7 @@ def finish(figure: Figure, shown: Sequence[Axes], n_columns: int | None = None) 
     return figure
 
 
-def _episodes(run: Run, events: Sequence[Event]) -> Iterator[Limits]:
+def _episodes(run: Run, events: Sequence[RecordedEvent]) -> Iterator[AxisLimits]:
     """Begin and end [s] of each stretch of episodes; those that follow one another within two macro steps are one."""
     gap = 2.0 * run.scenario.scenario.macro_step
     begin = end = None

@@ -10,11 +10,11 @@ from numpy.typing import ArrayLike
 
 from ..runs.result import Run
 from ..scenarios.schema.estimation import EstimatedParameter
-from .canvas import BLACK, BLUE, ORANGE, Limits, Series, label, set_linear, set_log, tame, value_range
-from .panels import Event, finish, mark, panels
+from .canvas import BLACK, BLUE, ORANGE, AxisLimits, Series, label, set_linear, set_log, tame, value_range
+from .panels import RecordedEvent, finish, mark, panels
 
 
-def draw_parameters(run: Run, events: Sequence[Event]) -> Figure:
+def draw_parameters(run: Run, events: Sequence[RecordedEvent]) -> Figure:
     """Estimated parameters over time: truth, what the controller held and how surely, what was tried."""
     parameters = run.scenario.estimation.parameters
     figure, rows = panels(run, events, len(parameters))
@@ -39,7 +39,7 @@ def draw_parameters(run: Run, events: Sequence[Event]) -> Figure:
     return finish(figure, rows)
 
 
-def _parameter_axis(axes: Axes, p: EstimatedParameter, curves: Sequence[ArrayLike]) -> tuple[Limits, bool]:
+def _parameter_axis(axes: Axes, p: EstimatedParameter, curves: Sequence[ArrayLike]) -> tuple[AxisLimits, bool]:
     """As far as truth and controller go, with room to see candidates; on the scale of the search, and whether log."""
     low, high = value_range(curves) or (p.lower, p.upper)
     if p.scale == "log" and low > 0.0:
@@ -56,7 +56,7 @@ def _width(values: Series) -> float:
     return 0.5 if n_jumps > 150 else 1.8
 
 
-def _draw_band(axes: Axes, run: Run, p: EstimatedParameter, writes: Sequence[Event], i: int) -> None:
+def _draw_band(axes: Axes, run: Run, p: EstimatedParameter, writes: Sequence[RecordedEvent], i: int) -> None:
     """Two standard deviations round each value written, until the next; on a log scale a factor either way."""
     theta, std = _column(writes, "theta", i), _column(writes, "std", i)
     if not np.any(np.isfinite(theta + std)):
@@ -71,7 +71,7 @@ def _draw_band(axes: Axes, run: Run, p: EstimatedParameter, writes: Sequence[Eve
     axes.fill_between(times, below, above, step="post", color=BLUE, alpha=0.2, linewidth=0, label="± 2 std")
 
 
-def _column(events: Sequence[Event], key: str, i: int) -> Series:
+def _column(events: Sequence[RecordedEvent], key: str, i: int) -> Series:
     """Entry i of a list that events carry (n,), NaN where it is absent or null."""
     lists: list[list[float | None]] = [e.get(key) or [] for e in events]
     entries = (values[i] if i < len(values) else None for values in lists)

@@ -1,6 +1,6 @@
 """The figure of what an episode searched: residual over two parameters, and where it was evaluated."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from typing import Any, Final
 
@@ -18,8 +18,7 @@ from ..runs.result import Run
 from ..sampling.derivative_filter import derivative_noise
 from ..sampling.sampler import recorded_samples
 from .canvas import BLUE, GREEN, VERMILION, label, new_figure, set_log, top_legend
-
-Event = Mapping[str, Any]
+from .panels import RecordedEvent
 
 _N_GRID: Final = 60
 """Places a parameter at which the surface is computed."""
@@ -27,7 +26,7 @@ _N_SAMPLES: Final = 8
 """Samples that it is taken over, spread over the episode: a model call for each and each of the places."""
 
 
-def draw_response(run: Run, events: Sequence[Event]) -> Figure | None:
+def draw_response(run: Run, events: Sequence[RecordedEvent]) -> Figure | None:
     """The response surface of the first episode; None where there are not two parameters, no episode or model."""
     episode = _first_episode(events)
     if chosen(run.scenario).kind != "derivative":
@@ -40,9 +39,9 @@ def draw_response(run: Run, events: Sequence[Event]) -> Figure | None:
     return None
 
 
-def _first_episode(events: Sequence[Event]) -> list[Event]:
+def _first_episode(events: Sequence[RecordedEvent]) -> list[RecordedEvent]:
     """From the first trigger to its episode's end, or to where the record stops."""
-    episode: list[Event] = []
+    episode: list[RecordedEvent] = []
     for event in events:
         if episode or event.get("kind") == "trigger":
             episode.append(event)
@@ -82,7 +81,7 @@ def response_surface(run: Run, samples: Sequence[Sample]) -> tuple[Vector, Vecto
     return thetas[0, :, 0], thetas[:, 0, 1], np.where(usable, level, np.nan)
 
 
-def _draw(run: Run, samples: Sequence[Sample], episode: Sequence[Event]) -> Figure | None:
+def _draw(run: Run, samples: Sequence[Sample], episode: Sequence[RecordedEvent]) -> Figure | None:
     first, second, level = response_surface(run, samples)
     if np.sum(np.isfinite(level)) < 2 or np.nanmax(level) - np.nanmin(level) < 1e-9:
         return None
@@ -122,7 +121,7 @@ def _scale(axes: Axes, run: Run) -> None:
         set_log(axes, "y", (b.lower, b.upper), margin=0.0)
 
 
-def _marks(run: Run, episode: Sequence[Event]) -> Iterator[tuple[str, list[float], dict[str, Any]]]:
+def _marks(run: Run, episode: Sequence[RecordedEvent]) -> Iterator[tuple[str, list[float], dict[str, Any]]]:
     """Text, place and style of where the episode began, where it ended and where it should have."""
     begin, end = (int(np.searchsorted(run.time, float(e["t"]) - 1e-9)) for e in (episode[0], episode[-1]))
     end = min(end, len(run.time) - 1)

@@ -20,7 +20,7 @@ from .canvas import (
     BLUE,
     GREEN,
     VERMILION,
-    Limits,
+    AxisLimits,
     Series,
     label,
     save_png,
@@ -30,7 +30,7 @@ from .canvas import (
     value_range,
     with_unit,
 )
-from .panels import Curve, Event, finish, line, panels
+from .panels import Curve, RecordedEvent, finish, line, panels
 from .parameters import draw_parameters
 from .response import draw_response
 
@@ -59,7 +59,7 @@ def draw_run(run: Run, baselines: Mapping[str, Run]) -> list[Path]:
     return [save_png(figure, run.folder / name) for name, figure in figures.items() if figure is not None]
 
 
-def read_events(folder: Path) -> list[Event]:
+def read_events(folder: Path) -> list[RecordedEvent]:
     """The events of a run folder, as far as they can be read; none where there is no file."""
     events: list[Any] = []
     with suppress(OSError), open(folder / EVENTS, encoding="utf-8", errors="replace") as file:
@@ -77,7 +77,7 @@ def _curves(run: Run, baselines: Mapping[str, Run]) -> list[Curve]:
     return [c for c in curves if c.text != text] + [Curve(run, text, colour, 2.0)]
 
 
-def _draw_tracking(run: Run, curves: Sequence[Curve], events: Sequence[Event]) -> Figure:
+def _draw_tracking(run: Run, curves: Sequence[Curve], events: Sequence[RecordedEvent]) -> Figure:
     """Tracked outputs and their references over time."""
     figure, rows = panels(run, events, len(run.scenario.tracking))
     units = _units(run)
@@ -92,7 +92,7 @@ def _draw_tracking(run: Run, curves: Sequence[Curve], events: Sequence[Event]) -
     return finish(figure, rows)
 
 
-def tracking_limits(reference: Series, outputs: Sequence[Series]) -> Limits:
+def tracking_limits(reference: Series, outputs: Sequence[Series]) -> AxisLimits:
     """Of all curves but for excursions more than twice as far from the reference as it is wide itself."""
     wanted = value_range([reference, *outputs], percentile=0.2) or (0.0, 1.0)
     low, high = value_range([reference]) or wanted
@@ -102,7 +102,7 @@ def tracking_limits(reference: Series, outputs: Sequence[Series]) -> Limits:
     return min(low, max(wanted[0], low - 2.0 * width)), max(high, min(wanted[1], high + 2.0 * width))
 
 
-def _draw_error(run: Run, curves: Sequence[Curve], events: Sequence[Event]) -> Figure:
+def _draw_error(run: Run, curves: Sequence[Curve], events: Sequence[RecordedEvent]) -> Figure:
     """Absolute tracking errors over time; with several tracked outputs, their norm, which triggers, above them."""
     outputs: list[str] = list(run.scenario.tracking)
     units = _units(run)
@@ -128,7 +128,7 @@ def _draw_error(run: Run, curves: Sequence[Curve], events: Sequence[Event]) -> F
     return finish(figure, rows)
 
 
-def _error_limits(errors: Sequence[Series], divergence: float) -> Limits:
+def _error_limits(errors: Sequence[Series], divergence: float) -> AxisLimits:
     """At most six decades, of which the least percent of values may fall below."""
     positive = [e[np.isfinite(e) & (e > 0.0)] for e in errors]
     low, _ = value_range(positive, percentile=1.0) or (1e-3, 1.0)

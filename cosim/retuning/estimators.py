@@ -12,7 +12,7 @@ from estimator.methods import method_named
 from ..errors import ScenarioError
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
-from ..scenarios.schema.estimation import Loop, is_former_method
+from ..scenarios.schema.estimation import LoopSettings, is_former_method
 from ..user_code import USERS, load
 
 ESTIMATORS = (*METHODS, "none", "true")
@@ -66,7 +66,7 @@ def _user_method(name: str, scenario: Scenario) -> Method:
 
 def make_estimator(
     name: str, method: Method, scenario: Scenario, start: Vector, rng: np.random.Generator
-) -> tuple[AskTell | Solver, Loop]:
+) -> tuple[AskTell | Solver, LoopSettings]:
     """An estimator beginning at theta (d,), and the loop's settings for it. Raises ScenarioError."""
     estimation = scenario.estimation
     own = method if ":" in name else None

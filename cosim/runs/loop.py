@@ -39,7 +39,7 @@ from .latencies import Latencies
 from .manifest import Status
 from .record import Recorder
 
-Progress = Callable[[float, Mapping[str, float]], None]
+StepProgress = Callable[[float, Mapping[str, float]], None]
 """Called at each communication point with the time [s] and what the controller holds, by parameter name."""
 
 
@@ -152,7 +152,7 @@ class Loop:
             raise NotResumableError(fault.rstrip("."))
 
     def execute(
-        self, recorder: Recorder, checkpoints: Checkpoints, progress: Progress | None
+        self, recorder: Recorder, checkpoints: Checkpoints, progress: StepProgress | None
     ) -> tuple[Status, str | None]:
         """Step to the end; return how it ended and, for a fault, why. Raises UnfinishedError."""
         settings = self._scenario.scenario

@@ -16,7 +16,7 @@ from ..system.fmu_cache import fmu_paths
 from ..units import defined_units
 from .checkpoint import Checkpoints
 from .lock import locked
-from .loop import Progress, open_loop
+from .loop import StepProgress, open_loop
 from .manifest import read_manifest, scenario_of
 from .record import Recorder, recording, uninterrupted
 from .result import Run, begin_folder, end_folder
@@ -29,7 +29,7 @@ def run(
     estimator: str = "target",
     seed: int = 0,
     out: Path | str | None = None,
-    progress: Progress | None = None,
+    progress: StepProgress | None = None,
 ) -> Run:
     """Simulate the scenario with its controller re-tuned by `estimator`: an estimator's name,
     `none`, `true`, or `module:Class` of the user's own.
@@ -44,7 +44,7 @@ def run(
     return _simulated(scenario, estimator, seed, None if out is None else Path(out), progress)
 
 
-def resume(folder: Path | str, progress: Progress | None = None) -> Run:
+def resume(folder: Path | str, progress: StepProgress | None = None) -> Run:
     """Go on with a run that was killed, interrupted or faulted, from its last checkpoint, to the same bits as if
     nothing had happened; wall times are added up.
 
@@ -67,7 +67,7 @@ def _simulated(
     estimator: str,
     seed: int,
     out: Path | None,
-    progress: Progress | None,
+    progress: StepProgress | None,
     old: Unfinished | None = None,
 ) -> Run:
     """What `run` and, with an old record that goes on, `resume` do."""

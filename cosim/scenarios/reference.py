@@ -24,12 +24,12 @@ from estimator import METHODS
 
 from ..files import write_text
 from .scenario import Scenario
-from .schema.estimation import Estimation
+from .schema.estimation import EstimationSettings
 from .schema.table import MOST, Table
 
 _PLACE: Final = re.compile(r"(<!-- tables: (\w+) -->\n).*?(<!-- end of tables -->)", re.DOTALL)
 _HEAD: Final = "| key | value | default | meaning |\n| --- | --- | --- | --- |\n"
-_HIDDEN: Final = {(Scenario, "folder"), (Estimation, "methods")}
+_HIDDEN: Final = {(Scenario, "folder"), (EstimationSettings, "methods")}
 """Fields that are no keys of a file."""
 
 

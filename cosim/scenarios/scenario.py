@@ -14,10 +14,10 @@ from ..variable_name import VariableName
 from .changes import Change, change_functions
 from .named import named_scenarios
 from .overrides import override
-from .schema.estimation import EstimatedParameter, Estimation
+from .schema.estimation import EstimatedParameter, EstimationSettings
 from .schema.guard import GuardSettings
 from .schema.sampling import ObservationSettings, Sampling
-from .schema.simulation import Component, Limits, Settings
+from .schema.simulation import ComponentSettings, RunLimits, SimulationSettings
 from .schema.table import Reference, Table
 from .validation import first_error
 
@@ -25,9 +25,9 @@ from .validation import first_error
 class Scenario(Table):
     """Everything that defines a run except the estimator and the seed."""
 
-    scenario: Settings
+    scenario: SimulationSettings
     """Name, times and coupling."""
-    components: dict[str, Component] = Field(min_length=1)
+    components: dict[str, ComponentSettings] = Field(min_length=1)
     """FMUs by instance name."""
     connections: dict[Reference, Reference] = {}
     """Each connected input, and the output it takes: `"controller.phi" = "plant.phi"`; units are converted."""
@@ -39,9 +39,9 @@ class Scenario(Table):
     """Each tracked output, and its reference: `"plant.phi" = "reference.phi_ref"`."""
     sampling: Sampling
     """What is measured of the plant, with its noise."""
-    estimation: Estimation
+    estimation: EstimationSettings
     """What is estimated, by which model, and how."""
-    limits: Limits = Limits()
+    limits: RunLimits = RunLimits()
     """When the run is stopped."""
     observations: ObservationSettings = ObservationSettings()
     """Which samples are kept from the estimator."""

@@ -22,7 +22,7 @@ from ..runs.lock import locked
 from ..runs.record import Recorder, recording
 from ..runs.run_files import CSV, MANIFEST, RESULT, new_run_folder
 from ..runs.series import write_csv
-from ..scenarios.schema.simulation import Settings
+from ..scenarios.schema.simulation import SimulationSettings
 from ..slaves.slave import Slave, open_slave
 from ..system.master import Master, Wiring
 from ..text_table import aligned
@@ -36,7 +36,7 @@ class SystemRun:
 
     system: System
     """The simulated system."""
-    settings: Settings
+    settings: SimulationSettings
     """Times and steps."""
     series: Mapping[str, NDArray[np.float64]]
     """Every output (n,), a value a communication point."""
@@ -72,7 +72,7 @@ class SystemRun:
         }  # fmt: skip
 
 
-def simulate(system: System, settings: Settings, out: Path | None = None) -> SystemRun:
+def simulate(system: System, settings: SimulationSettings, out: Path | None = None) -> SystemRun:
     """Simulate the system; with `out`, an absent or empty folder, everything is recorded there.
 
     A fault of an FMU ends the run with status `faulted`: the rows so far are kept. Raises WiringError,
@@ -87,7 +87,7 @@ def simulate(system: System, settings: Settings, out: Path | None = None) -> Sys
         return _simulated(system, settings, out)
 
 
-def _simulated(system: System, settings: Settings, out: Path | None) -> SystemRun:
+def _simulated(system: System, settings: SimulationSettings, out: Path | None) -> SystemRun:
     begun = perf_counter()
     with ExitStack() as stack:
         slaves = {
@@ -131,7 +131,7 @@ def wiring_of(system: System, slaves: Mapping[str, Slave]) -> dict[str, Wiring]:
     }
 
 
-def _initialize(master: Master, settings: Settings) -> str | None:
+def _initialize(master: Master, settings: SimulationSettings) -> str | None:
     """Return why an FMU failed, or None. Raises WiringError for a start value that is not passed on to the FMU."""
     try:
         master.initialize(settings.start_time, settings.stop_time, is_propagated=True)
@@ -143,7 +143,7 @@ def _initialize(master: Master, settings: Settings) -> str | None:
 
 
 def _execute(
-    master: Master, settings: Settings, recorder: Recorder
+    master: Master, settings: SimulationSettings, recorder: Recorder
 ) -> tuple[Literal["done", "faulted", "interrupted"], str | None]:
     t = settings.start_time
     try:
@@ -160,7 +160,7 @@ def _execute(
     return "done", None
 
 
-def _manifest(system: System, settings: Settings, status: str) -> dict[str, Any]:
+def _manifest(system: System, settings: SimulationSettings, status: str) -> dict[str, Any]:
     start: Mapping[str, Mapping[str, Value]] = system.start
     return {
         "status": status,

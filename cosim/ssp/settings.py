@@ -10,14 +10,14 @@ from ..errors import SspError
 from ..fmi.types import Value
 from ..names import did_you_mean
 from ..scenarios.overrides import override
-from ..scenarios.schema.simulation import Settings
+from ..scenarios.schema.simulation import SimulationSettings
 from ..scenarios.schema.table import Table
 from ..scenarios.validation import first_error
 from .package import System
 from .start_values import StartValues, read_start_values
 
 
-def settings_of(system: System, given: Mapping[str, Any]) -> Settings:
+def settings_of(system: System, given: Mapping[str, Any]) -> SimulationSettings:
     """Return times and steps: those given, else those of the package.
 
     Raises SspError where neither says how long and in what steps, and for values that do not fit together.
@@ -26,14 +26,14 @@ def settings_of(system: System, given: Mapping[str, Any]) -> Settings:
     package = {"stop_time": system.stop_time, "macro_step": system.step_size}
     known = {key: value for key, value in package.items() if value is not None}
     try:
-        settings = Settings.model_validate(
+        settings = SimulationSettings.model_validate(
             {"name": name, "start_time": system.start_time, "coupling": "parallel", **known, **given}
         )
     except ValidationError as e:
         missing = next((str(i["loc"][0]) for i in e.errors() if i["type"] == "missing"), None)
         if missing:
             raise SspError(f"{system.name} does not say its {missing}; give --set scenario.{missing}=...") from e
-        raise SspError(f"{system.name}: scenario.{first_error(e, Settings)}") from e
+        raise SspError(f"{system.name}: scenario.{first_error(e, SimulationSettings)}") from e
     if settings.coupling != "parallel":
         raise SspError(f"{system.name}: without an estimator coupling is 'parallel', got '{settings.coupling}'.")
     return settings
@@ -52,7 +52,7 @@ class _Overrides(Table):
 
 def overridden(
     system: System, overrides: Mapping[str, str], start_values: Sequence[StartValues] = ()
-) -> tuple[System, Settings]:
+) -> tuple[System, SimulationSettings]:
     """Return a system with other start values, and its settings with `scenario.KEY = value`.
 
     Start values are those of SSV files, then of `components.NAME.start.VARIABLE = value`. Raises SspError,

@@ -13,7 +13,7 @@ from ..files import write_bytes
 from ..fmi.folder import PrivateFolder
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
-from ..scenarios.schema.simulation import Component
+from ..scenarios.schema.simulation import ComponentSettings
 
 
 def find_fmu(fmu: str, folder: Path, fmi: int = 2, interface: Interface = "CoSimulation") -> Path:
@@ -97,7 +97,7 @@ def fmu_paths(scenario: Scenario) -> dict[str, Path]:
     return {name: component_path(c, scenario.folder) for name, c in scenario.components.items()}
 
 
-def component_path(component: Component, folder: Path) -> Path:
+def component_path(component: ComponentSettings, folder: Path) -> Path:
     """File of a component's FMU, built where need be, or table. Raises ScenarioError."""
     if component.fmu is not None:
         return find_fmu(component.fmu, folder, component.fmi)

@@ -8,7 +8,7 @@ from ..files import to_json
 from ..runs.record import recording
 from ..runs.report import ending, report
 from ..runs.result import Run
-from ..runs.simulation import Progress
+from ..runs.simulation import StepProgress
 from ..scenarios.scenario import Scenario
 from .exit_codes import DONE, UNFINISHED
 from .progress import progress_bar
@@ -32,7 +32,7 @@ def tell(folder: Path, runs: Mapping[Path, Run], is_json: bool, is_drawn: bool) 
     return DONE
 
 
-def simulated(scenario: Scenario, estimator: str, simulate: Callable[[Progress], Run]) -> Run:
+def simulated(scenario: Scenario, estimator: str, simulate: Callable[[StepProgress], Run]) -> Run:
     """The run that simulate makes, with a bar meanwhile."""
     settings = scenario.scenario
 

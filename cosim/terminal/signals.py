@@ -16,7 +16,7 @@ _DEAF_S: Final = 20.0
 """Time after a signal [s] in which others are not heard: more than FMUs take to be closed."""
 
 
-class Signals:
+class SignalHandler:
     """Interrupts once: another signal would cut the clearing up short.
 
     One that comes much later is heard again, since Python drops an exception where nobody can catch it, in a destructor

@@ -1,6 +1,6 @@
 """The controller FMUs of the pendulum with stiction."""
 
-from ..kernel.blocks import Adaptive, Controller, Vector
+from ..kernel.blocks import Adaptive, ControllerSlave, StateVector
 from ..kernel.description import input_variable, output, parameter
 from . import equations
 
@@ -27,7 +27,7 @@ INPUTS = (
 )
 
 
-class FrictionPendulumController(Controller):
+class FrictionPendulumController(ControllerSlave):
     """Feedback-linearising controller of a pendulum with stiction and a dead band, memoryless."""
 
     table = (
@@ -36,7 +36,7 @@ class FrictionPendulumController(Controller):
         output("u", "N", "Tangential force", depends=[v.name for v in (*PARAMETERS, *INPUTS)], nominal=10.0),
     )
 
-    def outputs(self, inputs: Vector, parameters: Vector) -> Vector:
+    def outputs(self, inputs: StateVector, parameters: StateVector) -> StateVector:
         """The control law."""
         return (equations.control(inputs[0:2], inputs[2:5], *parameters),)
 

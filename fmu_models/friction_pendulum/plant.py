@@ -1,6 +1,6 @@
 """The plant FMU of the pendulum with stiction."""
 
-from ..kernel.blocks import Plant
+from ..kernel.blocks import PlantSlave
 from ..kernel.description import input_variable, parameter, state
 from . import equations
 
@@ -18,7 +18,7 @@ PARAMETERS = (
 )
 
 
-class FrictionPendulum(Plant):
+class FrictionPendulum(PlantSlave):
     """Actuated planar pendulum with stiction and an actuator with a dead band; phi = 0 hangs down."""
 
     table = (

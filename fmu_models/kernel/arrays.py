@@ -8,7 +8,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
-from .description import Variable
+from .description import VariableRow
 
 _AXES = "xyz"
 _ELEMENTS = tuple(f"{i}{j}" for i in "123" for j in "123")
@@ -22,13 +22,13 @@ class Array:
     """Its FMI name."""
     description: str
     """One line for the user."""
-    members: tuple[Variable, ...]
+    members: tuple[VariableRow, ...]
     """Its elements, the last index fastest; one where it is a scalar."""
     shape: tuple[int, ...] = ()
     """Sizes of its dimensions; none for a scalar."""
 
 
-def arrays(variables: Sequence[Variable]) -> list[Array]:
+def arrays(variables: Sequence[VariableRow]) -> list[Array]:
     """The table with its vectors and matrices put together."""
     found: list[Array] = []
     names = {v.name for v in variables}
@@ -40,7 +40,7 @@ def arrays(variables: Sequence[Variable]) -> list[Array]:
     return found
 
 
-def _candidates(variables: Sequence[Variable], i: int) -> list[Array]:
+def _candidates(variables: Sequence[VariableRow], i: int) -> list[Array]:
     """The matrix and the vector that begin at row i, as far as they do."""
     candidates: list[Array] = []
     for subscripts, shape in ((_ELEMENTS, (3, 3)), (_AXES, (3,))):
@@ -58,13 +58,13 @@ def _stem(name: str, subscript: str) -> str | None:
     return stem if count else None
 
 
-def _kind(v: Variable) -> tuple[object, ...]:
+def _kind(v: VariableRow) -> tuple[object, ...]:
     """What elements of one array have in common."""
     different = {"name", "description", "start", "dependencies", "derivative"}
     return (v.type, *(getattr(v, field.name) for field in fields(v) if field.name not in different))
 
 
-def _description(first: Variable, subscripts: Sequence[str]) -> str:
+def _description(first: VariableRow, subscripts: Sequence[str]) -> str:
     """The first element's text, about all of them."""
     if len(subscripts) == 9:
         return first.description.replace("row 1, column 1", "row by row").replace("_11", "")

@@ -8,14 +8,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, ClassVar
 
-from .description import TIME, Variable, input_variable, output, parameter, per_second
-from .ode import Vector, integrate
+from .description import TIME, VariableRow, input_variable, output, parameter, per_second
+from .ode import StateVector, integrate
 from .slave import Slave
 
 HELD = ", with the inputs held"
 
 
-class Plant(Slave):
+class PlantSlave(Slave):
     """Continuous states, integrated over a step with the inputs held.
 
     The table has parameters, inputs and states; the derivatives der(...), the held inputs ..._held and the
@@ -23,16 +23,16 @@ class Plant(Slave):
     """
 
     has_feedthrough = False
-    derivative: ClassVar[Callable[..., Vector]]
+    derivative: ClassVar[Callable[..., StateVector]]
     """The hook f(x, u, *parameters) -> x_dot, as a staticmethod: states, inputs, parameters in the table's order."""
 
     @staticmethod
-    def project(x: Vector) -> Vector:
+    def project(x: StateVector) -> StateVector:
         """The nearest valid state to one that has been integrated."""
         return x
 
     @classmethod
-    def _complete(cls, table: tuple[Variable, ...]) -> tuple[Variable, ...]:
+    def _complete(cls, table: tuple[VariableRow, ...]) -> tuple[VariableRow, ...]:
         by_causality = {c: [v for v in table if v.causality == c] for c in ("parameter", "input", "output")}
         parameters, inputs, states = by_causality.values()
         max_step = parameter(
@@ -53,7 +53,7 @@ class Plant(Slave):
         return (*parameters, max_step, *inputs, *states, *rates, *held) if table else ()
 
     @classmethod
-    def exchange_table(cls) -> tuple[Variable, ...]:
+    def exchange_table(cls) -> tuple[VariableRow, ...]:
         """The variables where somebody else integrates: no max_step, nothing is held, derivatives are local."""
         kept = [v for i, v in enumerate(cls.variables[: cls._held.start]) if i != cls._max_step]
         texts = {v.name: v.description.removesuffix(HELD) for v in kept}
@@ -84,10 +84,10 @@ class Plant(Slave):
         self._is_stale = True
 
 
-class Controller(Slave):
+class ControllerSlave(Slave):
     """A memoryless function of inputs and parameters."""
 
-    def outputs(self, inputs: Vector, parameters: Vector) -> Vector:
+    def outputs(self, inputs: StateVector, parameters: StateVector) -> StateVector:
         """The hook: inputs, parameters and the returned outputs in the table's order."""
         raise NotImplementedError
 
@@ -100,7 +100,7 @@ class Controller(Slave):
             self._update()
 
 
-class Adaptive(Controller):
+class Adaptive(ControllerSlave):
     """A controller that gets some of its parameters as inputs: class FastAdaptive(Adaptive, Fast).
 
     They start at the inputs' initial values; from then on each step at which update_ready is true takes the inputs,
@@ -111,7 +111,7 @@ class Adaptive(Controller):
     """Names of those parameters in the table of the controller."""
 
     @classmethod
-    def _complete(cls, table: tuple[Variable, ...]) -> tuple[Variable, ...]:
+    def _complete(cls, table: tuple[VariableRow, ...]) -> tuple[VariableRow, ...]:
         told = [v for v in table if v.name in cls.estimated]
         if not told:
             return ()
@@ -160,14 +160,14 @@ class Adaptive(Controller):
             self._values[held] = self._values[told]
 
 
-class Reference(Slave):
+class ReferenceSlave(Slave):
     """A function of time and parameters. Time is added to its table."""
 
     @classmethod
-    def _complete(cls, table: tuple[Variable, ...]) -> tuple[Variable, ...]:
+    def _complete(cls, table: tuple[VariableRow, ...]) -> tuple[VariableRow, ...]:
         return (*super()._complete(table), TIME) if table else ()
 
-    def outputs(self, time: float, parameters: Vector) -> Vector:
+    def outputs(self, time: float, parameters: StateVector) -> StateVector:
         """The hook: time [s]; parameters and the returned outputs in the table's order."""
         raise NotImplementedError
 

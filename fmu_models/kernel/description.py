@@ -14,7 +14,7 @@ Initial = Literal["exact", "calculated"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Variable:
+class VariableRow:
     """One row of a variable table: an FMI scalar variable."""
 
     name: str
@@ -65,9 +65,9 @@ def parameter(
     name: str, unit: str | None, start: float | bool, description: str, *,
     variability: Literal["fixed", "tunable"] = "tunable", type: Literal["Real", "Integer"] = "Real",
     min: float | None = None, max: float | None = None, nominal: float | None = None,
-) -> Variable:  # fmt: skip
+) -> VariableRow:  # fmt: skip
     """A parameter, Boolean where its start is one; tunable unless told otherwise."""
-    return Variable(
+    return VariableRow(
         name=name, unit=unit, description=description, causality="parameter", variability=variability,
         type="Boolean" if isinstance(start, bool) else type,
         initial="exact", start=start, min=min, max=max, nominal=nominal,
@@ -77,10 +77,10 @@ def parameter(
 def input_variable(
     name: str, unit: str | None, start: float | bool, description: str, *, nominal: float | None = None,
     min: float | None = None, max: float | None = None, is_latched: bool = False,
-) -> Variable:  # fmt: skip
+) -> VariableRow:  # fmt: skip
     """A continuous input, or a Boolean one where its start is one."""
     is_boolean = isinstance(start, bool)
-    return Variable(
+    return VariableRow(
         name=name, unit=unit, description=description, causality="input",
         variability="discrete" if is_boolean else "continuous", type="Boolean" if is_boolean else "Real",
         start=start, min=min, max=max, nominal=nominal, is_latched=is_latched,
@@ -89,9 +89,9 @@ def input_variable(
 
 def state(
     name: str, unit: str, start: float, description: str, *, depends: Iterable[str], nominal: float | None = None
-) -> Variable:
+) -> VariableRow:
     """A continuous state, an output with a start; `depends` names what its time *derivative* depends on."""
-    return Variable(
+    return VariableRow(
         name=name, unit=unit, description=description, causality="output", variability="continuous",
         initial="exact", start=start, nominal=nominal, dependencies=tuple(depends),
     )  # fmt: skip
@@ -100,9 +100,9 @@ def state(
 def output(
     name: str, unit: str | None, description: str, *, depends: Iterable[str], nominal: float | None = None,
     derivative: str | None = None, variability: Literal["discrete", "continuous"] = "continuous", type: Type = "Real",
-) -> Variable:  # fmt: skip
+) -> VariableRow:  # fmt: skip
     """A calculated output, and the names of what it depends on; discrete where it is no Real."""
-    return Variable(
+    return VariableRow(
         name=name, unit=unit, description=description, causality="output",
         variability=variability if type == "Real" else "discrete", type=type,
         initial="calculated", nominal=nominal, derivative=derivative, dependencies=tuple(depends),
@@ -131,7 +131,9 @@ def base_unit(unit: str) -> dict[str, int]:
     return {base: exponents[base] for base in ("kg", "m", "s", "rad") if exponents[base]}
 
 
-TIME = Variable(name="time", unit="s", description="Simulation time", causality="independent", variability="continuous")
+TIME = VariableRow(
+    name="time", unit="s", description="Simulation time", causality="independent", variability="continuous"
+)
 """The independent variable, where something depends on it."""
 
 
@@ -152,14 +154,14 @@ class Unknown(NamedTuple):
     """Kind of the dependency on each known variable, by its name."""
 
 
-def unknowns(variables: Sequence[Variable], has_feedthrough: bool) -> list[Unknown]:
+def unknowns(variables: Sequence[VariableRow], has_feedthrough: bool) -> list[Unknown]:
     """The model structure: what is calculated, and from what. `has_feedthrough` as in `model_description`."""
     states = {v.derivative for v in variables if v.derivative is not None}
     inputs = {v.name for v in variables if v.causality == "input" and not v.is_latched}
     at_once = states | {TIME.name} | (inputs if has_feedthrough else set())
     initially = {v.name for v in variables}
 
-    def depends(v: Variable, known: set[str]) -> dict[str, str]:
+    def depends(v: VariableRow, known: set[str]) -> dict[str, str]:
         if v.name in states:  # its own dependencies are those of its derivative
             return {v.name: "constant"}
         return {name: "dependent" for name in v.dependencies if name in known}
@@ -176,7 +178,7 @@ def model_description(
     capabilities: Mapping[str, str],
     log_categories: Mapping[str, str],
     default_experiment: Mapping[str, str],
-    variables: Sequence[Variable],
+    variables: Sequence[VariableRow],
     has_feedthrough: bool,
 ) -> Element:
     """The `fmiModelDescription` of a co-simulation FMU whose value references are the positions in `variables`.
@@ -203,7 +205,7 @@ def model_description(
     return root
 
 
-def _scalar_variable(v: Variable, index: Mapping[str, int]) -> Element:
+def _scalar_variable(v: VariableRow, index: Mapping[str, int]) -> Element:
     attributes = {"name": v.name, "valueReference": str(index[v.name] - 1), "description": v.description}
     attributes |= {"causality": v.causality, "variability": v.variability}
     if v.initial is not None:
@@ -224,7 +226,7 @@ def _scalar_variable(v: Variable, index: Mapping[str, int]) -> Element:
     return element
 
 
-def _model_structure(variables: Sequence[Variable], index: Mapping[str, int], has_feedthrough: bool) -> Element:
+def _model_structure(variables: Sequence[VariableRow], index: Mapping[str, int], has_feedthrough: bool) -> Element:
     structure = Element("ModelStructure")
     sections = {"Output": "Outputs", "ContinuousStateDerivative": "Derivatives", "InitialUnknown": "InitialUnknowns"}
     for unknown in unknowns(variables, has_feedthrough):

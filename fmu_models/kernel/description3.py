@@ -4,10 +4,10 @@ from collections.abc import Mapping, Sequence
 from xml.etree.ElementTree import Element, SubElement
 
 from .arrays import Array, arrays
-from .description import TIME, Unknown, Variable, base_unit, unknowns
+from .description import TIME, Unknown, VariableRow, base_unit, unknowns
 
 
-def variables_of(table: Sequence[Variable]) -> list[Array]:
+def variables_of(table: Sequence[VariableRow]) -> list[Array]:
     """The FMI 3.0 variables of a table; a position is a value reference. Time is always one: section 2.4.7.4."""
     complete = table if TIME in table else (*table, TIME)
     return arrays(complete)
@@ -19,7 +19,7 @@ def model_description(
     capabilities: Mapping[str, str],
     log_categories: Mapping[str, str],
     default_experiment: Mapping[str, str],
-    table: Sequence[Variable],
+    table: Sequence[VariableRow],
     has_feedthrough: bool,
 ) -> Element:
     """The `fmiModelDescription` element of FMI 3.0; dictionaries hold XML attributes, in order.

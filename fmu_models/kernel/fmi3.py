@@ -14,8 +14,8 @@ from xml.etree.ElementTree import Element
 from pythonfmu3 import CoSimulation, Fmi3SlaveBase, ModelExchange
 from pythonfmu3 import __version__ as pythonfmu3_version
 
-from .blocks import Plant
-from .description import Variable
+from .blocks import PlantSlave
+from .description import VariableRow
 from .description3 import model_description, variables_of
 from .slave import Slave, retain
 
@@ -60,7 +60,7 @@ class Fmi3Model(Fmi3SlaveBase):
         self._places = [tuple(place.get(v.name, -1) for v in array.members) for array in variables_of(self.table())]
 
     @classmethod
-    def table(cls) -> tuple[Variable, ...]:
+    def table(cls) -> tuple[VariableRow, ...]:
         """The variables that this interface shows, as scalars."""
         return cls.model.variables
 
@@ -160,7 +160,7 @@ class Fmi3CoSimulation(Fmi3Model, CoSimulation):
 class Fmi3ModelExchange(Fmi3Model, ModelExchange):
     """A plant's f(x, u; theta) for FMI 3.0 model exchange: no integrator here, and no input is held."""
 
-    model: ClassVar[type[Plant]]
+    model: ClassVar[type[PlantSlave]]
     interface = "ModelExchange"
     capabilities = {"needsCompletedIntegratorStep": "false"}
     has_feedthrough = True
@@ -173,7 +173,7 @@ class Fmi3ModelExchange(Fmi3Model, ModelExchange):
         self._later: frozenset[int] | None = None
 
     @classmethod
-    def table(cls) -> tuple[Variable, ...]:
+    def table(cls) -> tuple[VariableRow, ...]:
         """The variables that this interface shows, as scalars."""
         return cls.model.exchange_table()
 

@@ -3,10 +3,10 @@
 from collections.abc import Callable
 from math import ceil
 
-Vector = tuple[float, ...]
+StateVector = tuple[float, ...]
 
 
-def rk4_step(f: Callable[[Vector], Vector], x: Vector, h: float) -> Vector:
+def rk4_step(f: Callable[[StateVector], StateVector], x: StateVector, h: float) -> StateVector:
     """State after one classical fourth-order Runge-Kutta step of x_dot = f(x).
 
     The input is held over the step: close over it in `f`.
@@ -22,7 +22,7 @@ def rk4_step(f: Callable[[Vector], Vector], x: Vector, h: float) -> Vector:
     return tuple([a + w * (b1 + 2.0 * (b2 + b3) + b4) for a, b1, b2, b3, b4 in zip(x, k1, k2, k3, k4)])
 
 
-def integrate(f: Callable[[Vector], Vector], x: Vector, duration: float, max_step: float) -> Vector:
+def integrate(f: Callable[[StateVector], StateVector], x: StateVector, duration: float, max_step: float) -> StateVector:
     """State after `duration`, in the fewest equal Runge-Kutta steps of at most `max_step`.
 
     x: (n,) state;  duration, max_step: [s];  returns (n,).

@@ -21,7 +21,7 @@ from pythonfmu import DefaultExperiment, Fmi2Slave
 from pythonfmu import __version__ as pythonfmu_version
 from pythonfmu.enums import Fmi2Status
 
-from .description import Variable, model_description
+from .description import VariableRow, model_description
 
 NAMESPACE = uuid5(NAMESPACE_DNS, "fmu-retune")
 _Method = TypeVar("_Method", bound=Callable[..., Any])
@@ -50,13 +50,13 @@ def retain(*objects: object) -> None:
 class Slave(Fmi2Slave):
     """Variables live in a flat list whose index is the value reference: parameters, inputs, then outputs."""
 
-    table: ClassVar[tuple[Variable, ...]] = ()
+    table: ClassVar[tuple[VariableRow, ...]] = ()
     """What the model declares, in any order within parameters, inputs and outputs."""
     default_experiment: ClassVar[DefaultExperiment] = DefaultExperiment(0.0, 10.0, 0.01)
     """Start, stop and step [s]."""
     has_feedthrough: ClassVar[bool] = True
     """An output depends directly on inputs."""
-    variables: ClassVar[tuple[Variable, ...]] = ()
+    variables: ClassVar[tuple[VariableRow, ...]] = ()
     """The complete table; a position is a value reference."""
     per_cent = "%%"
     """A per cent sign in texts for the logger, which are printf formats in FMI 2.0."""
@@ -81,7 +81,7 @@ class Slave(Fmi2Slave):
         cls._settable = {False: frozenset(range(n_exact)), True: frozenset(i for i, b in enumerate(is_later) if b)}
 
     @classmethod
-    def _complete(cls, table: tuple[Variable, ...]) -> tuple[Variable, ...]:
+    def _complete(cls, table: tuple[VariableRow, ...]) -> tuple[VariableRow, ...]:
         order = ("parameter", "input", "output")
         return tuple(sorted(table, key=lambda v: order.index(v.causality)))
 

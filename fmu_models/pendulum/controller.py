@@ -1,6 +1,6 @@
 """The controller FMUs of the pendulum."""
 
-from ..kernel.blocks import Adaptive, Controller, Vector
+from ..kernel.blocks import Adaptive, ControllerSlave, StateVector
 from ..kernel.description import input_variable, output, parameter
 from . import equations
 
@@ -20,7 +20,7 @@ INPUTS = (
 )
 
 
-class PendulumController(Controller):
+class PendulumController(ControllerSlave):
     """Feedback-linearising controller of an actuated pendulum, memoryless."""
 
     table = (
@@ -29,7 +29,7 @@ class PendulumController(Controller):
         output("u", "N", "Tangential force", depends=[v.name for v in (*PARAMETERS, *INPUTS)], nominal=10.0),
     )
 
-    def outputs(self, inputs: Vector, parameters: Vector) -> Vector:
+    def outputs(self, inputs: StateVector, parameters: StateVector) -> StateVector:
         """The control law."""
         return (equations.control(inputs[0:2], inputs[2:4], *parameters),)
 

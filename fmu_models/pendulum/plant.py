@@ -1,11 +1,11 @@
 """The plant FMU of the pendulum."""
 
-from ..kernel.blocks import Plant
+from ..kernel.blocks import PlantSlave
 from ..kernel.description import input_variable, parameter, state
 from . import equations
 
 
-class Pendulum(Plant):
+class Pendulum(PlantSlave):
     """Actuated planar pendulum with friction; phi = 0 hangs down."""
 
     table = (

@@ -3,11 +3,11 @@
 from math import pi
 
 from ..kernel import references
-from ..kernel.blocks import Reference, Vector
+from ..kernel.blocks import ReferenceSlave, StateVector
 from ..kernel.description import output, parameter
 
 
-class PendulumReference(Reference):
+class PendulumReference(ReferenceSlave):
     """Desired angle of a pendulum: a step from one angle to another."""
 
     table = (
@@ -18,7 +18,7 @@ class PendulumReference(Reference):
         output("phi_dot_ref", "rad/s", "Desired angular velocity, zero", depends=()),
     )
 
-    def outputs(self, time: float, parameters: Vector) -> Vector:
+    def outputs(self, time: float, parameters: StateVector) -> StateVector:
         """Angle and angular velocity."""
         return (references.step(time, *parameters), 0.0)
 
@@ -26,7 +26,7 @@ class PendulumReference(Reference):
 NEEDED = ("time", "amplitude_1", "omega_1", "amplitude_2", "omega_2")
 
 
-class PendulumSine(Reference):
+class PendulumSine(ReferenceSlave):
     """Desired angle of a pendulum, the sum of two sinusoids, to its second derivative."""
 
     table = (
@@ -40,7 +40,7 @@ class PendulumSine(Reference):
                depends=NEEDED),
     )  # fmt: skip
 
-    def outputs(self, time: float, parameters: Vector) -> Vector:
+    def outputs(self, time: float, parameters: StateVector) -> StateVector:
         """Angle, angular velocity and angular acceleration."""
         amplitude_1, omega_1, amplitude_2, omega_2 = parameters
         first = references.sinusoid(time, amplitude_1, omega_1)

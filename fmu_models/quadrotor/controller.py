@@ -2,13 +2,13 @@
 
 from pythonfmu import DefaultExperiment
 
-from ..kernel.blocks import Adaptive, Controller, Vector
-from ..kernel.description import Variable, input_variable, output, parameter
+from ..kernel.blocks import Adaptive, ControllerSlave, StateVector
+from ..kernel.description import VariableRow, input_variable, output, parameter
 from . import equations
 from .trajectory import Trajectory
 
 
-def triple(make, name: str, unit: str, start, text: str, **bounds: float) -> tuple[Variable, ...]:
+def triple(make, name: str, unit: str, start, text: str, **bounds: float) -> tuple[VariableRow, ...]:
     """One variable for each axis."""
     return tuple(make(f"{name}_{a}", unit, s, f"{text} {a}", **bounds) for a, s in zip("xyz", start))
 
@@ -55,7 +55,7 @@ TRANSLATION = [v.name for v in (*POSITION, *VELOCITY, *ATTITUDE[2::3], *DESIRED_
 COMMON = ("m", "g", *(f"{gain}_{a}" for gain in ("K_r", "K_v") for a in "xyz"))
 
 
-class QuadrotorController(Controller):
+class QuadrotorController(ControllerSlave):
     """Geometric tracking controller of Lee, Leok and McClamroch (2010), memoryless."""
 
     default_experiment = DefaultExperiment(0.0, 16.0, 0.01)
@@ -71,7 +71,7 @@ class QuadrotorController(Controller):
         ),
     )  # fmt: skip
 
-    def outputs(self, inputs: Vector, parameters: Vector) -> Vector:
+    def outputs(self, inputs: StateVector, parameters: StateVector) -> StateVector:
         """The control law. Raises ValueError where it has none."""
         i, p = inputs, parameters
         d = Trajectory(i[18:21], i[21:24], i[24:27], i[27:30], i[30:33], i[33], i[34], i[35])

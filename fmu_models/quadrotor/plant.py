@@ -3,7 +3,7 @@
 from pythonfmu import DefaultExperiment
 
 from ..kernel import so3
-from ..kernel.blocks import Plant, Vector
+from ..kernel.blocks import PlantSlave, StateVector
 from ..kernel.description import input_variable, parameter, state
 from . import equations
 
@@ -12,7 +12,7 @@ AXES = {"1": "x", "2": "y", "3": "z"}
 THRUST = {"x": ("R_13",), "y": ("R_23",), "z": ("R_33", "g")}
 
 
-class Quadrotor(Plant):
+class Quadrotor(PlantSlave):
     """Quadrotor on SE(3); inertial and body axes with z down, R takes body to inertial vectors."""
 
     default_experiment = DefaultExperiment(0.0, 16.0, 0.01)
@@ -42,6 +42,6 @@ class Quadrotor(Plant):
     derivative = staticmethod(equations.derivative)
 
     @staticmethod
-    def project(x: Vector) -> Vector:
+    def project(x: StateVector) -> StateVector:
         """The state with its attitude made orthogonal again."""
         return x[:6] + so3.orthonormalized(x[6:15]) + x[15:]

@@ -2,7 +2,7 @@
 
 from pythonfmu import DefaultExperiment
 
-from ..kernel.blocks import Reference, Vector
+from ..kernel.blocks import ReferenceSlave, StateVector
 from ..kernel.description import output, parameter
 from .trajectory import sinusoid_trajectory
 
@@ -16,7 +16,7 @@ POSITION = (
 YAW = ("time", "amplitude_x", "amplitude_y", "omega")
 
 
-class QuadrotorReference(Reference):
+class QuadrotorReference(ReferenceSlave):
     """Desired position of a quadrotor, three sinusoids, to its fourth derivative, and yaw to its second."""
 
     default_experiment = DefaultExperiment(0.0, 16.0, 0.01)
@@ -36,7 +36,7 @@ class QuadrotorReference(Reference):
         output("psi_d_ddot", "rad/s2", "Desired yaw acceleration, the second derivative of psi_d", depends=YAW),
     )
 
-    def outputs(self, time: float, parameters: Vector) -> Vector:
+    def outputs(self, time: float, parameters: StateVector) -> StateVector:
         """Position and derivatives, then yaw and derivatives."""
         *amplitudes, omega, smooth_yaw = parameters
         yaw = "smooth" if smooth_yaw else "paper"

@@ -2,7 +2,7 @@
 
 from pythonfmu import DefaultExperiment
 
-from ..kernel.blocks import Adaptive, Controller, Vector
+from ..kernel.blocks import Adaptive, ControllerSlave, StateVector
 from ..kernel.description import input_variable, output, parameter
 from . import equations
 
@@ -55,7 +55,7 @@ INPUTS = (
 COMMON = [v.name for v in (*FORCE_PARAMETERS, *INPUTS)]
 
 
-class RigidBodyController(Controller):
+class RigidBodyController(ControllerSlave):
     """Computed-torque controller of a free rigid body on SE(3), memoryless."""
 
     default_experiment = DefaultExperiment(0.0, 10.0, 0.01)
@@ -70,7 +70,7 @@ class RigidBodyController(Controller):
         ),
     )
 
-    def outputs(self, inputs: Vector, parameters: Vector) -> Vector:
+    def outputs(self, inputs: StateVector, parameters: StateVector) -> StateVector:
         """The control law."""
         i, p = inputs, parameters
         d = equations.Motion(i[18:21], i[21:24], i[36:39], i[24:33], i[33:36], i[39:42])

@@ -3,7 +3,7 @@
 from pythonfmu import DefaultExperiment
 
 from ..kernel import so3
-from ..kernel.blocks import Plant, Vector
+from ..kernel.blocks import PlantSlave, StateVector
 from ..kernel.description import input_variable, parameter, state
 from . import equations
 
@@ -14,7 +14,7 @@ OMEGA = ("Omega_x", "Omega_y", "Omega_z")
 AXES = {"1": "x", "2": "y", "3": "z"}
 
 
-class RigidBody(Plant):
+class RigidBody(PlantSlave):
     """Free rigid body under a wrench at its origin; inertial z down, R takes body to inertial vectors."""
 
     default_experiment = DefaultExperiment(0.0, 10.0, 0.01)
@@ -56,6 +56,6 @@ class RigidBody(Plant):
     derivative = staticmethod(equations.derivative)
 
     @staticmethod
-    def project(x: Vector) -> Vector:
+    def project(x: StateVector) -> StateVector:
         """The state with its attitude made orthogonal again."""
         return x[:6] + so3.orthonormalized(x[6:15]) + x[15:]

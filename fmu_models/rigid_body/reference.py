@@ -2,7 +2,7 @@
 
 from pythonfmu import DefaultExperiment
 
-from ..kernel.blocks import Reference, Vector
+from ..kernel.blocks import ReferenceSlave, StateVector
 from ..kernel.description import output, parameter
 from . import equations
 
@@ -19,7 +19,7 @@ ANGLES = ("phi", "theta", "psi")
 NEEDED = {"11": ANGLES[1:], "21": ANGLES[1:], "31": ANGLES[1:2], "32": ANGLES[:2], "33": ANGLES[:2]}
 
 
-class RigidBodyReference(Reference):
+class RigidBodyReference(ReferenceSlave):
     """Desired motion of a rigid body, two tones in each coordinate, to the second derivative; starts at rest."""
 
     default_experiment = DefaultExperiment(0.0, 10.0, 0.01)
@@ -48,7 +48,7 @@ class RigidBodyReference(Reference):
         ),
     )  # fmt: skip
 
-    def outputs(self, time: float, parameters: Vector) -> Vector:
+    def outputs(self, time: float, parameters: StateVector) -> StateVector:
         """Position and derivatives, then attitude and derivatives."""
         d = equations.motion(time, parameters[0:3], parameters[3:6], parameters[6])
         return (*d.r, *d.v, *d.a, *d.R, *d.Omega, *d.Omega_dot)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from cosim.scenarios.schema.estimation import Estimation
+from cosim.scenarios.schema.estimation import EstimationSettings
 from estimator import (
     METHODS,
     AskTell,
@@ -186,7 +186,7 @@ def test_rows_of_a_solvers_candidates_do_not_pile_up():
 
 # --- the estimators by name ------------------------------------------------------------------------------------------
 
-ESTIMATION = Estimation.model_validate({
+ESTIMATION = EstimationSettings.model_validate({
     "model": "fmu_models.pendulum:derivative",
     "trigger": {"kind": "tracking", "threshold": 1.0},
     "budget": 20,

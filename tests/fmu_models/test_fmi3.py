@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 from fmu_models import build
 from fmu_models.kernel.arrays import arrays
-from fmu_models.kernel.blocks import Reference
+from fmu_models.kernel.blocks import ReferenceSlave
 from fmu_models.kernel.description import input_variable, output, parameter, state
 from fmu_models.kernel.description3 import variables_of
 from fmu_models.kernel.fmi3 import Fmi3CoSimulation, Fmi3ModelExchange
@@ -181,7 +181,7 @@ def test_it_computes_bit_for_bit_what_the_fmi_2_fmu_does(built, host, name):
 
 
 def test_texts_for_the_logger_are_no_formats():
-    class Faulty(Reference):
+    class Faulty(ReferenceSlave):
         """Always wrong."""
 
         table = (output("y", "1", "Nothing", depends=()),)

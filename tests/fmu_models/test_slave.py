@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 from pythonfmu.enums import Fmi2Status
 
-from fmu_models.kernel.blocks import Adaptive, Controller, Plant, Reference
-from fmu_models.kernel.description import Variable, base_unit, input_variable, output, parameter, per_second, state
+from fmu_models.kernel.blocks import Adaptive, ControllerSlave, PlantSlave, ReferenceSlave
+from fmu_models.kernel.description import VariableRow, base_unit, input_variable, output, parameter, per_second, state
 
 
-class Tank(Plant):
+class Tank(PlantSlave):
     """Level that follows an inflow."""
 
     table = (
@@ -30,7 +30,7 @@ class Tank(Plant):
         return (u[0] / area,)
 
 
-class Product(Controller):
+class Product(ControllerSlave):
     """A product that counts how often it is computed."""
 
     table = (
@@ -49,7 +49,7 @@ class Product(Controller):
         return (parameters[0] * inputs[0], inputs[0])
 
 
-class Clock(Reference):
+class Clock(ReferenceSlave):
     """Time, or minus time."""
 
     table = (
@@ -62,7 +62,7 @@ class Clock(Reference):
         return (-time if parameters[0] else time,)
 
 
-class Lever(Controller):
+class Lever(ControllerSlave):
     """A product and an offset."""
 
     table = (
@@ -83,7 +83,7 @@ class LeverAdaptive(Adaptive, Lever):
     estimated = ("k",)
 
 
-class Counter(Controller):
+class Counter(ControllerSlave):
     """A number and its double."""
 
     table = (
@@ -168,7 +168,7 @@ def test_the_description_says_what_the_table_says():
 
 
 def test_start_values_keep_every_bit():
-    class Third(Reference):
+    class Third(ReferenceSlave):
         """A third."""
 
         table = (parameter("a", "1", 1.0 / 3.0, "A third"),)
@@ -395,7 +395,7 @@ def test_integers_are_set_and_read_as_integers_only():
 
 def test_a_start_must_be_of_its_type():
     with pytest.raises(ValueError, match=r"'a' must start as its type, Boolean, got 1\.0"):
-        Variable(
+        VariableRow(
             name="a", unit=None, description="", causality="parameter", variability="fixed", initial="exact",
             type="Boolean", start=1.0,
         )  # fmt: skip

@@ -18,7 +18,7 @@ from ...names import did_you_mean
 from .table import MOST, Reference, Table
 
 
-class Loop(Table):
+class LoopSettings(Table):
     """How the controller is re-tuned. An estimator's own table may replace any of these."""
 
     trigger: TriggerSettings = Field(discriminator="kind")
@@ -81,7 +81,7 @@ class RolloutSettings(Table):
     """Number of processes; the results do not depend on it."""
 
 
-class Estimation(Loop):
+class EstimationSettings(LoopSettings):
     """What is estimated, by which model, and how."""
 
     objective: str = Field(default="auto", pattern=r"^(auto|derivative|rollout|[\w.]+:\w+)$")
@@ -111,21 +111,21 @@ class Estimation(Loop):
         """The parameters as the estimators know them."""
         return ParameterSpace(tuple(p.to_parameter() for p in self.parameters))
 
-    def loop(self, name: str, method: Method | None = None) -> Loop:
+    def loop(self, name: str, method: Method | None = None) -> LoopSettings:
         """The loop's settings for one estimator; method: what it is, where it is none of the package."""
-        common = {name: getattr(self, name) for name in Loop.model_fields}
-        own = {k: v for k, v in self._own(name, method).items() if k in Loop.model_fields}
-        return Loop.model_validate(common | own)
+        common = {name: getattr(self, name) for name in LoopSettings.model_fields}
+        own = {k: v for k, v in self._own(name, method).items() if k in LoopSettings.model_fields}
+        return LoopSettings.model_validate(common | own)
 
     def settings(self, name: str, method: Method | None = None) -> Any:
         """The estimator's own settings, an instance of its settings' class."""
-        given = {k: v for k, v in self._own(name, method).items() if k not in Loop.model_fields}
+        given = {k: v for k, v in self._own(name, method).items() if k not in LoopSettings.model_fields}
         return TypeAdapter((method or method_named(name)).settings).validate_python(given)
 
     def _own(self, name: str, method: Method | None = None) -> dict[str, Any]:
         """What is set for one estimator: by the one that it is like, by itself, by the scenario."""
         method = method or method_named(name)
-        known = {*Loop.model_fields, *method.setting_names}
+        known = {*LoopSettings.model_fields, *method.setting_names}
         inherited = self._own(method.like) if method.like else {}
         return {k: v for k, v in inherited.items() if k in known} | dict(method.defaults) | self.methods.get(name, {})
 
@@ -151,7 +151,7 @@ class Estimation(Loop):
 
     def check_method(self, name: str, method: Method | None = None) -> None:
         """Raises ValueError where an estimator's settings do not fit it."""
-        known = {*Loop.model_fields, *(method or method_named(name)).setting_names}
+        known = {*LoopSettings.model_fields, *(method or method_named(name)).setting_names}
         for key in self.methods.get(name, {}):
             if key not in known:
                 raise ValueError(f"estimation.{name} has no setting '{key}'{did_you_mean(key, known)}")

@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 from .table import MOST, Table, Value
 
 
-class Settings(Table):
+class SimulationSettings(Table):
     """The co-simulation itself."""
 
     name: str = Field(min_length=1, pattern=r"^[A-Za-z0-9_-]+$")
@@ -58,7 +58,7 @@ class Settings(Table):
         return self.start_time + k * self.macro_step
 
 
-class Component(Table):
+class ComponentSettings(Table):
     """One FMU, or a CSV file that is played back."""
 
     fmu: str | None = Field(default=None, min_length=1)
@@ -79,7 +79,7 @@ class Component(Table):
         return self
 
 
-class Limits(Table):
+class RunLimits(Table):
     """When a run is stopped."""
 
     divergence: float = Field(default=100.0, gt=0.0)

@@ -1,6 +1,7 @@
 """What holds for all tests, and what is built for them once a change."""
 
 import hashlib
+import os
 import shutil
 import signal
 from collections.abc import Callable, Iterator
@@ -11,6 +12,11 @@ import pytest
 from filelock import FileLock
 
 import fmu_models
+
+
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """One more than there are processors: many a test waits for processes."""
+    return 1 + (os.cpu_count() or 1)
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -170,7 +170,7 @@ def _table(title: str, variables: Sequence[VariableInfo], columns: dict[str, str
 
 
 def _name(v: VariableInfo) -> str:
-    return v.name if TYPES[v.type].is_double else f"{v.name} ({v.type})"
+    return v.name if TYPES[v.type.partition("[")[0]].is_double else f"{v.name} ({v.type})"
 
 
 def _short(value: Value | None) -> str:

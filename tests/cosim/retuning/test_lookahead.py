@@ -133,10 +133,10 @@ def test_a_controller_without_states_is_not_rolled_ahead(loop):
 
 def test_a_run_says_at_its_start_that_it_does_not_look_ahead(pendulum, tmp_path, monkeypatch):
     monkeypatch.setattr("cosim.slaves.slave.Slave.has_states", property(lambda slave: slave.name == "plant"))
-    result = run(pendulum({"scenario.isolation": '"none"'}, stop_time=0.05), "target", out=tmp_path)
+    result = run(pendulum({"scenario.isolation": '"none"'}, stop_time=0.05), "target", out=tmp_path / "run")
     reason = "controller, reference cannot save and restore the state of the FMU"
     assert result.guard["not_rolled_ahead"] == reason
-    first = (tmp_path / "events.jsonl").read_text(encoding="utf-8").splitlines()[0]
+    first = (tmp_path / "run" / "events.jsonl").read_text(encoding="utf-8").splitlines()[0]
     assert f"the loop is not simulated ahead: {reason}" in first
 
 
@@ -166,11 +166,11 @@ def test_an_fmu_that_cannot_save_its_state_although_it_says_so_is_not_rolled_ahe
     pendulum, tmp_path, monkeypatch, function, does, told
 ):
     monkeypatch.setattr(f"cosim.slaves.slave.Slave.{function}", does)
-    result = run(pendulum(CHANGED_EARLY, stop_time=0.5), "target", out=tmp_path)
+    result = run(pendulum(CHANGED_EARLY, stop_time=0.5), "target", out=tmp_path / "run")
     assert result.status == "done"
     assert result.guard["written"] > 0
     assert result.guard["vetoed"] == 0
-    lines = [line for line in (tmp_path / "events.jsonl").read_text().splitlines() if '"guard"' in line]
+    lines = [line for line in (tmp_path / "run" / "events.jsonl").read_text().splitlines() if '"guard"' in line]
     assert len(lines) == 1
     assert re.search(f"the loop is not simulated ahead: {told}", lines[0]), lines
     assert re.fullmatch(told, result.guard["not_rolled_ahead"])

@@ -146,7 +146,7 @@ WARNED = {
         "hardly smooths: 67%",
     ),
     "shared noise": ({"sampling.filter.every": "2"}, "samples every 2 points share noise, up to 8 points apart"),
-    "few samples an episode": ({"estimation.budget": "30"}, "30 evaluations, 1 a macro step, sees 3 samples"),
+    "few samples an episode": ({"estimation.budget": "30"}, "30 evaluations, 1 per macro step, sees 3 samples"),
     "long for the plant": ({"sampling.filter.points": "201"}, "time constant of the plant is 0.5 s"),
     "the states' own noise": (
         {'sampling.states."plant.mass.s".noise': "1e-3"},

@@ -40,6 +40,10 @@ class Parameter:
                 f"Parameter '{self.name}' must have lower > 0 on a log scale, got {self.lower} {self.unit}."
             )
 
+    def contains(self, value: float) -> bool:
+        """Return whether a value, in `unit`, is within the bounds."""
+        return self.lower <= value <= self.upper
+
 
 @dataclass(frozen=True)
 class ParameterSpace:

@@ -97,7 +97,7 @@ def _problems(scenario: Scenario, parameter: EstimatedParameter, components: Com
     if start is None:
         place = f"components.{parameter.writes.component}.start"
         yield True, f"'{parameter.writes}' has no start value; give it one under {place}"
-    elif not parameter.lower <= start <= parameter.upper:
+    elif not parameter.to_parameter().contains(start):
         yield False, f"'{parameter.writes}' starts at {start:g}, outside [{parameter.lower:g}, {parameter.upper:g}]"
 
 

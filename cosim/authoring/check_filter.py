@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from estimator import Vector
+from estimator.differences import central_differences
 
 from ..findings import Finding, warning
 from ..objectives.model import opened_model
@@ -90,10 +91,7 @@ def _slopes(scenario: Scenario, plant: Plant, x: Vector, theta: Vector) -> Vecto
     """df/dx (n, n) at x by central differences; NaN where the model has no value."""
     u = tuple(plant.inputs.values())
     parameters = scenario.estimation.space.named(theta)
-    slopes = np.full((len(x), len(x)), np.nan)
+    steps = 1e-6 * np.maximum(1.0, np.abs(x))
     with opened_model(scenario, plant) as model, suppress(ArithmeticError, ValueError):
-        for i, size in enumerate(1e-6 * np.maximum(1.0, np.abs(x))):
-            step = size * np.eye(len(x))[i]
-            ends = [np.array(model(tuple(at.tolist()), u, **parameters)) for at in (x + step, x - step)]
-            slopes[:, i] = (ends[0] - ends[1]) / (2.0 * size)
-    return slopes
+        return central_differences(lambda at: model(tuple(at.tolist()), u, **parameters), x, steps)
+    return np.full((len(x), len(x)), np.nan)

@@ -170,7 +170,8 @@ def _table(title: str, variables: Sequence[VariableInfo], columns: dict[str, str
 
 
 def _name(v: VariableInfo) -> str:
-    return v.name if TYPES[v.type.partition("[")[0]].is_double else f"{v.name} ({v.type})"
+    is_double = v.type in TYPES and TYPES[v.type].is_double  # not of an array, whose size is said
+    return v.name if is_double else f"{v.name} ({v.type})"
 
 
 def _short(value: Value | None) -> str:

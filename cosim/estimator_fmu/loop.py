@@ -34,7 +34,7 @@ class EstimatorLoop:
         )
         start = np.array([value(f"{name}_start") for name in names])
         for p, theta in zip(space, start.tolist(), strict=True):
-            if not p.lower <= theta <= p.upper:
+            if not p.contains(theta):
                 raise ValueError(f"{p.name}_start must be in [{p.lower:g}, {p.upper:g}] {p.unit}, got {theta:g}.")
         derivatives = settings["derivatives"]
         whitened = DerivativeResidual(

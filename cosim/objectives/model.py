@@ -22,6 +22,7 @@ from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
 from ..slaves.process import FmuProcess
 from ..system.fmu_cache import find_fmu
+from ..system.parameters import narrower_range
 from ..system.plant import Plant
 from ..user_code import load
 
@@ -168,7 +169,6 @@ def _named(fmu: Path, kind: str, names: Iterable[str], known: Mapping[str, Model
 
 
 def _check_bounds(parameter: Parameter, variable: ModelVariable, fmu: Path) -> None:
-    low, high = (float(x) if x is not None else None for x in (variable.min, variable.max))
-    if (low is not None and parameter.lower < low) or (high is not None and parameter.upper > high):
+    if narrower := narrower_range(parameter, variable):
         bounds = f"[{parameter.lower:g}, {parameter.upper:g}]"
-        raise ScenarioError(f"{variable.name!r} of {fmu.name} takes {low} to {high}; '{parameter.name}' has {bounds}.")
+        raise ScenarioError(f"{variable.name!r} of {fmu.name} takes {narrower}; '{parameter.name}' has {bounds}.")

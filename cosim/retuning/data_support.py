@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from estimator import ParameterSpace, Sample, Vector
+from estimator.differences import central_differences
 from estimator.identifiability import Information, information
 
 Reason = tuple[Literal["limit", "hold", "veto"], str]
@@ -78,14 +79,9 @@ class DataSupport:
 
     def information(self, theta: Vector) -> Information:
         """Return the information that the samples have at theta (d,), by central differences in the unit cube."""
-        z, d = self._space.to_unit(theta), len(self._space)
-        columns: list[Vector] = []
-        for i in range(d):
-            ends = [np.clip(z[i] + sign * _STEP, 0.0, 1.0) for sign in (1.0, -1.0)]
-            places = [self._space.from_unit(np.where(np.arange(d) == i, end, z)) for end in ends]
-            high, low = (self._over_window(place) for place in places)
-            columns.append((high - low) / (ends[0] - ends[1]))
-        jacobian = np.array(columns).T
+        z = self._space.to_unit(theta)
+        steps = np.full(len(z), _STEP)
+        jacobian = central_differences(lambda z: self._over_window(self._space.from_unit(z)), z, steps, 0.0, 1.0)
         return information(jacobian[np.isfinite(jacobian).all(axis=1)])
 
     def identifiable_part(

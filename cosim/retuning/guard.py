@@ -253,7 +253,7 @@ def outside(theta: Vector, space: ParameterSpace) -> str | None:
     for parameter, value in zip(space, theta.tolist(), strict=True):
         if not isfinite(value):
             return f"{parameter.name} is {value}"
-        if not parameter.lower <= value <= parameter.upper:
+        if not parameter.contains(value):
             bounds = f"[{parameter.lower:g}, {parameter.upper:g}] {parameter.unit}"
             return f"{parameter.name} = {value:.6g} is outside {bounds}"
     return None

@@ -20,6 +20,7 @@ from ..scenarios.scenario import Scenario
 from ..slaves.slave import Slave, open_slave
 from ..system.master import Master, Steppable, Wiring
 from ..system.plant import Plant, derivatives_of
+from ..variable_name import VariableName
 from .model_plant import ModelPlant, not_given
 
 _ROUNDING: Final = 1e-9
@@ -57,11 +58,11 @@ class Lookahead:
         self._scenario, self._running, self._slaves = scenario, running, slaves
         self._plant, self._model = plant, model
         true = [scenario.true_reference(p) for p in scenario.estimation.parameters]
-        self._places = {name: [i for i, r in enumerate(true) if r.partition(".")[0] == name] for name in slaves}
+        self._places = {name: [i for i, r in enumerate(true) if r.component == name] for name in slaves}
         writes = [p.writes for p in scenario.estimation.parameters]
-        self._written = {name: [i for i, r in enumerate(writes) if r.partition(".")[0] == name] for name in slaves}
+        self._written = {name: [i for i, r in enumerate(writes) if r.component == name] for name in slaves}
         self._wiring = {
-            name: replace(w, tunables=tuple(r.partition(".")[2] for r in [*true, *writes] if r.startswith(f"{name}.")))
+            name: replace(w, tunables=tuple(r.variable for r in [*true, *writes] if r.component == name))
             for name, w in wiring.items()
         }
         self._modelled = _modelled(scenario, slaves, wiring, plant, model)
@@ -174,7 +175,7 @@ class Lookahead:
         return master
 
     def _outputs(self, master: Master, values: Sequence[float], name: str) -> list[float]:
-        return [v for v, n in zip(values, master.names, strict=True) if n.partition(".")[0] == name]
+        return [v for v, n in zip(values, master.names, strict=True) if VariableName(n).component == name]
 
     def _give_up(self, reason: str) -> None:
         self.failure, self._master = reason, None

@@ -228,5 +228,5 @@ def _running_plant(
     """The plant that runs, for roll-outs of it; None for a table."""
     if isinstance(slave, TableSlave):
         return None
-    changes = [r for r in scenario.changes if r.partition(".")[0] == scenario.plant]
-    return RunningPlant(slave, wiring.outputs, {r.partition(".")[2]: truth[r] for r in changes})
+    changes = [name for name in scenario.changes if name.component == scenario.plant]
+    return RunningPlant(slave, wiring.outputs, {name.variable: truth[name] for name in changes})

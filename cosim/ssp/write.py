@@ -110,7 +110,7 @@ def _structure(scenario: Scenario, components: Mapping[str, Component], places: 
     if scenario.connections:
         table = SubElement(system, "ssd:Connections")
         for target, source in scenario.connections.items():
-            (start, _, start_connector), (end, _, end_connector) = source.partition("."), target.partition(".")
+            (start, start_connector), (end, end_connector) = source.parts, target.parts
             ends = {"startElement": start, "startConnector": start_connector}
             SubElement(table, "ssd:Connection", {**ends, "endElement": end, "endConnector": end_connector})
     add_units(root, "ssd", units.values())
@@ -150,11 +150,11 @@ def _parameters(scenario: Scenario, name: str, component: Component) -> list[Par
     """Return a component's start values. Raises WiringError."""
     values: dict[str, Value] = dict(scenario.components[name].start)
     for reference, change in scenario.change_functions().items():
-        owner, _, variable = reference.partition(".")
+        owner, variable = reference.parts
         if owner == name:
             values[variable] = value_of_change(reference, change, scenario.scenario.start_time)
     for parameter in scenario.estimation.parameters:
-        owner, _, variable = parameter.writes.partition(".")
+        owner, variable = parameter.writes.parts
         start = _variable(component, name, variable).start if owner == name else None
         if start is not None:
             values.setdefault(variable, float(start))
@@ -182,7 +182,7 @@ def _check_connections(scenario: Scenario, components: Mapping[str, Component]) 
     for target, source in scenario.connections.items():
         units: list[Unit | None] = []
         for reference in (source, target):
-            name, _, variable = reference.partition(".")
+            name, variable = reference.parts
             _variable(components[name], name, variable)
             units.append(components[name].unit(variable))
         try:

@@ -4,6 +4,8 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
+from estimator import Parameter
+
 from ..errors import ScenarioError, WiringError, seconds
 from ..fmi.component import ModelVariable
 from ..fmi.ports import attribute
@@ -44,10 +46,18 @@ def parameter_problem(parameter: EstimatedParameter, variable: ModelVariable) ->
     unit = attribute(variable, "unit") or "1"
     if unit != parameter.unit:
         return f"'{parameter.writes}' has the unit {unit}, but '{parameter.name}' {parameter.unit}."
-    low, high = (float(x) if x is not None else None for x in (attribute(variable, "min"), attribute(variable, "max")))
-    if (low is not None and parameter.lower < low) or (high is not None and parameter.upper > high):
+    if narrower := narrower_range(parameter.to_parameter(), variable):
         bounds = f"[{parameter.lower:g}, {parameter.upper:g}] {unit}"
-        return f"'{parameter.writes}' takes {low} to {high} {unit}; '{parameter.name}' has {bounds}."
+        return f"'{parameter.writes}' takes {narrower} {unit}; '{parameter.name}' has {bounds}."
+    return None
+
+
+def narrower_range(parameter: Parameter, variable: ModelVariable) -> str | None:
+    """Return the range that a variable declares where it does not hold all of the parameter's bounds, else None."""
+    declared = [attribute(variable, name) for name in ("min", "max")]
+    low, high = (None if x is None else float(x) for x in declared)
+    if (low is not None and parameter.lower < low) or (high is not None and parameter.upper > high):
+        return f"{low} to {high}"
     return None
 
 

@@ -2,15 +2,17 @@
 
 from collections.abc import Sequence
 
+from ..variable_name import VariableName
+
 
 class TunableWriter:
     """Knows what was set last, so that nothing is set twice."""
 
-    def __init__(self, references: Sequence[str]) -> None:
+    def __init__(self, references: Sequence[VariableName]) -> None:
         """references: of the parameters, `component.variable`; a component's own in the order of its wiring."""
         self._places: dict[str, list[int]] = {}
         for i, reference in enumerate(references):
-            self._places.setdefault(reference.partition(".")[0], []).append(i)
+            self._places.setdefault(reference.component, []).append(i)
         self._written: dict[str, list[float]] = {}
 
     def changed(self, values: Sequence[float]) -> dict[str, list[float]]:

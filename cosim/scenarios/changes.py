@@ -23,7 +23,7 @@ Change = Annotated[float | str | tuple[tuple[float, float | str], ...], BeforeVa
 
 def change_functions(
     definitions: Mapping[str, float | str], changes: Mapping[VariableName, Change]
-) -> dict[str, Callable[[float], float]]:
+) -> dict[VariableName, Callable[[float], float]]:
     """Each changed parameter as a function of t [s]; a definition may use those before it. Raises ValueError."""
     defined: dict[str, Callable[[float], float]] = {}
     for name, text in definitions.items():

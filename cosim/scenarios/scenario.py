@@ -89,7 +89,7 @@ class Scenario(Table):
         """Instance name of the component whose derivatives or outputs are sampled."""
         return next(iter((*self.sampling.derivatives, *self.sampling.outputs))).component
 
-    def change_functions(self) -> dict[str, Callable[[float], float]]:
+    def change_functions(self) -> dict[VariableName, Callable[[float], float]]:
         """Each changed parameter as a function of t [s]."""
         return change_functions(self.definitions, self.changes)
 

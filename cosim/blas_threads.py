@@ -1,4 +1,4 @@
-"""One thread for linear algebra: a second one is slower here, and their number changes bits."""
+"""Limit of linear algebra to one thread: a second one is slower here, and their number changes bits."""
 
 from typing import Final
 

@@ -18,10 +18,10 @@ from .terminal.streams import can_print, drop_output, ready_streams
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit code.
+    """Run the command; return its exit code.
 
-    Signals are handled as before afterwards, unless one has interrupted the command: then none may cut the end of the
-    program short.
+    The signal handlers are restored afterwards, unless a signal has interrupted the command: then none may cut the end
+    of the program short.
     """
     signals = SignalHandler()
     try:
@@ -35,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _ended(arguments: Sequence[str] | None) -> int:
-    """The exit code of a command that has ended by itself."""
+    """Run the command to its end; return its exit code."""
     for name, value in ONE_THREAD.items():
         os.environ.setdefault(name, value)
     ready_streams()
@@ -69,7 +69,7 @@ def _ended(arguments: Sequence[str] | None) -> int:
 
 
 def _end(options: argparse.Namespace, why: str, code: int) -> int:
-    """Say in one line why a command ends; the exit code."""
+    """Print in one line why a command ends; return the exit code."""
     from .errors import one_line
 
     if options.debug:
@@ -80,7 +80,7 @@ def _end(options: argparse.Namespace, why: str, code: int) -> int:
 
 @contextmanager
 def _everything_logged() -> Generator[None]:
-    """Show what the FMUs log that is no warning, too."""
+    """Show everything that the FMUs log, not only their warnings."""
     log, handler = logging.getLogger(__package__), logging.StreamHandler()
     level = log.level
     log.setLevel(logging.DEBUG)

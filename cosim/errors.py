@@ -1,4 +1,4 @@
-"""What can go wrong between us and the world, always told in one line."""
+"""Exceptions of the package; the message of each is one line."""
 
 import errno
 from collections.abc import Callable
@@ -18,35 +18,35 @@ _FORMS = (AFTER_THE_CALL, COLON, IN_THE_CALL)
 
 
 class CosimError(Exception):
-    """A co-simulation cannot go on, through no fault of the calling code."""
+    """Base class of errors that are no fault of the calling code and end a co-simulation."""
 
 
 class ModelDescriptionError(CosimError):
-    """A file is not an FMU that can be used here."""
+    """Error for a file that is not an FMU, or not one that can be used here."""
 
 
 class WiringError(CosimError):
-    """Variables are joined or set that the FMUs do not have or do not allow."""
+    """Error for variables that are connected or set, but that the FMUs lack or do not allow to be so."""
 
 
 class ScenarioError(CosimError):
-    """A scenario file is not understood."""
+    """Error for a scenario that is not valid."""
 
 
 class SspError(CosimError):
-    """An SSP package, or a parameter file of that standard, is not understood."""
+    """Error for an SSP package, or a parameter file of that standard, that is not valid."""
 
 
 class UnfinishedError(CosimError):
-    """A run cannot be recorded any further, through no fault of what was asked for."""
+    """Error for a run that cannot be recorded any further, though its input was valid."""
 
 
 class NotResumableError(CosimError):
-    """A run cannot go on from a checkpoint. The message is the reason, without a full stop."""
+    """Error for a run that cannot be resumed. The message is the reason, without a full stop."""
 
 
 class SlaveError(CosimError):
-    """A running FMU failed."""
+    """Failure of a running FMU."""
 
     instance: str
     """Name of the instance, such as 'plant'."""
@@ -55,12 +55,12 @@ class SlaveError(CosimError):
     time: float | None
     """Communication point [s]; None before the experiment has a time."""
     reason: str
-    """What happened, in one line."""
+    """Reason of the failure, in one line."""
 
     def __init__(
         self, instance: str, function: str, time: float | None, reason: str, form: str = AFTER_THE_CALL
     ) -> None:
-        """form places call and reason in the message, one of the three above.
+        """form: places call and reason in the message; one of the three above.
 
         Raises ValueError for any other form: it would be a format string of unknown origin.
         """
@@ -79,27 +79,27 @@ class SlaveError(CosimError):
 
 
 class StateTooLargeError(SlaveError):
-    """An FMU's state cannot be saved for its size. Nothing else has come of it: the FMU can go on."""
+    """Error for an FMU state that is too large to be saved. The FMU itself can go on."""
 
 
 def is_refusal(error: Exception) -> bool:
-    """Whether something was refused; else it could not be finished, for want of room on the disk if nothing else."""
+    """Return whether the error refuses the input; otherwise the work could not be finished, as on a full disk."""
     cause = error.__cause__
     has_no_room = isinstance(cause, OSError) and cause.errno in _NO_ROOM
     return isinstance(error, CosimError) and not isinstance(error, UnfinishedError) and not has_no_room
 
 
 def one_line(text: str, longest: int = _LONGEST_REASON) -> str:
-    """text without line breaks or control characters, cut to a readable length."""
+    """Return text without line breaks or control characters, cut to a readable length."""
     line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
     return line if len(line) <= longest else line[: longest - 3] + "..."
 
 
 def seconds(time: float) -> str:
-    """time [s] to the millisecond, or with as many digits as it needs."""
+    """Return time [s] as text, to the millisecond or with as many digits as it needs."""
     text = f"{time:.3f}"
     return text if abs(float(text) - time) <= 1e-9 else f"{time:.9g}"
 
 
 class FolderError(CosimError):
-    """A run folder cannot be made, written or read."""
+    """Error for a folder, such as a run folder, that cannot be made, written or read."""

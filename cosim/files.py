@@ -1,4 +1,4 @@
-"""Files that are somebody else's."""
+"""Reading and writing of files: atomic replacement, hashes and JSON."""
 
 import errno
 import hashlib
@@ -17,7 +17,7 @@ from .errors import FolderError
 
 
 def readable(path: Path) -> Path:
-    """The path, where opening it waits for nobody. Raises OSError for a pipe, a socket or a device."""
+    """Return the path, if opening it cannot block. Raises OSError for a pipe, a socket or a device."""
     if path.exists() and not path.is_file() and not path.is_dir():
         raise OSError(errno.EINVAL, "it is not a regular file", str(path))
     return path
@@ -41,7 +41,7 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 @contextmanager
 def replaced(path: Path) -> Generator[IO[bytes]]:
-    """A file that takes the place of path once it is whole: temporary file, fsync, rename. Raises FolderError."""
+    """Yield a file that replaces path once it is complete: temporary file, fsync, rename. Raises FolderError."""
     try:
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}-")
         try:
@@ -59,13 +59,13 @@ def replaced(path: Path) -> Generator[IO[bytes]]:
 
 
 def sha256(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal. Raises OSError."""
+    """Return the SHA-256 of a file, in hexadecimal. Raises OSError."""
     with open(readable(path), "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def to_json(value: object, indent: int | None = None) -> str:
-    """JSON with null for what is not finite."""
+    """Return a value as JSON, with null for numbers that are not finite."""
     try:
         return json.dumps(value, indent=indent, allow_nan=False)
     except (TypeError, ValueError):  # NumPy's types, or a number that is not finite

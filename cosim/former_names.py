@@ -1,4 +1,4 @@
-"""Names that users have written and that are others today: taken, with one line that gives the new one."""
+"""Former names in users' files: accepted, with a one-line warning that gives the new name."""
 
 import logging
 from functools import cache
@@ -9,5 +9,5 @@ LOG: Final = logging.getLogger(__name__)
 
 @cache
 def tell_new_name(former: str, now: str) -> None:
-    """Log a warning, once a process, that what was called `former` is now called `now`."""
+    """Log a warning, once per process, that the name `former` is now `now`."""
     LOG.warning("%s is now %s", former, now)

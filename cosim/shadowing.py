@@ -1,4 +1,4 @@
-"""Files of the user's that have the name of one of our packages, and so hide it or are hidden by it."""
+"""Checks for user files with the name of one of our packages, which hide it or are hidden by it."""
 
 from collections.abc import Sequence
 from importlib.machinery import ModuleSpec, PathFinder
@@ -12,7 +12,7 @@ _INSTALLED: Final = Path(__file__).resolve().parents[1]
 
 
 def check_packages() -> None:
-    """Raises ImportError, in one line, where Python would import something else under the name of our packages."""
+    """Raise ImportError, in one line, where Python would import something else under the name of our packages."""
     for name in _PACKAGES:
         found = _place(find_spec(name))
         if found is not None and found != _INSTALLED / name:
@@ -29,7 +29,7 @@ def namesake(module: str, folders: Sequence[str]) -> Path | None:
 
 
 def _place(spec: ModuleSpec | None) -> Path | None:
-    """The file of a module, or the folder of a package."""
+    """Return the file of a module, or the folder of a package; None where there is neither."""
     if spec is None:
         return None
     folder = next(iter(spec.submodule_search_locations or ()), None)

@@ -7,7 +7,7 @@ import numpy as np
 
 
 def with_std(value: float, std: float) -> str:
-    """`1.3000 ± 0.0012`: as many digits as two of the standard deviation need."""
+    """Return `1.3000 ± 0.0012`, with digits enough for two significant ones of the standard deviation."""
     if not (isfinite(std) and std > 0.0):
         return f"{value:.6g}"
     digits = 1 - floor(log10(std))
@@ -17,7 +17,7 @@ def with_std(value: float, std: float) -> str:
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Rows as a table: the first column to the left, the others to the right."""
+    """Return the lines of a table, the first column aligned left and the others right."""
     widths = np.max([[len(cell) for cell in row] for row in rows], axis=0)
     return [
         "  ".join(

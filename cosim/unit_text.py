@@ -32,7 +32,7 @@ _FACTOR: Final = re.compile(r"(1|%|°C|[^\W\d_]+|°)\^?(-?\d+)?")
 
 
 def understood(text: str) -> Unit:
-    """The unit that text names; without a definition where it is not understood.
+    """Return the unit that text names; without a definition where it is not understood.
 
     Factors are joined by `.`, `*` or a space, and those after a `/` divide; an offset counts for a unit alone. Not Hz:
     FMI drops the radian, and with it whether a cycle or a radian is meant.

@@ -12,17 +12,17 @@ BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
 @dataclass(frozen=True)
 class Linear:
-    """The function factor x + offset."""
+    """A linear function, factor x + offset."""
 
     factor: float = 1.0
     offset: float = 0.0
 
     def __call__(self, x: float) -> float:
-        """factor x + offset, and x itself, to the bit, where that is all."""
+        """Return factor x + offset; for the identity x itself, bit for bit."""
         return x if self == IDENTITY else self.factor * x + self.offset
 
     def then(self, after: "Linear") -> "Linear":
-        """The function after(self(x))."""
+        """Return the function after(self(x))."""
         return Linear(after.factor * self.factor, after.factor * self.offset + after.offset)
 
 
@@ -34,13 +34,13 @@ class Unit:
     """A unit, and its definition where the file has one."""
 
     name: str
-    """As it is written."""
+    """Name as written in the file."""
     exponents: tuple[int, ...] | None = None
-    """Of `BASE_UNITS`; None for a unit that is named but not defined."""
+    """Exponents of `BASE_UNITS`; None for a unit that is named but not defined."""
     factor: float = 1.0
-    """Of the base unit in this one."""
+    """Factor from this unit to the base unit."""
     offset: float = 0.0
-    """In the base unit."""
+    """Offset, in the base unit."""
 
     @property
     def base(self) -> dict[str, int]:
@@ -49,7 +49,7 @@ class Unit:
 
 
 def conversion(source: Unit | None, target: Unit | None) -> Linear:
-    """From a number in one unit to that in another; where either is not given, the number stays as it is.
+    """Return the function that converts a number from one unit to another; the identity where either is None.
 
     The radian is dropped when dimensions are compared, as FMI allows. Raises ValueError for units of different
     dimensions, and where names differ and one is not defined.
@@ -69,12 +69,12 @@ def conversion(source: Unit | None, target: Unit | None) -> Linear:
 
 
 def defined_units(definitions: Iterable[Any]) -> dict[str, Unit]:
-    """The units of FMPy's model description, by name."""
+    """Return the units of FMPy's model description, by name."""
     return {u.name: make_unit(u.name, _attributes(u.baseUnit)) for u in definitions}
 
 
 def make_unit(name: str, definition: Mapping[str, Any] | None) -> Unit:
-    """A unit from the attributes of its BaseUnit element. Raises ValueError where one is not a number."""
+    """Return a unit from the attributes of its BaseUnit element. Raises ValueError where one is not a number."""
     if definition is None:
         return Unit(name)
     factor, offset = float(definition.get("factor", 1.0)), float(definition.get("offset", 0.0))
@@ -84,7 +84,7 @@ def make_unit(name: str, definition: Mapping[str, Any] | None) -> Unit:
 
 
 def _attributes(base_unit: Any) -> Mapping[str, Any] | None:
-    """Exponents, factor and offset of FMPy's BaseUnit."""
+    """Return exponents, factor and offset of FMPy's BaseUnit; None without one."""
     if base_unit is None:
         return None
     return {name: getattr(base_unit, name) for name in (*BASE_UNITS, "factor", "offset")}

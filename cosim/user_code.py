@@ -1,4 +1,4 @@
-"""Code of the user's, loaded from beside a scenario or from the working directory."""
+"""Loading of user code from beside a scenario or from the working directory."""
 
 import importlib
 import sys
@@ -11,7 +11,7 @@ from .shadowing import namesake
 
 
 def load(reference: str, folder: Path, key: str = "estimation.model") -> Any:
-    """What `module:name` names; modules beside the scenario and in the working directory are found too.
+    """Return the object that `module:name` names; also searches the folder of the scenario and the working directory.
 
     Raises ScenarioError, which names the key.
     """
@@ -31,7 +31,7 @@ def load(reference: str, folder: Path, key: str = "estimation.model") -> Any:
 
 
 def _forget(name: str, places: list[str]) -> None:
-    """Let go of a module of that name that came from beside another scenario: here it is another one."""
+    """Unload a module of that name that was loaded from the folder of another scenario."""
     spec = getattr(sys.modules.get(name), "__spec__", None)
     here = PathFinder.find_spec(name, places)
     if spec is None or here is None or None in (spec.origin, here.origin) or spec.origin == here.origin:
@@ -44,4 +44,4 @@ def _forget(name: str, places: list[str]) -> None:
 
 
 USERS: Final = (Exception, SystemExit, GeneratorExit)
-"""Whatever code of the user's may raise: all but what interrupts."""
+"""Exceptions that user code may raise: all but KeyboardInterrupt."""

@@ -9,14 +9,14 @@ class VariableName(str):
     __slots__ = ()
 
     def __new__(cls, text: str) -> Self:
-        """Raises ValueError for what has no component or no variable."""
+        """Raise ValueError where the component or the variable is missing."""
         if not all(text.partition(".")[::2]):
             raise ValueError(f"'{text}' must be COMPONENT.VARIABLE")
         return super().__new__(cls, text)
 
     @property
     def parts(self) -> tuple[str, str]:
-        """The component, which has no dot, and its variable, which may have some."""
+        """Component, which has no dot, and variable, which may have dots."""
         component, _, variable = self.partition(".")
         return component, variable
 
@@ -27,5 +27,5 @@ class VariableName(str):
 
     @property
     def variable(self) -> str:
-        """The variable's name in the component's FMU."""
+        """Name of the variable in the component's FMU."""
         return self.parts[1]

@@ -1,1 +1,1 @@
-"""Campaigns: many runs in processes of their own, compared; and replays of recorded ones."""
+"""Campaigns: comparisons of many runs in processes of their own, and replays of recorded ones."""

@@ -1,4 +1,4 @@
-"""Every estimator on the same plant, noise and seeds: many runs, in processes of their own, and one table."""
+"""Comparison of estimators on the same plant, noise and seeds: many runs, in processes of their own, and one table."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -18,7 +18,7 @@ from .comparison import Comparison
 from .executor import Executor, ExecutorError, RunsProgress, Task
 
 RUNS: Final = "runs.jsonl"
-"""A line for each finished run, in the order in which they have ended."""
+"""File with a line for each finished run, in the order in which they ended."""
 
 
 def compare(
@@ -35,8 +35,8 @@ def compare(
     scenario: a Scenario, the name of one, or a TOML file. estimators: by default all that this scenario and the
     installed packages allow.
 
-    Up to `jobs` runs (default: one per processor) go on at a time, each in a process of its own; their number changes
-    nothing but wall times. With `out`, an absent or empty folder, each run is recorded in runs.jsonl as it ends, and
+    Up to `jobs` runs (default: one per processor) are simulated at a time, each in a process of its own; their number
+    affects wall times only. With `out`, an absent or empty folder, each run is recorded in runs.jsonl as it ends, and
     the tables are written at the end; with `keep` each run has its folder there, too. Diverged and faulted runs count.
     Raises ValueError for seeds or jobs that make no sense; CosimError for what `run` refuses.
     """
@@ -67,7 +67,7 @@ def compare(
 
 
 def usable(scenario: Scenario) -> list[str]:
-    """The estimators of the package that this scenario and the installed packages allow."""
+    """Return the estimators of the package that this scenario and the installed packages allow."""
 
     def is_usable(name: str) -> bool:
         try:
@@ -89,12 +89,12 @@ def _numbers(seeds: int | Sequence[int]) -> tuple[int, ...]:
 def _all_records(
     scenario: Scenario, tasks: Sequence[Task], jobs: int, out: Path | None, progress: RunsProgress | None
 ) -> dict[tuple[str, int], dict[str, Any]]:
-    """The record of each task, written down as it comes in."""
+    """Return the record of each task; each is appended to the file as its run ends."""
     records: dict[tuple[str, int], dict[str, Any]] = {}
-    with Executor(scenario, tasks, jobs) as crew:
+    with Executor(scenario, tasks, jobs) as executor:
         for _ in tasks:
             try:
-                task, record = crew.next()
+                task, record = executor.next()
             except ExecutorError as e:
                 if out is None or not records:
                     raise

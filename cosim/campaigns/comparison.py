@@ -1,4 +1,4 @@
-"""What many runs came to: the figures of each estimator over seeds, and of each run beside its floor."""
+"""Results of many runs: the figures of each estimator over seeds, and of each run relative to its floor."""
 
 import math
 import os
@@ -20,7 +20,7 @@ ROUNDING: Final = 1e-18
 """A floor's mean squared error below this part of the reference's mean square is rounding; nothing is divided by it."""
 
 Record = Mapping[str, Any]
-"""A run's summary with `end` [s], `reference_mean_square` and `latencies_ms`, as `crew.record_of` makes it."""
+"""A run's summary with `end` [s], `reference_mean_square` and `latencies_ms`, as `executor.record_of` makes it."""
 
 
 @dataclass(frozen=True)
@@ -28,24 +28,24 @@ class Comparison:
     """Runs of several estimators with the same seeds, and their figures."""
 
     scenario: Scenario
-    """What was run."""
+    """Scenario of all runs."""
     estimators: tuple[str, ...]
-    """Who re-tuned, in the order of the rows: `none` and `true` first."""
+    """Names of the estimators, in the order of the rows: `none` and `true` first."""
     seeds: tuple[int, ...]
-    """Of noise and search."""
+    """Seeds of noise and search."""
     runs: tuple[Record, ...]
-    """A record a run, by estimator, then by seed; none is left out, however it ended."""
+    """One record per run, by estimator, then by seed; none is left out, however it ended."""
     jobs: int
     """Runs at a time."""
     cpus: int = os.cpu_count() or 1
     """Processors of the machine."""
     folder: Path | None = None
-    """Where all of it is written, if anywhere."""
+    """Folder of the files written, if any."""
     is_open_loop: bool = False
-    """Whether the runs replay one record: they differ in their estimates, not in their tracking."""
+    """True where the runs replay one record: they differ in their estimates, not in their tracking."""
 
     def __repr__(self) -> str:
-        """One line: the records would fill pages."""
+        """Return one line: the records would fill pages."""
         names = ", ".join(self.estimators)
         return f"<Comparison on {self.scenario.scenario.name}: {names}; seeds {list(self.seeds)}>"
 
@@ -64,11 +64,11 @@ class Comparison:
         return tuple(t for t in self.scenario.estimation.instants if t <= stop + 1e-9) or (stop,)
 
     def rows(self) -> list[dict[str, Any]]:
-        """The figures of each estimator over all seeds, in the order of the estimators."""
+        """Return the figures of each estimator over all seeds, in the order of the estimators."""
         return [self._row(name, [r for r in self.runs if r["estimator"] == name]) for name in self.estimators]
 
     def ratio(self, record: Record) -> float | None:
-        """The run's sum of mean squared errors over that of the true parameters with the same seed.
+        """Return the run's sum of mean squared errors over that of the true parameters with the same seed.
 
         None where either has no rows, or where the floor is zero but for rounding.
         """
@@ -79,7 +79,7 @@ class Comparison:
         return sum(record["mse"]) / least if least > ROUNDING * sum(floor["reference_mean_square"]) else None
 
     def parameter_error(self, record: Record, t: float, names: Sequence[str]) -> float | None:
-        """Euclidean norm of estimated minus true at t [s], in the parameters' unit; None after the run's end."""
+        """Return the Euclidean norm of the parameter errors at t [s], in their unit; None after the run's end."""
         at = {i["t"]: i["parameters"] for i in record["instants"]}
         if t == self.scenario.scenario.stop_time and record["end"] is not None and record["end"] > t - 1e-9:
             at.setdefault(t, record["parameters"])
@@ -87,7 +87,7 @@ class Comparison:
         return math.hypot(*(p["estimated"] - p["true"] for p in held if p["name"] in names)) if held else None
 
     def summary(self) -> dict[str, Any]:
-        """Everything as JSON values; times ending in _ms are wall times in ms, others in s."""
+        """Return everything as JSON values; times ending in _ms are wall times in ms, others in s."""
         settings = self.scenario.scenario
         return {
             "scenario": settings.name,
@@ -103,11 +103,11 @@ class Comparison:
         }
 
     def to_json(self, indent: int | None = None) -> str:
-        """One JSON object; null for what there is not."""
+        """Return one JSON object, with null for missing values."""
         return to_json(self.summary(), indent)
 
     def table(self) -> str:
-        """Tables for a terminal."""
+        """Return the tables for a terminal."""
         return tables.to_terminal(self)
 
     def write(self, folder: Path) -> None:
@@ -150,7 +150,7 @@ class Comparison:
 
 
 def _figure(values: Iterable[float | None]) -> dict[str, Any]:
-    """Median and largest of those that are finite numbers, and how many they are."""
+    """Return median, largest and number of those values that are finite."""
     known = [float(v) for v in values if v is not None and math.isfinite(v)]
     return {"median": median(known) if known else None, "worst": max(known, default=None), "n": len(known)}
 
@@ -160,7 +160,7 @@ def _are_finite(values: Sequence[float | None]) -> bool:
 
 
 def _common_name(names: Sequence[str]) -> str:
-    """A name for several parameters: what they begin with, or all of them."""
+    """Return a name for several parameters: their common prefix, or all names."""
     if len(names) == 1:
         return names[0]
     return os.path.commonprefix(list(names)).rstrip("_.") or ", ".join(names)  # noqa: RUF071  not a path

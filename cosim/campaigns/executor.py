@@ -1,4 +1,4 @@
-"""Many runs in processes of their own, several at a time."""
+"""Execution of many runs in processes of their own, several at a time."""
 
 import contextlib
 import os
@@ -25,7 +25,7 @@ from ..scenarios.scenario import Scenario
 from ..slaves.channel import CALL, FAULT, RESULT, channel_pair, decode, encode, open_channel
 
 CLOSE_TIMEOUT_S: Final = 10.0
-"""For an interrupted run to end its FMUs."""
+"""Time for an interrupted run to end its FMUs."""
 
 _BOOT: Final = """
 import sys
@@ -39,30 +39,30 @@ serve(channel, temporary)
 
 
 class ExecutorError(CosimError):
-    """One of many runs was refused, or could not be finished."""
+    """Error for one of many runs, which was refused or could not be finished."""
 
 
 class UnfinishedExecutorError(ExecutorError, UnfinishedError):
-    """One of many runs could not be finished: its process has died, or the disk is full."""
+    """Error for one of many runs, which could not be finished: its process has died, or the disk is full."""
 
 
 RunsProgress = Callable[[Mapping[str, Any], int, int], None]
-"""Called when a run has ended with its record, the number of ended runs, and that of all."""
+"""Callback after each run: its record, the number of runs that have ended, and the number of all runs."""
 
 
 class Task(NamedTuple):
-    """One run."""
+    """A run to be made."""
 
     estimator: str
-    """Who re-tunes."""
+    """Name of the estimator."""
     seed: int
-    """Of noise and search."""
+    """Seed of noise and search."""
     folder: str | None
-    """Run folder, made for it, where the run is kept."""
+    """Run folder, which is made for it; None where the run is not kept."""
 
 
 class Executor:
-    """The processes that runs are made in, a thread waiting for each. Leaving the context ends them, and their FMUs."""
+    """Worker processes for runs, with a thread waiting for each. Leaving the context ends them and their FMUs."""
 
     def __init__(self, scenario: Scenario, tasks: Sequence[Task], jobs: int) -> None:
         self._tasks: SimpleQueue[Task] = SimpleQueue()
@@ -88,7 +88,7 @@ class Executor:
         self._end()
 
     def next(self) -> tuple[Task, dict[str, Any]]:
-        """The next run that ends. Raises ExecutorError."""
+        """Wait for the next run that ends; return its task and record. Raises ExecutorError."""
         while True:
             with contextlib.suppress(Empty):
                 task, result = self._results.get(timeout=0.5)  # Windows looks for Ctrl-C between waits only
@@ -122,7 +122,7 @@ class Executor:
 
 
 class _Worker:
-    """A process that makes one run after the other. Its standard input is its lifeline: `serve` ends with it."""
+    """A process that makes one run after the other. `serve` ends when its standard input is closed."""
 
     def __init__(self, scenario: Scenario) -> None:
         root = str(Path(__file__).resolve().parents[2])
@@ -148,7 +148,7 @@ class _Worker:
         self._scenario: bytes | None = pickle.dumps(scenario)
 
     def run(self, task: Task) -> dict[str, Any]:
-        """The record of a run. Raises ExecutorError, the process being of no more use."""
+        """Make a run and return its record. Raises ExecutorError, after which the process cannot be used."""
         try:
             self._channel.send(encode(CALL, task, self._scenario))  # the scenario with the first task only
             self._scenario = None
@@ -167,12 +167,12 @@ class _Worker:
         return f"{self._name}, estimator {task.estimator}, seed {task.seed}"
 
     def interrupt(self) -> None:
-        """Make the process end, with its FMUs, wherever it is."""
+        """Make the process end, with its FMUs, whatever it is doing."""
         if self._process.stdin is not None:
             self._process.stdin.close()
 
     def wait(self) -> None:
-        """Wait for its end, which is brought about if it does not come."""
+        """Wait for the process to end; kill it after CLOSE_TIMEOUT_S."""
         try:
             self._process.wait(CLOSE_TIMEOUT_S)
         except subprocess.TimeoutExpired:
@@ -180,13 +180,13 @@ class _Worker:
             self._process.wait()
 
     def close(self) -> None:
-        """Give back our end of the channel, once no thread waits there, and the temporary folder."""
+        """Close our end of the channel, once no thread waits there, and remove the temporary folder."""
         self._channel.close()
         self._temporary.remove()
 
 
 def record_of(result: Run) -> dict[str, Any]:
-    """The run's summary, and what a comparison needs besides; JSON values."""
+    """Return the run's summary with further figures for a comparison, as JSON values."""
     references = [result.series[b] for b in result.scenario.tracking.values()]
     return {
         **result.summary(),
@@ -197,9 +197,9 @@ def record_of(result: Run) -> dict[str, Any]:
 
 
 def serve(channel_argument: str, temporary: str) -> NoReturn:
-    """What runs in a member's process: makes the runs that it is asked for until its standard input ends.
+    """Make the runs that the parent requests, in a worker process, until its standard input ends.
 
-    temporary: the folder that was made for it and what it runs, removed at the end: its parent may be no more.
+    temporary: the folder made for it and its runs, which it removes at the end: its parent may have ended.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _interrupt)
@@ -208,7 +208,7 @@ def serve(channel_argument: str, temporary: str) -> NoReturn:
     null = os.open(os.devnull, os.O_RDONLY)
     os.dup2(null, 0)
     scenario: Scenario | None = None
-    former_names.LOG.disabled = True  # our parent has said it
+    former_names.LOG.disabled = True  # the parent has logged them
     try:
         threading.Thread(target=_interrupt_at_end_of, args=(lifeline,), daemon=True).start()
         while True:
@@ -224,7 +224,7 @@ def serve(channel_argument: str, temporary: str) -> NoReturn:
 
 
 def _answer(scenario: Scenario, task: Task) -> bytes:
-    """The run's record, or in one line why there is none, and whether it was refused."""
+    """Return the encoded record of a run, or the reason why there is none and whether the run was refused."""
     folder = Path(task.folder) if task.folder else None
     try:
         if folder is not None:

@@ -1,4 +1,4 @@
-"""Other estimators on the recorded samples of an old run, open loop: all see identical data."""
+"""Open-loop replay of a recorded run with other estimators: all get identical samples."""
 
 from collections.abc import Sequence
 from contextlib import ExitStack, nullcontext
@@ -25,12 +25,12 @@ from .executor import record_of
 
 
 def replay(folder: Path, estimators: Sequence[str], seed: int | None = None, out: Path | None = None) -> Comparison:
-    """What each estimator would have made of a run's samples; the plant and its controller go on as recorded.
+    """Return the estimates of each estimator from a run's samples; plant and controller move as recorded.
 
-    Samples are screened as in a run, but there is no guard: what is predicted or taken back has no consequences here.
-    A tracking error that an estimator would have ended stays, so one that triggers on it is asked again and again.
-    Each begins at what the controller held first. seed: of the search, by default the run's. With `out`, an absent or
-    empty folder, the tables are written there.
+    Samples are screened as in a run, but there is no guard: a prediction or a revert has no consequences here. A
+    tracking error that an estimator would have reduced stays, so one that is triggered by it is triggered repeatedly.
+    Each starts from the controller's first parameters. seed: of the search, by default the run's. With `out`, an absent
+    or empty folder, the tables are written there.
     Raises FolderError for a folder without a run; ScenarioError for `none` and `true`, which estimate nothing, and for
     what `run` refuses of an estimator.
     """
@@ -53,7 +53,7 @@ def replay(folder: Path, estimators: Sequence[str], seed: int | None = None, out
 
 @threadpool_limits.wrap(limits=1)  # the number of BLAS threads changes bits
 def replayed(recorded: Run, estimator: str, seed: int) -> Run:
-    """The recorded run with the estimates that this estimator makes of its samples; its tracking errors stay.
+    """Return the recorded run with this estimator's estimates from its samples; its tracking errors stay.
 
     Raises FolderError where the record lacks a column or a row; ScenarioError.
     """

@@ -1,4 +1,4 @@
-"""The tables of a comparison: for a terminal, as Markdown, as CSV."""
+"""Tables of a comparison: for a terminal, as Markdown, as CSV."""
 
 import csv
 import io
@@ -30,7 +30,7 @@ class Block:
 
 
 def to_terminal(comparison: "Comparison") -> str:
-    """At most 120 characters wide."""
+    """Return the tables as text at most 120 characters wide."""
     parts = [_wrapped(_title(comparison)) + "\n" + _wrapped(_subtitle(comparison))]
     parts += [_aligned(piece) for block in blocks(comparison) for piece in _folded(block)]
     parts += ["\n".join(map(_wrapped, notes(comparison)))]
@@ -38,7 +38,7 @@ def to_terminal(comparison: "Comparison") -> str:
 
 
 def to_markdown(comparison: "Comparison") -> str:
-    """A document."""
+    """Return the tables as a Markdown document."""
     parts = [f"# {_title(comparison)}", _subtitle(comparison)]
     for block in blocks(comparison):
         rule = ["---", *["---:"] * (len(block.header) - 1)]
@@ -47,7 +47,7 @@ def to_markdown(comparison: "Comparison") -> str:
 
 
 def to_csv(rows: Iterable[Mapping[str, Any]]) -> str:
-    """The columns of each row, which all rows have, under a header; an empty cell for what there is not."""
+    """Return rows of equal keys as CSV under a header, with empty cells for missing values."""
     text = io.StringIO(newline="")
     table = list(rows)
     writer = csv.writer(text)
@@ -57,7 +57,7 @@ def to_csv(rows: Iterable[Mapping[str, Any]]) -> str:
 
 
 def estimator_columns(row: Mapping[str, Any]) -> dict[str, Any]:
-    """An estimator's figures, flat."""
+    """Return an estimator's figures as flat columns."""
     figures = {f"mse {output}": f for output, f in row["mse"].items()} | {"ratio": row["ratio"]}
     for at in row["parameter_errors"]:
         figures |= {f"error {label} at {at['t']:g} s": f for label, f in at["errors"].items()}
@@ -73,7 +73,7 @@ def estimator_columns(row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def run_columns(comparison: "Comparison", record: Mapping[str, Any]) -> dict[str, Any]:
-    """A run's figures, flat."""
+    """Return a run's figures as flat columns."""
     columns = {key: record[key] for key in ("estimator", "seed", "status", "end", "error")}
     columns |= {f"mse {output}": mse for output, mse in zip(comparison.scenario.tracking, record["mse"], strict=True)}
     columns |= {"max_error": record["max_error"], "ratio": comparison.ratio(record)}
@@ -86,7 +86,7 @@ def run_columns(comparison: "Comparison", record: Mapping[str, Any]) -> dict[str
 
 
 def blocks(comparison: "Comparison") -> list[Block]:
-    """Tracking errors (none of a replay, which changes none), parameter errors at the instants, and cost."""
+    """Return the tables of tracking errors (not for a replay), parameter errors at the instants, and cost."""
     rows, n = comparison.rows(), len(comparison.seeds)
 
     def block(title: str, columns: Mapping[str, Cell]) -> Block:
@@ -123,7 +123,7 @@ def blocks(comparison: "Comparison") -> list[Block]:
 
 
 def notes(comparison: "Comparison") -> list[str]:
-    """What a reader of the tables must know, in one line each: runs that did not finish, and how jobs disturb."""
+    """Return notes to the tables, a line each: runs that did not finish, and the effect of jobs on latencies."""
     runs, cpus = comparison.runs, comparison.cpus
     notes = [f"{r['estimator']}, seed {r['seed']}: {_ending(r)}" for r in runs if r["status"] != "done"]
     if notes:
@@ -161,7 +161,7 @@ def _subtitle(comparison: "Comparison") -> str:
 
 
 def _ending(record: Mapping[str, Any]) -> str:
-    """How and when a run ended that did not finish."""
+    """Return the status, time and reason of a run that did not finish."""
     when = f" at t = {record['end']:.3f} s" if record["end"] is not None else " before its first row"
     return record["status"] + when + (f": {record['error']}" if record["error"] else "")
 
@@ -171,7 +171,7 @@ def _number(value: float | None, form: str = ".3g") -> str:
 
 
 def _told(figure: Mapping[str, Any], n_runs: int) -> str:
-    """`median / worst`, and in brackets of how many runs if not of all."""
+    """Return `median / worst`, followed by the number of runs in brackets where it is not all."""
     if not figure["n"]:
         return "-"
     of = f" ({figure['n']})" if figure["n"] < n_runs else ""
@@ -199,7 +199,7 @@ def _widths(block: Block) -> list[int]:
 
 
 def _folded(block: Block) -> Iterator[Block]:
-    """The block in pieces that fit the terminal, each with the first column."""
+    """Yield the block in pieces that fit the terminal, each with the first column."""
     first, *others = _widths(block)
     pieces: list[list[int]] = [[]]
     room = WIDTH - first

@@ -1,1 +1,1 @@
-"""Re-tuning: from a sample to a write, under supervision."""
+"""Re-tuning: the supervised way from a sample to a write."""

@@ -1,4 +1,4 @@
-"""A supervisor with its screen, retuner and guard, assembled as a scenario asks for them."""
+"""Assembly of a supervisor with its screen, retuner and guard from a scenario."""
 
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -29,7 +29,7 @@ from .lookahead import Lookahead, RunningSystem
 from .supervisor import ReadBack, Supervisor
 
 _FEWEST: Final = 30
-"""Samples that the data support keeps at least: a recursive estimator's window is one."""
+"""Least number of samples that the data support keeps: a recursive estimator's window is one."""
 
 
 def make_supervisor(
@@ -91,7 +91,7 @@ def _retuner(
     whitened: DerivativeResidual | None,
     live: RunningPlant | None,
 ) -> Retuner:
-    """The loop round the estimator, with the window and the trigger that fit the objective. Raises ScenarioError."""
+    """Return the retuner of the estimator, with window and trigger for the objective. Raises ScenarioError."""
     method = find_method(estimator, scenario)
     choice = chosen(scenario)
     search, loop = make_estimator(estimator, method, scenario, held, rng)
@@ -114,7 +114,7 @@ def _retuner(
 
 
 def _residual(scenario: Scenario, plant: Plant, stack: ExitStack) -> DerivativeResidual:
-    """The whitened residual of the scenario's model, which stack closes. Raises ScenarioError."""
+    """Return the whitened residual of the scenario's model, which stack closes. Raises ScenarioError."""
     settings = scenario.estimation
     model = RememberingModel(stack.enter_context(opened_model(scenario, plant)))
     sigma = derivative_noise(scenario.sampling, scenario.scenario.macro_step)
@@ -122,7 +122,7 @@ def _residual(scenario: Scenario, plant: Plant, stack: ExitStack) -> DerivativeR
 
 
 def _linear_form(method: Method, scenario: Scenario) -> LinearForm | None:
-    """The model's linear form, for an estimator that needs it. Raises ScenarioError."""
+    """Return the model's linear form, for an estimator that needs it, or None. Raises ScenarioError."""
     settings = scenario.estimation.linear
     if settings is None or not method.needs_linear_form:
         return None
@@ -134,7 +134,7 @@ def _linear_form(method: Method, scenario: Scenario) -> LinearForm | None:
 
 
 def _read_back(scenario: Scenario, running: RunningSystem) -> ReadBack:
-    """Where the system's outputs have what the controller holds."""
+    """Return the places of the controller's parameters among the outputs of the system."""
     names = tuple(p.writes for p in scenario.estimation.parameters)
     return ReadBack(names, tuple(running.names.index(name) for name in names))
 
@@ -146,7 +146,7 @@ def _lookahead(
     running: RunningSystem | None,
     stack: ExitStack,
 ) -> Lookahead | str:
-    """The loop that is simulated ahead, or the reason why none is."""
+    """Return the loop that is simulated ahead, or the reason why there is none."""
     if running is None:
         return "the FMUs do not run"
     if not (scenario.guard.enabled and scenario.guard.lookahead):
@@ -160,7 +160,7 @@ def _lookahead(
 def _screen(
     scenario: Scenario, plant: Plant, whitened: DerivativeResidual | None
 ) -> SampleScreen | OutputScreen | None:
-    """The screen of what is compared; None where a filter or a function of the user's makes that of the samples."""
+    """Return the screen of the samples; None where they pass a filter or a user's objective."""
     settings, h = scenario.observations, scenario.scenario.macro_step
     if not settings.enabled or scenario.sampling.filter is not None:
         return None
@@ -186,7 +186,7 @@ class _Slope:
 
 
 def _sensors(scenario: Scenario, plant: Plant, residual: DerivativeResidual) -> Sensors:
-    """The sampled values, as the screen sees them."""
+    """Return the description of the sampled values for the screen."""
     states = [VariableName(f"{plant.name}.{name}") for name in plant.states]
     on_states = scenario.sampling.states
     is_noisy = [name in on_states and on_states[name].noise > 0.0 for name in states]

@@ -1,4 +1,4 @@
-"""Which part of a write the newest samples support, by the scenario's model, and whether they contradict it."""
+"""Support of a write by the newest samples: identifiable directions and residuals of the scenario's model."""
 
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -11,30 +11,30 @@ from estimator.differences import central_differences
 from estimator.identifiability import Information, information
 
 Reason = tuple[Literal["limit", "hold", "veto"], str]
-"""What is done to a write, and why."""
+"""Action on a write, and its reason."""
 _STEP = 1e-4
-"""Of the unit cube, for central differences."""
+"""Step of central differences in the unit cube."""
 _WIDEST = 0.25
-"""Share of the scaled bounds by which the estimate is widened at most."""
+"""Largest distance of a plausible parameter from the estimate, as a share of the scaled bounds."""
 
 
 class NoDataSupport:
-    """Supports whatever is to be written: where candidates are not scored sample by sample."""
+    """Support of every write, for objectives that do not score candidates sample by sample."""
 
     n_channels = 1
 
     def append(self, sample: Sample) -> None:
-        """Keep nothing."""
+        """Discard the sample."""
 
     def snapshot(self) -> tuple[Sample, ...]:
-        """Nothing was kept."""
+        """Return no samples."""
         return ()
 
     def restore(self, snapshot: tuple[Sample, ...]) -> None:
-        """Nothing was kept."""
+        """Do nothing: no samples are kept."""
 
     def cost(self, theta: Vector) -> float:
-        """Return 0: nothing contradicts."""
+        """Return 0: no sample contradicts."""
         return 0.0
 
     def identifiable_part(
@@ -49,29 +49,29 @@ class NoDataSupport:
 
 
 class DataSupport:
-    """What the newest samples say of parameters: which of them they identify, and how well they are explained."""
+    """Support of parameters by the newest samples: identifiability, and fit to the newest sample."""
 
     def __init__(
         self, residual: Callable[[Vector, Sample], Vector], space: ParameterSpace, n_channels: int, length: int
     ) -> None:
-        """residual: whitened, (c,) of one sample; length: samples that are kept."""
+        """residual: whitened, (c,) of one sample; length: number of samples kept."""
         self._residual, self._space, self.n_channels = residual, space, n_channels
         self._samples: deque[Sample] = deque(maxlen=length)
 
     def append(self, sample: Sample) -> None:
-        """Take one more sample."""
+        """Append a sample, dropping the oldest where there are too many."""
         self._samples.append(sample)
 
     def snapshot(self) -> tuple[Sample, ...]:
-        """The samples that are kept now."""
+        """Return the samples kept now."""
         return tuple(self._samples)
 
     def restore(self, snapshot: tuple[Sample, ...]) -> None:
-        """Keep these samples instead."""
+        """Replace the samples by those of a snapshot."""
         self._samples = deque(snapshot, maxlen=self._samples.maxlen)
 
     def cost(self, theta: Vector) -> float:
-        """Sum of squared residuals of theta (d,) at the newest sample; 0 before there is one."""
+        """Return the sum of squared residuals of theta (d,) at the newest sample; 0 before there is one."""
         if not self._samples:
             return 0.0
         r = self._residual(theta, self._samples[-1])
@@ -87,11 +87,11 @@ class DataSupport:
     def identifiable_part(
         self, theta: Vector, held: Vector, at: Vector, unseen: float, little: float
     ) -> tuple[Vector, tuple[Reason, ...]]:
-        """Return the candidate (d,) without its moves in directions that the data do not identify, and then why.
+        """Return the candidate (d,) without moves in directions that the data do not identify, and the reasons.
 
-        held (d,): what it moves from; at (d,): where the information is taken; unseen: standard deviation beyond which
-        a direction is not identified, and little: a move that is let be, both of the unit cube. Without samples nothing
-        is identified.
+        held (d,): start of the move; at (d,): where the information is taken; unseen: standard deviation beyond which
+        a direction is not identified, and little: largest move that is ignored, both in the unit cube. Without samples
+        nothing is identified.
         """
         here = self._space.to_unit(held)
         change = self._space.to_unit(theta) - here

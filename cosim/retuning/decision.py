@@ -1,4 +1,4 @@
-"""What a policy is given at a communication point, and what it decides there."""
+"""Input of a policy at a communication point, and its decision."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,31 +9,31 @@ from estimator.events import Event
 
 @dataclass(frozen=True)
 class Point:
-    """One communication point, as a policy sees it."""
+    """Data of one communication point, for a policy."""
 
     k: int
-    """Its number; the first, 0, has no input that was held up to it."""
+    """Index of the point; the first, 0, has no input that was held up to it."""
     t: float
-    """Its time [s]."""
+    """Time [s]."""
     sample: Sample | None
-    """What the estimator gets: the plant as measured, or what a filter makes of it, if it has made anything."""
+    """Sample for the estimator: the plant as measured, or the output of a filter; None while it has none."""
     error: float
     """Norm of the tracking error."""
     measured: Sample | None = None
-    """The plant as measured, where it runs."""
+    """The plant as measured, where the FMUs run."""
     values: Sequence[float] = ()
-    """Outputs of all FMUs, where they run; those that are read back among them."""
+    """Outputs of all FMUs, where they run, including the parameters read back."""
 
 
 @dataclass(frozen=True)
 class Decision:
-    """What is done at one communication point."""
+    """Decision of a policy at one communication point."""
 
     write: Vector | None = None
-    """theta (d,) for the controller; None to leave it."""
+    """Parameters (d,) to be written to the controller; None to leave it unchanged."""
     estimate: Estimate | None = None
-    """The estimate behind it."""
+    """Estimate on which the decision is based."""
     events: tuple[Event, ...] = ()
-    """What happened, in order."""
+    """Events in order."""
     latencies: tuple[float, ...] = ()
     """Wall time of each evaluation [s]."""

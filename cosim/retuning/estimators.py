@@ -1,4 +1,4 @@
-"""Estimators by name, for a scenario: ours, and classes of the user's."""
+"""Estimators of a scenario by name: those of the package, and classes of the user."""
 
 import importlib
 import importlib.util
@@ -21,9 +21,9 @@ _INSTALL = {"cyipopt": "Ipopt: pip install 'fmu-retune[ipopt]'; 'ipm-scipy' does
 
 
 def find_method(name: str, scenario: Scenario) -> Method:
-    """The estimator of that name: one of ours, or the class that `module:Class` names.
+    """Return the estimator of that name: one of the package, or the class that `module:Class` names.
 
-    Raises ScenarioError for an unknown name, and for an estimator that the scenario or this machine lacks something of.
+    Raises ScenarioError for an unknown name, and where the scenario or this machine lacks something that it needs.
     """
     if ":" not in name and name not in METHODS and not is_former_method(name):
         known = f"; the estimators are {', '.join(ESTIMATORS)}, or package.module:Class."
@@ -37,14 +37,14 @@ def find_method(name: str, scenario: Scenario) -> Method:
 
 
 def check_estimator(name: str, scenario: Scenario) -> None:
-    """Raises ScenarioError for a name that is none of `ESTIMATORS`, and what `find_method` raises."""
+    """Raise ScenarioError for a name that is none of `ESTIMATORS`, and what `find_method` raises."""
     if name not in ("none", "true"):
         find_method(name, scenario)
 
 
 @dataclass(frozen=True)
 class _NoSettings:
-    """Of a user's estimator that has none."""
+    """Settings of a user's estimator that has none."""
 
 
 def _user_method(name: str, scenario: Scenario) -> Method:
@@ -67,7 +67,7 @@ def _user_method(name: str, scenario: Scenario) -> Method:
 def make_estimator(
     name: str, method: Method, scenario: Scenario, start: Vector, rng: np.random.Generator
 ) -> tuple[AskTell | Solver, LoopSettings]:
-    """An estimator beginning at theta (d,), and the loop's settings for it. Raises ScenarioError."""
+    """Return an estimator that starts at start (d,), and the loop's settings for it. Raises ScenarioError."""
     estimation = scenario.estimation
     own = method if ":" in name else None
     try:

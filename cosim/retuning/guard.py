@@ -1,9 +1,10 @@
-"""What may be written into the controller, and what is taken back: between the estimator and the controller.
+"""The guard between estimator and controller: checks before a write, and reverts after it.
 
 An unassured function, the estimator, behind a monitor with a recovery: Sha (2001), "Using simplicity to control
-complexity", IEEE Software 18(4); ASTM F3269. Before a write: finite, inside the bounds, within the rate, supported by
-the data, predicted safe. After it: on probation, until the tracking error has stayed as small as it was, or was
-predicted to be; else back to what was good, then to the start. No decision looks at the clock.
+complexity", IEEE Software 18(4); ASTM F3269. Before a write, parameters must be finite, inside the bounds, within the
+rate, supported by the data and predicted safe. After it they are on probation until the tracking error has stayed as
+small as it was, or was predicted to be; else the guard reverts to the last good ones, then to those of the start. No
+decision depends on the wall clock.
 """
 
 from collections import Counter, deque
@@ -22,17 +23,17 @@ from ..scenarios.schema.guard import GuardSettings
 from .data_support import DataSupport, NoDataSupport, Reason
 
 _FALSE_ALARM = 1e-6
-"""Probability that noise alone makes good parameters seem to contradict a sample."""
+"""Probability of a false alarm: that noise alone makes good parameters seem to contradict a sample."""
 _NO_WORSE = 2.0
-"""A write may explain the newest sample worse than what is held by this factor in the sum of squares."""
+"""Largest ratio of a write's sum of squares at the newest sample to that of the parameters held."""
 _READ_BACK = 1e-6
-"""A controller may hold single precision."""
+"""Tolerance of the read-back: a controller may hold single precision."""
 _LITTLE = 0.01
-"""Share of the scaled bounds: a smaller move in unseen directions is let be, a smaller uncertainty not looked at."""
+"""Share of the scaled bounds below which a move in an unidentified direction, or an uncertainty, is ignored."""
 
 
 PredictedPeak = Callable[[Vector, Vector], float | None]
-"""Largest norm of the tracking error with theta (d,) in controller and plant, if it is known."""
+"""Function of theta (d,) in controller and in plant: largest norm of the tracking error, or None if unknown."""
 
 
 @dataclass(frozen=True)
@@ -40,28 +41,28 @@ class Trial:
     """A write on probation."""
 
     theta: Vector
-    """What was written (d,)."""
+    """Parameters written (d,)."""
     since: int
-    """Communication point."""
+    """Communication point of the write."""
     allowed: float
-    """Norm of the tracking error beyond which it is taken back."""
+    """Norm of the tracking error above which the write is reverted."""
 
 
 @dataclass(frozen=True)
 class Ruling:
-    """What becomes of a proposal."""
+    """Decision of the guard on a proposal."""
 
     write: Vector | None
-    """What is written (d,), or None."""
+    """Parameters to be written (d,), or None."""
     events: tuple[Event, ...] = ()
-    """What was done to it, and why."""
+    """Actions on the proposal, with reasons."""
     is_revert: bool = False
-    """Whether write is a way back, and not the proposal."""
+    """True where write is a revert, and not the proposal."""
 
 
 @dataclass(frozen=True)
 class GuardSnapshot:
-    """What a guard goes back to where a write turns out to have been made for an outlier."""
+    """State of a guard, restored where a write turns out to be due to an outlier."""
 
     newest: int
     """Communication point of the newest write on probation; -1 where there is none."""
@@ -71,18 +72,18 @@ class GuardSnapshot:
 
 @dataclass(frozen=True)
 class _Verdict:
-    """What the checks before a write say of it."""
+    """Result of the checks before a write."""
 
     theta: Vector | None
-    """What may be written (d,), or None."""
+    """Parameters that may be written (d,), or None."""
     reasons: tuple[Reason, ...] = ()
-    """What was done to it, and why."""
+    """Actions on the write, with reasons."""
     expected: float = 0.0
     """Predicted peak of the tracking error; 0 where nothing was predicted."""
 
 
 class Guard:
-    """Rules on proposals. Knows what was good and what is on probation; what is held is the caller's."""
+    """Guard of a controller. Stores the last good writes and those on probation; the caller stores those in force."""
 
     def __init__(
         self,
@@ -92,7 +93,7 @@ class Guard:
         divergence: float,
         support: DataSupport | NoDataSupport,
     ) -> None:
-        """start (d,): what the controller holds first, to go back to at last; divergence: limits.divergence."""
+        """start (d,): the controller's first parameters, for the last revert; divergence: limits.divergence."""
         self._settings, self._space, self._start, self._support = settings, space, start, support
         self._tolerance = settings.tolerance or 0.01 * divergence
         self._good = self._anchor = start
@@ -100,9 +101,9 @@ class Guard:
         self._rests_until = -1
         self._refused: tuple[bytes, int] = (b"", 0)
         self.counts: Counter[str] = Counter()
-        """How many were written, limited, held in part, vetoed, confirmed, reverted, retracted."""
+        """Number of proposals written, limited, held in part, vetoed, confirmed, reverted and retracted."""
         self.stopped_at: float | None = None
-        """Time [s] at which re-tuning was given up."""
+        """Time [s] at which re-tuning stopped; None while it goes on."""
 
     def summary(self) -> dict[str, Any]:
         """Return the counts as JSON values."""
@@ -110,20 +111,20 @@ class Guard:
         return {kind: self.counts[kind] for kind in kinds} | {"stopped_at": self.stopped_at}
 
     def snapshot(self) -> GuardSnapshot:
-        """Return what `restore` needs to go back to now."""
+        """Return the present state, for `restore`."""
         return GuardSnapshot(self._trials[-1].since if self._trials else -1, self._anchor)
 
     def restore(self, snapshot: GuardSnapshot) -> None:
-        """Forget the writes since a snapshot: they are taken back."""
+        """Restore a snapshot: the writes since then are retracted."""
         while self._trials and self._trials[-1].since > snapshot.newest:
             self._trials.pop()
         self._anchor = snapshot.anchor
         self.counts["retracted"] += 1
 
     def not_taken(self, t: float, read: Sequence[float], held: Vector, names: Sequence[str]) -> Event | None:
-        """Stop re-tuning where the controller reads back something else than was written.
+        """Stop re-tuning where the read-back differs from the parameters written; return the event, or None.
 
-        read, held (d,): what it holds, and what it should; names: of the variables.
+        read, held (d,): values read back and written; names: of the variables.
         """
         for name, value, written in zip(names, read, held.tolist(), strict=True):
             if not isclose(value, written, rel_tol=_READ_BACK, abs_tol=_READ_BACK):
@@ -137,7 +138,7 @@ class Guard:
     ) -> Ruling:
         """Rule on a proposal at communication point k, t [s].
 
-        error: norm of the tracking error there; held (d,): what the controller holds; peak: None where nothing is
+        error: norm of the tracking error there; held (d,): the controller's parameters; peak: None where nothing is
         predicted.
         """
         watched = self._watch(k, t, error, held)
@@ -159,13 +160,13 @@ class Guard:
         return Ruling(verdict.theta, (*confirmed, *events))
 
     def _watch(self, k: int, t: float, error: float, held: Vector) -> Ruling | None:
-        """The way back, where what is on probation has made the tracking worse than it may be."""
+        """Return the revert, where a write on probation has raised the tracking error above its limit; or None."""
         if not self._trials or error <= (allowed := self._trials[0].allowed):
             return None
         self.counts["reverted"] += 1
         n = self.counts["reverted"]
         is_last = n >= self._settings.reverts
-        is_good_bad = np.array_equal(held, self._good)  # what was good is what went wrong
+        is_good_bad = np.array_equal(held, self._good)  # the last good parameters are those that failed
         back = self._start if is_last or is_good_bad else self._good
         reason = f"tracking error {error:.4g} exceeded {allowed:.4g} while on probation"
         events = [Event(t, "revert", {"theta": back.tolist(), "reason": reason, "n": n})]
@@ -181,7 +182,7 @@ class Guard:
         return Ruling(back, tuple(events), is_revert=True)
 
     def _confirmed(self, k: int, t: float) -> tuple[Event, ...]:
-        """Events of the writes whose probation ends at point k."""
+        """Confirm the writes whose probation ends at point k; return the events."""
         events: list[Event] = []
         while self._trials and k - self._trials[0].since >= self._settings.probation:
             self._good = self._trials.popleft().theta
@@ -190,7 +191,7 @@ class Guard:
         return tuple(events)
 
     def _put_on_probation(self, k: int, theta: Vector, error: float) -> None:
-        """Watch a write from point k on, where it is material; error: the larger of present and predicted ones."""
+        """Put a write on probation from point k on, if it is material; error: the larger of present and predicted."""
         self.counts["written"] += 1
         if self._is_material(theta):
             self._anchor = theta
@@ -203,7 +204,7 @@ class Guard:
     def _judge(
         self, theta: Vector, held: Vector, estimate: Estimate, error: float, peak: PredictedPeak | None
     ) -> _Verdict:
-        """The checks before a write, the cheap ones first."""
+        """Return the result of the checks before a write, the cheap ones first."""
         if refusal := outside(theta, self._space):
             return _Verdict(None, (("veto", refusal),))
         allowed, limited = within_rate(theta, held, self._space, self._settings.rate)
@@ -220,7 +221,7 @@ class Guard:
         return _Verdict(None, (*reasons, ("veto", refusal))) if refusal else _Verdict(allowed, reasons, expected)
 
     def _contradicted(self, theta: Vector, held: Vector) -> str | None:
-        """Why the newest sample speaks against a write, more than against what is held."""
+        """Return the reason why the newest sample contradicts a write, more than the parameters held; or None."""
         cost, limit = self._support.cost(theta), chi2_limit(_FALSE_ALARM, self._support.n_channels)
         before = self._support.cost(held)
         if cost <= max(limit, _NO_WORSE * before) or not isfinite(before):
@@ -230,7 +231,7 @@ class Guard:
     def _predicted(
         self, theta: Vector, held: Vector, estimate: Estimate, error: float, peak: PredictedPeak
     ) -> tuple[str | None, float]:
-        """Why a write is predicted to be unsafe, and the peak that is predicted for it."""
+        """Return the reason why a write is predicted to be unsafe, or None, and its predicted peak."""
         expected = 0.0
         growth = self._settings.growth
         for name, plant in self._support.plausible_parameters(estimate.theta, self._settings.n_std, _LITTLE):
@@ -249,7 +250,7 @@ _COUNTED: Mapping[str, str] = {"limit": "limited", "hold": "held", "veto": "veto
 
 
 def outside(theta: Vector, space: ParameterSpace) -> str | None:
-    """Why a candidate (d,) is refused whatever the data say: not finite, or outside the bounds."""
+    """Return the reason why a candidate (d,) is not finite or outside the bounds, or None."""
     for parameter, value in zip(space, theta.tolist(), strict=True):
         if not isfinite(value):
             return f"{parameter.name} is {value}"
@@ -260,7 +261,7 @@ def outside(theta: Vector, space: ParameterSpace) -> str | None:
 
 
 def within_rate(theta: Vector, held: Vector, space: ParameterSpace, rate: float) -> tuple[Vector, tuple[Reason, ...]]:
-    """The candidate (d,), or as far on the way to it from what is held as the rate permits, and then why."""
+    """Return the candidate (d,), shortened to the move from held that the rate permits, and the reasons."""
     here = space.to_unit(held)
     change = space.to_unit(theta) - here
     largest = float(np.max(np.abs(change)))

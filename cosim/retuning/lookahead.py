@@ -1,7 +1,7 @@
-"""The closed loop simulated ahead from now, in FMUs of its own: what would happen after a write.
+"""Simulation of the closed loop ahead of time, in FMUs of its own: a prediction of the effect of a write.
 
-The shadows are brought to now by FMU state, so they know what the FMUs know; but the plant's estimated parameters are
-overwritten by those to be tried. A plant that cannot save its state is replaced by the scenario's model.
+These shadow FMUs are set to the FMU states of the run, which hold all that its FMUs do; then the plant's estimated
+parameters are overwritten by those to be tried. A plant that cannot save its state is replaced by the scenario's model.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -27,20 +27,20 @@ _ROUNDING: Final = 1e-9
 
 
 class RunningSystem(NamedTuple):
-    """The FMUs of a run, as they are wired."""
+    """The FMUs of a run, with their wiring."""
 
     slaves: Mapping[str, Slave | TableSlave]
     wiring: Mapping[str, Wiring]
     groups: Sequence[Sequence[str]]
-    """In which they step."""
+    """Groups in which the FMUs step."""
     paths: Mapping[str, Path]
     """File of each FMU."""
     names: Sequence[str]
-    """Of all outputs, `component.variable`, in the master's order."""
+    """Names of all outputs, `component.variable`, in the master's order."""
 
 
 class Lookahead:
-    """Predicts tracking errors. Its FMUs are loaded when they are first needed: many runs write nothing."""
+    """Predictor of tracking errors. Its FMUs are loaded when first needed: many runs write nothing."""
 
     def __init__(
         self,
@@ -77,29 +77,29 @@ class Lookahead:
         self._master: Master | None = None
         self._tracked: list[tuple[int, int]] = []
         self.n_rolled = 0
-        """Times that the loop was simulated ahead."""
+        """Number of times that the loop was simulated ahead."""
         self.failure: str | None = None
-        """Why it cannot be simulated ahead after all."""
+        """Reason why the loop cannot be simulated ahead after all, or None."""
 
     checkpoint_name = "loop simulated ahead"
 
     def to_checkpoint(self) -> tuple[int, str | None]:
-        """Return the count, and whether it has failed: the rest is brought to the present whenever it is needed."""
+        """Return `n_rolled` and `failure`: the rest is set to the present state whenever it is needed."""
         return self.n_rolled, self.failure
 
     def from_checkpoint(self, saved: tuple[int, str | None]) -> None:
-        """Hold what was saved instead."""
+        """Restore the saved count and failure."""
         self.n_rolled, self.failure = saved
 
     @property
     def plant_is_modelled(self) -> bool:
-        """Whether the scenario's model stands for the plant."""
+        """True where the scenario's model replaces the plant."""
         return self._modelled is not None
 
     def snapshot(self, sample: Sample) -> dict[str, Any] | None:
-        """Return the state of the run's FMUs at this communication point, to begin at. Raises SlaveError.
+        """Return the states of the run's FMUs at this communication point, or None. Raises SlaveError.
 
-        None, and `failure`, where an FMU cannot do what its description says: its shadow is asked before it is.
+        None, with `failure` set, where an FMU cannot save its state though it declares so: its shadow is tried first.
         """
         if self.failure is not None:
             return None
@@ -209,7 +209,7 @@ class Lookahead:
 
 
 class Prediction:
-    """The loop simulated ahead from one communication point; the FMUs' states are read once, and only if needed."""
+    """Prediction from one communication point; the FMUs' states are read once, and only if needed."""
 
     def __init__(self, lookahead: Lookahead, k: int, measured: Sample, values: Sequence[float]) -> None:
         """k: the communication point; measured: the plant there; values: of all outputs there."""
@@ -217,7 +217,7 @@ class Prediction:
         self._snapshots: list[dict[str, Any] | None] = []
 
     def __call__(self, controller: Vector, plant: Vector) -> float | None:
-        """Return the largest norm of the tracking error with theta (d,) in each; None where nothing is known."""
+        """Return the largest norm of the tracking error with theta (d,) in each; None where it is unknown."""
         if not self._snapshots:
             self._snapshots.append(self._lookahead.snapshot(self._measured))
         snapshot = self._snapshots[0]
@@ -227,13 +227,13 @@ class Prediction:
 
 
 def _same(found: Sequence[float], expected: Sequence[float]) -> bool:
-    """Up to what an FMU may compute anew when it is asked."""
+    """Return whether outputs agree, up to rounding where an FMU computes them again."""
     pairs = zip(found, expected, strict=True)
     return all(isclose(a, b, rel_tol=_ROUNDING, abs_tol=_ROUNDING) for a, b in pairs)
 
 
 def _file(path: Path) -> tuple[int, int, int] | None:
-    """What changes with a file's content or when it is replaced; None where there is none."""
+    """Return inode, size and modification time of a file, which change with it; None where there is none."""
     try:
         status = path.stat()
     except OSError:
@@ -248,7 +248,7 @@ def _modelled(
     plant: Plant,
     model: Callable[..., Sequence[float]] | None,
 ) -> str | None:
-    """The plant, where the model must stand for it; None where every FMU can save its state. Raises CosimError."""
+    """Return the plant's name, if the model must replace it; None if every FMU saves its state. Raises CosimError."""
     lacking = [name for name, slave in slaves.items() if isinstance(slave, Slave) and not slave.has_states]
     if not lacking:
         return None

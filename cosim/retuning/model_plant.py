@@ -1,4 +1,4 @@
-"""The scenario's model in the place of a plant FMU, for the master: states and their derivatives, no other outputs."""
+"""The scenario's model in place of a plant FMU: outputs are states and their derivatives only."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Final
@@ -11,20 +11,20 @@ from ..system.plant import Plant
 from ..variable_name import VariableName
 
 MAX_STEP_S: Final = 0.005
-"""Of the Runge-Kutta steps."""
+"""Largest Runge-Kutta step [s]."""
 
 
 def not_given(plant: Plant, rates: Mapping[str, str], read: Iterable[str]) -> str | None:
-    """The first of the references read that is an output of the plant which the model does not give, or None.
+    """Return the first of the references read that is a plant output which the model does not give, or None.
 
-    rates: of which state each declared derivative is.
+    rates: for each declared derivative the name of its state.
     """
     given = {f"{plant.name}.{name}" for name in (*plant.states, *rates)}
     return next((r for r in sorted(read) if VariableName(r).component == plant.name and r not in given), None)
 
 
 class ModelPlant:
-    """What the master needs of a slave; the tunables are the model's parameters, in their order."""
+    """Model with the interface of a slave for the master; its tunables are the model's parameters, in order."""
 
     def __init__(
         self,
@@ -33,7 +33,7 @@ class ModelPlant:
         parameters: Sequence[str],
         rates: Mapping[str, str],
     ) -> None:
-        """parameters: the model's, in the order of the tunables; rates: of which state each derivative is."""
+        """parameters: the model's, in the order of the tunables; rates: for each derivative its state."""
         self._plant, self._model, self._names = plant, model, tuple(parameters)
         n = len(plant.states)
         self._places = {name: n + plant.states.index(state) for name, state in rates.items()}  # in (x, x_dot)
@@ -43,28 +43,28 @@ class ModelPlant:
         self._theta: Mapping[str, float] = {}
 
     def bind(self, inputs: Sequence[str], tunables: Sequence[str], outputs: Sequence[str]) -> None:
-        """Outputs that the model does not give stay 0: nobody reads them."""
+        """Bind inputs and outputs by name. Outputs that the model does not give stay 0: nothing reads them."""
         self._inputs = [list(self._plant.inputs).index(name) for name in inputs]
         self._outputs = [self._places.get(name, -1) for name in outputs]
 
     def initialize(self, start: Mapping[str, Value], start_time: float, stop_time: float | None) -> None:
-        """Nothing: set_state follows."""
+        """Do nothing: set_state follows."""
 
     enter_initialization = initialize
 
     def propagate(self, inputs: Sequence[float] | None) -> Sequence[float]:
-        """As get."""
+        """Return the bound outputs."""
         return self.get()
 
     def exit_initialization(self) -> None:
-        """Nothing."""
+        """Do nothing."""
 
     def set_state(self, x: Sequence[float]) -> None:
-        """Go to a state (n,)."""
+        """Set the state (n,)."""
         self._x = tuple(x)
 
     def get(self) -> Sequence[float]:
-        """The bound outputs."""
+        """Return the bound outputs."""
         rates = self._rates(self._x) if self._theta else (0.0,) * len(self._x)
         known = (*self._x, *rates, 0.0)
         return [known[i] for i in self._outputs]
@@ -83,7 +83,7 @@ class ModelPlant:
             raise SlaveError(self._plant.name, "do_step", t, f"the model failed: {e}", COLON) from e
 
     def end_step(self) -> Sequence[float]:
-        """As get."""
+        """Return the bound outputs."""
         return self.get()
 
     def _rates(self, x: tuple[float, ...]) -> tuple[float, ...]:

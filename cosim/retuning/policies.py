@@ -1,4 +1,4 @@
-"""What a run does about its controller's parameters: re-tune them, leave them, or write the true ones."""
+"""Policies for the controller's parameters in a run: re-tune them, leave them, or write the true ones."""
 
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -17,7 +17,7 @@ from .lookahead import RunningSystem
 
 
 class Policy(Protocol):
-    """Decides, at each communication point, what the controller gets. `Supervisor` is one."""
+    """Policy that decides at each communication point what is written to the controller, such as `Supervisor`."""
 
     @property
     def n_evaluations(self) -> int:
@@ -35,45 +35,45 @@ class Policy(Protocol):
         ...
 
     def describe(self) -> str:
-        """Return how candidates are scored, in a line; empty where there are none."""
+        """Return a description of the objective, in a line; empty where there are no candidates."""
         ...
 
     def summary(self) -> dict[str, Any]:
-        """Return the counts of guard and screen as JSON values, where there are any."""
+        """Return the counts of guard and screen, if any, as JSON values."""
         ...
 
     def step(self, point: Point, held: Vector) -> Decision:
-        """Return what to do at a communication point; held (d,): what the controller holds."""
+        """Return the decision at a communication point; held (d,): the controller's parameters."""
         ...
 
 
 class NominalPolicy:
-    """The nominal controller: nothing is written."""
+    """Policy of the nominal controller: nothing is written."""
 
     n_evaluations = n_episodes = n_model_calls = 0
 
     def describe(self) -> str:
-        """Return nothing: there are no candidates."""
+        """Return an empty text: there are no candidates."""
         return ""
 
     def summary(self) -> dict[str, Any]:
-        """Return nothing: there is neither guard nor screen."""
+        """Return no counts: there is neither guard nor screen."""
         return {}
 
     def step(self, point: Point, held: Vector) -> Decision:
-        """Leave the controller as it is."""
+        """Leave the controller unchanged."""
         return Decision()
 
 
 class TrueParametersPolicy(NominalPolicy):
-    """The controller with the plant's own parameters: the least error that re-tuning can hope for."""
+    """Policy that writes the plant's true parameters: the least error that re-tuning can achieve."""
 
     def __init__(self, truth: Callable[[float], Vector]) -> None:
         """truth: the plant's parameters (d,) as a function of time [s]."""
         self._truth = truth
 
     def step(self, point: Point, held: Vector) -> Decision:
-        """Write the parameters in force."""
+        """Write the true parameters at this time."""
         return Decision(write=self._truth(point.t))
 
 
@@ -90,7 +90,7 @@ def make_policy(
 ) -> Policy:
     """Return the policy of that name.
 
-    held (d,): what the controller holds first; truth: the plant's parameters (d,) as a function of time [s]; stack
+    held (d,): the controller's first parameters; truth: the plant's parameters (d,) as a function of time [s]; stack:
     closes what is opened; running, live: the system and its plant, where they run.
     Raises ScenarioError for an unknown name, or a model, objective or estimator that cannot be loaded or do not fit.
     """

@@ -1,7 +1,7 @@
-"""From a sample to a write, under supervision: screen, retuner and guard, in that order.
+"""Supervisor of re-tuning: screen, retuner and guard between a sample and a write.
 
 controller reads back what was written?  no: re-tuning stops
-screen the sample                        an outlier before it: all three go back to where they were
+screen the sample                        an outlier before it: all three are restored
 retuner proposes parameters
 guard rules on them                      with the loop simulated ahead
 write
@@ -29,7 +29,7 @@ from .lookahead import Lookahead, Prediction
 
 
 class Screen(Protocol):
-    """Decides which samples the estimator gets: `SampleScreen` and `OutputScreen` do."""
+    """Screen that decides which samples the estimator gets: `SampleScreen` or `OutputScreen`."""
 
     def step(self, t: float, sample: Sample, theta: Vector) -> Screened: ...
     def summary(self) -> dict[str, Any]: ...
@@ -37,10 +37,10 @@ class Screen(Protocol):
 
 @dataclass(frozen=True)
 class _Snapshot:
-    """All that is known before a sample that may be an outlier."""
+    """State of supervisor and parts before a sample that may be an outlier."""
 
     held: Vector
-    """What the controller held (d,)."""
+    """Parameters in the controller (d,)."""
     retuner: RetunerSnapshot
     support: tuple[Sample, ...]
     guard: GuardSnapshot | None
@@ -48,16 +48,16 @@ class _Snapshot:
 
 @dataclass(frozen=True)
 class ReadBack:
-    """Where what the controller holds is read."""
+    """Places at which the controller's parameters are read back."""
 
     names: tuple[str, ...]
-    """Its tunable parameters, `component.variable` (d,)."""
+    """Names of the parameters, `component.variable` (d,)."""
     places: tuple[int, ...]
-    """Theirs among the outputs of all FMUs (d,)."""
+    """Indices among the outputs of all FMUs (d,)."""
 
 
 class Supervisor:
-    """Re-tunes one controller. It owns retuner, screen and guard; what the controller holds is the caller's."""
+    """Supervisor that re-tunes one controller. It owns retuner, screen and guard; the caller stores the parameters."""
 
     def __init__(
         self,
@@ -92,11 +92,11 @@ class Supervisor:
         return self._retuner.n_model_calls
 
     def describe(self) -> str:
-        """Return how candidates are scored, in a line."""
+        """Return a description of the objective, in a line."""
         return self._retuner.describe()
 
     def summary(self) -> dict[str, Any]:
-        """Return the counts of guard and screen as JSON values; None for what there is not."""
+        """Return the counts of guard and screen as JSON values; None for either that is missing."""
         observations = None if self._screen is None else self._screen.summary()
         if self._guard is None:
             return {"guard": None, "observations": observations}
@@ -107,9 +107,9 @@ class Supervisor:
         return {"guard": self._guard.summary() | rolled, "observations": observations}
 
     def step(self, point: Point, held: Vector) -> Decision:
-        """Return what to do at a communication point; held (d,): what the controller holds.
+        """Return the decision at a communication point; held (d,): the controller's parameters.
 
-        Raises ScenarioError, with what has failed, for whatever code of the user's raises.
+        Raises ScenarioError, which names what has failed, for any exception of user code.
         """
         if not point.k:
             return Decision(events=tuple(self._no_lookahead(point.t)))
@@ -135,14 +135,14 @@ class Supervisor:
         return Decision(write, proposal.estimate, tuple(events), proposal.latencies)
 
     def _not_taken(self, point: Point, held: Vector) -> Event | None:
-        """The stop, where the controller holds something else than was written."""
+        """Return the stop event, where the read-back differs from the parameters written; or None."""
         if self._guard is None or self._read_back is None:
             return None
         read = [point.values[i] for i in self._read_back.places]
         return self._guard.not_taken(point.t, read, held, self._read_back.names)
 
     def _screened(self, point: Point, held: Vector) -> tuple[Screened, Vector | None]:
-        """What the estimator gets, and after an outlier what the controller held before it (d,)."""
+        """Return the screened sample and, after an outlier, the parameters held before it (d,)."""
         if point.sample is None:
             return Screened(None), None
         if self._model is not None:
@@ -157,14 +157,14 @@ class Supervisor:
         return screened, before
 
     def _taken(self, held: Vector) -> _Snapshot | None:
-        """A snapshot; None where the retuner cannot go back."""
+        """Return a snapshot; None where the retuner cannot be restored."""
         retuner = self._retuner.snapshot()
         if retuner is None:
             return None
         return _Snapshot(held, retuner, self._support.snapshot(), self._guard and self._guard.snapshot())
 
     def _restored(self, held: Vector) -> Vector | None:
-        """Go back to the snapshot, if there is one; what the controller held then (d,)."""
+        """Restore the snapshot, if there is one; return the parameters held then (d,), or None."""
         snapshot, self._snapshot = self._snapshot, None
         if snapshot is None:
             return None
@@ -175,7 +175,7 @@ class Supervisor:
         return snapshot.held
 
     def _ruling(self, point: Point, proposal: Proposal, held: Vector) -> Ruling:
-        """What becomes of a proposal."""
+        """Return the guard's ruling on a proposal."""
         if self._guard is None:
             return Ruling(proposal.theta)
         lookahead, prediction = self._lookahead, None
@@ -191,14 +191,14 @@ class Supervisor:
         return ruling
 
     def _no_lookahead(self, t: float) -> Sequence[Event]:
-        """The event that says why the loop is not simulated ahead, where it should be."""
+        """Return the event with the reason why the loop is not simulated ahead, where it should be."""
         if self._guard is None or not isinstance(self._lookahead, str):
             return ()
         return (Event(t, "guard", {"reason": f"the loop is not simulated ahead: {self._lookahead}"}),)
 
 
 def _written(t: float, theta: Vector, proposal: Proposal) -> Event:
-    """The event of a write."""
+    """Return the event of a write."""
     assert proposal.estimate is not None
     reason = {"reason": "candidate"} if proposal.is_candidate else {}
     return Event(t, "write", estimate_as_json(proposal.estimate) | {"theta": theta.tolist()} | reason)
@@ -206,7 +206,7 @@ def _written(t: float, theta: Vector, proposal: Proposal) -> Event:
 
 @contextmanager
 def failing(what: str, t: float) -> Generator[None]:
-    """Turn whatever code of the user's raises at t [s] into the ScenarioError that ends the run as faulted."""
+    """Turn exceptions of user code at t [s] into the ScenarioError that ends the run as faulted."""
     try:
         yield
     except CosimError:

@@ -1,1 +1,1 @@
-"""Runs: simulated, recorded in folders, resumed and reported."""
+"""Runs: how they are simulated, recorded in folders, resumed and reported."""

@@ -1,4 +1,4 @@
-"""Files that grow while a run goes on: whole pieces only, and a digest of what is in them."""
+"""Append-only files of a run in progress: complete pieces only, and a SHA-256 of the content."""
 
 import hashlib
 import os
@@ -13,15 +13,15 @@ _CHUNK: Final = 1 << 20
 
 @dataclass(frozen=True)
 class Prefix:
-    """The beginning of a file, as it was at some time."""
+    """The beginning of a file: its size and hash at some time."""
 
     size: int
-    """Bytes."""
+    """Size in bytes."""
     sha256: str
-    """Of these bytes, in hexadecimal."""
+    """SHA-256 of these bytes, in hexadecimal."""
 
     def digest_of(self, path: Path) -> Any:
-        """The running SHA-256 of that many bytes of the file, or None where they are others. Raises OSError."""
+        """Return the running SHA-256 of the file's first `size` bytes, or None where they differ. Raises OSError."""
         digest, left = hashlib.sha256(), self.size
         with open(readable(path), "rb") as file:
             while left and (chunk := file.read(min(left, _CHUNK))):
@@ -31,16 +31,16 @@ class Prefix:
 
 
 EMPTY: Final = Prefix(0, hashlib.sha256().hexdigest())
-"""Of any file."""
+"""Prefix of length zero, which every file has."""
 
 
 class AppendFile:
-    """A file that only grows. What cannot be written whole is not in it: the disk may be full."""
+    """An append-only file. A piece that cannot be written completely, as on a full disk, is cut off again."""
 
     def __init__(self, path: Path, prefix: Prefix | None = None) -> None:
-        """A new file or, with prefix, an old one that goes on behind it; what comes after it there is cut off.
+        """prefix: continue an existing file behind it, cutting off the rest; None makes a new file.
 
-        Raises OSError: FileExistsError for a new one that is there; ValueError where the prefix is another.
+        Raises OSError, FileExistsError where a new file exists already; ValueError where the prefix differs.
         """
         digest = hashlib.sha256() if prefix in (None, EMPTY) else prefix.digest_of(path)
         if digest is None:
@@ -51,7 +51,7 @@ class AppendFile:
         self._file.seek(self._size)
 
     def append(self, piece: bytes) -> None:
-        """Hand the piece to the operating system. Raises OSError, the file being as it was."""
+        """Hand the piece to the operating system. Raises OSError and leaves the file unchanged."""
         left = memoryview(piece)
         try:
             while left:
@@ -64,10 +64,10 @@ class AppendFile:
         self._digest.update(piece)
 
     def sync(self) -> Prefix:
-        """Wait until everything is on the disk; what is there. Raises OSError."""
+        """Wait until everything is on the disk; return it as a prefix. Raises OSError."""
         os.fsync(self._file.fileno())
         return Prefix(self._size, self._digest.hexdigest())
 
     def close(self) -> None:
-        """Give the file back; idempotent."""
+        """Close the file; idempotent."""
         self._file.close()

@@ -1,8 +1,8 @@
-"""Checkpoints: all that a run needs to go on to the same bits, in one file of its folder.
+"""Checkpoints: all that a run needs to be resumed bit for bit, in one file of its folder.
 
-The run is pickled as it is, with everything that it holds: what is added to it later is in its checkpoints without
-a word. What cannot be pickled because it lives, such as an FMU in its process, is left out and says how it is brought
-back: see `Alive`. A checkpoint is a program as far as safety goes: unpickling runs what is in it.
+The run is pickled with everything that it holds, so that later attributes are in its checkpoints without further code.
+Live parts that cannot be pickled, such as an FMU in its process, are left out and save and restore their own state: see
+`Alive`. A checkpoint is as trusted as a program: unpickling runs the code in it.
 """
 
 import hashlib
@@ -22,55 +22,55 @@ from .run_files import CHECKPOINT
 
 
 class Alive(Protocol):
-    """What a checkpoint leaves out: the run that goes on has made its own of the same name."""
+    """A live part that is not pickled: the resumed run has made its own of the same name and restores its state."""
 
     @property
     def checkpoint_name(self) -> str:
-        """Its name, which no other of the run has."""
+        """Name, unique within the run."""
         ...
 
     def to_checkpoint(self) -> object:
-        """What from_checkpoint needs, to be pickled. Raises NotResumableError with the reason."""
+        """Return the state that from_checkpoint needs, to be pickled. Raises NotResumableError with the reason."""
         ...
 
     def from_checkpoint(self, saved: Any) -> None:
-        """Become what was saved. Raises NotResumableError."""
+        """Restore the saved state. Raises NotResumableError."""
         ...
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A run at the beginning of a communication point."""
+    """The state of a run at the beginning of a communication point."""
 
     place: Place
-    """How far its record goes."""
+    """End of its record at that point."""
     n_parts: int
-    """Living parts of the run, itself among them."""
+    """Number of live parts, the run itself among them."""
     content: bytes
-    """Their names and states, pickled one behind the other."""
+    """Their names and states, pickled one after the other."""
 
 
 @dataclass(frozen=True)
 class _Header:
-    """The second line of the file. Before it is the SHA-256 of the rest, behind it the content."""
+    """The second line of the file. The first is the SHA-256 of the rest; the content follows."""
 
     place: Place | None = None
     n_parts: int = 0
     reason: str = ""
-    """Why there is no content."""
+    """Reason why there is no content."""
 
 
 class Checkpoints:
-    """Writes the checkpoint of a run every so many communication points, from the first one on."""
+    """Writer of checkpoints, every `every` communication points from the first one on."""
 
     def __init__(self, folder: Path | None, every: int) -> None:
-        """Without a folder, or with every = 0, there are none."""
+        """folder, every: without a folder, or with every = 0, no checkpoints are written."""
         self._folder, self._every = folder, every
 
     def offer(self, k: int, run: Alive, recorder: Recorder) -> None:
-        """Write one where it is due at the beginning of point k. Raises UnfinishedError, SlaveError.
+        """Write a checkpoint if one is due at the beginning of point k. Raises UnfinishedError, SlaveError.
 
-        A run that cannot be resumed says why in the file; where an earlier checkpoint is there, that one stays good.
+        For a run that cannot be resumed the file holds the reason; an earlier checkpoint is kept instead.
         """
         if self._folder is None or not self._every or k % self._every:
             return
@@ -89,7 +89,7 @@ class Checkpoints:
 
 
 def read_checkpoint(folder: Path) -> Checkpoint:
-    """The last checkpoint of a run. Raises NotResumableError where there is none, FolderError for a damaged one."""
+    """Return the last checkpoint of a run. Raises NotResumableError if there is none, FolderError if it is damaged."""
     try:
         digest, _, rest = readable(folder / CHECKPOINT).read_bytes().partition(b"\n")
         if hashlib.sha256(rest).hexdigest().encode() != digest:
@@ -108,7 +108,7 @@ def read_checkpoint(folder: Path) -> Checkpoint:
 
 
 def restore(run: Alive, checkpoint: Checkpoint) -> None:
-    """Bring a run that has just been initialised to where the checkpoint was. Raises NotResumableError, SlaveError."""
+    """Restore the state of a checkpoint in a run just initialised. Raises NotResumableError, SlaveError."""
     _, parts = _dumped(run)
     unpickler = _Unpickler(checkpoint.content, parts)
     try:
@@ -122,7 +122,7 @@ def restore(run: Alive, checkpoint: Checkpoint) -> None:
 
 
 def _dumped(run: Alive) -> tuple[bytes, dict[str, Alive]]:
-    """The states of the run and of all that lives in it, one behind the other, and these parts by name."""
+    """Return the pickled states of the run and its live parts, one after the other, and these parts by name."""
     buffer = BytesIO()
     pickler = _Pickler(buffer)  # one for all: what two parts share stays shared
     pickler.persistent_id(run)

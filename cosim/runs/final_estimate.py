@@ -1,4 +1,4 @@
-"""A run's final estimate, for the report and the result."""
+"""The final estimate of a run, for the report and the result."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -14,12 +14,12 @@ from ..scenarios.scenario import Scenario
 
 @dataclass(frozen=True)
 class FinalEstimate:
-    """The estimate at the end of a run's last episode that ended; where none did, the last one."""
+    """The estimate at the end of the last completed episode; where none was completed, the last estimate."""
 
     t: float
     """Communication point [s]."""
     names: tuple[str, ...]
-    """Of the parameters (d,)."""
+    """Names of the parameters (d,)."""
     units: tuple[str, ...]
     """FMI unit strings (d,)."""
     values: tuple[float, ...]
@@ -27,12 +27,12 @@ class FinalEstimate:
     std: tuple[float, ...]
     """Root mean square errors (d,)."""
     is_identifiable: tuple[bool, ...]
-    """Whether the data fixed each parameter (d,)."""
+    """True for each parameter that the data identify (d,)."""
     findings: tuple[str, ...]
-    """On bounds and on directions that the data did not fix, a sentence each."""
+    """Findings on bounds and on directions that the data do not identify, a sentence each."""
 
     def to_json(self) -> dict[str, Any]:
-        """JSON values."""
+        """Return the estimate as JSON values."""
         columns = zip(self.names, self.units, self.values, self.std, self.is_identifiable, strict=True)
         keys = ("name", "unit", "value", "std", "is_identifiable")
         return {
@@ -43,10 +43,10 @@ class FinalEstimate:
 
 
 class EstimateTracker:
-    """Keeps the estimate of the last episode that has ended; until one has, the newest."""
+    """Memory of the estimate of the last completed episode; until one is completed, of the newest estimate."""
 
     def __init__(self, scenario: Scenario, estimator: str) -> None:
-        """estimator: who re-tunes."""
+        """estimator: name of the estimator that re-tunes."""
         self._space = scenario.estimation.space
         self._identifiable_below = IDENTIFIABLE_BELOW
         if estimator not in ("none", "true"):
@@ -56,7 +56,7 @@ class EstimateTracker:
         self._has_ended = False
 
     def take(self, t: float, decision: Decision) -> None:
-        """Take what was decided at t [s]."""
+        """Take the decision made at t [s]."""
         is_end = any(event.kind == "end" for event in decision.events)
         if decision.estimate is not None and (is_end or not self._has_ended):
             self._newest, self._has_ended = (t, decision.estimate), is_end
@@ -67,7 +67,7 @@ class EstimateTracker:
 
 
 def final_estimate(t: float, estimate: Estimate, space: ParameterSpace, identifiable_below: float) -> FinalEstimate:
-    """Return an estimate at t [s] with the findings on what its data identify."""
+    """Return an estimate at t [s] with the findings on the identifiability of its parameters."""
     known = estimate.information and findings(estimate.information, space, estimate.theta, identifiable_below)
     return FinalEstimate(
         t,

@@ -6,13 +6,13 @@ from itertools import islice
 
 
 class Latencies:
-    """Collects them compactly: an hour's tuples would take 30 MB."""
+    """Wall times of evaluations, stored compactly: an hour's tuples would take 30 MB."""
 
     def __init__(self) -> None:
         self._seconds, self._counts = array("d"), array("L")
 
     def append(self, seconds: Sequence[float]) -> None:
-        """Take those of one macro step [s], if there are any."""
+        """Append the wall times of one macro step [s], if there are any."""
         if seconds:
             self._seconds.extend(seconds)
             self._counts.append(len(seconds))

@@ -1,4 +1,4 @@
-"""One command at a time in a run folder: a lock file, held by the operating system for as long as its owner lives."""
+"""Lock file that admits one command at a time to a run folder; the operating system releases it with its owner."""
 
 import errno
 import os
@@ -15,9 +15,9 @@ from .run_files import LOCK, new_run_folder
 
 @contextmanager
 def locked(folder: Path) -> Generator[None]:
-    """Keep other commands out of the folder; inside it, the same process may come again.
+    """Lock the folder against other processes; the same process may lock it again.
 
-    The file is removed at the end; where its owner was killed it stays, and keeps nobody out.
+    The file is removed at the end; where its owner was killed it stays, and locks nothing.
     Raises FolderError where another process holds it.
     """
     path, me = folder / LOCK, f"process {os.getpid()} on {platform.node()}"
@@ -44,7 +44,7 @@ def locked(folder: Path) -> Generator[None]:
 
 @contextmanager
 def new_locked_folder(scenario: str, out: Path | None) -> Generator[Path]:
-    """A new run folder, as new_run_folder makes it, kept for this process. Raises FolderError."""
+    """Yield a new run folder, as new_run_folder makes it, locked by this process. Raises FolderError."""
     folder = new_run_folder(scenario, out)
     with locked(folder):
         new_run_folder(scenario, folder)  # another may have been in it before us
@@ -54,7 +54,7 @@ def new_locked_folder(scenario: str, out: Path | None) -> Generator[Path]:
 
 
 def is_locked(folder: Path) -> bool:
-    """Whether a command is at work in the folder."""
+    """Return whether a command holds the lock of the folder."""
     path = folder / LOCK
     lock = FileLock(path, timeout=0)
     try:
@@ -67,7 +67,7 @@ def is_locked(folder: Path) -> bool:
 
 
 def _is_taken(lock: FileLock, path: Path) -> bool:
-    """Whether the lock is ours now; False where it is another's. Raises OSError, also for what is no file."""
+    """Acquire the lock; return False where another process holds it. Raises OSError, also where path is no file."""
     path.parent.stat()  # filelock would make the folder
     if path.is_symlink():
         raise OSError(errno.ELOOP, f"{path.name} is a symbolic link")

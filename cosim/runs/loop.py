@@ -1,9 +1,9 @@
-"""The loop of a run. At each communication point t_k, in this order:
+"""The simulation loop of a run. At each communication point t_k, in this order:
 
 get plant x, der(x), held u | noise | record sample | estimate | set controller theta, x, reference |
 doStep controller | get u | set plant theta_true(t_k), u | doStep plant, reference.
 
-It is legal FMI 2.0, which forbids get after set without a doStep (section 4.2.4), and delays nothing: a memoryless
+This is legal FMI 2.0, which forbids get after set without a doStep (section 4.2.4), and delays nothing: a memoryless
 controller's output after its step is the control law at x_k.
 """
 
@@ -40,7 +40,7 @@ from .manifest import Status
 from .record import Recorder
 
 StepProgress = Callable[[float, Mapping[str, float]], None]
-"""Called at each communication point with the time [s] and what the controller holds, by parameter name."""
+"""Callback at each communication point: time [s] and the controller's parameters, by name."""
 
 
 def open_loop(
@@ -54,7 +54,7 @@ def open_loop(
 ) -> "Loop":
     """Return the loop of a run whose FMUs are starting.
 
-    begun: when the run began, on the performance counter [s]; stack closes what is opened.
+    begun: start of the run on the performance counter [s]; stack: closes what is opened.
     Raises ScenarioError, WiringError.
     """
     plant = plant_of(scenario, slaves[scenario.plant])
@@ -77,10 +77,10 @@ def open_loop(
 
 
 class Loop:
-    """One run in progress. What the controller holds is known here and nowhere below.
+    """A run in progress. The parameters that the controller holds are stored here and nowhere below.
 
     1. `initialize` brings the FMUs to the start.
-    2. `go_to` takes a run that is resumed on to its checkpoint.
+    2. `go_to` takes a resumed run to its checkpoint.
     3. `execute` steps to the end.
     """
 
@@ -96,7 +96,7 @@ class Loop:
         truth: Mapping[str, Callable[[float], float]],
         begun: float,
     ) -> None:
-        """held (d,): what the controller holds first; truth: of the plant's parameters, functions of time [s]."""
+        """held (d,): the controller's first parameters; truth: the plant's parameters as functions of time [s]."""
         writes = [p.writes for p in scenario.estimation.parameters]
         self.plant, self.policy, self.begun = plant, policy, begun
         self.estimates, self.latencies = EstimateTracker(scenario, estimator), Latencies()
@@ -108,10 +108,10 @@ class Loop:
         self._recorded = [i for name, i in place.items() if name not in writes]
         recorded = [master.names[i] for i in self._recorded]
         self.columns = ("time", *recorded, *truth, *writes, *sampler.columns)
-        """Names of what is recorded of a communication point."""
+        """Names of the columns recorded at each communication point."""
 
     def initialize(self) -> str | None:
-        """Bring the FMUs to the start; why one failed, or None. Raises WiringError, ScenarioError."""
+        """Initialise the FMUs; return the reason why one failed, or None. Raises WiringError, ScenarioError."""
         settings = self._scenario.scenario
         try:
             self._master.initialize(settings.start_time, settings.stop_time)
@@ -127,22 +127,22 @@ class Loop:
 
     @property
     def checkpoint_name(self) -> str:
-        """See `cosim.runs.checkpoint.Alive`."""
+        """Name in checkpoints: see `cosim.runs.checkpoint.Alive`."""
         return "loop"
 
     def to_checkpoint(self) -> tuple[dict[str, Any], float]:
-        """Return all that it holds but what is made of the scenario alone, and the wall time so far [s]."""
+        """Return all attributes except those made from the scenario alone, and the wall time so far [s]."""
         fixed = ("_scenario", "_truth", "begun")
         return {name: value for name, value in vars(self).items() if name not in fixed}, perf_counter() - self.begun
 
     def from_checkpoint(self, saved: tuple[dict[str, Any], float]) -> None:
-        """Hold what was saved instead."""
+        """Restore the saved attributes and wall time."""
         held, wall = saved
         vars(self).update(held)
         self.begun -= wall
 
     def go_to(self, checkpoint: Checkpoint, fault: str | None) -> None:
-        """Go from the start to a checkpoint; fault: why there is no start. Raises NotResumableError."""
+        """Go from the start to a checkpoint; fault: reason why initialisation failed. Raises NotResumableError."""
         try:
             if fault is None:
                 restore(self, checkpoint)
@@ -154,7 +154,7 @@ class Loop:
     def execute(
         self, recorder: Recorder, checkpoints: Checkpoints, progress: StepProgress | None
     ) -> tuple[Status, str | None]:
-        """Step to the end; return how it ended and, for a fault, why. Raises UnfinishedError."""
+        """Step to the end; return the status and, for a fault, its reason. Raises UnfinishedError."""
         settings = self._scenario.scenario
         names = self._scenario.estimation.space.names
         t = settings.start_time
@@ -195,7 +195,7 @@ class Loop:
         return has_diverged
 
     def _take(self, t: float, decision: Decision, recorder: Recorder) -> None:
-        """Record a decision, and hold what it writes."""
+        """Record a decision, and store the parameters that it writes."""
         for event in decision.events:
             recorder.event(event.t, event.kind, event.detail)
         self.latencies.append(decision.latencies)
@@ -205,7 +205,7 @@ class Loop:
 
 
 class _TrueParameters:
-    """The plant's values of the estimated parameters (d,), as a function of time [s]."""
+    """The true values of the estimated parameters (d,), as a function of time [s]."""
 
     def __init__(self, scenario: Scenario, truth: Mapping[str, Callable[[float], float]]) -> None:
         self._values = [truth[scenario.true_reference(p)] for p in scenario.estimation.parameters]
@@ -216,16 +216,16 @@ class _TrueParameters:
     checkpoint_name = "true parameters"
 
     def to_checkpoint(self) -> None:
-        """Return nothing: it is made of the scenario alone."""
+        """Return None: the object is made from the scenario alone."""
 
     def from_checkpoint(self, saved: None) -> None:
-        """Hold what it has."""
+        """Do nothing: there is no state to restore."""
 
 
 def _running_plant(
     scenario: Scenario, slave: Slave | TableSlave, wiring: Wiring, truth: Mapping[str, Callable[[float], float]]
 ) -> RunningPlant | None:
-    """The plant that runs, for roll-outs of it; None for a table."""
+    """Return the running plant, for roll-outs; None for a table."""
     if isinstance(slave, TableSlave):
         return None
     changes = [name for name in scenario.changes if name.component == scenario.plant]

@@ -1,4 +1,4 @@
-"""The manifest of a run folder: what was run, by what, and whether the folder still holds what was written into it."""
+"""The manifest of a run folder: scenario, versions, status, and hashes that show whether the files are unchanged."""
 
 import hashlib
 import json
@@ -19,39 +19,39 @@ from ..system.plant import Plant
 from .run_files import MANIFEST
 
 Status = Literal["done", "diverged", "faulted", "interrupted", "running", "unfinished"]
-"""The last two are those of a folder: its run goes on in another process, or was killed."""
+"""Status of a run; the last two only of a folder, whose run goes on in another process or was killed."""
 PACKAGES: Final = ("fmu-retune", "fmpy", "pythonfmu", "numpy", "scipy", "GPy", "pyarrow")
 _SEAL: Final = "seal"
 
 
 @dataclass(frozen=True)
 class Manifest:
-    """What is read of a manifest."""
+    """The part of a manifest that is read."""
 
     status: Status
-    """How the run ended, or running."""
+    """Status at the end of the run, or `running`."""
     estimator: str
-    """Who re-tuned."""
+    """Name of the estimator."""
     seed: int
-    """Of noise and search."""
+    """Seed of noise and search."""
     plant: Plant
     """The component whose derivatives were sampled."""
     folder: Path
-    """The scenario's."""
+    """Folder of the scenario."""
     scenario: dict[str, Any]
-    """Its tables."""
+    """Tables of the scenario."""
     fmus: dict[str, dict[str, str]] = field(default_factory=dict[str, dict[str, str]])
     """File and SHA-256 of each component."""
     modules: dict[str, str] = field(default_factory=dict[str, str])
     """SHA-256 of the user's Python files."""
     versions: dict[str, str] = field(default_factory=dict[str, str])
-    """Of the packages."""
+    """Versions of the packages."""
     sha256: dict[str, str] = field(default_factory=dict[str, str])
-    """Of the files of a run that has ended."""
+    """SHA-256 of the files of a run that has ended."""
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """The manifest of a run folder. Raises FolderError."""
+    """Return the manifest of a run folder. Raises FolderError."""
     manifest = read_json(folder, MANIFEST, Manifest)
     content = json.loads((folder / MANIFEST).read_bytes())
     if content.get(_SEAL, _digest(content)) != _digest(content):  # one of an older version has none
@@ -60,7 +60,7 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def scenario_of(folder: Path, manifest: Manifest) -> Scenario:
-    """The scenario of a run folder's manifest. Raises FolderError."""
+    """Return the scenario of a run folder's manifest. Raises FolderError."""
     try:
         return Scenario.model_validate(manifest.scenario | {"folder": manifest.folder})
     except ValidationError as e:
@@ -73,8 +73,7 @@ def write_manifest(folder: Path, content: Mapping[str, Any]) -> None:
 
 
 def check_file(folder: Path, name: str, digests: Mapping[str, str]) -> None:
-    """Raises FolderError for a file that is not the one whose SHA-256 the manifest has; one of which it has none may
-    be anything."""
+    """Raise FolderError for a file that has not the SHA-256 of the manifest; a file without one there always passes."""
     try:
         is_whole = name not in digests or sha256(folder / name) == digests[name]
     except OSError as e:
@@ -84,12 +83,12 @@ def check_file(folder: Path, name: str, digests: Mapping[str, str]) -> None:
 
 
 def versions() -> dict[str, str]:
-    """Of all that a run's bits depend on."""
+    """Return the versions of Python and of all packages on which the bits of a run depend."""
     return {"python": platform.python_version()} | {name: version(name) for name in PACKAGES}
 
 
 def modules(folder: Path) -> dict[str, str]:
-    """SHA-256 of the modules that are loaded from where a scenario's model and estimator may be, by file."""
+    """Return the SHA-256, by file, of loaded modules from where a scenario's model and estimator may be."""
     loaded = {Path(file) for module in list(sys.modules.values()) if (file := getattr(module, "__file__", None))}
     places = {folder.resolve(), Path.cwd()}
     return {
@@ -104,7 +103,7 @@ _T = TypeVar("_T")
 
 
 def read_json(folder: Path, name: str, kind: type[_T]) -> _T:
-    """The content of a JSON file. Raises FolderError."""
+    """Return the content of a JSON file. Raises FolderError."""
     try:
         return TypeAdapter(kind).validate_json(readable(folder / name).read_bytes())
     except OSError as e:
@@ -119,6 +118,6 @@ def _first(error: ValidationError) -> str:
 
 
 def _digest(content: Mapping[str, Any]) -> str:
-    """SHA-256 of JSON values, whatever their order."""
+    """Return the SHA-256 of JSON values, independent of the order of their keys."""
     rest = {key: value for key, value in content.items() if key != _SEAL}
     return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""Run folders: what happened, readable whenever the writing stops."""
+"""Recording of a run in its folder, readable up to wherever the writing stops."""
 
 import json
 import math
@@ -26,25 +26,25 @@ ROWS_PER_BATCH = 50
 
 @dataclass(frozen=True)
 class Place:
-    """How far a record goes."""
+    """The end of a record: prefixes of its files."""
 
     series: Prefix
-    """Of the series' file."""
+    """Prefix of the file of the series."""
     events: Prefix
-    """Of the events'."""
+    """Prefix of the file of events."""
 
 
 class Recorder:
-    """Writes one run: rows to an Arrow IPC stream, events to JSON lines. Without a folder it only remembers rows.
+    """Writer of one run: rows to an Arrow IPC stream, events to JSON lines. Without a folder it only keeps the rows.
 
-    With one it remembers only those that are not written yet: an hour of a quadrotor at 100 Hz is 230 MB.
-    Its methods raise UnfinishedError where the disk is full; what is written already stays whole.
+    With one it keeps in memory only those not written yet: an hour of a quadrotor at 100 Hz is 230 MB.
+    Its methods raise UnfinishedError where the disk is full; what is written already stays intact.
     """
 
     def __init__(self, folder: Path | None, columns: Sequence[str], place: Place | None = None) -> None:
-        """place: go on with an old record from there; what comes after it is cut off.
+        """place: continue an earlier record from there; the rest is cut off.
 
-        Raises FolderError where there is a record already, or another than that, or the folder cannot be written.
+        Raises FolderError where a new record exists already, an earlier one differs, or the folder cannot be written.
         """
         self.columns = tuple(columns)
         self._folder = folder
@@ -69,18 +69,18 @@ class Recorder:
             raise FolderError(f"cannot write in {folder}: {e.strerror or e}.") from e
 
     def row(self, values: Sequence[float]) -> None:
-        """Take the values of one communication point, in the order of the columns."""
+        """Record the values of one communication point, in the order of the columns."""
         self._values.extend(values)
         if len(self._values) >= self._room:
             self.flush()
 
     def event(self, t: float, kind: str, detail: Mapping[str, Any]) -> None:
-        """Take one event."""
+        """Record one event."""
         if self._events is not None:
             self._lines.append(to_json({"t": t, "kind": kind, **detail}) + "\n")
 
     def flush(self) -> None:
-        """Hand everything so far to the operating system."""
+        """Hand everything recorded so far to the operating system."""
         if self._series is None or self._events is None:
             return
         with uninterrupted(), recording(self._folder):
@@ -93,7 +93,7 @@ class Recorder:
                 self._lines = []
 
     def place(self) -> Place:
-        """How far the record goes, once all of it is on the disk. Raises ValueError without a folder."""
+        """Write everything to the disk; return the end of the record. Raises ValueError without a folder."""
         if self._series is None or self._events is None:
             raise ValueError("a record without a folder has no place.")
         self.flush()
@@ -101,7 +101,7 @@ class Recorder:
             return Place(self._series.sync(), self._events.sync())
 
     def close(self) -> dict[str, np.ndarray[Any, np.dtype[np.float64]]]:
-        """End the files; the recorded series by column."""
+        """Complete and close the files; return the recorded series by column."""
         self.flush()
         if self._folder is None or self._series is None:
             return dict(zip(self.columns, self._table(), strict=True))
@@ -111,13 +111,13 @@ class Recorder:
         return read_series(self._folder)
 
     def release(self) -> None:
-        """Give the files back as they are; idempotent."""
+        """Close the files as they are; idempotent."""
         for file in (self._series, self._events):
             if file is not None:
                 file.close()
 
     def _table(self) -> np.ndarray[Any, np.dtype[np.float64]]:
-        """The rows held, as contiguous columns."""
+        """Return the rows in memory, as contiguous columns."""
         return np.ascontiguousarray(np.array(self._values).reshape(-1, len(self.columns)).T)
 
 
@@ -127,7 +127,7 @@ _END_OF_STREAM: Final = b"\xff\xff\xff\xff\0\0\0\0"
 
 @contextmanager
 def recording(folder: Path | None) -> Generator[None]:
-    """Tell in one line what the disk does to a run that is being recorded. Raises UnfinishedError."""
+    """Turn failed writes to a run folder into UnfinishedError, with the reason in one line."""
     try:
         yield
     except (OSError, FolderError) as e:
@@ -137,7 +137,7 @@ def recording(folder: Path | None) -> Generator[None]:
 
 
 def _is_resumable(folder: Path | None) -> bool:
-    """Whether a run is recorded there that `resume` knows: not that of a system of which nothing is estimated."""
+    """Return whether the folder holds a run that `resume` accepts: not of a system in which nothing is estimated."""
     if folder is None or not (folder / LOCK).exists():
         return False
     try:
@@ -151,9 +151,9 @@ _POLITE: Final = (signal.SIGINT, signal.SIGTERM, *([] if sys.platform == "win32"
 
 @contextmanager
 def uninterrupted() -> Generator[None]:
-    """Put SIGINT, SIGTERM and SIGHUP off until what is inside is done; the caller's handler gets the first one then.
+    """Defer SIGINT, SIGTERM and SIGHUP to the end of the block; the caller's handler then gets the first one.
 
-    Elsewhere than in the main thread, to which alone Python gives signals, there is nothing to put off.
+    Does nothing outside the main thread: Python delivers signals to that thread alone.
     """
     came: list[int] = []
     with ExitStack() as stack:

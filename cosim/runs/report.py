@@ -9,7 +9,7 @@ _ROLES = {"none": "nominal controller", "true": "true parameters (floor)"}
 
 
 def report(run: Run, baselines: Mapping[str, Run]) -> str:
-    """Tracking errors beside the baselines', estimated beside true parameters, latency against the macro step."""
+    """Return the report: tracking errors beside the baselines', parameters beside true ones, latency, guard, screen."""
     scenario = run.scenario.scenario
     title = f"{scenario.name}: {scenario.description}" if scenario.description else scenario.name
     duration = float(run.time[-1]) - scenario.start_time if len(run.time) else 0.0
@@ -42,7 +42,7 @@ def _errors(runs: Sequence[Run]) -> list[str]:
 
 
 def _parameters(run: Run) -> list[str]:
-    """True and held values at the scenario's instants and at the end."""
+    """Return the table of true and held parameters at the scenario's instants and at the end."""
     if not len(run.time):
         return []
     end = float(run.time[-1])
@@ -57,7 +57,7 @@ def _parameters(run: Run) -> list[str]:
 
 
 def _belief(run: Run) -> list[str]:
-    """What was estimated last, its root mean square errors, and what the data do not fix."""
+    """Return the last estimate with its root mean square errors, and the findings on it."""
     if run.belief is None:
         return []
     last = run.belief
@@ -83,25 +83,27 @@ def _latency(run: Run) -> list[str]:
 
 
 def _oversight(run: Run) -> list[str]:
-    """What was written, refused and taken back, and which samples were kept out."""
+    """Return lines on writes, vetoes and reverts of the guard, and on samples that were kept out."""
     lines: list[str] = []
     if guard := run.guard:
-        told = [f"{guard['written']} written", f"{guard['vetoed']} vetoed", f"{guard['reverted']} reverted"]
-        told += [f"{guard[kind]} {kind}" for kind in ("limited", "held") if guard[kind]]
+        counts = [f"{guard['written']} written", f"{guard['vetoed']} vetoed", f"{guard['reverted']} reverted"]
+        counts += [f"{guard[kind]} {kind}" for kind in ("limited", "held") if guard[kind]]
         stop = f"; re-tuning stopped at {guard['stopped_at']:g} s" if guard["stopped_at"] is not None else ""
         blind = guard.get("not_rolled_ahead")
-        lines.append(f"guard: {', '.join(told)}{stop}{f'; the loop was not simulated ahead: {blind}' if blind else ''}")
+        lines.append(
+            f"guard: {', '.join(counts)}{stop}{f'; the loop was not simulated ahead: {blind}' if blind else ''}"
+        )
     if (seen := run.observations) and seen["kept_out"]:
         most = sorted(seen["found"].items(), key=lambda item: -item[1])
-        told = ", ".join(f"{name} ({n})" for name, n in most[:4])
+        findings = ", ".join(f"{name} ({n})" for name, n in most[:4])
         failed = f"; re-tuning is suspended, bad at the end: {', '.join(seen['failed'])}" if seen["failed"] else ""
         more = f" and {len(most) - 4} more" if len(most) > 4 else ""
-        lines.append(f"{counted(seen['kept_out'], 'sample')} kept out: {told}{more}{failed}")
+        lines.append(f"{counted(seen['kept_out'], 'sample')} kept out: {findings}{more}{failed}")
     return lines
 
 
 def ending(run: Run) -> str | None:
-    """Why the run did not finish, and where its rows are, in one line; None where it did."""
+    """Return the reason why the run did not finish, and where its rows are, in one line; or None."""
     if run.status == "done":
         return None
     reason = (run.error or "").rstrip(

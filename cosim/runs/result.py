@@ -1,4 +1,4 @@
-"""What a run came to: its series, its figures, and its folder."""
+"""The result of a run: its series, its figures and its folder."""
 
 import json
 from collections.abc import Mapping
@@ -41,42 +41,42 @@ class Run:
     """A finished run. `run["plant.phi"]` is that variable's series."""
 
     scenario: Scenario
-    """What was run."""
+    """Scenario of the run."""
     plant: Plant
     """The component whose derivatives were sampled."""
     estimator: str
-    """Who re-tuned."""
+    """Name of the estimator."""
     seed: int
-    """Of noise and search."""
+    """Seed of noise and search."""
     series: Mapping[str, Series]
-    """Every recorded variable (n,), a value a communication point."""
+    """Every recorded variable (n,), one value per communication point."""
     status: Status
-    """How it ended."""
+    """Status at the end."""
     error: str | None
-    """Why it faulted, in one line."""
+    """Reason of a fault, in one line."""
     n_evaluations: int
     """Candidates evaluated."""
     n_episodes: int
     """Episodes begun."""
     latencies: tuple[tuple[float, ...], ...]
-    """Wall time of each evaluation [s], a tuple a macro step that had any."""
+    """Wall time of each evaluation [s], a tuple for each macro step that had any."""
     wall: float
     """Wall time of the simulation, from starting the FMUs to the last step [s]."""
     folder: Path | None
     """Run folder, where there is one."""
     n_model_calls: int = 0
-    """Samples at which a candidate was judged."""
+    """Samples at which a candidate was scored."""
     objective: str = ""
-    """How candidates were judged, and why so."""
+    """Objective by which candidates were scored, and why it was chosen."""
     guard: Mapping[str, Any] | None = None
-    """How often it has let through, changed, refused and taken back; None without one."""
+    """Counts of writes that the guard passed, changed, vetoed and reverted; None without a guard."""
     observations: Mapping[str, Any] | None = None
-    """Samples that were kept out, by what was wrong with them; None where nobody looked."""
+    """Counts of samples that were kept out, by fault; None without a screen."""
     belief: FinalEstimate | None = None
-    """What was estimated in the end; None where nothing was estimated."""
+    """Final estimate; None where nothing was estimated."""
 
     def __repr__(self) -> str:
-        """One line: the series would fill pages."""
+        """Return one line: the series would fill pages."""
         name, end = self.scenario.scenario.name, f" at {self.time[-1]:g} s" if len(self.time) else ""
         figures = ", ".join(f"{error:.4g}" for error in self.mse)
         return f"<Run {name}, {self.estimator}, seed {self.seed}: {self.status}{end}, mse [{figures}]>"
@@ -87,17 +87,17 @@ class Run:
         return self.series["time"]
 
     def __getitem__(self, name: str) -> Series:
-        """A variable's series (n,), by `component.variable`. Raises KeyError."""
+        """Return the series (n,) of a variable, `component.variable`. Raises KeyError."""
         return self.series[name]
 
     @property
     def estimates(self) -> dict[str, Series]:
-        """What the controller held of each estimated parameter (n,), by parameter name."""
+        """Values of each estimated parameter in the controller (n,), by parameter name."""
         return {p.name: self.series[p.writes] for p in self.scenario.estimation.parameters}
 
     @property
     def true_parameters(self) -> dict[str, Series]:
-        """The plant's values of the same (n,), by parameter name."""
+        """True values of each estimated parameter (n,), by parameter name."""
         return {p.name: self.series[self.scenario.true_reference(p)] for p in self.scenario.estimation.parameters}
 
     @property
@@ -107,7 +107,7 @@ class Run:
 
     @property
     def mse(self) -> list[float]:
-        """Mean squared tracking error over the recorded points, a number a tracked output."""
+        """Mean squared tracking error over the recorded points, one number per tracked output."""
         return [float(np.mean(e * e)) if len(e) else float("nan") for e in self.errors.values()]
 
     @property
@@ -117,11 +117,11 @@ class Run:
 
     @property
     def diverged_at(self) -> float | None:
-        """Time [s] at which a tracked error passed the limit."""
+        """Time [s] at which a tracking error exceeded limits.divergence; None where none did."""
         return float(self.time[-1]) if self.status == "diverged" else None
 
     def parameters_at(self, t: float) -> list[dict[str, Any]]:
-        """Name, unit, true and estimated value at the first communication point at or after t [s]."""
+        """Return name, unit, true and estimated value of each parameter at the first communication point >= t [s]."""
         k = int(np.searchsorted(self.time, t - 1e-9))
         truth, estimates = self.true_parameters, self.estimates
         return [
@@ -131,7 +131,7 @@ class Run:
         ]
 
     def summary(self) -> dict[str, Any]:
-        """The run's figures as JSON values; times ending in _ms are wall times in ms, others in s."""
+        """Return the run's figures as JSON values; times ending in _ms are wall times in ms, others in s."""
         evaluations = np.array([1e3 * s for step in self.latencies for s in step])
         deadline = self.scenario.scenario.macro_step
         instants = self.scenario.estimation.instants
@@ -161,7 +161,7 @@ class Run:
         }
 
     def to_pandas(self) -> Any:
-        """The series as a pandas DataFrame indexed by time. Raises ImportError without pandas."""
+        """Return the series as a pandas DataFrame indexed by time. Raises ImportError without pandas."""
         try:
             import pandas as pd
         except ImportError as e:
@@ -172,7 +172,7 @@ class Run:
 def begin_folder(
     folder: Path, scenario: Scenario, estimator: str, seed: int, fmus: Mapping[str, Path], plant: Plant
 ) -> None:
-    """Write the manifest of a run that starts now, or goes on: what an earlier end has left is removed."""
+    """Write the manifest of a run that starts or is resumed; remove files that an earlier end of it has left."""
     content = {
         "status": "running",
         "estimator": estimator,
@@ -191,7 +191,7 @@ def begin_folder(
 
 
 def remove_half_written(folder: Path) -> None:
-    """Remove the files that a killed process was about to put in the place of others."""
+    """Remove the temporary files of a process that was killed while it replaced others."""
     for path in folder.glob(".*-????????"):
         if path.is_file():
             path.unlink(missing_ok=True)
@@ -200,7 +200,7 @@ def remove_half_written(folder: Path) -> None:
 def end_folder(run: Run, folder: Path, units: Mapping[str, Unit]) -> None:
     """Write result, estimates and CSV of a finished run, and close its manifest with the hashes.
 
-    units: what the controllers' FMUs say of their units, by name.
+    units: unit definitions of the FMUs, by name.
     """
     write_json(folder / RESULT, run.summary())
     write_text(folder / LATENCIES, to_json(run.latencies) + "\n")
@@ -219,7 +219,7 @@ def end_folder(run: Run, folder: Path, units: Mapping[str, Unit]) -> None:
 def read_run(folder: Path | str) -> Run:
     """Return the run that a folder records.
 
-    One that goes on, or was killed, is returned as far as it is written, with status `running` or `unfinished`.
+    One in progress, or killed, is returned as far as it is written, with status `running` or `unfinished`.
     Raises FolderError for a folder that holds no run, or a damaged one.
     """
     folder = Path(folder)
@@ -243,7 +243,7 @@ def read_run(folder: Path | str) -> Run:
 
 
 def _check_begun(folder: Path) -> None:
-    """Raises FolderError where what was on the disk at the last checkpoint is not there any more."""
+    """Raise FolderError where the series on the disk does not begin as it was at the last checkpoint."""
     try:
         is_whole = read_checkpoint(folder).place.series.digest_of(folder / SERIES) is not None
     except (NotResumableError, OSError):  # nothing to compare with; who reads the series says what is wrong with it
@@ -254,7 +254,7 @@ def _check_begun(folder: Path) -> None:
 
 @dataclass(frozen=True)
 class _Result:
-    """What is read of a result."""
+    """The part of a result file that is read."""
 
     error: str | None = None
     evaluations: int = 0

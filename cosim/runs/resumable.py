@@ -1,4 +1,4 @@
-"""Run folders that were left before their run was done: whether it can go on, and from where."""
+"""Unfinished runs in folders: checks that they can be resumed, and from where."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,35 +15,35 @@ from .series import read_series
 
 
 def has_begun(folder: Path) -> bool:
-    """Whether anything of a run may be in the folder."""
+    """Return whether the folder may hold a run."""
     return (folder / MANIFEST).exists()
 
 
 def has_ended(folder: Path) -> bool:
-    """Whether a run is in the folder of which nothing is left to be done. Raises FolderError."""
+    """Return whether the folder holds a run that is complete. Raises FolderError."""
     return has_begun(folder) and read_manifest(folder).status in ("done", "diverged")
 
 
 @dataclass(frozen=True)
 class Unfinished:
-    """A run that was left before its end."""
+    """An unfinished run that can be resumed."""
 
     manifest: Manifest
-    """What is run."""
+    """Manifest of the run."""
     checkpoint: Checkpoint | None
-    """How far it had come; None where it has not a row yet."""
+    """Last checkpoint; None where no row is recorded yet."""
 
     @property
     def place(self) -> Place:
-        """Where its record goes on."""
+        """Point of the record from which it is continued."""
         return self.checkpoint.place if self.checkpoint else Place(EMPTY, EMPTY)
 
 
 def read_unfinished(folder: Path) -> Unfinished:
-    """The run of a folder that can go on. Nothing but reading is done.
+    """Return the unfinished run of a folder, which is only read.
 
-    Raises FolderError for a folder that holds no run or a damaged one; NotResumableError where the same bits cannot
-    be had: the run has ended, it has no checkpoint, or what it depends on has changed.
+    Raises FolderError for a folder that holds no run or a damaged one; NotResumableError where the run cannot be
+    resumed bit for bit: it has ended, it has no checkpoint, or what it depends on has changed.
     """
     manifest = read_manifest(folder)
     for name in MADE_AT_END:  # anew
@@ -80,7 +80,7 @@ def _has_rows(folder: Path) -> bool:
 
 
 def _check(folder: Path, name: str, prefix: Prefix) -> None:
-    """Raises FolderError for a file that does not begin with what it held at the checkpoint."""
+    """Raise FolderError for a file that does not begin with its content at the checkpoint."""
     try:
         is_whole = prefix.digest_of(folder / name) is not None
     except OSError as e:

@@ -1,4 +1,4 @@
-"""The files of a run folder, and how a new folder is made."""
+"""The files of a run folder, and the creation of new folders."""
 
 import re
 from dataclasses import dataclass
@@ -17,15 +17,15 @@ class RunFile:
     """A file of a run folder."""
 
     name: str
-    """Its name."""
+    """File name."""
     content: str
-    """What is in it, in a line."""
+    """Description of its content, in a line."""
     is_made_at_end: bool = False
-    """Whether the end of a run writes it: where a run begins or goes on, that of an earlier end is removed."""
+    """True where it is written at the end of a run; a run that starts or is resumed removes an earlier one."""
     is_required: bool = False
-    """Whether a run that has ended cannot be read without it."""
+    """True where a run that has ended cannot be read without it."""
     is_sealed: bool = True
-    """Whether the manifest of a run that has ended holds its SHA-256."""
+    """True where the manifest of a run that has ended holds its SHA-256."""
 
 
 RUN_FILES: Final = (
@@ -42,7 +42,7 @@ RUN_FILES: Final = (
     RunFile(CHECKPOINT, "where a run that was left goes on", is_sealed=False),
     RunFile(LOCK, "which command is at work here", is_sealed=False),
 )  # fmt: skip
-"""All files of a run folder but its pictures. A new one is a row here, and what writes it."""
+"""All files of a run folder but its pictures. A new file needs a row here, and code that writes it."""
 MADE_AT_END: Final = tuple(file.name for file in RUN_FILES if file.is_made_at_end)
 REQUIRED: Final = tuple(file.name for file in RUN_FILES if file.is_required)
 UNSEALED: Final = frozenset(file.name for file in RUN_FILES if not file.is_sealed)
@@ -55,8 +55,8 @@ _LONGEST_OWNER: Final = 1000
 def new_run_folder(scenario: str, out: Path | None) -> Path:
     """Make the run folder: `out`, which must be absent or empty, or the next free runs/SCENARIO-n.
 
-    What a command that was killed before it had written anything leaves is nothing: its lock, and empty folders beside
-    it. Whether that is a living command's, `locked` says. Raises FolderError.
+    A lock with only empty folders beside it, as a command leaves that was killed before it wrote anything, counts as
+    empty; `locked` checks whether a command still holds it. Raises FolderError.
     """
     try:
         if out is not None:
@@ -84,7 +84,7 @@ def _is_empty(folder: Path) -> bool:
 
 
 def is_lock(path: Path) -> bool:
-    """Whether this is a lock file, and not something of the user's of that name. Raises OSError."""
+    """Return whether the path is a lock file, and not a user's file of that name. Raises OSError."""
     if path.is_symlink() or not path.is_file():
         return False
     with open(path, "rb") as file:

@@ -1,4 +1,4 @@
-"""Recorded series: read from Arrow as far as they were written, and written as CSV."""
+"""Recorded series: reading from Arrow as far as they were written, and writing as CSV."""
 
 import csv
 import io
@@ -16,7 +16,7 @@ from .run_files import SERIES
 
 
 def write_csv(path: Path, series: Mapping[str, Sequence[float] | np.ndarray[Any, Any]]) -> None:
-    """The series as CSV, every digit kept, at once or not at all. Raises FolderError."""
+    """Write the series as CSV, with all digits, at once or not at all. Raises FolderError."""
     header = io.StringIO()
     csv.writer(header, lineterminator="\n").writerow(series)
     rows = pa.RecordBatch.from_arrays([arrow_array(c) for c in series.values()], names=list(series))
@@ -26,7 +26,7 @@ def write_csv(path: Path, series: Mapping[str, Sequence[float] | np.ndarray[Any,
 
 
 def read_series(folder: Path) -> dict[str, np.ndarray[Any, np.dtype[np.float64]]]:
-    """The recorded series of a run folder, also of a run that was killed: as far as it was written.
+    """Return the recorded series of a run folder; of a run that was killed, as far as they were written.
 
     Raises FolderError where there is none.
     """
@@ -42,7 +42,7 @@ def read_series(folder: Path) -> dict[str, np.ndarray[Any, np.dtype[np.float64]]
 
 
 def arrow_array(column: Sequence[float] | np.ndarray[Any, Any]) -> Any:
-    """The column as Arrow's: pa.array imports pandas, 0.25 s, to see whether it was given one of its arrays."""
+    """Return the column as an Arrow array; pa.array would import pandas, 0.25 s, to check for its types."""
     values = np.ascontiguousarray(column, dtype=np.float64)
     return pa.Array.from_buffers(pa.float64(), len(values), [None, pa.py_buffer(values)])
 
@@ -53,7 +53,7 @@ def _column(chunks: Sequence[Any]) -> np.ndarray[Any, np.dtype[np.float64]]:
 
 
 def _readable(reader: Any) -> Iterator[Any]:
-    """Batches up to where the writing stopped."""
+    """Yield the batches up to where the writing stopped."""
     while True:
         try:
             yield reader.read_next_batch()

@@ -1,4 +1,4 @@
-"""Runs of a scenario, from its FMUs to a result."""
+"""Simulation of a scenario, from its FMUs to a result."""
 
 from contextlib import ExitStack
 from pathlib import Path
@@ -32,23 +32,23 @@ def run(
     progress: StepProgress | None = None,
 ) -> Run:
     """Simulate the scenario with its controller re-tuned by `estimator`: an estimator's name,
-    `none`, `true`, or `module:Class` of the user's own.
+    `none`, `true`, or a user's `module:Class`.
 
     scenario: a Scenario, the name of one, or a TOML file. The same seed gives the same run, bit for bit, on one
     machine. With `out`, an absent or empty folder, everything is recorded there. A fault of an FMU ends the run with
     status `faulted`: the rows so far are kept.
     Raises ScenarioError, ModelDescriptionError, WiringError or FolderError before any step; KeyboardInterrupt when
-    interrupted and UnfinishedError when the disk is full, the rows so far recorded: `resume` goes on with them.
+    interrupted and UnfinishedError when the disk is full, the rows so far recorded: `resume` continues from them.
     """
     scenario = scenario if isinstance(scenario, Scenario) else Scenario.load(scenario)
     return _simulated(scenario, estimator, seed, None if out is None else Path(out), progress)
 
 
 def resume(folder: Path | str, progress: StepProgress | None = None) -> Run:
-    """Go on with a run that was killed, interrupted or faulted, from its last checkpoint, to the same bits as if
-    nothing had happened; wall times are added up.
+    """Resume a run that was killed, interrupted or faulted from its last checkpoint. The result is the same, bit for
+    bit, as without the interruption; wall times are added up.
 
-    Raises FolderError where that cannot be, with the reason, the folder being as it was; and what `run` raises.
+    Raises FolderError with the reason where that is impossible, leaving the folder unchanged; and what `run` raises.
     """
     folder = Path(folder)
     read_manifest(folder)  # else a lock would be put into a folder of something else
@@ -70,7 +70,7 @@ def _simulated(
     progress: StepProgress | None,
     old: Unfinished | None = None,
 ) -> Run:
-    """What `run` and, with an old record that goes on, `resume` do."""
+    """Simulate for `run` or, with old, an earlier record to be continued, for `resume`."""
     check_estimator(estimator, scenario)
     paths = fmu_paths(scenario)
     with threadpool_limits(1), ExitStack() as stack:  # the number of BLAS threads changes bits

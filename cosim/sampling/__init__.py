@@ -1,1 +1,1 @@
-"""Sampling: what is measured of the plant, what sensor faults make of it, and which samples are screened out."""
+"""Sampling: measurement of the plant, injection of sensor faults, filtering and screening of samples."""

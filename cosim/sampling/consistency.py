@@ -1,7 +1,7 @@
-"""Whether sampled derivatives and the differences of their states tell the same motion.
+"""Consistency of sampled derivatives with the differences of their states.
 
-The sensor of a derivative that is biased, scaled, delayed or has the wrong sign is found so, as long as its state's is
-right, whatever the parameters are.
+This detects a derivative sensor that is biased, scaled, delayed or has the wrong sign, as long as the sensor of its
+state is right, whatever the parameters are.
 """
 
 from collections import deque
@@ -17,16 +17,16 @@ from estimator import Sample, Vector
 _LENGTH: Final = 20
 """Samples over which derivatives are summed."""
 _FEWEST: Final = 5
-"""Samples from which on their scatter says something of the noise."""
+"""Least number of samples whose scatter is an estimate of the noise."""
 
 
 class Consistency:
-    """Compares x_k - x_j with h sum xdot_i, i = j+1 .. k, over the newest samples, channel by channel.
+    """Check of x_k - x_j against h sum xdot_i, i = j+1 .. k, over the newest samples, channel by channel.
 
-    A sample at the end of a step belongs to the input that was held over it. So the rectangle errs by h/2 times what
-    the derivative has changed over the step, of which the model tells the size. Limits are those of the noise, declared
-    or seen, whichever is larger, of twice that error, and of h/2 sum |xdot_i - xdot_(i-1)|, the last counted twice, so
-    that a spike is no bias.
+    A sample at the end of a step belongs to the input that was held over it. So the rectangle rule errs by h/2 times
+    the change of the derivative over the step, whose size the model predicts. The limit is the sum of that of the
+    noise, declared or observed, whichever is larger, of twice that error, and of h/2 sum |xdot_i - xdot_(i-1)|, the
+    last counted twice, so that a spike is no bias.
     """
 
     def __init__(
@@ -46,9 +46,9 @@ class Consistency:
         self._last: Sample | None = None
 
     def step(self, sample: Sample, theta: Vector) -> NDArray[np.intp]:
-        """Channels whose derivative does not fit the state's motion; a gap in time begins anew.
+        """Return the channels whose derivative does not fit the state's motion; a gap in time restarts the check.
 
-        theta (d,): what is in force.
+        theta (d,): parameters in force.
         """
         last, self._last = self._last, sample
         if last is None or abs(sample.t - last.t - self._h) > 0.5 * self._h:

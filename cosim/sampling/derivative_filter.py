@@ -1,4 +1,4 @@
-"""Derivatives from sampled states, where a plant has none to measure, and what belongs to them.
+"""Derivatives filtered from sampled states, where a plant has none to measure, with matching states and inputs.
 
 A plant obeys xdot = f(x, u; theta). A linear filter of samples whose coefficients sum to zero is a weighted mean of
 their slopes, and the mean slope of a macro step is the mean of xdot over it:
@@ -31,7 +31,7 @@ _CORRELATED: Final = 0.05  # what two samples' noise may share
 
 @dataclass(frozen=True)
 class Kernel:
-    """Weights of the macro steps in a filter's mean."""
+    """Weights of the macro steps in the mean of a filter."""
 
     weights: Vector
     """W (n,), the newest step first; sums to one."""
@@ -40,7 +40,7 @@ class Kernel:
 
     @cached_property
     def difference(self) -> Vector:
-        """d (n + 1,) [1/s]: the derivative is the sum of d times the samples, the newest first."""
+        """Coefficients d (n + 1,) [1/s]: the derivative is the sum of d times the samples, the newest first."""
         return (np.append(self.weights, 0.0) - np.append(0.0, self.weights)) / self.macro_step
 
     @cached_property
@@ -50,33 +50,33 @@ class Kernel:
 
     @property
     def delay(self) -> float:
-        """How far the mean lies behind the newest sample [s]."""
+        """Delay of the mean behind the newest sample [s]."""
         return float(self.weights @ self._age)
 
     @property
     def variance(self) -> float:
-        """Second moment of the weights about the mean [s^2]; nil for a Savitzky-Golay filter of third order."""
+        """Second moment of the weights about the mean [s^2]; zero for a Savitzky-Golay filter of third order."""
         return float(self.weights @ ((self._age - self.delay) ** 2 + self.macro_step**2 / 12.0))
 
     @property
     def noise_gain(self) -> float:
-        """|d|_2 [1/s]: standard deviation of the derivative's noise over that of the samples, which is white."""
+        """Noise gain |d|_2 [1/s]: standard deviation of the derivative's noise over that of the white sample noise."""
         return float(np.linalg.norm(self.difference))
 
     @property
     def independent_after(self) -> int:
-        """Points after which the derivative's noise shares at most 5 % with what it was."""
+        """Number of points after which the correlation of the derivative's noise is at most 5 %."""
         shared = np.abs(np.correlate(self.difference, self.difference, "full")[len(self.weights) :])
         return int(np.flatnonzero(shared > _CORRELATED * shared[0])[-1]) + 1
 
     @property
     def _age(self) -> Vector:
-        """How long ago each step's middle was (n,) [s]."""
+        """Age of the middle of each step (n,) [s]."""
         return self.macro_step * np.arange(0.5, len(self.weights))
 
 
 def savitzky_golay(points: int, order: int, macro_step: float) -> Kernel:
-    """The derivative, at the middle of the points, of the polynomial that fits them best.
+    """Return the kernel of the derivative, at the middle of the points, of the polynomial that fits them best.
 
     Savitzky and Golay (1964); scipy.signal.savgol_coeffs.
     """
@@ -87,10 +87,10 @@ def savitzky_golay(points: int, order: int, macro_step: float) -> Kernel:
 
 
 def state_variable(cutoff: float, order: int, macro_step: float) -> Kernel:
-    """Input, state and its derivative through F(s) = (cutoff / (s + cutoff))^order, cutoff in rad/s.
+    """Return the kernel of the filter F(s) = (cutoff / (s + cutoff))^order, cutoff in rad/s.
 
-    Young and Jakeman (1980); Garnier and Wang (2008), section 1.5. What is held over a step is answered exactly:
-    F's step response is a gamma distribution's. It is cut where 0.1 % is left.
+    Young and Jakeman (1980); Garnier and Wang (2008), section 1.5. It is exact for a signal held over each
+    step: F's step response is that of a gamma distribution. The response is cut where 0.1 % is left.
     """
     n = 1
     while gammainc(order, cutoff * n * macro_step) < 1.0 - _TAIL:
@@ -100,7 +100,7 @@ def state_variable(cutoff: float, order: int, macro_step: float) -> Kernel:
 
 
 def kernel_of(settings: SavitzkyGolay | StateVariable, macro_step: float) -> Kernel:
-    """The weights of a scenario's filter."""
+    """Return the kernel of a scenario's filter."""
     match settings:
         case SavitzkyGolay():
             return savitzky_golay(settings.points, settings.order, macro_step)
@@ -109,15 +109,15 @@ def kernel_of(settings: SavitzkyGolay | StateVariable, macro_step: float) -> Ker
 
 
 def derivative_noise(sampling: Sampling, macro_step: float) -> tuple[float, ...]:
-    """Standard deviation of each sampled derivative's noise (c,): the scenario's, else the filter's |d|_2 sigma."""
+    """Return the standard deviation of each derivative's noise (c,): the scenario's, else the filter's |d|_2 sigma."""
     gain = kernel_of(sampling.filter, macro_step).noise_gain if sampling.filter else 0.0
     return tuple(d.noise or gain * sampling.states[d.of or name].noise for name, d in sampling.derivatives.items())
 
 
 class DerivativeFilter:
-    """Turns what is measured at every point into samples with derivatives, each of a time that has passed.
+    """Filter from measurements at every point to samples with derivatives, each delayed by the filter.
 
-    There is one every so many points that two share next to no noise: a window of samples is judged as independent.
+    Samples are spaced so that two share next to no noise: the samples of a window are treated as independent.
     """
 
     def __init__(self, settings: SavitzkyGolay | StateVariable, macro_step: float, channels: Sequence[int]) -> None:
@@ -129,7 +129,7 @@ class DerivativeFilter:
         self._wait = 0
 
     def __call__(self, measured: Sample) -> Sample | None:
-        """The sample that this point completes, if it does; after a gap in time it begins anew."""
+        """Return the sample that this point completes, or None; a gap in time restarts the filter."""
         h = self.kernel.macro_step
         if self._points and abs(measured.t - self._points[0].t - h) > 1e-6 * h:
             self._points.clear()

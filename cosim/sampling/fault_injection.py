@@ -1,4 +1,4 @@
-"""Faults of sensors, for trying out a set-up: what the estimator gets to see instead of what was measured."""
+"""Injection of sensor faults into measured samples, for tests of a set-up."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,7 +13,7 @@ from ..scenarios.schema.sampling import SensorFault
 
 
 class FaultInjection:
-    """Applies a scenario's faults to its samples. Draws from a stream of its own: the noise stays what it is."""
+    """Sensor faults of a scenario, applied to its samples, with a random stream of their own: noise is unaffected."""
 
     def __init__(self, faults: Sequence[SensorFault], sensors: Sequence[str], rng: np.random.Generator) -> None:
         """sensors: names of the measured values, xdot, x, then y. Raises WiringError for an unknown one."""
@@ -30,7 +30,7 @@ class FaultInjection:
         self._memory = 1 + max((f.steps for f in faults), default=0)
 
     def __call__(self, sample: Sample) -> Sample:
-        """The sample with the faults in force at its time, one after the other."""
+        """Return the sample with the faults in force at its time, applied one after the other."""
         self._past = [*self._past[-self._memory :], sample]
         measured, stamp = [*sample.xdot, *sample.x, *sample.y], sample.t
         for i, (fault, places) in enumerate(self._faults):
@@ -54,7 +54,7 @@ class FaultInjection:
 
 
 def _faulty(fault: SensorFault, value: float, draw: float) -> float:
-    """draw: a sign, or of the standard normal distribution."""
+    """Return a faulty value; draw: a sign, or a number from the standard normal distribution."""
     match fault.kind:
         case "dropout":
             return float("nan")

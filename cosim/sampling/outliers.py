@@ -1,4 +1,4 @@
-"""Samples whose residual has jumped: suspect, until the next one shows whether the change persists."""
+"""Detection of outliers: a sample whose residual jumps is suspect until the next shows whether the change persists."""
 
 from collections import deque
 from collections.abc import Callable
@@ -10,15 +10,15 @@ import numpy as np
 from estimator import Sample, Vector
 
 _MEMORY: Final = 31
-"""Changes of the residual whose median says what is usual."""
+"""Number of changes of the residual whose median is the usual change."""
 _MOST_SUSPECTS: Final = 5
-"""Suspects in a row; more are no outliers, which are isolated."""
+"""Largest number of suspects in a row: outliers are isolated."""
 _PERSISTS: Final = 0.3
-"""Share of a jump that must be there in the next sample; the controller may have answered to it already."""
+"""Share of a jump that must persist in the next sample; the controller may have responded to it already."""
 
 
 class Outliers:
-    """Keeps the last good sample and the suspect one."""
+    """Detector of outliers, which keeps the last good sample and the suspect one."""
 
     def __init__(
         self,
@@ -32,15 +32,15 @@ class Outliers:
         self._limit, self._names, self._noise, self._residual = limit, names, np.array(noise), residual
         self._last: Sample | None = None
         self._suspect: Sample | None = None
-        self._theta = np.empty(0)  # what was in force at the suspect
+        self._theta = np.empty(0)  # in force at the suspect
         self._n_suspects = 0
         self._changes: deque[Vector] = deque(maxlen=_MEMORY)
 
     def step(self, sample: Sample, theta: Vector) -> tuple[bool, list[str]]:
-        """Whether the sample is suspect, and the sensors of which the sample before, suspect too, was an outlier.
+        """Return whether the sample is suspect, and the sensors for which the suspect before it was an outlier.
 
-        theta (d,): what is in force. After a suspect, what was in force at it: a write on its account has changed the
-        inputs, which with wrong parameters makes residuals jump as well.
+        theta (d,): parameters in force. After a suspect those in force at it are used instead: a write due to it has
+        changed the inputs, which with wrong parameters makes residuals jump as well.
         """
         residual = self._residual
         if self._suspect is not None:
@@ -65,7 +65,7 @@ class Outliers:
         return self._accept(sample), names
 
     def _limits(self, sample: Sample, now: Vector, last: Vector) -> Vector:
-        """Changes of the residual (c,) that are usual; where the model moves much, its error may move as much."""
+        """Return the largest usual changes of the residual (c,); a model error may change as much as the model does."""
         usual = 1.4826 * np.median(self._changes, axis=0) if self._changes else np.zeros(len(now))
         assert self._last is not None
         measured = np.subtract(sample.xdot, self._last.xdot) / self._noise

@@ -1,4 +1,4 @@
-"""What the estimator gets to see of the plant: state, held input, derivatives and outputs, with measurement noise."""
+"""Sampling of the plant for the estimator: state, held input, derivatives and outputs, with measurement noise."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -18,7 +18,7 @@ from .fault_injection import FaultInjection
 
 
 class Sampler:
-    """Takes samples from the outputs' values. The noise has its own stream, drawn at every point, used or not."""
+    """Sampler of the outputs' values. The noise has a random stream of its own, drawn at every point, used or not."""
 
     def __init__(
         self,
@@ -53,25 +53,25 @@ class Sampler:
         filtered = filtered_columns(scenario, plant)
         self._nothing = (math.nan,) * len(filtered)
         self.columns = (*xdot, *(x[i] for i in self._noisy), *u, *(y[i] for i in self._further), *filtered)
-        """Names of what `row` gives."""
+        """Names of the columns of `row`."""
 
     def take(self, t: float, values: Sequence[float], held: Mapping[str, float]) -> Sample:
-        """What is measured at t [s]; values of all outputs, what the plant's connected inputs were held at up to t."""
+        """Return the measurement at t [s]; values: of all outputs; held: of the plant's connected inputs up to t."""
         noise = self._sigma * self._rng.standard_normal(len(self._sigma))
         sample = self._sample(t, values, held, noise.tolist())
         return sample if self._faults is None else self._faults(sample)
 
     def filtered(self, measured: Sample) -> Sample | None:
-        """The sample that the estimator gets: what is measured, or what the filter makes of it, of a time before."""
+        """Return the sample for the estimator: the measurement, or the filter's delayed output, or None."""
         return measured if self._filter is None else self._filter(measured)
 
     def exact(self, t: float, values: Sequence[float]) -> Sample:
-        """The sample before the first step: without noise, inputs at their start."""
+        """Return the sample before the first step: without noise, inputs at their start values."""
         sample = self._sample(t, values, {}, [0.0] * len(self._sigma))
         return replace(sample, xdot=sample.xdot or self._no_xdot)
 
     def row(self, measured: Sample, sample: Sample | None) -> tuple[float, ...]:
-        """What is recorded of a point besides the plant's outputs: what was measured, what the filter made of it."""
+        """Return the row to record besides the plant's outputs: the measurement and the filter's output."""
         noisy, further = [measured.x[i] for i in self._noisy], [measured.y[i] for i in self._further]
         row = (*measured.xdot, *noisy, *measured.u, *further)
         if self._filter is None:
@@ -89,7 +89,7 @@ SAMPLED, HELD, FILTERED = "sampled.", "held.", "filtered."
 
 
 def measured_columns(scenario: Scenario, plant: Plant) -> tuple[list[str], list[str], list[str], list[str]]:
-    """Recorded columns of x, u, xdot and y as measured; a state without noise or fault is the plant's output itself."""
+    """Return the columns of x, u, xdot and y as measured; a state without noise or fault is the plant's own output."""
     states = [f"{plant.name}.{name}" for name in plant.states]
     sampling = scenario.sampling
     faulty = [states if f.sensor is None else [f.sensor] for f in sampling.faults]
@@ -103,7 +103,7 @@ def measured_columns(scenario: Scenario, plant: Plant) -> tuple[list[str], list[
 
 
 def filtered_columns(scenario: Scenario, plant: Plant) -> list[str]:
-    """Recorded columns of the filter's time, x, u and xdot; without a filter none."""
+    """Return the columns of the filter's time, x, u and xdot; none without a filter."""
     if scenario.sampling.filter is None:
         return []
     names = [f"{plant.name}.{name}" for name in (*plant.states, *plant.inputs)]
@@ -113,7 +113,7 @@ def filtered_columns(scenario: Scenario, plant: Plant) -> list[str]:
 def recorded_samples(
     scenario: Scenario, plant: Plant, series: Mapping[str, np.ndarray[Any, np.dtype[np.float64]]], rows: Sequence[int]
 ) -> list[Sample | None]:
-    """The sample that a run's estimator got at each of these rows of its record; None where the filter had none.
+    """Return the estimator's sample at each of these rows of a run's record; None where the filter had none.
 
     Raises KeyError for a missing column.
     """

@@ -1,10 +1,10 @@
-"""Which samples the estimator gets: those that are missing, late, stuck, inconsistent or outliers it does not.
+"""Screening of samples: the estimator gets none that is missing, late, stuck, inconsistent or an outlier.
 
-They are named and counted. Gaussian processes take a NaN in silence, and every acquisition after it is NaN. A change of
-the plant persists, an outlier does not: a sample that jumps away from the model is used at once, and where the next one
-does not confirm it, it is taken back, with what was written on its account. A derivative that does not fit the motion
-of its state is inconsistent. A constant bias of a state, or one of derivative and state that fit each other, looks like
-another plant: nothing here can tell them apart.
+Rejected samples are reported and counted. Gaussian processes accept a NaN silently, and every acquisition after it is
+NaN. A change of the plant persists, an outlier does not: a sample that jumps away from the model is used at once; if
+the next one does not confirm it, it is retracted, with the writes due to it. A derivative that does not fit the motion
+of its state is inconsistent. A constant bias of a state, or consistent biases of derivative and state, look like
+another plant and are not detected.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,17 +21,17 @@ from .outliers import Outliers
 from .sensor_checks import INPUT, LATE, SensorChecks, SensorHealth
 
 _STILL: Final = 1e-9
-"""Change of a state over a step, relative to its size, below which it may keep its bits."""
+"""Change of a state over a step, relative to its size, below which its bits may stay the same."""
 
 
 @dataclass(frozen=True)
 class Sensors:
-    """The sampled values, derivatives before states, as the screen sees them."""
+    """Description of the sampled values for the screen, derivatives before states."""
 
     names: tuple[str, ...]
-    """Of xdot (c,), then of x (n,)."""
+    """Names of xdot (c,), then of x (n,)."""
     is_noisy: tuple[bool, ...]
-    """Whether noise changes its bits at every sample (c + n,)."""
+    """True for each value whose bits change by noise at every sample (c + n,)."""
     noise: tuple[float, ...]
     """Standard deviations of the derivatives (c,)."""
     channels: tuple[int, ...]
@@ -45,20 +45,20 @@ class Sensors:
 
 
 class Screened(NamedTuple):
-    """What a sample is good for."""
+    """Result of screening a sample."""
 
     sample: Sample | None
-    """What the estimator gets; None where it is kept out."""
+    """Sample for the estimator; None where it is kept out."""
     is_suspect: bool = False
-    """It has jumped: the next one confirms it, or it is taken back."""
+    """True where the sample has jumped: the next one confirms it, or it is retracted."""
     was_outlier: bool = False
-    """The one before, which was suspect, was not confirmed: it is to be taken back."""
+    """True where the sample before, a suspect, was not confirmed and must be retracted."""
     events: tuple[Event, ...] = ()
-    """What there is to say."""
+    """Events to record."""
 
 
 class SampleScreen:
-    """Of sampled derivatives: takes each sample, says whether the estimator gets it."""
+    """Screen of sampled derivatives and states, which decides on each sample."""
 
     def __init__(self, settings: ObservationSettings, sensors: Sensors, macro_step: float) -> None:
         """macro_step [s]."""
@@ -72,7 +72,7 @@ class SampleScreen:
         self._n_kept_out = 0
 
     def step(self, t: float, sample: Sample, theta: Vector) -> Screened:
-        """What the sample is good for; theta (d,): what is in force at t [s]."""
+        """Return the screened sample; theta (d,): parameters in force at t [s]."""
 
         def moves(i: int) -> bool:
             return self._sensors.is_noisy[i] or self._state_moves(i, sample, theta)
@@ -87,11 +87,11 @@ class SampleScreen:
         return Screened(None if is_kept_out else sample, is_suspect, bool(outliers), tuple(events))
 
     def summary(self) -> dict[str, Any]:
-        """The counts, as JSON values; failed: sensors that are bad at the end."""
+        """Return the counts as JSON values; failed: sensors that have failed at the end."""
         return _summary(self._n_kept_out, self._health)
 
     def _state_moves(self, i: int, sample: Sample, theta: Vector) -> bool:
-        """Whether the model says that the state at that place, if it is one, has changed over the step."""
+        """Return whether, by the model, the state at place i has changed over the step; False for a derivative."""
         place = i - len(sample.xdot)
         if place < 0:
             return False
@@ -100,9 +100,9 @@ class SampleScreen:
 
 
 class OutputScreen:
-    """Of sampled outputs, for roll-outs, which need every sample: a bad value becomes NaN, which is not judged.
+    """Screen of sampled outputs, for roll-outs, which need every sample: a bad value becomes NaN, which is not scored.
 
-    An outlier cannot be told from what other parameters would do: that takes a model of the outputs.
+    An outlier cannot be distinguished from the effect of other parameters: that takes a model of the outputs.
     """
 
     def __init__(
@@ -118,7 +118,7 @@ class OutputScreen:
         self._n_kept_out = 0
 
     def step(self, t: float, sample: Sample, theta: Vector) -> Screened:
-        """The sample at t [s] without its bad values; while a sensor has failed, without any."""
+        """Return the sample at t [s] with NaN for bad values; while a sensor has failed, for all."""
         found = {*self._plain.step(t, sample.t, sample.y, sample.u, lambda i: self._is_noisy[i])}
         bad = {name for _, name in found}
         is_useless = bool(self._health.failed) or LATE in found or INPUT in bad
@@ -129,7 +129,7 @@ class OutputScreen:
         return Screened(replace(sample, t=t, y=y), events=tuple(self._health.take(t, found)))
 
     def summary(self) -> dict[str, Any]:
-        """As that of `SampleScreen`; kept_out: samples of which at least one value was."""
+        """Return the counts as `SampleScreen` does; kept_out: samples with at least one value kept out."""
         return _summary(self._n_kept_out, self._health)
 
 

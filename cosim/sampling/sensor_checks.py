@@ -1,4 +1,4 @@
-"""What is wrong with sampled values by themselves, and which sensors have failed: whatever the values are used for."""
+"""Checks of sampled values that need no model, and the health of their sensors."""
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -15,7 +15,7 @@ LATE: Final = ("late", "sample")
 
 
 class SensorChecks:
-    """Finds values that are missing, infinite, late or stuck. Keeps the last values and the newest time stamp."""
+    """Detector of missing, infinite, late or stuck values. Keeps the last values and the newest time stamp."""
 
     def __init__(self, names: Sequence[str], stuck: int, macro_step: float) -> None:
         """names: of the sampled values (k,); stuck: samples with the same bits; macro_step [s]."""
@@ -27,9 +27,9 @@ class SensorChecks:
     def step(
         self, t: float, stamp: float, values: tuple[float, ...], u: Sequence[float], moves: Callable[[int], bool]
     ) -> Iterator[tuple[str, str]]:
-        """(kind, sensor) of what is wrong at t [s]; stamp [s], values (k,), u (p,): of the sample.
+        """Yield (kind, sensor) of each fault at t [s]; stamp [s], values (k,), u (p,): of the sample.
 
-        moves: whether noise, or its derivative, should have changed the value at that place.
+        moves: function of a place, whether noise or its derivative should have changed the value there.
         """
         is_late = stamp < t - 0.5 * self._h or stamp <= self._stamp
         self._stamp = max(self._stamp, stamp)
@@ -48,7 +48,7 @@ class SensorChecks:
 
 
 class SensorHealth:
-    """Counts what is found, tells the first of a series, and knows the sensors that have failed."""
+    """Health of the sensors: counts faults, reports the first of a series, and tracks sensors that have failed."""
 
     def __init__(self, settings: ObservationSettings) -> None:
         self._patience = settings.patience
@@ -56,10 +56,10 @@ class SensorHealth:
         self.failed: dict[str, None] = {}
         """Sensors that are bad in more than half of the newest samples, until they are in less than a tenth."""
         self.counts: dict[str, int] = {}
-        """Findings, by "KIND SENSOR"."""
+        """Number of faults, by "KIND SENSOR"."""
 
     def take(self, t: float, found: Iterable[tuple[str, str]]) -> list[Event]:
-        """What there is to say of what was found, (kind, sensor), at t [s]."""
+        """Count the faults found at t [s], (kind, sensor); return the events to record."""
         now = sorted({*found})
         events: list[Event] = []
         for kind, name in now:

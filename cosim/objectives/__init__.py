@@ -1,1 +1,1 @@
-"""Objectives: how a candidate is scored against samples, by derivatives, roll-outs or a function of the user's."""
+"""Objectives, which score a candidate against samples: by derivatives, roll-outs or a function of the user's."""

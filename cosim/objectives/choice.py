@@ -1,4 +1,4 @@
-"""What a scenario's candidates are judged by: derivatives, roll-outs, or a function of the user's."""
+"""Choice of a scenario's objective: derivatives, roll-outs, or a function of the user's."""
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -14,21 +14,21 @@ from ..scenarios.scenario import Scenario
 from ..system.plant import Plant
 from ..user_code import USERS, load
 from .rollout import RolloutObjective
-from .rollout_fmu import START_METHODS, RunningPlant, shadow_of, told
+from .rollout_fmu import START_METHODS, RunningPlant, obstacles_in_words, shadow_of
 
 ENDLESS: Final = "estimation.trigger: 'always' is for derivatives: other objectives need episodes that end."
 
 
 @dataclass(frozen=True)
 class Choice:
-    """An objective, and why it is this one."""
+    """The kind of objective, and the reason for it."""
 
     kind: Literal["derivative", "rollout", "function"]
     why: str
 
 
 def chosen(scenario: Scenario) -> Choice:
-    """The objective that a scenario names or, with `auto`, can have. Raises ScenarioError where it lacks something."""
+    """Return the kind of objective that a scenario names or, with `auto`, allows. Raises ScenarioError if none."""
     settings, sampling = scenario.estimation, scenario.sampling
     objective, lacks = settings.objective, "estimation.objective"
     if ":" in objective:
@@ -49,9 +49,9 @@ def chosen(scenario: Scenario) -> Choice:
 def open_objective(
     scenario: Scenario, plant: Plant, theta: Vector, live: RunningPlant | None, stack: ExitStack
 ) -> "DescribedObjective":
-    """What judges candidates of roll-outs or by the user's function; stack ends its processes. Raises ScenarioError.
+    """Open the objective for roll-outs or for the user's function; stack ends its processes. Raises ScenarioError.
 
-    theta (d,): what the controller holds; live: the plant, where it runs.
+    theta (d,): the controller's present parameters; live: the running plant, if there is one.
     """
     settings = scenario.estimation
     if ":" in settings.objective:
@@ -62,7 +62,7 @@ def open_objective(
 
 
 def check_objective(scenario: Scenario, plant: Plant) -> str:
-    """What candidates will be judged by, and why; no FMU is started. Raises ScenarioError for what `run` refuses."""
+    """Describe the objective that `run` will use; no FMU is started. Raises ScenarioError for what `run` refuses."""
     choice, name = chosen(scenario), scenario.estimation.objective
     if scenario.estimation.trigger.is_endless:
         raise ScenarioError(ENDLESS)
@@ -73,7 +73,7 @@ def check_objective(scenario: Scenario, plant: Plant) -> str:
     ways = " or else ".join(f"'{w}'" for w in START_METHODS if w not in shadow.obstacles)
     if scenario.estimation.rollout.start != "auto":
         ways = f"'{scenario.estimation.rollout.start}', as asked"
-    obstacles = f"; not so: {told(shadow.obstacles)}" if shadow.obstacles else ""
+    obstacles = f"; not so: {obstacles_in_words(shadow.obstacles)}" if shadow.obstacles else ""
     return f"roll-outs of {shadow.fmu.name} ({choice.why}), begun by {ways}{obstacles}"
 
 
@@ -86,7 +86,7 @@ def _function(scenario: Scenario) -> Callable[..., Any]:
 
 
 class DescribedObjective(SequenceObjective, Protocol):
-    """An objective that says what it does."""
+    """An objective with a description of itself."""
 
     def describe(self) -> str: ...
 
@@ -102,33 +102,33 @@ class FunctionObjective:
         self._size = 0
 
     def describe(self) -> str:
-        """Its name."""
+        """Return a description with the function's name."""
         return f"residuals of {self._name}"
 
     def add_sample(self, sample: Sample) -> None:
-        """Nothing."""
+        """Ignore the sample: the function gets those of each stretch."""
 
     def snapshot(self, is_needed: bool) -> bool:
-        """The first sample is all there is."""
+        """Return True: a stretch may begin at any sample."""
         return True
 
     def accept(self, theta: Vector, stretch: SampleSequence) -> None:
-        """Nothing."""
+        """Ignore the accepted parameters: no residual depends on earlier ones."""
 
     def evaluate(self, thetas: Sequence[Vector], stretch: SampleSequence) -> list[Evaluation]:
-        """Each candidate in turn. Raises ScenarioError for anything but residuals, or as many of them as before."""
+        """Evaluate each candidate in turn. Raises ScenarioError for no residuals, or for another number of them."""
         return [self._one(theta, stretch) for theta in thetas]
 
     def track(self, theta: Vector, stretch: SampleSequence) -> Vector:
-        """The same of one, on more samples than before; empty where it fails."""
+        """Return the residual of theta on a stretch that grows from call to call; empty where the function fails."""
         found = self._one(theta, stretch)
         return found.residual if found.reason is None else np.empty(0)
 
     def _one(self, theta: Vector, stretch: SampleSequence) -> Evaluation:
         where = f"estimation.objective: {self._name}"
         try:
-            told = self._function(self._space.named(theta), stretch.samples)
-            residual = np.array(told, dtype=float)
+            returned = self._function(self._space.named(theta), stretch.samples)
+            residual = np.array(returned, dtype=float)
         except (ArithmeticError, ValueError) as e:
             return Evaluation(np.array([np.nan]), one_line(f"{type(e).__name__}: {e}"))
         except USERS as e:

@@ -1,4 +1,4 @@
-"""The estimator's model: a function of the user's or ours, or a plant as a model-exchange FMU.
+"""The estimator's model: a Python function, the user's or one of this package, or a model-exchange FMU of the plant.
 
 An FMU is read the FMI way: set continuous states, inputs and parameters, get the states' derivatives.
 """
@@ -29,7 +29,7 @@ from ..user_code import load
 
 @contextmanager
 def opened_model(scenario: Scenario, plant: Plant) -> Generator[Any]:
-    """xdot (n,) = model(x, u, **parameters): see DerivativeResidual. Raises ScenarioError."""
+    """Open the model, xdot (n,) = model(x, u, **parameters), see DerivativeResidual. Raises ScenarioError."""
     reference = scenario.estimation.model
     if reference is None:
         raise ScenarioError("estimation.model: derivatives need it.")
@@ -52,11 +52,11 @@ def opened_model(scenario: Scenario, plant: Plant) -> Generator[Any]:
 
 
 class FmuModel:
-    """xdot (n,) = model(x, u, **parameters) of a model-exchange FMU, in a process of its own.
+    """Model of a model-exchange FMU, xdot (n,) = model(x, u, **parameters), in a process of its own.
 
     x and u are the plant's states and inputs, in its order; the FMU has them, and the parameters, under the same names.
-    What does not change over a call stays set: a call is one round trip. Where the FMU fails, the model has no value
-    (ValueError), and the FMU is started anew for the next call.
+    Parameters are set only when they change, so that a call is one round trip. Where the FMU fails, the model has no
+    value (ValueError), and the FMU is started anew for the next call.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class FmuModel:
             raise
 
     def __call__(self, x: Sequence[float], u: Sequence[float], **parameters: float) -> tuple[float, ...]:
-        """The derivatives (n,) in the order of x. Raises ValueError where the FMU fails."""
+        """Return the derivatives (n,) in the order of x. Raises ValueError where the FMU fails."""
         theta = tuple([float(parameters[name]) for name in self._parameters])
         try:
             process = self._process = self._process or self._started()
@@ -95,11 +95,11 @@ class FmuModel:
     checkpoint_name = "estimation.model"
 
     def to_checkpoint(self) -> str:
-        """SHA-256 of the FMU: it keeps nothing from one call to the next."""
+        """Return the SHA-256 of the FMU, which keeps nothing from one call to the next."""
         return sha256(self._fmu)
 
     def from_checkpoint(self, saved: str) -> None:
-        """Raises NotResumableError for another FMU."""
+        """Check that the FMU is the saved one. Raises NotResumableError for another."""
         if saved != sha256(self._fmu):
             raise NotResumableError(f"{self._fmu} has changed")
 
@@ -108,7 +108,7 @@ class FmuModel:
         try:
             if self._process is not None:
                 self._process.close(0.0, is_polite=True)
-        except SlaveError:  # it has ended, and what it has computed is not touched by it
+        except SlaveError:  # the process has ended already; its results are not affected
             pass
         finally:
             self._process = None
@@ -117,7 +117,7 @@ class FmuModel:
     def _binding(
         self, plant: Plant, parameters: Sequence[Parameter]
     ) -> tuple[list[ScalarVariable], list[ScalarVariable], list[ScalarVariable]]:
-        """States and inputs, parameters, derivatives. Raises ScenarioError, WiringError."""
+        """Return the FMU's variables: states and inputs, parameters, derivatives. Raises ScenarioError, WiringError."""
         fmu, known = self._fmu, self._description.modelVariables
         variables = {v.name: v for v in known}
         rates = {v.derivative.name: v for v in known if v.derivative is not None}
@@ -158,7 +158,7 @@ def _variable(variable: ModelVariable) -> ScalarVariable:
 
 
 def _named(fmu: Path, kind: str, names: Iterable[str], known: Mapping[str, ModelVariable]) -> list[ModelVariable]:
-    """The variables of these names, in this order. Raises ScenarioError for one that the FMU has not."""
+    """Return the variables of these names, in this order. Raises ScenarioError for one that the FMU does not have."""
     found = [resolved(name, known) for name in names]
     for name in found:
         if name not in known:

@@ -1,4 +1,4 @@
-"""Candidates judged by roll-outs: the plant's shadow simulated over the samples, its outputs compared."""
+"""Objective of roll-outs: a second FMU of the plant simulated over the samples, its outputs compared."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -11,7 +11,7 @@ from estimator import Evaluation, Sample, SampleSequence, Vector
 from ..errors import ScenarioError, StateTooLargeError
 from ..slaves.slave import Slave
 from .rollout_check import PROOF_STEPS, restarts_like_itself, steps_like_the_plant
-from .rollout_fmu import START_METHODS, RunningPlant, Shadow, StartMethod, told
+from .rollout_fmu import START_METHODS, RunningPlant, Shadow, StartMethod, obstacles_in_words
 from .rollout_plan import History, Origin, plan_of
 from .rollout_pool import Outputs, Pool
 
@@ -23,19 +23,20 @@ SMALL_STATE: Final = 65536
 
 
 class _Followed(NamedTuple):
-    """How far the shadow has come that goes with the plant."""
+    """Progress of the roll-out that is continued from sample to sample."""
 
     theta: bytes
     origin: Any
     place: int
-    """Of the newest sample that it has reached."""
+    """Place in the history of the newest sample that was reached."""
     outputs: Outputs
-    """The last ones."""
+    """Outputs over the stretch so far."""
 
 
 class RolloutObjective:
-    """Residuals (D,) are simulated minus measured outputs in standard deviations of their noise, output by output;
-    0 where one was not measured (NaN).
+    """Objective of roll-outs: residuals (D,) are simulated minus measured outputs in standard deviations of the noise.
+
+    They are in order output by output, and 0 where one was not measured (NaN).
 
     How roll-outs begin is decided once, by the first samples. Leaving the context ends the processes.
     """
@@ -43,14 +44,14 @@ class RolloutObjective:
     def __init__(
         self, shadow: Shadow, theta: Vector, way: StartMethod | None, live: RunningPlant | None, jobs: int
     ) -> None:
-        """theta (d,): what the controller holds; way: None for the first that is proved to work."""
+        """theta (d,): the controller's present parameters; way: None for the first that is proved to work."""
         self._shadow, self._live, self._history = shadow, live, History(shadow.start_time, theta.tolist())
         self._noise = np.array(shadow.noise)
         self._obstacles: dict[StartMethod, str] = dict(shadow.obstacles) if way is None else {}
         self._open: list[StartMethod] = [way] if way else [w for w in START_METHODS if w not in shadow.obstacles]
         self._is_asked_for = way is not None
         self.way: StartMethod | None = None
-        """How roll-outs begin; None: not decided yet."""
+        """Way in which roll-outs begin; None: not decided yet."""
         self._proof_state: bytes | None = None
         self._n_bytes = 0
         self._first_samples: list[Sample] = []
@@ -59,7 +60,7 @@ class RolloutObjective:
         self._followed: _Followed | None = None
         self._lost: Any = None
         self.why_lost: str | None = None
-        """Why the parameters in force could not be followed when that was last tried; None: they were."""
+        """Reason why the roll-out with the present parameters failed when last tried; None: it did not."""
 
     def __enter__(self) -> "RolloutObjective":
         return self
@@ -70,11 +71,11 @@ class RolloutObjective:
 
     @property
     def is_ready(self) -> bool:
-        """Whether it is decided how roll-outs begin."""
+        """True where it is decided how roll-outs begin."""
         return self.way is not None
 
     def describe(self) -> str:
-        """What is simulated, from where, and why from there."""
+        """Return a description: the FMU, how roll-outs begin, and why in this way."""
         if self.way is None:
             return f"roll-outs of {self._shadow.fmu.name}"
         how = {
@@ -82,11 +83,12 @@ class RolloutObjective:
             "measured": "from measured states",
             "replay": "simulated again from the start",
         }[self.way]
-        why = "as asked" if self._is_asked_for else told(self._obstacles) or "a repeated step was the plant's own"
+        reason = obstacles_in_words(self._obstacles) or "a repeated step was the plant's own"
+        why = "as asked" if self._is_asked_for else reason
         return f"roll-outs of {self._shadow.fmu.name} {how} ({why})"
 
     def add_sample(self, sample: Sample) -> None:
-        """Take the newest sample. Raises ScenarioError where no way to begin a roll-out is left."""
+        """Add the newest sample. Raises ScenarioError where no way to begin a roll-out is left."""
         if self.way is None:
             self._first_samples.append(sample)
         if self.way in (None, "replay"):
@@ -95,7 +97,7 @@ class RolloutObjective:
             self._decide()
 
     def snapshot(self, is_needed: bool) -> Origin | None:
-        """The newest sample's place, and the plant's state where that is needed, or small."""
+        """Return the newest sample's place, with the plant's state if needed or small; None where it is neither."""
         live = self._live if (self.way or self._open[0]) == "state" else None
         if live is None:
             return Origin(len(self._history.inputs), None)
@@ -106,7 +108,7 @@ class RolloutObjective:
         return Origin(len(self._history.inputs), state)
 
     def evaluate(self, thetas: Sequence[Vector], stretch: SampleSequence) -> list[Evaluation]:
-        """Each candidate over the stretch, several at a time."""
+        """Evaluate the candidates over the stretch, several at a time."""
         way = self._decided()
         plans = [plan_of(way, self._shadow, self._history, theta.tolist(), stretch) for theta in thetas]
         outcomes = self._pool.map([partial(plan.run, self._pool) for plan in plans], is_renewed=way != "state")
@@ -118,9 +120,9 @@ class RolloutObjective:
         ]
 
     def track(self, theta: Vector, stretch: SampleSequence) -> Vector:
-        """The residual of theta over a stretch that grows from call to call: only what is new is simulated.
+        """Return the residual of theta over a stretch that grows from call to call; only new samples are simulated.
 
-        Empty before roll-outs can be made, and, where one fails, up to the end of the stretch.
+        It is empty before roll-outs can be made and, once one has failed, for the rest of the stretch.
         """
         if self.way is None or not stretch.n_steps or stretch.origin is self._lost:
             return np.empty(0)
@@ -136,13 +138,13 @@ class RolloutObjective:
         return self._residual(outcome.result[-stretch.n_steps :], stretch.samples[1:])
 
     def accept(self, theta: Vector, stretch: SampleSequence) -> None:
-        """From the stretch's beginning on, theta is what a simulation from the start takes."""
+        """Use theta from the stretch's beginning on in simulations from the start."""
         if self.way == "replay":
             self._history.accept(stretch.origin.place, theta.tolist())
             self._followed = None
 
     def _decide(self) -> None:
-        """Try the next way, as soon as there are the samples to prove it with."""
+        """Try the ways in turn, each as soon as there are enough samples to prove that it works."""
         n = len(self._first_samples)
         while self.way is None and self._open:
             way: StartMethod = self._open[0]
@@ -168,7 +170,8 @@ class RolloutObjective:
                 self._obstacles[way] = reason
                 self._open.pop(0)
         if self.way is None:
-            raise ScenarioError(f"estimation.rollout: no way to begin a roll-out: {told(self._obstacles)}.")
+            obstacles = obstacles_in_words(self._obstacles)
+            raise ScenarioError(f"estimation.rollout: no way to begin a roll-out: {obstacles}.")
 
     def _decided(self) -> StartMethod:
         if self.way is None:
@@ -176,7 +179,7 @@ class RolloutObjective:
         return self.way
 
     def _go_on(self, theta: Vector, stretch: SampleSequence, is_begun: bool, slave: Slave, is_new: bool) -> Outputs:
-        """Outputs up to the newest sample, by stepping on from the newest that was reached."""
+        """Return outputs up to the newest sample, stepping on from the last sample reached."""
         samples, at, tunables = stretch.samples, self._followed, None
         times: Sequence[float]
         inputs: Sequence[Sequence[float]]

@@ -1,4 +1,4 @@
-"""Whether a shadow that is put somewhere goes on from there as if it had always been there. Seen, not believed."""
+"""Tests that a second FMU, put into a state, continues as the original does: by simulation, whatever it declares."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,7 +14,7 @@ from .rollout_plan import History, Origin, plan_of
 from .rollout_pool import Pool
 
 PROOF_STEPS: Final = 10
-"""Samples after which a restart from states is tried, half of them after it."""
+"""Number of samples after which a restart from states is tried: at half of them."""
 _SAME: Final = 1e-9
 """Relative difference of outputs that may be rounding: a step's length is computed in two ways."""
 _HARMLESS: Final = 0.1
@@ -22,7 +22,10 @@ _HARMLESS: Final = 0.1
 
 
 def steps_like_the_plant(shadow: Shadow, live: RunningPlant, state: bytes, samples: Sequence[Sample]) -> str | None:
-    """Why a shadow that takes over the state at the first of two samples does not do the plant's step to the second."""
+    """Return the reason why a shadow, given the plant's state, does not repeat the plant's step, or None.
+
+    The state is that at the first of two samples, the step that to the second.
+    """
     first, second = samples
     tunables = tuple(live.changes)
     try:
@@ -44,7 +47,7 @@ def steps_like_the_plant(shadow: Shadow, live: RunningPlant, state: bytes, sampl
 
 
 def restarts_like_itself(shadow: Shadow, history: History) -> str | None:
-    """Why a shadow that begins in the states that another has reached does not go on like that one."""
+    """Return the reason why a shadow begun in the states another has reached does not continue alike, or None."""
     half, n = len(history.inputs) // 2, len(history.inputs)
     n_outputs = len(shadow.outputs)
     whole = replace(shadow, outputs=(*shadow.outputs, *shadow.states))

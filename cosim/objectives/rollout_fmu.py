@@ -1,4 +1,4 @@
-"""What is rolled out: a second FMU of the plant, with the plant's variables by name."""
+"""The FMU that is rolled out: a second FMU of the plant, with the plant's variables by name."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -15,49 +15,49 @@ from ..system.plant import Plant
 
 StartMethod = Literal["state", "measured", "replay"]
 START_METHODS: Final[tuple[StartMethod, ...]] = ("state", "measured", "replay")
-"""How a shadow is brought to the beginning of a window, in the order of preference."""
+"""Ways to bring a shadow to the beginning of a window, in the order of preference."""
 
 
 @dataclass(frozen=True)
 class RunningPlant:
-    """The plant that runs."""
+    """The plant that runs in the co-simulation."""
 
     slave: Slave
-    """It stands at the newest sample's time whenever an objective is called."""
+    """Its slave, at the newest sample's time whenever an objective is called."""
     outputs: tuple[str, ...]
-    """What is read of it."""
+    """Variables read from it."""
     changes: Mapping[str, Callable[[float], float]]
-    """What is set from outside, over time [s], by variable: to prove that a step can be repeated, for nothing else."""
+    """Parameters changed from outside, as functions of t [s]: used only to prove that a step can be repeated."""
 
 
 @dataclass(frozen=True)
 class Shadow:
-    """The FMU, and which variables of it are set and read."""
+    """The FMU to roll out, and the variables of it that are set and read."""
 
     fmu: Path
     inputs: tuple[str, ...]
-    """In the order of a sample's u."""
+    """Inputs, in the order of a sample's u."""
     states: tuple[str, ...]
-    """In the order of a sample's x."""
+    """States, in the order of a sample's x."""
     outputs: tuple[str, ...]
-    """In the order of a sample's y."""
+    """Outputs, in the order of a sample's y."""
     noise: tuple[float, ...]
     """Standard deviation of each output (c,), in its unit."""
     parameters: tuple[str, ...]
-    """In the order of theta."""
+    """Estimated parameters, in the order of theta."""
     start: Mapping[str, Any]
     """Start values that are not estimated."""
     start_time: float
-    """[s]"""
+    """Start time of the co-simulation [s]."""
     is_restartable: bool
-    """It may be instantiated several times in a process."""
+    """True where it may be instantiated several times in a process."""
     obstacles: Mapping[StartMethod, str]
-    """Why some ways of bringing it to the beginning of a window are none."""
+    """Ways of bringing it to the beginning of a window that do not work, each with the reason."""
     timeout: float = 10.0
-    """Of a call [s]."""
+    """Longest time that a call may take [s]."""
 
     def opened(self, tunables: tuple[str, ...] | None = None) -> Slave:
-        """A process of it, bound; tunables: by default the parameters, where they can be set while it runs."""
+        """Start a process of it, variables bound; tunables: by default the parameters, if settable while it runs."""
         slave = open_slave(self.fmu, "shadow", timeout=self.timeout)
         if tunables is None:
             tunables = () if "replay" in self.obstacles else self.parameters
@@ -70,7 +70,7 @@ class Shadow:
 
 
 def shadow_of(scenario: Scenario, plant: Plant, is_live: bool) -> Shadow:
-    """The shadow that a scenario asks for; is_live: the plant runs beside it. Raises ScenarioError in one line."""
+    """Return the shadow for a scenario; is_live: the plant runs beside it. Raises ScenarioError in one line."""
     settings = scenario.estimation.rollout
     own = component_path(scenario.components[plant.name], scenario.folder)
     where = "estimation.rollout"
@@ -102,12 +102,12 @@ def shadow_of(scenario: Scenario, plant: Plant, is_live: bool) -> Shadow:
     if settings.start in obstacles:
         raise ScenarioError(f"{where}.start = '{settings.start}': {obstacles[settings.start]}.")
     if len(obstacles) == len(START_METHODS):
-        raise ScenarioError(f"{where}: no way to begin a roll-out: {told(obstacles)}.")
+        raise ScenarioError(f"{where}: no way to begin a roll-out: {obstacles_in_words(obstacles)}.")
     return replace(shadow, obstacles=obstacles)
 
 
-def told(obstacles: Mapping[StartMethod, str]) -> str:
-    """Obstacles in one line."""
+def obstacles_in_words(obstacles: Mapping[StartMethod, str]) -> str:
+    """Return the obstacles in one line."""
     return "; ".join(f"{way}: {reason}" for way, reason in obstacles.items())
 
 

@@ -1,4 +1,4 @@
-"""How a shadow is brought to the beginning of a window and through it: pure functions of what was sampled."""
+"""Plans that bring a shadow to the beginning of a window and through it: pure functions of the samples."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,28 +12,28 @@ from .rollout_pool import Outputs, Pool
 
 
 class Origin(NamedTuple):
-    """What is remembered of a sample at which a simulation may begin."""
+    """A sample at which a simulation may begin."""
 
     place: int
-    """Of the sample in the history."""
+    """Place of the sample in the history."""
     state: bytes | None
-    """The plant's state there."""
+    """Saved state of the plant there."""
 
 
 class Leg(NamedTuple):
-    """Steps with one set of parameters."""
+    """Consecutive steps with one set of parameters."""
 
     times: Sequence[float]
-    """From each to the next (n + 1,) [s]."""
+    """Times (n + 1,) [s]: a step from each to the next."""
     inputs: Sequence[Sequence[float]]
-    """Held from each to the next (n, p)."""
+    """Inputs (n, p), held from each time to the next."""
     tunables: Sequence[float] | None
-    """Set before the first."""
+    """Parameters set before the first step; None: none are set."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Initialise, go to the state where there is one, and step; the outputs of the last leg are compared."""
+    """Plan of a roll-out: initialise, set the state if there is one, and step; the last leg's outputs are compared."""
 
     start: Mapping[str, Any]
     start_time: float
@@ -51,23 +51,23 @@ class Plan:
             pool.through(slave, *leg)
 
     def run(self, pool: Pool, slave: Slave, is_new: bool) -> Outputs:
-        """Outputs (n, c) after each step of the last leg. Raises SlaveError."""
+        """Return the outputs (n, c) after each step of the last leg. Raises SlaveError."""
         self.begin(pool, slave, is_new)
         return pool.through(slave, *self.last)
 
 
 @dataclass
 class History:
-    """The inputs since the start, and what the parameters were then believed to be."""
+    """The inputs since the start, and the parameters accepted since then."""
 
     start_time: float
     theta: Sequence[float]
-    """Before anything was learnt (d,)."""
+    """Parameters (d,) at the start."""
     times: list[float] = field(default_factory=list[float])
     inputs: list[Sequence[float]] = field(default_factory=list[Sequence[float]])
-    """Held from each of the times before to this one."""
+    """Inputs, held from each time to the next."""
     beliefs: list[tuple[int, Sequence[float]]] = field(default_factory=list[tuple[int, Sequence[float]]])
-    """From which place on, which parameters."""
+    """Accepted parameters, each with the place from which on they hold."""
 
     def __post_init__(self) -> None:
         self.times.append(self.start_time)
@@ -78,11 +78,11 @@ class History:
         self.inputs.append(sample.u)
 
     def accept(self, place: int, theta: Sequence[float]) -> None:
-        """From that place on the parameters are believed to be theta (d,)."""
+        """Take theta (d,) for the parameters from that place on."""
         self.beliefs = [*(b for b in self.beliefs if b[0] < place), (place, theta)]
 
     def legs(self, until: int) -> tuple[Leg, ...]:
-        """From the start to a place, with the parameters believed."""
+        """Return the legs from the start to a place, with the parameters accepted on the way."""
         changes = [(0, None), *(b for b in self.beliefs if b[0] < until)]
         ends = [*(place for place, _ in changes[1:]), until]
         return tuple(
@@ -95,7 +95,7 @@ class History:
 def plan_of(
     way: StartMethod, shadow: Shadow, history: History, theta: Sequence[float], stretch: SampleSequence
 ) -> Plan:
-    """How to simulate a stretch with parameters theta (d,)."""
+    """Return the plan for simulating a stretch with parameters theta (d,)."""
     samples, origin = stretch.samples, stretch.origin
     times, inputs = [s.t for s in samples], [s.u for s in samples[1:]]
     if way == "state":

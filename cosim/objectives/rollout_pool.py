@@ -1,4 +1,4 @@
-"""Processes of one FMU that simulate at the same time. One whose FMU fails is ended, and another takes its place."""
+"""Processes of one FMU that simulate in parallel. One whose FMU fails is ended, and another takes its place."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -11,7 +11,7 @@ from ..errors import SlaveError
 from ..slaves.slave import Slave
 
 _TOGETHER_S: Final = 0.1
-"""Time [s] that steps asked for together may take, so that the timeout of a call is hardly more than that of a step.
+"""Time [s] that a batch of steps may take, so that the timeout of a call is hardly more than that of a step.
 The results do not depend on it."""
 
 Result = TypeVar("Result")
@@ -19,14 +19,14 @@ Outputs = list[tuple[float, ...]]
 
 
 class Outcome(NamedTuple, Generic[Result]):
-    """What a task returned, or why its FMU failed."""
+    """The result of a task, or the reason why its FMU failed."""
 
     result: Result | None
     reason: str | None = None
 
 
 class Pool:
-    """The processes. A context: leaving it ends them."""
+    """Pool of processes of one FMU. A context: leaving it ends them."""
 
     def __init__(self, opened: Callable[[], Slave], jobs: int, is_restartable: bool) -> None:
         """opened: makes a slave with its variables bound; is_restartable: it may be instantiated anew in its process.
@@ -51,9 +51,9 @@ class Pool:
                 slave.close()
 
     def map(self, tasks: Sequence[Callable[[Slave, bool], Result]], is_renewed: bool = True) -> list[Outcome[Result]]:
-        """What each task returns of a slave and of whether that is new; several at a time.
+        """Return the outcome of each task, called with a slave and whether it is new; several run at a time.
 
-        is_renewed: each gets a slave that was never initialised.
+        is_renewed: each task gets a slave that was never initialised.
         """
         futures = [self._executor.submit(self._one, task, is_renewed) for task in tasks]
         return [future.result() for future in futures]
@@ -65,7 +65,7 @@ class Pool:
         inputs: Sequence[Sequence[float]],
         tunables: Sequence[float] | None = None,
     ) -> Outputs:
-        """Slave.many_steps, in parts of which each takes a moment. Raises SlaveError."""
+        """Step a slave through, in batches of Slave.many_steps that take a moment each. Raises SlaveError."""
         outputs: Outputs = []
         taken, room = 0, 1
         while taken < len(inputs) and not self._is_over.is_set():
@@ -94,7 +94,7 @@ class Pool:
             self._idle.put(slave)
 
     def _renewed(self, slave: Slave | None) -> Slave | None:
-        """A slave that has been used, as new; None where it cannot be."""
+        """Return a used slave as new, or None where it cannot be restarted."""
         if slave is None:
             return None
         if self._is_restartable:
@@ -102,6 +102,6 @@ class Pool:
                 slave.restart()
                 return slave
             except SlaveError:
-                pass  # the next roll-out tells, where a new process fails too
+                pass  # if a new process fails too, the next roll-out reports it
         slave.close()
         return None

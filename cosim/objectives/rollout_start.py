@@ -1,4 +1,4 @@
-"""Roll-outs that begin in measured states: the noise of those, which is in every residual after, is taken out."""
+"""Whitening of roll-outs that begin in measured states, whose noise is in every residual after."""
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -23,7 +23,7 @@ class NoisyStartObjective:
     """
 
     def __init__(self, opened: Callable[[], RolloutObjective], noise: Sequence[float]) -> None:
-        """opened: makes a judge; noise (n,): standard deviation of each state, in its unit."""
+        """opened: makes an objective; noise (n,): standard deviation of each state, in its unit."""
         self._noise, self._stack = tuple(noise), ExitStack()
         self._objective, *self._aside = (self._stack.enter_context(opened()) for _ in range(len(noise) + 1))
         self._stretch: SampleSequence | None = None
@@ -37,32 +37,32 @@ class NoisyStartObjective:
 
     @property
     def is_ready(self) -> bool:
-        """Whether it is decided how roll-outs begin."""
+        """True where it is decided how roll-outs begin."""
         return self._objective.is_ready
 
     @property
     def why_lost(self) -> str | None:
-        """Why the parameters in force could not be followed when that was last tried."""
+        """Reason why the roll-out with the present parameters failed when last tried; None: it did not."""
         return self._objective.why_lost
 
     def describe(self) -> str:
-        """What is simulated, and from where."""
+        """Return the description of the inner objective."""
         return self._objective.describe()
 
     def add_sample(self, sample: Sample) -> None:
-        """Take the newest sample. Raises ScenarioError where no way to begin a roll-out is left."""
+        """Add the newest sample. Raises ScenarioError where no way to begin a roll-out is left."""
         self._objective.add_sample(sample)
 
     def snapshot(self, is_needed: bool) -> Any:
-        """The judge's."""
+        """Return the inner objective's snapshot."""
         return self._objective.snapshot(is_needed)
 
     def accept(self, theta: Vector, stretch: SampleSequence) -> None:
-        """The judge's."""
+        """Pass the accepted parameters on to the inner objective."""
         self._objective.accept(theta, stretch)
 
     def evaluate(self, thetas: Sequence[Vector], stretch: SampleSequence) -> list[Evaluation]:
-        """Each candidate over the stretch; all are whitened alike, as the first one that does not fail asks for."""
+        """Evaluate the candidates over the stretch; all are whitened by the factor of the first that does not fail."""
         found = self._objective.evaluate(thetas, stretch)
         if self._objective.way != "measured":
             return found
@@ -77,7 +77,7 @@ class NoisyStartObjective:
         return [j if j.reason else _whitened(self._factor, j.residual, stretch.n_steps) for j in found]
 
     def track(self, theta: Vector, stretch: SampleSequence) -> Vector:
-        """The residual of theta over a stretch that grows from call to call; a step of each state's roll-out more."""
+        """Return the residual of theta over a stretch that grows; each state's roll-out steps on too."""
         residual = self._objective.track(theta, stretch)
         if self._objective.way != "measured" or not len(residual):
             return residual
@@ -87,14 +87,14 @@ class NoisyStartObjective:
         return _whitened(_factor(residual, moved, stretch.n_steps), residual, stretch.n_steps).residual
 
     def _moved(self, stretch: SampleSequence) -> list[SampleSequence]:
-        """The stretch begun a standard deviation aside, state by state."""
+        """Return the stretch begun a standard deviation aside, state by state."""
         first, *others = stretch.samples
         moved = np.array(first.x) + np.diag(self._noise)
         return [replace(stretch, samples=(replace(first, x=tuple(x)), *others)) for x in moved.tolist()]
 
 
 def _factor(residual: Vector, moved: Sequence[Vector], n_steps: int) -> Vector:
-    """Lower Cholesky factor (D, D) of the covariance, from old to new; those moved that failed are left out."""
+    """Return the lower Cholesky factor (D, D) of the covariance, from old to new; failed roll-outs are left out."""
     g = [_by_time(r - residual, n_steps) for r in moved if len(r) == len(residual) and np.all(np.isfinite(r))]
     aside = np.array(g).reshape(len(g), len(residual))
     return np.asarray(np.linalg.cholesky(np.eye(len(residual)) + aside.T @ aside), dtype=np.float64)
@@ -107,5 +107,5 @@ def _whitened(factor: Vector, residual: Vector, n_steps: int) -> Evaluation:
 
 
 def _by_time(residual: Vector, n_steps: int) -> Vector:
-    """Channel by channel to step by step."""
+    """Reorder a residual from channel by channel to step by step."""
     return residual.reshape(-1, n_steps).T.reshape(-1)

@@ -1,1 +1,1 @@
-"""Parameters from recorded data."""
+"""Estimation of parameters from recorded data."""

@@ -1,4 +1,4 @@
-"""Offline estimation: parameters of a plant FMU from logs of what was measured."""
+"""Offline estimation: parameters of a plant FMU from logs of measurements."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -26,11 +26,11 @@ HOLDOUT = 0.25
 
 
 class EstimateError(CosimError):
-    """Parameters cannot be sought as asked."""
+    """Error for an estimation that is impossible as requested."""
 
 
 class FailedError(CosimError):
-    """Every roll-out failed."""
+    """Error for an estimation in which every roll-out failed."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Sought:
 
 @dataclass(frozen=True)
 class Request:
-    """What to estimate, and from what."""
+    """Request of an estimation: the parameters to estimate, the FMU and the logs."""
 
     fmu: Path
     logs: tuple[Path, ...]
@@ -104,7 +104,7 @@ class Request:
 
 @dataclass(frozen=True)
 class Estimation:
-    """What was estimated, and how well the plant then explains the logs."""
+    """Result of an estimation: the estimates, and the plant's fit to the logs."""
 
     request: Request
     component: Component
@@ -120,14 +120,14 @@ class Estimation:
     after: tuple[Vector | None, ...]
     """Outputs (n, c) with the estimated parameters, by window."""
     warnings: tuple[str, ...]
-    """What was passed over in the logs."""
+    """Warnings about parts of the logs that were not used."""
     evaluations: tuple[tuple[Vector, float, str | None], ...]
-    """theta, sum of squares and, of one that failed, the reason: of each candidate, in order."""
+    """Candidates in order: theta, sum of squares and, where it failed, the reason."""
     seconds: float
     """Wall time [s]."""
 
     def __repr__(self) -> str:
-        """One line: the series would fill pages."""
+        """Return one line with the estimates: the series would fill pages."""
         values = ", ".join(f"{name} = {value:.5g} ± {self.std[name]:.2g}" for name, value in self.estimates.items())
         return f"<Estimation from {self.request.fmu.name}: {values}>"
 
@@ -143,11 +143,11 @@ class Estimation:
 
     @property
     def failures(self) -> Mapping[str, int]:
-        """How many candidates failed, by reason."""
+        """Number of candidates that failed, by reason."""
         return Counter(reason for _, _, reason in self.evaluations if reason is not None)
 
     def rms(self, outputs: Sequence[Vector | None], is_held_out: bool) -> Vector:
-        """Root mean square error (c,) over the rows fitted to or those held out; NaN where there are none."""
+        """Return the root mean square error (c,) over the rows fitted to or held out; NaN where there are none."""
         errors = [
             (y - w.measured)[w.n_fit :] if is_held_out else (y - w.measured)[: w.n_fit]
             for y, w in zip(outputs, self.windows, strict=True)
@@ -159,7 +159,7 @@ class Estimation:
 
 
 class Understood(NamedTuple):
-    """What a request comes to, its FMU and logs having been read."""
+    """A request with its FMU and logs read and checked."""
 
     component: Component
     space: ParameterSpace
@@ -169,11 +169,11 @@ class Understood(NamedTuple):
     noise: Vector
     """Standard deviation (c,) of each output's noise."""
     warnings: list[str]
-    """What was passed over in the logs."""
+    """Warnings about parts of the logs that were not used."""
 
 
 def understand(request: Request) -> Understood:
-    """Read the FMU's description and the logs. Raises CosimError in one line for what is refused."""
+    """Read the FMU's description and the logs of a request. Raises CosimError in one line for what is refused."""
     component = read_component(request.fmu)
     space, nominal = _space(request, component)
     windows, warnings = _windows(request, _signals(request, component), component)
@@ -181,7 +181,7 @@ def understand(request: Request) -> Understood:
 
 
 def estimate(request: Request, progress: FitProgress = lambda n, cost: None) -> Estimation:
-    """Parameters of a plant FMU from logs.
+    """Estimate parameters of a plant FMU from logs.
 
     Raises CosimError in one line for what is refused, FailedError where no roll-out succeeds.
     """
@@ -220,7 +220,7 @@ def estimate(request: Request, progress: FitProgress = lambda n, cost: None) -> 
 
 
 def _space(request: Request, component: Component) -> tuple[ParameterSpace, Vector]:
-    """The parameters with their units, and their values before. Raises CosimError."""
+    """Return the parameters with their units, and their values before. Raises CosimError."""
     catalogue = Catalogue(request.fmu.name, component.description.modelVariables)
     parameters: list[Parameter] = []
     nominal: list[float] = []
@@ -249,7 +249,7 @@ def _space(request: Request, component: Component) -> tuple[ParameterSpace, Vect
 
 
 def _signals(request: Request, component: Component) -> LogColumns:
-    """Which column is what, the FMU's side of it checked. Raises CosimError."""
+    """Return the columns by role, with the FMU's variables checked. Raises CosimError."""
     catalogue = Catalogue(request.fmu.name, component.description.modelVariables)
     catalogue.ports("input", tuple(request.inputs))
     catalogue.ports("output", tuple(request.measured))
@@ -264,22 +264,22 @@ def _signals(request: Request, component: Component) -> LogColumns:
 
 
 def _windows(request: Request, signals: LogColumns, component: Component) -> tuple[list[LogWindow], list[str]]:
-    """The windows of all logs, those of validation logs held out, and warnings. Raises LogError."""
+    """Return the windows of all logs, those of validation logs held out, and warnings. Raises LogError."""
     holdout = request.holdout if request.holdout is not None else 0.0 if request.validation else HOLDOUT
     windows: list[LogWindow] = []
     warnings: list[str] = []
     for paths, cuts, share in ((request.logs, request.windows, holdout), (request.validation, (), 1.0)):
         for path in paths:
-            more, told = windows_of(read_log(path), signals, component, cuts, share)
+            more, new_warnings = windows_of(read_log(path), signals, component, cuts, share)
             windows += more
-            warnings += told
+            warnings += new_warnings
     if not any(w.n_fit for w in windows):
         raise LogError("no rows are left to fit to; give a smaller --holdout.")
     return windows, warnings
 
 
 def _noise(request: Request, windows: Sequence[LogWindow]) -> Vector:
-    """Standard deviation (c,) of each output's noise, the user's or the log's. Raises EstimateError."""
+    """Return the standard deviation (c,) of each output's noise, the user's or the log's. Raises EstimateError."""
     estimated = noise_of(windows)
     noise = np.array([request.noise.get(name, s) for name, s in zip(request.measured, estimated, strict=True)])
     if np.any(noise <= 0.0):

@@ -1,4 +1,4 @@
-"""The options of `retune estimate`. Imports nothing heavy: --help must not wait."""
+"""Options of `retune estimate`. Imports nothing heavy: --help must not wait."""
 
 import argparse
 import os
@@ -14,7 +14,7 @@ _Pair = tuple[str, str]
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Give the parser the options that `request_of` reads."""
+    """Add the options that `request_of` reads to the parser."""
     add = parser.add_argument
     add("fmu", type=Path, metavar="FMU", help="the plant, for co-simulation")
     add("logs", type=Path, metavar="LOG", nargs="+", help=".csv, .parquet, .mat or .mf4; units in brackets")
@@ -62,7 +62,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def request_of(options: argparse.Namespace) -> "Request":
-    """What the options ask for. Raises EstimateError."""
+    """Return the request that the options make. Raises EstimateError."""
     from .estimate import EstimateError, Request, Sought
 
     if options.samples is not None and not (options.online and options.samples):
@@ -100,7 +100,7 @@ def _unique(pairs: Sequence[_Pair], option: str) -> dict[str, str]:
 
 
 def _value(text: str) -> str | float:
-    """The number that text is; or text, the name of a column."""
+    """Return the text as a number if it is one, else as it is, the name of a column."""
     try:
         value = float(text)
     except ValueError:

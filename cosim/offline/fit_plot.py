@@ -1,4 +1,4 @@
-"""The figure of an estimation from logs: what was measured, and simulated before and after."""
+"""Figure of an estimation from logs: outputs as measured, and as simulated before and after."""
 
 from pathlib import Path
 from typing import Any, Final
@@ -22,7 +22,7 @@ from ..plots.canvas import (
 from .estimate import Estimation
 
 _MOST: Final = 8
-"""Axes: more windows are not drawn."""
+"""Largest number of axes: more windows are not drawn."""
 
 
 def draw_fit(found: Estimation, path: Path) -> Path:

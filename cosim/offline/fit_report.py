@@ -1,4 +1,4 @@
-"""What an estimation from logs found: in words for the terminal, and as files."""
+"""Report of an estimation from logs: in words for the terminal, and as files."""
 
 from math import isfinite
 from pathlib import Path
@@ -16,11 +16,11 @@ from ..text_table import aligned, counted, with_std
 from .estimate import Estimation
 
 _CORRELATED: Final = 0.3
-"""Autocorrelation of the residuals that is worth a word."""
+"""Autocorrelation of the residuals above which it is reported."""
 
 
 def report(found: Estimation) -> str:
-    """A page for the terminal."""
+    """Return the report for the terminal."""
     request, rows = found.request, sum(len(w.time) for w in found.windows)
     n_fit = sum(w.n_fit for w in found.windows)
     logs = ", ".join(path.name for path in (*request.logs, *request.validation))
@@ -41,12 +41,12 @@ def report(found: Estimation) -> str:
 
 
 def words(found: Estimation) -> list[str]:
-    """What to think of it, a sentence each."""
+    """Return the findings on fit and identifiability, a sentence each."""
     return [*_of_fit(found), *_of_identifiability(found)]
 
 
 def summary(found: Estimation) -> dict[str, Any]:
-    """Everything, as JSON values."""
+    """Return the whole result as JSON values."""
     fit, request = found.fit, found.request
     return {
         "fmu": str(request.fmu),
@@ -88,7 +88,7 @@ def summary(found: Estimation) -> dict[str, Any]:
 
 
 def write_files(found: Estimation, folder: Path) -> None:
-    """estimate.json, estimates.ssv, candidates.csv, and fit.csv with what was measured and simulated.
+    """Write estimate.json, estimates.ssv, candidates.csv, and fit.csv with measured and simulated outputs.
 
     Raises FolderError.
     """
@@ -101,7 +101,7 @@ def write_files(found: Estimation, folder: Path) -> None:
 
 
 def estimates_ssv(found: Estimation) -> str:
-    """The estimates as SSV, with their units."""
+    """Return the estimates as SSV, with their units."""
     values = [ParameterValue(p.name, float(v), p.unit) for p, v in zip(found.space, found.fit.theta, strict=True)]
     return to_ssv(f"{found.request.fmu.stem} estimates", values, found.component.units)
 
@@ -143,14 +143,14 @@ def _output_rows(found: Estimation) -> list[list[str]]:
 
 def _of_fit(found: Estimation) -> list[str]:
     fit = found.fit
-    told = [f"The residuals are {fit.misfit:.3g} times the noise (root mean square)."]
+    sentences = [f"The residuals are {fit.misfit:.3g} times the noise (root mean square)."]
     if fit.misfit > 2.0:
-        told = [
+        sentences = [
             f"The residuals are {fit.misfit:.3g} times the noise: something is missing from the model, the search has "
             "not found the best fit (--evaluations, --method multi-start), or a start value is wrong (--start)."
         ]
     if fit.autocorrelation > _CORRELATED:
-        told.append(
+        sentences.append(
             f"The residuals are correlated from row to row ({fit.autocorrelation:.2f}): they are more than "
             "noise, and the standard deviations, which assume white noise, are too small by a factor of about "
             f"{fit.inflation:.1f}."
@@ -158,22 +158,22 @@ def _of_fit(found: Estimation) -> list[str]:
     inside, outside = (found.rms(found.after, is_held_out) for is_held_out in (False, True))
     for name, fitted, held_out in zip(found.request.measured, inside, outside, strict=True):
         if held_out > 2.0 * fitted:
-            told.append(
+            sentences.append(
                 f"On the held-out rows the error of {name} is {held_out:.3g}, {held_out / fitted:.1f} times that on "
                 "the fitted rows: do not trust the fit beyond them."
             )
     n = sum(found.failures.values())
     if n:
         reason, _ = max(found.failures.items(), key=lambda item: item[1])
-        told.append(
+        sentences.append(
             f"{n} of {len(found.evaluations)} roll-outs failed and count as bad candidates; one reason: {reason}."
         )
-    return told
+    return sentences
 
 
 def _of_identifiability(found: Estimation) -> list[str]:
     fit, space = found.fit, found.space
-    told = findings(fit.information, space, fit.theta)
+    sentences = findings(fit.information, space, fit.theta)
     if all(fit.is_identifiable):
-        told.append("Each parameter is identifiable." if len(space) > 1 else "The parameter is identifiable.")
-    return told
+        sentences.append("Each parameter is identifiable." if len(space) > 1 else "The parameter is identifiable.")
+    return sentences

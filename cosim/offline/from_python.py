@@ -1,4 +1,4 @@
-"""`cosim.estimate`: what `retune estimate` does, as a function."""
+"""The command `retune estimate` as a function, `cosim.estimate`."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -43,7 +43,7 @@ def estimate(
     out: Path | str | None = None,
     progress: FitProgress = lambda n, cost: None,
 ) -> Estimation:
-    """Estimate parameters of a plant FMU from logs of what was measured.
+    """Estimate parameters of a plant FMU from logs of measurements.
 
     fmu: the plant, for co-simulation. logs: one file or several (.csv, .parquet, .mat, .mf4).
     parameters: bounds by name, in the FMU's units, `{"m": (0.5, 4.0), "J": (0.1, 12.0, "log")}`.

@@ -1,6 +1,6 @@
 """Windows of a log: consecutive rows, with every input known, over which a plant can be simulated.
 
-What is wrong with a log is refused in one line or, where harmless, passed over with a warning that says how.
+An error in a log is refused in one line or, where harmless, passed over with a warning.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -20,14 +20,14 @@ from ..units import Unit, conversion
 from .logs import Column, Log, LogError
 
 GAP: Final = 10.0
-"""Median distances of time stamps between two rows that make a gap."""
+"""Distance of two rows that counts as a gap, in median distances of time stamps."""
 Cut = tuple[float, float]
 """From, to: time of the log [s]."""
 
 
 @dataclass(frozen=True)
 class LogColumns:
-    """Which column of a log is what."""
+    """Columns of a log by role."""
 
     inputs: Mapping[str, str]
     """Column by input of the FMU."""
@@ -44,27 +44,27 @@ class LogWindow:
     """Rows of a log, in the FMU's units."""
 
     name: str
-    """The log's file, and which part."""
+    """The log's file, and the part of it."""
     time: Vector
     """Time stamps (n,) [s], as in the log, n >= 2, increasing."""
     origin: float
     """The log's first time stamp [s], at which the FMU's time is 0."""
     inputs: Vector
-    """(n, p), all known."""
+    """Inputs (n, p), all known."""
     measured: Vector
-    """(n, c); NaN where there is none."""
+    """Measured outputs (n, c); NaN where there is none."""
     start: Mapping[str, float]
     """Start values from the first row."""
     states: Vector
-    """(n, s): the columns of those start values, row by row; NaN where there is none."""
+    """The columns (n, s) of those start values, row by row; NaN where there is none."""
     n_fit: int
-    """First rows, to which parameters are fitted; the others are held out."""
+    """Number of first rows, which parameters are fitted to; the others are held out."""
 
 
 def windows_of(
     log: Log, signals: LogColumns, component: Component, cuts: Sequence[Cut] = (), holdout: float = 0.0
 ) -> tuple[list[LogWindow], list[str]]:
-    """The windows of a log, and what has been passed over on the way, in words.
+    """Return the windows of a log, and warnings about what was passed over.
 
     cuts: parts of the log to use, all of it where there are none; holdout: share of the rows, the last ones, that is
     held out. Raises LogError.
@@ -102,7 +102,7 @@ def windows_of(
 
 
 def _table(log: Log, signals: LogColumns, component: Component) -> tuple[Vector, dict[str, Vector], list[str]]:
-    """Increasing time stamps (n,), and the columns of each role (n, ...) in the FMU's units. Raises LogError."""
+    """Return increasing time stamps (n,), columns (n, k) by role in the FMU's units, and warnings. Raises LogError."""
     if signals.time is None:
         log = log.on_one_raster(signals.inputs.values(), [*signals.measured.values(), *signals.start.values()])
     stamps = log.time_column(signals.time)
@@ -131,7 +131,7 @@ def _table(log: Log, signals: LogColumns, component: Component) -> tuple[Vector,
 
 
 def _columns(log: Log, columns: Mapping[str, str], component: Component, n: int) -> Vector:
-    """Columns (n, k) in the units of the FMU's variables. Raises LogError."""
+    """Return columns (n, k) in the units of the FMU's variables. Raises LogError."""
 
     def unit_of(name: str) -> Unit:
         return component.units.get(name) or understood(name)
@@ -157,7 +157,7 @@ def _converted(column: Column, target: Unit | None, what: str, unit_of: Callable
 
 
 def _unbroken(rows: NDArray[np.intp], time: Vector, inputs: Vector, start: Vector) -> list[NDArray[np.intp]]:
-    """Rows without a gap in the inputs, each part beginning where the start values are known.
+    """Return parts of the rows without a gap in the inputs, each beginning where the start values are known.
 
     A plant without inputs is simulated across every gap.
     """
@@ -190,7 +190,7 @@ def _told(log: Log, parts: Sequence[NDArray[np.intp]], rows: NDArray[np.intp], h
 
 
 def _held_out(windows: Sequence[LogWindow], holdout: float) -> list[LogWindow]:
-    """The windows with the last share of all their rows held out."""
+    """Return the windows with the last share of all their rows held out."""
     remaining = ceil((1.0 - holdout) * sum(len(w.time) for w in windows))
     shared: list[LogWindow] = []
     for window in windows:

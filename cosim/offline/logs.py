@@ -1,4 +1,4 @@
-"""Measured data from files: CSV, Parquet, MAT and MDF4. Nothing is written here, and nothing is interpolated."""
+"""Reading of measured data from files: CSV, Parquet, MAT and MDF4. Nothing is interpolated."""
 
 import csv
 import re
@@ -27,7 +27,7 @@ _MISSING: Final = ["", "nan", "NaN", "NAN", "-nan", "null", "NULL", "NA", "N/A",
 
 
 class LogError(CosimError):
-    """A log cannot be read, or does not hold what is asked of it."""
+    """Error for a log that cannot be read, or lacks the data asked for."""
 
 
 @dataclass(frozen=True)
@@ -35,11 +35,11 @@ class Column:
     """One channel of a log."""
 
     values: Vector
-    """(n,); NaN where there is none."""
+    """Values (n,); NaN where there is none."""
     unit: str | None = None
-    """As the log names it."""
+    """Unit, as the log names it."""
     text: str | None = None
-    """Its first cell that is no number; it has no values then."""
+    """The first cell that is no number; the column has no values then."""
     time: Vector | None = None
     """Its own time stamps (n,) [s], in a log of several rasters."""
 
@@ -50,10 +50,10 @@ class Log:
 
     path: Path
     columns: Mapping[str, Column]
-    """By name, without the unit."""
+    """Columns by name, without the unit."""
 
     def column(self, name: str) -> Column:
-        """The column of that name, with or without its unit. Raises LogError where there is none of numbers."""
+        """Return the column of that name, with or without its unit. Raises LogError where there is none of numbers."""
         found = self.columns.get(name)
         if found is None and (heading := _HEADING.fullmatch(name)):
             found = self.columns.get(heading["name"])
@@ -67,9 +67,9 @@ class Log:
         return found
 
     def on_one_raster(self, held: Iterable[str], others: Iterable[str]) -> "Log":
-        """The log with these columns at the time stamps of all of them, one of several rasters only.
+        """Return the log with these columns at the time stamps of all of them; a log of one raster stays as it is.
 
-        held: columns that keep each value until their next, as an input does; the others are NaN between their values.
+        held: columns that keep each value until the next, as an input does; the others are NaN between their values.
         Raises LogError.
         """
         found = {name: self.column(name) for name in (*held, *others)}
@@ -85,7 +85,7 @@ class Log:
         return Log(self.path, table)
 
     def time_column(self, name: str | None) -> Column:
-        """The column of time stamps: the one named, or else the one called time or t. Raises LogError."""
+        """Return the column of time stamps: the one named, or else the one called time or t. Raises LogError."""
         if name is None:
             name = next((c for c in self.columns if c.strip().casefold() in _TIMES), None)
         if name is None:
@@ -94,7 +94,7 @@ class Log:
 
 
 def read_log(path: Path) -> Log:
-    """The log in a .csv, .txt, .tsv, .parquet, .mat, .mf4 or .mdf file. Raises LogError."""
+    """Read the log in a .csv, .txt, .tsv, .parquet, .mat, .mf4 or .mdf file. Raises LogError."""
     readers = {".parquet": _read_parquet, ".pq": _read_parquet, ".mat": _read_mat}
     try:
         readable(path)
@@ -156,7 +156,7 @@ def _read_parquet(path: Path) -> tuple[Sequence[str], Sequence[Any]]:
 
 
 def _column(column: Any, unit: str | None) -> Column:
-    """An Arrow column as numbers; dates become seconds since the first. Not by to_numpy, which imports pandas."""
+    """Convert an Arrow column to numbers, dates to seconds since the first. Not by to_numpy, which imports pandas."""
     kind = column.type
     if pa.types.is_null(kind):
         return Column(np.full(len(column), np.nan), unit)
@@ -174,7 +174,7 @@ def _column(column: Any, unit: str | None) -> Column:
 
 
 def _array(column: Any) -> Any:
-    """A chunked Arrow column without nulls as one NumPy array."""
+    """Return a chunked Arrow column without nulls as one NumPy array."""
     chunks: list[Any] = [np.from_dlpack(chunk) for chunk in column.chunks]
     return np.concatenate(chunks) if chunks else np.empty(0)
 
@@ -194,7 +194,7 @@ def _read_mat(path: Path) -> tuple[Sequence[str], Sequence[Any]]:
 
 
 def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Vector]:
-    """Vectors by name, those in structs as `struct.field`, columns of a matrix as `x(1)`, `x(2)`, ..."""
+    """Return vectors by name, those in structs as `struct.field`, columns of a matrix as `x(1)`, `x(2)`, ..."""
     found: dict[str, Vector] = {}
     for name, value in tree.items():
         if isinstance(value, dict):

@@ -1,6 +1,7 @@
-"""A log taken sample by sample, as if the loop had run beside it: when it triggers, and what it would have written.
+"""Re-tuning replayed on a log, sample by sample: when it triggers, and what it would have written.
 
-Nothing is written into a controller, so what was measured stays as it is: it tells when, and what, not how well.
+Nothing is written into a controller, and the measurements stay as they are: this shows when the loop would have
+written, and what, but not how well the controller would then have tracked.
 """
 
 from collections.abc import Callable, Mapping
@@ -20,8 +21,7 @@ from ..errors import ScenarioError, WiringError
 from ..fmi.archive import co_simulation
 from ..fmi.ports import Catalogue
 from ..objectives.rollout import RolloutObjective
-from ..objectives.rollout_fmu import START_METHODS, Shadow, StartMethod
-from ..objectives.rollout_fmu import told as said
+from ..objectives.rollout_fmu import START_METHODS, Shadow, StartMethod, obstacles_in_words
 from ..objectives.rollout_start import NoisyStartObjective
 from ..retuning.data_support import NoDataSupport
 from ..retuning.decision import Point
@@ -31,51 +31,53 @@ from .log_windows import LogWindow
 from .rollout import grid_of, noise_of
 
 SampleProgress = Callable[[int, int], None]
-"""Called with the samples taken so far, and how many there are."""
+"""Function called with the number of samples taken so far, and the number of all."""
 
 
 @dataclass(frozen=True)
 class Watched:
-    """What happened over a window of a log."""
+    """Result of the replay over one window of a log."""
 
     window: LogWindow
     events: tuple[Event, ...]
-    """In order, at the log's time; those of candidates left out."""
+    """Events in order, at the log's time; those of candidates left out."""
     n_candidates: int
-    """Candidates judged."""
+    """Number of candidates evaluated."""
     theta: Vector
-    """(d,), in force at the end."""
+    """Parameters (d,) in use at the end."""
     how: str
-    """What candidates were judged by."""
+    """Description of the objective."""
     failure: str | None
-    """Why the FMU could not be followed to the end with the parameters in force."""
+    """Reason why the roll-out with the parameters in use failed before the end, or None."""
 
 
 @dataclass(frozen=True)
 class Online:
-    """What the loop would have done."""
+    """Result of the replay over all windows."""
 
     request: Request
     understood: Understood
     n_samples: int
-    """Samples a candidate is judged on."""
+    """Number of samples that a candidate is evaluated on."""
     watched: tuple[Watched, ...]
-    """By window."""
+    """Results by window."""
     seconds: float
-    """Time that it took."""
+    """Wall time [s]."""
 
     @property
     def failure(self) -> str | None:
-        """The first window's that has one."""
+        """The first failure, with the name of its window, or None."""
         return next((f"{w.window.name}: {w.failure}" for w in self.watched if w.failure is not None), None)
 
 
 def run_online(request: Request, n_samples: int, progress: SampleProgress = lambda n, n_all: None) -> Online:
-    """Take each window of the logs through algorithm 1, sample by sample, each from the start and all anew.
+    """Replay algorithm 1 on each window of the logs, sample by sample, each from the start and independently.
 
-    The parameters in force are at first the FMU's start values, or the request's. Candidates are judged on n_samples
+    The parameters are at first the FMU's start values, or the request's. Candidates are evaluated on n_samples
     samples: begun in measured states, where the request names their columns, else simulated from the window's first
-    row with what was believed. The request's evaluations are those of an episode; nothing is held out.
+    row with the parameters accepted on the way. The request's evaluations are those of an episode; nothing is held
+    out.
+
     Raises CosimError in one line for what is refused.
     """
     began = perf_counter()
@@ -88,8 +90,8 @@ def run_online(request: Request, n_samples: int, progress: SampleProgress = lamb
     n_before, n_all = 0, sum(len(w.time) for w in understood.windows)
     watched: list[Watched] = []
     for window, rng in zip(understood.windows, rngs, strict=True):
-        told = partial(_told, progress, n_before, n_all)
-        watched.append(_watched(request, understood, obstacles, window, n_samples, rng, told))
+        report_progress = partial(_told, progress, n_before, n_all)
+        watched.append(_watched(request, understood, obstacles, window, n_samples, rng, report_progress))
         n_before += len(window.time)
     return Online(request, understood, n_samples, tuple(watched), perf_counter() - began)
 
@@ -107,7 +109,7 @@ def _watched(
     rng: np.random.Generator,
     progress: Callable[[int], None],
 ) -> Watched:
-    """One window, by a loop and an FMU of its own."""
+    """Replay one window, with a loop and an FMU of its own."""
     theta, space = understood.nominal, understood.space
     interface: Any = co_simulation(understood.component.description)
     samples, u0 = _samples(window, request.step, not interface.canHandleVariableCommunicationStepSize)
@@ -144,7 +146,7 @@ def _search(request: Request, space: ParameterSpace, theta: Vector, rng: np.rand
 
 
 def _samples(window: LogWindow, step: float | None, is_even: bool) -> tuple[list[Sample], list[float]]:
-    """A sample a row, or a communication point, on the FMU's time; and the inputs in the first row."""
+    """Return a sample for each row, or communication point, in the FMU's time; and the inputs in the first row."""
     distance = float(np.median(np.diff(window.time)))
     if step is not None and step < 0.99 * distance:
         raise EstimateError(f"--online takes samples {distance:g} s apart: --step must be so long at least.")
@@ -160,12 +162,12 @@ def _samples(window: LogWindow, step: float | None, is_even: bool) -> tuple[list
 
 
 def _states(request: Request) -> tuple[str, ...]:
-    """The variables that start as their column does: the states, of which the FMU must prove that they are all."""
+    """Return the variables that start as their column does: the states; that none is missing is tested later."""
     return tuple(name for name, value in request.start.items() if isinstance(value, str))
 
 
 def _obstacles(request: Request, understood: Understood) -> dict[StartMethod, str]:
-    """Why some ways of beginning a roll-out are none. Raises EstimateError where there is none left."""
+    """Return the ways of beginning a roll-out that do not work, with reasons. Raises EstimateError if none is left."""
     obstacles: dict[StartMethod, str] = {"state": "there is only the log"}
     if not _states(request):
         obstacles["measured"] = "no --start names the columns of the states"
@@ -181,5 +183,5 @@ def _obstacles(request: Request, understood: Understood) -> dict[StartMethod, st
     except WiringError as e:
         obstacles["replay"] = str(e).rstrip(".")
     if len(obstacles) == len(START_METHODS):
-        raise EstimateError(f"--online has no way to begin a roll-out: {said(obstacles)}.")
+        raise EstimateError(f"--online has no way to begin a roll-out: {obstacles_in_words(obstacles)}.")
     return obstacles

@@ -1,4 +1,4 @@
-"""What the loop would have done over a log: in words for the terminal, and as files."""
+"""Report of a replay on a log: in words for the terminal, and as files."""
 
 import csv
 import io
@@ -21,7 +21,7 @@ from .online import Online, Watched
 
 
 def report(found: Online) -> str:
-    """A page for the terminal: of the writes that follow one another, the last."""
+    """Return the report for the terminal: of consecutive writes only the last."""
     request, windows = found.request, found.watched
     n_rows, n_candidates = sum(len(w.window.time) for w in windows), sum(w.n_candidates for w in windows)
     lines = [
@@ -38,7 +38,7 @@ def report(found: Online) -> str:
 
 
 def summary(found: Online) -> dict[str, Any]:
-    """Everything, as JSON values."""
+    """Return the whole result as JSON values."""
     request, space = found.request, found.understood.space
     return {
         "fmu": str(request.fmu),
@@ -67,14 +67,14 @@ def summary(found: Online) -> dict[str, Any]:
 
 
 def write_files(found: Online, folder: Path) -> None:
-    """online.json, online.csv with a row an event, and estimates.ssv. Raises FolderError."""
+    """Write online.json, online.csv with a row for each event, and estimates.ssv. Raises FolderError."""
     write_json(folder / "online.json", summary(found))
     write_text(folder / "online.csv", _csv(found))
     write_text(folder / ESTIMATES, estimates_ssv(found))
 
 
 def estimates_ssv(found: Online) -> str:
-    """The parameters in force at the end of the last window as SSV, with their units."""
+    """Return the parameters in use at the end of the last window as SSV, with their units."""
     understood = found.understood
     end = found.watched[-1].theta.tolist()
     values = [ParameterValue(p.name, v, p.unit) for p, v in zip(understood.space, end, strict=True)]
@@ -104,7 +104,7 @@ def _table(found: Online, watched: Watched) -> list[str]:
 
 
 def _value(value: float, std: float, width: float) -> str:
-    """A standard deviation as wide as the bounds says nothing."""
+    """Return value and standard deviation; the latter is left out where it is about as wide as the bounds."""
     return with_std(value, std) if std < 0.5 * width else f"{value:.4g} (held)"
 
 
@@ -114,7 +114,7 @@ def _padded(lines: Sequence[str]) -> list[str]:
 
 
 def _shown(events: Sequence[Event]) -> Iterator[tuple[Event, str]]:
-    """The events that a table shows, each with its reason."""
+    """Yield the events that a table shows, each with its reason."""
     ordered = sorted(events, key=lambda e: (e.t, e.kind == "end"))  # an episode ends with its last write
     for kind, group in groupby(ordered, key=lambda e: e.kind):
         together = list(group)

@@ -1,4 +1,4 @@
-"""Roll-outs: the plant FMU simulated over windows of a log at candidate parameters, and what is left unexplained.
+"""Roll-outs: the plant FMU simulated over windows of a log at candidate parameters, and the residuals.
 
 Each roll-out begins in a newly made instance, in a process of its own; several processes work at the same time.
 """
@@ -29,13 +29,13 @@ _UNEVEN: Final = 0.05
 
 @dataclass(frozen=True)
 class SimulatedPlant:
-    """What is simulated."""
+    """The FMU that is simulated, and its variables."""
 
     fmu: Path
     inputs: tuple[str, ...]
-    """Set at each row, and held until the next."""
+    """Inputs, set at each row and held until the next."""
     outputs: tuple[str, ...]
-    """Compared with what was measured."""
+    """Outputs that are compared with the measured ones."""
     start: Mapping[str, float]
     """Start values that are the same in every roll-out."""
     step: float | None = None
@@ -45,7 +45,7 @@ class SimulatedPlant:
 
 
 class Rollout(NamedTuple):
-    """The outputs over a window's rows (n, c), or why there are none."""
+    """The outputs over a window's rows (n, c), or the reason why there are none."""
 
     outputs: Vector | None
     reason: str | None = None
@@ -55,18 +55,18 @@ class Grid(NamedTuple):
     """The communication points of a window, on the FMU's time."""
 
     times: list[float]
-    """(N + 1,) [s]."""
+    """Communication points (N + 1,) [s]."""
     inputs: list[list[float]]
-    """Held from each point to the next (N, p)."""
+    """Inputs (N, p), held from each point to the next."""
     rows: Vector | None
     """Time of each row (n,), to interpolate the outputs at; None where the points are the rows."""
 
 
 class Rollouts:
-    """The processes that simulate a plant over these windows. A context: leaving it ends them."""
+    """Processes that simulate a plant over a log's windows. A context: leaving it ends them."""
 
     def __init__(self, plant: SimulatedPlant, component: Component, windows: Sequence[LogWindow], jobs: int) -> None:
-        """Raises LogError where the FMU cannot step as the log's rows ask."""
+        """jobs: number of processes. Raises LogError where the FMU cannot step as the log's rows ask."""
         interface: Any = co_simulation(component.description)
         is_even = not interface.canHandleVariableCommunicationStepSize
         self._plant, self._grids = plant, [grid_of(w, plant.step, is_even) for w in windows]
@@ -80,7 +80,7 @@ class Rollouts:
         self._pool.__exit__()
 
     def simulate(self, candidates: Sequence[Mapping[str, float]], is_whole: bool = False) -> list[list[Rollout]]:
-        """A roll-out of each candidate over each window: its rows to fit, or all of them. Several at a time.
+        """Simulate each candidate over each window, over its rows to fit or all of them; several at a time.
 
         candidates: start values by name.
         """
@@ -95,7 +95,7 @@ class Rollouts:
         return slave
 
     def _rollout(self, number: int, is_whole: bool, values: Mapping[str, float], slave: Slave, _: bool) -> Vector:
-        """Outputs (n, c) over a window. Raises SlaveError."""
+        """Return the outputs (n, c) over a window. Raises SlaveError."""
         window, (times, inputs, rows) = self._windows[number], self._grids[number]
         n_rows = len(window.time) if is_whole else window.n_fit
         end = times[n_rows - 1] if rows is None else float(rows[n_rows - 1])
@@ -109,7 +109,7 @@ class Rollouts:
 
 
 def grid_of(window: LogWindow, step: float | None, is_even: bool) -> Grid:
-    """Communication points from row to row, or step [s] apart. Raises LogError where it must be even and is not."""
+    """Return communication points, at the rows or step [s] apart. Raises LogError if they must be even and are not."""
     t = window.time - window.origin
     n = len(t)
     even = np.linspace(t[0], t[-1], n)
@@ -135,21 +135,21 @@ class RolloutResidual:
         self._rollouts, self._space, self._noise = rollouts, space, noise
         self._measured = [w.measured[: w.n_fit] for w in windows if w.n_fit]
         self.n_residuals = int(sum(np.isfinite(m).sum() for m in self._measured))
-        """D."""
+        """Number of residuals D."""
         self.evaluations: list[tuple[Vector, float, str | None]] = []
-        """theta (d,), sum of squares, and, of one that failed, the reason."""
+        """Candidates in order: theta (d,), sum of squares and, where it failed, the reason."""
 
     @property
     def n_evaluations(self) -> int:
-        """Candidates simulated so far."""
+        """Number of candidates simulated so far."""
         return len(self.evaluations)
 
     def __call__(self, theta: Vector) -> Vector:
-        """Residual (D,) of theta (d,); NaN where the simulation failed."""
+        """Return the residual (D,) of theta (d,); NaN where the simulation failed."""
         return self.many([theta])[0]
 
     def many(self, thetas: Sequence[Vector]) -> list[Vector]:
-        """The residual of each theta, several at a time."""
+        """Return the residual of each theta, several at a time."""
         found: list[Vector] = []
         for theta, rollouts in zip(
             thetas, self._rollouts.simulate([self._space.named(t) for t in thetas]), strict=True
@@ -172,11 +172,11 @@ class RolloutResidual:
 
 
 def noise_of(windows: Sequence[LogWindow]) -> Vector:
-    """Standard deviation (c,) of the noise on each output, from what changes from row to row of those fitted to.
+    """Return the standard deviation (c,) of each output's noise, from the changes from row to row in the fitted rows.
 
     White noise of variance s^2 has third differences of variance 20 s^2, in which a signal that is well sampled is
-    small; their median absolute value, over 0.6745, is not led astray by jumps. At least a millionth of the signal's
-    range, and of a signal that mostly stays (it is quantised) the root mean square instead of the median. 0: constant.
+    small; their median absolute value, over 0.6745, is robust against jumps. At least a millionth of the signal's
+    range; for a signal that mostly stays (it is quantised) the root mean square replaces the median. 0: constant.
     """
     noise: list[float] = []
     for i in range(windows[0].measured.shape[1]):

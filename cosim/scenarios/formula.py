@@ -1,4 +1,4 @@
-"""Formulas in t, as a scenario writes a plant's change: `0.2*exp(-0.2*t)*sin(1.5*t) + m0 if t <= 3 else 1.85`.
+"""Formulas in t for a scenario's changes of the plant: `0.2*exp(-0.2*t)*sin(1.5*t) + m0 if t <= 3 else 1.85`.
 
 Python's expression syntax with floats, arithmetic, comparisons, conditionals and the functions below; nothing else
 can be named. Compiled once: a call takes 1 us, a general evaluator's 30.
@@ -25,7 +25,7 @@ _NODES = (
 
 
 def compile_formula(text: str, definitions: Mapping[str, Callable[[float], float]]) -> Callable[[float], float]:
-    """The function of t [s] that the formula says. definitions: further functions of t that it may name.
+    """Compile a formula to a function of t [s]. definitions: further functions of t that it may name.
 
     Raises ValueError, in one line, for anything but a formula. The function raises ArithmeticError or ValueError where
     the formula has no value.
@@ -58,7 +58,7 @@ def compile_formula(text: str, definitions: Mapping[str, Callable[[float], float
 
 
 def _check(node: ast.AST, text: str, definitions: Mapping[str, Callable[[float], float]]) -> None:
-    """Raises ValueError unless the node may stand in a formula."""
+    """Check that the node may stand in a formula. Raises ValueError."""
     if not isinstance(node, _NODES):
         raise ValueError(f"'{text}' has {type(node).__name__}; a formula has numbers, t, arithmetic and functions.")
     if isinstance(node, ast.Constant) and type(node.value) not in (int, float):

@@ -7,7 +7,7 @@ from ..errors import ScenarioError, one_line
 
 
 def override(tree: dict[str, Any], key: str, text: str) -> None:
-    """Put `key = text` into the tree; both are written as in TOML, but a bare text is a string too."""
+    """Put `key = text` into the tree; both as in TOML, but bare text is a string too. Raises ScenarioError."""
     path = _key_path(key)
     for name in path[:-1]:
         below: Any = tree.setdefault(name, {})
@@ -18,7 +18,7 @@ def override(tree: dict[str, Any], key: str, text: str) -> None:
 
 
 def _key_path(key: str) -> list[str]:
-    """The names of a dotted TOML key. Raises ScenarioError."""
+    """Return the names of a dotted TOML key. Raises ScenarioError."""
     path: list[str] = []
     try:
         rest: Any = tomllib.loads(f"{key} = 0")

@@ -1,4 +1,4 @@
-"""The tables of the documentation that come from the schema: what each key is, from the docstring below it.
+"""Tables of the documentation, made from the schema: each key's meaning is the docstring below it.
 
     python -m cosim.scenarios.reference docs/scenario.md docs/estimators.md
 
@@ -65,7 +65,7 @@ def _section(title: str, table: type[Any]) -> str:
 
 
 def _tables_in(table: type[Any], place: str) -> Iterator[tuple[str, type[Any]]]:
-    """The tables below one in a file, with their headings."""
+    """Yield the tables below one in a file, with their headings."""
     for key, annotation in _types(table).items():
         path, mark = f"{place}.{key}" if place else key, "[{}]"
         origin, parts = get_origin(annotation), get_args(annotation)
@@ -81,14 +81,14 @@ def _tables_in(table: type[Any], place: str) -> Iterator[tuple[str, type[Any]]]:
 
 
 def _types(table: type[Any]) -> Mapping[str, Any]:
-    """The types of a table's fields."""
+    """Return the types of a table's fields."""
     if issubclass(table, Table):
         return {key: field.annotation for key, field in table.model_fields.items()}
     return get_type_hints(table)
 
 
 def _tables(annotation: Any) -> Iterator[type[Any]]:
-    """The tables, or dataclasses read as tables, in an annotation."""
+    """Yield the tables, or dataclasses read as tables, in an annotation."""
     if isinstance(annotation, type) and (issubclass(annotation, Table) or is_dataclass(annotation)):
         yield annotation
     elif get_origin(annotation) in (dict, tuple, Union, UnionType, Annotated):
@@ -97,7 +97,7 @@ def _tables(annotation: Any) -> Iterator[type[Any]]:
 
 
 def _kind(field: Mapping[str, Any]) -> str:
-    """What a key takes, from its JSON schema."""
+    """Return the kind of value that a key takes, from its JSON schema."""
     if "const" in field or "enum" in field:
         return ", ".join(f"`{json.dumps(value)}`" for value in field.get("enum", [field.get("const")]))
     if "anyOf" in field or "oneOf" in field:
@@ -129,7 +129,7 @@ def _default(field: Mapping[str, Any]) -> str:
 
 
 def _docstrings(table: type[Any]) -> dict[str, str]:
-    """The docstring of each field, those of its bases included, in one line."""
+    """Return the docstring of each field, those of its bases included, in one line."""
     texts: dict[str, str] = {}
     for cls in reversed(table.__mro__):
         if not (is_dataclass(cls) or issubclass(cls, Table)):
@@ -143,7 +143,7 @@ def _docstrings(table: type[Any]) -> dict[str, str]:
 
 
 def _line(text: str) -> str:
-    """A docstring as a cell of a table."""
+    """Return a docstring as a cell of a table."""
     return " ".join(text.split()).replace("|", "\\|")
 
 

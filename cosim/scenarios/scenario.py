@@ -1,4 +1,4 @@
-"""A scenario: which FMUs are joined how, what happens to the plant, what is sampled and estimated. TOML in."""
+"""Scenarios, read from TOML: FMUs and connections, changes of the plant, sampling and estimation."""
 
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
@@ -34,30 +34,30 @@ class Scenario(Table):
     definitions: dict[str, float | str] = {}
     """Named functions of t [s] for the formulas of `changes`; each may use those before it."""
     changes: dict[Reference, Change] = {}
-    """What happens to the plant: its tunable parameters as a value, a formula in t, or rows `[time, value]`."""
+    """Changes of the plant: its tunable parameters as a value, a formula in t, or rows `[time, value]`."""
     tracking: dict[Reference, Reference] = Field(min_length=1)
     """Each tracked output, and its reference: `"plant.phi" = "reference.phi_ref"`."""
     sampling: Sampling
-    """What is measured of the plant, with its noise."""
+    """Measured variables of the plant, with their noise."""
     estimation: EstimationSettings
-    """What is estimated, by which model, and how."""
+    """Estimated parameters, the objective and the loop."""
     limits: RunLimits = RunLimits()
-    """When the run is stopped."""
+    """Limits at which the run is stopped."""
     observations: ObservationSettings = ObservationSettings()
-    """Which samples are kept from the estimator."""
+    """Checks that keep bad samples from the estimator."""
     guard: GuardSettings = GuardSettings()
-    """What may be written into the controller, and what is taken back."""
+    """Limits on what is written into the controller, and rules for reverting it."""
     folder: Path = Field(default=Path(), exclude=True)
-    """Where relative paths of FMUs begin."""
+    """Folder that relative paths of FMUs begin at."""
 
     @classmethod
     def known_keys(cls) -> set[str]:
-        """What may stand in a file."""
+        """Return the keys that a file may have."""
         return super().known_keys() - {"folder"}
 
     @classmethod
     def load(cls, source: str | Path, overrides: Mapping[str, str] | None = None) -> "Scenario":
-        """The named scenario, or that of a TOML file, with `key.path = value` overrides.
+        """Load a named scenario, or that of a TOML file, with `key.path = value` overrides.
 
         Raises ScenarioError, one line with file, key and rule. For SSP packages see `cosim.load_scenario`.
         """
@@ -70,7 +70,7 @@ class Scenario(Table):
     def from_tables(
         cls, tables: Mapping[str, Any], overrides: Mapping[str, str] | None, folder: Path, label: Path
     ) -> "Scenario":
-        """The scenario of a file's tables; folder: where its paths begin; label: names it in messages.
+        """Make the scenario of a file's tables; folder: where its paths begin; label: names it in messages.
 
         Raises ScenarioError.
         """
@@ -90,11 +90,11 @@ class Scenario(Table):
         return next(iter((*self.sampling.derivatives, *self.sampling.outputs))).component
 
     def change_functions(self) -> dict[VariableName, Callable[[float], float]]:
-        """Each changed parameter as a function of t [s]."""
+        """Return each changed parameter as a function of t [s]."""
         return change_functions(self.definitions, self.changes)
 
     def true_reference(self, parameter: EstimatedParameter) -> VariableName:
-        """The plant's variable that an estimated parameter stands for."""
+        """Return the plant's variable that an estimated parameter stands for."""
         return parameter.true or VariableName(f"{self.plant}.{parameter.name}")
 
     @model_validator(mode="after")
@@ -117,7 +117,7 @@ class Scenario(Table):
 
 
 def read_tables(path: Path, label: Path | None = None) -> dict[str, Any]:
-    """The tables of a TOML file; label: names it in messages. Raises ScenarioError."""
+    """Read the tables of a TOML file; label: names it in messages. Raises ScenarioError."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as e:  # bytes or numbers that are too long, tables too deep
@@ -126,7 +126,7 @@ def read_tables(path: Path, label: Path | None = None) -> dict[str, Any]:
 
 
 def find_scenario(source: str | Path) -> Path:
-    """The file of a named scenario, or of a path. Raises ScenarioError."""
+    """Return the file of a named scenario, or of a path. Raises ScenarioError."""
     path = Path(source)
     if str(source) in named_scenarios():
         return Path(str(resources.files("cosim") / "scenarios" / f"{source}.toml"))

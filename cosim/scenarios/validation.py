@@ -1,4 +1,4 @@
-"""What is wrong with a scenario file, in one line each. Keys that are known come from the schema's types."""
+"""Errors of a scenario file, in one line each. Known keys come from the schema's types."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
@@ -12,7 +12,7 @@ from .schema.table import Table, Value
 
 
 def first_error(error: ValidationError, root: type[Table]) -> str:
-    """Key and rule of the first error, in one line; root: the table that was validated."""
+    """Return key and rule of the first error, in one line; root: the table that was validated."""
     more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
     text = error_texts(error, root)[0]
     end = "" if text.endswith("?") else "."
@@ -20,7 +20,7 @@ def first_error(error: ValidationError, root: type[Table]) -> str:
 
 
 def error_texts(error: ValidationError, root: type[Table]) -> list[str]:
-    """Key and rule of each error, in one line; root: the table that was validated."""
+    """Return key and rule of each error, in one line; root: the table that was validated."""
     return [_text(details, root) for details in error.errors()]
 
 
@@ -40,7 +40,7 @@ def _text(first: Mapping[str, Any], root: type[Table]) -> str:
 
 
 def _place(path: Sequence[int | str], root: type[Table]) -> tuple[list[str], type[Any] | None]:
-    """The keys of pydantic's path, without what it adds to them, and the table that is there, if it is one."""
+    """Return the keys of pydantic's path, without pydantic's own additions, and the table there, if it is one."""
     keys: list[str] = []
     kind: Any = root
     for part in path:
@@ -55,7 +55,7 @@ def _place(path: Sequence[int | str], root: type[Table]) -> tuple[list[str], typ
 
 
 def _tables(kind: Any) -> list[type[Any]]:
-    """The tables, and dataclasses read as tables, that a value of this type can be."""
+    """Return the tables, and dataclasses read as tables, that a value of this type can be."""
     if get_origin(kind) is Annotated:
         return _tables(get_args(kind)[0])
     if get_origin(kind) in (Union, UnionType):
@@ -65,7 +65,7 @@ def _tables(kind: Any) -> list[type[Any]]:
 
 
 def _types(table: type[Any]) -> dict[str, Any]:
-    """The types of a table's fields by name."""
+    """Return the types of a table's fields by name."""
     if issubclass(table, Table):
         return {name: field.annotation for name, field in table.model_fields.items()}
     hints = get_type_hints(table)
@@ -73,17 +73,17 @@ def _types(table: type[Any]) -> dict[str, Any]:
 
 
 def _known_keys(table: type[Any]) -> set[str]:
-    """What may stand in a table."""
+    """Return the keys that a table may have."""
     return table.known_keys() if issubclass(table, Table) else set(_types(table))
 
 
 def _tags(table: type[Any]) -> tuple[Any, ...]:
-    """Values of `kind` that tell this table from others in a union."""
+    """Return the values of `kind` that distinguish this table from others in a union."""
     return get_args(_types(table).get("kind"))
 
 
 def _item(kind: Any, key: int | str) -> Any:
-    """Type of what stands under a key of a table, a dictionary or a row; None for an unknown key."""
+    """Return the type of the value under a key of a table, a dictionary or a row; None for an unknown key."""
     if get_origin(kind) is dict:
         return get_args(kind)[1]
     if get_origin(kind) is tuple:

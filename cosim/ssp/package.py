@@ -25,12 +25,12 @@ if TYPE_CHECKING:
     from .run import SystemRun
 
 STRUCTURE = "SystemStructure.ssd"
-"""The file of a package that says which components there are and how they are joined."""
+"""The file of a package with its components and connections."""
 
 
 @dataclass(frozen=True)
 class System:
-    """FMUs, how they are joined, and their start values. Systems within it are dissolved: `inner.plant` is a component.
+    """FMUs, their connections and start values. Systems within it are dissolved: `inner.plant` is a component.
 
     System.from_ssp(Path("drive.ssp")).simulate(stop_time=10.0, step_size=0.01)["plant.phi"]
     """
@@ -42,7 +42,7 @@ class System:
     components: Mapping[str, Component]
     """The FMUs by instance name."""
     connections: tuple[Connection, ...]
-    """Every input that is connected, and to what."""
+    """Connected inputs and their sources, with conversions of units."""
     start: Mapping[str, Mapping[str, Value]]
     """Start values by component and variable, in the variable's unit."""
     start_time: float = 0.0

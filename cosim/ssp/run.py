@@ -39,11 +39,11 @@ class SystemRun:
     settings: SimulationSettings
     """Times and steps."""
     series: Mapping[str, NDArray[np.float64]]
-    """Every output (n,), a value a communication point."""
+    """Every output (n,), one value at each communication point."""
     status: Literal["done", "faulted", "interrupted"]
-    """How it ended."""
+    """Outcome of the run."""
     error: str | None
-    """Why it faulted, in one line."""
+    """Reason why it faulted, in one line."""
     wall: float
     """Wall time [s]."""
     folder: Path | None
@@ -114,7 +114,7 @@ def _simulated(system: System, settings: SimulationSettings, out: Path | None) -
 
 
 def wiring_of(system: System, slaves: Mapping[str, Slave]) -> dict[str, Wiring]:
-    """Return each component's part. Outputs are all that the FMU declares, as far as they are numbers."""
+    """Return each component's part in the simulation. Outputs are all declared ones that are numbers."""
     sources: dict[str, dict[str, str]] = {name: {} for name in slaves}
     conversions: dict[str, dict[str, Linear]] = {name: {} for name in slaves}
     for connection in system.connections:
@@ -132,7 +132,7 @@ def wiring_of(system: System, slaves: Mapping[str, Slave]) -> dict[str, Wiring]:
 
 
 def _initialize(master: Master, settings: SimulationSettings) -> str | None:
-    """Return why an FMU failed, or None. Raises WiringError for a start value that is not passed on to the FMU."""
+    """Return the reason why an FMU failed, or None. Raises WiringError for a start value that is not passed on."""
     try:
         master.initialize(settings.start_time, settings.stop_time, is_propagated=True)
     except SlaveError as fault:

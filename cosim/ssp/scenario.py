@@ -1,5 +1,7 @@
-"""A scenario on a package's system: components, connections and start values are the package's, the rest is a TOML
-file's: what happens to the plant, what is tracked, sampled and estimated, of which SSP knows nothing.
+"""Scenarios on the system of an SSP package.
+
+Components, connections and start values are the package's. The rest, of which SSP knows nothing, is a TOML file's:
+changes of the plant, tracking, sampling and estimation.
 """
 
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""The elements of a system structure: systems within systems, and the components, which are FMUs."""
+"""Elements of a system structure: systems within systems, and components, which are FMUs."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ class Connector:
     """A variable of an element that connections can lead to or from."""
 
     kind: str
-    """input, output, parameter, calculatedParameter, inout, ..."""
+    """Its kind: input, output, parameter, calculatedParameter, inout, ..."""
     unit: Unit | None
     """Its unit: for a component's connector the FMU's, else as declared here."""
 
@@ -50,7 +50,7 @@ class SystemElement:
 
 
 class TreeReader:
-    """Reads the elements of one package; each FMU once."""
+    """Reader of the elements of one package; each FMU is read once."""
 
     def __init__(self, folder: Path, units: Mapping[str, Unit], where: str) -> None:
         self._folder, self._units, self._where = folder, units, where

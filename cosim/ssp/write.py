@@ -178,7 +178,7 @@ def _variable(component: Component, name: str, variable: str) -> ModelVariable:
 
 
 def _check_connections(scenario: Scenario, components: Mapping[str, Component]) -> None:
-    """Raises WiringError for an unknown variable, SspError for units that cannot be converted."""
+    """Check that variables exist (else WiringError) and units can be converted (else SspError)."""
     for target, source in scenario.connections.items():
         units: list[Unit | None] = []
         for reference in (source, target):
@@ -217,7 +217,7 @@ def _modules(scenario: Scenario) -> Iterator[tuple[str, bytes]]:
 
 
 def _zipped(files: Mapping[str, bytes]) -> bytes:
-    """Return a ZIP archive as the standard wants it (section 3): deflated, ASCII names; with no time of day in it."""
+    """Return a ZIP archive as in section 3 of the standard: deflated, ASCII names; without the time of day."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in files.items():

@@ -1,1 +1,1 @@
-"""The wired system: which FMU steps when, and which output goes to which input."""
+"""The wired system: the order in which FMUs step, and the connections between them."""

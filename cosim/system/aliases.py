@@ -1,4 +1,4 @@
-"""A scenario's names as the FMUs at hand have them, so that one scenario holds for FMUs of FMI 2.0 and 3.0.
+"""Translation of a scenario's names to those in its FMUs, so that one scenario fits FMUs of FMI 2.0 and 3.0.
 
 Where an FMU has R[1,2] and no R_12, R_12 is R[1,2], and the other way round; "controller.R" = "plant.R" connects two
 arrays element by element.
@@ -15,9 +15,9 @@ from .plant import Described
 
 
 def as_the_fmus_have_it(scenario: Scenario, slaves: Mapping[str, Described]) -> Scenario:
-    """The scenario with every reference to a variable in its FMU's own spelling. Raises WiringError.
+    """Return the scenario with every reference to a variable in its FMU's own spelling. Raises WiringError.
 
-    A name that no FMU has stays: whoever looks for it says so.
+    A name that no FMU has stays as it is, and is reported where it is looked up.
     """
     known = {name: {v.name: v for v in slave.description.modelVariables} for name, slave in slaves.items()}
 
@@ -56,7 +56,7 @@ def as_the_fmus_have_it(scenario: Scenario, slaves: Mapping[str, Described]) -> 
 def _connections(
     connections: Mapping[VariableName, VariableName], known: Mapping[str, Mapping[str, object]]
 ) -> dict[VariableName, VariableName]:
-    """Input = output, arrays element by element."""
+    """Return the connections, input = output, arrays element by element. Raises WiringError."""
     result: dict[VariableName, VariableName] = {}
     for target, source in connections.items():
         targets, sources = (_parts(reference, known) for reference in (target, source))
@@ -69,7 +69,7 @@ def _connections(
 
 
 def _parts(reference: VariableName, known: Mapping[str, Mapping[str, object]]) -> list[VariableName]:
-    """The elements of an array, or what the FMU calls a scalar."""
+    """Return the elements of an array, or a scalar under its FMU's own name."""
     component, name = reference.parts
     names = known[component]
     found = resolved(name, names)

@@ -1,4 +1,4 @@
-"""The FMUs that come with the package: built once, kept in the user's cache under their guid."""
+"""Cache of the FMUs that come with the package: built once, kept in the user's cache under their guid."""
 
 import os
 from collections.abc import Callable, Mapping
@@ -17,7 +17,7 @@ from ..scenarios.schema.simulation import ComponentSettings
 
 
 def find_fmu(fmu: str, folder: Path, fmi: int = 2, interface: Interface = "CoSimulation") -> Path:
-    """The file of a built-in FMU's name (built where the cache lacks it), or of a path relative to folder.
+    """Return the file of a built-in FMU (built where the cache lacks it), or of a path relative to folder.
 
     fmi (2 or 3) and interface are those of a built-in FMU. Raises ScenarioError.
     """
@@ -32,7 +32,7 @@ def find_fmu(fmu: str, folder: Path, fmi: int = 2, interface: Interface = "CoSim
 
 
 def find_table(table: str, folder: Path) -> Path:
-    """The CSV file of a path relative to folder. Raises ScenarioError."""
+    """Return the CSV file of a path relative to folder. Raises ScenarioError."""
     path = folder / table
     if not path.is_file():
         raise ScenarioError(f"no table '{table}': {path} is not a file.")
@@ -40,7 +40,7 @@ def find_table(table: str, folder: Path) -> Path:
 
 
 def cache_folder() -> Path:
-    """Where built FMUs and unpacked packages are kept."""
+    """Return the folder in which built FMUs and unpacked packages are kept."""
     return Path(os.environ.get("FMU_RETUNE_CACHE") or user_cache_path("fmu-retune"))
 
 
@@ -63,8 +63,10 @@ def _cached(name: str, fmi: int, interface: Interface) -> Path:
 def build_into(
     folder: Path, is_forced: bool, builder: Callable[[Path], Mapping[str, Path]] = build_all
 ) -> list[tuple[Path, str]]:
-    """Build FMUs, by default every built-in one, into a folder of the user's; what became of each: built, unchanged or
-    replaced. builder: makes them in a given folder, and returns their paths by name.
+    """Build FMUs, by default every built-in one, into a folder of the user's.
+
+    Returns each file with its state: built, unchanged or replaced. builder: makes the FMUs in a given folder, and
+    returns their paths by name.
 
     Each file appears whole or not at all. Raises FolderError before anything is written where a different file is in
     the way and is_forced is not set, and where the folder cannot be written.
@@ -93,12 +95,12 @@ def _state(built: Path, target: Path) -> str:
 
 
 def fmu_paths(scenario: Scenario) -> dict[str, Path]:
-    """File of each component's FMU, built where need be, or table. Raises ScenarioError."""
+    """Return the file of each component's FMU, built where need be, or table. Raises ScenarioError."""
     return {name: component_path(c, scenario.folder) for name, c in scenario.components.items()}
 
 
 def component_path(component: ComponentSettings, folder: Path) -> Path:
-    """File of a component's FMU, built where need be, or table. Raises ScenarioError."""
+    """Return the file of a component's FMU, built where need be, or table. Raises ScenarioError."""
     if component.fmu is not None:
         return find_fmu(component.fmu, folder, component.fmi)
     return find_table(component.table or "", folder)

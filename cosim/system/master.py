@@ -1,4 +1,4 @@
-"""The master: which FMU steps when, and which output goes to which input. Knows nothing of tuning.
+"""The co-simulation master, which steps the FMUs and passes outputs to inputs. It knows nothing of tuning.
 
 At each communication point the groups step one after another, the FMUs of a group at the same time. An input takes
 the newest value of its source: of this point where the source's group has stepped already, else of the step before.
@@ -14,7 +14,7 @@ from ..units import IDENTITY, Linear
 
 
 class Steppable(Protocol):
-    """What the master needs of a slave; `cosim.slaves.slave.Slave` has it."""
+    """Interface that the master needs of a slave; `cosim.slaves.slave.Slave` has it."""
 
     def bind(self, inputs: Sequence[str], tunables: Sequence[str], outputs: Sequence[str]) -> None: ...
     def initialize(self, start: Mapping[str, Value], start_time: float, stop_time: float | None) -> None: ...
@@ -28,10 +28,10 @@ class Steppable(Protocol):
 
 @dataclass(frozen=True)
 class Wiring:
-    """How one FMU takes part."""
+    """One FMU's part in the co-simulation."""
 
     sources: Mapping[str, str]
-    """Input = `component.output`."""
+    """Source of each connected input, `component.output`."""
     tunables: tuple[str, ...]
     """Tunable parameters that are written while it runs."""
     outputs: tuple[str, ...]
@@ -39,7 +39,7 @@ class Wiring:
     start: Mapping[str, Value]
     """Start values."""
     conversions: Mapping[str, Linear] = field(default_factory=dict[str, Linear])
-    """From the source's unit to the input's, by input, where they differ."""
+    """Conversion from the source's unit to the input's, by input, where they differ."""
 
 
 class Master:
@@ -52,7 +52,7 @@ class Master:
         self.names = tuple(f"{name}.{output}" for name, w in wiring.items() for output in w.outputs)
         self.values = [0.0] * len(self.names)
         self.inputs: dict[str, dict[str, float]] = {}
-        """What each FMU's connected inputs were set to in its last step, by name."""
+        """Values of each FMU's connected inputs in its last step, by name."""
         place = {name: i for i, name in enumerate(self.names)}
         for name, w in wiring.items():
             unknown = next((source for source in w.sources.values() if source not in place), None)

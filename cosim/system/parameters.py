@@ -1,4 +1,4 @@
-"""Parameters of plant and controller: start values, true values over time, and whether an estimate can be written."""
+"""Parameters of plant and controller: start values, true values over time, and checks that estimates can be written."""
 
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -17,7 +17,7 @@ from .plant import Described
 
 
 def start_value(scenario: Scenario, slaves: Mapping[str, Described], reference: str) -> float:
-    """Value that a variable has before the first step: the scenario's, else the FMU's. Raises WiringError."""
+    """Return a variable's value before the first step: the scenario's, else the FMU's. Raises WiringError."""
     component, variable = VariableName(reference).parts
     start: Any = scenario.components[component].start.get(variable)
     if start is None:
@@ -31,7 +31,7 @@ def start_value(scenario: Scenario, slaves: Mapping[str, Described], reference: 
 
 
 def check_parameters(scenario: Scenario, slaves: Mapping[str, Described]) -> None:
-    """Raises WiringError where an estimate could be written that the controller does not accept."""
+    """Check that the controller accepts every estimate within the bounds. Raises WiringError."""
     for parameter in scenario.estimation.parameters:
         component, name = parameter.writes.parts
         found = {v.name: v for v in slaves[component].description.modelVariables}
@@ -42,7 +42,7 @@ def check_parameters(scenario: Scenario, slaves: Mapping[str, Described]) -> Non
 
 
 def parameter_problem(parameter: EstimatedParameter, variable: ModelVariable) -> str | None:
-    """Why a variable does not take every estimate of the parameter, in its unit; None where it does."""
+    """Return the reason why a variable does not take every estimate of the parameter, or None."""
     unit = attribute(variable, "unit") or "1"
     if unit != parameter.unit:
         return f"'{parameter.writes}' has the unit {unit}, but '{parameter.name}' {parameter.unit}."
@@ -62,7 +62,7 @@ def narrower_range(parameter: Parameter, variable: ModelVariable) -> str | None:
 
 
 def true_parameters(scenario: Scenario, slaves: Mapping[str, Described]) -> dict[str, Callable[[float], float]]:
-    """What the plant's changed and estimated parameters are, as functions of t [s]. Raises WiringError.
+    """Return the true values of the plant's changed and estimated parameters, functions of t [s]. Raises WiringError.
 
     The functions raise ScenarioError where a formula has no value.
     """
@@ -76,7 +76,7 @@ def true_parameters(scenario: Scenario, slaves: Mapping[str, Described]) -> dict
 
 
 def value_of_change(name: str, change: Callable[[float], float], t: float) -> float:
-    """What a changed parameter is at t [s]. Raises ScenarioError."""
+    """Return the value of a changed parameter at t [s]. Raises ScenarioError."""
     try:
         return change(t)
     except (ArithmeticError, ValueError) as e:

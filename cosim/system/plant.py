@@ -1,4 +1,4 @@
-"""The plant as the estimator's model sees it."""
+"""The plant's states, inputs and sampled channels, in the order of the estimator's model."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,12 +16,12 @@ Described = Slave | FmuFile | TableSlave
 
 @dataclass(frozen=True)
 class Plant:
-    """The component whose derivatives or outputs are sampled, as the estimator's model sees it."""
+    """The component whose derivatives or outputs are sampled."""
 
     name: str
     """Instance name."""
     states: tuple[str, ...]
-    """Its states, in the order of the model description: the model's x. None where there is no model and they are
+    """Its states, in the order of the model description: the model's x. Empty where there is no model and they are
     not all outputs."""
     inputs: Mapping[str, float]
     """Its inputs with their start values, in the order of the model description: the model's u."""
@@ -30,10 +30,10 @@ class Plant:
 
 
 def plant_of(scenario: Scenario, slave: Described) -> Plant:
-    """The plant's states, inputs and sampled channels. Raises WiringError where a derivative has no state.
+    """Return the plant's states, inputs and sampled channels. Raises WiringError where a derivative has no state.
 
-    States are those that it declares; with a filter, which needs none declared, those of them that are outputs, and
-    what the scenario lists as such.
+    States are those that the FMU declares; with a filter, which needs none declared, those of them that are outputs,
+    and those that the scenario lists.
     """
     variables = slave.description.modelVariables
     state_of = derivatives_of(slave)
@@ -42,7 +42,7 @@ def plant_of(scenario: Scenario, slave: Described) -> Plant:
     if sampling.filter is not None:
         is_state = (is_state & outputs) | {name.variable for name in sampling.states}
     elif not sampling.derivatives and not is_state <= outputs:
-        is_state = set()  # where no model takes them they need not be seen
+        is_state = set()  # no model takes them, so they need not be measured
     states = tuple(v.name for v in variables if v.name in is_state)
     for reference in sampling.states:
         if reference not in {f"{slave.name}.{name}" for name in states}:
@@ -60,9 +60,10 @@ def plant_of(scenario: Scenario, slave: Described) -> Plant:
 
 
 def derivatives_of(slave: Described) -> dict[str, str]:
-    """Of which state each declared derivative is, by name."""
+    """Return the state of each declared derivative, by the derivative's name."""
     return {v.name: v.derivative.name for v in slave.description.modelVariables if v.derivative is not None}
 
 
 def numeric_outputs(slave: Described) -> tuple[str, ...]:
+    """Return the names of the outputs that are numbers."""
     return tuple(v.name for v in slave.description.modelVariables if v.causality == "output" and is_numeric(v))

@@ -1,4 +1,4 @@
-"""Which tunable parameters have to be set at a communication point: those of FMUs where one has changed."""
+"""Selection of the tunable parameters to set at a communication point: those of FMUs where one has changed."""
 
 from collections.abc import Sequence
 
@@ -6,7 +6,7 @@ from ..variable_name import VariableName
 
 
 class TunableWriter:
-    """Knows what was set last, so that nothing is set twice."""
+    """Keeps the values set last, so that none is set twice."""
 
     def __init__(self, references: Sequence[VariableName]) -> None:
         """references: of the parameters, `component.variable`; a component's own in the order of its wiring."""

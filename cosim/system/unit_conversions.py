@@ -1,4 +1,4 @@
-"""Units at the two ends of what a scenario joins: converted where one number goes to the other, else refused."""
+"""Units of connected and compared variables: converted along connections; a comparison in two units is refused."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,9 +11,10 @@ from ..variable_name import VariableName
 
 
 def unit_conversions(scenario: Scenario, descriptions: Mapping[str, ModelDescription]) -> dict[str, dict[str, Linear]]:
-    """How each input's source is converted to its unit, by component and input, where the units differ.
+    """Return the conversion from each input's source to its unit, by component and input, where the units differ.
 
-    As SSP and Simulink do; where a unit is not given, or an FMU does not define it, the number is taken as it is.
+    It is done as in SSP and Simulink: where a unit is not given, or an FMU does not define it, the number is taken as
+    it is.
     Raises WiringError for units of other dimensions, and for numbers that are compared, a tracked output and its
     reference, a parameter of plant and controller, in different units.
     """
@@ -35,7 +36,7 @@ def unit_conversions(scenario: Scenario, descriptions: Mapping[str, ModelDescrip
 
 
 def different(source: str, target: str, components: Mapping[str, Component]) -> str:
-    """That two variables of one dimension are in different units, and the factor, in words."""
+    """Return a message on two variables of one dimension in different units, with the factor."""
     a, b = (_unit(reference, components) for reference in (source, target))
     convert = conversion(a, b)
     more = f" {convert.offset:+.9g}" if convert.offset else ""
@@ -52,7 +53,7 @@ def _unit(reference: str, components: Mapping[str, Component]) -> Unit | None:
 def _conversion(
     where: str, source: str, target: str, components: Mapping[str, Component], is_ours: bool = False
 ) -> Linear:
-    """is_ours: the source's unit is the user's own word, which is to be understood."""
+    """Return the conversion between two variables; is_ours: the source's unit is the user's, and must be known."""
     units = [_unit(reference, components) for reference in (source, target)]
     try:
         return conversion(*units)

@@ -1,4 +1,4 @@
-"""From a scenario's names to wired FMUs: which variables are set and read, and in which groups the FMUs step."""
+"""Wiring of a scenario's FMUs: the variables that are set and read, and the groups in which the FMUs step."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -13,7 +13,7 @@ from .unit_conversions import unit_conversions
 
 
 def wire(scenario: Scenario, slaves: Mapping[str, Described]) -> tuple[dict[str, Wiring], list[list[str]]]:
-    """Each component's part in the co-simulation, and the groups in which they step. Raises WiringError.
+    """Return each component's part in the co-simulation, and the groups in which they step. Raises WiringError.
 
     Sequential coupling: first those whose parameters are re-tuned, the controllers, then all others.
     """
@@ -45,7 +45,7 @@ def wire(scenario: Scenario, slaves: Mapping[str, Described]) -> tuple[dict[str,
 
 
 def with_read_back(wiring: Mapping[str, Wiring], writes: Sequence[VariableName]) -> dict[str, Wiring]:
-    """The wiring with the re-tuned parameters among what is read, after the outputs."""
+    """Return the wiring with the re-tuned parameters read too, after the outputs."""
     names = {name: [r.variable for r in writes if r.component == name] for name in wiring}
     return {
         name: replace(w, outputs=(*w.outputs, *(n for n in names[name] if n not in w.outputs)))

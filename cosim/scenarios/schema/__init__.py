@@ -1,1 +1,1 @@
-"""The tables of a scenario file, each validated when built."""
+"""Tables of a scenario file, each validated when built."""

@@ -1,4 +1,4 @@
-"""The tables of a scenario file, each validated when built."""
+"""Tables of a scenario file on the estimation: parameters, objective, loop and estimators."""
 
 from typing import Any, Literal, Self, cast
 
@@ -19,18 +19,18 @@ from .table import MOST, Reference, Table
 
 
 class LoopSettings(Table):
-    """How the controller is re-tuned. An estimator's own table may replace any of these."""
+    """Settings of the re-tuning loop. An estimator's own table may replace any of them."""
 
     trigger: TriggerSettings = Field(discriminator="kind")
-    """When an episode begins."""
+    """The condition that begins an episode."""
     budget: int = Field(default=30, ge=1, le=MOST)
-    """Evaluations in an episode."""
+    """Number of evaluations in an episode."""
     evaluations_per_step: int = Field(default=1, ge=1, le=MOST)
-    """Evaluations in a macro step."""
+    """Number of evaluations in a macro step."""
     commit: Literal["incumbent", "candidate"] = "incumbent"
-    """What is written into the controller: the best so far, or each candidate."""
+    """Parameters written into the controller: the best so far, or each candidate."""
     window: int = Field(default=10, ge=1, le=MOST)
-    """Number of newest samples, at most, that a candidate is judged on."""
+    """Largest number of newest samples that a candidate is evaluated on."""
 
 
 class EstimatedParameter(Table):
@@ -57,7 +57,7 @@ class EstimatedParameter(Table):
         return self
 
     def to_parameter(self) -> Parameter:
-        """As the estimator knows it. Raises ValueError for reversed bounds."""
+        """Return it as a parameter of the estimator. Raises ValueError for reversed bounds."""
         return Parameter(self.name, self.lower, self.upper, self.unit, self.scale)
 
 
@@ -71,27 +71,28 @@ class LinearModel(Table):
 
 
 class RolloutSettings(Table):
-    """How candidates are simulated, where the objective is `rollout`; `budget` then counts roll-outs."""
+    """Simulation of candidates, where the objective is `rollout`; `budget` then counts roll-outs."""
 
     fmu: str | None = Field(default=None, min_length=1)
     """The FMU to simulate, the plant's by default: a built-in one by name, or a path relative to the scenario's."""
     start: Literal["auto", "state", "measured", "replay"] = "auto"
-    """How a roll-out begins: in the plant's saved FMU state, in measured states, or simulated from the start."""
+    """Beginning of a roll-out: in the plant's saved FMU state, in measured states, or by simulation from the start."""
     jobs: int = Field(default=2, ge=1, le=256)
     """Number of processes; the results do not depend on it."""
 
 
 class EstimationSettings(LoopSettings):
-    """What is estimated, by which model, and how."""
+    """Settings of the estimation: parameters, objective, model, and the loop."""
 
     objective: str = Field(default="auto", pattern=r"^(auto|derivative|rollout|[\w.]+:\w+)$")
-    """How a candidate is judged: `derivative` compares sampled derivatives with the model's, `rollout` measured outputs
-    with simulated ones; `module:function` is called as f(theta, samples) for residuals in standard deviations."""
+    """Comparison that a candidate is scored by: `derivative` compares sampled derivatives with the model's, `rollout`
+    measured outputs with simulated ones; `module:function` is called as f(theta, samples) for residuals in standard
+    deviations."""
     model: str | None = Field(default=None, pattern=r"^([\w.]+:\w+|.+\.fmu|[A-Za-z]\w*)$")
     """`module:function`, called as f(x, u, **parameters) for the plant's state derivatives; or a model-exchange FMU:
     a path relative to the scenario's, or the name of a built-in plant. Needed for derivatives only."""
     rollout: RolloutSettings = RolloutSettings()
-    """How candidates are simulated, with the objective `rollout`."""
+    """Simulation of candidates, with the objective `rollout`."""
     parameters: tuple[EstimatedParameter, ...] = Field(min_length=1)
     """The parameters to estimate, in the order of theta."""
     instants: tuple[float, ...] = ()
@@ -99,31 +100,31 @@ class EstimationSettings(LoopSettings):
     linear: LinearModel | None = None
     """The model's linear form, for recursive least squares."""
     methods: dict[str, dict[str, Any]] = {}
-    """Settings of single estimators, and what replaces the above for them: `[estimation.NAME]` in a file."""
+    """Settings of single estimators, and their replacements of the above: `[estimation.NAME]` in a file."""
 
     @classmethod
     def known_keys(cls) -> set[str]:
-        """What may stand in it: `methods` is written as tables named for the estimators."""
+        """Return the keys that it may have: `methods` is written as tables named for the estimators."""
         return (super().known_keys() | set(METHODS)) - {"methods"}
 
     @property
     def space(self) -> ParameterSpace:
-        """The parameters as the estimators know them."""
+        """Space of the parameters, for the estimators."""
         return ParameterSpace(tuple(p.to_parameter() for p in self.parameters))
 
     def loop(self, name: str, method: Method | None = None) -> LoopSettings:
-        """The loop's settings for one estimator; method: what it is, where it is none of the package."""
+        """Return the loop's settings for one estimator; method: its description, if it is not one of the package."""
         common = {name: getattr(self, name) for name in LoopSettings.model_fields}
         own = {k: v for k, v in self._own(name, method).items() if k in LoopSettings.model_fields}
         return LoopSettings.model_validate(common | own)
 
     def settings(self, name: str, method: Method | None = None) -> Any:
-        """The estimator's own settings, an instance of its settings' class."""
+        """Return the estimator's own settings, an instance of its settings' class."""
         given = {k: v for k, v in self._own(name, method).items() if k not in LoopSettings.model_fields}
         return TypeAdapter((method or method_named(name)).settings).validate_python(given)
 
     def _own(self, name: str, method: Method | None = None) -> dict[str, Any]:
-        """What is set for one estimator: by the one that it is like, by itself, by the scenario."""
+        """Return the settings of one estimator: those of the one it is like, its own defaults, then the scenario's."""
         method = method or method_named(name)
         known = {*LoopSettings.model_fields, *method.setting_names}
         inherited = self._own(method.like) if method.like else {}
@@ -150,7 +151,7 @@ class EstimationSettings(LoopSettings):
         return self
 
     def check_method(self, name: str, method: Method | None = None) -> None:
-        """Raises ValueError where an estimator's settings do not fit it."""
+        """Check an estimator's settings. Raises ValueError where they do not fit it."""
         known = {*LoopSettings.model_fields, *(method or method_named(name)).setting_names}
         for key in self.methods.get(name, {}):
             if key not in known:
@@ -168,7 +169,7 @@ class EstimationSettings(LoopSettings):
 
 
 def is_former_method(name: str) -> bool:
-    """Whether this was the name of an estimator that is now another with settings; if so the user is told."""
+    """Return whether this is a former name of an estimator, now another with settings; if so, print the new one."""
     if name not in FORMER_METHODS:
         return False
     now = FORMER_METHODS[name]

@@ -1,4 +1,4 @@
-"""The table on what may be written into the controller."""
+"""Table of a scenario file on the guard of what is written into the controller."""
 
 from collections.abc import Mapping
 from typing import ClassVar
@@ -9,12 +9,12 @@ from .table import MOST, Table
 
 
 class GuardSettings(Table):
-    """What may be written into the controller, and what is taken back. Shares are of the scaled bounds."""
+    """Limits on what is written into the controller, and rules for reverting it. Shares are of the scaled bounds."""
 
     former_keys: ClassVar[Mapping[str, str]] = {"guard.foresight": "guard.lookahead"}
 
     enabled: bool = True
-    """Whether writes are guarded."""
+    """True to guard writes."""
     rate: float = Field(default=0.5, gt=0.0, le=1.0)
     """Largest change of a parameter in a macro step, as a share."""
     material: float = Field(default=0.05, ge=0.0, le=1.0)
@@ -22,11 +22,11 @@ class GuardSettings(Table):
     unseen: float = Field(default=0.35, gt=0.0, le=1.0)
     """Standard deviation, as a share, above which a direction counts as unseen by the data and is not written."""
     lookahead: bool = True
-    """Whether the closed loop is simulated ahead before a material write."""
+    """True to simulate the closed loop ahead before a material write."""
     horizon: int = Field(default=50, ge=1, le=MOST)
     """Macro steps that are simulated ahead."""
     n_std: float = Field(default=2.0, ge=0.0)
-    """Standard deviations by which the estimate is varied in that prediction, along the direction known least."""
+    """Standard deviations by which the estimate is varied in that prediction, along the least certain direction."""
     growth: float = Field(default=1.5, ge=1.0)
     """Factor by which the predicted peak of the tracking error may exceed that without the write, and the error then
     the predicted one."""

@@ -1,4 +1,4 @@
-"""The tables of a scenario file on what is measured: sensors, their faults, the filter, which samples are kept out."""
+"""Tables of a scenario file on measurement: sensors, their faults, the filter, checks of samples."""
 
 from typing import Annotated, Literal, Self
 
@@ -22,7 +22,7 @@ class Derivative(Noise):
 
 
 class SavitzkyGolay(Table):
-    """The slope of the polynomial through the newest points that fits them best, at their middle."""
+    """Slope, at the middle one of the newest points, of the polynomial that fits them best."""
 
     kind: Literal["savitzky-golay"]
     """savitzky-golay"""
@@ -54,7 +54,7 @@ class StateVariable(Table):
 
 
 class SensorFault(Table):
-    """A sensor fault to inject, to try out a set-up; the estimator does not know of it."""
+    """A sensor fault to inject for a test; the estimator does not know of it."""
 
     kind: Literal["dropout", "infinite", "bias", "noise", "spikes", "sign", "scale", "stuck", "delay", "late"]
     """dropout: not a number. bias: `size` is added. noise: Gaussian noise of standard deviation `size` is added.
@@ -83,15 +83,15 @@ class SensorFault(Table):
         return self
 
     def is_in_force(self, t: float) -> bool:
-        """Whether a sample of t [s] may be hit; half a nanosecond late counts as in time."""
+        """Return whether a sample at t [s] may be affected; half a nanosecond late counts as in time."""
         return t >= self.start - 5e-10 and (self.stop is None or t < self.stop - 5e-10)
 
 
 class Sampling(Table):
-    """What is measured of the plant."""
+    """Measured variables of the plant."""
 
     derivatives: dict[Reference, Derivative] = {}
-    """Derivatives that are compared with the model's, all of one component: the plant."""
+    """Derivatives that are compared with the model's, all of one component, the plant."""
     filter: Annotated[SavitzkyGolay | StateVariable, Field(discriminator="kind")] | None = None
     """The filter that computes the derivatives from sampled states, where they are not measured."""
     outputs: dict[Reference, Noise] = {}
@@ -141,10 +141,10 @@ class Sampling(Table):
 
 
 class ObservationSettings(Table):
-    """Which samples are kept from the estimator."""
+    """Checks that keep bad samples from the estimator."""
 
     enabled: bool = True
-    """Whether samples are checked."""
+    """True to check samples."""
     outlier: float = Field(default=8.0, gt=0.0)
     """Jump of the residual, in its usual standard deviations, above which the next sample must confirm it."""
     inconsistent: float = Field(default=8.0, gt=0.0)

@@ -1,4 +1,4 @@
-"""The tables on the co-simulation: times and steps, components, when a run is given up."""
+"""Tables of a scenario file on the co-simulation: times and steps, components, limits of a run."""
 
 from typing import Any, Literal, Self
 
@@ -8,7 +8,7 @@ from .table import MOST, Table, Value
 
 
 class SimulationSettings(Table):
-    """The co-simulation itself."""
+    """Times, steps and coupling of the co-simulation, and the treatment of its FMUs."""
 
     name: str = Field(min_length=1, pattern=r"^[A-Za-z0-9_-]+$")
     """Name of the scenario, and of its run folders."""
@@ -31,7 +31,7 @@ class SimulationSettings(Table):
     memory_limit: float = Field(default=0.0, ge=0.0)
     """Memory that the process of one FMU may hold [MB]; 0: half of the machine's memory. Linux only."""
     out_of_range: Literal["fault", "warning"] = "fault"
-    """How an input or output outside its declared min and max is treated; one that is not finite is always a fault."""
+    """Treatment of an input or output outside its declared min and max; one that is not finite is always a fault."""
 
     @model_validator(mode="after")
     def _spans_whole_steps(self) -> Self:
@@ -45,7 +45,7 @@ class SimulationSettings(Table):
 
     @property
     def slave_options(self) -> dict[str, Any]:
-        """Keywords of open_slave."""
+        """Keyword arguments of open_slave."""
         return self.model_dump(include={"isolation", "timeout", "memory_limit", "out_of_range"})
 
     @property
@@ -54,7 +54,7 @@ class SimulationSettings(Table):
         return round((self.stop_time - self.start_time) / self.macro_step)
 
     def time(self, k: int) -> float:
-        """Communication point k [s]: a product, so that rounding does not add up."""
+        """Return the time of communication point k [s]: a product, so that rounding does not add up."""
         return self.start_time + k * self.macro_step
 
 
@@ -80,7 +80,7 @@ class ComponentSettings(Table):
 
 
 class RunLimits(Table):
-    """When a run is stopped."""
+    """Limits at which a run is stopped."""
 
     divergence: float = Field(default=100.0, gt=0.0)
     """A tracked error above this ends the run as diverged, in the tracked output's unit."""

@@ -1,4 +1,4 @@
-"""What every table of a scenario file has in common."""
+"""Base class of a scenario file's tables, and the types that they share."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, cast
@@ -9,7 +9,7 @@ from ...former_names import tell_new_name
 from ...variable_name import VariableName
 
 MOST = 1_000_000_000
-"""Of whatever is counted, or waited for [s]: more is a slip, and what a machine cannot hold."""
+"""Largest count, or waiting time [s]: more is a mistake, or more than a machine can hold."""
 
 
 Value = float | int | bool | str
@@ -29,7 +29,7 @@ class Table(BaseModel):
 
     @classmethod
     def known_keys(cls) -> set[str]:
-        """What may stand in it."""
+        """Return the keys that it may have."""
         return set(cls.model_fields)
 
     @model_validator(mode="before")

@@ -1,4 +1,4 @@
-"""Whether two versions of the code run the named scenarios alike, bit for bit: digests of the series they write.
+"""Check that two versions of the code run the named scenarios alike, bit for bit: digests of the series they write.
 
     python -m benchmarks.bits > before.json     # with one version
     python -m benchmarks.bits before.json       # with the other: names the runs that differ; exit code 1 if any does
@@ -23,7 +23,7 @@ SCENARIOS = ("pendulum", "quadrotor", "stiction", "rigid-body")
 
 
 def main() -> int:
-    """Print the digests, or how they differ from those of another version; return the exit code."""
+    """Print the digests, or their differences from those of another version; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("before", type=Path, nargs="?", help="what another version has printed")
     parser.add_argument("--seeds", type=int, default=3, metavar="N", help="seeds 0 to N - 1 (default: 3)")

@@ -1,4 +1,4 @@
-"""Whether 95 % intervals cover the truth as often as they say: Monte Carlo on the named scenarios.
+"""Coverage of the truth by 95 % intervals: Monte Carlo on the named scenarios.
 
     python -m benchmarks.coverage [--scenarios pendulum ...] [--how frozen runs] [--estimators target ...] [--seeds N]
 
@@ -47,7 +47,7 @@ BATCH = 10
 
 
 class Interval(NamedTuple):
-    """An estimate at one time, and the truth there."""
+    """An estimate at one time, and the true values at that time."""
 
     when: str
     theta: Vector

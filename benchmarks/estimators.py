@@ -66,7 +66,7 @@ PROBLEMS = {
 
 @dataclass(frozen=True)
 class Search:
-    """What one method did in one repetition."""
+    """Result of one method in one repetition."""
 
     seconds: float
     """Wall time of the whole search."""
@@ -147,7 +147,7 @@ def _with_earlier(rows: list[report.Row]) -> list[report.Row]:
 
 @contextmanager
 def _worker(name: str, problem: str, recorded: Run, limit: float) -> Generator[Callable[[int, int], Search | str]]:
-    """Yield ask(n_evaluations, repetition), which returns the search made in a process of its own, or why it failed."""
+    """Yield ask(n_evaluations, repetition), which returns a search in its own process, or the reason of its failure."""
     context = multiprocessing.get_context("spawn")  # a fresh interpreter: no import of one peer meets another's
     ours, theirs = context.Pipe()
     os.environ.update(dict.fromkeys(_THREADS, "1"))  # read when NumPy and torch are imported, there

@@ -50,7 +50,7 @@ FROZEN = {
 
 
 def main() -> None:
-    """Measure, collect or render, and what follows from it."""
+    """Measure, collect or render, including the steps that follow."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     names = [*COMPARISONS, *FROZEN, "figures"]
     parser.add_argument("what", choices=["measure", "collect", "render"])
@@ -89,7 +89,7 @@ def measure(names: Iterable[str]) -> None:
 
 
 def collect(names: Iterable[str]) -> None:
-    """Keep in docs/evaluation/ what the document shows of the raw runs; of names without any, what is there."""
+    """Keep in docs/evaluation/ what the document shows of the raw runs; names without raw runs stay as they are."""
     for name in names:
         if (path := RAW / f"{name}.json").exists():
             _write(name, solved(json.loads(path.read_text(encoding="utf-8"))))
@@ -105,7 +105,7 @@ def collect(names: Iterable[str]) -> None:
 
 
 def compared(comparison: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the figures of a comparison over its seeds, and what each run of the first seed came to."""
+    """Return the figures of a comparison over its seeds, and the result of each run of the first seed."""
     kept = {key: comparison[key] for key in ("scenario", "seeds", "jobs", "cpus", "deadline_ms", "versions")}
     runs = [
         {

@@ -1,4 +1,4 @@
-"""One episode on a frozen window: how close to the truth each estimator gets with the same number of evaluations.
+"""Accuracy of each estimator with the same number of evaluations, in one episode on a frozen window.
 
     python -m benchmarks.frozen stiction --at 4.0 --window 100 --evaluations 30 60 120 --seeds 20
 

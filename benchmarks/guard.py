@@ -1,4 +1,4 @@
-"""What the guard prevents and what it costs: each case with it, without it, and with the nominal controller.
+"""Benefit and cost of the guard: each case with it, without it, and with the nominal controller.
 
     python -m benchmarks.guard [--pendulum 200] [--quadrotor 20] [--only CASE ...]
     python -m benchmarks.guard --table
@@ -52,7 +52,7 @@ def linear_pendulum(x: tuple[float, ...], u: tuple[float, ...], m: float, l: flo
 def draggy_quadrotor(
     x: tuple[float, ...], u: tuple[float, float, float, float], **parameters: float
 ) -> tuple[float, ...]:
-    """Return that of a quadrotor of wrong structure: with a drag of 0.3 /s, and 1 rad/s2 about the body's z axis."""
+    """Return the derivative of a quadrotor of wrong structure: drag of 0.3 /s, and 1 rad/s2 about the body's z axis."""
     rates = list(quadrotor.derivative(x, u, **parameters))
     rates[3:6] = [rate - 0.3 * v for rate, v in zip(rates[3:6], x[3:6], strict=True)]
     return (*rates[:-1], rates[-1] + 1.0)
@@ -64,7 +64,7 @@ def _faults(kind: str, names: Mapping[str, tuple[str, ...]], scenario: str, rest
 
 
 def overrides(case: str, name: str) -> dict[str, str]:
-    """Return what a case changes in a scenario, as for `--set`."""
+    """Return the changes that a case makes to a scenario, as for `--set`."""
     is_pendulum = name == "pendulum"
     match case:
         case "noise":

@@ -24,7 +24,7 @@ Steps = Callable[[int, int], Sequence[float]]
 
 
 class Absent(Exception):
-    """A master that cannot take part; the message says why."""
+    """Raised for a master that cannot take part; the message says why."""
 
 
 @dataclass(frozen=True)

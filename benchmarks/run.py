@@ -1,4 +1,4 @@
-"""The whole quadrotor scenario, `target`, each FMU in its own process: how many times real time, and where time goes.
+"""Speed of the whole quadrotor scenario with `target`, each FMU in its own process, and the time of each part.
 
     python -m benchmarks.run [--seeds 5] [--scenario quadrotor] [--estimator target]
 
@@ -32,7 +32,7 @@ from cosim.system.master import Master
 from estimator import DerivativeResidual, PaperBO, ResidualWindow, TargetVector, triggers
 
 REACH = 6.0
-"""Times real time that a whole run should reach."""
+"""Multiple of real time that a whole run should reach."""
 PARTS: tuple[tuple[str, type[Any], tuple[str, ...]], ...] = (
     ("start of the FMUs", Loop, ("initialize",)),
     ("FMUs and exchange", Master, ("begin", "finish")),

@@ -1,4 +1,4 @@
-"""What an evaluation costs as the problem grows, and whether memory and pace stay the same for an hour.
+"""Cost of an evaluation as the problem grows, and memory and speed over an hour.
 
     python -m benchmarks.scaling growth [--estimators target bo-scalar paper] [--seeds 3]
     python -m benchmarks.scaling endurance [--steps 360000] [--limit SECONDS]
@@ -130,7 +130,7 @@ def _row(name: str, what: str, size: Size, n_seeds: int) -> dict[str, object]:
 
 
 def _memory(name: str, size: Size) -> float:
-    """Return how much more memory Python holds after the evaluations than before them [KiB]."""
+    """Return the memory that Python holds after the evaluations, less that before them [KiB]."""
     tracemalloc.start()
     try:
         retuner, samples, _ = synthetic(name, size, 0)

@@ -1,1 +1,1 @@
-"""For one who brings FMUs: what is in them, a first scenario, and what is wrong with it."""
+"""Tools for users with FMUs of their own: contents of an FMU, a draft scenario, and checks."""

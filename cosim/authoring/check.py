@@ -1,7 +1,7 @@
-"""What is wrong or risky in a scenario, found before any of its components runs.
+"""Errors and risks in a scenario, found before any of its components runs.
 
-An error is what `run` would refuse, or compute nonsense from; a warning is what may be meant. The estimator's model, a
-function of the user's or a model-exchange FMU, is the only code that is called.
+An error is something that `run` would refuse or that gives meaningless results; a warning may be intended. The only
+code that is called is the estimator's model: a function of the user's or a model-exchange FMU.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -36,7 +36,7 @@ _CHECKS: tuple[Callable[[Scenario, Mapping[str, Component]], Iterator[Finding]],
 
 
 def check(source: str | Path, overrides: Mapping[str, str] | None = None) -> list[Finding]:
-    """Everything that is to say about a scenario, errors and warnings. Raises ScenarioError for no TOML file."""
+    """Return all findings about a scenario, errors and warnings. Raises ScenarioError if the file is not TOML."""
     try:
         scenario = load_scenario(source, overrides)
     except ScenarioError as e:
@@ -64,7 +64,7 @@ def check(source: str | Path, overrides: Mapping[str, str] | None = None) -> lis
 
 
 def _check_model(scenario: Scenario, components: Mapping[str, Component]) -> Iterator[Finding]:
-    """Call the model once at the start values, or tell the objective. Everything else is known to be well."""
+    """Call the model once at the start values, or describe the objective; used when all other checks have passed."""
     files = {name: FmuFile(name, c.description) for name, c in components.items()}
     try:
         plant = plant_of(scenario, files[scenario.plant])
@@ -83,7 +83,7 @@ def _check_model(scenario: Scenario, components: Mapping[str, Component]) -> Ite
 
 
 def _split(text: str) -> Finding:
-    """An error of the schema, `key: rule`."""
+    """Return the finding of a schema error in the form `key: rule`."""
     key, colon, rule = text.partition(": ")
     return Finding(key, rule) if colon and " " not in key else Finding("scenario", text)
 

@@ -1,4 +1,4 @@
-"""What a scenario changes, tracks, samples and estimates, against what its FMUs declare."""
+"""Checks of the variables that a scenario changes, tracks, samples and estimates against its FMUs' declarations."""
 
 from collections.abc import Iterator
 
@@ -13,7 +13,7 @@ from .check_wiring import Components, output_refusal, parts, refusal, unit_findi
 
 
 def check_changes(scenario: Scenario, components: Components) -> Iterator[Finding]:
-    """Parameters that cannot change while the plant runs; an experiment in which nothing does."""
+    """Yield parameters that cannot change while the plant runs, and an experiment in which nothing changes."""
     for reference in scenario.changes:
         component, name = parts(reference, components)
         problem = component and refusal(component, "tunable parameter", name)
@@ -24,7 +24,7 @@ def check_changes(scenario: Scenario, components: Components) -> Iterator[Findin
 
 
 def check_tracking(scenario: Scenario, components: Components) -> Iterator[Finding]:
-    """Tracked variables and references that are no outputs, or in different units."""
+    """Yield tracked variables and references that are not outputs or have different units."""
     for tracked, reference in scenario.tracking.items():
         where = f'tracking."{tracked}"'
         ends = [parts(r, components) for r in (tracked, reference)]
@@ -34,7 +34,7 @@ def check_tracking(scenario: Scenario, components: Components) -> Iterator[Findi
 
 
 def check_sampling(scenario: Scenario, components: Components) -> Iterator[Finding]:
-    """Sampled variables that are no derivative or state, and states that cannot be read."""
+    """Yield sampled variables that are neither derivative nor state, and states that cannot be read."""
     plant = components.get(scenario.plant)
     if plant is None:
         return
@@ -65,7 +65,7 @@ def check_sampling(scenario: Scenario, components: Components) -> Iterator[Findi
 
 
 def check_parameters(scenario: Scenario, components: Components) -> Iterator[Finding]:
-    """Parameters that the controller does not take, or not all of, and those that the plant has not."""
+    """Yield parameters that the controller takes not at all or in part only, and those that the plant does not have."""
     for i, parameter in enumerate(scenario.estimation.parameters):
         where = f"estimation.parameters.{i} ({parameter.name})"
         yield from (Finding(where, text) if is_error else warning(where, text)

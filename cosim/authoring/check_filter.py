@@ -1,4 +1,4 @@
-"""Whether a scenario's filter fits its steps, its noise and the plant: see `derivative_filter`."""
+"""Checks of a scenario's filter against its steps, its noise and the plant: see `derivative_filter`."""
 
 from collections.abc import Iterator
 from contextlib import suppress
@@ -26,7 +26,7 @@ _WHERE: Final = "sampling.filter"
 
 
 def check_filter(scenario: Scenario, components: Components) -> Iterator[Finding]:
-    """States that cannot be read; a filter too long for the run, or one that hardly smooths."""
+    """Yield states that cannot be read, a filter too long for the run, or one that hardly smooths."""
     settings, plant = scenario.sampling.filter, components.get(scenario.plant)
     if settings is None or plant is None:
         return
@@ -58,7 +58,7 @@ def check_filter(scenario: Scenario, components: Components) -> Iterator[Finding
 
 
 def check_filtered_model(scenario: Scenario, plant: Plant, x: Vector, theta: Vector) -> Iterator[Finding]:
-    """Whether the filter is short for the plant, and the states' noise small, by the model's slopes at x (n,)."""
+    """Yield a filter too long for the plant, or too much noise on the states, by the model's slopes at x (n,)."""
     settings = scenario.sampling.filter
     if settings is None:
         return
@@ -88,7 +88,7 @@ def _long(kernel: Kernel, slopes: Vector) -> Iterator[Finding]:
 
 
 def _slopes(scenario: Scenario, plant: Plant, x: Vector, theta: Vector) -> Vector:
-    """df/dx (n, n) at x by central differences; NaN where the model has no value."""
+    """Return df/dx (n, n) at x by central differences; NaN where the model has no value."""
     u = tuple(plant.inputs.values())
     parameters = scenario.estimation.space.named(theta)
     steps = 1e-6 * np.maximum(1.0, np.abs(x))

@@ -1,4 +1,4 @@
-"""What is wrong or risky in an FMU, before any of its code runs: all of what a run stops at the first of."""
+"""Errors and risks in an FMU, found before any of its code runs: all of them, where a run stops at the first."""
 
 from io import BytesIO
 from pathlib import Path
@@ -18,7 +18,7 @@ from ..fmi.archive import (
 
 
 def check_fmu(fmu: Path) -> list[Finding]:
-    """Everything that is to say about an FMU. Raises ModelDescriptionError for what is none."""
+    """Return all findings about an FMU. Raises ModelDescriptionError if the file is not an FMU."""
     found: list[Finding] = []
     try:
         description, platforms = look_into(fmu, found.extend)

@@ -1,4 +1,4 @@
-"""Start values, connections, inputs, loops and steps of a scenario, against what its FMUs declare."""
+"""Checks of start values, connections, inputs, loops and steps of a scenario against its FMUs' declarations."""
 
 from collections.abc import Iterator, Mapping
 
@@ -17,17 +17,17 @@ from ..units import IDENTITY, conversion
 from ..variable_name import VariableName
 
 Components = Mapping[str, Component]
-"""Those that could be read, by instance name."""
+"""Components that could be read, by instance name."""
 
 
 def parts(reference: str, components: Components) -> tuple[Component | None, str]:
-    """The component of a reference, where it could be read, and the variable's name."""
+    """Return the component of a reference, None if it could not be read, and the variable's name."""
     name, variable = VariableName(reference).parts
     return components.get(name), variable
 
 
 def refusal(component: Component, role: str, name: str) -> str | None:
-    """Why a variable cannot have a role ('input', 'tunable parameter', 'output'); None where it can."""
+    """Return the reason why a variable cannot have a role ('input', 'tunable parameter', 'output'), or None."""
     try:
         Catalogue(component.fmu.name, component.variables.values()).ports(role, [name])
     except WiringError as e:
@@ -36,7 +36,7 @@ def refusal(component: Component, role: str, name: str) -> str | None:
 
 
 def output_refusal(component: Component, name: str) -> str | None:
-    """Why a variable is not read at communication points; None where it is."""
+    """Return the reason why a variable cannot be read at communication points, or None."""
     outputs = [v.name for v in component.having("output")]
     if name in outputs:
         return None
@@ -48,7 +48,7 @@ def output_refusal(component: Component, name: str) -> str | None:
 def unit_finding(
     where: str, source: str, target: str, components: Components, is_converted: bool = False
 ) -> Iterator[Finding]:
-    """What the units of two variables say of taking the number of one for the other's, or of converting it."""
+    """Yield problems with the units of two variables, one of which takes the other's number, converted or not."""
     (a, name_a), (b, name_b) = parts(source, components), parts(target, components)
     if a is None or b is None or name_a not in a.variables or name_b not in b.variables:
         return
@@ -69,7 +69,7 @@ def unit_finding(
 
 
 def check_starts(scenario: Scenario, components: Components) -> Iterator[Finding]:
-    """Start values that an FMU does not take, or that are outside its limits."""
+    """Yield start values that an FMU does not take, or that are outside its limits."""
     for name, component in components.items():
         catalogue = Catalogue(component.fmu.name, component.variables.values())
         for variable, value in scenario.components[name].start.items():
@@ -85,7 +85,7 @@ def check_starts(scenario: Scenario, components: Components) -> Iterator[Finding
 
 
 def check_connections(scenario: Scenario, components: Components) -> Iterator[Finding]:
-    """Ends that are no input or no output, of different types or units."""
+    """Yield ends of connections that are not an input or output, or differ in type or unit."""
     for target, source in scenario.connections.items():
         where = f'connections."{target}"'
         (to, to_name), (of, of_name) = parts(target, components), parts(source, components)
@@ -102,7 +102,7 @@ def check_connections(scenario: Scenario, components: Components) -> Iterator[Fi
 
 
 def check_inputs(scenario: Scenario, components: Components) -> Iterator[Finding]:
-    """Inputs that nothing is connected to."""
+    """Yield inputs that are not connected."""
     for name, component in components.items():
         for v in component.having("input"):
             if f"{name}.{v.name}" not in scenario.connections:
@@ -111,7 +111,7 @@ def check_inputs(scenario: Scenario, components: Components) -> Iterator[Finding
 
 
 def check_loops(scenario: Scenario, components: Components) -> Iterator[Finding]:
-    """Outputs that depend on themselves within a communication point."""
+    """Yield outputs that depend on themselves within a communication point."""
     known: dict[str, str] = {
         target: source
         for target, source in scenario.connections.items()
@@ -127,7 +127,7 @@ def check_loops(scenario: Scenario, components: Components) -> Iterator[Finding]
 
 
 def check_steps(scenario: Scenario, components: Components) -> Iterator[Finding]:
-    """Steps and times that an FMU is not made for."""
+    """Yield steps and times that an FMU is not made for."""
     settings = scenario.scenario
     for name, component in components.items():
         experiment = component.experiment

@@ -1,6 +1,6 @@
-"""What an FMU needs on this machine: its binary, the libraries behind it, and for one in Python, libpython and modules.
+"""Requirements of an FMU on this machine: its binary and libraries and, for one in Python, libpython and modules.
 
-Nothing of the FMU is executed: its library is read, not loaded, and its scripts are searched for import statements.
+No code of the FMU is executed: its library is read, not loaded, and its scripts are searched for import statements.
 """
 
 import os
@@ -33,30 +33,30 @@ _EXIT_OF_PYTHONFMU = "GLIBC_TUNABLES=glibc.malloc.tcache_count=65535"  # its lib
 
 @dataclass(frozen=True)
 class Requirement:
-    """One thing that was looked at."""
+    """One requirement of an FMU."""
 
     subject: str
     """`glibc`, `libpython`, ..."""
     is_well: bool
-    """Nothing is missing."""
+    """True where nothing is missing."""
     text: str
-    """What is needed and what is here, in one line."""
+    """Requirement and what was found, in one line."""
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What an FMU needs, and whether it is here. As text, a report of several lines."""
+    """Requirements of an FMU, met or not. As text, a report of several lines."""
 
     title: str
     """File, FMI version, kind, and the tool that made it."""
     findings: tuple[Requirement, ...]
     """In the order of the report."""
     advice: str
-    """How to start an importer."""
+    """Advice on how to start an importer."""
 
     @property
     def is_well(self) -> bool:
-        """Everything that was looked at is here."""
+        """True where every requirement is met."""
         return all(finding.is_well for finding in self.findings)
 
     def __str__(self) -> str:
@@ -66,14 +66,14 @@ class Diagnosis:
 
 @dataclass(frozen=True)
 class _ElfLibrary:
-    """What a shared library for Linux asks of the system."""
+    """Requirements of a shared library for Linux."""
 
     needed: tuple[str, ...]
     """Libraries by name."""
     glibc: str
     """Least version; empty where none is asked for."""
     has_open_python: bool
-    """It uses Python's functions and names no library that has them."""
+    """True where it uses Python's functions and names no library that has them."""
 
 
 def diagnose(fmu: Path) -> Diagnosis:
@@ -113,7 +113,7 @@ def _identifiers(description: ModelDescription) -> list[str]:
 
 
 def _binary(folder: Path, identifiers: list[str]) -> Path:
-    """The shared library of an FMU that has one for this platform; another, where none has the model's name."""
+    """Return the shared library of an FMU for this platform; if none has the model's name, another one."""
     places = [folder / "binaries" / place for place in (fmpy.platform, fmpy.platform_tuple)]
     found = [path for place in places for path in sorted(place.glob(f"*{fmpy.sharedLibraryExtension}"))]
     return next((path for path in found if path.stem in identifiers), found[0])
@@ -130,7 +130,7 @@ def _found(binary: str, identifiers: list[str], library: _ElfLibrary | None) -> 
 
 
 def _read_library(path: Path) -> _ElfLibrary | None:
-    """None for what is no ELF file."""
+    """Return the requirements of an ELF file; None for any other file."""
     try:
         with path.open("rb") as file:
             elf: Any = ELFFile(file)
@@ -176,7 +176,7 @@ def _libpython(path: str | None) -> Requirement:
 
 
 class _Imports(ModuleFinder):
-    """Finds what is imported by its whole name; a relative import never leads out of the FMU."""
+    """Collector of absolute imports; relative ones never lead out of the FMU."""
 
     def import_hook(self, name: str, caller: Any = None, fromlist: Any = None, level: int = -1) -> Any:
         try:
@@ -188,7 +188,7 @@ class _Imports(ModuleFinder):
 
 
 def _modules(script: Path) -> Requirement:
-    """The packages that the FMU asks for, or else the modules that it imports and does not bring along.
+    """Return the packages that the FMU asks for, or else the modules that it imports and does not contain.
 
     Modules imported by a computed name are not seen.
     """
@@ -213,7 +213,7 @@ def _modules(script: Path) -> Requirement:
 
 
 def _requirements(text: str) -> Requirement:
-    """Packages by name; of versions and other conditions nothing is said."""
+    """Return the names of the required packages, without versions and other conditions."""
     names = [match[0] for line in text.splitlines() if (match := re.match(r"\s*[A-Za-z][\w.-]*", line))]
     found = {distribution.name.lower(): distribution.version for distribution in distributions()}
     lacking = ", ".join(name for name in names if name.lower() not in found)

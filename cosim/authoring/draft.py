@@ -1,6 +1,6 @@
-"""A scenario written from what FMUs declare, for its author to look over: guesses are marked as such.
+"""Draft of a scenario from the declarations of its FMUs, for the author to review: guesses are marked.
 
-`guess` in a comment is likely, `GUESS` is to be looked at, `FILL` is to be filled in.
+In comments, `guess` marks what is likely, `GUESS` what needs checking, and `FILL` what has to be filled in.
 """
 
 import os
@@ -23,21 +23,21 @@ _STOP_TIME, _MACRO_STEP = 10.0, 0.01  # s, where no FMU says any
 
 @dataclass(frozen=True)
 class Draft:
-    """The text of a scenario file."""
+    """Text of a scenario file."""
 
     text: str
 
     def lines(self, mark: str) -> list[tuple[int, str]]:
-        """Number and text of the lines with a mark: 'FILL', 'GUESS' or 'guess'."""
+        """Return number and text of the lines with a mark: 'FILL', 'GUESS' or 'guess'."""
         marked = re.compile(rf"#.*\b{mark}\b")
         numbered = enumerate(self.text.splitlines(), 1)
         return [(i, line) for i, line in numbered if i > len(_LEGEND) and marked.search(line)]
 
 
 def draft(fmus: Mapping[str, Path], folder: Path, model: str | None = None) -> Draft:
-    """A scenario in folder for a plant and, by the same keys, a controller and a reference.
+    """Return a draft scenario in folder for the FMUs of a plant and, where given, a controller and a reference.
 
-    model: `module:function` or a path of a model-exchange FMU; a plant that is one too is its own.
+    model: `module:function` or the path of a model-exchange FMU; by default the plant, if it offers model exchange.
     Raises ModelDescriptionError, ScenarioError, WiringError.
     """
     played = next((path for name, path in fmus.items() if name != REFERENCE and is_table(path)), None)
@@ -89,7 +89,7 @@ def _settings(components: Mapping[str, Component]) -> list[str]:
 
 
 def _last_first(components: Mapping[str, Component]) -> Iterator[Component]:
-    """A reference's own duration counts more than the plant's."""
+    """Yield the components by precedence of their default experiments: the reference before the plant."""
     for name in (REFERENCE, PLANT, CONTROLLER):
         if name in components:
             yield components[name]
@@ -172,7 +172,7 @@ def _tracking(components: Mapping[str, Component]) -> list[str]:
 
 
 def _told(owner: Component, v: ModelVariable, other: Component, o: ModelVariable) -> str:
-    """How two variables were found to be one."""
+    """Return a comment on how two variables were matched."""
     how = alike(v.name, o.name)
     mark = "guess" if is_likely(how, have_one_unit(owner, v.name, other, o.name)) else "GUESS"
     return f"{mark}: {how}"

@@ -1,4 +1,4 @@
-"""The part of a drafted scenario that is about sampling and estimation: see `draft`."""
+"""Sampling and estimation in a draft scenario: see `draft`."""
 
 import math
 import re
@@ -19,7 +19,7 @@ _WIDE: Final = 10.0  # a guessed bound is this many times the start value
 
 
 def parameter_pairs(components: Mapping[str, Component]) -> list[tuple[ModelVariable, ModelVariable]]:
-    """Tunable parameters of the controller, each with the parameter of the plant that it stands for."""
+    """Return the controller's tunable parameters, each with the plant's parameter that it stands for."""
     if CONTROLLER not in components:
         return []
     plant, controller = components[PLANT], components[CONTROLLER]
@@ -33,9 +33,9 @@ def _is_real(v: ModelVariable) -> bool:
 
 
 def sampling(plant: Component) -> list[str]:
-    """The derivatives that parameters or inputs enter; those of kinematics say nothing of a parameter.
+    """Return the lines for derivatives that depend on parameters or inputs; kinematic ones do not inform a parameter.
 
-    Where the plant has none among its outputs, a filter is offered.
+    If the plant has no derivatives among its outputs, a filter is proposed.
     """
     outputs = {v.name for v in plant.having("output")}
     rates = {rate: state for state, rate in plant.derivatives.items() if rate in outputs}
@@ -51,7 +51,7 @@ def sampling(plant: Component) -> list[str]:
 
 
 def model_states(plant: Component) -> list[str]:
-    """The model's x: declared states; where no derivative is an output, those that are measured, or may be states."""
+    """Return the states x of the model: the declared ones; if no derivative is an output, measured or likely ones."""
     outputs = [v.name for v in plant.having("output") if _is_real(v)]
     if not plant.derivatives:
         return outputs
@@ -59,13 +59,13 @@ def model_states(plant: Component) -> list[str]:
 
 
 def _has_rates(plant: Component) -> bool:
-    """Whether derivatives are among the outputs, and can be measured."""
+    """Return whether derivatives are among the outputs, and can be measured."""
     outputs = {v.name for v in plant.having("output")}
     return any(rate in outputs for rate in plant.derivatives.values())
 
 
 def _filtered(plant: Component) -> list[str]:
-    """Derivatives made by a filter from the outputs that may be states."""
+    """Return the lines for derivatives filtered from the outputs that may be states."""
     states = model_states(plant)
     lines = ["[sampling.derivatives]  # no output is declared as one: the filter below makes them from sampled states"]
     rates = {state: _rate_of(plant, state, states) for state in states}
@@ -101,7 +101,7 @@ def _filtered(plant: Component) -> list[str]:
 
 
 def _rate_of(plant: Component, state: str, others: list[str]) -> str | None:
-    """The one other output whose unit is the state's a second: its derivative by kinematics, likely."""
+    """Return the only other output in the state's unit per second, likely its derivative by kinematics, or None."""
     unit = plant.unit(state)
     if unit is None or unit.exponents is None:
         return None
@@ -115,7 +115,7 @@ def _rate_of(plant: Component, state: str, others: list[str]) -> str | None:
 
 
 def _dependencies(plant: Component) -> dict[str, bool]:
-    """Whether each output depends on inputs or parameters, as far as its FMU says; True where it does not."""
+    """Return whether each output depends on inputs or parameters; True where its FMU does not declare it."""
     structure, enters = plant.description, {v.name for c in ("input", "parameter") for v in plant.having(c)}
     lists = [declared(plant, u) for u in (structure.outputs, structure.derivatives, structure.initialUnknowns)]
     found: dict[str, bool] = {}
@@ -159,9 +159,9 @@ def _labelled(component: Component, name: str) -> str:
 def parameters(
     components: Mapping[str, Component], pairs: list[tuple[ModelVariable, ModelVariable]], is_fmu: bool
 ) -> Iterator[list[str]]:
-    """A table for each parameter that plant and controller share, comments on what else the controller offers.
+    """Yield a table for each parameter shared by plant and controller, and comments on the controller's other ones.
 
-    is_fmu: the model is an FMU, whose parameters have the plant's names.
+    is_fmu: whether the model is an FMU, whose parameters have the plant's names.
     """
     controller = components.get(CONTROLLER)
     if controller is not None:
@@ -203,7 +203,7 @@ def _is_gravity(component: Component, v: ModelVariable) -> bool:
 
 
 def _bounds(own: ModelVariable, its: ModelVariable) -> tuple[float, float, tuple[str, str]]:
-    """Lower and upper bound, and where each is from: what both FMUs take, or a guess about the start value."""
+    """Return lower and upper bound, each with its source: the limits of both FMUs, or a guess from the start value."""
     lows = [float(x) for v in (own, its) if (x := attribute(v, "min")) is not None and math.isfinite(float(x))]
     highs = [float(x) for v in (own, its) if (x := attribute(v, "max")) is not None and math.isfinite(float(x))]
     start = float(own.start or its.start or 0.0)
@@ -229,6 +229,6 @@ def unit_name(component: Component, name: str) -> str:
 
 
 def identifier(name: str) -> str:
-    """A name that can be a function's argument."""
+    """Return the name as one that a function's argument can have."""
     plain = re.sub(r"\W+", "_", name).strip("_")
     return plain if plain.isidentifier() else f"p_{plain}"

@@ -1,7 +1,7 @@
-"""What belongs together in FMUs that nobody has joined yet, guessed by names, units and roles.
+"""Connections between FMUs that are not wired yet, guessed from names, units and roles.
 
-Names are compared by their words: `phiRef` and `phi_ref` are phi, ref. Words that only tell a variable's role are left
-out then, and the last words of a structured name count: `s_meas` is `mass.s`.
+Names are compared by their words: `phiRef` and `phi_ref` are phi, ref. After that, words that only denote a variable's
+role are left out, and only the last words of a structured name are compared: `s_meas` matches `mass.s`.
 """
 
 import re
@@ -34,20 +34,20 @@ _ORDER: Final = (SAME, SAME_WORDS, LAST_WORDS, LIKE)
 
 @dataclass(frozen=True)
 class Guess:
-    """An input and what may belong to it."""
+    """Guess at the source of an input."""
 
     target: str
     """The input, `component.variable`."""
     source: str | None
     """The output, or None where nothing fits."""
     reason: str
-    """How they are alike, or why there is none."""
+    """Similarity of the two, or the reason why there is no source."""
     is_likely: bool
-    """Name and unit agree; otherwise somebody should look at it."""
+    """True where name and unit agree; otherwise somebody should check it."""
 
 
 def guess_connections(components: Mapping[str, Component]) -> list[Guess]:
-    """A guess for every input, those of the controller first."""
+    """Return a guess for every input, those of the controller first."""
     guesses: dict[str, Guess] = {}
     for name in (CONTROLLER, PLANT, REFERENCE):
         for v in components[name].having("input") if name in components else ():
@@ -61,7 +61,7 @@ def guess_connections(components: Mapping[str, Component]) -> list[Guess]:
 
 
 def alike(name: str, other: str) -> str | None:
-    """How two names are alike: one of the constants above, or None."""
+    """Return the similarity of two names: one of the constants above, or None."""
     if name == other:
         return SAME
     words, others = _stem(name), _stem(other)
@@ -75,7 +75,7 @@ def alike(name: str, other: str) -> str | None:
 
 
 def have_one_unit(a: Component, name: str, b: Component, other: str) -> bool | None:
-    """Whether two variables are in the same unit; None where that is not known."""
+    """Return whether two variables are in the same unit; None where that is not known."""
     units = a.unit(name), b.unit(other)
     if None in units:
         return None
@@ -86,7 +86,7 @@ def have_one_unit(a: Component, name: str, b: Component, other: str) -> bool | N
 
 
 def best(name: str, owner: Component, others: Iterable[tuple[Component, ModelVariable]]) -> ModelVariable | None:
-    """The variable that a name stands for in another FMU: alike up to the last words, and in no other unit."""
+    """Return the variable of another FMU that a name best matches, in no other unit; None if there is none."""
     found: list[tuple[int, ModelVariable]] = []
     for component, v in others:
         how = alike(name, v.name)
@@ -96,12 +96,12 @@ def best(name: str, owner: Component, others: Iterable[tuple[Component, ModelVar
 
 
 def is_likely(how: str | None, has_one_unit: bool | None) -> bool:
-    """Whether nobody needs to look at a guess: the names have the same words, and the units are known to be one."""
+    """Return whether a guess needs no checking: the names have the same words, and the units are known to be equal."""
     return how in (SAME, SAME_WORDS) and bool(has_one_unit)
 
 
 def is_desired(name: str) -> bool:
-    """Whether a name is that of a set point: phi_ref, r_d_x."""
+    """Return whether a name is that of a set point: phi_ref, r_d_x."""
     words = _words(name)
     return bool(_DESIRED & set(words)) or "d" in words[1:]
 
@@ -129,14 +129,14 @@ def _guess(name: str, v: ModelVariable, components: Mapping[str, Component]) -> 
 
 
 def _sources(name: str, variable: str) -> tuple[str, ...]:
-    """Whose outputs an input may be, the likeliest first."""
+    """Return the components whose outputs may feed an input, the likeliest first."""
     if name == CONTROLLER:
         return (REFERENCE, PLANT) if is_desired(variable) else (PLANT, REFERENCE)
     return (CONTROLLER,) if name == PLANT else (PLANT,)
 
 
 def _by_unit(guess: Guess, used: Iterable[str | None], components: Mapping[str, Component]) -> Guess:
-    """The only output left that is in the input's unit."""
+    """Return a guess with the only output left in the input's unit; the guess as it is if there is not exactly one."""
     name, variable = VariableName(guess.target).parts
     other = _sources(name, variable)[0]
     free = [
@@ -154,6 +154,6 @@ def _words(name: str) -> list[str]:
 
 
 def _stem(name: str) -> list[str]:
-    """The words that say what it is."""
+    """Return the words of a name without those that denote a role."""
     words = _words(name)
     return [w for i, w in enumerate(words) if w not in _ROLES and not (i and w == "d")] or words

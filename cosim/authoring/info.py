@@ -1,4 +1,4 @@
-"""What is in an FMU of any version and kind, from its model description; nothing of it is executed."""
+"""Contents of an FMU of any version and kind, from its model description; none of its code is executed."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ _CAPABILITIES = {
 
 @dataclass(frozen=True)
 class VariableInfo:
-    """A variable, as text and numbers of its model description."""
+    """A variable, as text and numbers from its model description."""
 
     name: str
     role: str
@@ -39,17 +39,17 @@ class VariableInfo:
     max: Value | None
     unit: str | None
     derivative_of: str | None
-    """The continuous state that it is the time derivative of."""
+    """Continuous state that it is the time derivative of."""
     derivative: str | None
-    """Of a continuous state: the variable that is its time derivative."""
+    """Variable that is its time derivative, if it is a continuous state."""
     depends_on: tuple[str, ...] | None
-    """Of an output, its declared dependencies."""
+    """Declared dependencies, if it is an output."""
     description: str
 
 
 @dataclass(frozen=True)
 class Info:
-    """What an FMU declares. As text, tables."""
+    """Declarations of an FMU. As text, tables."""
 
     file: str
     fmi_version: str
@@ -69,7 +69,7 @@ class Info:
 
 
 def info(fmu: Path) -> Info:
-    """What is in an FMU. Raises ModelDescriptionError."""
+    """Return the declarations of an FMU. Raises ModelDescriptionError."""
     description, platforms = look_into(fmu)
     component = component_of(fmu, description)
     interfaces: dict[str, object] = {
@@ -115,7 +115,7 @@ def _variable(component: Component, v: ModelVariable, on: Sequence[str] | None) 
 
 
 def _value(text: str | None) -> Value | None:
-    """A number as such; what is none, such as an array's or a String's start, as text."""
+    """Return a number as such; any other start value, such as an array's or a String's, as text."""
     if text is None:
         return None
     try:
@@ -148,19 +148,19 @@ def _blocks(info: Info) -> Iterator[list[str]]:
 
 
 def _span(experiment: Mapping[str, float]) -> str:
-    told = {
+    forms = {
         "start_time": "from {:g} s",
         "stop_time": "to {:g} s",
         "step_size": "step {:g} s",
         "tolerance": "tolerance {:g}",
     }
     return (
-        ", ".join(form.format(experiment[name]) for name, form in told.items() if name in experiment) or "not declared"
+        ", ".join(form.format(experiment[name]) for name, form in forms.items() if name in experiment) or "not declared"
     )
 
 
 def _table(title: str, variables: Sequence[VariableInfo], columns: dict[str, str]) -> list[str]:
-    """Rows with the descriptions at their end."""
+    """Return the rows with their descriptions at the end."""
     rows: list[list[str]] = [[title, *columns]]
     rows += [[_name(v), *(_short(getattr(v, name)) for name in columns.values())] for v in variables]
     lines = aligned(rows)
@@ -175,7 +175,7 @@ def _name(v: VariableInfo) -> str:
 
 
 def _short(value: Value | None) -> str:
-    """A number with the digits that a reader wants, other text as it is, a dash for nothing."""
+    """Return a number with few digits, other text as it is, a dash for nothing."""
     if isinstance(value, float):
         return f"{value:.6g}"
     text = "-" if value is None else str(value)

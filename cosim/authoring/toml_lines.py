@@ -5,15 +5,15 @@ import re
 
 
 def key(name: str) -> str:
-    """A key, quoted where it must be."""
+    """Return a key, quoted where it must be."""
     return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else quoted(name)
 
 
 def quoted(text: str) -> str:
-    """A basic string of TOML, which is written as in JSON."""
+    """Return a basic string of TOML, which is written as in JSON."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def said(line: str, comment: str) -> str:
-    """A line with its comment."""
+    """Return a line with its comment."""
     return f"{line:<48}  # {comment}"

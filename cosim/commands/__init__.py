@@ -1,1 +1,1 @@
-"""What `retune NAME` does: the function `command` of the module NAME."""
+"""Commands of `retune`: `retune NAME` calls the function `command` of the module NAME."""

@@ -15,7 +15,7 @@ from ..terminal.exit_codes import DONE
 
 
 def command(options: argparse.Namespace) -> int:
-    """Returns the exit code."""
+    """Run the command; return the exit code."""
     is_ours = options.fmi == 2 and not options.model_exchange
     if options.estimator and not is_ours:
         raise ScenarioError("--fmi and --model-exchange are of the built-in FMUs: leave out --estimator.")

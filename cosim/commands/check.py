@@ -11,7 +11,7 @@ from ..text_table import counted
 
 
 def command(options: argparse.Namespace) -> int:
-    """Returns the exit code."""
+    """Run the command; return the exit code."""
     is_fmu = options.scenario.lower().endswith(".fmu")
     if is_fmu and options.overrides:
         raise ScenarioError("--set is for a scenario, not for an FMU.")

@@ -11,7 +11,7 @@ from ..terminal.progress import bar_of_runs
 
 
 def command(options: argparse.Namespace) -> int:
-    """Returns the exit code."""
+    """Run the command; return the exit code."""
     scenario = load_scenario(options.scenario, dict(options.overrides))
     name = scenario.scenario.name
     with (

@@ -15,7 +15,7 @@ from ..terminal.progress import progress_bar
 
 
 def command(options: argparse.Namespace) -> int:
-    """Returns the exit code."""
+    """Run the command; return the exit code."""
     request = request_of(options)
     must_be_new(options.ssv, "--ssv")
     if options.online:

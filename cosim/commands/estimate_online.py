@@ -14,7 +14,7 @@ from ..terminal.progress import progress_bar
 
 
 def estimate_online(options: argparse.Namespace, request: Request) -> int:
-    """Returns the exit code."""
+    """Run the command; return the exit code."""
     try:
         with new_folder(f"{request.fmu.stem}-online", options.out) as folder:
             with progress_bar(

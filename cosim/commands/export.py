@@ -11,7 +11,7 @@ from ..terminal.exit_codes import DONE
 
 
 def command(options: argparse.Namespace) -> int:
-    """Returns the exit code."""
+    """Run the command; return the exit code."""
     content = to_ssp(with_start_values(load_scenario(options.scenario, dict(options.overrides)), options.start_values))
     verb = "written"
     if options.ssp.exists():

@@ -10,7 +10,7 @@ from ..terminal.progress import bar_of_runs
 
 
 def command(options: argparse.Namespace) -> int:
-    """Returns the exit code."""
+    """Run the command; return the exit code."""
     with new_folder("figures", options.out) as folder, recording(folder), bar_of_runs("figures") as progress:
         paths = figures(folder, options.seed, options.jobs, progress)
     for path in paths:

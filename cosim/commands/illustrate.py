@@ -8,7 +8,7 @@ from ..terminal.folders import must_be_new
 
 
 def command(options: argparse.Namespace) -> int:
-    """Returns the exit code."""
+    """Run the command; return the exit code."""
     must_be_new(options.out, "--out")
     print(illustrate(options.out, seed=options.seed))
     return DONE

@@ -9,7 +9,7 @@ from ..terminal.exit_codes import DONE
 
 
 def command(options: argparse.Namespace) -> int:
-    """Returns the exit code."""
+    """Run the command; return the exit code."""
     found = info(options.fmu)
     print(to_json(asdict(found)) if options.json else found)
     return DONE

@@ -9,7 +9,7 @@ from ..terminal.folders import must_be_new
 
 
 def command(options: argparse.Namespace) -> int:
-    """Returns the exit code."""
+    """Run the command; return the exit code."""
     must_be_new(options.out, "-o")
     given = {"plant": options.plant, "controller": options.controller, "reference": options.reference}
     written = draft({name: path for name, path in given.items() if path}, options.out.parent, options.model)

@@ -14,7 +14,7 @@ from ..terminal.run_output import BASELINES, simulated, tell
 
 
 def command(options: argparse.Namespace) -> int:
-    """Returns the exit code."""
+    """Run the command; return the exit code."""
     folder: Path = options.run
     begun = read_manifest(folder)
     scenario = scenario_of(folder, begun)

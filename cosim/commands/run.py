@@ -17,7 +17,7 @@ from ..terminal.run_output import BASELINES, simulated, tell
 
 
 def command(options: argparse.Namespace) -> int:
-    """Returns the exit code."""
+    """Run the command; return the exit code."""
     is_package = options.scenario.lower().endswith(".ssp") and Path(options.scenario).is_file()
     if is_package and not options.tables and _has_no_scenario(Path(options.scenario)):
         from .run_package import run_package

@@ -1,4 +1,4 @@
-"""`retune run` of a package made elsewhere, of which nobody has said what to estimate."""
+"""`retune run` of a package from another tool, which does not say what to estimate."""
 
 import argparse
 import sys
@@ -13,7 +13,7 @@ from ..terminal.folders import new_folder
 
 
 def run_package(options: argparse.Namespace) -> int:
-    """Returns the exit code."""
+    """Run the command; return the exit code."""
     if options.ssv or options.estimator not in ("target", "none"):
         raise SspError(f"{options.scenario} holds no scenario: nothing is estimated in it; give --scenario FILE.")
     system, settings = overridden(System.from_ssp(options.scenario), dict(options.overrides), options.start_values)

@@ -1,1 +1,1 @@
-"""The loop as an FMU for other masters."""
+"""The re-tuning loop as an FMU for other masters."""

@@ -1,4 +1,4 @@
-"""From a scenario to an estimator FMU: `estimator_slave` with the scenario's settings, and all that it imports."""
+"""Builder of estimator FMUs: `estimator_slave` with a scenario's settings, and all that it imports."""
 
 import ast
 import re
@@ -31,7 +31,7 @@ _OURS = ("cosim", "estimator", "fmu_models")
 
 
 def build_estimator(scenario: Scenario, out_dir: Path, method: str = "target") -> Path:
-    """Build the scenario's estimator as an FMU into `out_dir`; returns its path, QuadrotorEstimator.fmu of `quadrotor`.
+    """Build the scenario's estimator as an FMU in `out_dir`; return its path, QuadrotorEstimator.fmu for `quadrotor`.
 
     The same scenario and sources give the same bytes.
     Raises ScenarioError, ModelDescriptionError or WiringError for what `run` refuses, and for what cannot be shipped.
@@ -65,7 +65,7 @@ def build_estimator(scenario: Scenario, out_dir: Path, method: str = "target") -
 
 
 def _user_sources(settings: Mapping[str, Any], folder: Path) -> dict[str, bytes]:
-    """The user's modules that the model is in and imports, from where `run` looks for them. Raises ScenarioError."""
+    """Return the user's modules with the model and what it imports, as `run` finds them. Raises ScenarioError."""
     places = [folder.resolve(), Path.cwd()]
     files: dict[str, bytes] = {}
     for reference in (settings["model"], *(settings["linear"] or ())):
@@ -92,7 +92,7 @@ def _user_sources(settings: Mapping[str, Any], folder: Path) -> dict[str, bytes]
 
 
 def _check_imports(path: str, source: bytes, shipped: Collection[str]) -> None:
-    """Raises ScenarioError for a way to import modules that get other names in the FMU which `build` does not know."""
+    """Raise ScenarioError for a form of import that `build` cannot adapt to the modules' new names in the FMU."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import) and any(alias.name.partition(".")[0] in shipped for alias in node.names):
             (first, *others) = node.names

@@ -21,10 +21,10 @@ else:
 
 
 class EstimatorLoop:
-    """Takes a sample at each communication point; holds what is in force, how well it is known, and the counts."""
+    """Re-tuning loop: takes a sample at each communication point, holds the estimate in force, its std and counts."""
 
     def __init__(self, settings: Mapping[str, Any], value: Callable[[str], float]) -> None:
-        """settings: see `estimator_fmu`; value: the FMU's parameters by name. Raises ValueError for unsound ones."""
+        """settings: see `estimator_fmu`; value: the FMU's parameters by name. Raises ValueError for invalid ones."""
         names = [p["name"] for p in settings["parameters"]]
         space = ParameterSpace(
             tuple(
@@ -65,7 +65,7 @@ class EstimatorLoop:
     def step(
         self, t: float, x: Sequence[float], u: Sequence[float], xdot: Sequence[float], tracking_error: float
     ) -> None:
-        """Take the sample at t [s], but as in `run` for the first one; tracking_error: the norm."""
+        """Take the sample at t [s]; the first one is skipped as in `run`. tracking_error: its norm."""
         sample = Sample(t, tuple(x), tuple(u), tuple(xdot))
         with _one_thread():
             proposal = self._retuner.step(t, None if self._is_first else sample, tracking_error, self._theta)
@@ -77,18 +77,18 @@ class EstimatorLoop:
 
     @property
     def outputs(self) -> list[float]:
-        """What is in force, its standard deviations and flags, evaluations, episodes, whether there was an update."""
+        """Estimate in force, its standard deviations and flags, counts of evaluations and episodes, update flag."""
         counts = (self._retuner.n_evaluations, self._retuner.n_episodes, self._is_updated)
         return [*self._theta.tolist(), *self._std.tolist(), *self._is_identifiable, *counts]
 
 
 def _one_thread() -> AbstractContextManager[Any]:
-    """The number of BLAS threads changes bits, and a second one makes it slower."""
+    """Limit BLAS to one thread: their number changes the last bits of results, and a second one is slower."""
     return nullcontext() if _threads is None else _threads.limit(limits=1)
 
 
 def module_of(reference: str, shipped: Sequence[str]) -> str:
-    """The module in `module:name`; one that is shipped has the suffix of this package's name in the FMU."""
+    """Return the module in `module:name`; a shipped one has the suffix that this package's name has in the FMU."""
     module = reference.partition(":")[0]
     top, dot, rest = module.partition(".")
     return (

@@ -1,4 +1,4 @@
-"""What an estimator FMU knows of its scenario, as JSON values that are written into its entry script."""
+"""Settings of an estimator FMU from its scenario, as JSON values that are written into its entry script."""
 
 import re
 import sys
@@ -29,7 +29,7 @@ from ..variable_name import VariableName
 
 
 def estimator_settings(scenario: Scenario, method: str = "target") -> dict[str, Any]:
-    """What the estimator FMU knows of the scenario, as JSON values. Raises what `build_estimator` does."""
+    """Return the settings of the scenario's estimator FMU, as JSON values. Raises what `build_estimator` does."""
     if ":" in method or method in ("none", "true"):
         raise ScenarioError(f"'{method}' cannot be built into an FMU; the estimators of the package can.")
     if scenario.sampling.filter is not None:
@@ -81,7 +81,7 @@ def estimator_settings(scenario: Scenario, method: str = "target") -> dict[str, 
 
 
 def _trigger_parameters(trigger: TriggerSettings, tracking_unit: str | None) -> list[dict[str, Any]]:
-    """The trigger's numbers as parameters of the FMU; one beside an excluded limit is the least or the most."""
+    """Return the trigger's numbers as parameters of the FMU; for an excluded limit, min or max is the next number."""
     return [
         {
             "name": f.name, "unit": tracking_unit if f.metadata["is_tracking_error"] else "1",
@@ -95,7 +95,7 @@ def _trigger_parameters(trigger: TriggerSettings, tracking_unit: str | None) -> 
 
 
 class _Variables:
-    """The estimator's inputs: those of the plant have its names, others theirs, with the component's where need be."""
+    """Inputs of the estimator, named as the FMUs' variables, with the component's name where ambiguous."""
 
     def __init__(self, scenario: Scenario, fmus: Mapping[str, FmuFile], plant: Plant) -> None:
         self._scenario, self._fmus = scenario, fmus
@@ -103,7 +103,7 @@ class _Variables:
         taken = {reference.variable for reference in own}
         self._names: dict[str, str] = {}
         self.watched: list[dict[str, Any]] = []
-        """What is tracked, and what it should be, as far as they are no states."""
+        """Tracked variables and their references, except those that are states."""
         for reference in (r for pair in scenario.tracking.items() for r in pair if r not in own):
             if reference not in self._names:
                 name = reference.variable
@@ -127,7 +127,7 @@ class _Variables:
 
 
 def _try(scenario: Scenario, method: str, plant: Plant, fmus: Mapping[str, FmuFile], theta: Vector) -> None:
-    """Make what the FMU will make, and call the model once. Raises ScenarioError."""
+    """Construct the FMU's loop, and call the model once. Raises ScenarioError."""
     with ExitStack() as stack:
         make_supervisor(scenario, method, plant, theta, np.random.default_rng(0), stack)
     x = tuple(start_value(scenario, fmus, f"{plant.name}.{name}") for name in plant.states)
@@ -136,7 +136,7 @@ def _try(scenario: Scenario, method: str, plant: Plant, fmus: Mapping[str, FmuFi
 
 
 def _fmi_unit(unit: str) -> str | None:
-    """The unit, where its dimension is known; a wrong one would be worse than none."""
+    """Return the unit, if its dimension is known; a wrong one would be worse than none."""
     try:
         base_unit(unit)
     except ValueError:
@@ -145,11 +145,11 @@ def _fmi_unit(unit: str) -> str | None:
 
 
 def _suffixed(name: str, suffix: str) -> str:
-    """`u_held`, and for an element of an array `u_held[1]`."""
+    """Return the name with a suffix: `u_held`, and for an element of an array `u_held[1]`."""
     stem, bracket, index = name.partition("[")
     return stem + suffix + bracket + index
 
 
 def _word(name: str) -> str:
-    """`der(v_x)` as a part of a name: `der_v_x`."""
+    """Return `der(v_x)` as a part of a name: `der_v_x`."""
     return re.sub(r"\W+", "_", name).strip("_")

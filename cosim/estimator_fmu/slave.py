@@ -1,7 +1,7 @@
 """The estimator as an FMU: the loop of `reconfigure` behind the FMI calls of `fmu_models.kernel.slave`.
 
-It is shipped inside the FMU, and loads nothing but the standard library and pythonfmu before it has been seen that the
-rest is there. One communication point is one sample: inputs are what the plant's outputs are at that time.
+It is shipped inside the FMU, and imports only the standard library and pythonfmu until it has checked that the other
+packages are there. One communication point is one sample: inputs are the plant's outputs at that time.
 """
 
 import importlib
@@ -22,7 +22,7 @@ _LARGEST_INTEGER = 2**31 - 1
 
 
 def variable_table(settings: Mapping[str, Any]) -> tuple[VariableRow, ...]:
-    """The variables of an estimator FMU; settings: see `estimator_fmu`."""
+    """Return the variables of an estimator FMU; settings: see `estimator_fmu`."""
     return (*_parameters(settings), *_inputs(settings), *_outputs(settings)) if settings else ()
 
 
@@ -31,7 +31,7 @@ class EstimatorSlave(Slave):
 
     has_feedthrough = False
     settings: ClassVar[Mapping[str, Any]] = {}
-    """What to estimate, of what and how; made by `estimator_fmu`."""
+    """Settings of the estimation, made by `estimator_fmu`."""
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         cls.table = variable_table(cls.settings)
@@ -46,7 +46,7 @@ class EstimatorSlave(Slave):
         cls._tracked = [(cls._place[a], cls._place[b]) for a, b in cls.settings["tracking"]]
 
     def _prepare(self) -> None:
-        """Load what is needed. Raises RuntimeError, which a host gets as a failed instantiation and a log message."""
+        """Import what is needed. Raises RuntimeError, seen by a host as a failed instantiation and a log message."""
         for package in self.settings["requires"]:
             self._require(package)
         loop = importlib.import_module(".loop", __package__)
@@ -80,7 +80,7 @@ class EstimatorSlave(Slave):
         values[self._outputs] = self._loop.outputs
 
     def _get_fmu_state(self) -> Any:
-        """Variables and search, for this process only: to restore the search from bytes would be to run them."""
+        """Return variables and search, for this process only: restoring a search from bytes would be running them."""
         loop = pickle.dumps(self._loop) if self._is_initialized else None
         return super()._get_fmu_state(), loop
 
@@ -91,7 +91,7 @@ class EstimatorSlave(Slave):
             self._loop = pickle.loads(loop)
 
     def to_xml(self, model_options: dict[str, str] | None = None) -> Element:
-        """The model description."""
+        """Return the model description."""
         return super().to_xml({"canSerializeFMUstate": "false"})
 
     def _require(self, module: str) -> None:

@@ -1,4 +1,4 @@
-"""What an estimator FMU says about itself: its equations, as HTML, and its icon."""
+"""Documentation of an estimator FMU: its equations, as HTML, and its icon."""
 
 from pathlib import Path
 

@@ -35,7 +35,7 @@ _VERSIONS: Final[dict[str, tuple[str, ...]]] = {"co-simulation": ("2.0", "3.0"),
 
 @dataclass(frozen=True)
 class FmuFile:
-    """An FMU that has been looked into, but is not loaded."""
+    """An FMU whose description has been read, but which is not loaded."""
 
     name: str
     """Instance name."""
@@ -55,7 +55,7 @@ def read_description(fmu: Path, interface: InterfaceName = "co-simulation") -> M
 
 
 def unusable(description: ModelDescription, interface: InterfaceName) -> str | None:
-    """Return why an FMU cannot be used: its version or kind is another than asked for; else None."""
+    """Return the reason why an FMU cannot be used, its version or kind being another than asked for; else None."""
     version, offered = str(description.fmiVersion), interfaces(description)
     if version.startswith(_VERSIONS[interface]) and interface in offered:
         return None
@@ -75,7 +75,7 @@ def read_any(fmu: Path) -> ModelDescription:
 
 
 def no_binary(platforms: Sequence[str]) -> str | None:
-    """Return why an FMU with binaries for these platforms cannot be loaded here, or None."""
+    """Return the reason why an FMU with binaries for these platforms cannot be loaded here, or None."""
     if fmpy.platform in platforms:
         return None
     others = ", ".join(platforms)
@@ -108,7 +108,7 @@ def look_into(fmu: Path, on_findings: FindingsListener | None = None) -> tuple[M
 
 
 def library_finding(library: BinaryIO, description: ModelDescription, interface: str) -> Iterable[Finding]:
-    """Yield what is wrong with the library of an FMU."""
+    """Yield problems with the library of an FMU."""
     problem = library_problem(library, needed_functions(str(description.fmiVersion), interface))
     if problem:
         yield Finding(library_path(description, interface), problem)
@@ -124,7 +124,7 @@ def library_path(description: ModelDescription, interface: str) -> str:
 def fmu_to_load(
     description: ModelDescription, folder: str, instance_name: str, interface: InterfaceName = "co-simulation"
 ) -> FmuToLoad:
-    """Return what loading.load needs to know of an FMU that is unpacked into folder."""
+    """Return the argument of loading.load for an FMU that is unpacked into folder."""
     return FmuToLoad(
         folder,
         str(interfaces(description)[interface].modelIdentifier),
@@ -211,7 +211,7 @@ def _strict(archive: zipfile.ZipFile, name: str) -> Element:
 
 
 def _refuse(subject: str, findings: Iterable[Finding]) -> None:
-    """Raises ModelDescriptionError for the first error."""
+    """Raise ModelDescriptionError for the first error."""
     for finding in findings:
         if finding.is_error:
             raise ModelDescriptionError(f"{subject}: {finding.where}: {finding.what}.")

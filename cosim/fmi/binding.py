@@ -26,7 +26,7 @@ class FmuToLoad(NamedTuple):
     guid: str
     instance_name: str
     has_plain_log: bool
-    """Whether log texts are no formats with arguments; see MessageLog."""
+    """True where log texts are plain text, not formats with arguments; see MessageLog."""
     fmi_version: str = "2.0"
     interface: str = "co-simulation"
     """'co-simulation' or 'model-exchange'."""
@@ -55,7 +55,7 @@ class Binding(Protocol):
 
 
 def failure(status: int, reason: str) -> str:
-    """Return what a status other than OK and Warning means, in words, with the reason that was logged."""
+    """Return the meaning of a status other than OK and Warning in words, with the reason that was logged."""
     number = c_int(status).value
     word = _STATUS[number] if 0 <= number < len(_STATUS) else f"the illegal status {number}"
     return f"returned {word}{': ' if reason else ''}{reason}"

@@ -39,13 +39,13 @@ class Component:
 
     @property
     def derivatives(self) -> dict[str, str]:
-        """The declared derivative of each continuous state, by the state's name, in the order of the states."""
+        """Declared derivative of each continuous state, by the state's name, in the order of the states."""
         rates = {v.derivative.name: v.name for v in self.variables.values() if v.derivative is not None}
         return {name: rates[name] for name in self.variables if name in rates}
 
     @property
     def experiment(self) -> dict[str, float]:
-        """The default experiment's start_time, stop_time, step_size [s] and tolerance, as far as they are declared."""
+        """Default experiment: start_time, stop_time, step_size [s] and tolerance, as far as they are declared."""
         found = {name: getattr(self.description.defaultExperiment, key, None) for key, name in _EXPERIMENT.items()}
         return {name: float(value) for name, value in found.items() if value is not None}
 

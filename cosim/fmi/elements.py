@@ -73,7 +73,7 @@ def plain(name: str) -> str:
 
 
 def resolved(name: str, known: Mapping[str, object]) -> str:
-    """Return the name by which `known` has a variable; the name itself where it has none."""
+    """Return the name of a variable in `known`; the name itself where it has none."""
     if name in known:
         return name
     return next((k for k in known if plain(k) == plain(name)), name)

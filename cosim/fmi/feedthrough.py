@@ -71,7 +71,7 @@ def algebraic_loops(components: Mapping[str, Component], connections: Mapping[st
 
 
 def _loop(members: list[str], depends: Mapping[str, list[str]], components: Mapping[str, Component]) -> AlgebraicLoop:
-    """Follow the dependencies within a set of variables until one comes again."""
+    """Follow the dependencies within a set of variables until one is reached again."""
     way = [members[0]]
     while True:
         following = next(n for n in depends[way[-1]] if n in members)

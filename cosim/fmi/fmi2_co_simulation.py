@@ -23,7 +23,7 @@ class Fmi2CoSimulation:
     """An FMI 2.0 co-simulation FMU: see `Binding`."""
 
     def __init__(self, fmu: FmuToLoad, on_log: LogListener | None = None) -> None:
-        """on_log: gets what the FMU logs. Raises SlaveError."""
+        """on_log: called with each message that the FMU logs. Raises SlaveError."""
         self.name = fmu.instance_name
         self._log = MessageLog(fmu.has_plain_log, on_log)
         self._time: float | None = None

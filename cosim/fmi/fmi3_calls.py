@@ -17,10 +17,10 @@ from .value_buffers3 import ValueBuffer3, buffers3_of, overlaid, start_arrays
 
 
 class Fmi3Calls:
-    """What both interfaces of FMI 3.0 have in common: loading, and calls whose status is checked."""
+    """Base class of both interfaces of FMI 3.0: loading, and calls whose status is checked."""
 
     def __init__(self, fmu: FmuToLoad, make: Callable[..., Any], on_log: LogListener | None = None) -> None:
-        """make: FMPy's class for the interface; on_log: gets what the FMU logs. Raises SlaveError."""
+        """make: FMPy's class for the interface; on_log: called with each message of the FMU. Raises SlaveError."""
         self.name = fmu.instance_name
         self.time: float | None = None
         self.log = Messages(on_log)
@@ -121,7 +121,7 @@ class Fmi3Calls:
 
 
 def _lenient(make: Any) -> Any:
-    """Return FMPy's class, fit for an FMU that lacks functions which are not called.
+    """Return FMPy's class, made to accept an FMU that lacks functions which are not called.
 
     The standard wants all of them, those of other interfaces too; Simulink's FMUs, for one, have only their own.
     """

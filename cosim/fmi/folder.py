@@ -1,7 +1,7 @@
-"""Private folders that FMUs are unpacked into, and that are gone afterwards however a process ends.
+"""Private folders that FMUs are unpacked into, and that are removed however a process ends.
 
-A process that is killed cannot clear up. So each folder is locked (flock, which ends with its holder) for as long as it
-is used, and whoever makes one first removes those that nobody holds any more.
+A process that is killed cannot clean up. So each folder is locked (flock, which ends with its holder) for as long as it
+is used, and a process that makes one first removes those that are no longer locked.
 """
 
 import os
@@ -26,9 +26,9 @@ _OTHER_FOLDERS: Final = ("/tmp", "/var/tmp") if sys.platform != "win32" else (r"
 
 
 class PrivateFolder:
-    """A new, empty folder, which FMUs can be loaded from whatever the folder of temporary files is called.
+    """A new, empty folder, from which FMUs can be loaded whatever the folder of temporary files is called.
 
-    It is removed by `remove`, when it is forgotten, or at the end of the program.
+    It is removed by `remove`, when it is garbage-collected, or at the end of the program.
     """
 
     path: str
@@ -58,7 +58,7 @@ class PrivateFolder:
         self.remove()
 
     def _make(self, parent: str) -> None:
-        """Raises OSError."""
+        """Make the folder. Raises OSError."""
         for _ in range(3):  # who clears up may take it for abandoned before it is locked
             self.path = os.path.join(parent, PREFIX + secrets.token_hex(8))
             # The finalizer first: an interrupt may come as soon as the folder is there.
@@ -80,7 +80,7 @@ class _Lock:
         self._descriptor: int | None = None
 
     def take(self, folder: str) -> bool:
-        """Take a folder's lock; return whether nobody else has it, and the folder exists. Raises OSError."""
+        """Take a folder's lock; return whether it was free and the folder exists. Raises OSError."""
         if sys.platform == "win32":
             return False
         import fcntl

@@ -5,7 +5,7 @@ from .fmu_log import LogListener
 
 
 def load(fmu: FmuToLoad, on_log: LogListener | None = None) -> Binding:
-    """Load and instantiate an FMU; on_log gets what it logs. Raises SlaveError."""
+    """Load and instantiate an FMU; on_log is called with each message that it logs. Raises SlaveError."""
     # What an FMU's process does not need it does not import.
     if fmu.fmi_version == "2.0":
         if fmu.interface == "model-exchange":

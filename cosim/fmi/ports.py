@@ -1,4 +1,4 @@
-"""The values that may cross into and out of an FMU: which variables in which role, and within which limits."""
+"""Variables that may be set and got in an FMU: by name, role and limits of their values."""
 
 import difflib
 import math
@@ -20,7 +20,7 @@ class Ports:
     """Variables that are set or got together: their names, and the values they may have."""
 
     def __init__(self, role: str, variables: Sequence[ModelVariable], is_lenient: bool = False) -> None:
-        """is_lenient: min and max are not looked at by `problem`, but by `out_of_range`."""
+        """is_lenient: min and max are not checked by `problem`, but by `out_of_range`."""
         self.variables = [ScalarVariable(v.name, _type_of(v), v.valueReference) for v in variables]
         self._role = role
         self._units = [attribute(v, "unit") or "" for v in variables]
@@ -30,7 +30,7 @@ class Ports:
         self._bounded = [(i, *limits) for i, limits in enumerate(self._ranges) if limits != _ANY_NUMBER]
 
     def problem(self, values: Sequence[float]) -> str | None:
-        """Return what is wrong with the first value that is not finite, in [min, max] and of its type, or None."""
+        """Return the problem of the first value that is not finite, in [min, max] and of its type, or None."""
         if math.isfinite(sum(values)):  # all are finite then: the sum of others is an infinity or NaN
             for i, low, high in self._bounded:
                 if not low <= values[i] <= high:
@@ -80,7 +80,7 @@ class Catalogue:
         return Ports(role.removeprefix("tunable "), [self._in_role(name, role) for name in names], is_lenient)
 
     def start_port(self, name: str, value: Value) -> Ports:
-        """Return the variable of that name, if it takes a start value of value's type; its range is not looked at.
+        """Return the variable of that name, if it takes a start value of value's type; its range is not checked.
 
         Raises WiringError.
         """
@@ -115,7 +115,7 @@ class Catalogue:
 
 
 def is_numeric(variable: ModelVariable) -> bool:
-    """Whether a variable's values can be exchanged at communication points."""
+    """Return whether a variable's values can be exchanged at communication points."""
     return TYPES[variable.type].is_numeric
 
 
@@ -144,7 +144,7 @@ def _type_of(variable: ModelVariable) -> str:
 
 
 def _is_fit(value: Value, its_type: FmiType) -> bool:
-    """Whether a variable of a type can start as value; a Boolean is no number here."""
+    """Return whether a variable of a type can start as value; a Boolean is not a number here."""
     if not its_type.is_numeric:
         return its_type.python is str and isinstance(value, str)
     return isinstance(value, SupportsFloat) and (its_type.python is bool or not isinstance(value, bool))

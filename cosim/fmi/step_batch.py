@@ -35,7 +35,7 @@ def take_steps(step: Step, message: bytes) -> bytes:
 
 
 def decode_outputs(message: bytes, n_steps: int) -> list[tuple[float, ...]]:
-    """Return the outputs after each step. Raises ValueError for bytes that are none."""
+    """Return the outputs after each step. Raises ValueError for any other bytes."""
     values = array("d", message).tolist()
     width, rest = divmod(len(values), max(n_steps, 1))
     if rest:

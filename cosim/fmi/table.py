@@ -51,7 +51,7 @@ class TimeTable:
 
 
 def is_table(path: Path) -> bool:
-    """Whether a component's file is a table, not an FMU."""
+    """Return whether a component's file is a table, not an FMU."""
     return path.suffix.lower() == SUFFIX
 
 
@@ -131,7 +131,7 @@ def _defined(text: str) -> Unit:
 
 
 class TableSlave:
-    """A table in a co-simulation: what the master needs of a Slave."""
+    """A table in a co-simulation, with the methods of a Slave that the master calls."""
 
     def __init__(self, path: Path, instance_name: str) -> None:
         """Raises ScenarioError."""

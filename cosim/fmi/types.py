@@ -32,7 +32,7 @@ _EXACT: Final = 2**53  # a double holds every whole number up to this one
 
 
 class Access(NamedTuple):
-    """How one version of FMI hands over the values of a type."""
+    """Functions and C type with which one version of FMI exchanges the values of a type."""
 
     functions: str
     """The type in the names of the functions that set and get it: 'Int64' for fmi3SetInt64."""
@@ -57,33 +57,33 @@ class FmiType:
 
     @property
     def is_real(self) -> bool:
-        """Whether its values are real numbers."""
+        """True where its values are real numbers."""
         return self.python is float
 
     @property
     def is_double(self) -> bool:
-        """Whether its values are doubles, as those of most variables are."""
+        """True where its values are doubles, as those of most variables are."""
         access = self.fmi2 or self.fmi3
         return access is not None and access.c_type is c_double
 
     @property
     def is_whole(self) -> bool:
-        """Whether its values are whole numbers, Booleans (0 and 1) included."""
+        """True where its values are whole numbers, Booleans (0 and 1) included."""
         return self.python in (int, bool)
 
     @property
     def is_numeric(self) -> bool:
-        """Whether its values are numbers, which can be exchanged at communication points."""
+        """True where its values are numbers, which can be exchanged at communication points."""
         return self.is_real or self.is_whole
 
     @property
     def is_text(self) -> bool:
-        """Whether it has an XML element for each start value, of which FMPy keeps the first, blanks and all."""
+        """True where it has an XML element for each start value, of which FMPy keeps the first, whitespace included."""
         return self.python in (str, bytes)
 
     @property
     def limits(self) -> tuple[int, int] | None:
-        """The smallest and the largest number of a whole type that a double holds exactly; None for any other type."""
+        """Smallest and largest number of a whole type that a double holds exactly; None for any other type."""
         if self.python is bool:
             return 0, 1
         access = self.fmi2 or self.fmi3
@@ -121,5 +121,5 @@ TYPES: Final = {row.name: row for row in _ROWS}
 
 
 def is_real(type_name: str) -> bool:
-    """Whether variables of a type are real numbers."""
+    """Return whether variables of a type are real numbers."""
     return TYPES[type_name].is_real

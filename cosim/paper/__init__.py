@@ -1,1 +1,1 @@
-"""The paper's figures and table, from runs of ours."""
+"""The paper's figures and table, reproduced with our own runs."""

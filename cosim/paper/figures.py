@@ -1,4 +1,4 @@
-"""Every figure of the paper and its table, from runs of our own.
+"""All figures of the paper and its table, from our own runs.
 
 Khan and Chatterjee (2020), figures 1 to 5 and table I.
 """
@@ -41,12 +41,12 @@ def figures(
     progress: RunsProgress | None = None,
     scenarios: tuple[Scenario, Scenario] | None = None,
 ) -> list[Path]:
-    """Run what the paper shows, and draw it as PNG and SVG in `out`, absent or empty; returns the files written.
+    """Repeat the paper's experiments and draw them as PNG and SVG in `out`, absent or empty; return the files written.
 
-    Besides, `table.md`, `figures.json` with the numbers of what is drawn, and the run folders in `out`/runs. jobs: runs
-    at a time, each in a process of its own, by default one a processor; times are good for quoting with 1 only.
-    scenarios: of the pendulum and of the quadrotor, by default those of the package.
-    Raises ValueError for less than one job; FolderError, ScenarioError; ExecutorError where a run was refused or its
+    Also writes `table.md`, `figures.json` with the numbers drawn, and the run folders in `out`/runs. jobs: number of
+    concurrent runs, each in its own process, by default one per processor; times are fit to quote with 1 only.
+    scenarios: those of the pendulum and of the quadrotor, by default the package's.
+    Raises ValueError for less than one job; FolderError, ScenarioError;     ExecutorError if a run was refused or its
     process has died; KeyboardInterrupt when interrupted, the finished runs kept.
     """
     if jobs is not None and jobs < 1:
@@ -68,7 +68,7 @@ def _runs(
     jobs: int,
     progress: RunsProgress | None,
 ) -> dict[str, dict[str, Run]]:
-    """The runs of each scenario by estimator, in folders in `out`/runs. Raises ExecutorError, FolderError."""
+    """Return the runs of each scenario by estimator, in folders in `out`/runs. Raises ExecutorError, FolderError."""
     (out / "runs").mkdir()
     n_runs = sum(len(names) for _, names in todo.values())
     n_ended = 0
@@ -88,13 +88,13 @@ def _runs(
 
 
 def chosen(names: Collection[str]) -> list[str]:
-    """Estimators that the quadrotor is run with, of those usable: of the interior-point methods Ipopt, if it is."""
+    """Return the usable estimators for the quadrotor; of the interior-point methods Ipopt, if it is available."""
     spare = "ipm-scipy" if "ipm" in names else "ipm"
     return [name for name in QUADROTOR if name in (*names, "none", "true") and name != spare]
 
 
 def draw_figures(out: Path, pendulum: Runs, quadrotor: Runs, seed: int, jobs: int = 1) -> list[Path]:
-    """Figures, table and numbers of these runs into the folder; returns the files written. Raises FolderError."""
+    """Write figures, table and numbers of these runs into the folder; return the files written. Raises FolderError."""
     events = {key: _events(runs) for key, runs in (("pendulum", pendulum), ("quadrotor", quadrotor))}
     stages = optimise(seed)
     drawn: dict[str, Figure | None] = {
@@ -130,7 +130,7 @@ def _events(runs: Runs) -> dict[str, list[RecordedEvent]]:
 
 
 def _solution(runs: Runs, events: Mapping[str, Sequence[RecordedEvent]], name: str) -> Figure | None:
-    """Figure 2: what the first episode searched; None without such a run or an episode of its."""
+    """Draw figure 2, the search of the first episode; return None without such a run or an episode in it."""
     if name not in runs or not len(runs[name].time):
         return None
     figure = draw_response(runs[name], events[name])
@@ -141,14 +141,14 @@ def _solution(runs: Runs, events: Mapping[str, Sequence[RecordedEvent]], name: s
 
 
 def _numbers(run: Run, out: Path) -> dict[str, Any]:
-    """The run's summary, its folder as seen from `out`."""
+    """Return the run's summary, with its folder relative to `out`."""
     folder = str(run.folder.relative_to(out)) if run.folder and run.folder.is_relative_to(out) else None
     label = LABELS.get(run.estimator, run.estimator)
     return run.summary() | {"label": label, "run": folder, "tracking": list(run.scenario.tracking)}
 
 
 def _episode(events: Sequence[RecordedEvent]) -> dict[str, Any]:
-    """Candidates of the first episode, in order."""
+    """Return the candidates of the first episode, in order."""
     ends = [i for i, e in enumerate(events) if e.get("kind") == "end"]
     first = events[: ends[0]] if ends else events
     found = [e for e in first if e.get("kind") == "candidate"]
@@ -156,7 +156,7 @@ def _episode(events: Sequence[RecordedEvent]) -> dict[str, Any]:
 
 
 def _altitude(run: Run) -> dict[str, Any]:
-    """Root mean square and largest of the altitude error [m], over the rows there are."""
+    """Return root mean square and maximum of the altitude error [m], over the rows recorded."""
     error = run.errors["plant.r_z"]
     if not len(error):
         return {"altitude_error": None}

@@ -34,23 +34,23 @@ from ..plots.canvas import (
 NOISE: Final = 0.02
 """Standard deviation of the noise on each observation."""
 N_INITIAL: Final = 3
-"""Random observations that begin, one in each third of the interval."""
+"""Number of random initial observations, one in each third of the interval."""
 LENGTHSCALE_BOUNDS: Final = (0.1, 0.5)
-"""Of the surrogate's Matern kernel, on the unit interval."""
+"""Bounds of the length scale of the surrogate's Matern kernel, on the unit interval."""
 _GRID: Final = np.linspace(0.0, 1.0, 501)
 
 
 def unknown(x: Vector) -> Vector:
-    """The function to minimise on [0, 1]: a global minimum at 0.242 and a local one at 0.868."""
+    """Return the function to minimise on [0, 1]: a global minimum at 0.242 and a local one at 0.868."""
     return np.cos(10.0 * x + 0.6) + 1.2 * (x - 0.3)
 
 
 @dataclass(frozen=True)
 class Stage:
-    """What is believed after n observations, on a grid of m places."""
+    """Posterior after n observations, on a grid of m points."""
 
     x: Vector
-    """Places observed (n,), in order."""
+    """Points observed (n,), in order."""
     y: Vector
     """Observations (n,), with noise."""
     mean: Vector
@@ -62,17 +62,17 @@ class Stage:
 
     @property
     def next_place(self) -> float:
-        """Where the expected improvement is largest."""
+        """Point of largest expected improvement."""
         return float(_GRID[int(np.argmax(self.improvement))])
 
     @property
     def best_place(self) -> float:
-        """Where the least was observed."""
+        """Point of the least observation."""
         return float(self.x[int(np.argmin(self.y))])
 
 
 def optimise(seed: int = 0, n_evaluations: int = 8) -> list[Stage]:
-    """Stages of Bayesian optimisation of `unknown`, from the initial design to n_evaluations observations.
+    """Return the stages of Bayesian optimisation of `unknown`, from the initial design to n_evaluations observations.
 
     Raises ValueError for fewer evaluations than the initial design has.
     """
@@ -91,14 +91,14 @@ def optimise(seed: int = 0, n_evaluations: int = 8) -> list[Stage]:
 
 
 def global_minimum() -> tuple[float, float]:
-    """Place and value of the least value of `unknown` on the grid."""
+    """Return point and value of the minimum of `unknown` on the grid."""
     values = unknown(_GRID)
     best = int(np.argmin(values))
     return float(_GRID[best]), float(values[best])
 
 
 def illustrate(path: Path, seed: int = 0, n_evaluations: int = 8) -> Path:
-    """Draw the illustration into a PNG file; returns its path.
+    """Draw the illustration into a PNG file; return its path.
 
     Raises ValueError for too few evaluations, FolderError where the file cannot be written.
     """
@@ -106,7 +106,7 @@ def illustrate(path: Path, seed: int = 0, n_evaluations: int = 8) -> Path:
 
 
 def draw_illustration(stages: Sequence[Stage]) -> Figure:
-    """FinalEstimate and expected improvement of the first stage, one half way and the last, side by side."""
+    """Draw posterior and expected improvement of the first stage, one half way and the last, side by side."""
     chosen = [stages[k] for k in sorted({0, (len(stages) - 1) // 2, len(stages) - 1})]
     figure = new_figure(0.6 + 3.4 * len(chosen), 4.6)
     grid: Any = figure.subplots(

@@ -31,17 +31,17 @@ from ..runs.result import Run
 
 
 class Shown(NamedTuple):
-    """How an estimator's run is drawn."""
+    """Style in which an estimator's run is drawn."""
 
     name: str
-    """The estimator's."""
+    """Name of the estimator."""
     text: str
-    """For the legend."""
+    """Text in the legend."""
     colour: str
     hatch: str
-    """Of its bars, so that they are told apart without colours."""
+    """Hatching of its bars, to distinguish them without colours."""
     dashes: Literal["-", "-.", ":"]
-    """Of its line."""
+    """Style of its line."""
 
 
 SHOWN: Final = (
@@ -53,7 +53,7 @@ SHOWN: Final = (
     Shown("target", "ours", BLUE, "", "-"),
     Shown("true", "true parameters (floor)", BLACK, "", ":"),
 )
-"""From left to right; an estimator without a run is left out."""
+"""Estimators from left to right; one without a run is left out."""
 LABELS: Final = {shown.name: shown.text for shown in SHOWN}
 
 _LINEAR: Final = 0.02
@@ -61,16 +61,16 @@ _LINEAR: Final = 0.02
 
 
 def ending_text(run: Run) -> str | None:
-    """How and when a run that did not finish ended; None where it did."""
+    """Return how and when a run that did not finish ended; None if it finished."""
     if run.status == "done":
         return None
     return f"{run.status} at {run.time[-1]:.3g} s" if len(run.time) else f"{run.status} at the start"
 
 
 def draw_pendulum(runs: Mapping[str, Run], events: Sequence[RecordedEvent]) -> Figure | None:
-    """Position with its reference, and force, by estimator; None without a run of ours.
+    """Draw position with its reference, and force, by estimator; return None without a run of `target`.
 
-    runs: of the pendulum by estimator; events: the record of ours, whose episodes are shaded.
+    runs: those of the pendulum by estimator; events: the record of `target`, whose episodes are shaded.
     """
     run = runs.get("target")
     if run is None or not len(run.time):
@@ -100,15 +100,15 @@ def draw_pendulum(runs: Mapping[str, Run], events: Sequence[RecordedEvent]) -> F
 
 
 def _changes(run: Run) -> list[float]:
-    """Times [s] at which a true parameter jumps."""
+    """Return the times [s] at which a true parameter jumps."""
     table = np.array(list(run.true_parameters.values()))
     return run.time[1:][np.any(np.diff(table, axis=1) != 0.0, axis=0)][:5].tolist()
 
 
 def draw_mse(runs: Mapping[str, Run]) -> Figure:
-    """Mean squared tracking error by tracked output and estimator, on a logarithmic axis; the floor as lines.
+    """Draw mean squared tracking errors by output and estimator on a logarithmic axis; true parameters as lines.
 
-    A run that did not finish has that of its rows, and says so.
+    For a run that did not finish the error is that of its rows, and the figure says so.
     """
     shown = [s for s in SHOWN if s.name in runs]
     bars = [s for s in shown if s.name != "true"]
@@ -136,9 +136,9 @@ def draw_mse(runs: Mapping[str, Run]) -> Figure:
 
 
 def _mse_axis(axes: Axes, values: Sequence[Sequence[float]], room: float) -> float:
-    """Logarithmic axis with room for bars to stand and for texts above; returns what of it the bars may fill.
+    """Set a logarithmic axis with room for bars and for texts above them; return the bars' upper limit.
 
-    room: for the texts, as a share of the bars' decades.
+    room: that of the texts, as a share of the bars' decades.
     """
     flat = np.array([v for numbers in values for v in numbers if 0.0 < v < 1e100])  # NaN is not
     low, high = (float(flat.min()), float(flat.max())) if len(flat) else (1e-3, 1.0)
@@ -150,7 +150,7 @@ def _mse_axis(axes: Axes, values: Sequence[Sequence[float]], room: float) -> flo
 
 
 def _draw_bars(axes: Axes, run: Run, shown: Shown, places: Sequence[float], width: float, top: float) -> None:
-    """A bar a tracked output with its value, and how the run ended, written upwards."""
+    """Draw a bar for each tracked output with its value and the run's ending, written upwards."""
     heights = np.array(run.mse)
     finite = np.where(np.isfinite(heights), heights, 0.0)
     low = axes.get_ylim()[0]
@@ -168,9 +168,9 @@ def _draw_bars(axes: Axes, run: Run, shown: Shown, places: Sequence[float], widt
 
 
 def draw_altitude(runs: Mapping[str, Run], output: str = "plant.r_z") -> Figure:
-    """Error of one tracked output over time by estimator, its axis linear near zero and logarithmic beyond.
+    """Draw the error of one tracked output over time by estimator, on an axis linear near zero, logarithmic beyond.
 
-    Each estimator has its own panel, over the others in grey; the end of a run that did not finish is crossed.
+    Each estimator has its own panel, with the others in grey; a cross marks the end of a run that did not finish.
     """
     shown = [s for s in SHOWN if s.name in runs and len(runs[s.name].time)]
     figure = new_figure(9.0, 0.9 + 1.9 * -(-len(shown) // 2))
@@ -200,7 +200,7 @@ def draw_altitude(runs: Mapping[str, Run], output: str = "plant.r_z") -> Figure:
 
 
 def _extent(errors: Sequence[Any], divergence: float) -> float:
-    """Largest error to show [m], at most the one at which a run counts as diverged."""
+    """Return the largest error to show [m], at most the one at which a run counts as diverged."""
     low, high = value_range(errors) or (-1.0, 1.0)
     return min(max(-low, high, 10.0 * _LINEAR), divergence)
 

@@ -12,12 +12,12 @@ from ..plots.panels import RecordedEvent
 from ..runs.result import Run
 
 Theta = tuple[float, float, float, float]
-"""m [kg], J_x, J_y, J_z [kg m2]."""
+"""Parameters m [kg], J_x, J_y, J_z [kg m2]."""
 
 
 @dataclass(frozen=True)
 class Quoted:
-    """One row of the table, as it is printed."""
+    """One row of the paper's table, as printed."""
 
     t: float
     """Instant [s]."""
@@ -26,11 +26,11 @@ class Quoted:
     estimate: Theta
     """Estimated values."""
     mass_error: float
-    """[kg]; not always the difference of the values beside it."""
+    """Error of the mass [kg]; not always the difference of the values beside it."""
     inertia_error: float
-    """Norm over the axes [kg m2]."""
+    """Norm of the error over the axes [kg m2]."""
     prediction_time: float
-    """Of 30 evaluations for BO, of a solve for the others [s], by the paper's computer."""
+    """Time of 30 evaluations for BO, of a solve for the others [s], on the paper's computer."""
 
 
 # Khan and Chatterjee (2020), table I, quoted.
@@ -63,9 +63,9 @@ IN_PAPER: Final = {"paper": "BO", "ipm": "IPM", "ipm-scipy": "IPM", "sqp": "SQP"
 
 
 def rows(runs: Mapping[str, Run], events: Mapping[str, Sequence[RecordedEvent]]) -> list[dict[str, Any]]:
-    """The table as JSON values: an estimator at an instant a row, what the paper prints and what was measured.
+    """Return the table as JSON values: a row for each estimator and instant, printed and measured values.
 
-    runs: of the quadrotor by estimator; events: their records. `none` and `true` estimate nothing and are left out.
+    runs: those of the quadrotor by estimator; events: their records. `none` and `true` estimate nothing: left out.
     """
     quoted = {(row.t, row.method): row for row in PAPER_ROWS}
     table: list[dict[str, Any]] = []
@@ -79,10 +79,10 @@ def rows(runs: Mapping[str, Run], events: Mapping[str, Sequence[RecordedEvent]])
 
 
 def measured(run: Run, events: Sequence[RecordedEvent], t: float) -> dict[str, Any] | None:
-    """Truth at t [s], the estimate in force, the errors' norms and the prediction time; None after the run's end.
+    """Return truth at t [s], estimate, the errors' norms and prediction time; None after the run's end.
 
-    The estimate is that of the last whole episode until then, since in the midst of one the controller may hold a mere
-    candidate; before the first, what the controller holds.
+    The estimate is that of the last episode completed by then, since during one the controller may hold a candidate;
+    before the first, it is what the controller holds.
     """
     parameters = run.parameters_at(t)
     if not parameters:
@@ -101,9 +101,9 @@ def measured(run: Run, events: Sequence[RecordedEvent], t: float) -> dict[str, A
 
 
 def prediction_time(run: Run, events: Sequence[RecordedEvent], t: float) -> float | None:
-    """Wall time [s] of all evaluations of the last whole episode until t [s], for a solver of its last solve.
+    """Return the wall time [s] of all evaluations of the last episode completed by t [s]; for solvers, the last solve.
 
-    None before the first, or where the record is gone.
+    None before the first, or if the record is missing.
     """
     episode = _last_episode(events, t)
     times = sorted({float(e["t"]) for e in events if e.get("kind") == "candidate"})
@@ -117,7 +117,7 @@ def prediction_time(run: Run, events: Sequence[RecordedEvent], t: float) -> floa
 
 
 def _last_episode(events: Sequence[RecordedEvent], t: float) -> tuple[float, float] | None:
-    """Begin and end [s] of the last whole episode until t [s]."""
+    """Return begin and end [s] of the last episode completed by t [s]."""
     begun, last = None, None
     for event in events:
         if event.get("kind") == "trigger":
@@ -130,7 +130,7 @@ def _last_episode(events: Sequence[RecordedEvent], t: float) -> tuple[float, flo
 def markdown(
     runs: Mapping[str, Run], table: Sequence[Mapping[str, Any]], labels: Mapping[str, str], jobs: int = 1
 ) -> str:
-    """The table in Markdown. labels: what to call an estimator; jobs: runs at once, which slow one another."""
+    """Return the table in Markdown. labels: names of the estimators; jobs: concurrent runs, which slow one another."""
     seeds = ", ".join(sorted({str(run.seed) for run in runs.values()}))
     texts = [
         "# Estimates, errors and prediction times of the quadrotor",

@@ -1,1 +1,1 @@
-"""Pictures of runs and of the paper."""
+"""Figures of runs, and elements of the paper's figures."""

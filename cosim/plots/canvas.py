@@ -1,4 +1,4 @@
-"""What the figures share: colours, labels, axes that survive any data, and PNG and SVG files written whole."""
+"""Elements shared by all figures: colours, labels, axes that accept any data, PNG and SVG files written atomically."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -69,14 +69,14 @@ _SUPERSCRIPTS: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """An empty figure of that size [inch], which belongs to no global state."""
+    """Return an empty figure of that size [inch], which belongs to no global state."""
     figure = Figure(figsize=(width, height), dpi=_DPI, layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
 def save_png(figure: Figure, path: Path) -> Path:
-    """Write the figure at once or not at all; returns the path. Raises FolderError."""
+    """Write the figure atomically; return the path. Raises FolderError."""
     buffer = BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
     write_bytes(path, buffer.getvalue())
@@ -84,7 +84,7 @@ def save_png(figure: Figure, path: Path) -> Path:
 
 
 def save_svg(figure: Figure, path: Path) -> Path:
-    """Write the figure as SVG, the same bytes for the same figure, at once or not at all. Raises FolderError."""
+    """Write the figure atomically as SVG, the same bytes for the same figure; return the path. Raises FolderError."""
     buffer = BytesIO()
     with rc_context({"svg.hashsalt": "fmu-retune"}):
         figure.savefig(buffer, format="svg", metadata={"Date": None})
@@ -93,7 +93,7 @@ def save_svg(figure: Figure, path: Path) -> Path:
 
 
 def tidy(axes: Axes) -> None:
-    """A light grid below the data, and no frame above and to the right."""
+    """Draw a light grid below the data, and no frame above and to the right."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(color="0.9", linewidth=0.6)
     axes.set_axisbelow(True)
@@ -101,7 +101,7 @@ def tidy(axes: Axes) -> None:
 
 
 def top_legend(figure: Figure, handles: Mapping[str, Any], n_columns: int) -> None:
-    """A legend by text above all axes, where it covers no data."""
+    """Draw a legend above all axes, where it covers no data; handles: by text."""
     figure.legend(
         handles.values(), handles.keys(), loc="outside upper center", ncols=n_columns, frameon=False, fontsize=9,
         columnspacing=1.3, handlelength=1.6, handletextpad=0.5,
@@ -109,18 +109,18 @@ def top_legend(figure: Figure, handles: Mapping[str, Any], n_columns: int) -> No
 
 
 def label(name: str, unit: str | None = None) -> str:
-    """Axis label of a variable: `J_x`, `kg.m2` becomes J with an index and [kg m²]."""
+    """Return the axis label of a variable: `J_x`, `kg.m2` becomes J with an index and [kg m²]."""
     short = name if len(name) <= 28 else f"{name[:14]}…{name[-13:]}"
     return with_unit(symbol(name) or short.replace("$", r"\$"), unit)
 
 
 def with_unit(text: str, unit: str | None) -> str:
-    """The text and, where there is one, the FMI unit as it is printed."""
+    """Return the text and, if there is one, the FMI unit as it is printed."""
     return text if unit in (None, "", "1") else f"{text} [{_unit_text(unit)}]"
 
 
 def symbol(name: str) -> str | None:
-    """A name such as `phi` or `J_x` in mathematical type; None for any other."""
+    """Return a name such as `phi` or `J_x` in mathematical type; None for any other."""
     match = re.fullmatch(r"([A-Za-z]+?)(?:_([A-Za-z0-9]{1,4}))?", name)
     if match is None or not (len(match[1]) == 1 or match[1] in _GREEK):
         return None
@@ -135,7 +135,7 @@ def _unit_text(unit: str) -> str:
 
 
 def value_range(series: Sequence[ArrayLike], percentile: float = 0.0) -> AxisLimits | None:
-    """Smallest and largest value, or the percentiles that far from both ends; None where none is below 1e100."""
+    """Return the extreme values, or the percentiles that far from both ends; None if no value is below 1e100."""
     flat = np.concatenate([np.ravel(np.asarray(s, dtype=float)) for s in series]) if series else np.empty(0)
     finite = flat[np.abs(flat) < 1e100]  # NaN is not
     if not len(finite):
@@ -145,7 +145,7 @@ def value_range(series: Sequence[ArrayLike], percentile: float = 0.0) -> AxisLim
 
 
 def tame(values: ArrayLike, limits: AxisLimits, is_log: bool = False) -> Series:
-    """Values (n,) that can be drawn: NaN where not finite (or not positive, on a log axis), else not far outside."""
+    """Return values (n,) fit to draw: NaN if not finite (or not positive, on a log axis), else not far outside."""
     y = np.asarray(values, dtype=float)
     usable = np.isfinite(y) & ((y > 0.0) | (not is_log))
     low, high = limits
@@ -154,7 +154,7 @@ def tame(values: ArrayLike, limits: AxisLimits, is_log: bool = False) -> Series:
 
 
 def set_linear(axes: Axes, limits: AxisLimits, margin: float = 0.06) -> AxisLimits:
-    """Linear y axis over the limits and a margin; returns what it shows."""
+    """Set a linear y axis over the limits and a margin; return the range shown."""
     low, high = limits
     width = high - low or 0.1 * abs(high) or 1.0
     shown = (low - margin * width, high + margin * width)
@@ -164,7 +164,7 @@ def set_linear(axes: Axes, limits: AxisLimits, margin: float = 0.06) -> AxisLimi
 
 
 def set_log(axes: Axes, which: Literal["x", "y"], limits: AxisLimits, margin: float = 0.06) -> AxisLimits:
-    """Logarithmic axis over the limits > 0 and a margin of their logarithm, ticks as plain numbers."""
+    """Set a logarithmic axis over the limits > 0 and a margin of their logarithm, with ticks as plain numbers."""
     low, high = limits
     widening = max(high / low, 1.05) ** margin
     shown = (low / widening, high * widening)
@@ -178,7 +178,7 @@ def set_log(axes: Axes, which: Literal["x", "y"], limits: AxisLimits, margin: fl
 
 
 def _log_ticks(low: float, high: float) -> Sequence[float]:
-    """Between three and about eight ticks: decades, or 1-2-5, or round steps inside a decade."""
+    """Return between three and about eight ticks: decades, or 1-2-5, or round steps inside a decade."""
     exponents = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
     for digits in ((1.0,), (1.0, 2.0, 5.0)):
         ticks = [d * 10.0**k for k in exponents for d in digits if low <= d * 10.0**k <= high]

@@ -1,4 +1,4 @@
-"""Figures over time: axes below one another, episodes shaded, a curve a run, one legend."""
+"""Figures over time: axes below one another, episodes shaded, a curve for each run, one legend."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
@@ -16,18 +16,18 @@ _SHADE: Final = "0.93"
 
 
 class Curve(NamedTuple):
-    """One run's part in a figure."""
+    """Curve of one run in a figure."""
 
     run: Run
     text: str
-    """For the legend."""
+    """Text in the legend."""
     colour: str
     width: float
-    """Of the line [pt]."""
+    """Line width [pt]."""
 
 
 def panels(run: Run, events: Sequence[RecordedEvent], n: int) -> tuple[Figure, list[Axes]]:
-    """n axes over the scenario's time, in two columns where there are many; episodes shaded."""
+    """Return a figure with n axes over the scenario's time, in two columns if there are many, and episodes shaded."""
     n_columns = 1 if n <= 5 else 2
     n_rows = -(-n // n_columns)
     figure = new_figure(7.2 * (1.0 if n_columns == 1 else 1.5), 1.3 + (2.6 if n_rows == 1 else 1.7 * n_rows))
@@ -50,17 +50,17 @@ def panels(run: Run, events: Sequence[RecordedEvent], n: int) -> tuple[Figure, l
 
 
 def line(axes: Axes, curve: Curve, values: Series) -> None:
-    """Draw values (n,) as the curve's."""
+    """Draw values (n,) in the style of the curve."""
     axes.plot(curve.run.time, values, color=curve.colour, linewidth=curve.width, label=curve.text, **mark(curve.run))
 
 
 def mark(run: Run) -> dict[str, Any]:
-    """A line through one point is invisible."""
+    """Return a marker if there is one point only, where a line is invisible."""
     return {"marker": "o"} if len(run.time) == 1 else {}
 
 
 def finish(figure: Figure, shown: Sequence[Axes], n_columns: int | None = None) -> Figure:
-    """Legend of everything that any panel shows, above them all, in that many columns or as many as fit."""
+    """Draw one legend for all panels above them, in that many columns or as many as fit; return the figure."""
     handles = {text: h for axes in shown for h, text in zip(*axes.get_legend_handles_labels(), strict=True)}
     top_legend(figure, handles, n_columns=n_columns or (6 if figure.get_figwidth() > 8 else 5))
     figure.align_ylabels(list(shown))
@@ -68,7 +68,7 @@ def finish(figure: Figure, shown: Sequence[Axes], n_columns: int | None = None) 
 
 
 def _episodes(run: Run, events: Sequence[RecordedEvent]) -> Iterator[AxisLimits]:
-    """Begin and end [s] of each stretch of episodes; those that follow one another within two macro steps are one."""
+    """Yield begin and end [s] of each stretch of episodes; those at most two macro steps apart are merged."""
     gap = 2.0 * run.scenario.scenario.macro_step
     begin = end = None
     for event in events:

@@ -1,4 +1,4 @@
-"""The figure of the estimated parameters over time."""
+"""Figure of the estimated parameters over time."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -15,7 +15,7 @@ from .panels import RecordedEvent, finish, mark, panels
 
 
 def draw_parameters(run: Run, events: Sequence[RecordedEvent]) -> Figure:
-    """Estimated parameters over time: truth, what the controller held and how surely, what was tried."""
+    """Draw the parameters over time: true values, the controller's with their uncertainty, and candidates."""
     parameters = run.scenario.estimation.parameters
     figure, rows = panels(run, events, len(parameters))
     truth, held = run.true_parameters, run.estimates
@@ -40,7 +40,10 @@ def draw_parameters(run: Run, events: Sequence[RecordedEvent]) -> Figure:
 
 
 def _parameter_axis(axes: Axes, p: EstimatedParameter, curves: Sequence[ArrayLike]) -> tuple[AxisLimits, bool]:
-    """As far as truth and controller go, with room to see candidates; on the scale of the search, and whether log."""
+    """Set the axis over true and held values, with room for candidates, on the scale of the search.
+
+    Returns its limits, and whether it is logarithmic.
+    """
     low, high = value_range(curves) or (p.lower, p.upper)
     if p.scale == "log" and low > 0.0:
         low, high = max(low, 0.1 * p.lower), min(max(high, p.lower), 10.0 * p.upper)
@@ -49,7 +52,7 @@ def _parameter_axis(axes: Axes, p: EstimatedParameter, curves: Sequence[ArrayLik
 
 
 def _width(values: Series) -> float:
-    """Of a line [pt]: thin where it jumps so often that it would fill the axes."""
+    """Return the line width [pt]: thin for values that jump so often that the line would fill the axes."""
     low, high = value_range([values]) or (0.0, 0.0)
     with np.errstate(all="ignore"):
         n_jumps = np.count_nonzero(np.abs(np.diff(values)) > 0.1 * (high - low))
@@ -57,7 +60,7 @@ def _width(values: Series) -> float:
 
 
 def _draw_band(axes: Axes, run: Run, p: EstimatedParameter, writes: Sequence[RecordedEvent], i: int) -> None:
-    """Two standard deviations round each value written, until the next; on a log scale a factor either way."""
+    """Draw a band of two standard deviations about each value written, until the next; on a log scale a factor."""
     theta, std = _column(writes, "theta", i), _column(writes, "std", i)
     if not np.any(np.isfinite(theta + std)):
         return
@@ -72,7 +75,7 @@ def _draw_band(axes: Axes, run: Run, p: EstimatedParameter, writes: Sequence[Rec
 
 
 def _column(events: Sequence[RecordedEvent], key: str, i: int) -> Series:
-    """Entry i of a list that events carry (n,), NaN where it is absent or null."""
+    """Return entry i of a list in each event (n,), NaN where it is absent or null."""
     lists: list[list[float | None]] = [e.get(key) or [] for e in events]
     entries = (values[i] if i < len(values) else None for values in lists)
     return np.array([np.nan if v is None else v for v in entries], dtype=float)

@@ -1,4 +1,4 @@
-"""The figure of what an episode searched: residual over two parameters, and where it was evaluated."""
+"""Figure of an episode's search: residual over two parameters, and the points where it was evaluated."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -21,13 +21,13 @@ from .canvas import BLUE, GREEN, VERMILION, label, new_figure, set_log, top_lege
 from .panels import RecordedEvent
 
 _N_GRID: Final = 60
-"""Places a parameter at which the surface is computed."""
+"""Number of grid points for each parameter."""
 _N_SAMPLES: Final = 8
-"""Samples that it is taken over, spread over the episode: a model call for each and each of the places."""
+"""Number of samples, spread over the episode: the model is called for each of them at each grid point."""
 
 
 def draw_response(run: Run, events: Sequence[RecordedEvent]) -> Figure | None:
-    """The response surface of the first episode; None where there are not two parameters, no episode or model."""
+    """Draw the response surface of the first episode; return None without two parameters, an episode or a model."""
     episode = _first_episode(events)
     if chosen(run.scenario).kind != "derivative":
         return None
@@ -40,7 +40,7 @@ def draw_response(run: Run, events: Sequence[RecordedEvent]) -> Figure | None:
 
 
 def _first_episode(events: Sequence[RecordedEvent]) -> list[RecordedEvent]:
-    """From the first trigger to its episode's end, or to where the record stops."""
+    """Return the events from the first trigger to the end of its episode or of the record."""
     episode: list[RecordedEvent] = []
     for event in events:
         if episode or event.get("kind") == "trigger":
@@ -51,7 +51,7 @@ def _first_episode(events: Sequence[RecordedEvent]) -> list[RecordedEvent]:
 
 
 def _samples(run: Run, begin: float, end: float) -> list[Sample]:
-    """Recorded samples between two times [s]; none where the record lacks a column."""
+    """Return the recorded samples between two times [s]; none if the record lacks a column."""
     rows = np.flatnonzero((run.time >= begin - 1e-9) & (run.time <= end + 1e-9))
     if not len(rows):
         return []
@@ -63,7 +63,7 @@ def _samples(run: Run, begin: float, end: float) -> list[Sample]:
 
 
 def response_surface(run: Run, samples: Sequence[Sample]) -> tuple[Vector, Vector, Vector]:
-    """Values of both parameters and log10 of the residual's root mean square (n, n), in standard deviations."""
+    """Return values of both parameters and log10 of the residual's root mean square (n, n), in standard deviations."""
     scenario = run.scenario
     space = scenario.estimation.space
     noise = derivative_noise(scenario.sampling, scenario.scenario.macro_step)
@@ -109,7 +109,7 @@ def _draw(run: Run, samples: Sequence[Sample], episode: Sequence[RecordedEvent])
 
 
 def _scale(axes: Axes, run: Run) -> None:
-    """Both axes over the bounds, on the scale of the search."""
+    """Set both axes over the bounds, on the scale of the search."""
     a, b = run.scenario.estimation.parameters
     axes.set_xlabel(label(a.name, a.unit))
     axes.set_ylabel(label(b.name, b.unit))
@@ -122,7 +122,7 @@ def _scale(axes: Axes, run: Run) -> None:
 
 
 def _marks(run: Run, episode: Sequence[RecordedEvent]) -> Iterator[tuple[str, list[float], dict[str, Any]]]:
-    """Text, place and style of where the episode began, where it ended and where it should have."""
+    """Yield text, position and style of the marks: start and end of the episode, and the true values."""
     begin, end = (int(np.searchsorted(run.time, float(e["t"]) - 1e-9)) for e in (episode[0], episode[-1]))
     end = min(end, len(run.time) - 1)
     hollow = {"markerfacecolor": "none", "markeredgewidth": 2.0, "zorder": 4}

@@ -38,10 +38,10 @@ _BASELINES: Final = {"none": ("nominal", VERMILION), "true": ("true parameters",
 
 
 def draw_run(run: Run, baselines: Mapping[str, Run]) -> list[Path]:
-    """Draw what applies of tracking, error, parameters and response into the run's folder; the files written.
+    """Draw tracking, error, parameters and response, as they apply, into the run's folder; return the files written.
 
-    baselines: finished runs of the same scenario by estimator; `none` and `true` are compared with. A run that stopped
-    early is drawn as far as it came, one without a row not at all.
+    baselines: finished runs of the same scenario by estimator; `none` and `true` are drawn for comparison. A run that
+    stopped early is drawn as far as it went, one without rows not at all.
     Raises ValueError for a run without a folder, FolderError where a file cannot be written.
     """
     if run.folder is None:
@@ -60,7 +60,7 @@ def draw_run(run: Run, baselines: Mapping[str, Run]) -> list[Path]:
 
 
 def read_events(folder: Path) -> list[RecordedEvent]:
-    """The events of a run folder, as far as they can be read; none where there is no file."""
+    """Return the events of a run folder, as far as they can be read; none if there is no file."""
     events: list[Any] = []
     with suppress(OSError), open(folder / EVENTS, encoding="utf-8", errors="replace") as file:
         for text in file:
@@ -70,7 +70,7 @@ def read_events(folder: Path) -> list[RecordedEvent]:
 
 
 def _curves(run: Run, baselines: Mapping[str, Run]) -> list[Curve]:
-    """The run last, so that it lies on top."""
+    """Return the curves of the baselines and, last so that it is drawn on top, of the run."""
     compared = {name: other for name, other in baselines.items() if name in _BASELINES and len(other.time)}
     curves = [Curve(compared[name], *_BASELINES[name], 1.1) for name in _BASELINES if name in compared]
     text, colour = _BASELINES.get(run.estimator, (f"re-tuned ({run.estimator})", BLUE))
@@ -78,7 +78,7 @@ def _curves(run: Run, baselines: Mapping[str, Run]) -> list[Curve]:
 
 
 def _draw_tracking(run: Run, curves: Sequence[Curve], events: Sequence[RecordedEvent]) -> Figure:
-    """Tracked outputs and their references over time."""
+    """Draw tracked outputs and their references over time."""
     figure, rows = panels(run, events, len(run.scenario.tracking))
     units = _units(run)
     names = short_names(list(run.scenario.tracking))
@@ -93,7 +93,7 @@ def _draw_tracking(run: Run, curves: Sequence[Curve], events: Sequence[RecordedE
 
 
 def tracking_limits(reference: Series, outputs: Sequence[Series]) -> AxisLimits:
-    """Of all curves but for excursions more than twice as far from the reference as it is wide itself."""
+    """Return limits for all curves, without excursions of more than twice the reference's range from it."""
     wanted = value_range([reference, *outputs], percentile=0.2) or (0.0, 1.0)
     low, high = value_range([reference]) or wanted
     width = high - low
@@ -103,7 +103,7 @@ def tracking_limits(reference: Series, outputs: Sequence[Series]) -> AxisLimits:
 
 
 def _draw_error(run: Run, curves: Sequence[Curve], events: Sequence[RecordedEvent]) -> Figure:
-    """Absolute tracking errors over time; with several tracked outputs, their norm, which triggers, above them."""
+    """Draw absolute tracking errors over time; with several tracked outputs, also their norm, which triggers."""
     outputs: list[str] = list(run.scenario.tracking)
     units = _units(run)
     contents: list[tuple[str | None, str | None, list[str]]] = [
@@ -129,7 +129,7 @@ def _draw_error(run: Run, curves: Sequence[Curve], events: Sequence[RecordedEven
 
 
 def _error_limits(errors: Sequence[Series], divergence: float) -> AxisLimits:
-    """At most six decades, of which the least percent of values may fall below."""
+    """Return limits over at most six decades; the smallest percent of the values may lie below them."""
     positive = [e[np.isfinite(e) & (e > 0.0)] for e in errors]
     low, _ = value_range(positive, percentile=1.0) or (1e-3, 1.0)
     _, high = value_range(positive) or (1e-3, 1.0)
@@ -138,14 +138,14 @@ def _error_limits(errors: Sequence[Series], divergence: float) -> AxisLimits:
 
 
 def _threshold(run: Run) -> float | None:
-    """Tracking error [unit of the tracked outputs] that begins an episode of this run, where it is that which does."""
+    """Return the tracking error [unit of the tracked outputs] that triggers an episode in this run, or None."""
     estimation = run.scenario.estimation
     loop = estimation if run.estimator in _BASELINES else estimation.loop(run.estimator)
     return loop.trigger.tracking_error
 
 
 def _norm(errors: Sequence[Series]) -> Series:
-    """Euclidean norm (n,) over the tracked outputs; scaled first, so that huge values do not overflow."""
+    """Return the Euclidean norm (n,) over the tracked outputs; scaled first, so that huge values do not overflow."""
     table = np.abs(np.array(errors))
     largest = np.max(table, axis=0)
     scale = np.where(np.isfinite(largest) & (largest > 0.0), largest, 1.0)
@@ -153,13 +153,13 @@ def _norm(errors: Sequence[Series]) -> Series:
 
 
 def short_names(references: Sequence[str]) -> list[str]:
-    """Variables without their component, where that leaves them different."""
+    """Return variable names without their component, unless two of them would be the same."""
     short = [VariableName(r).variable for r in references]
     return short if len(set(short)) == len(short) else list(references)
 
 
 def _units(run: Run) -> dict[str, str]:
-    """Units of the tracked outputs by reference, as their FMUs declare them; none for an FMU that is gone."""
+    """Return the units of the tracked outputs as their FMUs declare them; none for a missing FMU."""
     units: dict[str, str] = {}
     for reference in run.scenario.tracking:
         component, variable = reference.parts

@@ -16,7 +16,7 @@ class BoundVariables:
     """Inputs, tunable parameters and outputs of one FMU, in bound order."""
 
     def __init__(self, name: str, catalogue: Catalogue, is_lenient: bool) -> None:
-        """name: the instance's; is_lenient: a value outside its declared min and max is a warning, given once."""
+        """name: the instance's; is_lenient: whether a value outside its min and max is only a warning, given once."""
         self._name = name
         self._catalogue = catalogue
         self._is_lenient = is_lenient
@@ -38,11 +38,11 @@ class BoundVariables:
         return self.inputs.variables, self.tunables.variables, self.outputs.variables
 
     def check_tunables(self, names: Sequence[str]) -> None:
-        """Raises WiringError where one of them is no tunable parameter."""
+        """Raise WiringError if one of them is not a tunable parameter."""
         self._catalogue.ports("tunable parameter", names)
 
     def check_set(self, ports: Ports, values: Sequence[float], t: float) -> None:
-        """Raises ValueError for another number of values than bound, SlaveError for one that must not be set."""
+        """Raise ValueError for another number of values than bound, SlaveError for a value that must not be set."""
         self.check_number(ports, values)
         problem = ports.problem(values)
         if problem is not None:
@@ -51,12 +51,12 @@ class BoundVariables:
             self._warn(ports, values, t)
 
     def check_number(self, ports: Ports, values: Sequence[float]) -> None:
-        """Raises ValueError for another number of values than bound."""
+        """Raise ValueError for another number of values than bound."""
         if len(values) != len(ports.variables):
             raise ValueError(f"{self._name}: {len(ports.variables)} values must be set, got {len(values)}.")
 
     def check_outputs(self, values: Sequence[float], t: float | None) -> None:
-        """Raises SlaveError for an output that the FMU must not have."""
+        """Raise SlaveError for an output value that the FMU must not have."""
         problem = self.outputs.problem(values)
         if problem is not None:
             raise SlaveError(self._name, "get", t, problem, COLON)

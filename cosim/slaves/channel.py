@@ -38,7 +38,7 @@ class Channel(Protocol):
         ...
 
     def hang_up(self) -> None:
-        """Make a receive of this end, in any thread, see the end after what has come; the other side may live on."""
+        """Make a receive at this end, in any thread, see the end after pending messages; the other side may go on."""
         ...
 
     def close(self) -> None:
@@ -146,17 +146,17 @@ KIND: Final = "packet" if sys.platform == "linux" and hasattr(socket, "SOCK_SEQP
 
 @dataclass(frozen=True)
 class ChildEnd:
-    """The end that a child process is handed. The parent closes its copy after the start."""
+    """End of a channel passed to a child process. The parent closes its copy after the start."""
 
     argument: str
-    """For open_channel in the child."""
+    """Argument of open_channel in the child."""
     handle: int
     """File descriptor, or Windows handle, that the child has to inherit."""
     owner: "socket.socket | Connection[bytes, bytes]"
     """Object that closes the parent's copy."""
 
     def popen_arguments(self) -> dict[str, Any]:
-        """Keyword arguments of subprocess.Popen that let the child inherit the handle, and nothing else."""
+        """Return keyword arguments of subprocess.Popen that let the child inherit the handle, and nothing else."""
         if sys.platform != "win32":
             return {"pass_fds": (self.handle,)}
         import subprocess
@@ -211,7 +211,7 @@ class StepCodec:
         self._values = struct.Struct(f"<B{n_outputs}d")
 
     def encode_step(self, t: float, h: float, inputs: Sequence[float], tunables: Sequence[float] | None) -> bytes:
-        """Raises struct.error when the numbers of values are not those bound."""
+        """Return the message of a step. Raises struct.error when the numbers of values are not those bound."""
         if tunables is None:
             return self._step.pack(STEP, t, h, *inputs)
         return self._step_tuned.pack(STEP_TUNED, t, h, *inputs, *tunables)
@@ -228,7 +228,7 @@ class StepCodec:
         return self._values.pack(VALUES, *outputs)
 
     def decode_values(self, message: bytes) -> tuple[float, ...]:
-        """Raises struct.error when the message has another length."""
+        """Return the values in a message. Raises struct.error when the message has another length."""
         return self._values.unpack(message)[1:]
 
 

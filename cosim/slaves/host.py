@@ -24,7 +24,7 @@ class Host(Protocol):
 
 
 class InProcessFmu:
-    """An FMU that is trusted with this process: a call that hangs is waited for, and a crash ends this process."""
+    """An FMU that runs in this process: a call that hangs blocks it, and a crash ends it."""
 
     def __init__(self, fmu: FmuToLoad) -> None:
         self._load = partial(load, fmu, partial(log_message, fmu.instance_name))

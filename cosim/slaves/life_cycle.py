@@ -8,7 +8,7 @@ from ..errors import SlaveError
 
 
 class Phase(Enum):
-    """How far an FMU's life has come; the value says what brings it there."""
+    """Phase of an FMU's life; the value says which call leads to it."""
 
     INSTANTIATED = "must come before initialize"
     INITIALIZING = "must follow enter_initialization"
@@ -16,7 +16,7 @@ class Phase(Enum):
 
 
 class LifeCycle:
-    """Where one slave is in its life. A call out of order raises RuntimeError, and does not reach the FMU."""
+    """Present phase of one slave. A call out of order raises RuntimeError, and does not reach the FMU."""
 
     def __init__(self, name: str) -> None:
         """name: the instance's."""
@@ -30,7 +30,7 @@ class LifeCycle:
         self._end_of_step: float | None = None
 
     def check(self, function: str, phase: Phase) -> None:
-        """Raises RuntimeError unless the slave is in that phase, and can be called."""
+        """Raise RuntimeError unless the slave is in that phase, and can be called."""
         self._check_usable()
         if self.phase is not phase:
             raise RuntimeError(f"{self._name}: {function} {phase.value}.")
@@ -45,18 +45,18 @@ class LifeCycle:
             raise
 
     def step_begins(self, t: float, h: float) -> None:
-        """Take down a step from t to t + h [s] that the FMU has been asked for."""
+        """Record that the FMU has been asked for a step from t to t + h [s]."""
         self.time, self._end_of_step = t, t + h
 
     def end_of_step(self) -> float:
-        """Return the end of the step [s] that has begun, and has it end. Raises RuntimeError without one."""
+        """Mark the step that has begun as ended, and return its end [s]. Raises RuntimeError without one."""
         end, self._end_of_step = self._end_of_step, None
         if end is None:
             raise RuntimeError(f"{self._name}: end_step must follow begin_step.")
         return end
 
     def close(self) -> None:
-        """Let no call follow."""
+        """Refuse any further call."""
         self._is_closed = True
 
     def _check_usable(self) -> None:

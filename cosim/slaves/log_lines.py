@@ -14,7 +14,7 @@ LINES_A_CALL: Final = 100
 
 
 class LogSender:
-    """Sends each line at once, so that it is known even if the FMU's process dies in the same call."""
+    """Sender of log lines, each at once, so that none is lost if the FMU's process dies in the same call."""
 
     def __init__(self, channel: Channel) -> None:
         self._channel = channel
@@ -33,7 +33,7 @@ class LogSender:
 
 
 class LogReceiver:
-    """Keeps the lines of a call until it is known whether the call failed, then logs them."""
+    """Receiver that keeps the log lines of a call until it is known whether the call failed, then logs them."""
 
     def __init__(self, name: str) -> None:
         """name: the instance's."""
@@ -47,7 +47,7 @@ class LogReceiver:
         self._lines.append((int(status), one_line(str(text))))
 
     def report(self, is_fault: bool = False) -> None:
-        """Log the lines; as information only where the call failed: the fault says what matters."""
+        """Log the lines; as information only where the call failed, since the fault is reported anyway."""
         for status, text in self._lines:
             self._n_lines += 1
             if self._n_lines == MOST_LINES:

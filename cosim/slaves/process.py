@@ -77,7 +77,7 @@ class FmuProcess:
         self._codec = StepCodec(len(inputs), len(tunables), len(outputs))
 
     def call(self, function: str, t: float | None, *arguments: object) -> Any:
-        """Call the binding's method of that name, t [s] being where the FMU stands; bytes must be the only argument."""
+        """Call the binding's method of that name at the FMU's time t [s]; bytes must be the only argument."""
         self._wait_until_loaded()
         blob = arguments[0] if arguments and isinstance(arguments[0], bytes) else None
         self._send(function, t, encode(CALL, [function, () if blob is not None else arguments], blob))
@@ -94,7 +94,7 @@ class FmuProcess:
         self._send("do_step", t, self._codec.encode_step(t, h, inputs, tunables))
 
     def end_step(self, t: float) -> tuple[float, ...]:
-        """Wait for what the binding's step returns."""
+        """Wait for the binding's step, and return its result."""
         self._process.step_is_asked_for()
         message = self._receive("do_step", t, VALUES, self._timeout_s)
         self._process.step_has_ended()
@@ -104,7 +104,7 @@ class FmuProcess:
             raise self._malformed_answer("do_step", t) from error
 
     def close(self, t: float | None, is_polite: bool) -> None:
-        """Terminate and free the FMU if that can still be asked for, then end its process; idempotent.
+        """Terminate and free the FMU if it still answers, then end its process; idempotent.
 
         Raises SlaveError when terminating fails; the process has ended even so.
         """
@@ -151,7 +151,7 @@ class FmuProcess:
         return message
 
     def _answer_after_log(self, message: bytes, timeout_s: float) -> bytes:
-        """Return the first message that is no line of the FMU's log. Raises as Channel.receive, and ValueError."""
+        """Return the first message that is not a line of the FMU's log. Raises as Channel.receive, and ValueError."""
         deadline = monotonic() + timeout_s  # an FMU that logs without end does not put it off
         while message[0] == LOG:
             self._log.add(message)
@@ -161,7 +161,7 @@ class FmuProcess:
         return message
 
     def _fault(self, function: str, t: float | None, message: bytes) -> SlaveError:
-        """Return the error that the process has reported, in a message that is not to be trusted."""
+        """Return the error that the process has reported, in a message that is not trusted."""
         self._log.report(is_fault=True)
         self._end_after_fault()
         try:

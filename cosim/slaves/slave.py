@@ -1,4 +1,4 @@
-"""One FMU as a master sees it: by variable names, in its own process unless told otherwise.
+"""One FMU as a master sees it: by variable names, by default in its own process.
 
     with open_slave(Path("Pendulum.fmu"), "plant") as plant:
         plant.bind(inputs=["u"], tunables=["m", "l"], outputs=["phi", "phi_dot"])
@@ -95,7 +95,7 @@ class Slave:
         folder: PrivateFolder,
         out_of_range: OutOfRange = "fault",
     ) -> None:
-        """Called by open_slave."""
+        """Not to be called directly: use open_slave."""
         self.fmu = fmu
         self.name = instance_name
         self.description = description
@@ -134,7 +134,7 @@ class Slave:
     def propagate(self, inputs: Sequence[float] | None) -> tuple[float, ...]:
         """Return the bound outputs in initialization mode, after setting the inputs unless they are None.
 
-        On the way to consistent values ranges are not looked at. Raises SlaveError.
+        Ranges are not checked on the way to consistent values. Raises SlaveError.
         """
         self._life.check("propagate", Phase.INITIALIZING)
         if inputs is not None:
@@ -219,12 +219,12 @@ class Slave:
 
     @property
     def has_states(self) -> bool:
-        """Whether the FMU can save and restore its state, serialised."""
+        """True where the FMU can save and restore its state, serialised."""
         interface = co_simulation(self.description)
         return bool(interface.canGetAndSetFMUstate and interface.canSerializeFMUstate)
 
     def check_tunables(self, names: Sequence[str]) -> None:
-        """Raises WiringError where one of them is no tunable parameter."""
+        """Raise WiringError if one of them is not a tunable parameter."""
         self._bound.check_tunables(names)
 
     def get_state(self) -> bytes:
@@ -269,7 +269,7 @@ class Slave:
     def close(self) -> None:
         """Terminate and free the FMU, within a few seconds or by force, and remove its folder; idempotent.
 
-        An FMU that fails here is logged as a warning: what it has computed is not touched by it.
+        A failure here is logged as a warning: it does not affect what the FMU has computed.
         """
         if not self._finalizer.alive:
             return
@@ -308,7 +308,7 @@ class Slave:
 
 
 def _release(host: Host, folder: PrivateFolder, process_id: int) -> None:
-    """Leave nothing behind: called by close, when a slave is forgotten, or at the end of the program."""
+    """Release the FMU and its folder: called by close, on garbage collection, or at the end of the program."""
     if os.getpid() == process_id:  # not in a fork of it
         host.close(None, is_polite=False)
         folder.remove()

@@ -1,4 +1,4 @@
-"""How a command can end."""
+"""Exit codes of the commands."""
 
 from typing import Final
 

@@ -1,4 +1,4 @@
-"""Where a command writes: nothing that a user has is lost."""
+"""Output folders of the commands, made so that no existing file is overwritten."""
 
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
@@ -11,9 +11,9 @@ from ..runs.run_files import LOCK
 
 @contextmanager
 def new_folder(name: str, out: Path | None) -> Generator[Path]:
-    """The folder to write in, nobody else's until the end; removed again where that fails before anything is in it.
+    """Yield a folder to write in, locked until the end; remove it again if the command fails before anything is in it.
 
-    Raises FolderError where it is not empty, or another command's: nothing is changed then.
+    Raises FolderError if it is not empty or in use by another command; nothing is changed then.
     """
     place = out or Path("runs")
     there = {path for path in (place, *place.parents) if path.exists()}
@@ -35,7 +35,7 @@ def new_folder(name: str, out: Path | None) -> Generator[Path]:
 
 
 def _remove_empty(folder: Path) -> None:
-    """Remove the folders in it, where nothing is in any of them nor beside them."""
+    """Remove the subfolders of a folder that contains nothing but empty ones."""
     below = [path for path in folder.iterdir() if path.name != LOCK]
     if all(path.is_dir() and not any(path.iterdir()) for path in below):
         for path in below:
@@ -43,7 +43,7 @@ def _remove_empty(folder: Path) -> None:
 
 
 def must_be_new(path: Path | None, option: str) -> None:
-    """Raises FolderError, before anything is computed, where a file of the user's would be lost."""
+    """Raise FolderError, before anything is computed, if a file of the user's would be overwritten."""
     if path is not None and (path.exists() or not path.parent.is_dir()):
         problem = "exists" if path.exists() else "is in no folder that there is"
         raise FolderError(f"{path} {problem}; give {option} a new file.")

@@ -1,4 +1,4 @@
-"""What one can type after `retune`. Imports nothing heavy: --help must not wait."""
+"""Command-line options of `retune`. Imports nothing heavy, so that --help is fast."""
 
 import argparse
 import sys
@@ -13,16 +13,16 @@ from .exit_codes import REFUSED
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line."""
+    """Argument parser that reports errors in one line."""
 
     def error(self, message: str) -> NoReturn:
-        """One line, without the usage."""
+        """Report an error in one line, without the usage, and exit."""
         print(f"{self.prog}: {message}; see {self.prog} --help", file=sys.stderr)
         raise SystemExit(REFUSED)
 
 
 def make_parser() -> Parser:
-    """The parser of all commands; `command` of what it returns is the name of the one that was chosen."""
+    """Return the parser of all commands; `command` of the parsed options is the name of the command chosen."""
     parser = Parser(prog="retune", description="Re-tune a controller FMU while it runs.", allow_abbrev=False)
     parser.add_argument("--version", action="version", version=f"fmu-retune {__version__}")
     table = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=Parser)

@@ -1,4 +1,4 @@
-"""Progress on a terminal."""
+"""Progress bars on a terminal."""
 
 from collections.abc import Callable, Generator
 from contextlib import AbstractContextManager, contextmanager
@@ -11,10 +11,10 @@ from tqdm import tqdm
 def progress_bar(
     title: str, count: str, state: Callable[..., tuple[float, float, str]]
 ) -> Generator[Callable[..., None]]:
-    """A bar on standard error, with the time that is left; on terminals only.
+    """Show a bar with the remaining time on standard error; on terminals only.
 
-    What it gives is called with whatever the work reports; count: how much is done, in tqdm's format; state: makes of
-    a report how much is done, of how much, and a word on it.
+    Yields a function to be called with each progress report. count: amount done, in tqdm's format; state: converts a
+    report to the amount done, the total and a short text.
     """
     form = f"{{desc}} {{percentage:3.0f}}%|{{bar}}| {count}, {{remaining}} left {{postfix}}"
     with tqdm(total=0, desc=title, bar_format=form, disable=None, leave=False) as bar:
@@ -29,7 +29,7 @@ def progress_bar(
 
 
 def bar_of_runs(title: str) -> AbstractContextManager[Callable[..., None]]:
-    """The bar of many runs, with how the last one ended."""
+    """Return a progress bar for many runs, showing the status of the last one to end."""
 
     def state(record: Any, n_ended: int, n_runs: int) -> tuple[int, int, str]:
         return n_ended, n_runs, "{scenario} {estimator} {seed} {status}".format_map(record)

@@ -1,4 +1,4 @@
-"""What `run` and `resume` share: a run with its bar, and what is said and drawn of it."""
+"""Functions shared by `run` and `resume`: a run with its progress bar, and its report and figures."""
 
 import sys
 from collections.abc import Callable, Mapping
@@ -14,11 +14,11 @@ from .exit_codes import DONE, UNFINISHED
 from .progress import progress_bar
 
 BASELINES = ("none", "true")
-"""What a run is compared with, each in a folder of its name inside the run's."""
+"""Estimators that a run is compared with, each in a folder of its name inside the run's."""
 
 
 def tell(folder: Path, runs: Mapping[Path, Run], is_json: bool, is_drawn: bool) -> int:
-    """Draw and print the run of a folder, and those that it is compared with; the exit code."""
+    """Draw and print the run of a folder and its baselines; return the exit code."""
     result, baselines = runs[folder], {path.name: run for path, run in runs.items() if path != folder}
     if is_drawn:
         from ..plots.runs import draw_run  # after the runs: what draws takes half a second to load
@@ -33,7 +33,7 @@ def tell(folder: Path, runs: Mapping[Path, Run], is_json: bool, is_drawn: bool) 
 
 
 def simulated(scenario: Scenario, estimator: str, simulate: Callable[[StepProgress], Run]) -> Run:
-    """The run that simulate makes, with a bar meanwhile."""
+    """Return the run that simulate makes, showing a progress bar meanwhile."""
     settings = scenario.scenario
 
     def state(t: float, held: Mapping[str, float]) -> tuple[float, float, str]:

@@ -1,4 +1,4 @@
-"""What ends a process politely interrupts the command, so that it clears up: also a terminal that is closed."""
+"""Handling of termination signals, a closed terminal's included: they interrupt the command, so that it cleans up."""
 
 import atexit
 import signal
@@ -9,18 +9,18 @@ from time import monotonic
 from typing import Any, Final
 
 _POLITE: Final[dict[int, Any]] = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: None}
-"""Signals that ask for an end, and what their handler must be for us to take its place; None: anything."""
+"""Signals that request termination, and the handler that ours may replace; None: any."""
 if sys.platform != "win32":
     _POLITE[signal.SIGHUP] = signal.SIG_DFL  # nohup has it ignored
 _DEAF_S: Final = 20.0
-"""Time after a signal [s] in which others are not heard: more than FMUs take to be closed."""
+"""Time after a signal [s] in which further ones are ignored: longer than FMUs take to close."""
 
 
 class SignalHandler:
-    """Interrupts once: another signal would cut the clearing up short.
+    """Signal handler that interrupts once: another signal would cut the cleaning up short.
 
-    One that comes much later is heard again, since Python drops an exception where nobody can catch it, in a destructor
-    for example.
+    One that comes much later interrupts again, since Python drops an exception raised where it cannot be caught, such
+    as in a destructor.
     """
 
     def __init__(self) -> None:
@@ -29,7 +29,7 @@ class SignalHandler:
         self._handler = self._interrupt  # one object: each look at a method makes another
 
     def take(self) -> None:
-        """Begin; elsewhere than in the main thread, to which alone Python gives signals, nothing is done."""
+        """Install the handlers; do nothing outside the main thread, the only one in which Python handles signals."""
         if threading.current_thread() is not threading.main_thread():
             return
         for number, usual in _POLITE.items():
@@ -37,9 +37,9 @@ class SignalHandler:
                 self._before[number] = signal.signal(number, self._handler)
 
     def give_back(self) -> None:
-        """End: handle signals as before, or where one has come, ignore them as soon as the program ends.
+        """Restore the previous handlers, or, if a signal has come, have signals ignored once the program exits.
 
-        Python gives up its handlers there, and the system's would end the process.
+        Python drops its handlers at exit, and the system's defaults would end the process.
         """
         if self._last > -inf:
             atexit.register(self._ignore)

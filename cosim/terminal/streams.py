@@ -6,7 +6,7 @@ import sys
 
 
 def ready_streams() -> None:
-    """Let nothing that is printed end a command: characters that a stream lacks are escaped, a closed one is null."""
+    """Make printing safe: escape characters that a stream cannot encode, and replace a closed stream by a null one."""
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is None:
@@ -16,7 +16,7 @@ def ready_streams() -> None:
 
 
 def can_print() -> bool:
-    """Whether what has been printed can be written; where it cannot, it is kept to be tried again."""
+    """Return whether the printed output can be flushed; if it cannot, it stays buffered for another attempt."""
     try:
         sys.stdout.flush()
     except OSError:
@@ -25,7 +25,7 @@ def can_print() -> bool:
 
 
 def drop_output() -> None:
-    """Have what cannot be written go nowhere, else the interpreter tries again at its end, and complains."""
+    """Discard output that cannot be written; otherwise the interpreter tries again at exit, and reports an error."""
     null = os.open(os.devnull, os.O_WRONLY)
     os.dup2(null, sys.stdout.fileno())
     os.close(null)

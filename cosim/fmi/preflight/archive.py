@@ -1,4 +1,4 @@
-"""Check that a zip archive can be unpacked safely, by its directory: nothing is decompressed."""
+"""Check from its directory that a zip archive can be unpacked safely: nothing is decompressed."""
 
 import stat
 from collections import Counter
@@ -25,7 +25,7 @@ _LOCAL_HEADER: Final = 30  # bytes before name and content of an entry
 
 
 def archive_findings(entries: Sequence[ZipInfo]) -> Iterator[Finding]:
-    """Yield what is wrong with the entries of an archive."""
+    """Yield problems with the entries of an archive."""
     unpacked, packed = sum(e.file_size for e in entries), sum(e.compress_size for e in entries)
     if len(entries) > MOST_FILES:
         yield Finding(_PLACE, f"holds {len(entries)} files; at most {MOST_FILES} are unpacked")
@@ -58,13 +58,13 @@ def _entry_findings(entry: ZipInfo) -> Iterator[Finding]:
 
 
 def leads_out(name: str) -> bool:
-    """Whether a file of this name in an archive might be put elsewhere than into the folder it is unpacked to."""
+    """Return whether a file of this name in an archive might be written outside the folder it is unpacked to."""
     is_odd = any(c in name for c in "\\:\0")  # Windows' separator, its drives, and what ends a name in C
     return is_odd or not name or name.startswith("/") or ".." in name.split("/")
 
 
 def _name_findings(names: Sequence[str]) -> Iterator[Finding]:
-    """Yield names that are one file: in the archive, once it is unpacked, or on systems that ignore case."""
+    """Yield names that denote the same file: in the archive, once it is unpacked, or on systems that ignore case."""
     counts, folded = Counter(map(_unpacked, names)), dict[str, str]()
     for name, count in counts.items():
         if count > 1:
@@ -84,7 +84,7 @@ def _unpacked(name: str) -> str:
 
 
 def _overlaps(entries: Sequence[ZipInfo]) -> Iterator[Finding]:
-    """Yield contents that share bytes: so an archive of some kB becomes one of some GB (Fifield 2019)."""
+    """Yield contents that share bytes, by which some kB can be unpacked to some GB (Fifield 2019)."""
     for one, following in pairwise(sorted(entries, key=lambda e: e.header_offset)):
         if one.header_offset + _LOCAL_HEADER + one.compress_size > following.header_offset:
             yield Finding(repr(one.filename), f"overlaps {following.filename!r} in the archive, as in a zip bomb")

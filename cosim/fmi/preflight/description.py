@@ -1,7 +1,7 @@
-"""Check that what a model description declares can be true: its names, numbers, aliases and structure.
+"""Check that a model description is consistent: its names, numbers, aliases and structure.
 
-FMPy has validated it against the schema before: types, legal combinations, unique names, start values that are needed.
-An error is what cannot work or would do harm; against the letter of the standard is a warning.
+FMPy has validated it against the schema before: types, legal combinations, unique names, required start values.
+What cannot work or would do harm is an error; any other violation of the standard is a warning.
 """
 
 import math
@@ -24,7 +24,7 @@ _IDENTIFIER: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
 def description_findings(description: ModelDescription) -> Iterator[Finding]:
-    """Yield what is wrong with a model description."""
+    """Yield problems with a model description."""
     yield from _identifiers(description)
     yield from _sizes(description.modelVariables)
     if description.fmiVersion == "2.0":

@@ -1,4 +1,4 @@
-"""Check that a shared library is a sound one for this machine, by its headers: it is read, not loaded."""
+"""Check from its headers that a shared library is valid for this machine: it is read, not loaded."""
 
 import os
 import platform
@@ -32,7 +32,7 @@ def needed_functions(version: str, interface: str) -> frozenset[str]:
 
 
 def library_problem(file: BinaryIO, needed: Set[str] = frozenset()) -> str | None:
-    """Return what is wrong with an FMU's library for this machine, or None. needed: functions that it must have."""
+    """Return the problem with an FMU's library for this machine, or None. needed: functions that it must have."""
     if sys.platform == "win32":
         return pe_problem(file.read(4096), platform.machine())
     if sys.platform == "linux":
@@ -41,7 +41,7 @@ def library_problem(file: BinaryIO, needed: Set[str] = frozenset()) -> str | Non
 
 
 def elf_problems(file: BinaryIO, size: int, machine: str, needed: Set[str] = frozenset()) -> Iterator[str]:
-    """Yield what is wrong with a shared library for Linux of `size` bytes."""
+    """Yield problems with a shared library for Linux of `size` bytes."""
     try:
         elf: Any = ELFFile(file)
         header = elf.header
@@ -70,7 +70,7 @@ def elf_problems(file: BinaryIO, size: int, machine: str, needed: Set[str] = fro
 
 
 def pe_problem(head: bytes, machine: str) -> str | None:
-    """Return what is wrong with a shared library for Windows, of which head is the beginning, or None."""
+    """Return the problem with a shared library for Windows that begins with head, or None."""
     try:
         (offset,) = struct.unpack_from("<I", head, 0x3C)
         signature, its_machine = struct.unpack_from("<4sH", head, offset)

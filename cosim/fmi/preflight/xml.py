@@ -1,4 +1,4 @@
-"""Strict reading of XML: no document type, hence no entities, and a largest size."""
+"""Strict reading of XML: no document type, hence no entities, and a limited size."""
 
 from typing import Final
 from xml.etree.ElementTree import Element, ParseError, TreeBuilder, XMLParser, fromstring
@@ -8,7 +8,7 @@ LARGEST: Final = 256 << 20
 
 
 class _NoDoctype(TreeBuilder):
-    """Refuses document types: neither FMI nor SSP has one, and entities declared in one can grow without bound."""
+    """XML builder that refuses document types: FMI and SSP have none, and their entities can grow without bound."""
 
     def doctype(self, name: str, public_id: str | None, system_id: str | None) -> None:
         raise ValueError("it has a document type (DOCTYPE), which is refused")

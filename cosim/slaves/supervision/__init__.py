@@ -1,2 +1,3 @@
-"""Supervision of FMU processes: what they print, hold, start and leave behind. Doors: `SupervisedProcess`, and in the
-process itself `SupervisedChild`."""
+"""Supervision of FMU processes: their output, memory, children and end.
+
+Its interface is `SupervisedProcess` and, in the process itself, `SupervisedChild`."""

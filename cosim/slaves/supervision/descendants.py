@@ -1,7 +1,7 @@
 """Processes that an FMU has started and left behind, found by a mark in their environment.
 
-Most end with the FMU's process group. One that has made itself a session of its own (a daemon) has left the group, and
-its parent too; its environment it still has. Linux only.
+Most end with the FMU's process group. One with a session of its own (a daemon) has left the group and its parent, but
+still has its environment. Linux only.
 """
 
 import ctypes
@@ -24,14 +24,14 @@ def new_mark() -> str:
 
 
 def adopt_orphans() -> None:
-    """Make this process the parent of descendants whose parents end, so that they can be seen."""
+    """Make this process the parent of descendants whose parents end, so that they can be found."""
     if sys.platform == "linux":
         libc: Any = ctypes.CDLL(None)
         libc.prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
 
 
 def has_children() -> bool:
-    """Whether this process has any children, its own or adopted."""
+    """Return whether this process has any children, its own or adopted."""
     if sys.platform != "linux":
         return False
     with suppress(OSError):
@@ -57,7 +57,7 @@ def _ended_any(entry: bytes) -> bool:
 
 
 def _has_ended(process_id: int, entry: bytes) -> bool:
-    """Whether it is another process with this entry in its environment, and has been sent its end."""
+    """End a process if it is another one with this entry in its environment; return whether it was."""
     with suppress(OSError):
         environment = Path(f"/proc/{process_id}/environ").read_bytes()
         if entry in environment.split(b"\0") and process_id != os.getpid():

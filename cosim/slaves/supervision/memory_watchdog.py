@@ -1,7 +1,7 @@
-"""A thread that looks at an FMU's process from time to time, while another waits for an answer from it.
+"""A thread that checks an FMU's process periodically, while another waits for an answer from it.
 
-An FMU that takes ever more memory is ended before the whole machine suffers. The death of one is reported to whoever
-waits, even where a child of it has inherited the channel and keeps it open.
+An FMU that takes ever more memory is ended before the whole machine suffers. Its death is reported to the waiting
+thread, even if a child of it has inherited the channel and keeps it open.
 """
 
 import os
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final
 
 PERIOD_S: Final = 0.05
-"""Time between two looks [s], in which a process can touch about 100 MB."""
+"""Time between two checks [s], in which a process can touch about 100 MB."""
 _MB: Final = 1e6
 
 
@@ -31,7 +31,7 @@ class MemoryWatchdog:
     def __init__(self, process_id: int, on_death: Callable[[], None], memory_limit: float) -> None:
         """memory_limit: resident memory that the process may have [MB]; on_death: called once it has ended."""
         self.reason: str | None = None
-        """Why the process has been ended, in words that follow "the FMU's process"."""
+        """Reason why the process has been ended, in words that follow "the FMU's process"."""
         self._id, self._on_death, self._limit = process_id, on_death, memory_limit
         self._is_over = threading.Event()
         self._thread = threading.Thread(target=self._look, name=f"memory watchdog of {process_id}", daemon=True)

@@ -14,7 +14,7 @@ from typing import Any
 
 
 def end_after(parent_pipe: int) -> None:
-    """End this process when the other end of parent_pipe is closed, after time to clear up: 10 s for most processors.
+    """End this process when the other end of parent_pipe is closed, after time to clean up: 10 s for most processors.
 
     To be called in the main thread. Linux; elsewhere it does nothing.
     """

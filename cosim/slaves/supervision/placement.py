@@ -1,4 +1,4 @@
-"""Cores for FMUs' processes: one that steps fast shares the core of the thread that waits for it, a slow one has any.
+"""Cores of FMUs' processes: a fast one shares the core of the thread that waits for it, a slow one runs on any.
 
 Waking a process on a core that sleeps costs 20 to 50 us (an interrupt, in a virtual machine an exit and an entry too),
 on the core that goes to wait itself 2 us. Left alone, the scheduler chooses the sleeping core. FMUs that share a core
@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from typing import Any, Final
 
 REVIEW: Final = 64
-"""Number of steps after which it is looked at how long they take."""
+"""Number of steps between two reviews of how long they take."""
 SLOW_S: Final = 150e-6
 """Time [s] from which on a step is not worth a shared core; one of half of it is again."""
 
@@ -24,7 +24,7 @@ _ASK, _NO_RANDOM_ADDRESSES = 0xFFFFFFFF, 0x0040000  # personality(2)
 
 @contextmanager
 def same_addresses() -> Generator[None]:
-    """Lay out the memory of a process that is started in here as that of every other such process.
+    """Lay out the memory of a process started in this context as that of every other such process.
 
     Processes that take turns on a core then share what its branch predictors have learnt of the interpreter; with
     addresses chosen at random three FMUs take twice as long. Where the system does not permit it, it stays like that.
@@ -49,13 +49,13 @@ class Placement:
         self._is_shared = len(self._everywhere) > 1
 
     def follow(self) -> None:
-        """Before a step: bring the process to the calling thread's core, if they are to share one."""
+        """Move the process to the calling thread's core, if they are to share one; to be called before a step."""
         if self._is_shared and _libc is not None and (core := _libc.sched_getcpu()) != self._core:
             self._place({core})
             self._core = core
 
     def review(self, step_s: float) -> None:
-        """Decide whether they share a core, given what a step takes at best [s]."""
+        """Decide whether they share a core, given the shortest time of a step [s]."""
         is_shared = len(self._everywhere) > 1 and step_s < (SLOW_S if self._is_shared else SLOW_S / 2)
         if self._is_shared and not is_shared:
             self._place(self._everywhere)
@@ -63,7 +63,7 @@ class Placement:
         self._is_shared = is_shared
 
     def let_run(self) -> None:
-        """After a step has been asked for: let the process run before the calling thread waits for it.
+        """Let the process run before the calling thread waits for it; to be called after a step is requested.
 
         A thread that sleeps is woken on another, idle core; one that is only next in the queue stays.
         """

@@ -1,4 +1,4 @@
-"""This process, where it is one that another has started for an FMU: it ends with that one, and leaves nothing."""
+"""An FMU's process under supervision, seen from inside: it ends with its parent, and leaves nothing behind."""
 
 import contextlib
 import os
@@ -38,7 +38,7 @@ class SupervisedChild:
         threading.Thread(target=self._wait_for_parents_end, daemon=True).start()
 
     def leave(self, is_orphaned: bool = False) -> NoReturn:
-        """End this process and what the FMU has started; an orphan removes the FMU's folder: nobody else is left."""
+        """End this process and what the FMU has started; if its parent has ended, also remove the FMU's folder."""
         if has_children():
             end_marked(os.environ.get(VARIABLE, ""))
         if is_orphaned and self._folder is not None:

@@ -66,7 +66,7 @@ class SupervisedProcess:
         self._placement.let_run()
 
     def step_has_ended(self) -> None:
-        """Take the time that the step has needed."""
+        """Record the time that the step has taken."""
         self._shortest_s = min(self._shortest_s, perf_counter() - self._begun)
 
     def how_it_ended(self, timeout_s: float) -> str:
@@ -107,7 +107,7 @@ class SupervisedProcess:
 
 
 def _start(command: Sequence[str], mark: str, output: int, handles: Mapping[str, Any]) -> "subprocess.Popen[bytes]":
-    """Start the process in a group of its own: Ctrl-C is not for it."""
+    """Start the process in a group of its own, so that Ctrl-C does not reach it."""
     group: dict[str, Any] = {} if sys.platform == "win32" else {"process_group": 0}
     with same_addresses():
         return subprocess.Popen[bytes](
@@ -122,7 +122,7 @@ def _start(command: Sequence[str], mark: str, output: int, handles: Mapping[str,
 
 
 def _ending(code: int) -> str:
-    """Return what an exit code of subprocess says, in words."""
+    """Return the meaning of an exit code of subprocess, in words."""
     if code >= 0:
         return f"ended with exit code {code}"
     try:

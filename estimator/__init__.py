@@ -1,4 +1,4 @@
-"""Bayesian estimation of parameters from residual vectors. Knows nothing of FMI, plants or controllers."""
+"""Bayesian estimation of parameters from residual vectors. Independent of FMI, plants and controllers."""
 
 from .contract import AskTell as AskTell
 from .contract import Batching as Batching

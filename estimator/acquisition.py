@@ -1,4 +1,4 @@
-"""Acquisition functions: what evaluating a candidate promises. Pure functions; lower objectives are better."""
+"""Acquisition functions, which rate candidates before their evaluation. Pure functions; lower objectives are better."""
 
 from typing import Literal
 
@@ -13,7 +13,7 @@ Acquisition = Literal["ei", "pi", "lcb"]
 
 
 def expected_improvement(mean: ArrayLike, variance: ArrayLike, incumbent: float) -> Vector:
-    """E[max(b - h, 0)] for h ~ N(mean, variance).
+    """Return the expected improvement E[max(b - h, 0)] for h ~ N(mean, variance).
 
     (b - mu) Phi(d) + sigma phi(d),  d = (b - mu)/sigma.
 
@@ -26,17 +26,17 @@ def expected_improvement(mean: ArrayLike, variance: ArrayLike, incumbent: float)
 
 
 def probability_of_improvement(mean: ArrayLike, variance: ArrayLike, incumbent: float) -> Vector:
-    """P(h < b) for h ~ N(mean, variance), shapes as in `expected_improvement`. Kushner (1964)."""
+    """Return P(h < b) for h ~ N(mean, variance), shapes as in `expected_improvement`. Kushner (1964)."""
     return ndtr((incumbent - np.asarray(mean, dtype=float)) / np.sqrt(np.asarray(variance, dtype=float)))
 
 
 def lower_confidence_bound(mean: ArrayLike, variance: ArrayLike, kappa: float = 2.0) -> Vector:
-    """-(mu - kappa sigma): larger is better, as for the others. Cox and John (1992)."""
+    """Return -(mu - kappa sigma): larger is better, as for the others. Cox and John (1992)."""
     return kappa * np.sqrt(np.asarray(variance, dtype=float)) - np.asarray(mean, dtype=float)
 
 
 def log_target_vector_improvement(mean: ArrayLike, variance: ArrayLike, incumbent: float) -> Vector:
-    """Logarithm of E[max(b - S, 0)] for S = |h|^2, h_j ~ N(mean_j, variance_j) independent, by moment matching.
+    """Return log E[max(b - S, 0)] for S = |h|^2, h_j ~ N(mean_j, variance_j) independent, by moment matching.
 
     S has mean M = sum mu^2 + v and variance V = sum 2 v^2 + 4 mu^2 v; a log-normal with the same two,
     s^2 = log(1 + V/M^2), nu = log M - s^2/2, has E[max(b - S, 0)] = b Phi(d) - M Phi(d - s), d = (log b - nu)/s.

@@ -1,4 +1,4 @@
-"""What is commonly used instead of Bayesian optimisation: adapters round SciPy and Ipopt."""
+"""Common alternatives to Bayesian optimisation: adapters to SciPy and Ipopt."""
 
 import warnings
 from collections.abc import Callable
@@ -15,7 +15,7 @@ from .space import ParameterSpace, Vector
 
 Minimizer = Literal["ipopt", "trust-constr", "SLSQP"]
 _FAILED = 1e12
-"""Stands for the residual of a candidate at which the model has no value: optimisers need a number."""
+"""Residual of a candidate at which the model has no value: optimisers need a number."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class NormSettings:
 
 
 class NoisyNorm:
-    """A gradient method on the paper's objective: the norm of the residual, with fresh noise at each evaluation.
+    """Gradient method on the paper's objective: the norm of the residual, with fresh noise at each evaluation.
 
     It starts each time from the nominal parameters, and takes its gradient by finite differences, which see the noise
     divided by the step. Khan and Chatterjee (2020), section IV: the solvers that they compare with.
@@ -59,7 +59,7 @@ class NoisyNorm:
         self._cost, self._n_evaluations = np.inf, 0
 
     def restart(self, start: Vector) -> None:
-        """Nothing is kept between solves but the last result."""
+        """Begin an episode at theta (d,): the last result is forgotten, and nothing else is kept between solves."""
         self._theta, self._cost, self._n_evaluations = self._clipped(start), np.inf, 0
 
     def solve(self, objective: Objective) -> None:
@@ -82,7 +82,7 @@ class NoisyNorm:
         self._n_evaluations += objective.n_evaluations
 
     def estimate(self) -> Estimate:
-        """The last result. A minimum of one number says nothing of how well it is known."""
+        """Return the last result; std is as wide as the bounds, because the minimum of one number has none."""
         width = np.array([upper - lower for lower, upper in self._bounds])
         return Estimate(
             self._theta, width, (False,) * len(width), self._cost, self._n_evaluations, self._settings.minimizer
@@ -93,7 +93,7 @@ class NoisyNorm:
 
 
 def _minimize(function: Any, x0: Vector, bounds: list[tuple[float, float]], settings: NormSettings) -> Any:
-    """The minimizer's result; with a difference step, the gradient is taken inside the bounds with that."""
+    """Return the minimizer's result; a difference step sets that of the gradient, taken inside the bounds."""
     options: dict[str, Any] = {"maxiter": settings.max_iterations}
     lower, upper = np.array(bounds).T
     step = settings.difference_step * (upper - lower)
@@ -119,7 +119,7 @@ class LeastSquaresSettings:
     max_evaluations: int = 200
     """Evaluations in a solve, those for the Jacobian included."""
     n_starts: int = 1
-    """Places to start from: the last estimate, then random ones, as long as evaluations are left."""
+    """Starting points: the last estimate, then random ones, as long as evaluations are left."""
     identifiable_below: float = IDENTIFIABLE_BELOW
     """A parameter counts as identifiable when its standard deviation is below this share of the scaled bounds."""
 
@@ -130,7 +130,7 @@ class LeastSquaresSettings:
 
 
 class LeastSquares:
-    """SciPy's trust-region least squares on the residual vector over the window, in the unit cube.
+    """Trust-region least squares (SciPy's) on the residual vector over the window, in the unit cube.
 
     Branch, Coleman, Li (1999). Residuals are in standard deviations of their noise.
     """
@@ -172,7 +172,7 @@ class LeastSquares:
         self._n_evaluations += objective.n_evaluations
 
     def estimate(self) -> Estimate:
-        """The best place of the last solve."""
+        """Return the best candidate of the last solve."""
         return scaled_estimate(
             self._space, self._z, self._information.std(), self._settings.identifiable_below, self._information,
             cost=self._cost, n_evaluations=self._n_evaluations, reason="least squares",
@@ -180,7 +180,7 @@ class LeastSquares:
 
 
 class _SpentError(Exception):
-    """The evaluations of a solve are spent: SciPy's own limit leaves out those for the Jacobian."""
+    """Raised when the evaluations of a solve are spent: SciPy's own limit leaves out those for the Jacobian."""
 
 
 class _Counted:
@@ -195,11 +195,11 @@ class _Counted:
 
     @property
     def jacobian(self) -> Callable[[Vector], Vector] | None:
-        """Forward differences (D, d) at the place that was evaluated last, all at a time; None: SciPy's own."""
+        """Function for forward differences (D, d) at the place evaluated last, all at a time; None: SciPy's own."""
         return self._differences if self._step else None
 
     def residual(self, z: Vector) -> Vector:
-        """Residual (D,) at z (d,). Raises _SpentError when none are left."""
+        """Return the residual (D,) at z (d,). Raises _SpentError when none are left."""
         (self._newest,) = self._residuals([z])
         return self._newest
 
@@ -213,14 +213,14 @@ class _Counted:
             raise _SpentError
         self._remaining -= len(places)
         return [
-            self._taken(z, told)
-            for z, told in zip(
+            self._taken(z, residual)
+            for z, residual in zip(
                 places, self._objective.residuals([self._space.from_unit(z) for z in places]), strict=True
             )
         ]
 
-    def _taken(self, z: Vector, told: Vector) -> Vector:
-        residual = np.clip(np.nan_to_num(told, nan=_FAILED), -_FAILED, _FAILED)
+    def _taken(self, z: Vector, raw: Vector) -> Vector:
+        residual = np.clip(np.nan_to_num(raw, nan=_FAILED), -_FAILED, _FAILED)
         cost = float(residual @ residual)
         if cost < self.cost:
             self.z, self.cost = z.copy(), cost

@@ -1,4 +1,4 @@
-"""What every estimator is and returns."""
+"""Interfaces of the estimators, and the estimate that they return."""
 
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
@@ -9,12 +9,12 @@ from .space import ParameterSpace, Vector
 
 
 class NoEstimateError(RuntimeError):
-    """No candidate of an `AskTell` has succeeded yet, so there is nothing to believe."""
+    """Raised by an `AskTell` none of whose candidates has succeeded yet, so that there is no estimate."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Values of the parameters, how well they are known, and why these were taken."""
+    """Values of the parameters, their standard deviations, and the reason why these values were taken."""
 
     theta: Vector
     """Values (d,), in each parameter's unit; always inside the bounds."""
@@ -24,16 +24,16 @@ class Estimate:
     On a log scale std / theta is that of the logarithm: the 95 % interval is theta exp(+- 1.96 std / theta).
     """
     is_identifiable: tuple[bool, ...]
-    """Whether the data fix each parameter (d,); where not, theta keeps near its value from the start."""
+    """True where the data determine the parameter (d,); elsewhere theta stays near its value from the start."""
     cost: float
     """Objective at theta: sum of squared residuals (`target`; the surrogate's where directions are held), noisy norm
     (`paper`)."""
     n_evaluations: int
-    """Evaluations told since the last restart."""
+    """Number of evaluations since the last restart."""
     reason: str
-    """Why this value was taken, for the record."""
+    """Reason why this value was taken, for the record."""
     information: Information | None = None
-    """What the data see at theta, in standard deviations of the misfit; None where the estimator cannot tell."""
+    """Sensitivity of the residuals at theta, in standard deviations of the misfit; None where it is not known."""
 
 
 def scaled_estimate(
@@ -47,7 +47,7 @@ def scaled_estimate(
     n_evaluations: int,
     reason: str,
 ) -> Estimate:
-    """The estimate at z (d,) of the unit cube; std (d,): there too; below: std of an identifiable parameter."""
+    """Return the estimate at z (d,) of the unit cube; std (d,): there too; below: std of an identifiable parameter."""
     theta = space.from_unit(z)
     identifiable = tuple(bool(s <= below) for s in std)
     return Estimate(theta, std * space.slope(theta), identifiable, cost, n_evaluations, reason, information)
@@ -55,36 +55,45 @@ def scaled_estimate(
 
 @runtime_checkable
 class Estimator(Protocol):
-    """Believes something of the parameters. It is either an `AskTell` or a `Solver`."""
+    """Interface that both kinds of estimator share; an estimator is either an `AskTell` or a `Solver`."""
 
     is_whitened: bool
-    """Whether its residuals are in standard deviations of the noise, or in physical units."""
+    """True where its residuals are in standard deviations of the noise, False where in physical units."""
 
     def restart(self, start: Vector) -> None:
-        """Begin an episode at theta (d,): the value to fall back on. Earlier knowledge may be kept."""
+        """Begin an episode at theta (d,), the value to fall back on. Results of earlier episodes may be kept."""
         ...
 
     def estimate(self) -> Estimate:
-        """The present belief. An `AskTell` raises NoEstimateError before any candidate has succeeded."""
+        """Return the present estimate. An `AskTell` raises NoEstimateError before any candidate has succeeded."""
         ...
 
 
 @runtime_checkable
 class AskTell(Estimator, Protocol):
-    """Asks for candidates one by one and is told their residuals. Lower residuals are better."""
+    """Estimator that proposes candidates one by one and receives their residuals, which it makes small.
+
+    An episode of n evaluations:
+
+        estimator.restart(held)  # the controller's parameters (d,)
+        for _ in range(n):
+            theta = estimator.ask()
+            estimator.tell(theta, objective.residual(theta))
+        held = estimator.estimate().theta
+    """
 
     def ask(self) -> Vector:
-        """The next candidate theta (d,)."""
+        """Return the next candidate theta (d,)."""
         ...
 
     def tell(self, theta: Vector, residual: Vector) -> None:
-        """The residual (D,) of a candidate. A non-finite one marks a candidate that failed."""
+        """Record the residual (D,) of a candidate. A non-finite one marks a candidate that failed."""
         ...
 
 
 @runtime_checkable
 class Rescoring(AskTell, Protocol):
-    """Its stored candidates can be judged anew when the data have changed."""
+    """Ask-tell estimator whose stored candidates can be evaluated again when the data have changed."""
 
     @property
     def candidates(self) -> Vector:
@@ -92,23 +101,30 @@ class Rescoring(AskTell, Protocol):
         ...
 
     def rescore(self, residuals: Vector) -> None:
-        """Replace what was told of the stored candidates by residuals (n, D); D may have changed."""
+        """Replace the residuals of the stored candidates by residuals (n, D); D may have changed."""
         ...
 
 
 @runtime_checkable
 class Batching(AskTell, Protocol):
-    """It can ask for several candidates before it is told of any, so that they are judged at the same time."""
+    """Ask-tell estimator that can propose several candidates at once, to be evaluated at the same time."""
 
     def ask_many(self, n: int) -> list[Vector]:
-        """One candidate theta (d,) at least, n at most."""
+        """Return at least one candidate theta (d,), at most n."""
         ...
 
 
 @runtime_checkable
 class Solver(Estimator, Protocol):
-    """Evaluates as many candidates as it likes at once: an optimiser, or a filter that takes the newest sample."""
+    """Estimator that evaluates candidates by itself: an optimiser, or a filter that takes the newest sample.
+
+    A solve on the present samples:
+
+        estimator.restart(held)  # the controller's parameters (d,)
+        estimator.solve(objective)  # calls objective.residual(theta) as often as it needs
+        held = estimator.estimate().theta
+    """
 
     def solve(self, objective: Objective) -> None:
-        """Take the present samples into the belief."""
+        """Update the estimate with the present samples."""
         ...

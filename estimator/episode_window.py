@@ -1,4 +1,4 @@
-"""A window that stays as it is while an episode lasts: for residuals that cost simulations. Knows nothing of those."""
+"""Window that stays the same during an episode, for residuals that need simulations, which it does not run itself."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -11,9 +11,9 @@ from .significance import chi2_limit, is_explained
 from .space import Vector
 
 FALSE_ALARM: Final = 1e-4
-"""Probability that samples count as not explained by the parameters that they came from."""
+"""Probability that samples fail the chi-square test of the parameters that produced them."""
 _ALLOWANCE: Final = 0.01
-"""Probability of a step's residuals exceeding the allowance of the cumulative sum where nothing has changed."""
+"""Probability that a step's residuals exceed the allowance of the cumulative sum where nothing has changed."""
 
 
 @dataclass(frozen=True)
@@ -23,31 +23,31 @@ class SampleSequence:
     samples: tuple[Sample, ...]
     """From old to new (n + 1,)."""
     origin: Any
-    """What the objective gave for the first one."""
+    """Snapshot of the objective at the first sample."""
 
     @property
     def n_steps(self) -> int:
-        """n."""
+        """Number n of steps."""
         return len(self.samples) - 1
 
 
 class Evaluation(NamedTuple):
-    """What became of a candidate."""
+    """Result of evaluating a candidate."""
 
     residual: Vector
     """(D,) in standard deviations of the noise, channel by channel; not finite where it failed."""
     reason: str | None = None
-    """Why it failed."""
+    """Reason why it failed, or None."""
     squares: Vector | None = None
     """Sum of squared residuals of each step (n,), where residuals belong to steps."""
 
 
 class SequenceObjective(Protocol):
-    """Compares candidates with samples, at a cost."""
+    """Objective that compares candidates with a sequence of samples, by simulations."""
 
     @property
     def is_ready(self) -> bool:
-        """Whether it can evaluate already."""
+        """True where it can evaluate candidates already."""
         ...
 
     def add_sample(self, sample: Sample) -> None:
@@ -55,28 +55,28 @@ class SequenceObjective(Protocol):
         ...
 
     def snapshot(self, is_needed: bool) -> Any:
-        """What a simulation that begins at the newest sample needs; None where that costs much and is not needed."""
+        """Return what a simulation from the newest sample on needs; None where that is expensive and not needed."""
         ...
 
     def evaluate(self, thetas: Sequence[Vector], stretch: SampleSequence) -> list[Evaluation]:
-        """Each candidate over the stretch; several at a time, where it can."""
+        """Return the evaluation of each candidate over the stretch; several run in parallel where possible."""
         ...
 
     def track(self, theta: Vector, stretch: SampleSequence) -> Vector:
-        """Residual (D,) of theta (d,) over a stretch that grows from call to call; empty where it cannot be told."""
+        """Return the residual (D,) of theta (d,) over a stretch that grows from call to call; empty where unknown."""
         ...
 
     def accept(self, theta: Vector, stretch: SampleSequence) -> None:
-        """From the stretch's beginning on, theta (d,) is taken for the plant's."""
+        """Take theta (d,) for the plant's parameters from the stretch's beginning on."""
         ...
 
 
 class EpisodeWindow:
-    """All candidates of an episode are judged on the same samples, once each; none is kept for the next episode.
+    """Window on which all candidates of an episode are evaluated, once each; none is kept for the next episode.
 
     At a trigger some of the samples may be from before the parameters jumped. Those since an anchor, set every
     max_length samples, are taken where the parameters in force explain them (a chi-square test). Otherwise the window
-    begins where these stopped explaining them (Page's cumulative sum) or, where that cannot be told, at the trigger,
+    begins where these stopped explaining them (Page's cumulative sum) or, where that is not known, at the trigger,
     and the candidates wait until it is full.
     """
 
@@ -85,7 +85,7 @@ class EpisodeWindow:
     def __init__(
         self, objective: SequenceObjective, max_length: int = 10, scale: Sequence[float] | None = None
     ) -> None:
-        """scale: (c,), the noise of each channel, for an estimator that wants residuals in physical units."""
+        """scale: (c,), the noise of each channel, for an estimator with residuals in physical units."""
         if max_length < 1:
             raise ValueError(f"max_length must be at least 1 sample, got {max_length}.")
         self._objective, self._max_length, self._scale = objective, max_length, scale
@@ -96,7 +96,7 @@ class EpisodeWindow:
         self._is_filling = False
         self._judged: dict[bytes, Evaluation] = {}
         self.n_model_calls = 0
-        """Samples at which parameters were judged."""
+        """Number of samples at which parameters were evaluated."""
 
     @property
     def newest(self) -> Sample:
@@ -105,11 +105,11 @@ class EpisodeWindow:
 
     @property
     def is_ready(self) -> bool:
-        """Whether an episode has its samples."""
+        """True where the episode has all its samples."""
         return self._stretch is not None
 
     def append(self, sample: Sample) -> None:
-        """Take one sample more."""
+        """Add a sample."""
         self._objective.add_sample(sample)
         is_anchor = not self._anchors or len(self._recent) - self._anchors[-1] >= self._max_length
         if is_anchor:
@@ -121,7 +121,7 @@ class EpisodeWindow:
         self._freeze()
 
     def begin(self, theta: Vector) -> str:
-        """An episode begins with theta (d,) in force; returns on which samples."""
+        """Begin an episode with theta (d,) in force; return on which samples, in words."""
         self._judged.clear()
         self._is_filling = True
         past, first = self._stretch_from(0), len(self._recent) - 1
@@ -144,18 +144,18 @@ class EpisodeWindow:
         return f"the last {n_past}, which they do not explain, and {text}" if n_past else text
 
     def end(self, theta: Vector) -> None:
-        """The episode is over, with theta (d,) in force."""
+        """End the episode with theta (d,) in force."""
         if self._stretch is not None:
             self._objective.accept(theta, self._stretch)
         self._stretch = None
         self._judged.clear()
 
     def residual(self, theta: Vector) -> Vector:
-        """Residual (D,) of one candidate; not finite where it failed."""
+        """Return the residual (D,) of one candidate; not finite where it failed."""
         return self.residuals([theta])[0]
 
     def residuals(self, candidates: Iterable[Vector]) -> Sequence[Vector]:
-        """The residual (D,) of each candidate, judged at the same time."""
+        """Return the residual (D,) of each candidate; those not known yet are evaluated together."""
         thetas = list(candidates)
         if self._stretch is None:
             raise RuntimeError("no candidate can be judged before the window is full.")
@@ -166,14 +166,14 @@ class EpisodeWindow:
         return [self._scaled(self._judged[theta.tobytes()].residual) for theta in thetas]
 
     def why_failed(self, theta: Vector) -> str | None:
-        """Why a candidate of this episode failed."""
+        """Return the reason why a candidate of this episode failed, or None."""
         found = self._judged.get(theta.tobytes())
         return found.reason if found else None
 
     def track(self, theta: Vector) -> Vector:
-        """Residual (D,) of the parameters in force on the samples since the newest anchor; empty where there is none.
+        """Return the residual (D,) of the parameters in force on the samples since the newest anchor, or empty.
 
-        It costs one step a sample: see SequenceObjective.track.
+        It costs one simulated step a sample: see SequenceObjective.track.
         """
         stretch = self._stretch_from(self._anchors[-1])
         if not stretch.n_steps:
@@ -182,14 +182,14 @@ class EpisodeWindow:
         return self._objective.track(theta, stretch)
 
     def innovation(self, theta: Vector, sample: Sample) -> Vector:
-        """Residual (D,) as a trigger asks for it, on the samples from the newest anchor to this one, the newest."""
+        """Return the residual (D,) for a trigger, on the samples from the newest anchor to this one, the newest."""
         return self.track(theta)
 
     def explain(self, theta: Vector, patient: bool = True) -> None:
-        """The window does not change in an episode."""
+        """Do nothing: the window does not change in an episode."""
 
     def keep(self, candidates: Iterable[Vector]) -> None:
-        """Nothing outlives an episode."""
+        """Do nothing: no residual outlives an episode."""
 
     def _freeze(self) -> None:
         if self._is_filling and len(self._recent) > self._max_length and self._objective.is_ready:
@@ -210,10 +210,10 @@ class EpisodeWindow:
 
 
 def _last_explained(squares: Vector, n_values: int) -> int | None:
-    """How many of the steps, whose sums of squared residuals (n,) are given, come before those not explained.
+    """Return the number of steps before those not explained, from each step's sum of squared residuals (n,).
 
-    The last place at which the cumulative sum of what exceeds an allowance was nil: Page (1954). None where that
-    was before the first step, or there is nothing after it.
+    The last step at which the cumulative sum of excesses over an allowance was zero: Page (1954). None where that is
+    before the first step, or where no step comes after it.
     """
     allowance = chi2_limit(_ALLOWANCE, n_values // len(squares))
     excess, last = 0.0, 0

@@ -1,4 +1,4 @@
-"""What happened in a run, for its record."""
+"""Events of a run, for its record."""
 
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 @dataclass(frozen=True)
 class Event:
-    """One thing that happened, for the record."""
+    """Event of a run, for its record."""
 
     t: float
     """Communication point [s]."""
@@ -15,6 +15,6 @@ class Event:
         "limit", "hold", "veto", "confirm", "revert", "stop", "guard",
         "observation", "sensor",
     ]  # fmt: skip
-    """What it was: the loop's, the guard's, the screen's of the samples."""
+    """Kind of event: of the loop, of the guard, or of the screening of the samples."""
     detail: dict[str, Any] = field(default_factory=dict[str, Any])
     """JSON values."""

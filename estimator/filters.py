@@ -1,4 +1,4 @@
-"""Recursive estimators, which take each sample once: adapters round filterpy's Kalman filters."""
+"""Recursive estimators, which process each sample once: adapters to filterpy's Kalman filters."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -55,13 +55,13 @@ class RecursiveLeastSquares:
         self.restart(start)
 
     def restart(self, start: Vector) -> None:
-        """Forget all samples."""
+        """Begin at theta (d,), with all samples forgotten."""
         self._z, self._information = self._space.to_unit(start), information(np.eye(len(self._space)))
         self._misfit, self._n_evaluations = np.inf, 0
         self._filter: KalmanFilter | None = None
 
     def solve(self, objective: Objective) -> None:
-        """Take the newest sample. Raises ValueError where the model's linear form is unknown."""
+        """Process the newest sample. Raises ValueError where the model's linear form is unknown."""
         linear = objective.linear
         if linear is None:
             raise ValueError("recursive least squares needs the model's linear form.")
@@ -75,7 +75,7 @@ class RecursiveLeastSquares:
         self._misfit = float(np.sum(objective.newest_residual(self._space.from_unit(self._z)) ** 2))
 
     def estimate(self) -> Estimate:
-        """The parameters of the present coefficients; cost: sum of squared residuals of the newest sample."""
+        """Return the parameters of the present coefficients; cost: sum of squared residuals of the newest sample."""
         return scaled_estimate(
             self._space, self._z, self._information.std(), self._settings.identifiable_below, self._information,
             cost=self._misfit, n_evaluations=self._n_evaluations, reason="recursive least squares",
@@ -104,7 +104,7 @@ class RecursiveLeastSquares:
 
 
 def _at_most(std: Vector, P: Vector) -> Vector:
-    """The covariance P (p, p) with no direction wider than at the start, where it was diag(std^2)."""
+    """Return the covariance P (p, p) with no direction wider than at the start, where it was diag(std^2)."""
     std = np.maximum(std, np.finfo(float).tiny)  # a coefficient that is constant over the bounds is known
     values, directions = np.linalg.eigh(P / std / std[:, None])
     return (directions * np.minimum(values, 1.0)) @ directions.T * std * std[:, None]
@@ -130,7 +130,7 @@ class UnscentedSettings:
 
 
 class UnscentedKalman:
-    """An unscented Kalman filter whose states are the parameters, as random walks in the unit cube.
+    """Unscented Kalman filter whose states are the parameters, as random walks in the unit cube.
 
     The measurement is the sampled derivative, or, the same, the whitened residual, which should be zero with unit
     variance. Julier and Uhlmann (2004); van der Merwe (2004).
@@ -145,17 +145,17 @@ class UnscentedKalman:
         self.restart(start)
 
     def restart(self, start: Vector) -> None:
-        """Forget all samples."""
+        """Begin at theta (d,), with all samples forgotten."""
         self._start, self._cost, self._n_evaluations = self._space.to_unit(start), np.inf, 0
         self._filter: UnscentedKalmanFilter | None = None
 
     def solve(self, objective: Objective) -> None:
-        """Take the newest sample. One at which the model has no value for a sigma point is left out."""
+        """Process the newest sample. One at which the model has no value for a sigma point is left out."""
         kalman = self._filter or self._begin(len(objective.newest_residual(self._space.from_unit(self._start))))
         self._filter = kalman
         kalman.predict()
         x, P = kalman.x.copy(), kalman.P.copy()
-        with np.errstate(all="ignore"):  # where sigma points reach places at which the model explodes
+        with np.errstate(all="ignore"):  # where the model overflows at a sigma point
             kalman.update(np.zeros(len(kalman.R)), hx=lambda z: objective.newest_residual(self._space.from_unit(z)))
         if not np.all(np.isfinite(kalman.x)):
             kalman.x, kalman.P = x, P
@@ -167,11 +167,11 @@ class UnscentedKalman:
         self._cost = cost if np.isfinite(cost) else np.inf
 
     def estimate(self) -> Estimate:
-        """Mean and covariance's diagonal; cost: the innovation squared of the newest sample."""
+        """Return the mean with the covariance's diagonal; cost: the squared innovation of the newest sample."""
         z = self._start if self._filter is None else self._filter.x
         P = np.eye(len(z)) if self._filter is None else self._filter.P
         std = np.minimum(np.sqrt(np.diag(P)), 1.0)
-        # Less than half of the start's: else what is known is what was assumed.
+        # Less than half of the start's: else the data have added nothing to the assumption.
         below = min(self._settings.identifiable_below, 0.5 * self._settings.spread)
         return scaled_estimate(
             self._space, z, std, below, information_of_covariance(P),

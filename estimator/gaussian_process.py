@@ -15,28 +15,28 @@ from .space import Vector
 NOISE: Final = 1e-8
 """Noise variance relative to the signal's. Residuals on fixed samples are exact functions of theta: this is jitter."""
 JITTER: Final = 1e-8
-"""What GPy's exact inference adds to the diagonal."""
+"""Term that GPy's exact inference adds to the diagonal."""
 _LOG_2PI: Final = float(np.log(2.0 * np.pi))
 _IMPOSSIBLE: Final = 1e10
-"""For a minimiser: the value where the covariance has no Cholesky factor."""
+"""Value returned to a minimiser where the covariance has no Cholesky factor."""
 
 _potrf, _potrs, _potri, _trtrs = get_lapack_funcs(("potrf", "potrs", "potri", "trtrs"), dtype=np.float64)
 
 
 def squared_differences(Z: Vector) -> Vector:
-    """(d, n, n), of the places Z (n, d) in each dimension."""
+    """Return the squared differences (d, n, n) of the places Z (n, d) in each dimension."""
     columns = np.ascontiguousarray(Z.T)
     return (columns[:, :, None] - columns[:, None, :]) ** 2
 
 
 def _scaled_squares(squares: Vector, inverse_squares: Vector) -> Vector:
-    """Sum over the dimensions of (d, n, n) squared differences, each by its lengthscale's square: (n, n)."""
+    """Return the sum (n, n) of squared differences (d, n, n), each divided by its lengthscale's square."""
     d, n, _ = squares.shape
     return (inverse_squares @ squares.reshape(d, n * n)).reshape(n, n)
 
 
 def _factor(K: Vector, noise: float) -> tuple[Vector, int]:
-    """Lower Cholesky factor of K + noise I, in the place of K, and LAPACK's info: 0 where there is one."""
+    """Return the lower Cholesky factor of K + noise I, written over K, and LAPACK's info: 0 where there is one."""
     K.reshape(-1)[:: len(K) + 1] += noise
     return _potrf(K.T, lower=1, overwrite_a=1)
 
@@ -47,8 +47,9 @@ def _factor(K: Vector, noise: float) -> tuple[Vector, int]:
 def negative_log_posterior(
     log_lengthscales: Vector, Y: Vector, squares: Vector, prior_mean: float, prior_std: float
 ) -> tuple[float, Vector]:
-    """Minus log likelihood of Y (n, k), each signal variance at its optimum, minus log prior; with its gradient (d,).
+    """Return minus log posterior of the lengthscales given Y (n, k), with its gradient (d,).
 
+    Minus log likelihood, each signal variance at its optimum, minus log prior.
     squares: (d, n, n) squared differences of the places. The log-normal prior is on the lengthscales.
     """
     n, k = Y.shape
@@ -70,7 +71,7 @@ def negative_log_posterior(
 
 
 def correlation(A: Vector, B: Vector, lengthscales: Vector) -> Vector:
-    """Squared-exponential correlation (n, m) of places A (n, d) and B (m, d)."""
+    """Return the squared-exponential correlation (n, m) of places A (n, d) and B (m, d)."""
     return np.exp(-0.5 * cdist(A / lengthscales, B / lengthscales, "sqeuclidean"))
 
 
@@ -87,17 +88,17 @@ class Posterior:
             self._cholesky, failed = _factor(C.copy(), noise)
         self._alpha, _ = _potrs(self._cholesky, Y, lower=1)
         self.variances = np.maximum(np.einsum("ij,ij->j", Y, self._alpha) / len(Z), np.finfo(float).tiny)
-        """q (k,), the signal variance of each output."""
+        """Signal variance q (k,) of each output."""
 
     def predict(self, Q: Vector) -> tuple[Vector, Vector]:
-        """Noiseless mean (m, k) and variance (m, k) at places Q (m, d)."""
+        """Return the noiseless mean (m, k) and variance (m, k) at places Q (m, d)."""
         C = correlation(Q, self._places, self._lengthscales)
         w, _ = _trtrs(self._cholesky, C.T, lower=1)
         unit = np.maximum(1.0 - np.einsum("ij,ij->j", w, w), 1e-12)
         return C @ self._alpha, unit[:, None] * self.variances
 
     def mean_and_jacobian(self, z: Vector) -> tuple[Vector, Vector]:
-        """Mean (k,) at z (d,) and its slope (k, d)."""
+        """Return the mean (k,) at z (d,) and its slope (k, d)."""
         scaled = (z - self._places) / self._lengthscales
         c = np.exp(-0.5 * np.einsum("ij,ij->i", scaled, scaled))
         return c @ self._alpha, -(c * self._alpha.T) @ (scaled / self._lengthscales)
@@ -107,7 +108,7 @@ class Posterior:
 
 
 def matern52(A: Vector, B: Vector, lengthscales: Vector) -> Vector:
-    """Correlation (n, m) of places A (n, d) and B (m, d): (1 + s + s^2/3) exp(-s), s = sqrt(5) r.
+    """Return the correlation (n, m) of places A (n, d) and B (m, d): (1 + s + s^2/3) exp(-s), s = sqrt(5) r.
 
     Rasmussen and Williams (2006), eq. 4.17.
     """
@@ -116,7 +117,7 @@ def matern52(A: Vector, B: Vector, lengthscales: Vector) -> Vector:
 
 
 def negative_log_likelihood(log_parameters: Vector, y: Vector, squares: Vector) -> tuple[float, Vector]:
-    """Minus log likelihood of y (n,), and its gradient (d + 2,).
+    """Return minus log likelihood of y (n,), and its gradient (d + 2,).
 
     log_parameters: logarithms of signal variance, noise variance and lengthscales, (d + 2,).
     squares: (d, n, n) squared differences of the places.
@@ -152,7 +153,7 @@ class MaternPosterior:
         self._alpha, _ = _potrs(self._cholesky, y, lower=1)
 
     def predict(self, Q: Vector) -> tuple[Vector, Vector]:
-        """Noiseless mean (m,) and variance (m,) at places Q (m, d)."""
+        """Return the noiseless mean (m,) and variance (m,) at places Q (m, d)."""
         K = self._variance * matern52(Q, self._places, self._lengthscales)
         w, _ = _trtrs(self._cholesky, K.T, lower=1)
         return K @ self._alpha, np.maximum(self._variance - np.einsum("ij,ij->j", w, w), 1e-16)

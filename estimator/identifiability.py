@@ -1,4 +1,4 @@
-"""Which directions of theta the data can see."""
+"""Identifiability: the directions of theta that the residuals depend on, and how much."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -13,7 +13,7 @@ IDENTIFIABLE_BELOW: Final = 0.05
 
 @dataclass(frozen=True)
 class Information:
-    """What the data say at one theta: J = d r/d z = U diag(s) V^T, with r in standard deviations of the noise.
+    """Sensitivity of the residuals at one theta: J = d r/d z = U diag(s) V^T, r in standard deviations of the noise.
 
     Along the direction V_i of the unit cube the data fix z with standard deviation 1/s_i (linearised).
     """
@@ -24,29 +24,29 @@ class Information:
     """Rows V_i (d, d)."""
 
     def significant(self, change: Vector, n_std: float) -> Vector:
-        """The directions (m, d), m <= d, in which change (d,) exceeds n_std standard deviations."""
+        """Return the directions (m, d), m <= d, in which change (d,) exceeds n_std standard deviations."""
         return self.directions[self.singular_values * np.abs(self.directions @ change) > n_std]
 
     def flat(self, std: float) -> Vector:
-        """The directions (m, d), m <= d, along which the data's standard deviation exceeds std."""
+        """Return the directions (m, d), m <= d, along which the data's standard deviation exceeds std."""
         return self.directions[self.singular_values * std < 1.0]
 
     def step(self, slope: Vector) -> Vector:
-        """Gauss-Newton step (d,) to the least sum of squares, where its half slope is J^T r (d,); none where J is nil.
+        """Return the Gauss-Newton step (d,) to the least sum of squares; slope (d,): J^T r. Zero where J is zero.
 
-        Directions that are seen 1e7 times less than the best are left out: rounding rules there.
+        Directions whose singular value is 1e7 times smaller than the largest are left out: rounding dominates there.
         """
         s = np.where(self.singular_values > 1e-7 * self.singular_values[0], self.singular_values, np.inf)
         return -self.directions.T @ (self.directions @ slope / (s * s))
 
     def std(self) -> Vector:
-        """Standard deviation of each z (d,), at most 1: the bounds are known whatever the data."""
+        """Return the standard deviation of each z (d,), at most 1: the bounds hold whatever the data."""
         variance = np.sum((self.directions / np.maximum(self.singular_values, 1e-12)[:, None]) ** 2, axis=0)
         return np.minimum(np.sqrt(variance), 1.0)
 
 
 def information(jacobian: Vector) -> Information:
-    """Information of residuals whose sensitivity to z is jacobian (D, d); D may be smaller than d."""
+    """Return the information of residuals whose sensitivity to z is jacobian (D, d); D may be smaller than d."""
     d = jacobian.shape[1]
     _, s, directions = np.linalg.svd(jacobian, full_matrices=True)
     singular_values = np.zeros(d)
@@ -55,6 +55,6 @@ def information(jacobian: Vector) -> Information:
 
 
 def information_of_covariance(P: Vector) -> Information:
-    """Information of an estimate whose covariance in the unit cube is P (d, d), symmetric: P = V^T diag(1/s^2) V."""
+    """Return the information of an estimate with covariance P (d, d) in the unit cube, P = V^T diag(1/s^2) V."""
     variances, directions = np.linalg.eigh(P)  # from small to large: s from large to small
     return Information(1.0 / np.sqrt(np.maximum(variances, 1e-24)), directions.T)

@@ -1,4 +1,4 @@
-"""What the data see of the parameters, and what not, in words."""
+"""Report, in words, of the parameters and directions that the data do not determine."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any, Final
@@ -10,33 +10,33 @@ from .identifiability import IDENTIFIABLE_BELOW, Information
 from .space import Parameter, ParameterSpace, Vector
 
 _PART: Final = 0.3
-"""Share of a direction from which a parameter counts as part of it."""
+"""Component of a unit direction above which a parameter counts as part of it."""
 _SAME: Final = 1.1
 """Factor within which two exponents count as equal."""
 _MOVE: Final = 0.01
-"""Of the scaled bounds: the move that is told where neither product nor ratio describes it."""
+"""Length of the reported move, of the scaled bounds, where neither product nor ratio describes the direction."""
 _ALIKE: Final = 0.95
-"""Correlation of two errors that is worth a word."""
+"""Correlation of two errors from which it is reported."""
 
 
 def findings(
     information: Information, space: ParameterSpace, theta: Vector, identifiable_below: float = IDENTIFIABLE_BELOW
 ) -> list[str]:
-    """A sentence each on parameters at a bound, and on directions of the unit cube that the data do not fix at theta.
+    """Return a sentence for each parameter at a bound, and each direction of the unit cube not determined at theta.
 
     A direction is flat where its standard deviation exceeds identifiable_below, a share of the scaled bounds. On log
     scales its components are exponents: along it theta_j goes as lambda^(w_j V_ij), w_j the width of the log bounds,
-    and what the data fix of two parameters is the product of powers that stays constant.
+    and what the data determine of two parameters is the product of powers that stays constant.
     """
     parameters = list(space)
-    told = list(_at_bounds(space, theta))
+    sentences = list(_at_bounds(space, theta))
     groups = _together(_sparse(information.flat(identifiable_below)))
-    told += [_flat(parameters, space, theta, group) for group in groups]
+    sentences += [_flat(parameters, space, theta, group) for group in groups]
     named = {int(j) for group in groups for direction in group for j in _parts(direction)}
     for j, (p, std) in enumerate(zip(parameters, information.std(), strict=True)):
         if std > identifiable_below and j not in named:
-            told.append(f"{p.name} is known to {100.0 * std:.2g} % of its scaled bounds only: excite it more.")
-    return told if groups else [*told, *_alike(information, space)]
+            sentences.append(f"{p.name} is known to {100.0 * std:.2g} % of its scaled bounds only: excite it more.")
+    return sentences if groups else [*sentences, *_alike(information, space)]
 
 
 def _at_bounds(space: ParameterSpace, theta: Vector) -> Iterator[str]:
@@ -48,9 +48,9 @@ def _at_bounds(space: ParameterSpace, theta: Vector) -> Iterator[str]:
 
 
 def _sparse(directions: Vector) -> list[Vector]:
-    """Another basis of what the rows (m, d) span, each of few parameters: reduced row echelon, columns pivoted.
+    """Return another basis of the rows' span (m, d), each of few parameters: reduced row echelon, columns pivoted.
 
-    Singular vectors of like singular values are any mixture of what can be told apart.
+    Singular vectors of equal singular values are an arbitrary rotation of one another.
     """
     m = len(directions)
     if not m:
@@ -67,7 +67,7 @@ def _parts(direction: Vector) -> list[int]:
 
 
 def _together(directions: Sequence[Vector]) -> list[list[Vector]]:
-    """The directions in groups that share no parameter."""
+    """Return the directions in groups that share no parameter."""
     groups: list[list[Vector]] = []
     for direction in directions:
         mine = set(_parts(direction))
@@ -78,7 +78,7 @@ def _together(directions: Sequence[Vector]) -> list[list[Vector]]:
 
 
 def _flat(parameters: Sequence[Parameter], space: ParameterSpace, theta: Vector, group: Sequence[Vector]) -> str:
-    """A group of directions that the data do not fix, in words."""
+    """Return a sentence on a group of directions that the data do not determine."""
     members = sorted({j for direction in group for j in _parts(direction)})
     *most, last = (parameters[j].name for j in members)
     if not most:
@@ -98,7 +98,7 @@ def _flat(parameters: Sequence[Parameter], space: ParameterSpace, theta: Vector,
 
 
 def _of_two(parameters: Sequence[Parameter], members: Sequence[int], exponents: Vector) -> str:
-    """Which product of powers of two parameters on log scales is seen: constant along theta_j ~ lambda^exponent_j."""
+    """Return, in words, the product of powers of two log-scaled parameters that is constant along the direction."""
     a, b = exponents
     if 1.0 / _SAME < -a / b < _SAME:
         return "their product is seen, their ratio is not"
@@ -110,7 +110,7 @@ def _of_two(parameters: Sequence[Parameter], members: Sequence[int], exponents: 
 
 
 def _move(parameter: Parameter, value: float, slope: float) -> str:
-    """A small move of one parameter: in percent on a log scale, else in its unit."""
+    """Return the text of a small move of one parameter: in percent on a log scale, else in its unit."""
     if parameter.scale == "log":
         return f"{parameter.name} {100.0 * _MOVE * slope / value:+.2g} %"
     return f"{parameter.name} {_with_unit(_MOVE * slope, parameter.unit, '+.2g')}"
@@ -121,7 +121,7 @@ def _with_unit(value: float, unit: str, form: str = "g") -> str:
 
 
 def _alike(information: Information, space: ParameterSpace) -> Iterator[str]:
-    """Pairs whose errors are nearly one: fixed, but each only as well as the other."""
+    """Yield a sentence for each pair of parameters whose errors are strongly correlated."""
     s = np.maximum(information.singular_values, 1e-12)
     covariance = (information.directions.T / s**2) @ information.directions
     deviation = np.sqrt(np.maximum(covariance.diagonal(), 1e-300))

@@ -12,26 +12,26 @@ from .target import TargetSettings, TargetVector
 
 @dataclass(frozen=True)
 class Method:
-    """An estimator, its settings, and how it is usually run."""
+    """Estimator with its settings and its usual configuration."""
 
     estimator: type[Any]
     """Class, called with (space, start, rng, settings)."""
     settings: type[Any]
     """Frozen dataclass of its settings."""
     like: str | None = None
-    """The method whose settings it takes where it has no own."""
+    """Name of the method whose settings it takes where it has none of its own."""
     defaults: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    """What it sets otherwise than its settings' class, or than the loop: `trigger`, `window`, ..."""
+    """Values that differ from the defaults of its settings' class or of the loop: `trigger`, `window`, ..."""
     needs_linear_form: bool = False
-    """Whether it works only where the model's linear form is known."""
+    """True where it works only with a model whose linear form is known."""
     needs_derivatives: bool = False
-    """Whether it takes each sample once, and so its derivatives."""
+    """True where it processes each sample once, and so needs its derivatives."""
     needs_package: str | None = None
     """Package that it imports beside NumPy, SciPy and GPy."""
 
     @property
     def setting_names(self) -> tuple[str, ...]:
-        """What a scenario may set."""
+        """Names of the settings that a scenario may set."""
         return tuple(f.name for f in fields(self.settings))
 
 
@@ -58,9 +58,9 @@ FORMER_METHODS: dict[str, Method] = {
     f"{name}-wide-step": replace(METHODS[name], like=name, defaults={"difference_step": 0.05})
     for name in ("ipm", "ipm-scipy", "sqp")
 }
-"""Names that were estimators of their own, and are now another, `like`, with settings, `defaults`."""
+"""Former names of estimators, each now the method `like` with the settings `defaults`."""
 
 
 def method_named(name: str) -> Method:
-    """The estimator that has that name, or had it once. Raises KeyError."""
+    """Return the method with that present or former name. Raises KeyError."""
     return FORMER_METHODS[name] if name in FORMER_METHODS else METHODS[name]

@@ -1,4 +1,4 @@
-"""Samples as a function of the parameters: what the loop needs of a window, and what a solver gets."""
+"""Residuals of the samples as a function of the parameters: the loop's `Window` and the solver's `Objective`."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -12,23 +12,23 @@ from .sliding_window import ResidualWindow
 from .space import ParameterSpace, Vector
 
 DIFFERENCE_STEP: Final = 1e-3
-"""Of the unit cube, for differences of simulated outputs, which an integrator with error control makes ragged."""
+"""Finite-difference step in the unit cube for simulated outputs, which an integrator with error control makes rough."""
 
 
 class Window(Protocol):
-    """The samples that candidates are judged on: a ResidualWindow, which slides, or an EpisodeWindow, which waits."""
+    """Samples on which candidates are evaluated: a ResidualWindow, which slides, or an EpisodeWindow, which waits."""
 
     n_model_calls: int
-    """Samples at which a candidate was judged."""
+    """Number of samples at which a candidate was evaluated."""
 
     @property
     def is_rescoring_cheap(self) -> bool:
-        """Whether candidates that were judged before may be judged anew at every sample."""
+        """True where earlier candidates may be evaluated again at every sample."""
         ...
 
     @property
     def is_ready(self) -> bool:
-        """Whether candidates can be judged in an episode that has begun."""
+        """True where candidates can be evaluated in an episode that has begun."""
         ...
 
     @property
@@ -45,22 +45,22 @@ class Window(Protocol):
 
 @dataclass(frozen=True)
 class LinearForm:
-    """A model written as rows psi(theta) = targets, linear in coefficients psi where it is not in theta."""
+    """Model written as rows psi(theta) = targets, linear in the coefficients psi though not in theta."""
 
     space: ParameterSpace
-    """Names the parameters that `coefficients_of` is called with."""
+    """Parameters that `coefficients_of` is called with, by name."""
     rows_of: Callable[..., tuple[Sequence[Sequence[float]], Sequence[float]]]
     """(rows (r, p), targets (r,)) = rows_of(x, u, xdot): state (n,), held input, sampled derivatives (c,)."""
     coefficients_of: Callable[..., Sequence[float]]
     """psi (p,) = coefficients_of(**theta)."""
 
     def rows(self, sample: Sample) -> tuple[Vector, Vector]:
-        """Rows (r, p) and targets (r,) of one sample."""
+        """Return the rows (r, p) and targets (r,) of one sample."""
         rows, targets = self.rows_of(sample.x, sample.u, sample.xdot)
         return np.array(rows, dtype=float), np.array(targets, dtype=float)
 
     def coefficients(self, theta: Vector) -> Vector:
-        """psi (p,) at theta (d,)."""
+        """Return the coefficients psi (p,) at theta (d,)."""
         return np.array(self.coefficients_of(**self.space.named(theta)), dtype=float)
 
 
@@ -73,9 +73,9 @@ class Objective:
         self.linear = linear
         """The model's linear form, where it has one and the scenario names it."""
         self.n_evaluations = 0
-        """Candidates evaluated through this objective."""
+        """Number of candidates evaluated through this objective."""
         self.max_evaluations = max_evaluations
-        """Candidates that may be."""
+        """Largest allowed number of evaluations."""
 
     @property
     def newest(self) -> Sample:
@@ -84,30 +84,33 @@ class Objective:
 
     @property
     def difference_step(self) -> float | None:
-        """For gradients, of the unit cube; None where residuals are smooth and cheap: a solver's own will do."""
+        """Step for gradients in the unit cube; None where residuals are smooth and cheap: the solver's own will do."""
         return None if self._window.is_rescoring_cheap else DIFFERENCE_STEP
 
     @property
     def is_spent(self) -> bool:
-        """Whether no candidate more is evaluated."""
+        """True where the evaluations are used up."""
         return self.n_evaluations >= self.max_evaluations
 
     def residual(self, theta: Vector) -> Vector:
-        """Residual (D,) over the window; NaN where the model has no value."""
+        """Return the residual (D,) over the window; NaN where the model has no value."""
         if self.is_spent:
             return np.array([np.nan])
         self.n_evaluations += 1
         return self._window.residual(theta)
 
     def residuals(self, thetas: Sequence[Vector]) -> Sequence[Vector]:
-        """The residual (D,) of each theta, several at a time where that is faster."""
+        """Return the residual (D,) of each theta, several evaluated at a time where that is faster."""
         if self._window.is_rescoring_cheap or self.n_evaluations + len(thetas) > self.max_evaluations:
             return [self.residual(theta) for theta in thetas]
         self.n_evaluations += len(thetas)
         return list(self._window.residuals(thetas))
 
     def newest_residual(self, theta: Vector) -> Vector:
-        """Residual (c,) at the newest sample; NaN where the model has no value. Raises ValueError where it has none."""
+        """Return the residual (c,) at the newest sample; NaN where the model has no value.
+
+        Raises ValueError where the window has no residual of a single sample.
+        """
         if not isinstance(self._window, ResidualWindow):
             raise ValueError("only derivatives give a residual at one sample.")
         self.n_evaluations += 1

@@ -1,5 +1,7 @@
-"""The offline fit of parameters to residuals: an estimator's search, Gauss-Newton steps to the bottom, and what the
-data say of each parameter there. Knows nothing of logs and FMUs."""
+"""Offline fit of parameters to residuals: an estimator's search, then Gauss-Newton steps to the minimum.
+
+Returns the standard deviation of each parameter there too. Independent of logs and FMUs.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -16,15 +18,15 @@ from .space import ParameterSpace, Vector
 OFFLINE: Final = ("target", "least-squares", "multi-start")
 """Methods for a whole log: those that take residual vectors in standard deviations."""
 _UNSEEN: Final = 0.3
-"""Standard deviation, as a share of the cube, along a direction in which the data say nothing."""
+"""Standard deviation, as a share of the cube, above which the data do not determine a direction."""
 _EXPLAINED: Final = 2.0
-"""Root mean square residual [standard deviations of the noise] below which no better place is looked for."""
+"""Root mean square residual [standard deviations of the noise] below which the search is not started again."""
 _ROUNDS: Final = 8
-"""Most Gauss-Newton steps."""
+"""Largest number of Gauss-Newton steps."""
 _DAMPINGS: Final = (1e-2, 1e2, 1e4, 1e6)
-"""Of Gauss-Newton steps that are tried at once, in variances of the misfit."""
+"""Dampings of the Gauss-Newton steps tried together, in variances of the misfit."""
 FitProgress = Callable[[int, float], None]
-"""Called with the evaluations so far and the least sum of squares."""
+"""Function called with the evaluations so far and the least sum of squares."""
 
 
 class Residual(Protocol):
@@ -37,42 +39,44 @@ class Residual(Protocol):
 
 
 class NoFitError(RuntimeError):
-    """No candidate could be evaluated."""
+    """Raised when no candidate could be evaluated."""
 
 
 @dataclass(frozen=True)
 class Fit:
-    """Values of the parameters, and how well the residuals fix them."""
+    """Fitted values of the parameters, with their standard deviations."""
 
     theta: Vector
-    """(d,), in each parameter's unit."""
+    """Values (d,), in each parameter's unit."""
     std: Vector
     """Standard deviations (d,), s^2 (J^T J)^-1; as wide as the bounds where the data say nothing."""
     misfit: float
     """s: root mean square residual, D - d degrees of freedom, in standard deviations of the noise."""
     autocorrelation: float
-    """Of the residuals, from one row to the next."""
+    """Correlation of the residuals from one row to the next."""
     information: Information
-    """Of the unit cube, the noise being that of the misfit."""
+    """Sensitivity in the unit cube, in standard deviations of the misfit."""
     place: Vector
-    """theta in the unit cube (d,)."""
+    """Place of theta in the unit cube (d,)."""
 
     @property
     def is_identifiable(self) -> tuple[bool, ...]:
-        """Whether the data fix each parameter (d,)."""
+        """True where the data determine the parameter (d,)."""
         return tuple(bool(s <= IDENTIFIABLE_BELOW) for s in self.information.std())
 
     @property
     def inflation(self) -> float:
-        """By how much correlated residuals widen the standard deviations, for a first-order process:
-        sqrt((1 + a)/(1 - a)), Bartlett (1946)."""
+        """Factor by which correlated residuals widen the standard deviations, sqrt((1 + a)/(1 - a)).
+
+        For a first-order process: Bartlett (1946).
+        """
         a = min(max(self.autocorrelation, 0.0), 0.999)
         return float(np.sqrt((1.0 + a) / (1.0 - a)))
 
 
 @dataclass(frozen=True)
 class _State:
-    """A place, and the residuals there."""
+    """Place in the unit cube, and the residuals there."""
 
     z: Vector
     r: Vector
@@ -91,13 +95,13 @@ def fit(
     rng: np.random.Generator | None = None,
     progress: FitProgress = lambda n, cost: None,
 ) -> Fit:
-    """The parameters that explain the data best.
+    """Return the parameters that explain the data best.
 
-    A third of the evaluations, at most ten a parameter, look at places all over the bounds; the estimator goes on from
-    the best, and where it comes to rest with residuals of twice the noise or more, anew from the next best.
-    Gauss-Newton steps with central differences, not counted in n_evaluations, end at the bottom. Directions in which
-    the data say nothing go back to nominal (d,) where that costs less than a standard deviation.
-    Raises NoFitError where none of the places all over the bounds can be evaluated.
+    A third of the evaluations, at most ten a parameter, are spread over the bounds; the estimator continues from the
+    best, and where it stops with residuals of twice the noise or more, it starts again from the next best.
+    Gauss-Newton steps with central differences, not counted in n_evaluations, lead to the minimum. Directions that
+    the data do not determine go back to nominal (d,) where that costs less than a standard deviation.
+    Raises NoFitError where none of the places spread over the bounds can be evaluated.
     """
     rng = rng or np.random.default_rng(0)
     seen = _Best(residual, space, progress)
@@ -144,7 +148,7 @@ class _Best:
         return self._residual.n_evaluations
 
     def many(self, places: Sequence[Vector]) -> list[_State]:
-        """States at places (d,)."""
+        """Return the states at places (d,)."""
         residuals = self._residual.many([self._space.from_unit(z) for z in places])
         states = [_State(np.asarray(z, dtype=float), r) for z, r in zip(places, residuals, strict=True)]
         for state in states:
@@ -154,20 +158,20 @@ class _Best:
         return states
 
     def at(self, theta: Vector) -> _State:
-        """State at theta (d,)."""
+        """Return the state at theta (d,)."""
         return self.many([self._space.to_unit(theta)])[0]
 
     def residual(self, theta: Vector) -> Vector:
-        """Residual (D,) at theta (d,), for solvers."""
+        """Return the residual (D,) at theta (d,), for solvers."""
         return self.at(theta).r
 
     def residuals(self, thetas: Sequence[Vector]) -> list[Vector]:
-        """The residual (D,) at each theta (d,)."""
+        """Return the residual (D,) at each theta (d,)."""
         return [self.residual(theta) for theta in thetas]
 
 
 def _search(seen: _Best, z: Vector, method: str, space: ParameterSpace, n_evaluations: int, rng: Any) -> None:
-    """Let the estimator of that name go on from z (d,) while it gets better and evaluations are left."""
+    """Run the estimator of that name from z (d,) while it improves and evaluations are left."""
     known = METHODS[method]
     settings = known.settings()
     if method != "target":
@@ -186,7 +190,7 @@ def _search(seen: _Best, z: Vector, method: str, space: ParameterSpace, n_evalua
 
 
 def _descend(seen: _Best, d: int) -> tuple[_State, float, Vector]:
-    """The bottom near the best place, the misfit there, and the Jacobian (D, d) in the unit cube.
+    """Return the minimum near the best place, the misfit there, and the Jacobian (D, d) in the unit cube.
 
     Of several dampings the best is taken: Levenberg (1944), Marquardt (1963). Differences are
     taken over about the standard deviation that each parameter alone would have.
@@ -214,7 +218,7 @@ def _descend(seen: _Best, d: int) -> tuple[_State, float, Vector]:
 
 
 def _trials(seen: _Best, state: _State, jacobian: Vector, misfit: float) -> list[_State]:
-    """States after steps of different damping, in the parameters that no bound stops."""
+    """Return the states after steps of different damping, in the parameters that no bound stops."""
     slope = jacobian.T @ state.r
     is_free = ~(((state.z <= 0.0) & (slope > 0.0)) | ((state.z >= 1.0) & (slope < 0.0)))
     trials: list[Vector] = []
@@ -228,7 +232,7 @@ def _trials(seen: _Best, state: _State, jacobian: Vector, misfit: float) -> list
 
 
 def _jacobian(seen: _Best, state: _State, steps: Vector) -> Vector:
-    """d r / d z (D, d) by central differences, one-sided at a bound or beside a place that fails."""
+    """Return d r / d z (D, d) by central differences, one-sided at a bound or beside a place that fails."""
     offsets = np.diag(steps)
     sides = seen.many(list(np.clip(np.vstack([state.z + offsets, state.z - offsets]), 0.0, 1.0)))
     columns: list[Vector] = []
@@ -240,7 +244,7 @@ def _jacobian(seen: _Best, state: _State, steps: Vector) -> Vector:
 
 
 def _steps(jacobian: Vector, misfit: float) -> Vector:
-    """Differences (d,) over which the residuals change by about the misfit: linear there, and above rounding."""
+    """Return differences (d,) that change the residuals by about the misfit: still linear, and above rounding."""
     return np.clip(misfit / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300), 1e-6, 1e-2)
 
 
@@ -249,12 +253,12 @@ def _misfit(state: _State, d: int) -> float:
 
 
 def _information(jacobian: Vector, misfit: float) -> Information:
-    """DataSupport, from the Jacobian's triangular factor: the long one's left singular vectors are square."""
+    """Return the information from the Jacobian's triangular factor: its own left singular vectors would be (D, D)."""
     return information(np.linalg.qr(jacobian).R / misfit)
 
 
 def _held(seen: _Best, state: _State, seen_by_data: Information, nominal: Vector, misfit: float) -> _State:
-    """The state with the directions that are not seen put back where they were, if that costs next to nothing."""
+    """Return the state with undetermined directions back at nominal, if that costs less than a standard deviation."""
     flat = seen_by_data.directions[seen_by_data.singular_values < 1.0 / _UNSEEN]
     if not len(flat):
         return state

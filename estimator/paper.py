@@ -1,4 +1,4 @@
-"""The paper's estimator: Bayesian optimisation of one noisy norm. Kept faithful, as the comparison."""
+"""Bayesian optimisation of one noisy norm: the paper's estimator, kept as published, for comparison."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -24,11 +24,11 @@ class PaperSettings:
     acquisition: Acquisition = "ei"
     """Expected improvement, probability of improvement or lower confidence bound."""
     n_initial: int = 5
-    """Random candidates that begin an episode."""
+    """Number of random candidates that begin an episode."""
     n_pool: int = 512
-    """Candidates among which the acquisition is maximised."""
+    """Number of candidates among which the acquisition is maximised."""
     refits: Literal["always", "seldom"] = "always"
-    """Whether the surrogate's hyperparameters are refitted at every evaluation, or on a schedule."""
+    """Refits of the surrogate's hyperparameters: at every evaluation, or on a schedule."""
 
     def __post_init__(self) -> None:
         if self.noise < 0.0:
@@ -38,9 +38,10 @@ class PaperSettings:
 
 
 class PaperBO:
-    """One GP (Matern-5/2, a lengthscale a dimension) for |residual| + noise, refitted at every evaluation.
+    """Bayesian optimisation with one GP (Matern-5/2, a lengthscale a dimension) for |residual| + noise.
 
-    Each episode starts from nothing, and what was told stays as it was told, whatever the plant does meanwhile.
+    The GP is refitted at every evaluation. Each episode starts without data, and recorded norms are never updated,
+    even when the plant changes meanwhile.
     Khan and Chatterjee (2020), algorithm 1. Residuals are in physical units.
     """
 
@@ -55,7 +56,7 @@ class PaperBO:
         self.restart(start)
 
     def restart(self, start: Vector) -> None:
-        """Begin an episode from nothing. The paper does not use the start."""
+        """Begin an episode without data. The paper does not use the start."""
         d = len(self._space)
         self._queue = list(self._rng.random((self._settings.n_initial, d)))
         self._places, self._norms = np.empty((0, d)), np.empty(0)
@@ -64,7 +65,7 @@ class PaperBO:
         self._surrogate.forget()
 
     def ask(self) -> Vector:
-        """The random design first, then the maximiser of the acquisition function."""
+        """Return the next candidate: of the random design first, then the maximiser of the acquisition function."""
         if self._queue or not len(self._places):
             return self._space.from_unit(self._queue.pop(0) if self._queue else self._rng.random(len(self._space)))
         posterior = self._posterior()
@@ -78,7 +79,7 @@ class PaperBO:
         return self._space.from_unit(pool[int(np.argmax(self._score(mean, variance, weights)))])
 
     def tell(self, theta: Vector, residual: Vector) -> None:
-        """The residual (D,) of a candidate: its norm is stored, with noise. A non-finite one is left out."""
+        """Record the norm of a candidate's residual (D,), with noise. A non-finite one is left out."""
         self._n_evaluations += 1
         norm = float(np.linalg.norm(residual)) + self._settings.noise * float(self._rng.standard_normal())
         if np.isfinite(norm):
@@ -86,7 +87,7 @@ class PaperBO:
             self._norms = np.append(self._norms, norm)
 
     def estimate(self) -> Estimate:
-        """The candidate of least noisy norm; its spread is that of the places that may be better."""
+        """Return the candidate of least noisy norm; its std is the spread of the places that may be better."""
         if not len(self._places):
             raise NoEstimateError("no candidate has succeeded yet: tell the residual of one first.")
         best = int(np.argmin(self._norms))
@@ -101,7 +102,7 @@ class PaperBO:
         )
 
     def _posterior(self) -> ScalarPosterior:
-        """Of what has been told; the hyperparameters are refitted always and from their start, or seldom."""
+        """Return the GP of the recorded norms, its hyperparameters refitted always and from their start, or seldom."""
         if self._settings.refits == "always":
             self._surrogate.forget()
             self._surrogate.fit(self._places, self._norms, max_iterations=50)
@@ -120,7 +121,7 @@ class PaperBO:
 
 
 def _weighted_std(places: Vector, weights: Vector) -> Vector:
-    """Standard deviation (d,) of places (n, d) under weights (n,); one, the whole cube, where all vanish."""
+    """Return the standard deviation (d,) of places (n, d) under weights (n,); one, the whole cube, where all vanish."""
     total = float(np.sum(weights))
     if total <= 0.0:
         return np.ones(places.shape[1])

@@ -1,7 +1,7 @@
-"""The re-tuning loop: idle until triggered, then an episode of evaluations that ends in new parameters.
+"""Re-tuning loop: idle until triggered, then an episode of evaluations that ends in new parameters.
 
-Khan and Chatterjee (2020), section III-C and algorithm 1. It knows no FMU and holds no parameters of the controller:
-what is held is an argument, what should be written is returned.
+Khan and Chatterjee (2020), section III-C and algorithm 1. It uses no FMU and stores no parameters of the
+controller: those in force are an argument, those to be written are returned.
 """
 
 import math
@@ -25,35 +25,35 @@ from .triggers import AlwaysTrigger, Trigger
 
 @dataclass(frozen=True)
 class Proposal:
-    """What one communication point led the retuner to."""
+    """Result of one communication point: parameters to write, and the events that led to them."""
 
     theta: Vector | None = None
-    """Parameters (d,) that the controller should get; None to leave what it holds."""
+    """Parameters (d,) to write to the controller; None to leave those in force."""
     estimate: Estimate | None = None
-    """The estimate behind it."""
+    """Estimate on which it is based."""
     events: tuple[Event, ...] = ()
-    """Trigger, candidates, end, in order."""
+    """Events in order: trigger, candidates, end."""
     latencies: tuple[float, ...] = ()
-    """Wall time of each evaluation [s]: ask, score, tell, any refit; the first and the last carry what is done once."""
+    """Wall time of each evaluation [s]: ask, score, tell, any refit; first and last include what is done once."""
     is_candidate: bool = False
-    """Whether theta is a candidate that is tried out, not the estimate."""
+    """True where theta is a candidate that is tried out, not the estimate."""
 
 
 @dataclass(frozen=True)
 class Budget:
-    """How much is evaluated, and what of it reaches the controller. Counts, never the clock."""
+    """Number of evaluations, and choice of the parameters written to the controller. Counts, never wall time."""
 
     evaluations: float = 30
-    """N, evaluations an episode; infinite where one episode lasts the run."""
+    """Number N of evaluations an episode; infinite where one episode lasts the run."""
     evaluations_per_step: int = 1
-    """Evaluations a macro step; a solver's one solve counts as so many, so that all episodes last as long."""
+    """Number of evaluations a macro step; a solver's one solve counts as so many, so that all episodes last as long."""
     commit: Literal["incumbent", "candidate"] = "incumbent"
-    """Whether the best so far or each candidate is written."""
+    """Parameters that are written: the best so far, or each candidate."""
 
 
 @dataclass(frozen=True)
 class RetunerSnapshot:
-    """What a retuner knew before a sample that may be an outlier."""
+    """State of a retuner before a sample that may be an outlier."""
 
     window: ResidualWindow
     remaining: float
@@ -62,7 +62,7 @@ class RetunerSnapshot:
 
 
 class Retuner:
-    """Watches samples, and in an episode evaluates candidates and proposes the best so far.
+    """Loop that monitors samples, and in an episode evaluates candidates and proposes the best so far.
 
     One call a communication point: `proposal = retuner.step(t, sample, tracking_error, held)`.
     """
@@ -92,8 +92,8 @@ class Retuner:
     def step(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
         """Take one communication point's sample, where there is one; return what to write, and why.
 
-        held (d,): what the controller holds. A filter gives a sample every so many points, of a time before t: a search
-        goes on between them.
+        held (d,): the controller's parameters. A filter gives a sample only every few points, of a time before t: a
+        search continues between them.
         """
         begun = perf_counter()
         if sample is not None:
@@ -109,7 +109,7 @@ class Retuner:
             on = {} if samples is None else {"samples": samples}
             events.append(Event(t, "trigger", {"reason": reason, "episode": self.n_episodes, **on}))
         elif sample is not None and self._estimator.is_whitened and self._believed is not None:
-            self._window.explain(self._believed)  # before the evaluations, which a past that misleads would spoil
+            self._window.explain(self._believed)  # before the evaluations, which outdated samples would bias
         if not self._window.is_ready:
             return Proposal(events=tuple(events))
         latencies: list[float] = []
@@ -134,15 +134,15 @@ class Retuner:
         return Proposal(theta, estimate, tuple(events), tuple(latencies), is_candidate)
 
     def snapshot(self) -> RetunerSnapshot | None:
-        """Return what `restore` needs to go back to now; None where an episode's own window cannot go back."""
+        """Return the snapshot that `restore` needs; None where the window, an episode's own, cannot be restored."""
         if not isinstance(self._window, ResidualWindow):
             return None
         return RetunerSnapshot(self._window.copy(), self._remaining, self._believed, deepcopy(self._solver))
 
     def restore(self, snapshot: RetunerSnapshot, held: Vector) -> None:
-        """Go back to a snapshot, which is used up; held (d,): what the controller held then.
+        """Go back to a snapshot, which is used up; held (d,): the controller's parameters then.
 
-        What was evaluated since stays counted.
+        Evaluations made since stay counted.
         """
         snapshot.window.n_model_calls = self._window.n_model_calls
         self._window, self._remaining, self._believed = snapshot.window, snapshot.remaining, snapshot.believed
@@ -153,11 +153,11 @@ class Retuner:
 
     @property
     def n_model_calls(self) -> int:
-        """Samples at which a candidate was scored, re-scoring included."""
+        """Number of samples at which a candidate was evaluated, re-scoring included."""
         return self._window.n_model_calls
 
     def _estimate(self) -> Estimate | None:
-        """The present estimate; None before any candidate has succeeded."""
+        """Return the present estimate; None before any candidate has succeeded."""
         try:
             estimate = self._estimator.estimate()
         except NoEstimateError:
@@ -168,12 +168,12 @@ class Retuner:
         return estimate
 
     def _begin(self, held: Vector) -> str | None:
-        """Begin an episode; on which samples, where that is not simply the newest ones."""
+        """Begin an episode; return on which samples, in words, or None for simply the newest ones."""
         self.n_episodes += 1
         self._remaining = self._budget.evaluations
         self._estimator.restart(held)
         if self._rescoring is not None and not self._window.is_rescoring_cheap:
-            # Their residuals belong to other samples: as failures they are forgotten.
+            # Their residuals belong to other samples: marked as failures, they are dropped.
             self._rescoring.rescore(np.full((len(self._rescoring.candidates), 1), np.nan))
         samples = self._window.begin(held)
         self._believed = held
@@ -182,7 +182,7 @@ class Retuner:
         return samples
 
     def _evaluate(self, held: Vector) -> Iterator[tuple[Vector, float, float]]:
-        """Evaluate this step's candidates: (theta, |residual|^2, wall time [s]) of each."""
+        """Evaluate this step's candidates: yield (theta, |residual|^2, wall time [s]) of each."""
         if self._solver is not None:
             return self._solve(self._solver)
         return self._search(cast(AskTell, self._estimator), held)
@@ -237,10 +237,10 @@ def make_retuner(
     linear: LinearForm | None = None,
     text: str = "",
 ) -> Retuner:
-    """Return the loop round an estimator that is given derivatives, on windows of at most max_length samples.
+    """Return the loop for an estimator that works with derivatives, on windows of at most max_length samples.
 
-    whitened: the residual in standard deviations of its noise; an estimator that wants physical units gets those.
-    text: what it is, for the report.
+    whitened: the residual in standard deviations of its noise; an estimator in physical units gets those.
+    text: description of the residual, for the report.
     """
     residual = whitened if estimator.is_whitened else replace(whitened, noise=(1.0,) * len(whitened.noise))
     window = ResidualWindow(residual, len(whitened.noise), max_length)

@@ -28,7 +28,7 @@ class Sample:
 
 
 class RememberingModel:
-    """A model that computes the newest sample's derivatives once for each parameters, whoever asks for them."""
+    """Model that computes the newest sample's derivatives once for each theta, however many callers it has."""
 
     def __init__(self, model: Model) -> None:
         """model: a pure function."""
@@ -37,7 +37,7 @@ class RememberingModel:
         self._known: dict[tuple[float, ...], Sequence[float]] = {}
 
     def __call__(self, x: Sequence[float], u: Sequence[float], **parameters: float) -> Sequence[float]:
-        """The model's xdot (n,); what it raises passes through."""
+        """Return the model's xdot (n,). Exceptions of the model pass through."""
         newest = self._newest
         if newest is None or x is not newest.x or u is not newest.u:
             return self._model(x, u, **parameters)
@@ -48,7 +48,7 @@ class RememberingModel:
         return xdot
 
     def remember(self, sample: Sample) -> None:
-        """From here on this is the newest sample."""
+        """Set the newest sample; earlier derivatives are forgotten."""
         self._newest = sample
         self._known.clear()
 
@@ -61,16 +61,16 @@ class DerivativeResidual:
     """
 
     model: Model
-    """f(x, u, **theta)."""
+    """Function f(x, u, **theta)."""
     space: ParameterSpace
-    """Names the parameters that the model is called with."""
+    """Parameters that the model is called with, by name."""
     channels: tuple[int, ...]
     """Places in xdot of the sampled derivatives (c,)."""
     noise: tuple[float, ...]
     """sigma (c,), the standard deviation of each sampled derivative; ones leave the residual in physical units."""
 
     def __call__(self, theta: Vector, sample: Sample) -> Vector:
-        """r (c,) of one sample; NaN where the model has no value there. Other exceptions of the model pass through."""
+        """Return r (c,) of one sample; NaN where the model has no value. Other exceptions of the model pass through."""
         try:
             modelled = self.model(sample.x, sample.u, **self.space.named(theta))
         except (ArithmeticError, ValueError):  # math.sqrt(-1.0) raises the latter

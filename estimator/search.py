@@ -1,4 +1,4 @@
-"""What target-vector search is made of: pure functions of residuals and posteriors."""
+"""Parts of the target-vector search: pure functions of residuals and posteriors."""
 
 import numpy as np
 from scipy.linalg import get_lapack_funcs
@@ -13,9 +13,9 @@ _ENOUGH = 1e-4
 
 
 def best_that_differ(residuals: Vector, n: int) -> list[int]:
-    """Places of the n least rows of residuals (m, D), each a standard deviation or more from those before it.
+    """Return the indices of the n least rows of residuals (m, D) that differ by a standard deviation or more.
 
-    Rows that differ by less tell nothing of the slopes, and would fill the surrogate with what it knows.
+    Rows that differ by less do not determine the slopes, and would add nothing to the surrogate.
     """
     products = residuals @ residuals.T
     costs = products.diagonal()
@@ -32,14 +32,14 @@ def best_that_differ(residuals: Vector, n: int) -> list[int]:
 
 
 def one_at_a_time(z: Vector, step: float) -> list[Vector]:
-    """Places that differ from z (d,) in one coordinate each, by step, towards the cube's middle."""
+    """Return places that differ from z (d,) in one coordinate each, by step, towards the cube's middle."""
     return list(z + np.diag(np.where(z < 0.5, step, -step)))
 
 
 def principal_components(residuals: Vector, n_outputs: int) -> Vector:
-    """Residuals (n, D) in their principal axes (n, k), k <= n_outputs; |row|^2 keeps its value but for noise.
+    """Return residuals (n, D) in their principal axes (n, k), k <= n_outputs; |row|^2 is kept but for noise.
 
-    Uncentred, so that zero stays zero. Axes that hold less than 0.1 a candidate are left out.
+    Uncentred, so that zero stays zero. Axes whose root mean square is below 0.1 are left out.
     """
     U, s, _ = np.linalg.svd(residuals, full_matrices=False)
     k = min(max(int((s > 0.1 * len(residuals) ** 0.5).sum()), 1), n_outputs)
@@ -47,7 +47,7 @@ def principal_components(residuals: Vector, n_outputs: int) -> Vector:
 
 
 def least_squares_of_mean(posterior: Posterior, z: Vector, n_iterations: int = 8) -> Vector:
-    """A minimiser of |posterior mean|^2 in the unit cube, by damped Gauss-Newton steps from z (d,).
+    """Return a minimiser of |posterior mean|^2 in the unit cube, by damped Gauss-Newton steps from z (d,).
 
     Levenberg (1944), Marquardt (1963).
     """
@@ -74,15 +74,15 @@ def least_squares_of_mean(posterior: Posterior, z: Vector, n_iterations: int = 8
 
 
 def least_change(posterior: Posterior, z: Vector, n_moved: int) -> Vector:
-    """The place of least |posterior mean|^2 that is reached from z (d,) by moving in n_moved directions only.
+    """Return the place of least |posterior mean|^2 reached from z (d,) by moving in n_moved directions only.
 
-    The directions are those best seen at each place on the way: a flat direction may turn.
+    At each step they are the directions of largest singular values: a flat direction may turn on the way.
     """
     for _ in range(8):
         r, slope = posterior.mean_and_jacobian(z)
         seen_by_data = information(slope)
         seen, s = seen_by_data.directions[:n_moved], seen_by_data.singular_values[:n_moved]
-        s = np.maximum(s, 1e-7 * s[0] + 1e-150)  # where nothing is seen, nothing is moved
+        s = np.maximum(s, 1e-7 * s[0] + 1e-150)  # directions without effect are not moved
         step = seen.T @ (seen @ (slope.T @ r) / (s * s))  # least squares: slope V_i = s_i U_i
         z = np.minimum(np.maximum(z - step, 0.0), 1.0)
         if np.abs(step).max() < 1e-8:

@@ -12,7 +12,7 @@ from .space import Vector
 
 
 class ResidualWindow:
-    """The newest samples' residuals for any candidate; each channel remembers as far back as its data agree.
+    """Sliding window of samples; each channel reaches back as far as its residuals pass a chi-square test.
 
     A residual is computed once for each candidate and sample: a new sample costs one model call for each stored
     candidate, a new candidate one for each sample of the window.
@@ -30,11 +30,11 @@ class ResidualWindow:
         self._is_explained = [True] * n_channels
         self._rows: dict[bytes, list[Vector]] = {}
         self.n_model_calls = 0
-        """Samples at which a candidate was judged. What an evaluation costs depends on window and re-scoring."""
+        """Number of samples at which a candidate was evaluated; those of an evaluation depend on the re-scoring."""
 
     @property
     def lengths(self) -> tuple[int, ...]:
-        """Number of samples in use, a channel."""
+        """Number of samples in use, for each channel."""
         return tuple(self._lengths)
 
     @property
@@ -43,7 +43,7 @@ class ResidualWindow:
         return self._samples[-1]
 
     def append(self, sample: Sample) -> None:
-        """Take one sample more, and drop the oldest where the window is full."""
+        """Add a sample, and drop the oldest where the window is full."""
         self._samples.append(sample)
         self._lengths = [min(n + 1, self._max_length) for n in self._lengths]
         excess = len(self._samples) - max(self._lengths)
@@ -53,45 +53,45 @@ class ResidualWindow:
                 del rows[:excess]
 
     def begin(self, theta: Vector) -> None:
-        """The window slides, whether there is an episode or not."""
+        """Do nothing: the window slides, whether there is an episode or not."""
 
     def end(self, theta: Vector) -> None:
-        """As begin."""
+        """Do nothing, as in `begin`."""
 
     def why_failed(self, theta: Vector) -> None:
-        """A model has no value there, and no more to say."""
+        """Return None: a candidate fails where the model has no value, for no other reason."""
 
     def copy(self) -> "ResidualWindow":
-        """The same window, which goes its own way from here."""
+        """Return an independent copy of the window."""
         other = copy(self)
         other._samples, other._lengths, other._is_explained = [*self._samples], [*self._lengths], [*self._is_explained]
         other._rows = {key: [*rows] for key, rows in self._rows.items()}
         return other
 
     def clear(self) -> None:
-        """Forget every sample, as at a jump of the parameters."""
+        """Remove every sample, as after a jump of the parameters."""
         self._samples.clear()
         self._rows.clear()
         self._lengths = [0] * len(self._lengths)
 
     def residual(self, theta: Vector) -> Vector:
-        """Residuals of one candidate over the window (D,), channel by channel, each from old to new."""
+        """Return the residuals of one candidate over the window (D,), channel by channel, each from old to new."""
         return np.array(self._rows_of(theta)).reshape(-1)[self._in_use()]
 
     def newest_residual(self, theta: Vector) -> Vector:
-        """Residual (c,) of one candidate at the newest sample."""
+        """Return the residual (c,) of one candidate at the newest sample."""
         self.n_model_calls += 1
         return self._residual(theta, self._samples[-1])
 
     def residuals(self, candidates: Iterable[Vector]) -> Vector:
-        """Residuals of many candidates (n, D); rows kept for others are dropped."""
+        """Return the residuals of many candidates (n, D); rows kept for others are dropped."""
         thetas = list(candidates)
         self.keep(thetas)
         table = np.array([self._rows_of(theta) for theta in thetas])
         return table.reshape(len(thetas), len(self._samples) * len(self._lengths))[:, self._in_use()]
 
     def _rows_of(self, theta: Vector) -> list[Vector]:
-        """Residuals (c,) of one candidate at each sample."""
+        """Return the residuals (c,) of one candidate at each sample."""
         rows = self._rows.setdefault(theta.tobytes(), [])
         missing = self._samples[len(rows) :]
         self.n_model_calls += len(missing)
@@ -99,7 +99,7 @@ class ResidualWindow:
         return rows
 
     def _in_use(self) -> NDArray[np.intp]:
-        """Places (D,) of the residuals in use, channel by channel, in a table (samples, channels) laid flat."""
+        """Return the indices (D,) of the residuals in use, channel by channel, in a flat (samples, channels) table."""
         end, n_channels = len(self._samples), len(self._lengths)
         return np.concatenate([np.arange(end - n, end) * n_channels + c for c, n in enumerate(self._lengths)])
 
@@ -112,9 +112,9 @@ class ResidualWindow:
         """Restart, at the newest sample, each channel that stopped agreeing with the incumbent theta.
 
         A channel is explained while its sum of squared residuals passes a chi-square test of level false_alarm.
-        One that was explained and is no more has seen a jump, or a drift: its past misleads. So a drifting
-        parameter is followed by the newest sample, while channels that see constant ones average. One that was not
-        explained yet waits for a better incumbent; without patience it restarts too.
+        One that was explained and no longer is shows a jump or a drift, and its past samples mislead. So a
+        drifting parameter is tracked with the newest sample, while channels of constant parameters average. One that
+        was not explained yet waits for a better incumbent, unless patient is False.
         """
         first = 0
         residual = self.residual(theta)

@@ -1,4 +1,4 @@
-"""The parameters to estimate: bounds, units, scale, and the map to the unit cube in which estimators search."""
+"""Parameters to estimate: bounds, units, scale, and the map to the unit cube in which estimators search."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -15,10 +15,10 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Parameter:
-    """One physical parameter and the interval in which its value is sought."""
+    """Physical parameter, and the interval in which its value is sought."""
 
     name: str
-    """As the model's keyword argument and the FMU's variable."""
+    """Name of the model's keyword argument and the FMU's variable."""
     lower: float
     """Lower bound, in `unit`."""
     upper: float
@@ -26,7 +26,7 @@ class Parameter:
     unit: str = "1"
     """FMI unit string."""
     scale: Scale = "linear"
-    """`log` where the value's order of magnitude is unknown: masses, inertias, stiffnesses."""
+    """Scale; `log` where the value's order of magnitude is unknown: masses, inertias, stiffnesses."""
 
     def __post_init__(self) -> None:
         if not (isfinite(self.lower) and isfinite(self.upper) and self.lower < self.upper):
@@ -47,10 +47,10 @@ class Parameter:
 
 @dataclass(frozen=True)
 class ParameterSpace:
-    """An ordered set of parameters; theta (d,) holds their values, z (d,) their places in the unit cube."""
+    """Ordered set of parameters; theta (d,) holds their values, z (d,) their places in the unit cube."""
 
     parameters: tuple[Parameter, ...]
-    """At least one, with different names."""
+    """At least one parameter, all with different names."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parameters", tuple(self.parameters))
@@ -62,7 +62,7 @@ class ParameterSpace:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """The parameters' names, in order."""
+        """Names of the parameters, in order."""
         return tuple(p.name for p in self.parameters)
 
     @cached_property
@@ -92,26 +92,26 @@ class ParameterSpace:
         return iter(self.parameters)
 
     def to_unit(self, theta: ArrayLike) -> Vector:
-        """Place in the unit cube of values (..., d); values outside the bounds go to the nearest bound."""
+        """Return the place in the unit cube of values (..., d); values outside the bounds go to the nearest bound."""
         clipped = np.minimum(np.maximum(np.asarray(theta, dtype=float), self._lower), self._upper)
         return (_scaled(clipped, self._is_log) - self._origin) / self._width
 
     def from_unit(self, z: ArrayLike) -> Vector:
-        """Values of places (..., d) in the unit cube; never outside the bounds."""
+        """Return the values at places (..., d) in the unit cube; never outside the bounds."""
         theta = self._origin + self._width * np.asarray(z, dtype=float)
         theta[..., self._is_log] = np.exp(theta[..., self._is_log])
         return np.minimum(np.maximum(theta, self._lower), self._upper)
 
     def slope(self, theta: ArrayLike) -> Vector:
-        """d theta / d z at theta (d,): what a step in the unit cube is worth in each parameter's unit."""
+        """Return d theta / d z at theta (d,): change in each parameter's unit for a step in the unit cube."""
         return self._width * np.where(self._is_log, np.asarray(theta, dtype=float), 1.0)
 
     def named(self, theta: ArrayLike) -> dict[str, float]:
-        """theta (d,) by name."""
+        """Return theta (d,) by name."""
         return dict(zip(self.names, np.asarray(theta, dtype=float).tolist(), strict=True))
 
     def vector(self, values: Mapping[str, float]) -> Vector:
-        """theta (d,) of named values. Raises KeyError for a missing name."""
+        """Return theta (d,) of named values. Raises KeyError for a missing name."""
         return np.array([values[name] for name in self.names], dtype=float)
 
 

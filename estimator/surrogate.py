@@ -1,4 +1,4 @@
-"""Gaussian-process surrogates. The only file that imports GPy.
+"""Gaussian-process surrogates; the only module that imports GPy.
 
 GPy owns the kernels, their priors, bounds and hyperparameters; likelihood and posterior are those of
 `gaussian_process`, and what a fit finds is written back into GPy's objects.
@@ -20,9 +20,9 @@ from .gaussian_process import (
 from .space import Vector
 
 LENGTHSCALE_BOUNDS: Final = (0.2, 5.0)
-"""Of the unit cube. Shorter ones find spurious optima of the likelihood from a handful of points."""
+"""Bounds of the lengthscales in the unit cube; shorter ones fit spurious optima of the likelihood to few points."""
 LENGTHSCALE_PRIOR: Final[tuple[Any, Any]] = (0.0, 0.7)
-"""Mean and standard deviation of a lengthscale's logarithm: long, so that a few points tell much."""
+"""Mean and standard deviation of a lengthscale's logarithm: long, so that a few points predict far."""
 _ENOUGH: Final = 1e-4
 """Relative gain of the likelihood below which a fit ends: candidates are chosen no better for more."""
 
@@ -45,7 +45,7 @@ class VectorSurrogate:
 
     @property
     def lengthscales(self) -> Vector:
-        """(d,), in units of the cube."""
+        """Lengthscales (d,), in units of the cube."""
         return self._lengthscales
 
     def fit(self, Z: Vector, Y: Vector, max_iterations: int = 8) -> None:
@@ -64,22 +64,22 @@ class VectorSurrogate:
         self.kernel.lengthscale[:] = self._lengthscales
 
     def condition(self, Z: Vector, Y: Vector) -> Posterior:
-        """The posterior given Y (n, k) at Z (n, d), at the present lengthscales."""
+        """Return the posterior given Y (n, k) at Z (n, d), at the present lengthscales."""
         return Posterior(Z, Y, self._lengthscales)
 
 
 @dataclass(frozen=True)
 class MaternBounds:
-    """Bounds of the hyperparameters, of values of mean 0 and deviation 1 on the unit cube; equal ones fix."""
+    """Bounds of the hyperparameters, for values of mean 0 and deviation 1 on the unit cube; equal ones fix them."""
 
     variance: tuple[float, float] = (1e-3, 1e3)
     noise: tuple[float, float] = (1e-6, 1.0)
-    """Variance. Without a bound it drifts to 1e-63."""
+    """Noise variance; without a bound it drifts to 1e-63."""
     lengthscale: tuple[float, float] = (0.02, 10.0)
 
 
 class ScalarSurrogate:
-    """A GP for one noisy output: GPy's Matern-5/2 with a lengthscale a dimension, fitted by maximum likelihood."""
+    """GP for one noisy output: GPy's Matern-5/2 with a lengthscale a dimension, fitted by maximum likelihood."""
 
     def __init__(self, n_dimensions: int, bounds: MaternBounds | None = None) -> None:
         import GPy
@@ -94,7 +94,7 @@ class ScalarSurrogate:
         self.forget()
 
     def forget(self) -> None:
-        """Hyperparameters back to GPy's start, one, or the bound nearest to it."""
+        """Reset the hyperparameters to GPy's start, one, or the bound nearest to it."""
         self._log_parameters = np.clip(0.0, *self._log_bounds.T)
 
     def fit(self, Z: Vector, y: Vector, max_iterations: int = 12) -> None:
@@ -114,7 +114,7 @@ class ScalarSurrogate:
         self.kernel.lengthscale[:] = lengthscales
 
     def condition(self, Z: Vector, y: Vector) -> "ScalarPosterior":
-        """The posterior given y (n,) at Z (n, d), at the present hyperparameters."""
+        """Return the posterior given y (n,) at Z (n, d), at the present hyperparameters."""
         return ScalarPosterior(Z, y, self._log_parameters)
 
 
@@ -127,13 +127,13 @@ class ScalarPosterior:
         self._posterior = MaternPosterior(Z, normalised, variance, noise, np.exp(log_parameters[2:]))
 
     def predict(self, Q: Vector) -> tuple[Vector, Vector]:
-        """Noiseless mean (m,) and variance (m,) at places Q (m, d)."""
+        """Return the noiseless mean (m,) and variance (m,) at places Q (m, d)."""
         mean, variance = self._posterior.predict(Q)
         return self._mean + self._deviation * mean, self._deviation**2 * variance
 
 
 def _constrain(parameter: Any, bounds: tuple[float, float]) -> None:
-    """GPy's parameter to its bounds, or fixed where they are equal."""
+    """Constrain GPy's parameter to its bounds, or fix it where they are equal."""
     if bounds[0] < bounds[1]:
         parameter.constrain_bounded(*bounds, warning=False)
     else:
@@ -141,7 +141,7 @@ def _constrain(parameter: Any, bounds: tuple[float, float]) -> None:
 
 
 def _normalised(y: Vector) -> tuple[Vector, float, float]:
-    """y (n,) with mean 0 and deviation 1, and what they were; the deviation of equal values counts as 1."""
+    """Return y (n,) with mean 0 and deviation 1, and the former two; the deviation of equal values counts as 1."""
     mean, deviation = float(y.mean()), float(y.std())
     deviation = deviation if deviation > 0.0 else 1.0
     return (y - mean) / deviation, mean, deviation

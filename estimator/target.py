@@ -18,18 +18,18 @@ from .space import ParameterSpace, Vector
 from .surrogate import VectorSurrogate
 
 _FAR = 50.0
-"""Root mean square residual [standard deviations] above which old candidates, which lie where the optimum was, tell
-little of the slopes: they are learnt anew."""
+"""Root mean square residual [standard deviations] above which old candidates, which lie where the optimum was, say
+little of the slopes: they are found again."""
 _MOST = 128
-"""Candidates that are remembered, and judged anew at each sample, however long an episode lasts."""
+"""Largest number of stored candidates, evaluated again at each sample, however long an episode lasts."""
 _APART = 3e-4
-"""Of the unit cube: distance between candidates that are asked for at once; nearer ones tell the same."""
+"""Distance in the unit cube between candidates of one batch; nearer ones are equivalent."""
 _LOCAL_RADII = np.repeat([[0.2], [0.05], [0.01], [0.002]], 16, axis=0)
-"""Of the unit cube: standard deviation of each candidate drawn round the incumbent."""
+"""Standard deviation in the unit cube of each candidate drawn around the incumbent."""
 _SAME = 0.003
-"""Of the unit cube: a candidate this near to where held directions lead, in each parameter, stands for it."""
+"""Distance in the unit cube, a parameter, below which a candidate stands for the place with directions held."""
 _NEAR_RADII = np.repeat([[0.003], [0.0005]], 8, axis=0)
-"""The same round the minimiser of the surrogate's mean."""
+"""Standard deviation in the unit cube of each candidate drawn around the minimiser of the surrogate's mean."""
 
 
 @dataclass(frozen=True)
@@ -37,14 +37,14 @@ class TargetSettings:
     """Settings of `TargetVector`; the defaults suit two to ten parameters."""
 
     initial_step: float = 0.2
-    """Share of the scaled bounds, divided by d, by which each parameter is moved, alone, to learn the slopes."""
+    """Share of the scaled bounds, divided by d, by which each parameter is moved, alone, to find the slopes."""
     n_modelled: int | None = None
     """Number of best candidates that the surrogate is fitted to, beside the newest d, and that are kept for the next
     episode; by default 3 d + 2. More would only distort it and slow it down."""
     n_outputs: int = 10
     """Number of principal components of the residual, at most, that are modelled by a GP."""
     significance: float = 3.0
-    """Standard deviations by which the data must ask for a change in a direction; else that direction is held."""
+    """Standard deviations by which a change in a direction must exceed zero; else that direction is held."""
     identifiable_below: float = IDENTIFIABLE_BELOW
     """A parameter counts as identifiable when its standard deviation is below this share of the scaled bounds."""
 
@@ -59,15 +59,37 @@ class TargetSettings:
 
 
 class TargetVector:
-    """Models the residual vector, not its norm, so that a small residual is not hidden by a large one.
+    """Bayesian optimisation of the residual vector, not its norm, so that a large residual does not hide a small one.
 
-    The residuals of n candidates (n, D) are projected on their principal components; each gets a GP of the common
-    lengthscales, and the next candidate maximises the expected improvement of the sum of squares. On a smooth
-    residual the posterior mean is followed like Gauss-Newton's model, on any other it explores.
+    On a smooth residual it follows the posterior mean like Gauss-Newton's model, on any other it explores. Residuals
+    are in standard deviations of their noise; z (d,) is theta in the unit cube, z0 the episode's start.
+
+    1. Evaluate z0, then d candidates that move one parameter each by initial_step / max(d, 2). Later episodes skip
+       these d while |r(z0)|^2 <= 50^2 D.
+    2. Take the n_modelled best candidates whose residuals differ, |r_a - r_b| >= 1, and the newest d. Their residuals
+       R = U diag(s) W^T (n, D), not centred, give Y = U_k diag(s_k) (n, k): |y|^2 = |r|^2 but for noise.
+    3. Give each column a GP, cov(h_j(z), h_j(z')) = q_j exp(-sum_i (z_i - z'_i)^2 / (2 l_i^2)), with common
+       lengthscales l (maximum a posteriori, refitted every few candidates) and q_j = y_j^T C^-1 y_j / n.
+    4. The posterior h_j ~ N(mu_j, v_j) makes S = |h(z)|^2 a weighted sum of noncentral chi-square variables, with mean
+       M = sum mu_j^2 + v_j and variance V = sum 2 v_j^2 + 4 mu_j^2 v_j. Match a log-normal variable to both:
+       sigma^2 = log(1 + V/M^2), nu = log M - sigma^2/2.
+    5. Evaluate the candidate that maximises log E[max(b - S, 0)] = log(b Phi(c) - M Phi(c - sigma)), with
+       c = (log b - nu) / sigma and b the least |y|^2, over Sobol points, normal draws around the best candidate, and
+       the minimiser of |mu|^2 (Gauss-Newton) with draws around it. Repeat from 2.
+    6. Estimate: at the best candidate z, d mu/dz / misfit = U diag(s) V^T, misfit^2 = max(1, |r|^2 / (D - d)).
+       Directions V_i with s_i |V_i (z - z0)| <= significance are held at z0, if the sum of squares grows by no more
+       than (significance misfit)^2; else the nearest candidate to z0 within that is taken. The error is
+       std_j^2 = sum_i V_ij^2 / s_i^2 + (z_ls - z)_j^2, with z_ls the linear least squares.
+
+    Usage, after which target.estimate().theta is (1.75, 0.75) to 1e-4:
+
+        space = ParameterSpace((Parameter("m", 0.1, 5.0, "kg"), Parameter("l", 0.1, 3.0, "m")))
+        target = TargetVector(space, start=np.ones(2), rng=np.random.default_rng(0))
+        for m, l in (target.ask() for _ in range(20)):
+            target.tell(np.array([m, l]), np.array([m * l - 1.3125, 1.0 / l - 1.0 / 0.75]) / 0.01)
 
     Uhrenholt and Jensen (2019), "Efficient Bayesian optimization for target vector estimation";
     Astudillo and Frazier (2019), "Bayesian optimization of composite functions".
-    Residuals are in standard deviations of their noise.
     """
 
     is_whitened = True
@@ -93,7 +115,7 @@ class TargetVector:
         return self._theta
 
     def restart(self, start: Vector) -> None:
-        """Begin an episode at theta (d,): keep the first candidates, the best ones, and what GPs have learnt."""
+        """Begin an episode at theta (d,): keep the first candidates, the best ones, and the GPs' lengthscales."""
         self._start = self._space.to_unit(start)
         self._n_evaluations = 0
         self._queue = [self._start]
@@ -102,10 +124,10 @@ class TargetVector:
         self._model_now = None
 
     def ask(self) -> Vector:
-        """The initial design first, then the candidate of largest expected improvement.
+        """Return the next candidate: of the initial design first, then that of largest expected improvement.
 
-        Where nothing is to be gained, directions are to be held, and nobody knows whether that explains the data, it is
-        tried.
+        Where less than a standard deviation is to be gained, and the surrogate is not sure that the data allow the
+        directions to be held, the place with these directions held is tried.
         """
         if self._queue:
             return self._space.from_unit(self._queue.pop(0))
@@ -114,8 +136,11 @@ class TargetVector:
         return self._space.from_unit(self._most_promising(self._fitted()))
 
     def ask_many(self, n: int) -> list[Vector]:
-        """Candidates to be judged at the same time: of the initial design, else each as if those before it had turned
-        out as the surrogate expects (the kriging believer of Ginsbourger, Le Riche, Carraro (2010))."""
+        """Return candidates to evaluate at the same time: of the initial design, else of largest expected improvement.
+
+        Each is chosen as if those before it had turned out as the surrogate expects (the kriging believer of
+        Ginsbourger, Le Riche, Carraro (2010)).
+        """
         if self._queue or self._residuals is None:
             return [self.ask() for _ in range(min(n, max(len(self._queue), 1)))]
         model, places = self._fitted(), list[Vector]()
@@ -127,23 +152,23 @@ class TargetVector:
         return [self._space.from_unit(z) for z in places]
 
     def tell(self, theta: Vector, residual: Vector) -> None:
-        """The residual (D,) of a candidate. Where a non-finite one is nearest, nothing is asked in this episode."""
+        """Record the residual (D,) of a candidate. Places nearer to a failed, non-finite one are not proposed."""
         self._n_evaluations += 1
         if not np.all(np.isfinite(residual)):
             self._failed = np.vstack([self._failed, self._space.to_unit(theta)])
             return
-        told = np.atleast_2d(np.asarray(residual, dtype=float))
+        row = np.atleast_2d(np.asarray(residual, dtype=float))
         is_known = len(self._theta) > len(theta) and _is_near(residual)
         if self._residuals is None or (self._n_evaluations == 1 and not is_known):
             self._queue = one_at_a_time(self._space.to_unit(theta), self._step)
         self._theta = np.vstack([self._theta, theta])
-        self._residuals = told if self._residuals is None else np.vstack([self._residuals, told])
+        self._residuals = row if self._residuals is None else np.vstack([self._residuals, row])
         if len(self._theta) > _MOST:
             self._forget()
         self._model_now = None
 
     def rescore(self, residuals: Vector) -> None:
-        """Replace what was told of the stored candidates by residuals (n, D); failed candidates are dropped."""
+        """Replace the residuals of the stored candidates by residuals (n, D); failed candidates are dropped."""
         if not len(self._theta):
             return
         was_near = self._residuals is not None and _is_near(self._residuals[int(np.argmin(self._costs()))])
@@ -154,16 +179,16 @@ class TargetVector:
             self._residuals = None
             return
         best = int(np.argmin(self._costs()))
-        if was_near and not self._queue and not _is_near(self._residuals[best]):  # the truth has jumped
+        if was_near and not self._queue and not _is_near(self._residuals[best]):  # the plant's parameters have jumped
             self._queue = one_at_a_time(self._space.to_unit(self._theta[best]), self._step)
         if len(self._theta) > _MOST:
             self._forget()
 
     def estimate(self) -> Estimate:
-        """The best candidate, with the directions that the data do not see held at the episode's start.
+        """Return the best candidate, with the directions that the data do not determine held at the episode's start.
 
-        std is the root mean square error: beside the data's own deviation it has how far the estimate is from the least
-        squares of the linearised mean, because candidates are finite or because directions are held.
+        std is the root mean square error: the data's standard deviation, and the distance of the estimate from the
+        least squares of the linearised mean, because candidates are finite or because directions are held.
         """
         hold = self._hold(self._model())
         if not hold.n_held:
@@ -178,7 +203,7 @@ class TargetVector:
         )  # fmt: skip
 
     def _hold(self, model: "_Model") -> "_Hold":
-        """Which of the best candidate's changes the data ask for, and where that leads."""
+        """Return the place with insignificant changes of the best candidate undone, and what is expected there."""
         best = int(np.argmin(model.costs))
         z, least = model.Z[best], float(model.costs[best])
         misfit = max(1.0, np.sqrt(least / max(self._told().shape[1] - len(z), 1)))
@@ -197,7 +222,7 @@ class TargetVector:
         return _Hold(z, least, seen_by_data, least_squares, len(z) - len(moved), place, expected, allowed)
 
     def _nearest_that_fits(self, hold: "_Hold") -> tuple[Vector, float]:
-        """Of the candidates that cost no more than allowed the one nearest to the start, and its cost."""
+        """Return the candidate nearest to the start of those that cost no more than allowed, and its cost."""
         costs = self._costs()
         fitting = np.flatnonzero(costs <= max(hold.allowed, float(costs.min())))
         Z = self._space.to_unit(self._theta[fitting])
@@ -205,7 +230,7 @@ class TargetVector:
         return Z[nearest], float(costs[fitting[nearest]])
 
     def _is_to_be_tried(self, hold: "_Hold") -> bool:
-        """Whether directions are to be held, and neither the surrogate nor a candidate tells that it can be done."""
+        """Return whether the place with directions held needs an evaluation: the surrogate is unsure, none was near."""
         if not hold.n_held or hold.is_sure:
             return False
         if len(self._failed) and np.abs(self._failed - hold.place).max(axis=1).min() < _SAME:
@@ -236,7 +261,7 @@ class TargetVector:
         return self._model_now
 
     def _fitted(self) -> "_Model":
-        """The model, its lengthscales refitted every few asks."""
+        """Return the model, with its lengthscales refitted every few asks."""
         self._asks_since_fit += 1
         if self._asks_since_fit >= max(2, len(self._theta) // 5):
             model = self._model()
@@ -245,7 +270,7 @@ class TargetVector:
         return self._model()
 
     def _most_promising(self, model: "_Model", others: Sequence[Vector] = ()) -> Vector:
-        """The place (d,) of largest expected improvement, away from the others that are asked for with it."""
+        """Return the place (d,) of largest expected improvement, away from the others of its batch."""
         costs = np.sum(model.Y * model.Y, axis=1)
         best = int(np.argmin(costs))
         pool = self._hopeful(self._pool(model.posterior, model.Z[best]), model.Z)
@@ -260,19 +285,19 @@ class TargetVector:
         return pool[int(np.argmax(gain))]
 
     def _modelled(self, residuals: Vector) -> NDArray[np.intp]:
-        """Places, in the order of telling, of the best candidates that differ and the newest: failures teach too."""
+        """Return the sorted indices of the best candidates that differ, and of the newest, bad ones included."""
         newest = np.arange(len(residuals))[-len(self._start) :]
         return np.union1d(np.array(best_that_differ(residuals, self._n_modelled), dtype=np.intp), newest)
 
     def _hopeful(self, pool: Vector, Z: Vector) -> Vector:
-        """Those of the pool that lie nearer to a candidate in Z (n, d) than to one that failed; all, if none does."""
+        """Return those of the pool that are nearer to a candidate in Z (n, d) than to a failed one; all, if none is."""
         if not len(self._failed):
             return pool
         hopeful = pool[cdist(pool, Z).min(axis=1) <= cdist(pool, self._failed).min(axis=1)]
         return hopeful if len(hopeful) else pool
 
     def _pool(self, posterior: Posterior, best: Vector) -> Vector:
-        """Candidates to choose from: all over the cube, round the incumbent, and round the mean's minimiser."""
+        """Return candidates to choose from: over the whole cube, around the incumbent, around the mean's minimiser."""
         d = len(best)
         minimiser = least_squares_of_mean(posterior, best)
         draws = self._rng.standard_normal((len(_LOCAL_RADII) + len(_NEAR_RADII), d))
@@ -286,7 +311,7 @@ def _is_near(residual: Vector) -> bool:
 
 
 class _Model(NamedTuple):
-    """The surrogate of the best of what has been told so far."""
+    """Surrogate of the best and newest candidates so far."""
 
     Z: Vector
     """Candidates (n, d), in the unit cube."""
@@ -298,26 +323,26 @@ class _Model(NamedTuple):
 
 
 class _Hold(NamedTuple):
-    """What of the best candidate's change from the start the data ask for; the rest is held. Places (d,): unit cube."""
+    """Best candidate with its insignificant changes from the start undone. Places (d,) are in the unit cube."""
 
     best: Vector
     """The best candidate."""
     least: float
-    """Its sum of squared residuals."""
+    """Sum of squared residuals of the best candidate."""
     information: Information
-    """There, in standard deviations of the misfit."""
+    """Sensitivity there, in standard deviations of the misfit."""
     least_squares: Vector
-    """Where the linearised mean is least: may lie outside the cube."""
+    """Place of the linearised mean's least square; may lie outside the cube."""
     n_held: int
     """Number of directions that are held."""
     place: Vector
-    """Where holding them leads; the best candidate where none is held."""
+    """Place with these directions held; the best candidate where none is."""
     expected: float
     """Sum of squared residuals that the surrogate expects there, its variances included."""
     allowed: float
-    """More than this holding must not cost."""
+    """Largest sum of squared residuals that is allowed there."""
 
     @property
     def is_sure(self) -> bool:
-        """Whether the surrogate tells that the place explains the data."""
+        """True where the surrogate expects the place to be within the allowance."""
         return self.expected <= self.allowed

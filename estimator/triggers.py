@@ -1,4 +1,4 @@
-"""When an idle loop begins an episode: the paper's tracking error, or samples that contradict what is in force.
+"""Conditions on which an idle loop begins an episode: a tracking error, or samples that contradict the parameters.
 
 A trigger is two classes and a row of `TRIGGERS`: the trigger itself, and its settings, from which the scenario's
 table, the parameters of an estimator FMU and the threshold in the figures are made.
@@ -13,22 +13,22 @@ from . import Sample, Vector, chi2_limit
 
 
 class Trigger(Protocol):
-    """Decides whether an idle loop begins an episode."""
+    """Condition on which an idle loop begins an episode."""
 
     def __call__(self, sample: Sample, tracking_error: float, theta: Vector) -> str | None:
-        """The reason to begin, or None. tracking_error: norm over the tracked outputs; theta: what is in force."""
+        """Return the reason to begin, or None. tracking_error: norm over the tracked outputs; theta: in force."""
         ...
 
 
 @dataclass(frozen=True)
 class TrackingTrigger:
-    """The paper's: the tracking error reaches a threshold."""
+    """Trigger of the paper: the tracking error reaches a threshold."""
 
     threshold: float
-    """tau_e, in the norm of the tracked outputs' unit."""
+    """Threshold tau_e, in the unit of the tracked outputs' norm."""
 
     def __call__(self, sample: Sample, tracking_error: float, theta: Vector) -> str | None:
-        """A reason where tracking_error >= threshold."""
+        """Return a reason where tracking_error >= threshold, else None."""
         if tracking_error < self.threshold:
             return None
         return f"tracking error {tracking_error:.4g} reached {self.threshold:g}"
@@ -36,7 +36,7 @@ class TrackingTrigger:
 
 @dataclass(frozen=True)
 class InnovationTrigger:
-    """The newest sample contradicts the parameters in force: sees a jump within one sample.
+    """Trigger on a sample that contradicts the parameters in force: it detects a jump within one sample.
 
     The normalised innovation squared |r|^2 of the whitened residual exceeds its chi-square limit.
     Bar-Shalom, Li, Kirubarajan (2001), section 5.4.
@@ -48,7 +48,7 @@ class InnovationTrigger:
     """Probability of firing on one sample where nothing has changed."""
 
     def __call__(self, sample: Sample, tracking_error: float, theta: Vector) -> str | None:
-        """A reason where |r|^2 exceeds the limit."""
+        """Return a reason where |r|^2 exceeds the limit, else None."""
         r = self.residual(theta, sample)
         squared, limit = float(r @ r), chi2_limit(self.false_alarm, len(r)) if len(r) else math.inf
         if squared <= limit:
@@ -58,15 +58,15 @@ class InnovationTrigger:
 
 @dataclass(frozen=True)
 class AlwaysTrigger:
-    """For recursive estimators: at the first sample begins the one episode."""
+    """Trigger for recursive estimators: the only episode begins at the first sample."""
 
     def __call__(self, sample: Sample, tracking_error: float, theta: Vector) -> str | None:
-        """Always a reason."""
+        """Return a reason, always."""
         return "every sample"
 
 
 def _limited(description: str, *, gt: float, lt: float | None = None, is_error: bool = False) -> dict[str, Any]:
-    """Metadata of a number: `gt`, `lt` and `description` as pydantic has them; whether it is a tracking error."""
+    """Return metadata of a number: `gt`, `lt` and `description` as in pydantic, and `is_tracking_error`."""
     limits = {"gt": gt} if lt is None else {"gt": gt, "lt": lt}
     return {**limits, "description": description, "is_tracking_error": is_error}
 
@@ -80,16 +80,16 @@ class TrackingSettings:
     threshold: float = field(
         metadata=_limited("Tracking error at which an episode of estimation begins", gt=0.0, is_error=True)
     )
-    """tau_e, in the norm of the tracked outputs."""
+    """Threshold tau_e, in the unit of the tracked outputs' norm."""
     is_endless: ClassVar = False
 
     @property
     def tracking_error(self) -> float:
-        """The tracking error that begins an episode."""
+        """Tracking error that begins an episode."""
         return self.threshold
 
     def trigger(self, residual: Callable[[Vector, Sample], Vector]) -> Trigger:
-        """The trigger of these settings."""
+        """Return the trigger of these settings."""
         return TrackingTrigger(self.threshold)
 
 
@@ -110,7 +110,7 @@ class InnovationSettings:
     tracking_error: ClassVar = None
 
     def trigger(self, residual: Callable[[Vector, Sample], Vector]) -> Trigger:
-        """The trigger of these settings; residual: whitened, of theta on the samples that end with one."""
+        """Return the trigger of these settings; residual: whitened, of theta on the samples that end with one."""
         return InnovationTrigger(residual, self.false_alarm)
 
 
@@ -124,14 +124,14 @@ class AlwaysSettings:
     tracking_error: ClassVar = None
 
     def trigger(self, residual: Callable[[Vector, Sample], Vector]) -> Trigger:
-        """The trigger of these settings."""
+        """Return the trigger of these settings."""
         return AlwaysTrigger()
 
 
 TriggerSettings = TrackingSettings | InnovationSettings | AlwaysSettings
-"""Settings of any trigger. Each has, beside its fields: `is_endless`, whether its one episode lasts to the end of the
-run; `tracking_error`, that which begins an episode, None where none does; and `trigger`, which makes it."""
+"""Settings of any trigger. Each has, beside its fields: `is_endless`, true where its one episode lasts to the
+end of the run; `tracking_error`, the one that begins an episode, or None; and `trigger`, which makes the trigger."""
 TRIGGERS: Final[Mapping[str, Callable[..., TriggerSettings]]] = {
     settings.__dataclass_fields__["kind"].default: settings for settings in get_args(TriggerSettings)
 }
-"""Settings' classes by `kind`."""
+"""Classes of settings by `kind`."""

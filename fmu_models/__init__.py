@@ -7,5 +7,5 @@ A plant is a folder; whatever has these files is built, documented and tested:
 - `theory.py`, the equations for the documentation in the FMUs, and `README.md`, for the reader of the folder;
 - `reference.csv`, a trajectory of an independent integration.
 
-`kernel` is what they share, and `build` makes the files. `tests/fmu_models/reference_data.py` writes `reference.csv`.
+`kernel` is their common code, and `build` makes the files. `tests/fmu_models/reference_data.py` writes `reference.csv`.
 """

@@ -1,4 +1,4 @@
-"""Sources to FMUs, reproducibly: the same sources give the same bytes in any directory, process and order."""
+"""Reproducible build of FMUs from sources: the same sources give the same bytes in any directory, process and order."""
 
 import os
 import re
@@ -52,7 +52,7 @@ MODELS = _find_models()
 """The classes of the FMUs that come with the package, by name: all that there are in the plants' folders."""
 NAMES = tuple(MODELS)
 PLANTS = tuple(name for name, model in MODELS.items() if issubclass(model, PlantSlave))
-"""What there is for model exchange, in FMI 3.0: the others have no states."""
+"""Names of the models for model exchange, in FMI 3.0: the others have no states."""
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 _imports = threading.Lock()
 
@@ -80,12 +80,12 @@ class {name}(Fmi3{interface}, Fmi3SlaveBase):
 
 
 def guid(name: str, fmi: int = 2, interface: Interface = "CoSimulation") -> str:
-    """The GUID that `build` gives: it depends on what is built, the files in it and the libraries' versions."""
+    """Return the GUID that `build` gives: it depends on the model, its files and the libraries' versions."""
     return _identity(name, fmi, _files(name, fmi, interface)[1])
 
 
 def build(name: str, out_dir: Path | str, fmi: int = 2, interface: Interface = "CoSimulation") -> Path:
-    """Build one FMU, FMI 2.0 or 3.0, into `out_dir`, made if it is not there; returns the path of `<name>.fmu`.
+    """Build one FMU, FMI 2.0 or 3.0, into `out_dir`, made if it is not there; return the path of `<name>.fmu`.
 
     The file appears at once and whole, so builds may run at the same time. Raises ValueError for an unknown name, and
     for model exchange of what is no plant, or in FMI 2.0.
@@ -109,7 +109,7 @@ def assemble(
     """Build an FMU from its files, by their paths: the entry script, `<script>.py`, and all that it imports.
 
     extra: files beside the resources, by their paths in the FMU; they follow from the others, and the GUID is without.
-    A requirements.txt among them says what else it needs, for `python -m pythonfmu deploy -f FMU`.
+    A requirements.txt among them lists the other packages it needs, for `python -m pythonfmu deploy -f FMU`.
     """
     out_dir = Path(out_dir)
     out_dir.mkdir(parents=True, exist_ok=True)
@@ -132,18 +132,18 @@ def assemble(
 
 
 def build_all(out_dir: Path | str, fmi: int = 2, interface: Interface = "CoSimulation") -> dict[str, Path]:
-    """Build all FMUs of that kind into `out_dir`; returns their paths by name."""
+    """Build all FMUs of that kind into `out_dir`; return their paths by name."""
     names = PLANTS if interface == "ModelExchange" else NAMES
     return {name: build(name, out_dir, fmi, interface) for name in names}
 
 
 def sources(package: Path) -> dict[str, bytes]:
-    """The modules of a package, those in its folders too, by their paths in an FMU."""
+    """Return the modules of a package, those in its folders too, by their paths in an FMU."""
     return {path.relative_to(package.parent).as_posix(): path.read_bytes() for path in sorted(package.rglob("*.py"))}
 
 
 def _files(name: str, fmi: int, interface: Interface) -> tuple[str, dict[str, bytes]]:
-    """Entry script, and the files of what it is and imports, by their paths."""
+    """Return the entry script's name, and its source with all that it imports, by their paths."""
     if name not in MODELS:
         raise ValueError(f"name must be one of {', '.join(NAMES)}, got {name!r}.")
     if fmi not in (2, 3):
@@ -186,7 +186,7 @@ def _identity(name: str, fmi: int, files: Mapping[str, bytes]) -> str:
 
 @contextmanager
 def _imports_restored(module: str) -> Generator[None]:
-    """sys.path and sys.modules as they were: the builder imports its script by stem, and leaves both changed."""
+    """Restore sys.path and sys.modules: the builder imports its script by stem, and leaves both changed."""
     with _imports:
         path, loaded = list(sys.path), sys.modules.pop(module, None)
         try:
@@ -228,8 +228,10 @@ def _rewrite(
 
 
 def _with_own_names(source: bytes, modules: Iterable[str], suffix: str) -> bytes:
-    """A source that imports these modules under their names in the FMU, be it `from a.b import c`, `import a.b as c` or
-    `import a`; no other way to import them is understood."""
+    """Return a source that imports these modules under their names in the FMU.
+
+    Replaced are `from a.b import c`, `import a.b as c` and `import a`; no other import is.
+    """
     names = "|".join(sorted(modules)).encode()
     source = re.sub(rb"^(\s*)import (%b)(?=\s*(#|$))" % names, rb"\1import \2 as \2", source, flags=re.MULTILINE)
     own = rb"\1\2%b" % suffix.encode()

@@ -1,4 +1,4 @@
-"""The files in an FMU that are for people: documentation/index.html, the licences, the icon. Standard library only."""
+"""Files in an FMU for its users: documentation/index.html, the licences, the icon. Standard library only."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,21 +19,21 @@ _STYLE = (
 
 @dataclass(frozen=True)
 class Page:
-    """What an FMU tells people about itself."""
+    """Content of an FMU's documentation."""
 
     name: str
-    """Its model's name."""
+    """Name of the model."""
     summary: str
-    """One sentence."""
+    """Summary in one sentence."""
     theory: Theory
-    """What it computes."""
+    """Equations of the model."""
     variables: Sequence[VariableRow]
-    """Its table of variables."""
+    """Table of variables."""
     icon: bytes | None = None
-    """A PNG picture; None for an FMU without one."""
+    """Icon, a PNG picture; None for an FMU without one."""
 
     def html(self) -> str:
-        """Return the model's documentation, HTML that needs nothing from elsewhere."""
+        """Return the model's documentation, self-contained HTML."""
         lines = "".join(f'<p class="equation">{equation}</p>\n' for equation in self.theory.equations)
         rows = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in _cells(v))}</tr>\n" for v in self.variables)
         heads = "".join(f"<th>{head}</th>" for head in ("Name", "Unit", "Kind", "Start", "Range", "Description"))
@@ -50,9 +50,9 @@ class Page:
 
 
 def files(page: Page, fmi: int, libraries: Sequence[str]) -> dict[str, bytes]:
-    """Return the files for people by their paths in the FMU.
+    """Return the files for users by their paths in the FMU.
 
-    fmi: 2 or 3, which say where the icon belongs;  libraries: the distributions whose code the FMU holds beside ours.
+    fmi: 2 or 3, for the icon's place;  libraries: the distributions whose code the FMU holds beside ours.
     """
     licences = {name: distribution(name).read_text("licenses/LICENSE") or "" for name in libraries}
     return {
@@ -64,7 +64,7 @@ def files(page: Page, fmi: int, libraries: Sequence[str]) -> dict[str, bytes]:
 
 
 def _terminals_and_icons(icon: bytes) -> dict[str, bytes]:
-    """Return the icon in its place, and how large it is drawn. FMI 3.0.1, section 2.6."""
+    """Return the icon, and the file with its size, by their paths. FMI 3.0.1, section 2.6."""
     xml = (
         '<?xml version="1.0" encoding="UTF-8"?>\n<fmiTerminalsAndIcons fmiVersion="3.0">\n  <GraphicalRepresentation>\n'
         '    <CoordinateSystem x1="-100" y1="-100" x2="100" y2="100" suggestedScalingFactorTo_mm="0.1"/>\n'

@@ -37,7 +37,7 @@ class FrictionPendulumController(ControllerSlave):
     )
 
     def outputs(self, inputs: StateVector, parameters: StateVector) -> StateVector:
-        """The control law."""
+        """Return the control law's output."""
         return (equations.control(inputs[0:2], inputs[2:5], *parameters),)
 
 

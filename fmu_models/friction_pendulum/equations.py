@@ -1,10 +1,10 @@
-"""Actuated planar pendulum with stiction and an actuator with a dead band, and its controller. No FMI in sight.
+"""Actuated planar pendulum with stiction and an actuator with a dead band, and its controller. Independent of FMI.
 
 State x = (phi [rad], phi_dot [rad/s]); phi = 0 hangs down. Input, friction and dead band are tangential forces [N].
 The friction's static level is F_c + F_s: F_s >= 0 is the excess over Coulomb's level, so any two levels are sound.
 
 Karnopp (1985), "Computer simulation of stick-slip friction in mechanical dynamic systems", J. Dyn. Sys. Meas. Control
-107: within a band of velocity the friction balances what drives, as far as it can. Armstrong-Helouvry, Dupont and
+107: within a band of velocity the friction balances the driving force, if it can. Armstrong-Helouvry, Dupont and
 Canudas de Wit (1994), "A survey of models, analysis tools and compensation methods for the control of machines with
 friction", Automatica 30: the level falls from static to Coulomb's as exp(-(phi_dot/phi_dot_s)^2), after Stribeck.
 
@@ -23,7 +23,7 @@ def derivative(
     u_d: float = 2.0, b: float = 0.1, g: float = 9.81, phi_dot_s: float = 0.3, phi_dot_0: float = 0.01,
     tau: float = 0.01,
 ) -> tuple[float, float]:  # fmt: skip
-    """Time derivative of the pendulum state.
+    """Return the time derivative of the pendulum state.
 
     m l phi_ddot = F - f,  F = dead_band(u) - m g sin phi - b l phi_dot,  with the friction
     f = sign(phi_dot) (F_c + F_s exp(-(phi_dot/phi_dot_s)^2))      slip, |phi_dot| > phi_dot_0;
@@ -51,7 +51,7 @@ def control(
     x: tuple[float, float], x_ref: tuple[float, float, float], m: float, l: float, F_c: float, F_s: float, u_d: float,
     b: float, g: float, phi_dot_s: float, Kp: float, Kd: float, phi_dot_w: float, F_w: float,
 ) -> float:  # fmt: skip
-    """Input [N] of the feedback-linearising law, computed with the controller's own parameters.
+    """Return the input [N] of the feedback-linearising law, computed with the controller's own parameters.
 
     F = m l (phi_ddot_ref + Kp e1 + Kd e2) + m g sin phi + b l phi_dot + s(phi_dot_ref/phi_dot_w) f(phi_dot),
     u = F + u_d s(F/F_w),  e = x_ref - x,  f: Stribeck's curve,  s(z) = min(max(z, -1), 1).
@@ -72,16 +72,16 @@ def control(
 
 
 def dead_band(u: float, u_d: float) -> float:
-    """Force [N] of an actuator commanded u [N]: nothing for |u| <= u_d, what exceeds u_d beyond."""
+    """Return the force [N] of an actuator commanded u [N]: its excess over u_d, zero for |u| <= u_d."""
     return u - min(max(u, -u_d), u_d)
 
 
 def stribeck(phi_dot: float, F_c: float, F_s: float, phi_dot_s: float) -> float:
-    """Level [N] of the friction in slip: F_c + F_s at rest, F_c where phi_dot [rad/s] is far above phi_dot_s."""
+    """Return the friction level [N] in slip: F_c + F_s at rest, F_c where phi_dot [rad/s] is far above phi_dot_s."""
     ratio = phi_dot / phi_dot_s
     return F_c + F_s * exp(-ratio * ratio)
 
 
 def _ramp(z: float, width: float) -> float:
-    """The sign of z, linear within the half width."""
+    """Return the sign of z, linear within the half width."""
     return min(max(z / width, -1.0), 1.0)

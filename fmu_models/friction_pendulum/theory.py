@@ -1,4 +1,4 @@
-"""What the FMUs of the pendulum with stiction compute, as HTML for their documentation."""
+"""Equations of the FMUs of the pendulum with stiction, as HTML for their documentation."""
 
 from collections.abc import Mapping
 
@@ -33,4 +33,4 @@ THEORY: Mapping[str, Theory] = {
         _SOURCE,
     ),
 }
-"""By FMU."""
+"""Texts by the FMU's name."""

@@ -1,1 +1,1 @@
-"""The parts that every plant is made of: integration, rotations, the kinds of FMU and their descriptions."""
+"""Common parts of all plants: integration, rotations, the kinds of FMU and their descriptions."""

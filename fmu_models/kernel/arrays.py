@@ -1,4 +1,4 @@
-"""The variables of FMI 3.0, where three axes are a vector and nine elements a matrix. Standard library only.
+"""Variables of FMI 3.0, where three axes are a vector and nine elements a matrix. Standard library only.
 
 r_x, r_y, r_z -> r[3];  M_x_held, ... -> M_held[3];  R_11, R_12, ..., R_33 -> R[3,3], row by row;
 der(v_x), ... -> der(v)[3]. They must be neighbours in the table and differ in nothing but name, text and start.
@@ -16,20 +16,20 @@ _ELEMENTS = tuple(f"{i}{j}" for i in "123" for j in "123")
 
 @dataclass(frozen=True)
 class Array:
-    """A variable of FMI 3.0: neighbours in a table, or one row of it."""
+    """Variable of FMI 3.0: neighbours in a table, or one row of it."""
 
     name: str
-    """Its FMI name."""
+    """FMI name."""
     description: str
     """One line for the user."""
     members: tuple[VariableRow, ...]
-    """Its elements, the last index fastest; one where it is a scalar."""
+    """Elements, the last index fastest; one where it is a scalar."""
     shape: tuple[int, ...] = ()
     """Sizes of its dimensions; none for a scalar."""
 
 
 def arrays(variables: Sequence[VariableRow]) -> list[Array]:
-    """The table with its vectors and matrices put together."""
+    """Return the variables of the table, with the elements of vectors and matrices joined."""
     found: list[Array] = []
     names = {v.name for v in variables}
     i = 0
@@ -41,7 +41,7 @@ def arrays(variables: Sequence[VariableRow]) -> list[Array]:
 
 
 def _candidates(variables: Sequence[VariableRow], i: int) -> list[Array]:
-    """The matrix and the vector that begin at row i, as far as they do."""
+    """Return the matrix and the vector that begin at row i, if any."""
     candidates: list[Array] = []
     for subscripts, shape in ((_ELEMENTS, (3, 3)), (_AXES, (3,))):
         members = tuple(variables[i : i + len(subscripts)])
@@ -53,19 +53,19 @@ def _candidates(variables: Sequence[VariableRow], i: int) -> list[Array]:
 
 
 def _stem(name: str, subscript: str) -> str | None:
-    """The name without its subscript, or None where it has another: der(r_x), x -> der(r)."""
+    """Return the name without its subscript, or None where it has another: der(r_x), x -> der(r)."""
     stem, count = re.subn(rf"(\w)_{subscript}(_held)?(\)?)$", r"\1\2\3", name)
     return stem if count else None
 
 
 def _kind(v: VariableRow) -> tuple[object, ...]:
-    """What elements of one array have in common."""
+    """Return the attributes that elements of one array have in common."""
     different = {"name", "description", "start", "dependencies", "derivative"}
     return (v.type, *(getattr(v, field.name) for field in fields(v) if field.name not in different))
 
 
 def _description(first: VariableRow, subscripts: Sequence[str]) -> str:
-    """The first element's text, about all of them."""
+    """Return the description of the array, from that of its first element."""
     if len(subscripts) == 9:
         return first.description.replace("row 1, column 1", "row by row").replace("_11", "")
     text = first.description.replace("_x", "")

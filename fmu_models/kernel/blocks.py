@@ -1,4 +1,4 @@
-"""The three kinds of FMU: a plant with states, a memoryless controller, a reference that follows time.
+"""Three kinds of FMU: a plant with states, a memoryless controller, a reference that follows time.
 
 A model is a subclass of one of them: a table of variables, and one hook that is a pure function. `Adaptive` makes a
 controller's parameters inputs, for an estimator that is an FMU itself.
@@ -28,7 +28,7 @@ class PlantSlave(Slave):
 
     @staticmethod
     def project(x: StateVector) -> StateVector:
-        """The nearest valid state to one that has been integrated."""
+        """Return the valid state nearest to an integrated one."""
         return x
 
     @classmethod
@@ -54,7 +54,7 @@ class PlantSlave(Slave):
 
     @classmethod
     def exchange_table(cls) -> tuple[VariableRow, ...]:
-        """The variables where somebody else integrates: no max_step, nothing is held, derivatives are local."""
+        """Return the variables for an importer that integrates: no max_step, nothing held, derivatives local."""
         kept = [v for i, v in enumerate(cls.variables[: cls._held.start]) if i != cls._max_step]
         texts = {v.name: v.description.removesuffix(HELD) for v in kept}
         return tuple(
@@ -88,7 +88,7 @@ class ControllerSlave(Slave):
     """A memoryless function of inputs and parameters."""
 
     def outputs(self, inputs: StateVector, parameters: StateVector) -> StateVector:
-        """The hook: inputs, parameters and the returned outputs in the table's order."""
+        """Return the outputs, for a subclass to define; inputs, parameters and outputs in the table's order."""
         raise NotImplementedError
 
     def _refresh(self) -> None:
@@ -104,7 +104,7 @@ class Adaptive(ControllerSlave):
     """A controller that gets some of its parameters as inputs: class FastAdaptive(Adaptive, Fast).
 
     They start at the inputs' initial values; from then on each step at which update_ready is true takes the inputs,
-    and every other step keeps what it has, told by the outputs ..._held.
+    and every other step keeps the present values, which the outputs ..._held report.
     """
 
     estimated: ClassVar[tuple[str, ...]] = ()
@@ -168,7 +168,7 @@ class ReferenceSlave(Slave):
         return (*super()._complete(table), TIME) if table else ()
 
     def outputs(self, time: float, parameters: StateVector) -> StateVector:
-        """The hook: time [s]; parameters and the returned outputs in the table's order."""
+        """Return the outputs at time [s], for a subclass to define; parameters and outputs in the table's order."""
         raise NotImplementedError
 
     def _refresh(self) -> None:

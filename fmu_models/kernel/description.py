@@ -1,4 +1,4 @@
-"""A variable table, and the FMI 2.0 model description made from it. Standard library only."""
+"""Variable tables, and the FMI 2.0 model description made from one. Standard library only."""
 
 import re
 from collections import Counter
@@ -15,7 +15,7 @@ Initial = Literal["exact", "calculated"]
 
 @dataclass(frozen=True, kw_only=True)
 class VariableRow:
-    """One row of a variable table: an FMI scalar variable."""
+    """Row of a variable table: an FMI scalar variable."""
 
     name: str
     """FMI name, structured naming convention."""
@@ -24,13 +24,13 @@ class VariableRow:
     description: str
     """One line for the user."""
     causality: Causality
-    """What it is for its surroundings."""
+    """Role of the variable for the importer."""
     variability: Variability
-    """When it may change."""
+    """Times at which its value may change."""
     type: Type = "Real"
     """FMI type."""
     initial: Initial | None = None
-    """How its initial value comes about; None for inputs and time, where FMI allows no such attribute."""
+    """Origin of its initial value; None for inputs and time, where FMI allows no such attribute."""
     start: float | bool | None = None
     """Start value [unit]; None exactly for time and where `initial` is "calculated"."""
     min: float | None = None
@@ -44,7 +44,7 @@ class VariableRow:
     dependencies: tuple[str, ...] = ()
     """Names of all that a calculated value, or a state's derivative, depends on."""
     is_latched: bool = False
-    """Whether an input takes effect at the next step only: no output depends on it directly."""
+    """True where an input takes effect at the next step only: no output depends on it directly."""
 
     def __post_init__(self) -> None:
         lower = float("-inf") if self.min is None else self.min
@@ -66,7 +66,7 @@ def parameter(
     variability: Literal["fixed", "tunable"] = "tunable", type: Literal["Real", "Integer"] = "Real",
     min: float | None = None, max: float | None = None, nominal: float | None = None,
 ) -> VariableRow:  # fmt: skip
-    """A parameter, Boolean where its start is one; tunable unless told otherwise."""
+    """Return the row of a parameter, Boolean where its start is one; tunable by default."""
     return VariableRow(
         name=name, unit=unit, description=description, causality="parameter", variability=variability,
         type="Boolean" if isinstance(start, bool) else type,
@@ -78,7 +78,7 @@ def input_variable(
     name: str, unit: str | None, start: float | bool, description: str, *, nominal: float | None = None,
     min: float | None = None, max: float | None = None, is_latched: bool = False,
 ) -> VariableRow:  # fmt: skip
-    """A continuous input, or a Boolean one where its start is one."""
+    """Return the row of a continuous input, or of a Boolean one where its start is one."""
     is_boolean = isinstance(start, bool)
     return VariableRow(
         name=name, unit=unit, description=description, causality="input",
@@ -90,7 +90,7 @@ def input_variable(
 def state(
     name: str, unit: str, start: float, description: str, *, depends: Iterable[str], nominal: float | None = None
 ) -> VariableRow:
-    """A continuous state, an output with a start; `depends` names what its time *derivative* depends on."""
+    """Return the row of a state, an output with a start; its time *derivative* depends on `depends`."""
     return VariableRow(
         name=name, unit=unit, description=description, causality="output", variability="continuous",
         initial="exact", start=start, nominal=nominal, dependencies=tuple(depends),
@@ -101,7 +101,7 @@ def output(
     name: str, unit: str | None, description: str, *, depends: Iterable[str], nominal: float | None = None,
     derivative: str | None = None, variability: Literal["discrete", "continuous"] = "continuous", type: Type = "Real",
 ) -> VariableRow:  # fmt: skip
-    """A calculated output, and the names of what it depends on; discrete where it is no Real."""
+    """Return the row of a calculated output, which depends on `depends`; discrete where it is no Real."""
     return VariableRow(
         name=name, unit=unit, description=description, causality="output",
         variability=variability if type == "Real" else "discrete", type=type,
@@ -115,7 +115,7 @@ _BASE_UNITS: Mapping[str, Mapping[str, int]] = {
 
 
 def base_unit(unit: str) -> dict[str, int]:
-    """Exponents of the SI base units in an FMI unit string: "N.m/rad" -> kg 1, m 2, s -2, rad -1.
+    """Return the exponents of the SI base units in an FMI unit string: "N.m/rad" -> kg 1, m 2, s -2, rad -1.
 
     Factors are joined with dots; everything after the only slash divides. Raises ValueError for other text.
     """
@@ -134,28 +134,28 @@ def base_unit(unit: str) -> dict[str, int]:
 TIME = VariableRow(
     name="time", unit="s", description="Simulation time", causality="independent", variability="continuous"
 )
-"""The independent variable, where something depends on it."""
+"""Independent variable, for tables in which another depends on it."""
 
 
 def per_second(unit: str) -> str:
-    """The unit of a time derivative: "m" -> "m/s" -> "m/s2"."""
+    """Return the unit of a time derivative: "m" -> "m/s" -> "m/s2"."""
     stem, slash, power = unit.partition("/s")
     return f"{stem}/s{int(power or 1) + 1}" if slash else f"{unit}/s"
 
 
 class Unknown(NamedTuple):
-    """One row of a model structure."""
+    """Row of a model structure."""
 
     section: Literal["Output", "ContinuousStateDerivative", "InitialUnknown"]
-    """Which list it belongs to."""
+    """List of the model structure that it belongs to."""
     name: str
-    """The variable."""
+    """Name of the variable."""
     dependencies: Mapping[str, str]
     """Kind of the dependency on each known variable, by its name."""
 
 
 def unknowns(variables: Sequence[VariableRow], has_feedthrough: bool) -> list[Unknown]:
-    """The model structure: what is calculated, and from what. `has_feedthrough` as in `model_description`."""
+    """Return the model structure: calculated variables, their dependencies. `has_feedthrough` as below."""
     states = {v.derivative for v in variables if v.derivative is not None}
     inputs = {v.name for v in variables if v.causality == "input" and not v.is_latched}
     at_once = states | {TIME.name} | (inputs if has_feedthrough else set())
@@ -181,7 +181,7 @@ def model_description(
     variables: Sequence[VariableRow],
     has_feedthrough: bool,
 ) -> Element:
-    """The `fmiModelDescription` of a co-simulation FMU whose value references are the positions in `variables`.
+    """Return the `fmiModelDescription` of a co-simulation FMU; positions in `variables` are the value references.
 
     `has_feedthrough`: an output depends directly on the inputs among its dependencies that are not latched. Otherwise
     the model holds its inputs over a step, and only the initial values depend on them. FMI 2.0.4, sections 2.2.8 and

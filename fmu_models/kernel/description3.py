@@ -1,4 +1,4 @@
-"""The FMI 3.0 model description made from a variable table. Standard library only."""
+"""FMI 3.0 model description made from a variable table. Standard library only."""
 
 from collections.abc import Mapping, Sequence
 from xml.etree.ElementTree import Element, SubElement
@@ -8,7 +8,7 @@ from .description import TIME, Unknown, VariableRow, base_unit, unknowns
 
 
 def variables_of(table: Sequence[VariableRow]) -> list[Array]:
-    """The FMI 3.0 variables of a table; a position is a value reference. Time is always one: section 2.4.7.4."""
+    """Return the FMI 3.0 variables of a table, time included (section 2.4.7.4); a position is a value reference."""
     complete = table if TIME in table else (*table, TIME)
     return arrays(complete)
 
@@ -22,7 +22,7 @@ def model_description(
     table: Sequence[VariableRow],
     has_feedthrough: bool,
 ) -> Element:
-    """The `fmiModelDescription` element of FMI 3.0; dictionaries hold XML attributes, in order.
+    """Return the `fmiModelDescription` element of FMI 3.0; dictionaries hold XML attributes, in order.
 
     interface: "CoSimulation" or "ModelExchange", with its capabilities;  has_feedthrough: an unknown depends at once
     on the inputs among its dependencies. FMI 3.0.1, section 2.4.
@@ -54,7 +54,7 @@ def model_description(
 
 
 def _merge(known: dict[int, str], unknown: Unknown, reference: Mapping[str, int]) -> None:
-    """An array depends on what one of its elements depends on."""
+    """Add the dependencies of one element to those of its array."""
     for name, kind in unknown.dependencies.items():
         known[reference[name]] = kind if known.get(reference[name], kind) == kind else "dependent"
 

@@ -1,4 +1,4 @@
-"""The FMI 3.0 face of a Slave: the same model behind FMI 3.0's calls, with vectors and matrices as arrays.
+"""FMI 3.0 interfaces of a Slave: the same model with FMI 3.0's calls, and vectors and matrices as arrays.
 
 The entry script of an FMI 3.0 FMU derives from one of the two classes at the end, see `build`. It holds the Slave that
 the FMI 2.0 FMU is; a value reference stands for the places of its elements in the Slave's list. No NumPy: pythonfmu3
@@ -23,7 +23,7 @@ _Method = TypeVar("_Method", bound=Callable[..., Any])
 
 
 def _retaining(method: _Method) -> _Method:
-    """The method; when it raises, its instance is kept for ever: the loader drops its references then, and again."""
+    """Return the method; after an exception the instance is never released: the loader drops its references twice."""
 
     @wraps(method)
     def call(self: "Fmi3Model", *arguments: Any) -> Any:
@@ -38,16 +38,16 @@ def _retaining(method: _Method) -> _Method:
 
 
 class Fmi3Model(Fmi3SlaveBase):
-    """What both interfaces have in common."""
+    """Common part of both interfaces."""
 
     model: ClassVar[type[Slave]]
-    """The model, as it is in the FMI 2.0 FMU."""
+    """Model, as in the FMI 2.0 FMU."""
     interface: ClassVar[str]
-    """The element of the model description."""
+    """Name of its element in the model description."""
     capabilities: ClassVar[dict[str, str]]
-    """Its attributes beyond the common ones."""
+    """Attributes of that element beyond the common ones."""
     has_feedthrough: ClassVar[bool]
-    """An unknown depends directly on inputs."""
+    """True where an unknown depends directly on inputs."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
@@ -61,19 +61,19 @@ class Fmi3Model(Fmi3SlaveBase):
 
     @classmethod
     def table(cls) -> tuple[VariableRow, ...]:
-        """The variables that this interface shows, as scalars."""
+        """Return the variables of this interface, as scalars."""
         return cls.model.variables
 
     # -- FMI calls --------------------------------------------------------------------------------------------
 
     @_retaining
     def exit_initialization_mode(self) -> None:
-        """Freeze what only initialisation may set, and compute the initial outputs."""
+        """Freeze the start values, and compute the initial outputs."""
         self._slave.exit_initialization_mode()
 
     @_retaining
     def get_float64(self, vrs: list[int]) -> list[float]:
-        """Values of these variables, element by element."""
+        """Return the values of these variables, element by element."""
         places = self._expanded(vrs)
         if -1 not in places:
             return self._slave.get_real(places)
@@ -87,7 +87,7 @@ class Fmi3Model(Fmi3SlaveBase):
 
     @_retaining
     def get_boolean(self, vrs: list[int]) -> list[bool]:
-        """Values of these Boolean parameters."""
+        """Return the values of these Boolean parameters."""
         return self._slave.get_boolean(self._expanded(vrs))
 
     @_retaining
@@ -107,7 +107,7 @@ class Fmi3Model(Fmi3SlaveBase):
     _fmu_state_from_bytes = staticmethod(Slave._fmu_state_from_bytes)
 
     def to_xml(self, model_options: dict[str, str] | None = None) -> Element:
-        """The model description; the same table gives the same element."""
+        """Return the model description; the same table gives the same element."""
         attributes = self._slave.about(f"PythonFMU3 {pythonfmu3_version}")
         attributes["instantiationToken"] = attributes.pop("guid")
         common = {
@@ -128,7 +128,10 @@ class Fmi3Model(Fmi3SlaveBase):
     # -- inside -----------------------------------------------------------------------------------------------
 
     def _expanded(self, vrs: Iterable[int], n_values: int | None = None) -> list[int]:
-        """Places of all elements, -1 for the time. Raises ValueError for no variable, or another number of values."""
+        """Return the places of all elements, -1 for the time.
+
+        Raises ValueError for an unknown value reference, or a wrong number of values.
+        """
         known = range(len(self._places))
         unknown = next((vr for vr in vrs if vr not in known), None)
         if unknown is not None:
@@ -140,7 +143,7 @@ class Fmi3Model(Fmi3SlaveBase):
 
 
 class Fmi3CoSimulation(Fmi3Model, CoSimulation):
-    """A Slave for FMI 3.0 co-simulation."""
+    """Slave for FMI 3.0 co-simulation."""
 
     interface = "CoSimulation"
     capabilities = {"canHandleVariableCommunicationStepSize": "true"}
@@ -158,7 +161,7 @@ class Fmi3CoSimulation(Fmi3Model, CoSimulation):
 
 
 class Fmi3ModelExchange(Fmi3Model, ModelExchange):
-    """A plant's f(x, u; theta) for FMI 3.0 model exchange: no integrator here, and no input is held."""
+    """Plant's f(x, u; theta) for FMI 3.0 model exchange: without an integrator or held inputs."""
 
     model: ClassVar[type[PlantSlave]]
     interface = "ModelExchange"
@@ -174,12 +177,12 @@ class Fmi3ModelExchange(Fmi3Model, ModelExchange):
 
     @classmethod
     def table(cls) -> tuple[VariableRow, ...]:
-        """The variables that this interface shows, as scalars."""
+        """Return the variables of this interface, as scalars."""
         return cls.model.exchange_table()
 
     @_retaining
     def exit_initialization_mode(self) -> None:
-        """Freeze what only initialisation may set. To the Slave it never ends: its derivatives follow the inputs."""
+        """Freeze the start values. The Slave stays in initialisation, so that its derivatives follow the inputs."""
         self._slave.get_real(self._rates)
         variables = enumerate(self.model.variables)
         self._later = frozenset(i for i, v in variables if v.causality == "input" or v.variability == "tunable")
@@ -196,30 +199,30 @@ class Fmi3ModelExchange(Fmi3Model, ModelExchange):
 
     @_retaining
     def set_time(self, time: float) -> None:
-        """The time [s], on which no plant depends."""
+        """Set the time [s], on which no plant depends."""
         self.time = time
 
     def get_number_of_continuous_states(self) -> int:
-        """n, every element counted."""
+        """Return the number n of states, every element counted."""
         return len(self._states)
 
     @_retaining
     def get_continuous_states(self) -> list[float]:
-        """x (n,), in the order of the model structure."""
+        """Return x (n,), in the order of the model structure."""
         return self._slave.get_real(self._states)
 
     @_retaining
     def set_continuous_states(self, values: list[float]) -> None:
-        """x (n,)."""
+        """Set x (n,), in the order of the model structure."""
         self._slave.set_real(self._states, values)
 
     def get_continuous_state_derivatives(self) -> list[float]:
-        """x_dot (n,) = f(x, u; theta); NaN where it has no value, which is logged: the loader dies of an exception."""
+        """Return x_dot (n,) = f(x, u; theta), or NaN and a log entry where undefined: exceptions crash the loader."""
         try:
             return self._slave.get_real(self._rates)
         except Exception:  # logged by the Slave
             return [nan] * len(self._rates)
 
     def get_nominals_of_continuous_states(self, size: int) -> list[float]:
-        """Typical sizes (n,)."""
+        """Return typical sizes (n,) of the states."""
         return [self.model.variables[i].nominal or 1.0 for i in self._states]

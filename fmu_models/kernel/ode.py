@@ -7,7 +7,7 @@ StateVector = tuple[float, ...]
 
 
 def rk4_step(f: Callable[[StateVector], StateVector], x: StateVector, h: float) -> StateVector:
-    """State after one classical fourth-order Runge-Kutta step of x_dot = f(x).
+    """Return the state after one classical fourth-order Runge-Kutta step of x_dot = f(x).
 
     The input is held over the step: close over it in `f`.
     x: (n,) state;  h: step [s];  returns (n,).
@@ -23,7 +23,7 @@ def rk4_step(f: Callable[[StateVector], StateVector], x: StateVector, h: float) 
 
 
 def integrate(f: Callable[[StateVector], StateVector], x: StateVector, duration: float, max_step: float) -> StateVector:
-    """State after `duration`, in the fewest equal Runge-Kutta steps of at most `max_step`.
+    """Return the state after `duration`, in the fewest equal Runge-Kutta steps of at most `max_step`.
 
     x: (n,) state;  duration, max_step: [s];  returns (n,).
     """

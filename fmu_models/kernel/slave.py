@@ -1,4 +1,4 @@
-"""From a variable table to an FMI 2.0 co-simulation slave; `blocks` has the kinds of model that build on it.
+"""FMI 2.0 co-simulation slave defined by a variable table; `blocks` has the kinds of model based on it.
 
 Life cycle:
 1. set parameters, inputs and states; `setup_experiment`, `exit_initialization_mode`;
@@ -28,7 +28,7 @@ _Method = TypeVar("_Method", bound=Callable[..., Any])
 
 
 def _logged(method: _Method) -> _Method:
-    """The method, with the traceback of whatever it raises sent to the FMI logger."""
+    """Return the method, with the traceback of its exceptions sent to the FMI logger."""
 
     @wraps(method)
     def call(self: "Slave", *arguments: Any) -> Any:
@@ -42,22 +42,22 @@ def _logged(method: _Method) -> _Method:
 
 
 def retain(*objects: object) -> None:
-    """Take one reference to each object and never give it back: pythonfmu's loader drops some that it has not got."""
+    """Take one reference to each object and never release it: pythonfmu's loader drops some that it does not own."""
     for obj in objects:
         pythonapi.Py_IncRef(py_object(obj))
 
 
 class Slave(Fmi2Slave):
-    """Variables live in a flat list whose index is the value reference: parameters, inputs, then outputs."""
+    """FMI 2.0 co-simulation slave; a variable's place in a flat list (parameters, inputs, outputs) is its reference."""
 
     table: ClassVar[tuple[VariableRow, ...]] = ()
-    """What the model declares, in any order within parameters, inputs and outputs."""
+    """Variables that the model declares, in any order within parameters, inputs and outputs."""
     default_experiment: ClassVar[DefaultExperiment] = DefaultExperiment(0.0, 10.0, 0.01)
     """Start, stop and step [s]."""
     has_feedthrough: ClassVar[bool] = True
-    """An output depends directly on inputs."""
+    """True where an output depends directly on inputs."""
     variables: ClassVar[tuple[VariableRow, ...]] = ()
-    """The complete table; a position is a value reference."""
+    """Complete table; a position is a value reference."""
     per_cent = "%%"
     """A per cent sign in texts for the logger, which are printf formats in FMI 2.0."""
 
@@ -105,7 +105,7 @@ class Slave(Fmi2Slave):
     # -- what a kind of model defines -------------------------------------------------------------------------
 
     def _prepare(self) -> None:
-        """Get what is needed from outside; whatever this raises fails the instantiation."""
+        """Acquire external resources; any exception makes the instantiation fail."""
 
     def _refresh(self) -> None:
         """Compute every calculated output from parameters, inputs and states."""
@@ -125,7 +125,7 @@ class Slave(Fmi2Slave):
 
     @_logged
     def exit_initialization_mode(self) -> None:
-        """Freeze what only initialisation may set, and compute the initial outputs."""
+        """Freeze the start values, and compute the initial outputs."""
         self._update()
         self._enter(is_initialized=True)
 
@@ -142,7 +142,7 @@ class Slave(Fmi2Slave):
 
     @_logged
     def get_real(self, vrs: list[int]) -> list[float]:
-        """Values of these variables."""
+        """Return the values of these variables."""
         if self._is_mixed:
             self._must_be(vrs, "Real")
         if self._is_stale:
@@ -162,7 +162,7 @@ class Slave(Fmi2Slave):
 
     @_logged
     def get_integer(self, vrs: list[int]) -> list[int]:
-        """Values of these Integer variables."""
+        """Return the values of these Integer variables."""
         self._must_be(vrs, "Integer")
         if self._is_stale:
             self._update()
@@ -175,7 +175,7 @@ class Slave(Fmi2Slave):
 
     @_logged
     def get_boolean(self, vrs: list[int]) -> list[bool]:
-        """Values of these Boolean variables."""
+        """Return the values of these Boolean variables."""
         self._must_be(vrs, "Boolean")
         if self._is_stale:
             self._update()
@@ -188,7 +188,7 @@ class Slave(Fmi2Slave):
 
     @_logged
     def _get_fmu_state(self) -> bytes:
-        """Everything that the future depends on, as JSON: numbers survive it bit for bit."""
+        """Return the complete state as JSON, which keeps numbers exactly."""
         state = {"model": self.modelName, "time": self._time, "is_initialized": self._is_initialized}
         return json.dumps(state | {"values": self._values}).encode()
 
@@ -211,7 +211,7 @@ class Slave(Fmi2Slave):
         return state
 
     def to_xml(self, model_options: dict[str, str] | None = None) -> Element:
-        """The model description; the same table gives the same element."""
+        """Return the model description; the same table gives the same element."""
         capabilities = {
             "modelIdentifier": self.modelName, "needsExecutionTool": "false",
             "canHandleVariableCommunicationStepSize": "true", "canBeInstantiatedOnlyOncePerProcess": "false",
@@ -228,7 +228,7 @@ class Slave(Fmi2Slave):
         )
 
     def about(self, tool: str) -> dict[str, str]:
-        """Attributes of the model description that FMI 2.0 and 3.0 share, and the guid."""
+        """Return the attributes of the model description that FMI 2.0 and 3.0 share, and the guid."""
         return {
             "modelName": self.modelName, "guid": str(self.guid), "description": self.description,
             "author": "The fmu-retune authors", "copyright": "2026 The fmu-retune authors", "license": "MIT",
@@ -236,7 +236,7 @@ class Slave(Fmi2Slave):
         }  # fmt: skip
 
     def times(self) -> dict[str, str]:
-        """Attributes of the default experiment."""
+        """Return the attributes of the default experiment."""
         times = type(self).default_experiment  # pythonfmu sets an empty one on the instance
         values = {"startTime": times.start_time, "stopTime": times.stop_time, "stepSize": times.step_size}
         return {name: repr(value) for name, value in values.items()}

@@ -9,47 +9,47 @@ IDENTITY: Matrix3 = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
 
 def add(a: Vector3, b: Vector3) -> Vector3:
-    """a + b."""
+    """Return a + b."""
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
 def subtract(a: Vector3, b: Vector3) -> Vector3:
-    """a - b."""
+    """Return a - b."""
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
 
 
 def scale(s: float, a: Vector3) -> Vector3:
-    """s a."""
+    """Return s a."""
     return (s * a[0], s * a[1], s * a[2])
 
 
 def multiply(a: Vector3, b: Vector3) -> Vector3:
-    """diag(a) b, the product component by component."""
+    """Return diag(a) b, the product component by component."""
     return (a[0] * b[0], a[1] * b[1], a[2] * b[2])
 
 
 def dot(a: Vector3, b: Vector3) -> float:
-    """a . b."""
+    """Return a . b."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def cross(a: Vector3, b: Vector3) -> Vector3:
-    """a x b."""
+    """Return a x b."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 def columns(a: Vector3, b: Vector3, c: Vector3) -> Matrix3:
-    """The matrix [a b c] with these columns."""
+    """Return the matrix [a b c] with these columns."""
     return (a[0], b[0], c[0], a[1], b[1], c[1], a[2], b[2], c[2])
 
 
 def transpose(m: Matrix3) -> Matrix3:
-    """M^T."""
+    """Return M^T."""
     return (m[0], m[3], m[6], m[1], m[4], m[7], m[2], m[5], m[8])
 
 
 def apply(m: Matrix3, a: Vector3) -> Vector3:
-    """M a."""
+    """Return M a."""
     return (
         m[0] * a[0] + m[1] * a[1] + m[2] * a[2],
         m[3] * a[0] + m[4] * a[1] + m[5] * a[2],
@@ -58,7 +58,7 @@ def apply(m: Matrix3, a: Vector3) -> Vector3:
 
 
 def product(a: Matrix3, b: Matrix3) -> Matrix3:
-    """A B."""
+    """Return A B."""
     a0, a1, a2, a3, a4, a5, a6, a7, a8 = a
     b0, b1, b2, b3, b4, b5, b6, b7, b8 = b
     return (
@@ -69,12 +69,12 @@ def product(a: Matrix3, b: Matrix3) -> Matrix3:
 
 
 def vee(m: Matrix3) -> Vector3:
-    """The vector a with hat(a) = (M - M^T)/2, the skew part of M;  hat(a) b = a x b."""
+    """Return the vector a with hat(a) = (M - M^T)/2, the skew part of M;  hat(a) b = a x b."""
     return (0.5 * (m[7] - m[5]), 0.5 * (m[2] - m[6]), 0.5 * (m[3] - m[1]))
 
 
 def unit_derivatives(a: Vector3, a_dot: Vector3, a_ddot: Vector3) -> tuple[Vector3, Vector3, Vector3]:
-    """The unit vector q = a/|a| with its first and second time derivatives.
+    """Return the unit vector q = a/|a| with its first and second time derivatives.
 
     Raises ZeroDivisionError where a = 0.
     """
@@ -88,10 +88,10 @@ def unit_derivatives(a: Vector3, a_dot: Vector3, a_ddot: Vector3) -> tuple[Vecto
 
 
 def orthonormalized(m: Matrix3) -> Matrix3:
-    """The rotation that Gram and Schmidt make of the columns of M, from the first.
+    """Return the rotation by Gram-Schmidt orthonormalisation of the columns of M, from the first.
 
-    What an integrator leaves, M = R (I + O(1e-12)), goes back to a rotation; and so does any M of rank three, so that
-    a tumble too fast for the step stays a tumble. Raises ZeroDivisionError where the first two columns are parallel.
+    An integrated M = R (I + O(1e-12)) becomes a rotation again; and so does any M of rank three, such as that of
+    a rotation too fast for the step. Raises ZeroDivisionError where the first two columns are parallel.
     """
     a1, a2 = (m[0], m[3], m[6]), (m[1], m[4], m[7])
     b1 = scale(1.0 / sqrt(dot(a1, a1)), a1)

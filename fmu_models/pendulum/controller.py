@@ -30,7 +30,7 @@ class PendulumController(ControllerSlave):
     )
 
     def outputs(self, inputs: StateVector, parameters: StateVector) -> StateVector:
-        """The control law."""
+        """Return the control law's output."""
         return (equations.control(inputs[0:2], inputs[2:4], *parameters),)
 
 

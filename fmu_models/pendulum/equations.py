@@ -1,4 +1,4 @@
-"""Actuated planar pendulum with friction, and its feedback-linearising controller. No FMI in sight.
+"""Actuated planar pendulum with friction, and its feedback-linearising controller. Independent of FMI.
 
 State x = (phi [rad], phi_dot [rad/s]); phi = 0 hangs down. The input u is a tangential force [N].
 Khan and Chatterjee (2020), "Online parameter estimation for safety-critical systems with Gaussian processes",
@@ -11,7 +11,7 @@ from math import sin
 def derivative(
     x: tuple[float, float], u: tuple[float], m: float = 1.75, l: float = 0.75, b: float = 0.1, g: float = 9.81
 ) -> tuple[float, float]:
-    """Time derivative of the pendulum state.
+    """Return the time derivative of the pendulum state.
 
     phi_ddot = -(g/l) sin phi - (b/m) phi_dot + u/(m l)
 
@@ -25,7 +25,7 @@ def derivative(
 def control(
     x: tuple[float, float], x_ref: tuple[float, float], m: float, l: float, b: float, g: float, Kp: float, Kd: float
 ) -> float:
-    """Tangential force [N] of the feedback-linearising law, computed with the controller's own parameters.
+    """Return the tangential force [N] of the feedback-linearising law, computed with the controller's own parameters.
 
     u = m l (Kp e1 + Kd e2) + m l ((g/l) sin phi + (b/m) phi_dot),  e = x_ref - x
 
@@ -40,7 +40,7 @@ def control(
 def regression(
     x: tuple[float, float], u: tuple[float], xdot: tuple[float], b: float = 0.1, g: float = 9.81
 ) -> tuple[tuple[tuple[float, float, float]], tuple[float]]:
-    """The equation of motion as a row (1, 3) times (1/l, 1/m, 1/(m l)) = a target (1,): phi_ddot [rad/s^2].
+    """Return the equation of motion: a row (1, 3) times (1/l, 1/m, 1/(m l)) = a target (1,), phi_ddot [rad/s^2].
 
     Linear in the three coefficients, which are not independent: see `coefficients`.
     """
@@ -49,5 +49,5 @@ def regression(
 
 
 def coefficients(m: float, l: float) -> tuple[float, float, float]:
-    """(1/l, 1/m, 1/(m l)), the coefficients of `regression`."""
+    """Return (1/l, 1/m, 1/(m l)), the coefficients of `regression`."""
     return (1.0 / l, 1.0 / m, 1.0 / (m * l))

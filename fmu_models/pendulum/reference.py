@@ -19,7 +19,7 @@ class PendulumReference(ReferenceSlave):
     )
 
     def outputs(self, time: float, parameters: StateVector) -> StateVector:
-        """Angle and angular velocity."""
+        """Return angle and angular velocity."""
         return (references.step(time, *parameters), 0.0)
 
 
@@ -41,7 +41,7 @@ class PendulumSine(ReferenceSlave):
     )  # fmt: skip
 
     def outputs(self, time: float, parameters: StateVector) -> StateVector:
-        """Angle, angular velocity and angular acceleration."""
+        """Return angle, angular velocity and angular acceleration."""
         amplitude_1, omega_1, amplitude_2, omega_2 = parameters
         first = references.sinusoid(time, amplitude_1, omega_1)
         second = references.sinusoid(time, amplitude_2, omega_2)

@@ -1,4 +1,4 @@
-"""What the FMUs of the pendulum compute, as HTML for their documentation."""
+"""Equations of the FMUs of the pendulum, as HTML for their documentation."""
 
 from collections.abc import Mapping
 
@@ -38,4 +38,4 @@ THEORY: Mapping[str, Theory] = {
         "",
     ),
 }
-"""By FMU."""
+"""Texts by the FMU's name."""

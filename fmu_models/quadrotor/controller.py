@@ -9,7 +9,7 @@ from .trajectory import Trajectory
 
 
 def triple(make, name: str, unit: str, start, text: str, **bounds: float) -> tuple[VariableRow, ...]:
-    """One variable for each axis."""
+    """Return one variable for each axis."""
     return tuple(make(f"{name}_{a}", unit, s, f"{text} {a}", **bounds) for a, s in zip("xyz", start))
 
 
@@ -72,7 +72,7 @@ class QuadrotorController(ControllerSlave):
     )  # fmt: skip
 
     def outputs(self, inputs: StateVector, parameters: StateVector) -> StateVector:
-        """The control law. Raises ValueError where it has none."""
+        """Return the control law's output. Raises ValueError where it is undefined."""
         i, p = inputs, parameters
         d = Trajectory(i[18:21], i[21:24], i[24:27], i[27:30], i[30:33], i[33], i[34], i[35])
         gains = equations.Gains(p[5:8], p[8:11], p[11:14], p[14:17])

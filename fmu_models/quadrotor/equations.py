@@ -1,4 +1,4 @@
-"""Quadrotor on SE(3), and the geometric tracking controller of Lee, Leok and McClamroch. No FMI in sight.
+"""Quadrotor on SE(3), and the geometric tracking controller of Lee, Leok and McClamroch. Independent of FMI.
 
 Inertial frame: z down (north-east-down). Body frame: z down, thrust along -b3. R takes body to inertial vectors.
 State x (18,) = r (3) [m], v (3) [m/s], R (9, row by row), Omega (3) [rad/s, body];
@@ -34,7 +34,7 @@ def derivative(
     x: State, u: tuple[float, float, float, float],
     m: float = 1.25, J_x: float = 1.1, J_y: float = 1.1, J_z: float = 2.2, g: float = 9.81,
 ) -> State:  # fmt: skip
-    """Time derivative of the quadrotor state.
+    """Return the time derivative of the quadrotor state.
 
     r_dot = v;  v_dot = g e3 - (F/m) R e3;  R_dot = R hat(Omega);  Omega_dot = J^-1 (M - Omega x J Omega)
 
@@ -57,7 +57,7 @@ def derivative(
 def regression(
     x: State, u: tuple[float, float, float, float], xdot: tuple[float, ...], g: float = 9.81
 ) -> tuple[tuple[tuple[float, float, float, float], ...], tuple[float, ...]]:
-    """The equations of motion as rows (6, 4) times (1/m, J_x, J_y, J_z) = targets (6,).
+    """Return the equations of motion as rows (6, 4) times (1/m, J_x, J_y, J_z) = targets (6,).
 
     -F R e3 (1/m) = v_dot - g e3 [m/s^2];  J Omega_dot + Omega x J Omega = M [N m].
     xdot: (v_dot, Omega_dot) (6,). In the last three rows the sampled Omega_dot, and its noise, is in the regressors.
@@ -73,7 +73,7 @@ def regression(
 
 
 def coefficients(m: float, J_x: float, J_y: float, J_z: float) -> tuple[float, float, float, float]:
-    """(1/m, J_x, J_y, J_z), the coefficients of `regression`."""
+    """Return (1/m, J_x, J_y, J_z), the coefficients of `regression`."""
     return (1.0 / m, J_x, J_y, J_z)
 
 
@@ -91,20 +91,20 @@ class Gains(NamedTuple):
 
 
 class Attitude(NamedTuple):
-    """A desired attitude and its motion."""
+    """Desired attitude and its motion."""
 
     R: Matrix3
     """Rotation, body to inertial."""
     Omega: Vector3
     """Angular velocity, in the desired body frame [rad/s]."""
     Omega_dot: Vector3
-    """Its derivative [rad/s^2]."""
+    """Angular acceleration, derivative of Omega [rad/s^2]."""
 
 
 def desired_attitude(
     A: Vector3, A_dot: Vector3, A_ddot: Vector3, psi: float, psi_dot: float, psi_ddot: float
 ) -> Attitude:
-    """The attitude whose third axis points along -A with heading psi, and its angular velocity and acceleration.
+    """Return the attitude of third axis along -A and heading psi, with its angular velocity and acceleration.
 
     b3d = -A/|A|;  b2d = b3d x b1c / |b3d x b1c|;  b1d = b2d x b3d;  b1c = (cos psi, sin psi, 0);
     hat(Omega_d) = R_d^T R_d_dot;  hat(Omega_dot_d) = R_d^T R_d_ddot - hat(Omega_d)^2.
@@ -136,7 +136,7 @@ def desired_attitude(
 def control(
     x: State, d: Trajectory, m: float, J: Vector3, g: float, gains: Gains = Gains()
 ) -> tuple[float, float, float, float]:
-    """Thrust F [N] and moments M [N m, body] of the geometric law, with the controller's own parameters.
+    """Return thrust F [N] and moments M [N m, body] of the geometric law, with the controller's own parameters.
 
     A = -K_r e_r - K_v e_v - m g e3 + m a_d;  F = -A . R e3;
     M = -K_R e_R - K_Omega e_Omega + Omega x J Omega - J (hat(Omega) R^T R_d Omega_d - R^T R_d Omega_dot_d).
@@ -173,7 +173,7 @@ def control(
 
 
 def _feedback(gains: Gains, e: Vector3, e_dot: Vector3, m: float, a: Vector3) -> Vector3:
-    """-K_r e - K_v e_dot + m a."""
+    """Return -K_r e - K_v e_dot + m a."""
     K_r, K_v = gains.K_r, gains.K_v
     return (
         -K_r[0] * e[0] - K_v[0] * e_dot[0] + m * a[0],

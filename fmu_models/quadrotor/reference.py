@@ -37,7 +37,7 @@ class QuadrotorReference(ReferenceSlave):
     )
 
     def outputs(self, time: float, parameters: StateVector) -> StateVector:
-        """Position and derivatives, then yaw and derivatives."""
+        """Return position and derivatives, then yaw and derivatives."""
         *amplitudes, omega, smooth_yaw = parameters
         yaw = "smooth" if smooth_yaw else "paper"
         d = sinusoid_trajectory(time, tuple(amplitudes), omega, yaw)

@@ -1,4 +1,4 @@
-"""What the FMUs of the quadrotor compute, as HTML for their documentation."""
+"""Equations of the FMUs of the quadrotor, as HTML for their documentation."""
 
 from collections.abc import Mapping
 
@@ -50,4 +50,4 @@ THEORY: Mapping[str, Theory] = {
         _KHAN,
     ),
 }
-"""By FMU."""
+"""Texts by the FMU's name."""

@@ -31,7 +31,7 @@ class Trajectory(NamedTuple):
 
 
 def sinusoid_trajectory(t: float, amplitudes: Vector3, omega: float, yaw: Yaw = "paper") -> Trajectory:
-    """r_d = (a1 sin 2wt, a2 sin wt, a3 sin wt) with yaw psi_d = atan2(y_d, x_d), and their derivatives.
+    """Return r_d = (a1 sin 2wt, a2 sin wt, a3 sin wt) with yaw psi_d = atan2(y_d, x_d), and their derivatives.
 
     The yaw is undefined where x_d = y_d = 0 and jumps by pi there; its smooth branch is atan2(a2, 2 a1 cos wt).
     `yaw="paper"` follows the atan2, with the limit from the right at such a point; `"smooth"` stays on the branch.

@@ -33,7 +33,7 @@ FORCE_PARAMETERS = (
 
 
 def motion_inputs(suffix: str, text: str) -> tuple:
-    """Position, velocity, attitude and angular velocity, measured or desired."""
+    """Return the inputs position, velocity, attitude and angular velocity, measured or desired."""
     return (
         *(input_variable(f"r{suffix}_{a}", "m", 0.0, f"{text} position, inertial {a}") for a in "xyz"),
         *(input_variable(f"v{suffix}_{a}", "m/s", 0.0, f"{text} velocity, inertial {a}") for a in "xyz"),
@@ -71,7 +71,7 @@ class RigidBodyController(ControllerSlave):
     )
 
     def outputs(self, inputs: StateVector, parameters: StateVector) -> StateVector:
-        """The control law."""
+        """Return the control law's output."""
         i, p = inputs, parameters
         d = equations.Motion(i[18:21], i[21:24], i[36:39], i[24:33], i[33:36], i[39:42])
         return equations.control(i[:18], d, p[0], p[1:4], p[9:15], p[4], equations.Gains(*p[5:9]))

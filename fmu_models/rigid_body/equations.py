@@ -1,4 +1,4 @@
-"""Free rigid body whose centre of mass is off the body's origin, and its computed-torque controller. No FMI in sight.
+"""Free rigid body with its centre of mass off the origin, and its computed-torque controller. Independent of FMI.
 
 Inertial frame: z down. The wrench acts at the body's origin and has body axes. R takes body to inertial vectors.
 State x (18,) = r (3) [m], v (3) [m/s] of the origin, R (9, row by row), Omega (3) [rad/s, body];
@@ -19,7 +19,7 @@ Inertia = tuple[float, float, float, float, float, float]
 TONES = ((1.0, 2.2), (1.2, 2.6), (1.4, 2.9), (1.7, 3.1), (1.5, 3.5), (1.3, 2.7))
 """Angular frequencies of x, y, z and roll, pitch, yaw in `motion`, in units of its omega."""
 SINGULAR = 1e-13
-"""det J over |J|^3 below which it is rounding: six products of three, each to 1e-16, and room for twenty more."""
+"""Ratio det J / |J|^3 below which it is rounding: six products of three, each to 1e-16, and room for twenty more."""
 
 
 def derivative(
@@ -28,7 +28,7 @@ def derivative(
     J_xx: float = 0.3, J_yy: float = 0.4, J_zz: float = 0.5, J_xy: float = 0.0, J_xz: float = 0.0, J_yz: float = 0.0,
     g: float = 9.81,
 ) -> State:  # fmt: skip
-    """Time derivative of the state of the body's origin.
+    """Return the time derivative of the state of the body's origin.
 
     J Omega_dot = M - c x F - Omega x J Omega;  v_dot = g e3 + R (F/m - Omega_dot x c - Omega x (Omega x c))
 
@@ -52,13 +52,13 @@ def derivative(
 
 
 def matrix(J: Inertia) -> Matrix3:
-    """The symmetric matrix of an inertia."""
+    """Return the symmetric matrix of an inertia."""
     xx, yy, zz, xy, xz, yz = J
     return (xx, xy, xz, xy, yy, yz, xz, yz, zz)
 
 
 def solve(J: Inertia, b: Vector3) -> Vector3:
-    """J^-1 b, by the adjugate, which takes an indefinite J as well. Raises ValueError for a singular one."""
+    """Return J^-1 b, by the adjugate, which takes an indefinite J as well. Raises ValueError for a singular one."""
     xx, yy, zz, xy, xz, yz = J
     a_xx, a_xy, a_xz = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
     a_yy, a_yz, a_zz = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
@@ -95,11 +95,11 @@ class Motion(NamedTuple):
     Omega: Vector3
     """Angular velocity, in the desired body frame [rad/s]."""
     Omega_dot: Vector3
-    """Its derivative [rad/s^2]."""
+    """Angular acceleration, derivative of Omega [rad/s^2]."""
 
 
 def control(x: State, d: Motion, m: float, c: Vector3, J: Inertia, g: float, gains: Gains = Gains()) -> Wrench:
-    """The wrench of inverse dynamics on SE(3), with the controller's own parameters.
+    """Return the wrench of inverse dynamics on SE(3), with the controller's own parameters.
 
     a = a_d - K_r e_r - K_v e_v;  F = m (R^T (a - g e3) + alpha x c + Omega x (Omega x c));
     alpha = Q Omega_dot_d - Omega x Q Omega_d - K_R e_R - K_Omega e_Omega;  M = J alpha + Omega x J Omega + c x F;
@@ -124,7 +124,7 @@ def control(x: State, d: Motion, m: float, c: Vector3, J: Inertia, g: float, gai
 
 
 def motion(t: float, amplitudes: Vector3, angles: Vector3, omega: float) -> Motion:
-    """A motion that shows all ten parameters, from rest at the origin: two tones in each of the six coordinates.
+    """Return a motion that excites all ten parameters, from rest at the origin: two tones in each coordinate.
 
     R = Rz(yaw) Ry(pitch) Rx(roll) and its exact Omega and Omega_dot; frequencies: `TONES`.
 
@@ -136,7 +136,7 @@ def motion(t: float, amplitudes: Vector3, angles: Vector3, omega: float) -> Moti
 
 
 def _tones(t: float, s: float, a: float, b: float) -> Vector3:
-    """s (sin(a t) - (a/b) sin(b t)), which starts at rest, with its first two time derivatives."""
+    """Return s (sin(a t) - (a/b) sin(b t)), which starts at rest, with its first two time derivatives."""
     return (
         s * (sin(a * t) - a / b * sin(b * t)),
         s * a * (cos(a * t) - cos(b * t)),
@@ -145,7 +145,7 @@ def _tones(t: float, s: float, a: float, b: float) -> Vector3:
 
 
 def _attitude(e: Vector3, e_dot: Vector3, e_ddot: Vector3) -> tuple[Matrix3, Vector3, Vector3]:
-    """R, Omega and Omega_dot of roll, pitch and yaw e [rad] with two derivatives. Diebel (2006), eq. 67 and 74."""
+    """Return R, Omega, Omega_dot of roll, pitch, yaw e [rad] with two derivatives. Diebel (2006), eq. 67 and 74."""
     (cx, cy, cz), (sx, sy, sz) = map(cos, e), map(sin, e)
     px, py, pz = e_dot
     qx, qy, qz = e_ddot
@@ -164,5 +164,5 @@ def _attitude(e: Vector3, e_dot: Vector3, e_ddot: Vector3) -> tuple[Matrix3, Vec
 
 
 def _lever(c: Vector3, Omega: Vector3, Omega_dot: Vector3) -> Vector3:
-    """Omega_dot x c + Omega x (Omega x c), what the centre of mass accelerates beyond the origin [m/s^2, body]."""
+    """Return Omega_dot x c + Omega x (Omega x c), the centre of mass's acceleration over the origin's [m/s^2, body]."""
     return add(cross(Omega_dot, c), cross(Omega, cross(Omega, c)))

@@ -57,5 +57,5 @@ class RigidBody(PlantSlave):
 
     @staticmethod
     def project(x: StateVector) -> StateVector:
-        """The state with its attitude made orthogonal again."""
+        """Return the state with its attitude made orthogonal again."""
         return x[:6] + so3.orthonormalized(x[6:15]) + x[15:]

@@ -49,6 +49,6 @@ class RigidBodyReference(ReferenceSlave):
     )  # fmt: skip
 
     def outputs(self, time: float, parameters: StateVector) -> StateVector:
-        """Position and derivatives, then attitude and derivatives."""
+        """Return position and derivatives, then attitude and derivatives."""
         d = equations.motion(time, parameters[0:3], parameters[3:6], parameters[6])
         return (*d.r, *d.v, *d.a, *d.R, *d.Omega, *d.Omega_dot)

@@ -1,4 +1,4 @@
-"""What the FMUs of the rigid body compute, as HTML for their documentation."""
+"""Equations of the FMUs of the rigid body, as HTML for their documentation."""
 
 from collections.abc import Mapping
 
@@ -41,4 +41,4 @@ THEORY: Mapping[str, Theory] = {
         "Diebel (2006), “Representing attitude”, equations 67 and 74.",
     ),
 }
-"""By FMU."""
+"""Texts by the FMU's name."""

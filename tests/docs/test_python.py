@@ -16,7 +16,7 @@ pytestmark = pytest.mark.fmu
 @pytest.mark.full
 def test_its_programs_run_and_find_what_they_claim(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    build_into(tmp_path / "fmus")
+    build_into(tmp_path / "fmus", is_forced=False)
     names = {}
     for program in re.findall(r"```python\n(.*?)```", DOCUMENT, re.DOTALL):
         exec(program, names)

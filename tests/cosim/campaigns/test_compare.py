@@ -307,9 +307,12 @@ def test_what_is_refused_in_a_process_is_one_line_here_and_leaves_nothing(pendul
     ids=["killed", "full disk"],
 )
 @real
-def test_what_cannot_be_finished_in_a_process_is_not_refused(pendulum, tmp_path, befalls, told):
+def test_what_cannot_be_finished_in_a_process_is_not_refused(pendulum, tmp_path, children, befalls, told):
+    others = children()
+
     def _at_first_end(*_):
-        befalls(int(Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()[0]))
+        (process,) = children() - others
+        befalls(process)
 
     with pytest.raises(ExecutorError, match=rf"seed 0: .*{told}.* 1 of 2 runs have ended") as caught:
         compare(pendulum(), [], 1, 1, tmp_path / "out", keep=True, progress=_at_first_end)

@@ -18,6 +18,7 @@ from cosim.plots.panels import panels
 from cosim.plots.response import response_surface
 from cosim.plots.runs import draw_run
 from cosim.system.plant import Plant
+from cosim.variable_name import VariableName
 from estimator import Sample
 
 OVER_TIME = {"tracking.png", "error.png", "parameters.png"}
@@ -124,7 +125,7 @@ def test_events_that_say_little_or_are_cut_short_are_survived(tmp_path: Path) ->
 @pytest.mark.full
 def test_seven_outputs_with_long_and_odd_names_are_drawn(tmp_path: Path) -> None:
     names = [f"plant.{'very_long_' * 6}name[{i}].$x^_{{" for i in range(7)]
-    tracking = dict.fromkeys(names, "reference.phi_ref")
+    tracking = dict.fromkeys(map(VariableName, names), VariableName("reference.phi_ref"))
     scenario = Scenario.load("pendulum", GONE).model_copy(update={"tracking": tracking})
     base = made_up_run(tmp_path, scenario=scenario)
     series = dict(base.series) | dict.fromkeys(names, base["plant.phi"])

@@ -90,5 +90,5 @@ def replayed(recorded: Run, estimator: str, seed: int) -> Run:
         recorded, estimator=estimator, seed=seed, series={**recorded.series, **estimates}, status="done", error=None,
         n_evaluations=supervisor.n_evaluations, n_episodes=supervisor.n_episodes,
         n_model_calls=supervisor.n_model_calls, latencies=latencies.by_step(), objective=supervisor.describe(),
-        wall=perf_counter() - begun, folder=None, belief=None,
+        wall=perf_counter() - begun, folder=None, final_estimate=None,
     )  # fmt: skip

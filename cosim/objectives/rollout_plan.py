@@ -66,7 +66,7 @@ class History:
     times: list[float] = field(default_factory=list[float])
     inputs: list[Sequence[float]] = field(default_factory=list[Sequence[float]])
     """Inputs, held from each time to the next."""
-    beliefs: list[tuple[int, Sequence[float]]] = field(default_factory=list[tuple[int, Sequence[float]]])
+    changes: list[tuple[int, Sequence[float]]] = field(default_factory=list[tuple[int, Sequence[float]]])
     """Accepted parameters, each with the place from which on they hold."""
 
     def __post_init__(self) -> None:
@@ -79,11 +79,11 @@ class History:
 
     def accept(self, place: int, theta: Sequence[float]) -> None:
         """Take theta (d,) for the parameters from that place on."""
-        self.beliefs = [*(b for b in self.beliefs if b[0] < place), (place, theta)]
+        self.changes = [*(b for b in self.changes if b[0] < place), (place, theta)]
 
     def legs(self, until: int) -> tuple[Leg, ...]:
         """Return the legs from the start to a place, with the parameters accepted on the way."""
-        changes = [(0, None), *(b for b in self.beliefs if b[0] < until)]
+        changes = [(0, None), *(b for b in self.changes if b[0] < until)]
         ends = [*(place for place, _ in changes[1:]), until]
         return tuple(
             Leg(self.times[a : b + 1], self.inputs[a:b], theta)

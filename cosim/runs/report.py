@@ -23,7 +23,7 @@ def report(run: Run, baselines: Mapping[str, Run]) -> str:
         ],
         _errors([*baselines.values(), run]),
         _parameters(run),
-        _belief(run),
+        _final_estimate(run),
         _latency(run),
         _oversight(run),
         [f"run folder {run.folder}"] if run.folder else [],
@@ -56,11 +56,11 @@ def _parameters(run: Run) -> list[str]:
     return aligned(rows)
 
 
-def _belief(run: Run) -> list[str]:
+def _final_estimate(run: Run) -> list[str]:
     """Return the last estimate with its root mean square errors, and the findings on it."""
-    if run.belief is None:
+    if run.final_estimate is None:
         return []
-    last = run.belief
+    last = run.final_estimate
     columns = zip(last.names, last.units, last.values, last.std, last.is_identifiable, strict=True)
     rows = [
         [f"{name} [{unit}]", with_std(value, std), "" if known else "not fixed by the data"]

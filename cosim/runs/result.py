@@ -72,7 +72,7 @@ class Run:
     """Counts of writes that the guard passed, changed, vetoed and reverted; None without a guard."""
     observations: Mapping[str, Any] | None = None
     """Counts of samples that were kept out, by fault; None without a screen."""
-    belief: FinalEstimate | None = None
+    final_estimate: FinalEstimate | None = None
     """Final estimate; None where nothing was estimated."""
 
     def __repr__(self) -> str:
@@ -142,7 +142,7 @@ class Run:
             "mse": self.mse,
             "max_error": self.max_error,
             "parameters": self.parameters_at(float(self.time[-1])) if len(self.time) else [],
-            "belief": self.belief and self.belief.to_json(),
+            "final_estimate": self.final_estimate and self.final_estimate.to_json(),
             "instants": [{"t": t, "parameters": p} for t in instants if (p := self.parameters_at(t))],
             "evaluations": self.n_evaluations,
             "episodes": self.n_episodes,
@@ -238,7 +238,8 @@ def read_run(folder: Path | str) -> Run:
     return Run(
         scenario, manifest.plant, manifest.estimator, manifest.seed, series, status, result.error, result.evaluations,
         result.episodes, latencies, result.wall_s, folder, result.model_calls,
-        result.objective or "", result.guard, result.observations, final_estimate_from_json(result.belief),
+        result.objective or "", result.guard, result.observations,
+        final_estimate_from_json(result.final_estimate or result.belief),
     )  # fmt: skip
 
 
@@ -264,7 +265,9 @@ class _Result:
     guard: dict[str, Any] | None = None
     observations: dict[str, Any] | None = None
     wall_s: float = float("nan")
+    final_estimate: dict[str, Any] | None = None
     belief: dict[str, Any] | None = None
+    """Former name of final_estimate."""
 
 
 def _quantiles(milliseconds: Series) -> dict[str, float | None]:

@@ -106,7 +106,7 @@ def _simulated(
             result = Run(
                 scenario, loop.plant, estimator, seed, recorder.close(), status, error, policy.n_evaluations,
                 policy.n_episodes, loop.latencies.by_step(), wall, out, policy.n_model_calls, policy.describe(),
-                **policy.summary(), belief=loop.estimates.final(),
+                **policy.summary(), final_estimate=loop.estimates.final(),
             )  # fmt: skip
             if out is not None:
                 declared = [s.description.unitDefinitions for s in slaves.values()]

@@ -33,7 +33,7 @@ PENDULUM = (files("cosim") / "scenarios" / "pendulum.toml").read_text(encoding="
 SHORT = ["run", "pendulum", "--only", "--set", "scenario.stop_time=0.1"]
 EARLY_CHANGE = ["--set", 'changes."plant.m"=[[0.0, 1.75], [0.05, 4.271]]']
 KEYS = [
-    "scenario", "estimator", "seed", "mse", "max_error", "parameters", "belief", "instants", "evaluations",
+    "scenario", "estimator", "seed", "mse", "max_error", "parameters", "final_estimate", "instants", "evaluations",
     "episodes", "model_calls", "objective", "guard", "observations", "latency_ms", "deadline_ms",
     "missed_deadlines", "wall_s", "status", "diverged_at", "error", "run",
 ]  # fmt: skip
@@ -66,7 +66,7 @@ def test_json_is_one_object_with_the_documented_keys_and_nothing_else_is_printed
     assert [i["t"] for i in result["instants"]] == [0.04, 0.05]
     assert [i["parameters"][0]["true"] for i in result["instants"]] == [1.75, 4.271]
     assert list(result["latency_ms"]) == ["p50", "p99", "max"]
-    assert result["belief"] is None  # nothing has triggered yet
+    assert result["final_estimate"] is None  # nothing has triggered yet
     assert json.loads((workplace / result["run"] / "result.json").read_text()) == result
 
 
@@ -118,12 +118,12 @@ def test_a_whole_run_is_compared_with_nominal_and_true_parameters_and_drawn(work
     assert all(p.read_bytes().startswith(b"\x89PNG\r\n\x1a\n") for p in pictures)
     for name in ("none", "true"):
         assert json.loads((folder / name / "result.json").read_text())["estimator"] == name
-    belief = json.loads((folder / "result.json").read_text())["belief"]
-    assert [list(p) for p in belief["parameters"]] == [["name", "unit", "value", "std", "is_identifiable"]] * 2
-    assert abs(belief["parameters"][0]["value"] - 4.271) < 4.0 * belief["parameters"][0]["std"]
-    assert read_run(folder).belief.to_json() == belief
-    assert f"last estimate, at t = {belief['t']:g} s" in done.stdout
-    assert all(finding in done.stdout for finding in belief["findings"])
+    final_estimate = json.loads((folder / "result.json").read_text())["final_estimate"]
+    assert [list(p) for p in final_estimate["parameters"]] == [["name", "unit", "value", "std", "is_identifiable"]] * 2
+    assert abs(final_estimate["parameters"][0]["value"] - 4.271) < 4.0 * final_estimate["parameters"][0]["std"]
+    assert read_run(folder).final_estimate.to_json() == final_estimate
+    assert f"last estimate, at t = {final_estimate['t']:g} s" in done.stdout
+    assert all(finding in done.stdout for finding in final_estimate["findings"])
 
 
 def test_only_leaves_out_comparisons_and_pictures(called, workplace):

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from .slaves.slave import Slave as Slave
     from .slaves.slave import open_slave as open_slave
     from .ssp.load import load_scenario as load_scenario
-    from .ssp.package import System as System
+    from .ssp.system import System as System
 
 __version__ = "0.1.0"
 
@@ -40,7 +40,7 @@ _MODULES = {
     "Slave": "slaves.slave",
     "SlaveError": "errors",
     "SspError": "errors",
-    "System": "ssp.package",
+    "System": "ssp.system",
     "UnfinishedError": "errors",
     "WiringError": "errors",
     "compare": "campaigns.compare",

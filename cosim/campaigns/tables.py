@@ -6,12 +6,10 @@ import math
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from ..text_table import aligned, counted
-
-if TYPE_CHECKING:
-    from .comparison import Comparison
+from .figures import ComparisonFigures
 
 WIDTH: Final = 120
 """Characters of a line on the terminal."""
@@ -29,7 +27,7 @@ class Block:
     rows: tuple[tuple[str, ...], ...]
 
 
-def to_terminal(comparison: "Comparison") -> str:
+def to_terminal(comparison: ComparisonFigures) -> str:
     """Return the tables as text at most 120 characters wide."""
     parts = [_wrapped(_title(comparison)) + "\n" + _wrapped(_subtitle(comparison))]
     parts += [_aligned(piece) for block in blocks(comparison) for piece in _folded(block)]
@@ -37,7 +35,7 @@ def to_terminal(comparison: "Comparison") -> str:
     return "\n\n".join(parts + ([f"written to {comparison.folder}"] if comparison.folder else []))
 
 
-def to_markdown(comparison: "Comparison") -> str:
+def to_markdown(comparison: ComparisonFigures) -> str:
     """Return the tables as a Markdown document."""
     parts = [f"# {_title(comparison)}", _subtitle(comparison)]
     for block in blocks(comparison):
@@ -72,7 +70,7 @@ def estimator_columns(row: Mapping[str, Any]) -> dict[str, Any]:
     return columns
 
 
-def run_columns(comparison: "Comparison", record: Mapping[str, Any]) -> dict[str, Any]:
+def run_columns(comparison: ComparisonFigures, record: Mapping[str, Any]) -> dict[str, Any]:
     """Return a run's figures as flat columns."""
     columns = {key: record[key] for key in ("estimator", "seed", "status", "end", "error")}
     columns |= {f"mse {output}": mse for output, mse in zip(comparison.scenario.tracking, record["mse"], strict=True)}
@@ -85,7 +83,7 @@ def run_columns(comparison: "Comparison", record: Mapping[str, Any]) -> dict[str
     return columns | {key: record[key] for key in ("missed_deadlines", "wall_s")}
 
 
-def blocks(comparison: "Comparison") -> list[Block]:
+def blocks(comparison: ComparisonFigures) -> list[Block]:
     """Return the tables of tracking errors (not for a replay), parameter errors at the instants, and cost."""
     rows, n = comparison.rows(), len(comparison.seeds)
 
@@ -122,7 +120,7 @@ def blocks(comparison: "Comparison") -> list[Block]:
     return [closed, *errors, block(f"cost; {deadline}", cost | endings)]
 
 
-def notes(comparison: "Comparison") -> list[str]:
+def notes(comparison: ComparisonFigures) -> list[str]:
     """Return notes to the tables, a line each: runs that did not finish, and the effect of jobs on latencies."""
     runs, cpus = comparison.runs, comparison.cpus
     notes = [f"{r['estimator']}, seed {r['seed']}: {_ending(r)}" for r in runs if r["status"] != "done"]
@@ -144,12 +142,12 @@ def notes(comparison: "Comparison") -> list[str]:
     ]
 
 
-def _title(comparison: "Comparison") -> str:
+def _title(comparison: ComparisonFigures) -> str:
     settings = comparison.scenario.scenario
     return f"{settings.name}: {settings.description}" if settings.description else settings.name
 
 
-def _subtitle(comparison: "Comparison") -> str:
+def _subtitle(comparison: ComparisonFigures) -> str:
     settings, numbers = comparison.scenario.scenario, comparison.seeds
     seeds = ", ".join(map(str, numbers))
     if comparison.is_open_loop:

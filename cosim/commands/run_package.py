@@ -5,7 +5,7 @@ import sys
 
 from ..errors import SspError
 from ..files import to_json
-from ..ssp.package import System
+from ..ssp.package import SystemStructure
 from ..ssp.run import report, simulate
 from ..ssp.settings import overridden
 from ..terminal.exit_codes import DONE, UNFINISHED
@@ -16,7 +16,9 @@ def run_package(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
     if options.ssv or options.estimator not in ("target", "none"):
         raise SspError(f"{options.scenario} holds no scenario: nothing is estimated in it; give --scenario FILE.")
-    system, settings = overridden(System.from_ssp(options.scenario), dict(options.overrides), options.start_values)
+    system, settings = overridden(
+        SystemStructure.from_ssp(options.scenario), dict(options.overrides), options.start_values
+    )
     with new_folder(settings.name, options.out) as folder:
         result = simulate(system, settings, folder)
     print(to_json(result.summary()) if options.json else report(result))

@@ -19,7 +19,7 @@ def load_scenario(
     is_package = path.suffix.lower() == ".ssp" and path.is_file()
     if not is_package and system is None:
         return Scenario.load(source, overrides)
-    from .package import System  # most scenarios come without a package
+    from .package import SystemStructure  # most scenarios come without a package
     from .scenario import scenario_in, with_system
 
     file = scenario_in(path) if is_package else find_scenario(source)
@@ -27,5 +27,5 @@ def load_scenario(
         raise ScenarioError(f"{path} holds no scenario: it can be simulated, but nothing in it is re-tuned.")
     label = path if is_package else file
     package = path if is_package else Path(str(system))
-    tables = with_system(read_tables(file, label), System.from_ssp(package))
+    tables = with_system(read_tables(file, label), SystemStructure.from_ssp(package))
     return Scenario.from_tables(tables, overrides, file.parent, label)

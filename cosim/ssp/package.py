@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Self, TypeVar
 from xml.etree.ElementTree import Element
 
 from ..errors import SspError
@@ -21,19 +21,13 @@ from .connections import Connection, connect
 from .parameters import start_values
 from .tree import TreeReader
 
-if TYPE_CHECKING:
-    from .run import SystemRun
-
 STRUCTURE = "SystemStructure.ssd"
 """The file of a package with its components and connections."""
 
 
 @dataclass(frozen=True)
-class System:
-    """FMUs, their connections and start values. Systems within it are dissolved: `inner.plant` is a component.
-
-    System.from_ssp(Path("drive.ssp")).simulate(stop_time=10.0, step_size=0.01)["plant.phi"]
-    """
+class SystemStructure:
+    """FMUs, their connections and start values. Systems within it are dissolved: `inner.plant` is a component."""
 
     name: str
     """Name in the package."""
@@ -55,25 +49,12 @@ class System:
     """Parameters that no component has; the standard wants them ignored."""
 
     @classmethod
-    def from_ssp(cls, path: str | Path) -> "System":
+    def from_ssp(cls, path: str | Path) -> Self:
         """Read the system of an SSP package, which is unpacked into the user's cache.
 
         Raises SspError, ModelDescriptionError: one line with the file, the place in it and the rule.
         """
-        return _read(Path(path))
-
-    def simulate(
-        self, stop_time: float | None = None, step_size: float | None = None, out: Path | None = None
-    ) -> "SystemRun":
-        """Step all FMUs in parallel, with no estimator, and record their outputs. Times in s.
-
-        Raises SspError where neither the package nor the arguments say how long and in what steps, WiringError.
-        """
-        from .run import simulate
-        from .settings import settings_of
-
-        given = {"stop_time": stop_time, "macro_step": step_size}
-        return simulate(self, settings_of(self, {k: v for k, v in given.items() if v is not None}), out)
+        return _read(cls, Path(path))
 
 
 def unpacked(path: Path) -> Path:
@@ -102,7 +83,10 @@ def unpacked(path: Path) -> Path:
     return folder
 
 
-def _read(path: Path) -> System:
+_T = TypeVar("_T", bound=SystemStructure)
+
+
+def _read(kind: type[_T], path: Path) -> _T:
     folder = unpacked(path)
     file, where = folder / STRUCTURE, f"{path}: {STRUCTURE}"
     if not file.is_file():
@@ -119,7 +103,7 @@ def _read(path: Path) -> System:
     if not components:
         raise SspError(f"{where} has no components.")
     name = attribute(root, "name", where)
-    return System(name, folder, components, wiring.connections, start, *_experiment(root, components, where), ignored)
+    return kind(name, folder, components, wiring.connections, start, *_experiment(root, components, where), ignored)
 
 
 def _experiment(

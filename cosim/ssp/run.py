@@ -27,14 +27,14 @@ from ..slaves.slave import Slave, open_slave
 from ..system.master import Master, Wiring
 from ..text_table import aligned
 from ..units import IDENTITY, Linear
-from .package import System
+from .package import SystemStructure
 
 
 @dataclass(frozen=True)
 class SystemRun:
     """A finished simulation of a system. `run["plant.phi"]` is that output's series."""
 
-    system: System
+    system: SystemStructure
     """The simulated system."""
     settings: SimulationSettings
     """Times and steps."""
@@ -72,7 +72,7 @@ class SystemRun:
         }  # fmt: skip
 
 
-def simulate(system: System, settings: SimulationSettings, out: Path | None = None) -> SystemRun:
+def simulate(system: SystemStructure, settings: SimulationSettings, out: Path | None = None) -> SystemRun:
     """Simulate the system; with `out`, an absent or empty folder, everything is recorded there.
 
     A fault of an FMU ends the run with status `faulted`: the rows so far are kept. Raises WiringError,
@@ -87,7 +87,7 @@ def simulate(system: System, settings: SimulationSettings, out: Path | None = No
         return _simulated(system, settings, out)
 
 
-def _simulated(system: System, settings: SimulationSettings, out: Path | None) -> SystemRun:
+def _simulated(system: SystemStructure, settings: SimulationSettings, out: Path | None) -> SystemRun:
     begun = perf_counter()
     with ExitStack() as stack:
         slaves = {
@@ -113,7 +113,7 @@ def _simulated(system: System, settings: SimulationSettings, out: Path | None) -
     return result
 
 
-def wiring_of(system: System, slaves: Mapping[str, Slave]) -> dict[str, Wiring]:
+def wiring_of(system: SystemStructure, slaves: Mapping[str, Slave]) -> dict[str, Wiring]:
     """Return each component's part in the simulation. Outputs are all declared ones that are numbers."""
     sources: dict[str, dict[str, str]] = {name: {} for name in slaves}
     conversions: dict[str, dict[str, Linear]] = {name: {} for name in slaves}
@@ -160,7 +160,7 @@ def _execute(
     return "done", None
 
 
-def _manifest(system: System, settings: SimulationSettings, status: str) -> dict[str, Any]:
+def _manifest(system: SystemStructure, settings: SimulationSettings, status: str) -> dict[str, Any]:
     start: Mapping[str, Mapping[str, Value]] = system.start
     return {
         "status": status,

@@ -10,7 +10,7 @@ from typing import Any, cast
 
 from ..errors import SspError
 from ..units import conversion
-from .package import System, unpacked
+from .package import SystemStructure, unpacked
 
 EXTRA = "extra/org.fmu-retune"
 """Folder of the scenario in a package of ours: `extra/` is for data that the standard does not define (section 3)."""
@@ -23,7 +23,7 @@ def scenario_in(package: Path) -> Path | None:
     return file if file.is_file() else None
 
 
-def with_system(tree: Mapping[str, Any], system: System) -> dict[str, Any]:
+def with_system(tree: Mapping[str, Any], system: SystemStructure) -> dict[str, Any]:
     """Return a scenario's tables with the components and connections of a system.
 
     A start value of the tables stays where it is of a parameter that the scenario changes; all others are the

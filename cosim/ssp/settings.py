@@ -13,11 +13,11 @@ from ..scenarios.overrides import override
 from ..scenarios.schema.simulation import SimulationSettings
 from ..scenarios.schema.table import Table
 from ..scenarios.validation import first_error
-from .package import System
+from .package import SystemStructure
 from .start_values import StartValues, read_start_values
 
 
-def settings_of(system: System, given: Mapping[str, Any]) -> SimulationSettings:
+def settings_of(system: SystemStructure, given: Mapping[str, Any]) -> SimulationSettings:
     """Return times and steps: those given, else those of the package.
 
     Raises SspError where neither says how long and in what steps, and for values that do not fit together.
@@ -51,8 +51,8 @@ class _Overrides(Table):
 
 
 def overridden(
-    system: System, overrides: Mapping[str, str], start_values: Sequence[StartValues] = ()
-) -> tuple[System, SimulationSettings]:
+    system: SystemStructure, overrides: Mapping[str, str], start_values: Sequence[StartValues] = ()
+) -> tuple[SystemStructure, SimulationSettings]:
     """Return a system with other start values, and its settings with `scenario.KEY = value`.
 
     Start values are those of SSV files, then of `components.NAME.start.VARIABLE = value`. Raises SspError,

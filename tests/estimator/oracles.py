@@ -338,7 +338,7 @@ def check_jacobian_against_gpy(gp):
 
 
 def check_jacobian_against_differences(gp):
-    """Of the mean that `predict` gives; fourth order, step 1e-3 of the cube."""
+    """The slope of the mean that `predict` gives; fourth order, step 1e-3 of the cube."""
     for name in SIZES:
         c = case(name)
         posterior = gp.Posterior(c.Z, c.Y, c.lengthscales)
@@ -443,7 +443,7 @@ def check_matern_prediction_against_the_textbook(gp):
 
 
 def check_std_against_the_covariance_of_least_squares(identifiability):
-    """Of a linear model with unit noise: the roots of diag (X^T X)^-1."""
+    """Standard deviations of a linear model with unit noise: the roots of diag (X^T X)^-1."""
     rng = np.random.default_rng(0)
     for n, d in ((3, 1), (8, 2), (30, 4)):
         X = 20.0 * rng.normal(size=(n, d)) * 10.0 ** rng.uniform(0.0, 1.0, d)

@@ -330,7 +330,7 @@ def quadrotor_results(n_seeds, **settings):
 
 
 def errors(thetas):
-    """Of the mass [kg] and, in norm, of the inertia [kg m^2]."""
+    """Errors of the mass [kg] and, in norm, of the inertia [kg m^2]."""
     off = thetas - np.array(list(TRUE.values()))
     return np.abs(off[:, 0]), np.linalg.norm(off[:, 1:], axis=1)
 

@@ -66,7 +66,7 @@ def test_the_middle_is_arithmetic_or_geometric():
 
 @st.composite
 def parameters(draw, width=1e-6):
-    """Of either scale; as narrow as a millionth of the bounds."""
+    """Parameters of either scale; as narrow as a millionth of the bounds."""
     if draw(st.booleans()):
         lower = 10.0 ** draw(st.floats(-9.0, 6.0))
         return Parameter("p", lower, lower * 10.0 ** draw(st.floats(np.log10(1.0 + width), 6.0)), "kg", "log")

@@ -6,51 +6,17 @@ from math import inf, nan
 import numpy as np
 import pytest
 
-from cosim.retuning.data_support import DataSupport
 from cosim.retuning.guard import Guard, outside, within_rate
 from cosim.scenarios.schema.guard import GuardSettings
 from estimator import Estimate, Parameter, ParameterSpace, Sample
 from estimator.retuner import Proposal
-
-SPACE = ParameterSpace((Parameter("a", 0.0, 10.0), Parameter("b", 0.0, 10.0)))
-START = np.array([2.0, 2.0])
-GOOD, BETTER = np.array([4.0, 4.0]), np.array([6.0, 6.0])
-SIGMA = 0.1
-
-
-def linear_residual(theta, sample):
-    """y = x . theta, measured with SIGMA."""
-    return np.array([(sample.xdot[0] - np.dot(sample.x, theta)) / SIGMA])
-
-
-def seen(*rows, truth=GOOD):
-    """A support of samples with these regressors."""
-    support = DataSupport(linear_residual, SPACE, 1, 30)
-    for k, row in enumerate(rows):
-        support.append(Sample(float(k), tuple(row), (), (float(np.dot(row, truth)),)))
-    return support
-
+from tests.cosim.retuning.linear_plant import BETTER, GOOD, SIGMA, SPACE, START, Watched, seen
 
 BOTH = ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0))
 
 
-class Watched:
-    """A guard, and a controller that takes what it lets through."""
-
-    def __init__(self, guard):
-        self.guard, self.held = guard, START
-
-    def step(self, k, t, error, proposal, peak):
-        ruling = self.guard.step(k, t, error, proposal, self.held, peak)
-        self.held = self.held if ruling.write is None else ruling.write
-        return ruling
-
-    def __getattr__(self, name):
-        return getattr(self.guard, name)
-
-
 def guard(support=None, **settings):
-    return Watched(Guard(GuardSettings(tolerance=0.5, **settings), SPACE, START, 100.0, support or seen(*BOTH)))
+    return Watched(Guard(GuardSettings(tolerance=0.5, **settings), SPACE, START, 100.0, support or seen(*BOTH)), START)
 
 
 def proposed(theta):

@@ -8,11 +8,10 @@ import pytest
 from cosim.retuning.data_support import DataSupport, NoDataSupport
 from cosim.retuning.guard import Guard, within_rate
 from cosim.scenarios.schema.guard import GuardSettings
-from estimator import Estimate, Parameter, ParameterSpace, Sample
+from estimator import Estimate, Sample
 from estimator.retuner import Proposal
+from tests.cosim.retuning.linear_plant import BETTER, GOOD, SPACE, START, Watched, linear_residual, seen
 
-SPACE = ParameterSpace((Parameter("a", 0.0, 10.0), Parameter("b", 0.0, 10.0)))
-START, GOOD, BETTER = (np.array([v, v]) for v in (2.0, 4.0, 6.0))
 NOTHING = Proposal()
 
 
@@ -45,21 +44,6 @@ class Peaks:
         one, other = tuple(controller), tuple(plant)
         self.asked.append((one, other))
         return self._peaks[one, other] if (one, other) in self._peaks else self._peaks.get(one, 0.01)
-
-
-class Watched:
-    """A guard, and a controller that takes what it lets through."""
-
-    def __init__(self, guard, held):
-        self.guard, self.held = guard, held
-
-    def step(self, k, t, error, proposal, peak):
-        ruling = self.guard.step(k, t, error, proposal, self.held, peak)
-        self.held = self.held if ruling.write is None else ruling.write
-        return ruling
-
-    def __getattr__(self, name):
-        return getattr(self.guard, name)
 
 
 def guard(support=None, start=START, **settings):
@@ -376,19 +360,6 @@ def test_single_precision_is_no_reason_to_stop(read, is_taken):
 
 # What the samples see: y = x . theta, measured with SIGMA.
 
-SIGMA = 0.1
-
-
-def linear_residual(theta, sample):
-    return np.array([(sample.xdot[0] - np.dot(sample.x, theta)) / SIGMA])
-
-
-def seen(*rows, truth=GOOD):
-    support = DataSupport(linear_residual, SPACE, 1, 30)
-    for k, row in enumerate(rows):
-        support.append(Sample(float(k), tuple(row), (), (float(np.dot(row, truth)),)))
-    return support
-
 
 @pytest.mark.parametrize(("weight", "is_seen"), [(0.03, True), (0.028, False)])
 def test_which_deviation_is_unseen(weight, is_seen):
@@ -400,7 +371,7 @@ def test_which_deviation_is_unseen(weight, is_seen):
 
 @pytest.mark.parametrize(("b", "is_let_be"), [(2.9, True), (2.8, False)])
 def test_a_small_part_that_is_not_seen_is_let_be(b, is_let_be):
-    """Of a move by (0.1, 0.09) of the bounds 0.01 / sqrt(2) is along (1, -1), which only the sum does not see."""
+    """A move by (0.1, 0.09) of the bounds has 0.01 / sqrt(2) along (1, -1), which only the sum does not see."""
     watched, theta = guard(seen((1.0, 1.0), truth=(3.0, b))), (3.0, b)
     kinds, written = step(watched, 1, theta)
     assert (written == theta) == is_let_be

@@ -51,7 +51,7 @@ def left_at(until: float, scenario: Scenario, estimator: str, folder: Path) -> N
 
 
 def figures(folder: Path) -> dict[str, object]:
-    """Of a result, those that are no wall times."""
+    """Figures of a result, without wall times."""
     result = json.loads((folder / RESULT).read_text())
     return {k: v for k, v in result.items() if k not in ("run", "wall_s", "latency_ms", "missed_deadlines")}
 

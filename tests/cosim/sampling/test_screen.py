@@ -327,7 +327,7 @@ def test_noise_of_the_state_hides_a_bias(bias, is_found):
 
 @pytest.mark.parametrize(("bias", "is_found"), [(4.78, False), (4.83, True)])
 def test_noise_that_was_not_declared_hides_a_bias(bias, is_found):
-    """Of changes of 2: 8 sqrt(20) 1.05 2 H + H/2 (20 2 + 2) = 9.61 = 20 bias H."""
+    """With changes of 2: 8 sqrt(20) 1.05 2 H + H/2 (20 2 + 2) = 9.61 = 20 bias H."""
     scatter = np.array([(-1.0) ** k for k in range(60)])
     assert bool(inconsistent(bias=bias + scatter, noise=1e-9)) == is_found
 

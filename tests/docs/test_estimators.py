@@ -13,6 +13,7 @@ DOCUMENT = Path(__file__).parents[2] / "docs" / "estimators.md"
 pytestmark = pytest.mark.fmu
 
 
+@pytest.mark.full
 def test_the_estimator_of_ones_own_works(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (example,) = re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)

@@ -43,6 +43,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path / "walk")
 
 
+@pytest.mark.full
 def test_a_new_user_gets_to_a_re_tuned_controller(folder, capsys):
     n_commands = 0
     for command, lines in steps():

@@ -345,6 +345,7 @@ def test_where_only_the_product_is_seen_neither_factor_is_identifiable():
     assert np.all(estimate.std > estimate.theta)
 
 
+@pytest.mark.full
 def test_intervals_of_95_percent_cover_as_often():
     """A linear problem with Gaussian noise and changes of more than ten standard deviations in every direction.
 

@@ -359,9 +359,9 @@ def test_a_value_set_at_the_wrong_time_is_refused(fmus, host):
 @fmu
 def test_a_per_cent_sign_in_an_error_reaches_the_logger_doubled(host, tmp_path):
     script = (
-        "from fmu_models.kernel.blocks import Reference\n"
+        "from fmu_models.kernel.blocks import ReferenceSlave\n"
         "from fmu_models.kernel.description import output\n"
-        "class Faulty(Reference):\n"
+        "class Faulty(ReferenceSlave):\n"
         "    '''Always wrong.'''\n"
         "    table = (output('y', '1', 'Nothing', depends=()),)\n"
         "    def outputs(self, time, parameters):\n"

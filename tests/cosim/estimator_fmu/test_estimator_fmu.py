@@ -430,6 +430,7 @@ def test_the_archive_holds_no_more_of_the_co_simulation_than_is_loaded(tmp_path)
     assert names == {"__init__.py", "loop.py", "slave.py"}
 
 
+@pytest.mark.full
 @fmu
 def test_the_readme_s_script_re_tunes_the_pendulum(tmp_path):
     readme = (Path(__file__).parents[3] / "docs" / "estimator-fmu.md").read_text(encoding="utf-8")

@@ -1,7 +1,7 @@
 """The FMU that is rolled out: a second FMU of the plant, with the plant's variables by name."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -28,6 +28,8 @@ class RunningPlant:
     """Variables read from it."""
     changes: Mapping[str, Callable[[float], float]]
     """Parameters changed from outside, as functions of t [s]: used only to prove that a step can be repeated."""
+    disturbances: Mapping[str, Callable[[float], float]] = field(default_factory=dict[str, Callable[[float], float]])
+    """Inputs changed from outside, likewise."""
 
 
 @dataclass(frozen=True)

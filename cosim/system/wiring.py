@@ -8,7 +8,7 @@ from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
 from ..variable_name import VariableName
 from .master import Wiring
-from .plant import Described, numeric_outputs
+from .plant import Described, disturbances_of, numeric_outputs
 from .unit_conversions import unit_conversions
 
 
@@ -21,10 +21,12 @@ def wire(scenario: Scenario, slaves: Mapping[str, Described]) -> tuple[dict[str,
     for target, source in scenario.connections.items():
         component, variable = target.parts
         sources[component][variable] = source
+    disturbed = disturbances_of(scenario, slaves)
     tunables: dict[str, list[str]] = {name: [] for name in slaves}
+    disturbances: dict[str, list[str]] = {name: [] for name in slaves}
     for reference in [*scenario.changes, *(p.writes for p in scenario.estimation.parameters)]:
         component, variable = reference.parts
-        tunables[component].append(variable)
+        (disturbances if reference in disturbed else tunables)[component].append(variable)
     outputs = {name: numeric_outputs(slave) for name, slave in slaves.items()}
     read = [*scenario.connections.values(), *scenario.tracking, *scenario.tracking.values()]
     sampling = scenario.sampling
@@ -37,7 +39,12 @@ def wire(scenario: Scenario, slaves: Mapping[str, Described]) -> tuple[dict[str,
     conversions = unit_conversions(scenario, {name: slave.description for name, slave in slaves.items()})
     wiring = {
         name: Wiring(
-            sources[name], tuple(tunables[name]), outputs[name], scenario.components[name].start, conversions[name]
+            sources[name],
+            tuple(tunables[name]),
+            outputs[name],
+            scenario.components[name].start,
+            conversions[name],
+            tuple(disturbances[name]),
         )
         for name in slaves
     }

@@ -243,6 +243,19 @@ def test_a_recorded_run_is_replayed_from_its_measured_states(pendulum, tmp_path)
         np.testing.assert_array_equal(again.estimates[name], values)
 
 
+@pytest.mark.parametrize("way", ["auto", "measured"])
+def test_a_disturbance_does_not_keep_roll_outs_from_being_made_and_they_do_not_have_it(pendulum, way):
+    """A changing force on the plant; the step that proves the saved state is repeated with the force of its time."""
+    wired = '{ "controller.phi" = "plant.phi", "controller.phi_dot" = "plant.phi_dot" }'
+    pushed = {"connections": wired, "changes": "{}", 'changes."plant.u"': "2 + 3*sin(20*t)"}
+    scenario = pendulum(SHORT | pushed | {"estimation.rollout.start": way}, 0.3)
+    result = run(scenario, "target")
+    assert result.status == "done", result.error
+    assert ("the plant's saved state (a repeated" if way == "auto" else "measured states") in result.objective
+    assert not [name for name in result.series if name.startswith("held.")]
+    assert set(result["plant.u"]) == {2 + 3 * math.sin(20 * t) for t in result.time}
+
+
 # -- FMUs that cannot ---------------------------------------------------------------------------------------------
 
 SPOILT = """

@@ -31,7 +31,7 @@ from ..slaves.slave import Slave
 from ..system.master import Master, Wiring
 from ..system.parameters import check_parameters, start_value, true_parameters
 from ..system.plant import Plant, plant_of
-from ..system.tunables import TunableWriter
+from ..system.tunables import ReadBackCheck, TunableWriter
 from ..system.wiring import wire, with_read_back
 from .checkpoint import Checkpoint, Checkpoints, restore
 from .final_estimate import EstimateTracker
@@ -61,7 +61,7 @@ def open_loop(
     check_parameters(scenario, slaves)
     writes = [p.writes for p in scenario.estimation.parameters]
     wiring, groups = wire(scenario, slaves)
-    wiring = with_read_back(wiring, writes)
+    wiring = with_read_back(wiring)
     noise, search, faults = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3))
     master = Master(slaves, wiring, groups)
     sampler = Sampler(scenario, plant, master.names, noise, faults)
@@ -109,9 +109,10 @@ class Loop:
         inputs = {name for names in disturbances.values() for name in names}
         self._changed = [name for name in scenario.changes if name not in inputs]
         self._tunables = TunableWriter([*self._changed, *writes])
+        self._read_back = ReadBackCheck(self._changed, master.names)  # the guard's are the others
         place = {name: i for i, name in enumerate(master.names)}
         self._tracked = [(place[a], place[b]) for a, b in scenario.tracking.items()]
-        self._recorded = [i for name, i in place.items() if name not in writes]
+        self._recorded = [i for name, i in place.items() if name not in (*self._changed, *writes)]
         recorded = [master.names[i] for i in self._recorded]
         self.columns = ("time", *recorded, *truth, *writes, *sampler.columns)
         """Names of the columns recorded at each communication point."""
@@ -200,6 +201,7 @@ class Loop:
         recorder.row([t, *outputs, *truth.values(), *self._held.tolist(), *row])
         if is_stepping:
             master.finish(t, settings.macro_step, changed)
+            self._read_back.check(changed, master.values)
         return has_diverged
 
     def _take(self, t: float, decision: Decision, recorder: Recorder) -> None:

@@ -6,7 +6,6 @@ from dataclasses import replace
 from ..errors import WiringError
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
-from ..variable_name import VariableName
 from .master import Wiring
 from .plant import Described, disturbances_of, numeric_outputs
 from .unit_conversions import unit_conversions
@@ -51,13 +50,9 @@ def wire(scenario: Scenario, slaves: Mapping[str, Described]) -> tuple[dict[str,
     return wiring, _groups(scenario, list(slaves))
 
 
-def with_read_back(wiring: Mapping[str, Wiring], writes: Sequence[VariableName]) -> dict[str, Wiring]:
-    """Return the wiring with the re-tuned parameters read too, after the outputs."""
-    names = {name: [r.variable for r in writes if r.component == name] for name in wiring}
-    return {
-        name: replace(w, outputs=(*w.outputs, *(n for n in names[name] if n not in w.outputs)))
-        for name, w in wiring.items()
-    }
+def with_read_back(wiring: Mapping[str, Wiring]) -> dict[str, Wiring]:
+    """Return the wiring with the parameters that are set read too, after the outputs."""
+    return {name: replace(w, outputs=(*w.outputs, *w.tunables)) for name, w in wiring.items()}
 
 
 def _groups(scenario: Scenario, names: Sequence[str]) -> list[list[str]]:

@@ -289,10 +289,13 @@ def described(stub, *variables):
 
 
 def stubs(calls, fail_at=math.inf):
+    held = [1.75, 0.75]
+
     def plant(inputs, t, h, tunables):
         if t >= fail_at:
             raise SlaveError("plant", "do_step", t, "returned discard")
-        return [inputs[0], 100.0 * t, 0.25, inputs[0]]  # phi, phi_dot, der(phi_dot), u_held
+        held[:] = tunables or held
+        return [inputs[0], 100.0 * t, 0.25, inputs[0], *held]  # phi, phi_dot, der(phi_dot), u_held, m, l
 
     phi, phi_dot = variable("phi", start="1"), variable("phi_dot", start="0")
     return {

@@ -55,9 +55,13 @@ def check_sampling(scenario: Scenario, components: Components) -> Iterator[Findi
     is_filtered = scenario.sampling.filter is not None  # `check_filter` looks at its states
     for reference in () if is_filtered else scenario.sampling.states:
         component, name = reference.parts
-        if component != scenario.plant or name not in derivatives:
-            hint = did_you_mean(name, derivatives)
-            yield Finding(f'sampling.states."{reference}"', f"no state with a declared derivative{hint}")
+        if component == scenario.plant and not derivatives:
+            problem = output_refusal(plant, name)
+        else:
+            is_known = component == scenario.plant and name in derivatives
+            problem = None if is_known else f"no state with a declared derivative{did_you_mean(name, derivatives)}"
+        if problem:
+            yield Finding(f'sampling.states."{reference}"', problem)
     for state in derivatives if scenario.sampling.derivatives and not is_filtered else ():
         if problem := output_refusal(plant, state):
             yield Finding("sampling", f"the model takes every state: {problem}")

@@ -125,7 +125,7 @@ def _obstacles(shadow: Shadow, catalogue: Catalogue, interface: Any, live: Path 
     elif fixed:
         obstacles["state"] = fixed
     if not shadow.states:
-        obstacles["measured"] = "the plant declares no states"
+        obstacles["measured"] = "the plant declares no states: name them in sampling.states"
     elif problem := _refusal(lambda: [catalogue.start_port(name, 0.0) for name in shadow.states]):
         obstacles["measured"] = problem
     if fixed:

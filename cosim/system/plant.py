@@ -23,7 +23,7 @@ class Plant:
     """Instance name."""
     states: tuple[str, ...]
     """Its states, in the order of the model description: the model's x. Empty where there is no model and they are
-    not all outputs."""
+    not all outputs. Those of an FMU that declares none are the scenario's, in its order."""
     inputs: Mapping[str, float]
     """Its inputs with their start values, in the order of the model description: the model's u. Those that the
     scenario changes are left out: nobody measures them."""
@@ -35,7 +35,7 @@ def plant_of(scenario: Scenario, slave: Described) -> Plant:
     """Return the plant's states, inputs and sampled channels. Raises WiringError where a derivative has no state.
 
     States are those that the FMU declares; with a filter, which needs none declared, those of them that are outputs,
-    and those that the scenario lists.
+    and those that the scenario lists. Without one the scenario's list is all where the FMU declares none.
     """
     variables = slave.description.modelVariables
     state_of = derivatives_of(slave)
@@ -46,6 +46,8 @@ def plant_of(scenario: Scenario, slave: Described) -> Plant:
     elif not sampling.derivatives and not is_state <= outputs:
         is_state = set()  # no model takes them, so they need not be measured
     states = tuple(v.name for v in variables if v.name in is_state)
+    if sampling.filter is None and not state_of:
+        states = tuple(name.variable for name in sampling.states if name in {f"{slave.name}.{own}" for own in outputs})
     for reference in sampling.states:
         if reference not in {f"{slave.name}.{name}" for name in states}:
             raise WiringError(f"'{reference}' is no state of {slave.name}{did_you_mean(reference, states) or '.'}")

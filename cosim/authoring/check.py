@@ -69,7 +69,8 @@ def _check_model(scenario: Scenario, components: Mapping[str, Component]) -> Ite
     try:
         plant = plant_of(scenario, files[scenario.plant])
         if chosen(scenario).kind != "derivative":
-            yield Finding("estimation.objective", check_objective(scenario, plant), is_error=False, is_note=True)
+            for text in check_objective(scenario, plant):
+                yield Finding("estimation.objective", text, is_error=False, is_note=True)
             return
         x = tuple([start_value(scenario, files, f"{plant.name}.{name}") for name in plant.states])
         theta = np.array([start_value(scenario, files, p.writes) for p in scenario.estimation.parameters])

@@ -377,6 +377,23 @@ STATES = (
 RATE = (("<Real/>", '<Real derivative="3"/>'),)
 FIXED = (('name="gain" valueReference="0" causality="parameter" variability="tunable"',
           'name="gain" valueReference="0" causality="parameter" variability="fixed"'),)  # fmt: skip
+CAUTIONS = {
+    "state": [
+        "roll-outs from the plant's saved state hide disturbances: an FMU's state holds what nobody measures; "
+        'start = "measured" does not'
+    ],
+    "measured": [],
+    "replay": ["roll-outs simulated again from the start diverge on an unstable plant"],
+}
+
+
+@pytest.mark.parametrize("way", CAUTIONS)
+def test_check_notes_what_to_know_of_the_way_that_is_asked_for(tmp_path, way):
+    found = check(toml(tmp_path, spoilt(tmp_path, declared=STATES + RATE), way))
+    assert not [f for f in found if f.is_error]
+    assert [f.what for f in found if f.is_note][1:] == CAUTIONS[way]
+
+
 START_METHODS = {
     "states can be saved": (STATES + RATE, "0.0", "saved state (a repeated step was the plant's own)"),
     "they cannot": (RATE, "0.0", "measured states (state: Spoilt.fmu cannot save and restore its state)"),
@@ -400,8 +417,10 @@ def test_the_first_way_that_is_seen_to_work_is_taken_and_why_is_said(tmp_path, l
     assert result.summary()["objective"] == result.objective
     assert abs(result.estimates["gain"][-1] - 2.0) < 0.05
     notes = [f for f in check(path) if f.is_note]
-    assert [f.where for f in notes] == ["estimation.objective"]
+    assert {f.where for f in notes} == {"estimation.objective"}
     assert "roll-outs of Spoilt.fmu" in str(notes[0])
+    first = next(way for way in CAUTIONS if f"'{way}'" in notes[0].what)  # begun by 'state' or else 'measured' ...
+    assert [f.what for f in notes[1:]] == CAUTIONS[first]
 
 
 def test_a_state_that_is_too_large_is_an_obstacle_as_any_other(tmp_path, leaves_nothing, monkeypatch):

@@ -2,6 +2,7 @@
 
 import math
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from benchmarks.native_fmus import FOREIGN, SOURCES, build_c
 from cosim.authoring.check import check
 from cosim.errors import WiringError
 from cosim.runs.simulation import run
-from cosim.scenarios.scenario import Scenario
+from cosim.scenarios.scenario import Scenario, find_scenario, read_tables
 
 pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("leaves_nothing")]
 
@@ -99,6 +100,25 @@ def test_it_acts_on_the_plant_from_each_change_on_and_is_recorded(pushed, name, 
     expected = independent_position(result, push) - independent_position(still, lambda t: 0.0)
     np.testing.assert_allclose(added, expected, atol=4e-5)
     assert np.max(np.abs(expected)) > 1e-3
+
+
+def test_an_element_of_an_array_changes_and_the_others_stay_connected():
+    """FMI 3.0 sets an array as a whole; the moment M_z of FMI 2.0 is its element M[3] there."""
+
+    def ran(fmi):
+        tables = read_tables(find_scenario("rigid-body"))
+        tables["scenario"] |= {"stop_time": 0.1, "isolation": "none"}
+        for component in tables["components"].values():
+            component["fmi"] = fmi
+        del tables["connections"]["plant.M_z"]
+        tables["changes"]["plant.M_z"] = "0.5*sin(20*t)"
+        return run(Scenario.from_tables(tables, {}, Path(), Path("rigid-body")), "none")
+
+    plain, arrays = ran(2), ran(3)
+    assert abs(plain["plant.Omega_z"][-1]) > 1e-3
+    for i, axis in enumerate("xyz", 1):
+        np.testing.assert_array_equal(arrays[f"plant.Omega[{i}]"], plain[f"plant.Omega_{axis}"])
+    assert [n for n in arrays.series if n.startswith("held.plant.M")] == ["held.plant.M[1]", "held.plant.M[2]"]
 
 
 def test_the_estimator_has_no_such_input(pushed):

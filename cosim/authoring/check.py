@@ -68,16 +68,16 @@ def _check_model(scenario: Scenario, components: Mapping[str, Component]) -> Ite
     files = {name: FmuFile(name, c.description) for name, c in components.items()}
     try:
         plant = plant_of(scenario, files[scenario.plant])
+        if chosen(scenario).kind != "derivative":
+            for text in check_objective(scenario, plant):
+                yield Finding("estimation.objective", text, is_error=False, is_note=True)
+            return
         x = tuple([start_value(scenario, files, f"{plant.name}.{name}") for name in plant.states])
         theta = np.array([start_value(scenario, files, p.writes) for p in scenario.estimation.parameters])
         zeros = (0.0,) * len(scenario.sampling.derivatives)
         sample = Sample(scenario.scenario.start_time, x, tuple(plant.inputs.values()), zeros)
         try_model(scenario, "target", plant, theta, sample)
-        if chosen(scenario).kind != "derivative":
-            text = check_objective(scenario, plant)
-            yield Finding("estimation.objective", text, is_error=False, is_note=True)
-        else:
-            yield from check_filtered_model(scenario, plant, np.array(x), theta)
+        yield from check_filtered_model(scenario, plant, np.array(x), theta)
     except CosimError as e:
         yield _split(_plain(e)) if str(e).startswith("estimation.") else Finding("estimation.model", _plain(e))
 

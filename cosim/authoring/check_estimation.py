@@ -8,15 +8,19 @@ from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
 from ..scenarios.schema.estimation import EstimatedParameter
 from ..system.parameters import parameter_problem
+from ..system.plant import connected_as_well
 from ..variable_name import VariableName
 from .check_wiring import Components, output_refusal, parts, refusal, unit_finding
 
 
 def check_changes(scenario: Scenario, components: Components) -> Iterator[Finding]:
-    """Yield parameters that cannot change while the plant runs, and an experiment in which nothing changes."""
+    """Yield variables that cannot change while the plant runs, and an experiment in which nothing changes."""
     for reference in scenario.changes:
         component, name = parts(reference, components)
-        problem = component and refusal(component, "tunable parameter", name)
+        is_input = component is not None and name in {v.name for v in component.having("input")}
+        problem = component and refusal(component, "input" if is_input else "tunable parameter", name)
+        if is_input and reference in scenario.connections:
+            problem = connected_as_well(scenario, reference)
         if problem:
             yield Finding(f'changes."{reference}"', problem)
     if not scenario.changes:
@@ -51,9 +55,13 @@ def check_sampling(scenario: Scenario, components: Components) -> Iterator[Findi
     is_filtered = scenario.sampling.filter is not None  # `check_filter` looks at its states
     for reference in () if is_filtered else scenario.sampling.states:
         component, name = reference.parts
-        if component != scenario.plant or name not in derivatives:
-            hint = did_you_mean(name, derivatives)
-            yield Finding(f'sampling.states."{reference}"', f"no state with a declared derivative{hint}")
+        if component == scenario.plant and not derivatives:
+            problem = output_refusal(plant, name)
+        else:
+            is_known = component == scenario.plant and name in derivatives
+            problem = None if is_known else f"no state with a declared derivative{did_you_mean(name, derivatives)}"
+        if problem:
+            yield Finding(f'sampling.states."{reference}"', problem)
     for state in derivatives if scenario.sampling.derivatives and not is_filtered else ():
         if problem := output_refusal(plant, state):
             yield Finding("sampling", f"the model takes every state: {problem}")

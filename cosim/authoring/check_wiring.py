@@ -102,10 +102,10 @@ def check_connections(scenario: Scenario, components: Components) -> Iterator[Fi
 
 
 def check_inputs(scenario: Scenario, components: Components) -> Iterator[Finding]:
-    """Yield inputs that are not connected."""
+    """Yield inputs that are neither connected nor changed."""
     for name, component in components.items():
         for v in component.having("input"):
-            if f"{name}.{v.name}" not in scenario.connections:
+            if f"{name}.{v.name}" not in {*scenario.connections, *scenario.changes}:
                 start = scenario.components[name].start.get(v.name, v.start)
                 yield warning(f'connections."{name}.{v.name}"', f"the input is not connected: it stays {start}")
 

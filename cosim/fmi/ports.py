@@ -24,7 +24,10 @@ class Ports:
         self.variables = [ScalarVariable(v.name, _type_of(v), v.valueReference) for v in variables]
         self._role = role
         self._units = [attribute(v, "unit") or "" for v in variables]
-        self._declared = [_range_of(v) for v in variables]
+        is_read = role == "output"  # a parameter that is read back was checked when it was set, before any rounding
+        self._declared = [
+            _default_range(v) if is_read and v.causality == "parameter" else _range_of(v) for v in variables
+        ]
         self._ranges = [_default_range(v) for v in variables] if is_lenient else self._declared
         self._whole = [i for i, v in enumerate(self.variables) if TYPES[v.type].is_whole]
         self._bounded = [(i, *limits) for i, limits in enumerate(self._ranges) if limits != _ANY_NUMBER]

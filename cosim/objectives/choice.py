@@ -1,6 +1,6 @@
 """Choice of a scenario's objective: derivatives, roll-outs, or a function of the user's."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any, Final, Literal, Protocol
@@ -14,9 +14,15 @@ from ..scenarios.scenario import Scenario
 from ..system.plant import Plant
 from ..user_code import USERS, load
 from .rollout import RolloutObjective
-from .rollout_fmu import START_METHODS, RunningPlant, obstacles_in_words, shadow_of
+from .rollout_fmu import START_METHODS, RunningPlant, StartMethod, obstacles_in_words, shadow_of
 
 ENDLESS: Final = "estimation.trigger: 'always' is for derivatives: other objectives need episodes that end."
+_CAUTIONS: Final[Mapping[StartMethod, str]] = {
+    "state": "roll-outs from the plant's saved state hide disturbances: an FMU's state holds what nobody measures; "
+    'start = "measured" does not',
+    "replay": "roll-outs simulated again from the start diverge on an unstable plant",
+}
+"""What to know of roll-outs that begin in a way."""
 
 
 @dataclass(frozen=True)
@@ -61,20 +67,25 @@ def open_objective(
     return stack.enter_context(RolloutObjective(shadow, theta, way, live, settings.rollout.jobs))
 
 
-def check_objective(scenario: Scenario, plant: Plant) -> str:
-    """Describe the objective that `run` will use; no FMU is started. Raises ScenarioError for what `run` refuses."""
+def check_objective(scenario: Scenario, plant: Plant) -> list[str]:
+    """Return notes on the objective that `run` will use: a description, then what to know of it.
+
+    No FMU is started. Raises ScenarioError for what `run` refuses.
+    """
     choice, name = chosen(scenario), scenario.estimation.objective
     if scenario.estimation.trigger.is_endless:
         raise ScenarioError(ENDLESS)
     if choice.kind == "function":
         _function(scenario)
-        return f"residuals of {name}"
+        return [f"residuals of {name}"]
     shadow = shadow_of(scenario, plant, is_live=True)
-    ways = " or else ".join(f"'{w}'" for w in START_METHODS if w not in shadow.obstacles)
-    if scenario.estimation.rollout.start != "auto":
-        ways = f"'{scenario.estimation.rollout.start}', as asked"
+    start = scenario.estimation.rollout.start
+    open_ways = [w for w in START_METHODS if w not in shadow.obstacles]
+    ways = " or else ".join(f"'{w}'" for w in open_ways) if start == "auto" else f"'{start}', as asked"
+    likely = open_ways[0] if start == "auto" else start
     obstacles = f"; not so: {obstacles_in_words(shadow.obstacles)}" if shadow.obstacles else ""
-    return f"roll-outs of {shadow.fmu.name} ({choice.why}), begun by {ways}{obstacles}"
+    description = f"roll-outs of {shadow.fmu.name} ({choice.why}), begun by {ways}{obstacles}"
+    return [description, *([_CAUTIONS[likely]] if likely in _CAUTIONS else [])]
 
 
 def _function(scenario: Scenario) -> Callable[..., Any]:

@@ -28,12 +28,14 @@ def steps_like_the_plant(shadow: Shadow, live: RunningPlant, state: bytes, sampl
     """
     first, second = samples
     tunables = tuple(live.changes)
+    disturbed = replace(shadow, inputs=(*shadow.inputs, *live.disturbances))
     try:
-        with shadow.opened(tunables) as slave:
+        with disturbed.opened(tunables) as slave:
             slave.initialize(shadow.start, shadow.start_time)
             slave.set_state(state)
             values = [live.changes[name](first.t) for name in tunables]
-            (repeated,) = slave.many_steps([first.t, second.t], [second.u], values or None)
+            inputs = [*second.u, *(value(first.t) for value in live.disturbances.values())]
+            (repeated,) = slave.many_steps([first.t, second.t], [inputs], values or None)
     except SlaveError as e:
         return f"a step could not be repeated: {e}"
     places = [live.outputs.index(name) for name in shadow.outputs]

@@ -1,7 +1,7 @@
 """The FMU that is rolled out: a second FMU of the plant, with the plant's variables by name."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -28,6 +28,8 @@ class RunningPlant:
     """Variables read from it."""
     changes: Mapping[str, Callable[[float], float]]
     """Parameters changed from outside, as functions of t [s]: used only to prove that a step can be repeated."""
+    disturbances: Mapping[str, Callable[[float], float]] = field(default_factory=dict[str, Callable[[float], float]])
+    """Inputs changed from outside, likewise."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +125,7 @@ def _obstacles(shadow: Shadow, catalogue: Catalogue, interface: Any, live: Path 
     elif fixed:
         obstacles["state"] = fixed
     if not shadow.states:
-        obstacles["measured"] = "the plant declares no states"
+        obstacles["measured"] = "the plant declares no states: name them in sampling.states"
     elif problem := _refusal(lambda: [catalogue.start_port(name, 0.0) for name in shadow.states]):
         obstacles["measured"] = problem
     if fixed:

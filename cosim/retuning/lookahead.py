@@ -62,7 +62,9 @@ class Lookahead:
         writes = [p.writes for p in scenario.estimation.parameters]
         self._written = {name: [i for i, r in enumerate(writes) if r.component == name] for name in slaves}
         self._wiring = {
-            name: replace(w, tunables=tuple(r.variable for r in [*true, *writes] if r.component == name))
+            name: replace(
+                w, tunables=tuple(r.variable for r in [*true, *writes] if r.component == name), disturbances=()
+            )
             for name, w in wiring.items()
         }
         self._modelled = _modelled(scenario, slaves, wiring, plant, model)

@@ -1,13 +1,13 @@
 """The simulation loop of a run. At each communication point t_k, in this order:
 
 get plant x, der(x), held u | noise | record sample | estimate | set controller theta, x, reference |
-doStep controller | get u | set plant theta_true(t_k), u | doStep plant, reference.
+doStep controller | get u | set plant theta_true(t_k), disturbances(t_k), u | doStep plant, reference.
 
 This is legal FMI 2.0, which forbids get after set without a doStep (section 4.2.4), and delays nothing: a memoryless
 controller's output after its step is the control law at x_k.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from math import hypot
 from pathlib import Path
@@ -31,7 +31,7 @@ from ..slaves.slave import Slave
 from ..system.master import Master, Wiring
 from ..system.parameters import check_parameters, start_value, true_parameters
 from ..system.plant import Plant, plant_of
-from ..system.tunables import TunableWriter
+from ..system.tunables import ReadBackCheck, TunableWriter
 from ..system.wiring import wire, with_read_back
 from .checkpoint import Checkpoint, Checkpoints, restore
 from .final_estimate import EstimateTracker
@@ -61,7 +61,7 @@ def open_loop(
     check_parameters(scenario, slaves)
     writes = [p.writes for p in scenario.estimation.parameters]
     wiring, groups = wire(scenario, slaves)
-    wiring = with_read_back(wiring, writes)
+    wiring = with_read_back(wiring)
     noise, search, faults = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3))
     master = Master(slaves, wiring, groups)
     sampler = Sampler(scenario, plant, master.names, noise, faults)
@@ -73,7 +73,8 @@ def open_loop(
     policy = make_policy(
         scenario, estimator, plant, held, _TrueParameters(scenario, truth), search, stack, running, live
     )
-    return Loop(scenario, estimator, plant, master, sampler, policy, held, truth, begun)
+    disturbances = {name: [f"{name}.{own}" for own in w.disturbances] for name, w in wiring.items() if w.disturbances}
+    return Loop(scenario, estimator, plant, master, sampler, policy, held, truth, disturbances, begun)
 
 
 class Loop:
@@ -94,18 +95,24 @@ class Loop:
         policy: Policy,
         held: Vector,
         truth: Mapping[str, Callable[[float], float]],
+        disturbances: Mapping[str, Sequence[str]],
         begun: float,
     ) -> None:
-        """held (d,): the controller's first parameters; truth: the plant's parameters as functions of time [s]."""
+        """held (d,): the controller's first parameters; truth: all that is changed or estimated, as functions of time
+        [s]; disturbances: those of it that are inputs, by component."""
         writes = [p.writes for p in scenario.estimation.parameters]
         self.plant, self.policy, self.begun = plant, policy, begun
         self.estimates, self.latencies = EstimateTracker(scenario, estimator), Latencies()
         self._scenario, self._estimator, self._truth = scenario, estimator, truth
         self._master, self._sampler, self._held, self._k = master, sampler, held, 0
-        self._tunables = TunableWriter([*scenario.changes, *writes])
+        self._disturbances = disturbances
+        inputs = {name for names in disturbances.values() for name in names}
+        self._changed = [name for name in scenario.changes if name not in inputs]
+        self._tunables = TunableWriter([*self._changed, *writes])
+        self._read_back = ReadBackCheck(self._changed, master.names)  # the guard's are the others
         place = {name: i for i, name in enumerate(master.names)}
         self._tracked = [(place[a], place[b]) for a, b in scenario.tracking.items()]
-        self._recorded = [i for name, i in place.items() if name not in writes]
+        self._recorded = [i for name, i in place.items() if name not in (*self._changed, *writes)]
         recorded = [master.names[i] for i in self._recorded]
         self.columns = ("time", *recorded, *truth, *writes, *sampler.columns)
         """Names of the columns recorded at each communication point."""
@@ -184,7 +191,9 @@ class Loop:
         self._take(t, self.policy.step(point, self._held), recorder)
         truth = {reference: value(t) for reference, value in self._truth.items()}
         is_stepping = k < settings.n_steps and not has_diverged
-        changed = self._tunables.changed([*(truth[name] for name in self._scenario.changes), *self._held.tolist()])
+        changed = self._tunables.changed([*(truth[name] for name in self._changed), *self._held.tolist()])
+        if self._disturbances:
+            master.disturb({name: [truth[own] for own in names] for name, names in self._disturbances.items()})
         if is_stepping:
             master.begin(t, settings.macro_step, changed)
         outputs = [master.values[i] for i in self._recorded]
@@ -192,6 +201,7 @@ class Loop:
         recorder.row([t, *outputs, *truth.values(), *self._held.tolist(), *row])
         if is_stepping:
             master.finish(t, settings.macro_step, changed)
+            self._read_back.check(changed, master.values)
         return has_diverged
 
     def _take(self, t: float, decision: Decision, recorder: Recorder) -> None:
@@ -229,4 +239,6 @@ def _running_plant(
     if isinstance(slave, TableSlave):
         return None
     changes = [name for name in scenario.changes if name.component == scenario.plant]
-    return RunningPlant(slave, wiring.outputs, {name.variable: truth[name] for name in changes})
+    functions = {name.variable: truth[name] for name in changes}
+    parameters = {name: value for name, value in functions.items() if name not in wiring.disturbances}
+    return RunningPlant(slave, wiring.outputs, parameters, {name: functions[name] for name in wiring.disturbances})

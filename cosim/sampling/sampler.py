@@ -42,7 +42,7 @@ class Sampler:
         self._faults = FaultInjection(sampling.faults, sensors, faults) if sampling.faults else None
         measured = [*derivatives, *states, *(name for name in sampling.outputs if name not in states)]
         self._measured = [place[name] for name in measured]
-        known: dict[str, Noise] = {**sampling.derivatives, **sampling.outputs, **sampling.states}
+        known: dict[str, Noise] = {**sampling.derivatives, **sampling.states, **sampling.outputs}
         self._sigma = np.array([known[name].noise if name in known else 0.0 for name in measured])
         n = len(derivatives)
         self._xdot, self._x = slice(n), slice(n, n + len(states))

@@ -1,4 +1,4 @@
-"""Changes of the plant's parameters over time: values, formulas, or rows of them."""
+"""Changes of the plant's parameters and inputs over time: values, formulas, or rows of them."""
 
 from collections.abc import Callable, Mapping
 from itertools import pairwise
@@ -24,7 +24,7 @@ Change = Annotated[float | str | tuple[tuple[float, float | str], ...], BeforeVa
 def change_functions(
     definitions: Mapping[str, float | str], changes: Mapping[VariableName, Change]
 ) -> dict[VariableName, Callable[[float], float]]:
-    """Return each changed parameter as a function of t [s]; a definition may use those before it. Raises ValueError."""
+    """Return each change as a function of t [s]; a definition may use those before it. Raises ValueError."""
     defined: dict[str, Callable[[float], float]] = {}
     for name, text in definitions.items():
         if not name.isidentifier() or iskeyword(name) or name in {"t", *FUNCTIONS, *CONSTANTS}:

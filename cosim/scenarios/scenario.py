@@ -34,7 +34,8 @@ class Scenario(Table):
     definitions: dict[str, float | str] = {}
     """Named functions of t [s] for the formulas of `changes`; each may use those before it."""
     changes: dict[Reference, Change] = {}
-    """Changes of the plant: its tunable parameters as a value, a formula in t, or rows `[time, value]`."""
+    """Changes of the plant, unknown to the estimator: its tunable parameters, or inputs that are not connected
+    (disturbances), as a value, a formula in t, or rows `[time, value]`."""
     tracking: dict[Reference, Reference] = Field(min_length=1)
     """Each tracked output, and its reference: `"plant.phi" = "reference.phi_ref"`."""
     sampling: Sampling
@@ -90,7 +91,7 @@ class Scenario(Table):
         return next(iter((*self.sampling.derivatives, *self.sampling.outputs))).component
 
     def change_functions(self) -> dict[VariableName, Callable[[float], float]]:
-        """Return each changed parameter as a function of t [s]."""
+        """Return each changed parameter or input as a function of t [s]."""
         return change_functions(self.definitions, self.changes)
 
     def true_reference(self, parameter: EstimatedParameter) -> VariableName:

@@ -40,6 +40,8 @@ class Wiring:
     """Start values."""
     conversions: Mapping[str, Linear] = field(default_factory=dict[str, Linear])
     """Conversion from the source's unit to the input's, by input, where they differ."""
+    disturbances: tuple[str, ...] = ()
+    """Inputs that are not connected, but changed from outside: see `Master.disturb`."""
 
 
 class Master:
@@ -62,6 +64,7 @@ class Master:
             name: [(place[source], w.conversions.get(target, IDENTITY)) for target, source in w.sources.items()]
             for name, w in wiring.items()
         }
+        self._disturbances: dict[str, list[float]] = {name: [0.0] * len(w.disturbances) for name, w in wiring.items()}
         self._first = {name: place[f"{name}.{w.outputs[0]}"] if w.outputs else 0 for name, w in wiring.items()}
 
     def initialize(self, start_time: float, stop_time: float, is_propagated: bool = False) -> None:
@@ -72,7 +75,7 @@ class Master:
         """
         for name, slave in self._slaves.items():
             w = self._wiring[name]
-            slave.bind(tuple(w.sources), w.tunables, w.outputs)
+            slave.bind((*w.sources, *w.disturbances), w.tunables, w.outputs)
         for name, slave in self._slaves.items():
             start = slave.enter_initialization if is_propagated else slave.initialize
             start(self._wiring[name].start, start_time, stop_time)
@@ -80,6 +83,11 @@ class Master:
             self._propagate()
         for name, slave in self._slaves.items():
             self._take(name, slave.get())
+
+    def disturb(self, values: Mapping[str, Sequence[float]]) -> None:
+        """Set disturbances from the next step on; values: of each FMU that has any, in the order of its wiring."""
+        for name, its in values.items():
+            self._disturbances[name][:] = its
 
     def begin(self, t: float, h: float, tunables: Mapping[str, Sequence[float]]) -> None:
         """Step every group but the last from t [s] by h [s]; then `values` all belong to t.
@@ -97,7 +105,7 @@ class Master:
         for name, slave in self._slaves.items():
             self._take(name, slave.propagate(None))
         for _ in self._slaves:
-            inputs = {name: self._inputs(name) for name in self._slaves}
+            inputs = {name: [*self._inputs(name), *self._disturbances[name]] for name in self._slaves}
             for name, slave in self._slaves.items():
                 self._take(name, slave.propagate(inputs[name]))
         for slave in self._slaves.values():
@@ -107,7 +115,7 @@ class Master:
         for name in group:
             inputs = self._inputs(name)
             self.inputs[name] = dict(zip(self._wiring[name].sources, inputs, strict=True))
-            self._slaves[name].begin_step(inputs, t, h, tunables.get(name))
+            self._slaves[name].begin_step([*inputs, *self._disturbances[name]], t, h, tunables.get(name))
         for name in group:
             self._take(name, self._slaves[name].end_step())
 

@@ -62,7 +62,7 @@ def narrower_range(parameter: Parameter, variable: ModelVariable) -> str | None:
 
 
 def true_parameters(scenario: Scenario, slaves: Mapping[str, Described]) -> dict[str, Callable[[float], float]]:
-    """Return the true values of the plant's changed and estimated parameters, functions of t [s]. Raises WiringError.
+    """Return the true values of all that is changed or estimated, functions of t [s]. Raises WiringError.
 
     The functions raise ScenarioError where a formula has no value.
     """
@@ -76,7 +76,7 @@ def true_parameters(scenario: Scenario, slaves: Mapping[str, Described]) -> dict
 
 
 def value_of_change(name: str, change: Callable[[float], float], t: float) -> float:
-    """Return the value of a changed parameter at t [s]. Raises ScenarioError."""
+    """Return the value of a changed parameter or input at t [s]. Raises ScenarioError."""
     try:
         return change(t)
     except (ArithmeticError, ValueError) as e:

@@ -10,6 +10,7 @@ from ..fmi.table import TableSlave
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
 from ..slaves.slave import Slave
+from ..variable_name import VariableName
 
 Described = Slave | FmuFile | TableSlave
 
@@ -22,9 +23,10 @@ class Plant:
     """Instance name."""
     states: tuple[str, ...]
     """Its states, in the order of the model description: the model's x. Empty where there is no model and they are
-    not all outputs."""
+    not all outputs. Those of an FMU that declares none are the scenario's, in its order."""
     inputs: Mapping[str, float]
-    """Its inputs with their start values, in the order of the model description: the model's u."""
+    """Its inputs with their start values, in the order of the model description: the model's u. Those that the
+    scenario changes are left out: nobody measures them."""
     channels: tuple[int, ...]
     """Places in x of the states whose derivatives are sampled."""
 
@@ -33,7 +35,7 @@ def plant_of(scenario: Scenario, slave: Described) -> Plant:
     """Return the plant's states, inputs and sampled channels. Raises WiringError where a derivative has no state.
 
     States are those that the FMU declares; with a filter, which needs none declared, those of them that are outputs,
-    and those that the scenario lists.
+    and those that the scenario lists. Without one the scenario's list is all where the FMU declares none.
     """
     variables = slave.description.modelVariables
     state_of = derivatives_of(slave)
@@ -44,6 +46,8 @@ def plant_of(scenario: Scenario, slave: Described) -> Plant:
     elif not sampling.derivatives and not is_state <= outputs:
         is_state = set()  # no model takes them, so they need not be measured
     states = tuple(v.name for v in variables if v.name in is_state)
+    if sampling.filter is None and not state_of:
+        states = tuple(name.variable for name in sampling.states if name in {f"{slave.name}.{own}" for own in outputs})
     for reference in sampling.states:
         if reference not in {f"{slave.name}.{name}" for name in states}:
             raise WiringError(f"'{reference}' is no state of {slave.name}{did_you_mean(reference, states) or '.'}")
@@ -55,13 +59,35 @@ def plant_of(scenario: Scenario, slave: Described) -> Plant:
                 f"'{reference}' is not declared as a state's derivative{did_you_mean(name, state_of) or '.'}"
             )
         channels.append(states.index(derivative.of.variable if derivative.of else state_of[name]))
-    inputs = {v.name: float(v.start or 0.0) for v in variables if v.causality == "input"}
+    inputs = {
+        v.name: float(v.start or 0.0)
+        for v in variables
+        if v.causality == "input" and f"{slave.name}.{v.name}" not in scenario.changes
+    }
     return Plant(slave.name, states, inputs, tuple(channels))
 
 
 def derivatives_of(slave: Described) -> dict[str, str]:
     """Return the state of each declared derivative, by the derivative's name."""
     return {v.name: v.derivative.name for v in slave.description.modelVariables if v.derivative is not None}
+
+
+def disturbances_of(scenario: Scenario, slaves: Mapping[str, Described]) -> tuple[VariableName, ...]:
+    """Return those of the scenario's changes that are inputs, in its order. Raises WiringError for a connected one."""
+    inputs = {
+        name: {v.name for v in slave.description.modelVariables if v.causality == "input"}
+        for name, slave in slaves.items()
+    }
+    found = tuple(r for r in scenario.changes if r.variable in inputs[r.component])
+    for reference in found:
+        if reference in scenario.connections:
+            raise WiringError(f"changes: {connected_as_well(scenario, reference)}.")
+    return found
+
+
+def connected_as_well(scenario: Scenario, reference: VariableName) -> str:
+    """Return a message on an input that is both changed and connected."""
+    return f"'{reference}' is connected to '{scenario.connections[reference]}': an input is either changed or connected"
 
 
 def numeric_outputs(slave: Described) -> tuple[str, ...]:

@@ -1,8 +1,14 @@
-"""Selection of the tunable parameters to set at a communication point: those of FMUs where one has changed."""
+"""Tunable parameters at a communication point: those of FMUs where one has changed are set, and read back."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from math import isclose
+from typing import Final
 
+from ..errors import ScenarioError
 from ..variable_name import VariableName
+
+_READ_BACK: Final = 1e-6
+"""Relative tolerance of a value read back: an FMU may hold single precision."""
 
 
 class TunableWriter:
@@ -21,3 +27,26 @@ class TunableWriter:
         changed = {name: v for name, v in now.items() if self._written.get(name) != v}
         self._written |= changed
         return changed
+
+
+class ReadBackCheck:
+    """Check that FMUs have taken the parameters set in a step, by their values among the outputs after it.
+
+    An FMU that stores a parameter and does not use it passes.
+    """
+
+    def __init__(self, references: Sequence[VariableName], names: Sequence[str]) -> None:
+        """references: of the parameters, a component's first ones in the order of its wiring; names: of all outputs."""
+        place = {name: i for i, name in enumerate(names)}
+        self._places: dict[str, list[tuple[str, int]]] = {}
+        for reference in references:
+            self._places.setdefault(reference.component, []).append((reference, place[reference]))
+
+    def check(self, written: Mapping[str, Sequence[float]], values: Sequence[float]) -> None:
+        """Raise ScenarioError for a parameter that was not taken; written: by component; values: of all outputs."""
+        for component, its in written.items():
+            for (name, place), value in zip(self._places.get(component, ()), its, strict=False):
+                read = values[place]
+                if not isclose(read, value, rel_tol=_READ_BACK):
+                    text = f"{name} reads back as {read:.9g}, but {value:.9g} was set"
+                    raise ScenarioError(f"{text}: the FMU does not take it")

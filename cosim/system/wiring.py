@@ -6,9 +6,8 @@ from dataclasses import replace
 from ..errors import WiringError
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
-from ..variable_name import VariableName
 from .master import Wiring
-from .plant import Described, numeric_outputs
+from .plant import Described, disturbances_of, numeric_outputs
 from .unit_conversions import unit_conversions
 
 
@@ -21,10 +20,12 @@ def wire(scenario: Scenario, slaves: Mapping[str, Described]) -> tuple[dict[str,
     for target, source in scenario.connections.items():
         component, variable = target.parts
         sources[component][variable] = source
+    disturbed = disturbances_of(scenario, slaves)
     tunables: dict[str, list[str]] = {name: [] for name in slaves}
+    disturbances: dict[str, list[str]] = {name: [] for name in slaves}
     for reference in [*scenario.changes, *(p.writes for p in scenario.estimation.parameters)]:
         component, variable = reference.parts
-        tunables[component].append(variable)
+        (disturbances if reference in disturbed else tunables)[component].append(variable)
     outputs = {name: numeric_outputs(slave) for name, slave in slaves.items()}
     read = [*scenario.connections.values(), *scenario.tracking, *scenario.tracking.values()]
     sampling = scenario.sampling
@@ -37,20 +38,21 @@ def wire(scenario: Scenario, slaves: Mapping[str, Described]) -> tuple[dict[str,
     conversions = unit_conversions(scenario, {name: slave.description for name, slave in slaves.items()})
     wiring = {
         name: Wiring(
-            sources[name], tuple(tunables[name]), outputs[name], scenario.components[name].start, conversions[name]
+            sources[name],
+            tuple(tunables[name]),
+            outputs[name],
+            scenario.components[name].start,
+            conversions[name],
+            tuple(disturbances[name]),
         )
         for name in slaves
     }
     return wiring, _groups(scenario, list(slaves))
 
 
-def with_read_back(wiring: Mapping[str, Wiring], writes: Sequence[VariableName]) -> dict[str, Wiring]:
-    """Return the wiring with the re-tuned parameters read too, after the outputs."""
-    names = {name: [r.variable for r in writes if r.component == name] for name in wiring}
-    return {
-        name: replace(w, outputs=(*w.outputs, *(n for n in names[name] if n not in w.outputs)))
-        for name, w in wiring.items()
-    }
+def with_read_back(wiring: Mapping[str, Wiring]) -> dict[str, Wiring]:
+    """Return the wiring with the parameters that are set read too, after the outputs."""
+    return {name: replace(w, outputs=(*w.outputs, *w.tunables)) for name, w in wiring.items()}
 
 
 def _groups(scenario: Scenario, names: Sequence[str]) -> list[list[str]]:

@@ -97,7 +97,8 @@ class Sampling(Table):
     outputs: dict[Reference, Noise] = {}
     """Outputs of the plant that are compared with simulated ones."""
     states: dict[Reference, Noise] = {}
-    """Measurement noise of states, which are exact without it. A state among `outputs` has its noise there."""
+    """Measurement noise of states, which are exact without it. A state among `outputs` has its noise there. If the
+    FMU declares no derivatives, these outputs are the plant's states, in this order."""
     faults: tuple[SensorFault, ...] = ()
     """Faults of the sensors, in the order in which they act."""
 
@@ -116,7 +117,8 @@ class Sampling(Table):
             raise ValueError("must have derivatives or outputs")
         if len({name.component for name in compared}) > 1:
             raise ValueError("all sampled derivatives and outputs must be of one component")
-        twice = next((name for name in self.outputs if name in self.derivatives or name in self.states), None)
+        noisy = {*self.derivatives, *(name for name, state in self.states.items() if state.noise)}
+        twice = next((name for name in self.outputs if name in noisy), None)
         if twice:
             raise ValueError(f"'{twice}' must have its noise once")
         return self

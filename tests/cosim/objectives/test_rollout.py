@@ -16,7 +16,9 @@ from cosim import Scenario, ScenarioError, run
 from cosim.authoring.check import check
 from cosim.campaigns.replay import replayed
 from cosim.cli import main
+from cosim.errors import CosimError
 from cosim.estimator_fmu.settings import estimator_settings
+from cosim.fmi.archive import FmuFile, read_description
 from cosim.objectives.choice import chosen
 from cosim.objectives.rollout import RolloutObjective
 from cosim.objectives.rollout_fmu import RunningPlant, shadow_of
@@ -243,6 +245,19 @@ def test_a_recorded_run_is_replayed_from_its_measured_states(pendulum, tmp_path)
         np.testing.assert_array_equal(again.estimates[name], values)
 
 
+@pytest.mark.parametrize("way", ["auto", "measured"])
+def test_a_disturbance_does_not_keep_roll_outs_from_being_made_and_they_do_not_have_it(pendulum, way):
+    """A changing force on the plant; the step that proves the saved state is repeated with the force of its time."""
+    wired = '{ "controller.phi" = "plant.phi", "controller.phi_dot" = "plant.phi_dot" }'
+    pushed = {"connections": wired, "changes": "{}", 'changes."plant.u"': "2 + 3*sin(20*t)"}
+    scenario = pendulum(SHORT | pushed | {"estimation.rollout.start": way}, 0.3)
+    result = run(scenario, "target")
+    assert result.status == "done", result.error
+    assert ("the plant's saved state (a repeated" if way == "auto" else "measured states") in result.objective
+    assert not [name for name in result.series if name.startswith("held.")]
+    assert set(result["plant.u"]) == {2 + 3 * math.sin(20 * t) for t in result.time}
+
+
 # -- FMUs that cannot ---------------------------------------------------------------------------------------------
 
 SPOILT = """
@@ -362,6 +377,23 @@ STATES = (
 RATE = (("<Real/>", '<Real derivative="3"/>'),)
 FIXED = (('name="gain" valueReference="0" causality="parameter" variability="tunable"',
           'name="gain" valueReference="0" causality="parameter" variability="fixed"'),)  # fmt: skip
+CAUTIONS = {
+    "state": [
+        "roll-outs from the plant's saved state hide disturbances: an FMU's state holds what nobody measures; "
+        'start = "measured" does not'
+    ],
+    "measured": [],
+    "replay": ["roll-outs simulated again from the start diverge on an unstable plant"],
+}
+
+
+@pytest.mark.parametrize("way", CAUTIONS)
+def test_check_notes_what_to_know_of_the_way_that_is_asked_for(tmp_path, way):
+    found = check(toml(tmp_path, spoilt(tmp_path, declared=STATES + RATE), way))
+    assert not [f for f in found if f.is_error]
+    assert [f.what for f in found if f.is_note][1:] == CAUTIONS[way]
+
+
 START_METHODS = {
     "states can be saved": (STATES + RATE, "0.0", "saved state (a repeated step was the plant's own)"),
     "they cannot": (RATE, "0.0", "measured states (state: Spoilt.fmu cannot save and restore its state)"),
@@ -385,8 +417,10 @@ def test_the_first_way_that_is_seen_to_work_is_taken_and_why_is_said(tmp_path, l
     assert result.summary()["objective"] == result.objective
     assert abs(result.estimates["gain"][-1] - 2.0) < 0.05
     notes = [f for f in check(path) if f.is_note]
-    assert [f.where for f in notes] == ["estimation.objective"]
+    assert {f.where for f in notes} == {"estimation.objective"}
     assert "roll-outs of Spoilt.fmu" in str(notes[0])
+    first = next(way for way in CAUTIONS if f"'{way}'" in notes[0].what)  # begun by 'state' or else 'measured' ...
+    assert [f.what for f in notes[1:]] == CAUTIONS[first]
 
 
 def test_a_state_that_is_too_large_is_an_obstacle_as_any_other(tmp_path, leaves_nothing, monkeypatch):
@@ -506,6 +540,67 @@ def test_an_fmu_in_c_is_re_tuned_from_its_position_alone(swinging, leaves_nothin
     np.testing.assert_allclose(found, [3.0, 14.0], rtol=0.2)  # two tenths of a second of a position tell no more
     nominal, floor = (run(scenario, name).mse[0] for name in ("none", "true"))
     assert nominal - result.mse[0] > 0.6 * (nominal - floor)
+
+
+# -- states that only the scenario knows ----------------------------------------------------------------------------
+
+STATES_NAMED = '"plant.mass.s" = {}\n"plant.mass.v" = { noise = 1e-3 }\n'
+
+
+@pytest.fixture
+def bare(axis, bare_axis):
+    """bare(states): the axis, whose mass jumps, with an FMU that declares no derivatives; its position is compared."""
+
+    def write(states=STATES_NAMED, start="measured"):
+        return axis(
+            ('"Axis.fmu"', f'"{bare_axis.name}"'),
+            ("[sampling.derivatives]", "[sampling.states]\n" + states + "[sampling.outputs]"),
+            ('"plant.der(mass.v)" = { noise = 1e-3 }', '"plant.mass.s" = { noise = 1e-4 }'),
+            ('model = "axis_model:derivative"\ntrigger = { kind = "innovation" }',
+             'trigger = { kind = "tracking", threshold = 0.02 }\nwindow = 20\n'
+             f'rollout = {{ start = "{start}" }}'),
+        )  # fmt: skip
+
+    return write
+
+
+@pytest.mark.parametrize("start", ["measured", "auto"])
+def test_roll_outs_begin_in_states_that_the_scenario_names_for_an_fmu_that_declares_none(bare, leaves_nothing, start):
+    path = bare(start=start)
+    (note,) = [f for f in check(path) if f.is_note]
+    assert "'measured'" in note.what
+    result = run(Scenario.load(path), "target")
+    assert result.status == "done", result.error
+    assert "from measured states" in result.objective
+    assert abs(result.estimates["m"][-1] - 3.0) < 0.2
+    noise = result["sampled.plant.mass.s"] - result["plant.mass.s"]  # the output's, once
+    assert 0.7e-4 < np.std(noise) < 1.3e-4
+    assert 0.7e-3 < np.std(result["sampled.plant.mass.v"] - result["plant.mass.v"]) < 1.3e-3
+
+
+def test_named_states_are_in_the_scenarios_order(bare, bare_axis):
+    fmu = FmuFile("plant", read_description(bare_axis))
+    for names in (("mass.s", "mass.v"), ("mass.v", "mass.s")):
+        scenario = Scenario.load(bare("".join(f'"plant.{name}" = {{}}\n' for name in names)))
+        assert plant_of(scenario, fmu).states == names
+
+
+@pytest.mark.parametrize(
+    ("states", "by_run", "by_check"),
+    [
+        ('"plant.mass.m" = {}\n', "'plant.mass.m' is no state of plant", "'mass.m' is no output of BareAxis.fmu"),
+        ('"controller.f_cmd" = {}\n', "'controller.f_cmd' is no state of plant", "no state with a declared derivative"),
+        ('"plant.mass.s" = { noise = 1.0 }\n', "'plant.mass.s' must have its noise once", "must have its noise once"),
+        ("", "the plant declares no states: name them in sampling.states", "name them in sampling.states"),
+    ],
+)
+def test_what_cannot_be_a_named_state_is_refused_in_one_line(bare, states, by_run, by_check):
+    path = bare(states)
+    with pytest.raises(CosimError) as refused:
+        run(Scenario.load(path), "target")
+    assert by_run in str(refused.value)
+    assert "\n" not in str(refused.value)
+    assert any(by_check in f.what for f in check(path) if f.is_error), check(path)
 
 
 # -- a function of the user's -------------------------------------------------------------------------------------

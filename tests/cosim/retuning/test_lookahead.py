@@ -35,9 +35,12 @@ NOMINAL, CHANGED = np.array([1.75, 0.75]), np.array([4.271, 0.981])
 
 
 class Loop:
-    """The pendulum, `n` steps on its way with the nominal parameters, and its lookahead."""
+    """The pendulum, `n` steps on its way with the nominal parameters, and its lookahead.
 
-    def __init__(self, scenario, stack, n=20, lacking=()):
+    push: its input, where none is connected.
+    """
+
+    def __init__(self, scenario, stack, n=20, lacking=(), push=None):
         paths = fmu_paths(scenario)
         self.slaves = {name: stack.enter_context(open_slave(p, name, isolation="none")) for name, p in paths.items()}
         for name in lacking:
@@ -45,6 +48,7 @@ class Loop:
         wiring, groups = wire(scenario, self.slaves)
         self.plant = plant_of(scenario, self.slaves["plant"])
         self.master = Master(self.slaves, wiring, groups)
+        self.master.disturb({} if push is None else {"plant": [push]})
         self.master.initialize(0.0, 1.0)
         self.lookahead = Lookahead(
             scenario,
@@ -104,6 +108,20 @@ def test_with_the_truth_in_the_plant_it_is_what_then_happens(loop, pendulum):
     # the nominal run, which the shadow joins after 20 of its 100 steps
     result = run(pendulum(SWING | {"changes": "{}"}, stop_time=0.7), "none")
     assert loop().predicted_peak(NOMINAL, NOMINAL) == np.max(np.abs(result.errors["plant.phi"][21:]))
+
+
+def test_a_disturbance_is_in_the_plants_state_and_is_not_set(pendulum):
+    """A constant force takes the place of the controller's: the plant's state has it, and nothing puts it back to 0."""
+    wired = '{ "controller.phi" = "plant.phi", "controller.phi_dot" = "plant.phi_dot" }'
+    pushed = SWING | {"connections": wired, "changes": '{ "plant.m" = 1.75, "plant.l" = 0.75, "plant.u" = 3.0 }'}
+    result = run(pendulum(pushed, stop_time=0.7), "none")
+    with ExitStack() as stack:
+        made = Loop(pendulum(pushed, stop_time=1.0), stack, push=3.0)
+        assert dict(made.plant.inputs) == {}
+        peak = np.max(np.abs(result.errors["plant.phi"][21:]))
+        assert made.predicted_peak(NOMINAL, NOMINAL) == peak
+    free = run(pendulum(pushed | {"changes": "{}"}, stop_time=0.7), "none")
+    assert np.max(np.abs(free.errors["plant.phi"][21:])) > 1.01 * peak
 
 
 def test_the_shadow_gets_the_estimate_and_leaves_the_run_alone(loop):

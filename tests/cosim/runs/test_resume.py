@@ -321,3 +321,10 @@ def test_other_bits_would_be_seen(tmp_path):
         run(Scenario.load("pendulum", EARLY_CHANGE | IN_PROCESS), "target", seed, tmp_path / str(seed))
     with pytest.raises(AssertionError, match=SERIES):
         assert_same(tmp_path / "5", tmp_path / "6")
+
+
+def test_a_disturbance_goes_on_where_it_was(tmp_path):
+    """A changing force takes the place of the controller's."""
+    wired = '{ "controller.phi" = "plant.phi", "controller.phi_dot" = "plant.phi_dot" }'
+    pushed = {"connections": wired, 'changes."plant.u"': "[[0, 1.0], [0.33, '2 + sin(9*t)']]", "guard.enabled": "false"}
+    check_resume(Scenario.load("pendulum", EARLY_CHANGE | IN_PROCESS | pushed), "none", tmp_path)

@@ -1,6 +1,7 @@
 """The master and the loop above it on stub slaves: the order of calls as text, and closed forms of linear loops."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -154,6 +155,25 @@ def test_parallel_coupling_steps_all_at_once_with_the_controllers_output_of_the_
     ]
 
 
+def test_a_disturbance_is_an_input_after_the_connected_ones_and_holds_until_it_is_set_again():
+    calls = []
+    master = loop(PARALLEL, calls, WIRING | {"plant": replace(WIRING["plant"], disturbances=("push", "pull"))})
+    master.initialize(0.0, 10.0)
+    assert calls[0] == "plant.bind(inputs=['u', 'push', 'pull'], tunables=['m'], outputs=['x'])"
+    master.disturb({"plant": [3.0, 4.0]})
+    for k in range(3):
+        if k == 2:
+            master.disturb({"plant": [5.0, 6.0]})
+        master.begin(float(k), 1.0, {})
+        master.finish(float(k), 1.0, {})
+        assert master.inputs["plant"].keys() == {"u"}
+    assert [call.partition(", t=")[0] for call in calls if call.startswith("plant.begin_step")] == [
+        "plant.begin_step(inputs=[0.5, 3, 4]",
+        "plant.begin_step(inputs=[60, 3, 4]",
+        "plant.begin_step(inputs=[65, 5, 6]",
+    ]
+
+
 class InInitializationMode(Stub):
     """A memoryless slave that can be read before it is initialised: outputs = step(inputs)."""
 
@@ -269,10 +289,13 @@ def described(stub, *variables):
 
 
 def stubs(calls, fail_at=math.inf):
+    held = [1.75, 0.75]
+
     def plant(inputs, t, h, tunables):
         if t >= fail_at:
             raise SlaveError("plant", "do_step", t, "returned discard")
-        return [inputs[0], 100.0 * t, 0.25, inputs[0]]  # phi, phi_dot, der(phi_dot), u_held
+        held[:] = tunables or held
+        return [inputs[0], 100.0 * t, 0.25, inputs[0], *held]  # phi, phi_dot, der(phi_dot), u_held, m, l
 
     phi, phi_dot = variable("phi", start="1"), variable("phi_dot", start="0")
     return {

@@ -159,7 +159,7 @@ def test_a_scenario_of_ones_own_finds_its_fmu_and_its_model_beside_it(called, wo
 def test_help_names_every_scenario(called, command):
     code, out, err = called(command, "--help")
     assert (code, err) == (0, "")
-    assert "pendulum, quadrotor, rigid-body, stiction, " in " ".join(out.split())
+    assert "magnetic-levitation, pendulum, quadrotor, rigid-body, stiction, " in " ".join(out.split())
 
 
 def test_the_version_is_printed(called):

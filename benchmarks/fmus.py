@@ -123,9 +123,9 @@ def model_parts(n: int) -> dict[str, float]:
 
 
 def _references(variables: Sequence[Any]) -> tuple[list[int], list[int]]:
-    """Return the value references of inputs and outputs, which are the places of the variables in the table."""
+    """Return the value references of U's inputs and the outputs, which are the places of the variables in the table."""
     inputs, outputs = ([i for i, v in enumerate(variables) if v.causality == c] for c in ("input", "output"))
-    return inputs, outputs
+    return inputs[: len(U)], outputs
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -65,7 +65,11 @@ def ours(system: System, isolation: Any) -> Generator[Steps]:
 def _of_master(system: System, slaves: Mapping[str, Slave]) -> Steps:
     wiring = {
         name: Wiring(
-            {v.name: system.connections[f"{name}.{v.name}"] for v in system.variables(name, "input")},
+            {
+                v.name: system.connections[f"{name}.{v.name}"]
+                for v in system.variables(name, "input")
+                if f"{name}.{v.name}" in system.connections
+            },
             (), tuple(v.name for v in system.variables(name, "output")), {},
         ) for name in slaves
     }  # fmt: skip

@@ -87,10 +87,15 @@ def _behaviour(variables: Sequence[VariableRow]) -> str:
         return (
             f"{n_states} continuous states, integrated over a step by the classical Runge-Kutta method of fourth order "
             "in equal steps of at most max_step. The inputs are held over a step, so no output follows an input at "
-            "once; ..._held tells the input that was held. Tunable parameters may be changed between steps."
+            "once; ..._held tells the input that was held. With tau_u above 0 the commands act through actuators with "
+            "a lag of first order, which start at the first command; ..._held tells the command, and disturbances have "
+            "no lag. Tunable parameters may be changed between steps."
         )
     if n_states:
-        return f"{n_states} continuous states. Tunable parameters may be changed in event mode."
+        return (
+            f"{n_states} continuous states. The actuators have no lag, unlike those of the co-simulation FMU. Tunable "
+            "parameters may be changed in event mode."
+        )
     if any(v.causality == "input" for v in variables):
         return "Memoryless: the outputs are functions of the inputs and parameters of the moment."
     return "A function of time. Tunable parameters may be changed between steps."

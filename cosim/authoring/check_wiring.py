@@ -15,6 +15,7 @@ from ..scenarios.scenario import Scenario
 from ..system.unit_conversions import different
 from ..units import IDENTITY, conversion
 from ..variable_name import VariableName
+from .guess import is_disturbance
 
 Components = Mapping[str, Component]
 """Components that could be read, by instance name."""
@@ -102,10 +103,10 @@ def check_connections(scenario: Scenario, components: Components) -> Iterator[Fi
 
 
 def check_inputs(scenario: Scenario, components: Components) -> Iterator[Finding]:
-    """Yield inputs that are neither connected nor changed."""
+    """Yield inputs that are neither connected nor changed, but for disturbances."""
     for name, component in components.items():
         for v in component.having("input"):
-            if f"{name}.{v.name}" not in {*scenario.connections, *scenario.changes}:
+            if not is_disturbance(v) and f"{name}.{v.name}" not in {*scenario.connections, *scenario.changes}:
                 start = scenario.components[name].start.get(v.name, v.start)
                 yield warning(f'connections."{name}.{v.name}"', f"the input is not connected: it stays {start}")
 

@@ -123,7 +123,9 @@ def _connections(components: Mapping[str, Component]) -> list[str]:
         name, variable = VariableName(guess.target).parts
         unit = components[name].unit(variable)
         of = f" [{unit.name}]" if unit else ""
-        if guess.source is None:
+        if guess.source is None and guess.is_likely:
+            lines.append(said(f'# {quoted(guess.target)} = ""', f"{guess.reason}{of}"))
+        elif guess.source is None:
             lines.append(
                 said(f'# {quoted(guess.target)} = ""', f"FILL{of}: {guess.reason}; as it is it stays at its start")
             )

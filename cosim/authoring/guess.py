@@ -29,6 +29,7 @@ SAME, SAME_WORDS, LAST_WORDS, LIKE, ONLY_UNIT = (
     "similar name",
     "only unit",
 )
+DISTURBANCE: Final = "a disturbance, which may be left unconnected"
 _ORDER: Final = (SAME, SAME_WORDS, LAST_WORDS, LIKE)
 
 
@@ -51,11 +52,12 @@ def guess_connections(components: Mapping[str, Component]) -> list[Guess]:
     guesses: dict[str, Guess] = {}
     for name in (CONTROLLER, PLANT, REFERENCE):
         for v in components[name].having("input") if name in components else ():
-            guess = _guess(name, v, components)
+            target = f"{name}.{v.name}"
+            guess = Guess(target, None, DISTURBANCE, True) if is_disturbance(v) else _guess(name, v, components)
             guesses[guess.target] = guess
     used = {g.source for g in guesses.values()}
     for target, guess in guesses.items():
-        if guess.source is None:
+        if guess.source is None and not guess.is_likely:
             guesses[target] = _by_unit(guess, used, components)
     return list(guesses.values())
 
@@ -98,6 +100,11 @@ def best(name: str, owner: Component, others: Iterable[tuple[Component, ModelVar
 def is_likely(how: str | None, has_one_unit: bool | None) -> bool:
     """Return whether a guess needs no checking: the names have the same words, and the units are known to be equal."""
     return how in (SAME, SAME_WORDS) and bool(has_one_unit)
+
+
+def is_disturbance(v: ModelVariable) -> bool:
+    """Return whether an input acts only where somebody connects or changes it, by its description."""
+    return "disturbance" in (v.description or "").lower()
 
 
 def is_desired(name: str) -> bool:

@@ -1,6 +1,7 @@
 """Actuated planar pendulum with stiction and an actuator with a dead band, and its controller. Independent of FMI.
 
-State x = (phi [rad], phi_dot [rad/s]); phi = 0 hangs down. Input, friction and dead band are tangential forces [N].
+State x = (phi [rad], phi_dot [rad/s]); phi = 0 hangs down. Input, friction and dead band are tangential forces [N], and
+so is a disturbance, which is no matter of the actuator's dead band and may be left out.
 The friction's static level is F_c + F_s: F_s >= 0 is the excess over Coulomb's level, so any two levels are sound.
 
 Karnopp (1985), "Computer simulation of stick-slip friction in mechanical dynamic systems", J. Dyn. Sys. Meas. Control
@@ -19,25 +20,28 @@ from math import copysign, exp, sin
 
 
 def derivative(
-    x: tuple[float, float], u: tuple[float], m: float = 1.75, l: float = 0.75, F_c: float = 1.0, F_s: float = 0.8,
+    x: tuple[float, float], u: tuple[float, ...], m: float = 1.75, l: float = 0.75, F_c: float = 1.0, F_s: float = 0.8,
     u_d: float = 2.0, b: float = 0.1, g: float = 9.81, phi_dot_s: float = 0.3, phi_dot_0: float = 0.01,
     tau: float = 0.01,
 ) -> tuple[float, float]:  # fmt: skip
     """Return the time derivative of the pendulum state.
 
-    m l phi_ddot = F - f,  F = dead_band(u) - m g sin phi - b l phi_dot,  with the friction
+    m l phi_ddot = F - f,  F = dead_band(u) + F_d - m g sin phi - b l phi_dot,  with the friction
     f = sign(phi_dot) (F_c + F_s exp(-(phi_dot/phi_dot_s)^2))      slip, |phi_dot| > phi_dot_0;
     f = sign(F) (F_c + F_s)                                        break-away, |F| > F_c + F_s;
     and phi_ddot = -phi_dot/tau where it sticks.
 
-    x: (phi [rad], phi_dot [rad/s]);  u: (tangential force [N],);  m: mass [kg];  l: length [m];
-    F_c: Coulomb friction [N];  F_s: excess of the break-away force over it [N];  u_d: half width of the dead band [N];
-    b: viscous friction [kg/s];  g: gravity [m/s^2];  phi_dot_s: Stribeck's velocity [rad/s];
+    x: (phi [rad], phi_dot [rad/s]);  u: (tangential force [N], disturbance F_d [N], zero if left out);  m: mass [kg];
+    l: length [m];  F_c: Coulomb friction [N];  F_s: excess of the break-away force over it [N];
+    u_d: half width of the dead band [N];  b: viscous friction [kg/s];  g: gravity [m/s^2];
+    phi_dot_s: Stribeck's velocity [rad/s];
     phi_dot_0: half width of the band that sticks [rad/s];  tau: time constant in it [s];  returns (rad/s, rad/s^2).
     Karnopp (1985); Armstrong-Helouvry, Dupont and Canudas de Wit (1994), section 2.
     """
     phi, phi_dot = x
     force = dead_band(u[0], u_d) - m * g * sin(phi) - b * l * phi_dot
+    if any(u[1:]):
+        force += u[1]
     if abs(phi_dot) > phi_dot_0:
         friction = copysign(stribeck(phi_dot, F_c, F_s, phi_dot_s), phi_dot)
     elif abs(force) > F_c + F_s:

@@ -1,7 +1,7 @@
 """The plant FMU of the pendulum with stiction."""
 
 from ..kernel.blocks import PlantSlave
-from ..kernel.description import input_variable, parameter, state
+from ..kernel.description import disturbance, input_variable, parameter, state
 from . import equations
 
 PARAMETERS = (
@@ -24,10 +24,11 @@ class FrictionPendulum(PlantSlave):
     table = (
         *PARAMETERS,
         input_variable("u", "N", 3.0, "Tangential force commanded; starts beyond the dead band", nominal=10.0),
+        disturbance("F_d", "N", "Disturbance force, tangential"),
         state("phi", "rad", 0.0, "Angle from hanging down", depends=("phi_dot",)),
         state(
             "phi_dot", "rad/s", 0.0, "Angular velocity",
-            depends=(*(v.name for v in PARAMETERS), "u", "phi", "phi_dot"),
+            depends=(*(v.name for v in PARAMETERS), "u", "F_d", "phi", "phi_dot"),
         ),
     )  # fmt: skip
     derivative = staticmethod(equations.derivative)

@@ -13,13 +13,13 @@ _SOURCE = (
 THEORY: Mapping[str, Theory] = {
     "FrictionPendulum": Theory(
         (
-            "m l φ̈ = F − f,  F = u − min(max(u, −u<sub>d</sub>), u<sub>d</sub>) − m g sin φ − b l φ̇",
+            "m l φ̈ = F − f,  F = u − min(max(u, −u<sub>d</sub>), u<sub>d</sub>) + F<sub>d</sub> − m g sin φ − b l φ̇",
             "slip, |φ̇| &gt; φ̇<sub>0</sub>:  f = sign(φ̇) (F<sub>c</sub> + F<sub>s</sub> exp(−(φ̇/φ̇<sub>s</sub>)²))",
             "break-away, |F| &gt; F<sub>c</sub> + F<sub>s</sub>:  f = sign(F) (F<sub>c</sub> + F<sub>s</sub>)",
             "stick, otherwise:  φ̈ = −φ̇/τ",
         ),
-        "φ (phi) = 0 hangs down. φ̇<sub>0</sub> is phi_dot_0, φ̇<sub>s</sub> is phi_dot_s, τ is tau. "
-        "Keep max_step at most tau.",
+        "φ (phi) = 0 hangs down. φ̇<sub>0</sub> is phi_dot_0, φ̇<sub>s</sub> is phi_dot_s, τ is tau, "
+        "F<sub>d</sub> a disturbance. Keep max_step at most tau.",
         _SOURCE,
     ),
     "FrictionPendulumController": Theory(

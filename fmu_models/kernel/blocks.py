@@ -6,6 +6,7 @@ controller's parameters inputs, for an estimator that is an FMU itself.
 
 from collections.abc import Callable
 from dataclasses import replace
+from math import exp
 from typing import Any, ClassVar
 
 from .description import TIME, VariableRow, input_variable, output, parameter, per_second
@@ -13,13 +14,18 @@ from .ode import StateVector, integrate
 from .slave import Slave
 
 HELD = ", with the inputs held"
+SETTLED = 40.0
+"""Time constants after which nothing of a lag is left: exp(-40) = 4e-18."""
 
 
 class PlantSlave(Slave):
     """Continuous states, integrated over a step with the inputs held.
 
     The table has parameters, inputs and states; the derivatives der(...), the held inputs ..._held and the
-    parameter max_step are added to it.
+    parameters tau_u and max_step are added to it. Disturbances come last among the inputs.
+
+    Every other input is a command u to an actuator, and what acts on the plant is y, tau_u y_dot = u - y. It starts
+    at the first command, and is part of the FMU state; in model exchange y = u.
     """
 
     has_feedthrough = False
@@ -35,6 +41,8 @@ class PlantSlave(Slave):
     def _complete(cls, table: tuple[VariableRow, ...]) -> tuple[VariableRow, ...]:
         by_causality = {c: [v for v in table if v.causality == c] for c in ("parameter", "input", "output")}
         parameters, inputs, states = by_causality.values()
+        inputs.sort(key=lambda v: v.is_disturbance)
+        tau_u = parameter("tau_u", "s", 0.0, "Time constant of the actuators, first order; 0: none", min=0.0)
         max_step = parameter(
             "max_step", "s", 0.005, "Largest step of the integrator", variability="fixed", min=1e-6, max=1.0
         )
@@ -50,12 +58,13 @@ class PlantSlave(Slave):
                 depends=(v.name,), variability="discrete", nominal=v.nominal,
             ) for v in inputs
         ]  # fmt: skip
-        return (*parameters, max_step, *inputs, *states, *rates, *held) if table else ()
+        return (*parameters, tau_u, max_step, *inputs, *states, *rates, *held) if table else ()
 
     @classmethod
     def exchange_table(cls) -> tuple[VariableRow, ...]:
-        """Return the variables for an importer that integrates: no max_step, nothing held, derivatives local."""
-        kept = [v for i, v in enumerate(cls.variables[: cls._held.start]) if i != cls._max_step]
+        """Return the variables for an importer that integrates: no tau_u, max_step or held, derivatives local."""
+        left_out = (cls._tau_u, cls._max_step)
+        kept = [v for i, v in enumerate(cls.variables[: cls._held.start]) if i not in left_out]
         texts = {v.name: v.description.removesuffix(HELD) for v in kept}
         return tuple(
             replace(v, causality="local", description=texts[v.name]) if v.derivative else v for v in kept
@@ -65,23 +74,51 @@ class PlantSlave(Slave):
         super().__init_subclass__(**kwargs)
         x, p = cls._states, cls._parameters
         n_states = x.stop - x.start
-        cls._physical, cls._max_step = slice(0, p.stop - 1), p.stop - 1
+        cls._physical, cls._tau_u, cls._max_step = slice(0, p.stop - 2), p.stop - 2, p.stop - 1
+        n_controls = sum(v.causality == "input" and not v.is_disturbance for v in cls.variables)
+        cls._controls = slice(cls._inputs.start, cls._inputs.start + n_controls)
         cls._rates, cls._held = slice(x.stop, x.stop + n_states), slice(x.stop + n_states, None)
 
     def _refresh(self) -> None:
         values = self._values
         if not self._is_initialized:
             values[self._held] = values[self._inputs]
+            self._hidden = values[self._controls]
         x, u = tuple(values[self._states]), tuple(values[self._held])
+        if values[self._tau_u] > 0.0:
+            u = (*self._hidden, *u[len(self._hidden) :])
         values[self._rates] = self.derivative(x, u, *values[self._physical])
 
     def _advance(self, step_size: float) -> None:
         values, f = self._values, self.derivative
         u, p = tuple(values[self._inputs]), values[self._physical]
-        x = integrate(lambda x: f(x, u, *p), tuple(values[self._states]), step_size, values[self._max_step])
+        x, controls, rest = tuple(values[self._states]), values[self._controls], step_size
+        if values[self._tau_u] > 0.0 and self._hidden != controls:
+            lagged = min(step_size, SETTLED * values[self._tau_u])
+            x, rest = self._behind_lag(x, u, lagged), step_size - lagged
+        if rest > 0.0:
+            self._hidden = controls
+            x = integrate(lambda x: f(x, u, *p), x, rest, values[self._max_step])
         values[self._states] = self.project(x)
         values[self._held] = u
         self._is_stale = True
+
+    def _behind_lag(self, x: StateVector, u: StateVector, duration: float) -> StateVector:
+        """Return the state after `duration` [s] of y = u + (y_0 - u) exp(-t/tau_u), and keep the last y."""
+        f, p = self.derivative, self._values[self._physical]
+        tau_u, max_step = self._values[self._tau_u], self._values[self._max_step]
+        y_0, n = tuple(self._hidden), len(self._hidden)
+
+        def y(t: float) -> StateVector:
+            left = exp(-t / tau_u)
+            return tuple([b + (a - b) * left for a, b in zip(y_0, u)])
+
+        def rates(x_and_time: StateVector) -> StateVector:
+            *x, t = x_and_time
+            return (*f(tuple(x), (*y(t), *u[n:]), *p), 1.0)
+
+        self._hidden = list(y(duration))
+        return integrate(rates, (*x, 0.0), duration, min(max_step, tau_u))[:-1]
 
 
 class ControllerSlave(Slave):

@@ -45,6 +45,8 @@ class VariableRow:
     """Names of all that a calculated value, or a state's derivative, depends on."""
     is_latched: bool = False
     """True where an input takes effect at the next step only: no output depends on it directly."""
+    is_disturbance: bool = False
+    """True where an input acts on a plant by itself, not through an actuator."""
 
     def __post_init__(self) -> None:
         lower = float("-inf") if self.min is None else self.min
@@ -87,6 +89,14 @@ def input_variable(
     )  # fmt: skip
 
 
+def disturbance(name: str, unit: str, description: str) -> VariableRow:
+    """Return the row of an input that acts on a plant past its actuators, zero unless it is connected."""
+    return VariableRow(
+        name=name, unit=unit, description=description, causality="input", variability="continuous",
+        start=0.0, is_disturbance=True,
+    )  # fmt: skip
+
+
 def state(
     name: str, unit: str, start: float, description: str, *, depends: Iterable[str], nominal: float | None = None
 ) -> VariableRow:
@@ -110,7 +120,8 @@ def output(
 
 
 _BASE_UNITS: Mapping[str, Mapping[str, int]] = {
-    "1": {}, "kg": {"kg": 1}, "m": {"m": 1}, "s": {"s": 1}, "rad": {"rad": 1}, "N": {"kg": 1, "m": 1, "s": -2},
+    "1": {}, "kg": {"kg": 1}, "m": {"m": 1}, "s": {"s": 1}, "A": {"A": 1}, "rad": {"rad": 1},
+    "N": {"kg": 1, "m": 1, "s": -2},
 }  # fmt: skip
 
 
@@ -128,7 +139,7 @@ def base_unit(unit: str) -> dict[str, int]:
                 raise ValueError(f"unit {unit!r} must be made of {', '.join(_BASE_UNITS)}, got {factor!r}.")
             for base, exponent in _BASE_UNITS[match[1]].items():
                 exponents[base] += sign * exponent * int(match[2] or 1)
-    return {base: exponents[base] for base in ("kg", "m", "s", "rad") if exponents[base]}
+    return {base: exponents[base] for base in ("kg", "m", "s", "A", "rad") if exponents[base]}
 
 
 TIME = VariableRow(

@@ -90,6 +90,7 @@ class Slave(Fmi2Slave):
         self.guid = uuid5(NAMESPACE, self.modelName)
         self.description = (type(self).__doc__ or "").splitlines()[0]
         self._values: list[float] = [0.0 if v.start is None else v.start for v in self.variables]
+        self._hidden: list[float] = []  # states that are no variables
         self._time = 0.0
         self._is_stale = self._is_unchecked = True
         self._enter(is_initialized=False)
@@ -190,14 +191,14 @@ class Slave(Fmi2Slave):
     def _get_fmu_state(self) -> bytes:
         """Return the complete state as JSON, which keeps numbers exactly."""
         state = {"model": self.modelName, "time": self._time, "is_initialized": self._is_initialized}
-        return json.dumps(state | {"values": self._values}).encode()
+        return json.dumps(state | {"values": self._values, "hidden": self._hidden}).encode()
 
     @_logged
     def _set_fmu_state(self, state: bytes) -> None:
         saved = json.loads(state)
         if saved["model"] != self.modelName or len(saved["values"]) != len(self._values):
             raise ValueError(f"{self.modelName}: the FMU state must be one of its own, got one of {saved['model']}.")
-        self._values, self._time = saved["values"], saved["time"]
+        self._values, self._hidden, self._time = saved["values"], saved["hidden"], saved["time"]
         self._enter(saved["is_initialized"])
         self._is_stale = self._is_unchecked = True
 

@@ -1,25 +1,34 @@
 """Actuated planar pendulum with friction, and its feedback-linearising controller. Independent of FMI.
 
-State x = (phi [rad], phi_dot [rad/s]); phi = 0 hangs down. The input u is a tangential force [N].
+State x = (phi [rad], phi_dot [rad/s]); phi = 0 hangs down. The inputs are tangential forces [N]: that of the actuator,
+and a disturbance, which may be left out.
 Khan and Chatterjee (2020), "Online parameter estimation for safety-critical systems with Gaussian processes",
 section IV-A.
 """
 
-from math import sin
+from math import sin, tanh
+
+SLIDING = 0.01
+"""Speed [m/s] at which three quarters of the dry friction act."""
 
 
 def derivative(
-    x: tuple[float, float], u: tuple[float], m: float = 1.75, l: float = 0.75, b: float = 0.1, g: float = 9.81
-) -> tuple[float, float]:
+    x: tuple[float, float], u: tuple[float, ...], m: float = 1.75, l: float = 0.75, b: float = 0.1, g: float = 9.81,
+    F_c: float = 0.0,
+) -> tuple[float, float]:  # fmt: skip
     """Return the time derivative of the pendulum state.
 
-    phi_ddot = -(g/l) sin phi - (b/m) phi_dot + u/(m l)
+    phi_ddot = -(g/l) sin phi - (b/m) phi_dot + (u + F_d - F_c tanh(l phi_dot/v_s))/(m l)
 
-    x: (phi [rad], phi_dot [rad/s]);  u: (tangential force [N],);  m: mass [kg];  l: length [m];
-    b: friction [kg/s];  g: gravity [m/s^2];  returns (rad/s, rad/s^2).
+    x: (phi [rad], phi_dot [rad/s]);  u: (tangential force [N], disturbance F_d [N], zero if left out);  m: mass [kg];
+    l: length [m];  b: friction [kg/s];  g: gravity [m/s^2];  F_c: dry friction [N], smooth about rest, v_s = `SLIDING`:
+    steps of h [s] need h F_c < 2 m v_s;  returns (rad/s, rad/s^2).
     """
     phi, phi_dot = x
-    return (phi_dot, -g / l * sin(phi) - b / m * phi_dot + u[0] / (m * l))
+    force = _total(u)
+    if F_c:
+        force -= F_c * tanh(l * phi_dot / SLIDING)
+    return (phi_dot, -g / l * sin(phi) - b / m * phi_dot + force / (m * l))
 
 
 def control(
@@ -38,16 +47,22 @@ def control(
 
 
 def regression(
-    x: tuple[float, float], u: tuple[float], xdot: tuple[float], b: float = 0.1, g: float = 9.81
+    x: tuple[float, float], u: tuple[float, ...], xdot: tuple[float], b: float = 0.1, g: float = 9.81
 ) -> tuple[tuple[tuple[float, float, float]], tuple[float]]:
     """Return the equation of motion: a row (1, 3) times (1/l, 1/m, 1/(m l)) = a target (1,), phi_ddot [rad/s^2].
 
-    Linear in the three coefficients, which are not independent: see `coefficients`.
+    u: (tangential force [N], disturbance F_d [N], zero if left out). Linear in the three coefficients, which are
+    not independent: see `coefficients`.
     """
     phi, phi_dot = x
-    return (((-g * sin(phi), -b * phi_dot, u[0]),), (xdot[0],))
+    return (((-g * sin(phi), -b * phi_dot, _total(u)),), (xdot[0],))
 
 
 def coefficients(m: float, l: float) -> tuple[float, float, float]:
     """Return (1/l, 1/m, 1/(m l)), the coefficients of `regression`."""
     return (1.0 / l, 1.0 / m, 1.0 / (m * l))
+
+
+def _total(u: tuple[float, ...]) -> float:
+    """Return the sum of the inputs [N]; the first alone, bit for bit, where no other acts."""
+    return u[0] + u[1] if any(u[1:]) else u[0]

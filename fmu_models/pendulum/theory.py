@@ -11,8 +11,9 @@ _SOURCE = (
 
 THEORY: Mapping[str, Theory] = {
     "Pendulum": Theory(
-        ("φ̈ = −(g/l) sin φ − (b/m) φ̇ + u/(m l)",),
-        "φ (phi) = 0 hangs down; the input u is a tangential force.",
+        ("φ̈ = −(g/l) sin φ − (b/m) φ̇ + (u + F<sub>d</sub> − F<sub>c</sub> tanh(l φ̇/v<sub>s</sub>))/(m l)",),
+        "φ (phi) = 0 hangs down; the input u is a tangential force, F<sub>d</sub> a disturbance, F<sub>c</sub> dry "
+        "friction, smooth about rest: v<sub>s</sub> = 0.01 m/s. Keep max_step below 2 m v<sub>s</sub>/F<sub>c</sub>.",
         _SOURCE,
     ),
     "PendulumController": Theory(

@@ -2,7 +2,7 @@
 
 Inertial frame: z down (north-east-down). Body frame: z down, thrust along -b3. R takes body to inertial vectors.
 State x (18,) = r (3) [m], v (3) [m/s], R (9, row by row), Omega (3) [rad/s, body];
-input u = (F [N], M (3) [N m, body]).
+input u = (F [N], M (3) [N m, body]), and, unless left out, disturbances F_d (3) [N, inertial] and M_d (3) [N m, body].
 Lee, Leok, McClamroch (2010), "Geometric tracking control of a quadrotor UAV on SE(3)", equations 2-5 and 15-16.
 """
 
@@ -31,22 +31,29 @@ State = tuple[float, ...]
 
 
 def derivative(
-    x: State, u: tuple[float, float, float, float],
-    m: float = 1.25, J_x: float = 1.1, J_y: float = 1.1, J_z: float = 2.2, g: float = 9.81,
+    x: State, u: tuple[float, ...],
+    m: float = 1.25, J_x: float = 1.1, J_y: float = 1.1, J_z: float = 2.2, g: float = 9.81, k_d: float = 0.0,
 ) -> State:  # fmt: skip
     """Return the time derivative of the quadrotor state.
 
-    r_dot = v;  v_dot = g e3 - (F/m) R e3;  R_dot = R hat(Omega);  Omega_dot = J^-1 (M - Omega x J Omega)
+    r_dot = v;  v_dot = g e3 - (F/m) R e3 + (F_d - k_d v)/m;  R_dot = R hat(Omega);
+    Omega_dot = J^-1 (M + M_d - Omega x J Omega)
 
-    x: (18,) state;  u: (F [N], M_x, M_y, M_z [N m]);  m: mass [kg];  J_x, J_y, J_z: inertia [kg m^2];
-    g: gravity [m/s^2];  returns (18,).
+    x: (18,) state;  u: (F [N], M_x, M_y, M_z [N m]), then F_d (3) [N], M_d (3) [N m], zero if left out;  m: mass [kg];
+    J_x, J_y, J_z: inertia [kg m^2];  g: gravity [m/s^2];  k_d: linear drag [kg/s];  returns (18,).
     """
     _, _, _, vx, vy, vz, r11, r12, r13, r21, r22, r23, r31, r32, r33, p, q, r = x
-    F, M_x, M_y, M_z = u
+    F, M_x, M_y, M_z = u[:4]
     a = F / m
+    a_x, a_y, a_z = -a * r13, -a * r23, g - a * r33
+    if any(u[4:]):
+        a_x, a_y, a_z = a_x + u[4] / m, a_y + u[5] / m, a_z + u[6] / m
+        M_x, M_y, M_z = M_x + u[7], M_y + u[8], M_z + u[9]
+    if k_d:
+        a_x, a_y, a_z = a_x - k_d / m * vx, a_y - k_d / m * vy, a_z - k_d / m * vz
     return (
         vx, vy, vz,
-        -a * r13, -a * r23, g - a * r33,
+        a_x, a_y, a_z,
         r12 * r - r13 * q, r13 * p - r11 * r, r11 * q - r12 * p,
         r22 * r - r23 * q, r23 * p - r21 * r, r21 * q - r22 * p,
         r32 * r - r33 * q, r33 * p - r31 * r, r31 * q - r32 * p,
@@ -55,18 +62,23 @@ def derivative(
 
 
 def regression(
-    x: State, u: tuple[float, float, float, float], xdot: tuple[float, ...], g: float = 9.81
+    x: State, u: tuple[float, ...], xdot: tuple[float, ...], g: float = 9.81
 ) -> tuple[tuple[tuple[float, float, float, float], ...], tuple[float, ...]]:
     """Return the equations of motion as rows (6, 4) times (1/m, J_x, J_y, J_z) = targets (6,).
 
-    -F R e3 (1/m) = v_dot - g e3 [m/s^2];  J Omega_dot + Omega x J Omega = M [N m].
-    xdot: (v_dot, Omega_dot) (6,). In the last three rows the sampled Omega_dot, and its noise, is in the regressors.
+    (F_d - F R e3) (1/m) = v_dot - g e3 [m/s^2];  J Omega_dot + Omega x J Omega = M + M_d [N m].
+    u: as for `derivative`;  xdot: (v_dot, Omega_dot) (6,). In the last three rows the sampled Omega_dot, and its noise,
+    is in the regressors.
     """
     _, _, r13, _, _, r23, _, _, r33, p, q, r = x[6:]
-    F, M_x, M_y, M_z = u
+    F, M_x, M_y, M_z = u[:4]
+    F_x, F_y, F_z = -F * r13, -F * r23, -F * r33
+    if any(u[4:]):
+        F_x, F_y, F_z = F_x + u[4], F_y + u[5], F_z + u[6]
+        M_x, M_y, M_z = M_x + u[7], M_y + u[8], M_z + u[9]
     a_x, a_y, a_z, p_dot, q_dot, r_dot = xdot
     rows = (
-        (-F * r13, 0.0, 0.0, 0.0), (-F * r23, 0.0, 0.0, 0.0), (-F * r33, 0.0, 0.0, 0.0),
+        (F_x, 0.0, 0.0, 0.0), (F_y, 0.0, 0.0, 0.0), (F_z, 0.0, 0.0, 0.0),
         (0.0, p_dot, -q * r, q * r), (0.0, p * r, q_dot, -p * r), (0.0, -p * q, p * q, r_dot),
     )  # fmt: skip
     return rows, (a_x, a_y, a_z - g, M_x, M_y, M_z)

@@ -4,7 +4,7 @@ from pythonfmu import DefaultExperiment
 
 from ..kernel import so3
 from ..kernel.blocks import PlantSlave, StateVector
-from ..kernel.description import input_variable, parameter, state
+from ..kernel.description import disturbance, input_variable, parameter, state
 from . import equations
 
 J = ("J_x", "J_y", "J_z")
@@ -22,10 +22,18 @@ class Quadrotor(PlantSlave):
         parameter("J_y", "kg.m2", 1.1, "Inertia, body y", min=0.1, max=12.0),
         parameter("J_z", "kg.m2", 2.2, "Inertia, body z", min=0.1, max=12.0),
         parameter("g", "m/s2", 9.81, "Gravity", min=0.0),
+        parameter("k_d", "kg/s", 0.0, "Linear drag", min=0.0),
         input_variable("F", "N", 12.2625, "Thrust along -z of the body; starts at hover", nominal=10.0),
         *(input_variable(f"M_{a}", "N.m", 0.0, f"Moment, body {a}") for a in "xyz"),
+        *(disturbance(f"F_d_{a}", "N", f"Disturbance force, inertial {a}") for a in "xyz"),
+        *(disturbance(f"M_d_{a}", "N.m", f"Disturbance moment, body {a}") for a in "xyz"),
         *(state(f"r_{a}", "m", 0.0, f"Position, inertial {a}", depends=[f"v_{a}"]) for a in "xyz"),
-        *(state(f"v_{a}", "m/s", 0.0, f"Velocity, inertial {a}", depends=["m", "F", *THRUST[a]]) for a in "xyz"),
+        *(
+            state(
+                f"v_{a}", "m/s", 0.0, f"Velocity, inertial {a}",
+                depends=["m", "k_d", "F", f"F_d_{a}", f"v_{a}", *THRUST[a]],
+            ) for a in "xyz"
+        ),
         *(
             state(
                 f"R_{i}{j}", "1", float(i == j), f"Attitude, row {i}, column {j}",
@@ -35,7 +43,7 @@ class Quadrotor(PlantSlave):
         *(
             state(
                 f"Omega_{a}", "rad/s", 0.0, f"Angular velocity, body {a}",
-                depends=[*J, f"M_{a}", *(f"Omega_{b}" for b in "xyz" if b != a)],
+                depends=[*J, f"M_{a}", f"M_d_{a}", *(f"Omega_{b}" for b in "xyz" if b != a)],
             ) for a in "xyz"
         ),
     )  # fmt: skip

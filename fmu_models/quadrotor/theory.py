@@ -16,13 +16,13 @@ THEORY: Mapping[str, Theory] = {
     "Quadrotor": Theory(
         (
             "ṙ = v",
-            "v̇ = g e<sub>3</sub> − (F/m) R e<sub>3</sub>",
+            "v̇ = g e<sub>3</sub> − (F/m) R e<sub>3</sub> + (F<sub>d</sub> − k<sub>d</sub> v)/m",
             "Ṙ = R [Ω]<sub>×</sub>",
-            "J dΩ/dt = M − Ω × J Ω,  J = diag(J<sub>x</sub>, J<sub>y</sub>, J<sub>z</sub>)",
+            "J dΩ/dt = M + M<sub>d</sub> − Ω × J Ω,  J = diag(J<sub>x</sub>, J<sub>y</sub>, J<sub>z</sub>)",
         ),
         "Inertial frame: z down (north-east-down). Body frame: z down, thrust along −z. R takes body to inertial "
         "vectors; Ω (Omega) and M are in body axes, and [Ω]<sub>×</sub> b = Ω × b. R is made orthogonal again after "
-        "each step.",
+        "each step. F<sub>d</sub>, in inertial axes, and M<sub>d</sub>, in body axes, are disturbances.",
         _LEE,
     ),
     "QuadrotorController": Theory(

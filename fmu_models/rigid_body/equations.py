@@ -2,7 +2,8 @@
 
 Inertial frame: z down. The wrench acts at the body's origin and has body axes. R takes body to inertial vectors.
 State x (18,) = r (3) [m], v (3) [m/s] of the origin, R (9, row by row), Omega (3) [rad/s, body];
-input u = (F (3) [N, body], M (3) [N m, body, about the origin]).
+input u = (F (3) [N, body], M (3) [N m, body, about the origin]), and, unless left out, disturbances that act there too,
+F_d (3) [N, inertial] and M_d (3) [N m, body].
 Featherstone (2008), "Rigid Body Dynamics Algorithms", sections 2.13-2.15: Newton and Euler about the centre of mass.
 """
 
@@ -23,22 +24,28 @@ SINGULAR = 1e-13
 
 
 def derivative(
-    x: State, u: Wrench,
+    x: State, u: tuple[float, ...],
     m: float = 2.5, c_x: float = 0.0, c_y: float = 0.0, c_z: float = 0.0,
     J_xx: float = 0.3, J_yy: float = 0.4, J_zz: float = 0.5, J_xy: float = 0.0, J_xz: float = 0.0, J_yz: float = 0.0,
-    g: float = 9.81,
+    g: float = 9.81, k_d: float = 0.0,
 ) -> State:  # fmt: skip
     """Return the time derivative of the state of the body's origin.
 
-    J Omega_dot = M - c x F - Omega x J Omega;  v_dot = g e3 + R (F/m - Omega_dot x c - Omega x (Omega x c))
+    J Omega_dot = M - c x F - Omega x J Omega;  v_dot = g e3 + R (F/m - Omega_dot x c - Omega x (Omega x c)),
+    with F + R^T (F_d - k_d v) for F, and M + M_d for M
 
-    x: (18,) state;  u: F (3) [N], M (3) [N m];  m: mass [kg];  c: from the origin to the centre of mass [m, body];
-    J: inertia about the centre of mass [kg m^2];  g: gravity [m/s^2];  returns (18,).
+    x: (18,) state;  u: F (3) [N], M (3) [N m], then F_d (3) [N], M_d (3) [N m], zero if left out;  m: mass [kg];
+    c: from the origin to the centre of mass [m, body];  J: inertia about the centre of mass [kg m^2];
+    g: gravity [m/s^2];  k_d: linear drag at the origin [kg/s];  returns (18,).
     Raises ValueError for a singular J, ZeroDivisionError for m = 0; an indefinite J is not refused.
     """
     _, _, _, vx, vy, vz, r11, r12, r13, r21, r22, r23, r31, r32, r33, p, q, r = x
-    Omega, F, c, J = (p, q, r), u[0:3], (c_x, c_y, c_z), (J_xx, J_yy, J_zz, J_xy, J_xz, J_yz)
-    M_c = subtract(u[3:6], cross(c, F))
+    Omega, F, M, c, J = (p, q, r), u[0:3], u[3:6], (c_x, c_y, c_z), (J_xx, J_yy, J_zz, J_xy, J_xz, J_yz)
+    if any(u[6:]):
+        F, M = add(F, apply(transpose(x[6:15]), u[6:9])), add(M, u[9:12])
+    if k_d:
+        F = subtract(F, apply(transpose(x[6:15]), scale(k_d, (vx, vy, vz))))
+    M_c = subtract(M, cross(c, F))
     Omega_dot = solve(J, subtract(M_c, cross(Omega, apply(matrix(J), Omega))))
     a = apply(x[6:15], subtract(scale(1.0 / m, F), _lever(c, Omega, Omega_dot)))
     return (

@@ -4,12 +4,14 @@ from pythonfmu import DefaultExperiment
 
 from ..kernel import so3
 from ..kernel.blocks import PlantSlave, StateVector
-from ..kernel.description import input_variable, parameter, state
+from ..kernel.description import disturbance, input_variable, parameter, state
 from . import equations
 
 J = ("J_xx", "J_yy", "J_zz", "J_xy", "J_xz", "J_yz")
 C = ("c_x", "c_y", "c_z")
-WRENCH = ("F_x", "F_y", "F_z", "M_x", "M_y", "M_z")
+FORCES = tuple(f"{name}_{a}" for name in ("F", "M", "F_d", "M_d") for a in "xyz")
+DRAG = ("k_d", "v_x", "v_y", "v_z")
+ATTITUDE = tuple(f"R_{i}{j}" for i in "123" for j in "123")
 OMEGA = ("Omega_x", "Omega_y", "Omega_z")
 AXES = {"1": "x", "2": "y", "3": "z"}
 
@@ -30,17 +32,20 @@ class RigidBody(PlantSlave):
             for ab in ("xy", "xz", "yz")
         ),
         parameter("g", "m/s2", 9.81, "Gravity", min=0.0),
+        parameter("k_d", "kg/s", 0.0, "Linear drag, at the origin", min=0.0),
         *(
             input_variable(f"F_{a}", "N", s, f"Force at the origin, body {a}", nominal=10.0)
             for a, s in zip("xyz", (0.0, 0.0, -24.525))  # hover
         ),
         *(input_variable(f"M_{a}", "N.m", 0.0, f"Moment about the origin, body {a}") for a in "xyz"),
+        *(disturbance(f"F_d_{a}", "N", f"Disturbance force at the origin, inertial {a}") for a in "xyz"),
+        *(disturbance(f"M_d_{a}", "N.m", f"Disturbance moment about the origin, body {a}") for a in "xyz"),
         *(state(f"r_{a}", "m", 0.0, f"Position of the origin, inertial {a}", depends=[f"v_{a}"]) for a in "xyz"),
         *(
             state(
                 f"v_{a}", "m/s", 0.0, f"Velocity of the origin, inertial {a}",
-                depends=["m", *C, *J, *WRENCH, *OMEGA, *(f"R_{i}{j}" for j in "123"), *(["g"] if a == "z" else [])],
-            ) for i, a in AXES.items()
+                depends=["m", *C, *J, *FORCES, *DRAG, *OMEGA, *ATTITUDE, *(["g"] if a == "z" else [])],
+            ) for a in "xyz"
         ),
         *(
             state(
@@ -49,8 +54,10 @@ class RigidBody(PlantSlave):
             ) for i in "123" for j in "123"
         ),
         *(
-            state(f"Omega_{a}", "rad/s", 0.0, f"Angular velocity, body {a}", depends=[*C, *J, *WRENCH, *OMEGA])
-            for a in "xyz"
+            state(
+                f"Omega_{a}", "rad/s", 0.0, f"Angular velocity, body {a}",
+                depends=[*C, *J, *FORCES, *DRAG, *OMEGA, *ATTITUDE],
+            ) for a in "xyz"
         ),
     )  # fmt: skip
     derivative = staticmethod(equations.derivative)

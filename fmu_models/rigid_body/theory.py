@@ -12,10 +12,12 @@ THEORY: Mapping[str, Theory] = {
             "J dΩ/dt = M − c × F − Ω × J Ω",
             "v̇ = g e<sub>3</sub> + R (F/m − dΩ/dt × c − Ω × (Ω × c))",
             "ṙ = v,  Ṙ = R [Ω]<sub>×</sub>",
+            "with F + Rᵀ (F<sub>d</sub> − k<sub>d</sub> v) for F, and M + M<sub>d</sub> for M",
         ),
         "r and v are of the body's origin, where the wrench (F, M) acts, in body axes; c is the centre of mass from "
         "there, J the inertia about the centre of mass. Inertial frame: z down. R is made orthogonal again after each "
-        "step.",
+        "step. F<sub>d</sub>, in inertial axes, and M<sub>d</sub>, in body axes, are disturbances; they and the drag "
+        "act at the origin.",
         _SOURCE,
     ),
     "RigidBodyController": Theory(

@@ -127,6 +127,32 @@ def check_pendulum_derivative_against_mujoco(pendulum):
         assert_allclose(pendulum.derivative(x, (u,), m, l, b, g), expected, MUJOCO_POINT_MASS, MUJOCO_POINT_MASS)
 
 
+def check_pendulum_disturbance_and_dry_friction_against_mujoco(pendulum):
+    """Tangential forces are torques with the arm l; dry friction is F_c (e^s - e^-s)/(e^s + e^-s), s the speed
+    over 10 mm/s."""
+    for rng, x, m, l, b, g in _pendulum_cases():
+        u, F_d = floats(rng.normal(0, 5, 2))
+        F_c, x = float(rng.uniform(0, 3)), (x[0], x[1] * 10.0 ** float(rng.uniform(-4, 0)))
+        s = float(np.clip(l * x[1] / 0.01, -300, 300))
+        model, data = _pendulum_in_mujoco(x, m, l, b, g)
+        data.qfrc_applied[0] = l * (u + F_d - F_c * (np.exp(s) - np.exp(-s)) / (np.exp(s) + np.exp(-s)))
+        mujoco.mj_forward(model, data)
+        expected = data.qvel[0], data.qacc[0]
+        assert_allclose(pendulum.derivative(x, (u, F_d), m, l, b, g, F_c), expected, MUJOCO_POINT_MASS, 1e-7)
+
+
+def check_pendulum_dry_friction_stops_it(pendulum):
+    """Without weight the speed falls by F_c/m a second, to rest after m v0/F_c."""
+    m, l, F_c, v0 = 1.5, 0.8, 0.9, 2.0
+    t = np.array([0.0, 1.0, 2.0, 3.0, 4.0])  # rest after 3.33 s
+    x = solve_ivp(
+        lambda _, x: pendulum.derivative(floats(x), (0.0,), m, l, 0.0, 0.0, F_c),
+        (0, 4), (0.0, v0 / l), "Radau", t, rtol=1e-9, atol=1e-10,
+    ).y  # fmt: skip
+    # The last 10 mm/s decay smoothly instead, with m 10 mm/s / F_c = 17 ms.
+    assert_allclose(l * x[1], np.maximum(v0 - F_c / m * t, 0.0), atol=1e-6)
+
+
 def check_pendulum_control_against_mujoco_inverse_dynamics(pendulum):
     """The force that gives the acceleration Kp e1 + Kd e2, by MuJoCo's inverse dynamics."""
     for rng, x, m, l, b, g in _pendulum_cases():
@@ -236,6 +262,39 @@ def check_quadrotor_derivative_against_mujoco(quadrotor):
         expected = [data.qvel[:3], data.qacc[:3], _rotation_rate(q, q_dot, _mujoco_matrix).ravel(), data.qacc[3:]]
         derivative = quadrotor.derivative(floats(x), u, m, *J, g)
         assert_allclose(derivative, np.concatenate(expected), ROUNDING, 10 * ROUNDING)
+
+
+def check_quadrotor_disturbance_and_drag_against_mujoco(quadrotor):
+    """Forces in the world's frame, the moment turned into it."""
+    rng = np.random.default_rng(40)
+    for x, u, m, J, g in _quadrotor_cases(41):
+        r, v, R, Omega = split(x)
+        F_d, M_d, k_d = rng.normal(0, 4, 3), rng.normal(0, 2, 3), float(rng.uniform(0, 2))
+        model, data = _mujoco_quadrotor()
+        model.body_mass[1], model.body_inertia[1] = m, J
+        model.opt.gravity = (0, 0, g)
+        mujoco.mj_setConst(model, data)
+        q = np.empty(4)
+        mujoco.mju_mat2Quat(q, R.ravel())
+        data.qpos, data.qvel = np.concatenate([r, q]), np.concatenate([v, Omega])
+        data.xfrc_applied[1] = np.concatenate([F_d - k_d * v - u[0] * R @ E3, R @ (M_d + u[1:])])
+        mujoco.mj_forward(model, data)
+        _, v_dot, _, Omega_dot = split(quadrotor.derivative(floats(x), (*u, *floats(F_d), *floats(M_d)), m, *J, g, k_d))
+        assert_allclose([*v_dot, *Omega_dot], data.qacc, ROUNDING, 10 * ROUNDING)
+
+
+def check_quadrotor_terminal_velocity(quadrotor):
+    """A fall from rest: v = (m g/k_d) (1 - exp(-k_d t/m)) downwards, and with the wind's force for m g along it."""
+    m, g, k_d, F = 1.3, 9.81, 0.7, (1.5, -2.0, 0.0)
+    x0 = (*np.zeros(6), *np.eye(3).ravel(), *np.zeros(3))
+    t = np.array([0.0, 0.5, 2.0, 40.0])
+    v = solve_ivp(
+        lambda _, x: quadrotor.derivative(floats(x), (0.0,) * 4 + F + (0.0,) * 3, m, g=g, k_d=k_d),
+        (0, 40), x0, "DOP853", t, rtol=1e-11, atol=1e-11,
+    ).y[3:6]  # fmt: skip
+    expected = np.outer(np.add(F, (0.0, 0.0, m * g)) / k_d, 1 - np.exp(-k_d * t / m))
+    assert_allclose(v, expected, atol=1e-8)
+    assert_allclose(v[2, -1], m * g / k_d, atol=1e-7)
 
 
 class _Wrenched(Multirotor):
@@ -527,6 +586,32 @@ def check_rigid_body_derivative_against_mujoco(rigid_body):
         assert_allclose(derivative, expected, 100 * ROUNDING, 100 * ROUNDING)
 
 
+def check_rigid_body_disturbance_and_drag_against_mujoco(rigid_body):
+    """MuJoCo's forces on a free body's origin are in the world's frame, its moments in the body's."""
+    for rng, x, u, m, c, J, g in _rigid_body_cases(42):
+        _, v, R, _ = split(x)
+        F_d, M_d, k_d = rng.normal(0, 4, 3), rng.normal(0, 2, 3), float(rng.uniform(0, 2))
+        model, data = _rigid_body_in_mujoco(x, m, c, J, g)
+        data.qfrc_applied = np.concatenate([R @ u[:3] + F_d - k_d * v, M_d + u[3:]])
+        mujoco.mj_forward(model, data)
+        derivative = rigid_body.derivative(floats(x), (*u, *floats(F_d), *floats(M_d)), m, *c, *J, g, k_d)
+        _, v_dot, _, Omega_dot = split(derivative)
+        # Rounding, times the condition of the inertia, below 100.
+        assert_allclose([*v_dot, *Omega_dot], data.qacc, 100 * ROUNDING, 100 * ROUNDING)
+
+
+def check_rigid_body_terminal_velocity(rigid_body):
+    """With its centre of mass at the origin, it falls at m g/k_d in the end."""
+    m, g, k_d = 2.0, 9.81, 1.1
+    x0 = (*np.zeros(6), *Rotation.from_rotvec((0.3, 0.5, -1.0)).as_matrix().ravel(), 0.5, -0.2, 0.3)
+    t = np.array([0.0, 0.5, 2.0, 40.0])
+    v = solve_ivp(
+        lambda _, x: rigid_body.derivative(floats(x), (0.0,) * 6, m, g=g, k_d=k_d),
+        (0, 40), x0, "DOP853", t, rtol=1e-11, atol=1e-11,
+    ).y[3:6]  # fmt: skip
+    assert_allclose(v, np.outer(E3, m * g / k_d * (1 - np.exp(-k_d * t / m))), atol=1e-8)
+
+
 def _rigid_body_invariants(x, m, c, J):
     """Centre of mass, momentum, angular momentum about the inertial origin and kinetic energy; x may be complex."""
     r, v, R, Omega = x[:3], x[3:6], x[6:15].reshape(3, 3), x[15:]
@@ -654,6 +739,80 @@ def check_rigid_body_motion_against_spectral_differences(rigid_body):
         assert_allclose(d.Omega, vee(R.T @ R_dot), atol=10 * SPECTRAL)
         # R^T R_ddot is hat(Omega)^2 + hat(Omega_dot): its skew part is the second.
         assert_allclose(d.Omega_dot, vee(R.T @ R_ddot), atol=10 * SPECTRAL)
+
+
+# Magnetic levitation.
+
+
+def _magnet_cases(seed=50):
+    rng = np.random.default_rng(seed)
+    for _ in range(N_STATES):
+        x = floats([rng.uniform(0.002, 0.02), rng.normal(0, 0.2)])
+        m, z_0, k, g = floats(rng.uniform([0.03, 0.002, 1e-4, 5], [0.4, 0.02, 4e-4, 15]))
+        yield rng, x, m, z_0, k, g
+
+
+def check_magnet_derivative_is_that_of_the_co_energy(magnetic_levitation):
+    """The coil's inductance is 2 k/(z + z_0), its co-energy L i^2/2, and the force the slope of that at constant i.
+
+    The slope comes from a complex step, which is exact to rounding.
+    """
+    for rng, x, m, z_0, k, g in _magnet_cases():
+        (z, v), h = x, 1e-30
+        i, F_d, k_d = floats(rng.uniform([0, -1, 0], [3, 1, 2]))
+        pull = (2 * k / (z + 1j * h + z_0) * i**2 / 2).imag / h
+        expected = v, (m * g + pull + F_d - k_d * v) / m
+        got = magnetic_levitation.derivative(x, (i, F_d), m, z_0, k, g, k_d)
+        assert_allclose(got, expected, ROUNDING, ROUNDING)
+
+
+def check_magnet_keeps_its_energy_at_constant_current(magnetic_levitation):
+    """m v^2/2 - m g z - k i^2/(z + z_0) is constant, for the ball that falls and for the one that is pulled up."""
+    m, z_0, k, g = 0.12, 0.005, 2e-4, 9.81
+    for i, duration in ((0.9, 0.2), (1.2, 0.06)):
+        x = solve_ivp(
+            lambda _, x, i=i: magnetic_levitation.derivative(floats(x), (i,), m, z_0, k, g),
+            (0, duration), (0.01, 0.0), "DOP853", rtol=1e-11, atol=1e-13, max_step=1e-3,
+        ).y  # fmt: skip
+        energy = m * x[1] ** 2 / 2 - m * g * x[0] - k * i**2 / (x[0] + z_0)
+        assert_allclose(energy, energy[0], 1e-8)
+
+
+def check_magnet_terminal_velocity(magnetic_levitation):
+    """Without current it falls at (m g + F_d)/k_d in the end."""
+    m, g, k_d, F_d = 0.1, 9.81, 0.5, -0.2
+    t = np.array([0.0, 0.1, 0.5, 10.0])
+    v = solve_ivp(
+        lambda _, x: magnetic_levitation.derivative(floats(x), (0.0, F_d), m, g=g, k_d=k_d),
+        (0, 10), (0.01, 0.0), "DOP853", t, rtol=1e-11, atol=1e-12,
+    ).y[1]  # fmt: skip
+    assert_allclose(v, (m * g + F_d) / k_d * (1 - np.exp(-k_d * t / m)), atol=1e-8)
+
+
+def check_magnet_closed_loop_error(magnetic_levitation):
+    """With true parameters (e, e_dot) is expm of its linear system, along a reference that moves."""
+    K_p, K_d, p = 1600.0, 80.0, {"m": 0.13, "z_0": 0.005, "k": 2e-4, "g": 9.81}
+    e0 = np.array([1.5e-3, -0.02])
+
+    def reference(t):
+        return 0.012 + 0.002 * np.sin(20 * t), 0.04 * np.cos(20 * t), -0.8 * np.sin(20 * t)
+
+    def f(t, x):
+        x = floats(x)
+        i = magnetic_levitation.control(x, floats(reference(t)), K_p=K_p, K_d=K_d, i_max=3.0, **p)
+        return np.clip(magnetic_levitation.derivative(x, (i,), **p), -100, 100)  # a wrong law may run away
+
+    t = np.linspace(0, 0.2, 11)
+    x = solve_ivp(f, (0, 0.2), reference(0.0)[:2] - e0, "DOP853", t, rtol=1e-10, atol=1e-12).y.T
+    expected = [reference(t_k)[:2] - expm(t_k * np.array([[0, 1], [-K_p, -K_d]])) @ e0 for t_k in t]
+    assert_allclose(x, expected, atol=1e-8)
+
+
+def check_magnet_current_is_limited(magnetic_levitation):
+    """The magnet cannot push, and a ball out of reach gets the largest current, not more."""
+    gains = {"m": 0.1, "z_0": 0.004, "k": 2e-4, "g": 9.81, "K_p": 1600.0, "K_d": 80.0, "i_max": 3.0}
+    for z, expected in ((0.001, 0.0), (0.1, 3.0), (-0.02, 0.0), (0.01, 0.014 * np.sqrt(0.1 * 9.81 / 2e-4))):
+        assert_allclose(magnetic_levitation.control((z, 0.0), (0.01, 0.0, 0.0), **gains), expected, ROUNDING)
 
 
 # References.

@@ -63,6 +63,13 @@ def rigid_body(x: Array, u: Array) -> Array:
     return np.concatenate([v, R @ a, (R @ hat(Omega)).ravel(), Omega_dot])
 
 
+def magnetic_levitation(x: Array, u: Array) -> Array:
+    """Newton's second law along the vertical, downwards; the force goes with the square of current over gap."""
+    m, z_0, k = 0.1, 0.004, 2e-4
+    magnet = -k * u[0] ** 2 / (x[0] + z_0) ** 2
+    return np.array([x[1], (m * G + magnet + u[1]) / m])
+
+
 def hat(a: Array) -> Array:
     """Return the matrix with hat(a) b = a x b."""
     return np.cross(a, np.eye(3), axisb=0, axisc=0)
@@ -113,19 +120,23 @@ class Case:
     advance: Callable[[Array, Array, float], Array]
     """State after inputs have been held for a time [s]."""
     inputs: dict[str, tuple[float, float]]
-    """By name: mean and amplitude of a sinusoid, 1.3 rad/s for the first and 0.4 rad/s more for each other."""
+    """By name: mean and amplitude of a sinusoid, `rate` for the first and 0.4 rad/s more for each other."""
     states: dict[str, float]
     """Start values by name."""
     parameters: dict[str, float] = field(default_factory=dict)
     """Those that are not what the FMU starts with."""
+    times: Array = field(default_factory=lambda: TIMES)
+    """Times of the rows [s]."""
+    rate: float = 1.3
+    """Angular frequency of the first input [rad/s]."""
 
     def rows(self) -> list[list[float]]:
         """Return time, inputs and states (n_times, 1 + n_inputs + n_states)."""
         x, (means, sizes) = np.array(list(self.states.values())), np.array(list(self.inputs.values())).T
-        rates = 1.3 + 0.4 * np.arange(len(sizes))
-        u = [np.round(means + sizes * np.sin(rates * t), 3) for t in TIMES]
-        rows = [[TIMES[0], *u[0], *x]]
-        for (begin, end), held, new in zip(pairwise(TIMES), u[:-1], u[1:], strict=True):
+        rates = self.rate + 0.4 * np.arange(len(sizes))
+        u = [np.round(means + sizes * np.sin(rates * t), 3) for t in self.times]
+        rows = [[self.times[0], *u[0], *x]]
+        for (begin, end), held, new in zip(pairwise(self.times), u[:-1], u[1:], strict=True):
             x = self.advance(x, held, end - begin)
             rows.append([end, *new, *x])
         return rows
@@ -140,6 +151,13 @@ BODY = {
 HOVER = [0.0, 0.0, -24.525]
 CASES = {
     "pendulum": Case(partial(smooth, pendulum), {"u": (0.0, 5.0)}, {"phi": 0.5, "phi_dot": 0.0}),
+    "magnetic_levitation": Case(  # unstable: after a fifth of a second a difference is a thousand times as large
+        partial(smooth, magnetic_levitation),
+        {"i": (0.9, 0.2), "F_d": (0.0, 0.1)},
+        {"z": 0.01, "v": 0.0},
+        times=np.linspace(0.0, 0.2, 21),
+        rate=40.0,
+    ),
     "friction_pendulum": Case(friction_pendulum, {"u": (0.0, 9.0)}, {"phi": 0.0, "phi_dot": 0.0}),
     "quadrotor": Case(
         partial(smooth, quadrotor),

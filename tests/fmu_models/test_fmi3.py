@@ -99,7 +99,8 @@ def test_every_variable_is_described(built, name):
 def test_the_quadrotor_s_arrays_are_these(built):
     variables = {v.name: v for v in fmpy.read_model_description(built[3]["Quadrotor"]).modelVariables}
     assert {name: v.shape for name, v in variables.items() if v.shape} == {
-        "J": (3,), "M": (3,), "r": (3,), "v": (3,), "R": (3, 3), "Omega": (3,), "M_held": (3,),
+        "J": (3,), "M": (3,), "F_d": (3,), "M_d": (3,), "r": (3,), "v": (3,), "R": (3, 3), "Omega": (3,),
+        "M_held": (3,), "F_d_held": (3,), "M_d_held": (3,),
         "der(r)": (3,), "der(v)": (3,), "der(R)": (3, 3), "der(Omega)": (3,),
     }  # fmt: skip
     assert variables["R"].start.split() == ["1.0", "0.0", "0.0", "0.0", "1.0", "0.0", "0.0", "0.0", "1.0"]
@@ -156,7 +157,10 @@ def test_co_simulation_declares_no_feedthrough_and_model_exchange_all_inputs(nam
     assert set.union(*declared(exchange(name), "ContinuousStateDerivative").values()) >= inputs
 
 
-@pytest.mark.parametrize("name", ["PendulumReference", "QuadrotorReference", "RigidBodyReference", "PendulumSine"])
+@pytest.mark.parametrize(
+    "name",
+    ["MagneticLevitationReference", "PendulumReference", "QuadrotorReference", "RigidBodyReference", "PendulumSine"],
+)
 def test_references_depend_on_time(name):
     outputs = declared(co_simulation(name), "Output")
     assert {output for output, depends in outputs.items() if depends != {"time"}} <= {"phi_dot_ref"}
@@ -202,7 +206,7 @@ def test_texts_for_the_logger_are_no_formats():
         ([1], [1.0, 2.0], "Quadrotor: 3 values must be set, got 2."),
         ([99], [1.0], "Quadrotor: no variable has the value reference 99."),
         ([-1], [1.0], "Quadrotor: no variable has the value reference -1."),
-        ([8], [0.0] * 9, "Quadrotor: R_11 must not be set as Real after initialisation."),
+        ([12], [0.0] * 9, "Quadrotor: R_11 must not be set as Real after initialisation."),
     ],
 )
 def test_a_wrong_set_is_refused(vrs, values, reason):
@@ -300,8 +304,8 @@ def test_states_and_fixed_parameters_are_frozen_after_initialisation():
 
 
 @each_plant
-def test_model_exchange_has_neither_step_nor_held_inputs(name):
+def test_model_exchange_has_neither_lag_nor_step_nor_held_inputs(name):
     table = {v.name: v for v in exchange(name).table()}
-    assert not [n for n in table if n.endswith("_held") or n == "max_step"]
+    assert not [n for n in table if n.endswith("_held") or n in ("tau_u", "max_step")]
     assert {v.causality for v in table.values() if v.derivative} == {"local"}
     assert not [v.description for v in table.values() if "held" in v.description]

@@ -105,7 +105,8 @@ def test_the_capabilities_are_those_of_the_code(fmus, name):
 
 @fmu
 @pytest.mark.parametrize(
-    ("name", "n_states"), [("FrictionPendulum", 2), ("Pendulum", 2), ("Quadrotor", 18), ("RigidBody", 18)]
+    ("name", "n_states"),
+    [("FrictionPendulum", 2), ("MagneticLevitation", 2), ("Pendulum", 2), ("Quadrotor", 18), ("RigidBody", 18)],
 )
 def test_every_state_has_its_derivative_and_every_input_its_held_value(fmus, name, n_states):
     description = fmpy.read_model_description(fmus[name])

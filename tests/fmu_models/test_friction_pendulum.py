@@ -105,6 +105,19 @@ def check_dead_band_lets_nothing_through(pendulum):
         assert_allclose(got, (idle, idle + step, idle - step), ROUNDING, ROUNDING)
 
 
+def check_a_disturbance_bypasses_the_dead_band(pendulum):
+    """In slip it is one more force; at rest, and the actuator in its dead band, it alone breaks the pendulum away."""
+    for rng, phi, p in cases(8):
+        phi_dot = float(rng.choice([-1, 1]) * (0.011 + rng.exponential(0.5)))
+        u, F_d = map(float, rng.normal(0, 5, 2))
+        total = actuated(u, p["u_d"]) + F_d - np.sign(phi_dot) * level(phi_dot, p)
+        expected = newton(phi, phi_dot, total, p)
+        assert_allclose(pendulum.derivative((phi, phi_dot), (u, F_d), **p), (phi_dot, expected), ROUNDING, ROUNDING)
+        push = p["F_c"] + p["F_s"] + 0.5
+        got = pendulum.derivative((0.0, 0.0), (0.5 * p["u_d"], push), **p)[1]
+        assert_allclose(got, 0.5 / (p["m"] * p["l"]), ROUNDING, ROUNDING)
+
+
 def check_power_is_that_of_the_forces(pendulum):
     """In slip dE/dt = l phi_dot (force behind the dead band - friction - b l phi_dot): friction takes energy only."""
     for rng, phi, p in cases(4):
@@ -270,6 +283,7 @@ SLIP, POWER, STOP = (
 )
 BREAK_AWAY, DEAD_BAND = "check_break_away_is_at_the_static_level", "check_dead_band_lets_nothing_through"
 STICK_SLIP, STUCK = "check_stick_slip_is_that_between_events", "check_a_stuck_pendulum_neither_chatters_nor_creeps"
+PUSHED = "check_a_disturbance_bypasses_the_dead_band"
 LAW, REVERSAL = (
     "check_control_gives_the_linear_error_law",
     "check_control_breaks_away_and_does_not_jump_at_a_reversal",
@@ -280,6 +294,8 @@ MUTANTS = [
     # id, old, new, the checks that must reject it
     ("gravity-up", "u_d) - m * g * sin(phi)", "u_d) + m * g * sin(phi)", (SLIP, POWER, BREAK_AWAY, STICK_SLIP)),
     ("gravity-of-a-torque", "u_d) - m * g * sin(phi)", "u_d) - m * g * l * sin(phi)", (SLIP, BREAK_AWAY)),
+    ("push-against", "force += u[1]", "force -= u[1]", (PUSHED,)),
+    ("push-lost", "force += u[1]", "force += 0.0", (PUSHED,)),
     ("viscous-drives", "sin(phi) - b * l * phi_dot", "sin(phi) + b * l * phi_dot", (SLIP, POWER)),
     ("viscous-without-length", "sin(phi) - b * l * phi_dot", "sin(phi) - b * phi_dot", (SLIP, POWER)),
     ("friction-drives", "(force - friction)", "(force + friction)", (SLIP, POWER, STOP, BREAK_AWAY)),
@@ -329,7 +345,7 @@ def test_the_model_s_defaults_are_the_fmu_s_starts():
     """So that what the estimator does not name is what the plant has."""
     defaults = {k: p.default for k, p in inspect.signature(friction_pendulum.derivative).parameters.items()}
     starts = {v.name: v.start for v in FrictionPendulum.variables if v.causality == "parameter"}
-    assert starts.pop("max_step") == 0.005
+    assert (starts.pop("tau_u"), starts.pop("max_step")) == (0.0, 0.005)
     assert list(defaults)[2:] == list(starts)
     assert {name: defaults[name] for name in starts} == starts
     believed = {v.name: v.start for v in FrictionPendulumController.variables if v.name in starts}

@@ -42,6 +42,7 @@ PENDULUM = "fmu_models.pendulum.equations"
 QUADROTOR = "fmu_models.quadrotor.equations"
 TRAJECTORIES = "fmu_models.quadrotor.trajectory"
 RIGID_BODY = "fmu_models.rigid_body.equations"
+MAGNET = "fmu_models.magnetic_levitation.equations"
 REFERENCES = "fmu_models.kernel.references"
 ODE = "fmu_models.kernel.ode"
 SO3 = "fmu_models.kernel.so3"
@@ -72,6 +73,18 @@ ORDER_CONDITIONS = "check_order_conditions"
 CONVERGENCE = "check_order_of_convergence"
 UNIT = "check_unit_derivatives"
 
+PENDULUM_PUSHED = "check_pendulum_disturbance_and_dry_friction_against_mujoco"
+PENDULUM_STOPS = "check_pendulum_dry_friction_stops_it"
+BODY_PUSHED = "check_quadrotor_disturbance_and_drag_against_mujoco"
+BODY_FALL = "check_quadrotor_terminal_velocity"
+RIGID_PUSHED = "check_rigid_body_disturbance_and_drag_against_mujoco"
+RIGID_FALL = "check_rigid_body_terminal_velocity"
+MAGNET_FORCE = "check_magnet_derivative_is_that_of_the_co_energy"
+MAGNET_ENERGY = "check_magnet_keeps_its_energy_at_constant_current"
+MAGNET_FALL = "check_magnet_terminal_velocity"
+MAGNET_LOOP = "check_magnet_closed_loop_error"
+MAGNET_LIMITS = "check_magnet_current_is_limited"
+
 BODY = (BODY_MUJOCO, BODY_ROTORPY)
 LAW = (ATTITUDE_ERROR, POSITION_LOOP)
 RIGID = (RIGID_MUJOCO, RIGID_BALANCE)
@@ -87,16 +100,30 @@ MUTANTS = [
     ("friction-without-mass", PENDULUM, "- b / m * phi_dot", "- b * phi_dot", (PENDULUM_MUJOCO, PENDULUM_LOOP)),
     ("friction-of-a-torque", PENDULUM, "- b / m * phi_dot", "- b / (m * l**2) * phi_dot",
      (PENDULUM_MUJOCO, PENDULUM_ENERGY)),
-    ("input-is-a-torque", PENDULUM, "u[0] / (m * l))", "u[0] / (m * l**2))",
+    ("input-is-a-torque", PENDULUM, "force / (m * l))", "force / (m * l**2))",
      (PENDULUM_MUJOCO, PENDULUM_ENERGY, PENDULUM_LOOP)),
     ("control-torque", PENDULUM, "m * l * (Kp * e1", "m * l**2 * (Kp * e1", (PENDULUM_CONTROL, PENDULUM_LOOP)),
     ("control-gravity-sign", PENDULUM, "m * l * (g / l", "-m * l * (g / l", (PENDULUM_CONTROL, PENDULUM_LOOP)),
     ("control-friction-sign", PENDULUM, "+ b / m * phi_dot", "- b / m * phi_dot", (PENDULUM_CONTROL, PENDULUM_LOOP)),
     ("control-error-sign", PENDULUM, "x_ref[1] - phi_dot", "phi_dot - x_ref[1]", (PENDULUM_CONTROL, PENDULUM_LOOP)),
     ("control-gains-swapped", PENDULUM, "Kp * e1 + Kd * e2", "Kd * e1 + Kp * e2", (PENDULUM_CONTROL, PENDULUM_LOOP)),
+    ("disturbance-against", PENDULUM, "u[0] + u[1] if", "u[0] - u[1] if", (PENDULUM_PUSHED,)),
+    ("disturbance-lost", PENDULUM, "u[0] + u[1] if", "u[0] if", (PENDULUM_PUSHED,)),
+    ("dry-friction-drives", PENDULUM, "force -= F_c", "force += F_c", (PENDULUM_PUSHED, PENDULUM_STOPS)),
+    ("dry-friction-of-the-rate", PENDULUM, "tanh(l * phi_dot / SLIDING)", "tanh(phi_dot / SLIDING)",
+     (PENDULUM_PUSHED,)),
+    ("dry-friction-is-viscous", PENDULUM, "tanh(l * phi_dot / SLIDING)", "(l * phi_dot / SLIDING)",
+     (PENDULUM_PUSHED, PENDULUM_STOPS)),
+    ("disturbance-without-mass", QUADROTOR, "a_y + u[5] / m", "a_y + u[5]", (BODY_PUSHED, BODY_FALL)),
+    ("disturbance-of-the-wrong-axis", QUADROTOR, "a_z + u[6] / m", "a_z + u[5] / m", (BODY_PUSHED, BODY_FALL)),
+    ("disturbing-moment-against", QUADROTOR,
+     "a_z + u[6] / m\n        M_x, M_y, M_z = M_x + u[7], M_y + u[8], M_z + u[9]",
+     "a_z + u[6] / m\n        M_x, M_y, M_z = M_x + u[7], M_y - u[8], M_z + u[9]", (BODY_PUSHED,)),
+    ("drag-drives", QUADROTOR, "a_z - k_d / m * vz", "a_z + k_d / m * vz", (BODY_PUSHED, BODY_FALL)),
+    ("drag-without-mass", QUADROTOR, "a_x - k_d / m * vx", "a_x - k_d * vx", (BODY_PUSHED, BODY_FALL)),
     ("thrust-down", QUADROTOR, "    a = F / m\n", "    a = -F / m\n", (*BODY, BODY_BALANCE, POSITION_LOOP)),
     ("thrust-without-mass", QUADROTOR, "    a = F / m\n", "    a = F\n", (*BODY, BODY_BALANCE)),
-    ("thrust-along-third-row", QUADROTOR, "-a * r13, -a * r23,", "-a * r31, -a * r32,", (*BODY, BODY_BALANCE)),
+    ("thrust-along-third-row", QUADROTOR, "-a * r13, -a * r23, g", "-a * r31, -a * r32, g", (*BODY, BODY_BALANCE)),
     ("gravity-up-z", QUADROTOR, "g - a * r33", "-g - a * r33", (*BODY, BODY_BALANCE)),
     ("rotation-the-other-way", QUADROTOR, "r12 * r - r13 * q, r13 * p - r11 * r, r11 * q - r12 * p",
      "r13 * q - r12 * r, r11 * r - r13 * p, r12 * p - r11 * q", (*BODY, BODY_BALANCE)),
@@ -165,9 +192,9 @@ MUTANTS = [
     ("yaw-jumps-up", TRAJECTORIES, "psi -= pi", "psi += pi", (PAPER_YAW,)),
     ("yaw-limit-from-the-left", TRAJECTORIES, "(sin(omega * t) or cos(omega * t)) < 0.0",
      "(sin(omega * t) or -cos(omega * t)) < 0.0", (PAPER_YAW,)),
-    ("moment-arm-sign", RIGID_BODY, "subtract(u[3:6], cross(c, F))", "add(u[3:6], cross(c, F))",
+    ("moment-arm-sign", RIGID_BODY, "subtract(M, cross(c, F))", "add(M, cross(c, F))",
      (*RIGID, RIGID_LOOP)),
-    ("moment-about-the-centre", RIGID_BODY, "subtract(u[3:6], cross(c, F))", "u[3:6]", (*RIGID, RIGID_LOOP)),
+    ("moment-about-the-centre", RIGID_BODY, "M_c = subtract(M, cross(c, F))", "M_c = M", (*RIGID, RIGID_LOOP)),
     ("euler-gyroscopic-sign", RIGID_BODY, "subtract(M_c, cross(Omega, apply(matrix(J), Omega)))",
      "add(M_c, cross(Omega, apply(matrix(J), Omega)))", (*RIGID, RIGID_FLIGHT, RIGID_LOOP)),
     ("euler-gyroscopic-none", RIGID_BODY, "subtract(M_c, cross(Omega, apply(matrix(J), Omega)))", "M_c",
@@ -223,6 +250,28 @@ MUTANTS = [
     ("euler-acceleration-x", RIGID_BODY, "qx - qz * sy - pz * py * cy", "qx - qz * sy", (RIGID_MOTION, RIGID_LOOP)),
     ("euler-acceleration-y", RIGID_BODY, "+ pz * px * cy * cx", "- pz * px * cy * cx", (RIGID_MOTION, RIGID_LOOP)),
     ("euler-acceleration-z", RIGID_BODY, "- py * px * cx,", "+ py * px * cx,", (RIGID_MOTION, RIGID_LOOP)),
+    ("disturbance-in-the-body", RIGID_BODY, "add(F, apply(transpose(x[6:15]), u[6:9]))", "add(F, u[6:9])",
+     (RIGID_PUSHED,)),
+    ("disturbing-moment-in-the-world", RIGID_BODY, "add(M, u[9:12])", "add(M, apply(transpose(x[6:15]), u[9:12]))",
+     (RIGID_PUSHED,)),
+    ("body-drag-drives", RIGID_BODY, "F = subtract(F, apply(t", "F = add(F, apply(t", (RIGID_PUSHED, RIGID_FALL)),
+    ("body-drag-in-the-body", RIGID_BODY, "subtract(F, apply(transpose(x[6:15]), scale(k_d, (vx, vy, vz))))",
+     "subtract(F, scale(k_d, (vx, vy, vz)))", (RIGID_PUSHED, RIGID_FALL)),
+    ("magnet-pushes", MAGNET, "g - k / m * (ratio * ratio)", "g + k / m * (ratio * ratio)",
+     (MAGNET_FORCE, MAGNET_ENERGY)),
+    ("magnet-of-the-first-power", MAGNET, "(ratio * ratio)", "abs(ratio)", (MAGNET_FORCE, MAGNET_ENERGY)),
+    ("magnet-without-offset", MAGNET, "u[0] / (z + z_0)", "u[0] / z", (MAGNET_FORCE, MAGNET_ENERGY)),
+    ("magnet-without-mass", MAGNET, "k / m * (ratio", "k * (ratio", (MAGNET_FORCE, MAGNET_ENERGY)),
+    ("push-up", MAGNET, "v_dot += u[1] / m", "v_dot -= u[1] / m", (MAGNET_FORCE, MAGNET_FALL)),
+    ("ball-drag-without-mass", MAGNET, "k_d / m * v", "k_d * v", (MAGNET_FORCE, MAGNET_FALL)),
+    ("current-without-offset", MAGNET, "max(z + z_0, 0.0)", "max(z, 0.0)", (MAGNET_LOOP, MAGNET_LIMITS)),
+    ("current-of-the-inverse-mass", MAGNET, "sqrt(m / k * max", "sqrt(k / m * max", (MAGNET_LOOP, MAGNET_LIMITS)),
+    ("current-without-root", MAGNET, "sqrt(m / k * max(pull, 0.0))", "(m / k * max(pull, 0.0))",
+     (MAGNET_LOOP, MAGNET_LIMITS)),
+    ("gap-error-sign", MAGNET, "K_p * (z_ref - z)", "K_p * (z - z_ref)", (MAGNET_LOOP, MAGNET_LIMITS)),
+    ("rate-error-sign", MAGNET, "K_d * (v_ref - v)", "K_d * (v - v_ref)", (MAGNET_LOOP,)),
+    ("magnet-without-feedforward", MAGNET, "pull = g - v_dot_ref - K_p", "pull = g - K_p", (MAGNET_LOOP,)),
+    ("current-unlimited", MAGNET, "max(pull, 0.0)), i_max)", "max(pull, 0.0)), 100.0)", (MAGNET_LIMITS,)),
     ("weights-of-euler", ODE, "2.0 * (b2 + b3)", "(b2 + b3)", (ORDER_CONDITIONS, CONVERGENCE)),
     ("second-stage-reused", ODE, "half * b for a, b in zip(x, k2)", "half * b for a, b in zip(x, k1)",
      (ORDER_CONDITIONS, CONVERGENCE)),

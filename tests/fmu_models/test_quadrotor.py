@@ -19,6 +19,14 @@ def test_derivative_is_that_of_a_free_body_in_mujoco(oracles):
     oracles.check_quadrotor_derivative_against_mujoco(quadrotor)
 
 
+def test_disturbances_and_drag_are_those_of_a_free_body_in_mujoco(oracles):
+    oracles.check_quadrotor_disturbance_and_drag_against_mujoco(quadrotor)
+
+
+def test_with_drag_it_falls_at_the_terminal_velocity(oracles):
+    oracles.check_quadrotor_terminal_velocity(quadrotor)
+
+
 def test_derivative_is_that_of_rotorpys_multirotor(oracles):
     oracles.check_quadrotor_derivative_against_rotorpy(quadrotor)
 
@@ -54,7 +62,7 @@ def test_a_body_without_thrust_falls_along_a_parabola():
 
 def test_default_parameters_are_the_papers():
     x, u = state(rotvec=(0.1, 0.2, 0.3), Omega=(1, 2, 3)), (10.0, 1.0, 2.0, 3.0)
-    assert quadrotor.derivative(x, u) == quadrotor.derivative(x, u, 1.25, 1.1, 1.1, 2.2, 9.81)
+    assert quadrotor.derivative(x, u) == quadrotor.derivative(x, u, 1.25, 1.1, 1.1, 2.2, 9.81, 0.0)
     assert quadrotor.Gains() == ((5, 5, 5), (0.5, 0.5, 2), (30, 30, 30), (5, 10, 20))
 
 

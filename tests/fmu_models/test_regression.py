@@ -51,6 +51,27 @@ def check_pendulum_against_newton(module):
         assert_allclose(off, 0.0, atol=1e-14)  # rounding, relative to the terms
 
 
+def check_pendulum_with_a_disturbance(module):
+    rng = np.random.default_rng(1)
+    for phi, phi_dot, u, F_d in rng.uniform(-3.0, 3.0, (40, 4)):
+        m, l, b, g = rng.uniform(0.3, 4.0, 4)
+        xdot = (pendulum_acceleration(phi, phi_dot, u + F_d, m, l, b, g),)
+        off = residual(module, (phi, phi_dot), (u, F_d), xdot, {"m": m, "l": l}, b=b, g=g)
+        assert_allclose(off, 0.0, atol=1e-14)
+
+
+def check_quadrotor_with_disturbances(module):
+    rng = np.random.default_rng(1)
+    for _ in range(40):
+        R, Omega, M = Rotation.random(random_state=rng).as_matrix(), rng.uniform(-3, 3, 3), rng.uniform(-3, 3, 3)
+        F_d, M_d, (F, m, g, *J) = rng.normal(0, 3, 3), rng.normal(0, 3, 3), rng.uniform(0.5, 12.0, 6)
+        accelerations = quadrotor_accelerations(R, Omega, F, M + M_d, m, J, g)
+        accelerations[:3] += F_d / m
+        x, theta = (*np.zeros(6), *R.ravel(), *Omega), dict(zip(("m", "J_x", "J_y", "J_z"), (m, *J), strict=True))
+        off = residual(module, x, (F, *M, *F_d, *M_d), tuple(accelerations), theta, g=g)
+        assert_allclose(off, 0.0, atol=1e-14)
+
+
 def check_quadrotor_against_newton_and_euler(module):
     rng = np.random.default_rng(0)
     for _ in range(40):
@@ -63,6 +84,14 @@ def check_quadrotor_against_newton_and_euler(module):
 
 
 CHECKS = {pendulum: check_pendulum_against_newton, quadrotor: check_quadrotor_against_newton_and_euler}
+
+
+DISTURBED = {pendulum: check_pendulum_with_a_disturbance, quadrotor: check_quadrotor_with_disturbances}
+
+
+@pytest.mark.parametrize("module", DISTURBED, ids=["pendulum", "quadrotor"])
+def test_known_disturbances_are_in_the_linear_form(module):
+    DISTURBED[module](module)
 
 
 @given(x=st.tuples(RATE, RATE), u=RATE, m=POSITIVE, l=POSITIVE, b=POSITIVE, g=POSITIVE)
@@ -126,17 +155,18 @@ def test_the_rows_of_exciting_samples_fix_every_coefficient():
 
 PENDULUM, QUADROTOR = "fmu_models.pendulum.equations", "fmu_models.quadrotor.equations"
 NEWTON, EULER = (check.__name__ for check in CHECKS.values())
+PUSHED, GUST = (check.__name__ for check in DISTURBED.values())
 
 MUTANTS = [
     ("weight", PENDULUM, "((-g * sin(phi), -b", "((g * sin(phi), -b", (NEWTON,)),
-    ("friction", PENDULUM, "sin(phi), -b * phi_dot, u[0])", "sin(phi), b * phi_dot, u[0])", (NEWTON,)),
-    ("input", PENDULUM, "-b * phi_dot, u[0]),)", "-b * phi_dot, -u[0]),)", (NEWTON,)),
+    ("friction", PENDULUM, "sin(phi), -b * phi_dot, _total", "sin(phi), b * phi_dot, _total", (NEWTON,)),
+    ("input", PENDULUM, "-b * phi_dot, _total(u)),)", "-b * phi_dot, -_total(u)),)", (NEWTON,)),
     ("target", PENDULUM, ", (xdot[0],))", ", (-xdot[0],))", (NEWTON,)),
     ("order-of-coefficients", PENDULUM, "return (1.0 / l, 1.0 / m, 1", "return (1.0 / m, 1.0 / l, 1", (NEWTON,)),
     ("product", PENDULUM, "1.0 / (m * l))\n", "1.0 / (m + l))\n", (NEWTON,)),
-    ("thrust-x", QUADROTOR, "(-F * r13, 0.0", "(F * r13, 0.0", (EULER,)),
-    ("thrust-y", QUADROTOR, "(-F * r23, 0.0", "(F * r23, 0.0", (EULER,)),
-    ("thrust-z", QUADROTOR, "(-F * r33, 0.0", "(F * r33, 0.0", (EULER,)),
+    ("thrust-x", QUADROTOR, "= -F * r13, -F", "= F * r13, -F", (EULER,)),
+    ("thrust-y", QUADROTOR, "r13, -F * r23,", "r13, F * r23,", (EULER,)),
+    ("thrust-z", QUADROTOR, "r23, -F * r33\n", "r23, F * r33\n", (EULER,)),
     ("row-for-column", QUADROTOR, "_, _, r13, _, _, r23, _, _, r33, p", "_, _, _, _, _, _, r13, r23, r33, p", (EULER,)),
     ("gravity", QUADROTOR, "(a_x, a_y, a_z - g, M_x", "(a_x, a_y, a_z + g, M_x", (EULER,)),
     ("moment", QUADROTOR, "a_z - g, M_x, M_y, M_z)", "a_z - g, M_x, M_y, -M_z)", (EULER,)),
@@ -147,7 +177,18 @@ MUTANTS = [
     ("gyroscopic-z-x", QUADROTOR, "-p * q, p * q, r_dot)", "p * q, p * q, r_dot)", (EULER,)),
     ("gyroscopic-z-y", QUADROTOR, "-p * q, p * q, r_dot)", "-p * q, -p * q, r_dot)", (EULER,)),
     ("angular-acceleration", QUADROTOR, "p * q, r_dot)", "p * q, -r_dot)", (EULER,)),
+    ("push", PENDULUM, "u[0] + u[1] if", "u[0] if", (PUSHED,)),
+    ("gust", QUADROTOR, "F_y + u[5]", "F_y - u[5]", (GUST,)),
+    (
+        "gust-of-moment",
+        QUADROTOR,
+        "F_z + u[6]\n        M_x, M_y, M_z = M_x + u[7]",
+        "F_z + u[6]\n        M_x, M_y, M_z = M_x",
+        (GUST,),
+    ),
     ("mass-for-its-inverse", QUADROTOR, "return (1.0 / m, J_x", "return (m, J_x", (EULER,)),
 ]
 
-TestMutants = mutation_tests(MUTANTS, {check.__name__: check for check in CHECKS.values()})
+TestMutants = mutation_tests(
+    MUTANTS, {check.__name__: check for checks in (CHECKS, DISTURBED) for check in checks.values()}
+)

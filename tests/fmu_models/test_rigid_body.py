@@ -31,6 +31,14 @@ def test_derivative_is_that_of_a_free_body_in_mujoco(oracles):
     oracles.check_rigid_body_derivative_against_mujoco(rigid_body)
 
 
+def test_disturbances_and_drag_are_those_of_a_free_body_in_mujoco(oracles):
+    oracles.check_rigid_body_disturbance_and_drag_against_mujoco(rigid_body)
+
+
+def test_with_drag_it_falls_at_the_terminal_velocity(oracles):
+    oracles.check_rigid_body_terminal_velocity(rigid_body)
+
+
 def test_momentum_and_energy_change_by_wrench_and_power(oracles):
     oracles.check_rigid_body_momentum_and_energy_balance(rigid_body)
 
@@ -122,7 +130,7 @@ def test_every_candidate_gives_finite_numbers_or_a_refusal(oracles):
 
 
 def test_nominal_parameters_are_those_of_all():
-    assert rigid_body.derivative.__defaults__ == (*BEFORE, 9.81)
+    assert rigid_body.derivative.__defaults__ == (*BEFORE, 9.81, 0.0)
     assert tuple(p["name"] for p in SCENARIO["estimation"]["parameters"]) == NAMES
 
 

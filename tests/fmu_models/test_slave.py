@@ -127,6 +127,7 @@ def initialized(model, start_time=0.0, **values):
         ("N.m.s/rad", {"kg": 1, "m": 2, "s": -1, "rad": -1}),
         ("N.s2/m", {"kg": 1}),
         ("1/s", {"s": -1}),
+        ("N.m2/A2", {"kg": 1, "m": 3, "s": -2, "A": -2}),
     ],
 )
 def test_a_unit_is_the_product_of_its_base_units(unit, exponents):
@@ -153,18 +154,18 @@ def test_a_start_outside_its_bounds_is_refused(bounds):
 def test_the_description_says_what_the_table_says():
     xml = Tank(instance_name="one").to_xml()
     variables = {v.get("name"): v for v in xml.iter("ScalarVariable")}
-    assert list(variables) == ["area", "max_step", "q", "h", "der(h)", "q_held"]
+    assert list(variables) == ["area", "tau_u", "max_step", "q", "h", "der(h)", "q_held"]
     assert variables["area"][0].attrib == {"unit": "m2", "min": "0.1", "start": "2.0"}
     assert variables["h"][0].attrib == {"unit": "m", "nominal": "3.0", "start": "0.25"}
-    assert variables["der(h)"][0].attrib == {"unit": "m/s", "derivative": "4"}
+    assert variables["der(h)"][0].attrib == {"unit": "m/s", "derivative": "5"}
     assert variables["q_held"].attrib["initial"] == "calculated"
     assert xml.find("UnitDefinitions/Unit[@name='m3/s']/BaseUnit").attrib == {"m": "3", "s": "-1"}
     structure = {tag: [u.attrib for u in xml.find(f"ModelStructure/{tag}")] for tag in ("Outputs", "InitialUnknowns")}
     assert [(u["dependencies"], u["dependenciesKind"]) for u in structure["Outputs"]] == [
-        ("4", "constant"),
+        ("5", "constant"),
         *[("", "")] * 2,
     ]
-    assert [(u["index"], u["dependencies"]) for u in structure["InitialUnknowns"]] == [("5", "1 3"), ("6", "3")]
+    assert [(u["index"], u["dependencies"]) for u in structure["InitialUnknowns"]] == [("6", "1 4"), ("7", "4")]
 
 
 def test_start_values_keep_every_bit():

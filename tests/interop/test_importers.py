@@ -119,9 +119,14 @@ def alone(name):
     reals = [v for v in variables_of(path) if v.type == "Real"]
     settable = [v for v in reals if v.causality == "input" or v.variability == "tunable"]
     start = {f"model.{v.name}": float(v.start) for v in settable}
-    change = {f"model.{v.name}": 1.05 * float(v.start) + 0.1 * (v.causality == "input") for v in settable}
+    change = {f"model.{v.name}": 1.05 * float(v.start) + 0.1 * is_free(v) for v in settable}
     outputs = [f"model.{v.name}" for v in reals if v.causality == "output"]
     return jobs.Job(0.01, 40, {"model": str(path)}, start, {}, {"15": change}, outputs, {})
+
+
+def is_free(v):
+    """Whether it is an input that may be larger than its start by 0.1."""
+    return v.causality == "input" and (v.max is None or float(v.max) > 1.05 * float(v.start) + 0.1)
 
 
 def has_boolean_input(name):

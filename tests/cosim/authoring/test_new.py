@@ -199,5 +199,8 @@ def test_a_model_exchange_fmu_as_the_model_leaves_only_the_change_to_fill_in(tmp
         "[changes]"
     ]
     assert [f.where for f in check(path)] == ["changes"]  # the model is called with x, u and J[1] of the FMU
+    disturbances = [line for line in path.read_text().splitlines() if '"plant.F_d' in line or '"plant.M_d' in line]
+    assert [line[:11] for line in disturbances] == ['# "plant.F_'] * 3 + ['# "plant.M_'] * 3
+    assert all("a disturbance, which may be left unconnected" in line for line in disturbances)
     parameters = Scenario.load(path).estimation.parameters
     assert [p.name for p in parameters] == ["m", "J[1]", "J[2]", "J[3]"]

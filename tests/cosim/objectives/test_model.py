@@ -15,7 +15,7 @@ from cosim.slaves.slave import open_slave
 from cosim.system.fmu_cache import find_fmu
 from cosim.system.plant import Plant, plant_of
 from estimator import Parameter
-from fmu_models import friction_pendulum, pendulum, quadrotor, rigid_body
+from fmu_models import friction_pendulum, magnetic_levitation, pendulum, quadrotor, rigid_body
 
 pytestmark = pytest.mark.fmu
 
@@ -28,6 +28,9 @@ MODELS = {
     ),
     "stiction": (
         "FrictionPendulum", friction_pendulum.derivative, {"m": (0.1, 5.0), "F_c": (0.0, 3.0), "u_d": (0.0, 3.0)},
+    ),
+    "magnetic-levitation": (
+        "MagneticLevitation", magnetic_levitation.derivative, {"m": (0.03, 0.4), "z_0": (0.001, 0.016)},
     ),
     "rigid-body": (
         "RigidBody",
@@ -66,7 +69,7 @@ def test_the_fmu_computes_the_derivatives_of_the_physics(model, scenario):
     """Against the function that the FMU was made from, at random points: 1e-12 of the largest term."""
     _, derivative, bounds = MODELS[scenario]
     fmu, rng = model(scenario), np.random.default_rng(1)
-    n_x, n_u = (2, 1) if "pendulum" in derivative.__module__ else (18, 4 if scenario == "quadrotor" else 6)
+    n_x, n_u = (2, 2) if len(bounds) < 4 else (18, 10 if scenario == "quadrotor" else 12)
     theta = {}
     for k in range(50):
         x, u = tuple(rng.normal(0.0, 2.0, n_x).tolist()), tuple(rng.normal(0.0, 10.0, n_u).tolist())
@@ -75,7 +78,7 @@ def test_the_fmu_computes_the_derivatives_of_the_physics(model, scenario):
         np.testing.assert_allclose(fmu(x, u, **theta), expected, rtol=1e-12, atol=1e-12 * max(map(abs, expected)))
 
 
-X, U = (*(0.0,) * 6, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, *(0.0,) * 3), (12.0, 0.1, 0.0, 0.0)
+X, U = (*(0.0,) * 6, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, *(0.0,) * 3), (12.0, 0.1, *(0.0,) * 8)
 THETA = {"m": 1.0, "J_x": 1.0, "J_y": 1.0, "J_z": 2.0}
 
 
@@ -116,7 +119,7 @@ def test_a_path_beside_the_scenario_is_a_model(tmp_path, leaves_nothing):
     scenario = Scenario.load("pendulum", {"estimation.model": "my model.fmu"}).model_copy(update={"folder": tmp_path})
     with opened_model(scenario, plant_like("pendulum", 2, tmp_path)) as model:
         expected = pendulum.derivative((0.3, 0.1), (2.0,), m=2.0, l=1.0)
-        assert model((0.3, 0.1), (2.0,), m=2.0, l=1.0) == pytest.approx(expected, rel=1e-15)
+        assert model((0.3, 0.1), (2.0, 0.0), m=2.0, l=1.0) == pytest.approx(expected, rel=1e-15)
 
 
 @pytest.mark.parametrize(

@@ -85,7 +85,7 @@ def live_objective(leaves_nothing):
                 for k in range(step.k, step.k + n):
                     x = slave.step([push(k)], H * k, H, TRUTH)[:2]
                     y = tuple(v + s * e for v, s, e in zip(x, SIGMA, rng.standard_normal(2), strict=True))
-                    samples.append(Sample(H * (k + 1), x, (push(k),), (), y))
+                    samples.append(Sample(H * (k + 1), x, (push(k), 0.0), (), y))
                     if is_heard:
                         objective.add_sample(samples[-1])
                         step.origins.append(objective.snapshot(True))

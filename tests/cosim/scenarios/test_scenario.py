@@ -29,7 +29,7 @@ def refusal(overrides=None, source="pendulum"):
 
 
 def test_the_named_scenarios_load():
-    assert named_scenarios() == ("pendulum", "quadrotor", "rigid-body", "stiction")
+    assert named_scenarios() == ("magnetic-levitation", "pendulum", "quadrotor", "rigid-body", "stiction")
     assert [Scenario.load(name).scenario.name for name in named_scenarios()] == list(named_scenarios())
 
 

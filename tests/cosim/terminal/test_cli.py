@@ -159,7 +159,7 @@ def test_a_scenario_of_ones_own_finds_its_fmu_and_its_model_beside_it(called, wo
 def test_help_names_every_scenario(called, command):
     code, out, err = called(command, "--help")
     assert (code, err) == (0, "")
-    assert "pendulum, quadrotor, rigid-body, stiction, " in " ".join(out.split())
+    assert "magnetic-levitation, pendulum, quadrotor, rigid-body, stiction, " in " ".join(out.split())
 
 
 def test_the_version_is_printed(called):
@@ -671,7 +671,7 @@ def test_build_builds_all_and_then_leaves_them_unchanged(called, workplace):
     code, out, err = called("build", "--out", "fmus")
     assert (code, err) == (0, "")
     assert out.splitlines() == [f"fmus/{name}.fmu  built" for name in NAMES]
-    assert len(NAMES) == 16
+    assert len(NAMES) == 20
     before = {p: (p.stat().st_mtime_ns, p.read_bytes()) for p in (workplace / "fmus").iterdir()}
     assert {p.name for p in before} == {f"{name}.fmu" for name in NAMES}
     assert all(zipfile.is_zipfile(p) for p in before)
@@ -726,7 +726,7 @@ def test_build_replaces_a_different_file_only_when_forced(called, workplace):
     assert (code, err) == (0, "")
     assert [line for line in out.splitlines() if not line.endswith("  built")] == ["fmus/Quadrotor.fmu  replaced"]
     assert zipfile.is_zipfile(fmus / "Quadrotor.fmu")
-    assert len(list(fmus.iterdir())) == 16
+    assert len(list(fmus.iterdir())) == 20
 
 
 def test_build_on_a_full_disk_keeps_the_file_that_it_was_to_replace(tmp_path, monkeypatch):

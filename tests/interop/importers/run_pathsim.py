@@ -23,7 +23,7 @@ def simulate(job: Job) -> list[list[float]]:
         for variable in block.fmu_wrapper.input_refs:  # what is not connected is set to 0 at every step
             name = f"{component}.{variable}"
             if name not in job.connections:
-                values = [job.start[name]]
+                values = [job.start.get(name, 0.0)]
                 for k in range(job.n_steps + 1):
                     values.append(job.changes_at(k).get(name, values[-1]))
                 sources.append(Source(lambda t, values=values: values[round(t / h) + 1]))

@@ -98,9 +98,13 @@ class ParameterSpace:
 
     def from_unit(self, z: ArrayLike) -> Vector:
         """Return the values at places (..., d) in the unit cube; never outside the bounds."""
+        return np.minimum(np.maximum(self.beyond(z), self._lower), self._upper)
+
+    def beyond(self, z: ArrayLike) -> Vector:
+        """Return the values at places (..., d), which may lie outside the unit cube and so outside the bounds."""
         theta = self._origin + self._width * np.asarray(z, dtype=float)
         theta[..., self._is_log] = np.exp(theta[..., self._is_log])
-        return np.minimum(np.maximum(theta, self._lower), self._upper)
+        return theta
 
     def slope(self, theta: ArrayLike) -> Vector:
         """Return d theta / d z at theta (d,): change in each parameter's unit for a step in the unit cube."""

@@ -29,10 +29,17 @@ REFITS = "check_std_against_refits_of_noisy_data"
 UNSEEN = "check_std_of_what_is_not_seen_is_the_whole_cube"
 BY_HAND = "check_significant_directions_by_hand"
 PROJECTOR = "check_significant_is_a_projector_that_loses_little"
+SCORE = "check_score_is_the_evidence_of_a_linear_model"
+MARGINS = "check_margins_are_very_strong_evidence"
+DISTURBANCE = "check_disturbance_against_least_squares"
+SPREAD = "check_spread_is_that_of_white_noise_about_a_slow_mean"
+EFFECTIVE = "check_effective_scale_is_that_of_means_of_correlated_samples"
 
 GP = "estimator.gaussian_process"
 ACQUISITION = "estimator.acquisition"
 IDENTIFIABILITY = "estimator.identifiability"
+HYPOTHESES = "estimator.hypotheses"
+SCALE = "estimator.residual_scale"
 EI = (EI_QUAD, EI_DRAWS)
 BOTH = (PREDICTION, TEXTBOOK)
 SLOPES = (JACOBIAN, JACOBIAN_DIFFERENCES)
@@ -141,6 +148,21 @@ MUTANTS = [
     ("threshold-unused", IDENTIFIABILITY, "> n_std]", "> 0.0]", (BY_HAND, PROJECTOR)),
     ("projector-on-columns", IDENTIFIABILITY, "np.abs(self.directions @ change)",
      "np.abs(self.directions.T @ change)", (PROJECTOR,)),
+    ("score-without-free-values", HYPOTHESES, "self.n_free * log(", "0.0 * log(", (SCORE,)),
+    ("score-of-half-the-free-values", HYPOTHESES, "self.n_free * log(", "0.5 * self.n_free * log(", (SCORE,)),
+    ("margin-half", HYPOTHESES, "MARGIN: Final = 10.0", "MARGIN: Final = 5.0", (MARGINS,)),
+    ("margin-of-proof-sign", HYPOTHESES, "self.parameters.score + MARGIN", "self.parameters.score - MARGIN",
+     (MARGINS,)),
+    ("margin-of-possibility-sign", HYPOTHESES, "others + MARGIN", "others - MARGIN", (MARGINS,)),
+    ("disturbance-at-the-oldest", HYPOTHESES, "Disturbance(rows[-1] - left[-1]", "Disturbance(rows[0] - left[0]",
+     (DISTURBANCE,)),
+    ("disturbance-without-parabola", HYPOTHESES, "_ORDER: Final = 2", "_ORDER: Final = 1", (DISTURBANCE,)),
+    ("spread-without-root", SCALE, " / np.sqrt(2.0)", "", (SPREAD,)),
+    ("spread-of-the-median", SCALE, "_MAD: Final = 1.4826", "_MAD: Final = 1.0", (SPREAD,)),
+    ("spread-about-the-mean", SCALE, "np.diff(rows, axis=0)", "(rows - rows.mean(axis=0))", (SPREAD,)),
+    ("correlation-inverted", SCALE, "(1.0 + self.correlations) / (1.0 - self.correlations)",
+     "(1.0 - self.correlations) / (1.0 + self.correlations)", (EFFECTIVE,)),
+    ("correlation-of-another-lag", SCALE, "rows[1:] * rows[:-1]", "rows[2:] * rows[:-2]", (EFFECTIVE,)),
 ]  # fmt: skip
 
 TestMutants = mutation_tests(MUTANTS, checks_of(oracles))

@@ -1,0 +1,202 @@
+"""Hypotheses on samples that contradict the parameters in force: parameters have changed, or a disturbance acts.
+
+They are compared by evidence that counts their free values: Willsky and Jones (1976), "A generalized likelihood ratio
+approach to the detection and estimation of jumps in linear systems"; Schwarz (1978); Blanke et al. (2016), "Diagnosis
+and Fault-Tolerant Control", chapter 6. Residuals are in standard deviations of their true size.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import inf, isfinite, log
+from typing import Final
+
+import numpy as np
+
+from .significance import chi2_limit
+from .space import Vector
+
+FALSE_ALARM: Final = 1e-4
+"""Probability that samples fail the chi-square test of the hypothesis that is true."""
+_BEYOND: Final = 0.5
+"""Share of the scaled bounds by which the parameters that explain may lie outside of them."""
+_LONGEST: Final = 0.5
+"""Longest step of a parameter, as a share of the scaled bounds."""
+_HALVINGS: Final = 6
+"""Largest number of times that a step which gains nothing is halved."""
+_ENOUGH: Final = 0.1
+"""Gain of the sum of squares below which the search ends."""
+_SPARE: Final = 15
+"""Least number of values in excess of those fitted that can tell drifting parameters from whatever changes smoothly."""
+USUAL_RATE: Final = 0.0025
+"""Standard deviation of a drifting parameter's change from sample to sample, as a share of the scaled bounds."""
+_ORDER: Final = 2
+"""Highest power of time in a disturbance that changes."""
+MARGIN: Final = 10.0
+"""Least difference of two scores: "very strong evidence", Kass and Raftery (1995), "Bayes factors"."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Sum of squared residuals of a hypothesis with its values at their best."""
+
+    squares: float
+    """Sum of squared residuals."""
+    n_free: int
+    """Number of values that were fitted."""
+    n_values: int
+    """Number of residuals."""
+
+    @property
+    def score(self) -> float:
+        """Twice the negative log evidence but for a constant: squares + n_free log n_values; the least is the best."""
+        return self.squares + self.n_free * log(max(self.n_values, 2))
+
+    @property
+    def is_explained(self) -> bool:
+        """True where the residuals pass a chi-square test that leaves some degrees of freedom."""
+        left = self.n_values - self.n_free
+        return left > 0 and self.squares <= chi2_limit(FALSE_ALARM, left)
+
+    @property
+    def is_possible(self) -> bool:
+        """True where the residuals do not refute the hypothesis, be it that they are too few."""
+        return self.n_values <= self.n_free or self.is_explained
+
+
+NEVER: Final = Fit(inf, 0, 1)
+
+
+def plain_fit(rows: Vector, n_free: int, n_values: int | None = None) -> Fit:
+    """Return the fit of rows (n, c) that n_free values were fitted to; columns of zeros count as missing."""
+    squares = float(np.sum(rows**2))
+    n = len(rows) * n_channels_of(rows) if n_values is None else n_values
+    return Fit(squares, n_free, n) if isfinite(squares) else NEVER
+
+
+def n_channels_of(rows: Vector) -> int:
+    """Return the number of channels in rows (n, c): those with a value other than zero."""
+    return int(np.count_nonzero(np.any(rows != 0.0, axis=0)))
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """Lumped disturbance that explains rows of residuals: constant, or changing smoothly."""
+
+    newest: Vector
+    """Its value (c,) at the newest sample, in standard deviations."""
+    largest: Vector
+    """Its largest size (c,) in the rows: a changing one may pass through zero."""
+    fit: Fit
+    is_constant: bool
+
+
+def disturbance_of(rows: Vector, *, may_drift: bool = True) -> Disturbance:
+    """Return the disturbance that explains rows (n, c) best: on each channel a constant, a line or a parabola in time.
+
+    It enters the residuals linearly, so that it is projected out of them.
+    """
+    n, n_channels = len(rows), n_channels_of(rows)
+    mean = rows.mean(axis=0)
+    constant = Disturbance(mean, np.abs(mean), plain_fit(rows - mean, n_channels, n * n_channels), True)
+    found = [constant]
+    for order in range(1, min(_ORDER, (n - 1) // 2) + 1) if may_drift else ():
+        if found[-1].fit.is_explained:
+            break
+        powers = np.linspace(-1.0, 1.0, n)[:, None] ** np.arange(order + 1)
+        left = rows - powers @ np.linalg.lstsq(powers, rows, rcond=None)[0]
+        fit = plain_fit(left, (order + 1) * n_channels, n * n_channels)
+        found.append(Disturbance(rows[-1] - left[-1], np.abs(rows - left).max(axis=0), fit, False))
+    return min(found, key=lambda d: d.fit.score)
+
+
+@dataclass(frozen=True)
+class Weighing:
+    """Comparison of the hypotheses on a window of samples."""
+
+    parameters: Fit
+    """Changed parameters, constant over the window or changing at a constant rate."""
+    disturbance: Fit
+    """A disturbance, constant or changing at a constant rate, with the parameters in force."""
+    nothing: Fit
+    """The parameters in force, without a disturbance."""
+
+    @property
+    def are_parameters_possible(self) -> bool:
+        """True where changed parameters explain the samples, and nothing else does much better."""
+        others = min(self.nothing.score, self.disturbance.score)
+        return self.parameters.is_possible and self.parameters.score < others + MARGIN
+
+    @property
+    def are_parameters_proven(self) -> bool:
+        """True where changed parameters explain the samples, and nothing else does nearly as well."""
+        others = min(self.nothing.score, self.disturbance.score)
+        return self.parameters.is_explained and self.parameters.score + MARGIN <= others
+
+
+@dataclass(frozen=True)
+class ChangedParameters:
+    """Parameters that explain rows of residuals best."""
+
+    z: Vector
+    """Place (d,) in the scaled bounds, or beyond: 0 and 1 are the bounds."""
+    rows: Vector
+    """Residuals (n, c) there."""
+    fit: Fit
+    """Fit of these parameters, or of parameters that change at a constant rate through them."""
+    rate: float = 0.0
+    """Largest change of one of them from row to row, as a share of the scaled bounds; 0 for constant ones."""
+
+
+def changed_parameters(
+    rows_at: Callable[[Vector], Vector], z: Vector, *, iterations: int = 4, step: float = 1e-6, may_drift: bool = True
+) -> ChangedParameters:
+    """Return the parameters that explain residuals rows_at(z) (n, c) best, by Gauss-Newton steps from z (d,).
+
+    Columns of zeros count as missing. step: of differences. may_drift: parameters that change in time are a straight
+    line through the best constant ones, to first order; rows are in the order of time then.
+    """
+    rows = rows_at(z)
+    jacobian = np.zeros((rows.size, len(z)))
+    for _ in range(0 if plain_fit(rows, len(z)).is_explained else iterations):
+        jacobian = _slopes(rows_at, z, rows, step)
+        if not np.all(np.isfinite(jacobian)):
+            break
+        move = -np.linalg.lstsq(jacobian, rows.reshape(-1), rcond=1e-7)[0]
+        move *= min(1.0, _LONGEST / max(float(np.abs(move).max()), 1e-300))
+        for _ in range(_HALVINGS):
+            tried = np.clip(z + move, -_BEYOND, 1.0 + _BEYOND)
+            there = rows_at(tried)
+            if np.sum(there**2) < np.sum(rows**2):  # False where it is no number
+                break
+            move = move / 2.0
+        else:
+            break
+        gain = float(np.sum(rows**2) - np.sum(there**2))
+        z, rows = tried, there
+        if gain < _ENOUGH:
+            break
+    n, d = len(rows), len(z)
+    constant = plain_fit(rows, d)
+    can_tell = n >= 3 and constant.n_values - 2 * d >= _SPARE
+    if not (may_drift and can_tell) or constant.is_explained or not np.all(np.isfinite(jacobian)):
+        return ChangedParameters(z, rows, constant)
+    tau = np.repeat(np.linspace(-1.0, 1.0, n), rows.shape[1])[:, None]
+    both = np.hstack([jacobian, tau * jacobian])
+    # Where the rows tell nothing of it a parameter does not change: a prior on the rates, one row each.
+    prior = np.hstack([np.zeros((d, d)), np.eye(d) / (USUAL_RATE * (n - 1) / 2.0)])
+    moves = np.linalg.lstsq(np.vstack([both, prior]), np.append(rows.reshape(-1), np.zeros(d)), rcond=1e-7)[0]
+    left = rows.reshape(-1) - both @ moves
+    line = Fit(float(left @ left), 2 * d, constant.n_values)
+    if line.score >= constant.score:
+        return ChangedParameters(z, rows, constant)
+    return ChangedParameters(z, rows, line, float(np.abs(moves[d:]).max()) * 2.0 / (n - 1))
+
+
+def _slopes(rows_at: Callable[[Vector], Vector], z: Vector, rows: Vector, step: float) -> Vector:
+    """Return the derivatives (n c, d) of the residuals by forward differences, towards the middle of the bounds."""
+    columns: list[Vector] = []
+    for i in range(len(z)):
+        beside = z.copy()
+        beside[i] += step if z[i] < 0.5 else -step
+        columns.append((rows_at(beside) - rows).reshape(-1) / (beside[i] - z[i]))
+    return np.column_stack(columns)

@@ -66,6 +66,10 @@ class RecursiveLeastSquares:
         if linear is None:
             raise ValueError("recursive least squares needs the model's linear form.")
         rows, targets = linear.rows(objective.newest)
+        is_known = np.isfinite(targets) & np.isfinite(rows).all(axis=1)
+        if not is_known.any():
+            return
+        rows, targets = rows[is_known], targets[is_known]
         kalman = self._filter or self._begin(linear)
         self._filter = kalman
         kalman.P = _at_most(self._start_std, kalman.P / self._settings.forgetting)

@@ -22,7 +22,7 @@ class Sample:
     u: tuple[float, ...]
     """Input (p,) that was held up to t."""
     xdot: tuple[float, ...]
-    """Sampled derivatives (c,), a number a channel."""
+    """Sampled derivatives (c,), a number a channel; NaN where there is none."""
     y: tuple[float, ...] = ()
     """Measured outputs (o,)."""
 
@@ -70,11 +70,15 @@ class DerivativeResidual:
     """sigma (c,), the standard deviation of each sampled derivative; ones leave the residual in physical units."""
 
     def __call__(self, theta: Vector, sample: Sample) -> Vector:
-        """Return r (c,) of one sample; NaN where the model has no value. Other exceptions of the model pass through."""
+        """Return r (c,) of one sample; 0 for a channel that was not sampled, NaN where the model has no value.
+
+        Other exceptions of the model pass through.
+        """
         try:
             modelled = self.model(sample.x, sample.u, **self.space.named(theta))
         except (ArithmeticError, ValueError):  # math.sqrt(-1.0) raises the latter
             return np.full(len(self.channels), np.nan)
         return np.array([
-            (y - modelled[i]) / s for y, i, s in zip(sample.xdot, self.channels, self.noise, strict=True)
+            (y - modelled[i]) / s if y == y else 0.0  # a NaN differs from itself
+            for y, i, s in zip(sample.xdot, self.channels, self.noise, strict=True)
         ])  # fmt: skip

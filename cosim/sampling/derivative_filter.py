@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
+from math import isfinite
 from typing import Final
 
 import numpy as np
@@ -129,8 +130,11 @@ class DerivativeFilter:
         self._wait = 0
 
     def __call__(self, measured: Sample) -> Sample | None:
-        """Return the sample that this point completes, or None; a gap in time restarts the filter."""
+        """Return the sample that this point completes, or None; a gap or a missing value restarts the filter."""
         h = self.kernel.macro_step
+        if not all(map(isfinite, (*measured.x, *measured.u))):
+            self._points.clear()
+            return None
         if self._points and abs(measured.t - self._points[0].t - h) > 1e-6 * h:
             self._points.clear()
         self._points.appendleft(measured)

@@ -1,4 +1,6 @@
-"""Screening of samples: the estimator gets none that is missing, late, stuck, inconsistent or an outlier.
+"""Screening of samples: the estimator gets no value that is missing, late, stuck, inconsistent or an outlier.
+
+Of a sample with a bad derivative it gets the others; of one with a bad state, or only bad derivatives, nothing.
 
 Rejected samples are reported and counted. Gaussian processes accept a NaN silently, and every acquisition after it is
 NaN. A change of the plant persists, an outlier does not: a sample that jumps away from the model is used at once; if
@@ -80,10 +82,16 @@ class SampleScreen:
         found = {*self._plain.step(t, sample.t, (*sample.xdot, *sample.x), sample.u, moves)}
         if not found:
             found = {("inconsistent", self._sensors.names[i]) for i in self._consistency.step(sample, theta)}
-        is_suspect, outliers = (False, []) if found else self._outliers.step(sample, theta)
-        is_kept_out = bool(found or self._health.failed)
-        self._n_kept_out += is_kept_out + bool(outliers)
+        bad = {name for _, name in found} | {*self._health.failed}
+        channels = self._sensors.names[: len(sample.xdot)]
+        n_inconsistent = sum(kind == "inconsistent" for kind, _ in found)
+        is_kept_out = not bad <= {*channels} or bad >= {*channels} or n_inconsistent > 1 or len(self._health.failed) > 1
+        is_suspect, outliers = (False, []) if bad else self._outliers.step(sample, theta)
+        self._n_kept_out += bool(bad) + bool(outliers)
         events = self._health.take(t, found | {("outlier", name) for name in outliers})
+        if bad and not is_kept_out:
+            pairs = zip(sample.xdot, channels, strict=True)
+            sample = replace(sample, xdot=tuple(nan if name in bad else value for value, name in pairs))
         return Screened(None if is_kept_out else sample, is_suspect, bool(outliers), tuple(events))
 
     def summary(self) -> dict[str, Any]:

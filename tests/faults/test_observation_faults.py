@@ -168,10 +168,11 @@ def test_the_jump_that_re_tuning_is_for_is_no_outlier(tmp_path):
     assert result.max_error < 0.15
 
 
-@pytest.mark.parametrize("guard", ["true", "false"])
-def test_what_was_written_for_an_outlier_is_taken_back_in_the_next_step(guard, tmp_path):
+@pytest.mark.parametrize(("guard", "diagnosis"), [("true", "true"), ("true", "false"), ("false", "false")])
+def test_what_was_written_for_an_outlier_is_taken_back_in_the_next_step(guard, diagnosis, tmp_path):
     spike = fault("spikes", RATE, size=20.0, start=0.5, stop=0.51)
-    result, events = ran(tmp_path / "run", spike, more={"guard.enabled": guard}.items())
+    settings = {"guard.enabled": guard, "diagnosis.enabled": diagnosis}
+    result, events = ran(tmp_path / "run", spike, more=settings.items())
     before, at, after = (np.array([result.estimates[name][k] for name in ("m", "l")]) for k in (49, 50, 51))
     assert result.time[50] == pytest.approx(0.5)
     moved = np.abs(at - before)
@@ -184,15 +185,25 @@ def test_what_was_written_for_an_outlier_is_taken_back_in_the_next_step(guard, t
         assert result.guard["stopped_at"] is None  # the way back is read back as well
 
 
-def test_what_was_written_for_an_outlier_is_never_good_though_the_next_sample_is_lost(tmp_path):
+def test_for_an_outlier_that_may_be_a_disturbance_nothing_is_written_without_a_guard_to_predict_its_effect(tmp_path):
+    spike = fault("spikes", RATE, size=20.0, start=0.5, stop=0.51)
+    result, _ = ran(tmp_path / "run", spike, more={"guard.enabled": "false"}.items())
+    for name in ("m", "l"):
+        assert result.estimates[name][48] != result.estimates[name][0]
+        assert len(set(result.estimates[name][48:60])) == 1
+
+
+@pytest.mark.parametrize(("diagnosis", "n_doubtful"), [("true", 1), ("false", 2)])
+def test_what_was_written_for_an_outlier_is_never_good_though_the_next_sample_is_lost(diagnosis, n_doubtful, tmp_path):
     faults = fault("spikes", RATE, size=20.0, start=0.25, stop=0.26), fault("dropout", RATE, start=0.26, stop=0.27)
-    result, events = ran(tmp_path / "run", *faults, more={"guard.probation": "20"}.items())
+    settings = {"guard.probation": "20", "diagnosis.enabled": diagnosis}
+    result, events = ran(tmp_path / "run", *faults, more=settings.items())
     assert result.guard["retracted"] == 1
     written, confirmed = (
         {e["t"]: tuple(e["theta"]) for e in events if e["kind"] == kind} for kind in ("write", "confirm")
     )
     doubtful = {theta for t, theta in written.items() if 0.245 < t < 0.265}
-    assert len(doubtful) == 2
+    assert len(doubtful) == n_doubtful
     assert confirmed
     assert not doubtful & set(confirmed.values())
 

@@ -1,7 +1,7 @@
 """Window that stays the same during an episode, for residuals that need simulations, which it does not run itself."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
@@ -88,7 +88,8 @@ class EpisodeWindow:
         """scale: (c,), the noise of each channel, for an estimator with residuals in physical units."""
         if max_length < 1:
             raise ValueError(f"max_length must be at least 1 sample, got {max_length}.")
-        self._objective, self._max_length, self._scale = objective, max_length, scale
+        self._objective, self._max_length = objective, max_length
+        self._scale = None if scale is None else np.array(scale)
         self._recent: list[Sample] = []
         self._origins: list[Any] = []  # of these
         self._anchors: list[int] = []  # two of their places, the first being 0
@@ -97,6 +98,8 @@ class EpisodeWindow:
         self._judged: dict[bytes, Evaluation] = {}
         self.n_model_calls = 0
         """Number of samples at which parameters were evaluated."""
+        self.weights: Vector | None = None
+        """Factors (c,) of the residuals, where their true size is not that of the declared noise; or None."""
 
     @property
     def newest(self) -> Sample:
@@ -128,11 +131,16 @@ class EpisodeWindow:
         if past.n_steps and self._objective.is_ready:
             (found,) = self._objective.evaluate([theta], past)
             self.n_model_calls += past.n_steps
-            if found.reason is None and past.n_steps >= self._max_length and is_explained(found.residual, FALSE_ALARM):
+            weighted = self._weighted(found.residual)
+            is_long = found.reason is None and past.n_steps >= self._max_length
+            if is_long and is_explained(weighted, FALSE_ALARM):
                 self._judged[theta.tobytes()] = found
                 self._stretch, self._is_filling = past, False
                 return f"the last {past.n_steps}, which the parameters in force explain"
-            change = None if found.squares is None else _last_explained(found.squares, len(found.residual))
+            squares = found.squares
+            if squares is not None and self.weights is not None:
+                squares = np.sum(weighted.reshape(len(self.weights), -1) ** 2, axis=0)
+            change = None if squares is None else _last_explained(squares, len(found.residual))
             if change is not None and self._origins[change] is not None:
                 first = change
         if self._origins[first] is None:
@@ -165,6 +173,30 @@ class EpisodeWindow:
             self._judged[theta.tobytes()] = judged
         return [self._scaled(self._judged[theta.tobytes()].residual) for theta in thetas]
 
+    @property
+    def sequence(self) -> SampleSequence | None:
+        """Samples of the present episode; None before they are complete."""
+        return self._stretch
+
+    def whitened(self, theta: Vector) -> Vector:
+        """Return the residual (D,) of one candidate in standard deviations, whatever the estimator gets."""
+        self.residuals([theta])
+        return self._weighted(self._judged[theta.tobytes()].residual)
+
+    def with_inputs(self, theta: Vector, moved: Vector) -> Vector:
+        """Return the residual (D,) of theta (d,) with moved (p,) added to every input, in standard deviations."""
+        assert self._stretch is not None
+        first, *others = self._stretch.samples
+        aside = [replace(s, u=tuple((np.array(s.u) + moved).tolist())) for s in others]
+        (found,) = self._objective.evaluate([theta], replace(self._stretch, samples=(first, *aside)))
+        self.n_model_calls += self._stretch.n_steps
+        return self._weighted(found.residual)
+
+    def largest_inputs(self) -> Vector:
+        """Return the largest absolute value of each input (p,) in the present episode."""
+        assert self._stretch is not None
+        return np.abs(np.array([s.u for s in self._stretch.samples[1:]])).max(axis=0)
+
     def why_failed(self, theta: Vector) -> str | None:
         """Return the reason why a candidate of this episode failed, or None."""
         found = self._judged.get(theta.tobytes())
@@ -179,7 +211,12 @@ class EpisodeWindow:
         if not stretch.n_steps:
             return np.empty(0)
         self.n_model_calls += 1
-        return self._objective.track(theta, stretch)
+        return self._weighted(self._objective.track(theta, stretch))
+
+    @property
+    def n_tracked(self) -> int:
+        """Number of samples that `track` is about."""
+        return len(self._recent) - 1 - self._anchors[-1]
 
     def innovation(self, theta: Vector, sample: Sample) -> Vector:
         """Return the residual (D,) for a trigger, on the samples from the newest anchor to this one, the newest."""
@@ -204,9 +241,16 @@ class EpisodeWindow:
         self._anchors = [0, *(k - first for k in self._anchors if k > first)]
 
     def _scaled(self, residual: Vector) -> Vector:
+        """Return the residual as the estimator gets it."""
+        weighted = self._weighted(residual)
         if self._scale is None or len(residual) % len(self._scale):
+            return weighted
+        return (weighted.reshape(len(self._scale), -1) * self._scale[:, None]).reshape(-1)
+
+    def _weighted(self, residual: Vector) -> Vector:
+        if self.weights is None or len(residual) % len(self.weights):
             return residual
-        return (residual.reshape(len(self._scale), -1) * np.array(self._scale)[:, None]).reshape(-1)
+        return (residual.reshape(len(self.weights), -1) * self.weights[:, None]).reshape(-1)
 
 
 def _last_explained(squares: Vector, n_values: int) -> int | None:

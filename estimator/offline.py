@@ -43,7 +43,7 @@ class NoFitError(RuntimeError):
 
 
 @dataclass(frozen=True)
-class Fit:
+class OfflineFit:
     """Fitted values of the parameters, with their standard deviations."""
 
     theta: Vector
@@ -94,7 +94,7 @@ def fit(
     n_evaluations: int = 60,
     rng: np.random.Generator | None = None,
     progress: FitProgress = lambda n, cost: None,
-) -> Fit:
+) -> OfflineFit:
     """Return the parameters that explain the data best.
 
     A third of the evaluations, at most ten a parameter, are spread over the bounds; the estimator continues from the
@@ -123,7 +123,7 @@ def fit(
         seen_by_data = _information(_jacobian(seen, state, _steps(jacobian, misfit)), misfit)
     theta = space.from_unit(state.z)
     power = float(state.r @ state.r)
-    return Fit(
+    return OfflineFit(
         theta=theta,
         std=seen_by_data.std() * space.slope(theta),
         misfit=misfit,

@@ -7,8 +7,7 @@ controller: those in force are an argument, those to be written are returned.
 import math
 from collections.abc import Callable, Iterator
 from copy import deepcopy
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from time import perf_counter
 from typing import Any, Literal, cast
 
@@ -17,10 +16,10 @@ import numpy as np
 from .contract import AskTell, Batching, Estimate, NoEstimateError, Rescoring, Solver
 from .events import Event
 from .objective import LinearForm, Objective, Window
-from .samples import DerivativeResidual, Sample
+from .samples import Sample
 from .sliding_window import ResidualWindow
 from .space import Vector
-from .triggers import AlwaysTrigger, Trigger
+from .triggers import Trigger
 
 
 @dataclass(frozen=True)
@@ -37,6 +36,11 @@ class Proposal:
     """Wall time of each evaluation [s]: ask, score, tell, any refit; first and last include what is done once."""
     is_candidate: bool = False
     """True where theta is a candidate that is tried out, not the estimate."""
+    possible_disturbance: Vector | None = None
+    """Disturbance (c,) of the sampled derivatives that explains the samples as well as theta does, in their units; None
+    where nothing else does."""
+    undo: Vector | None = None
+    """Parameters (d,) from before a search that has failed, to return to; None where they are in force."""
 
 
 @dataclass(frozen=True)
@@ -75,8 +79,11 @@ class Retuner:
         budget: Budget,
         linear: LinearForm | None = None,
         describe: Callable[[], str] = str,
+        closes: bool = True,
     ) -> None:
-        """describe: returns how the window scores candidates, in a line."""
+        """describe: returns how the window scores candidates, in a line; closes: False where the caller calls `close`
+        when an episode has ended."""
+        self._closes = closes
         self.describe = describe
         self._estimator, self._window, self._trigger, self._budget = estimator, window, trigger, budget
         self._solver = estimator if isinstance(estimator, Solver) else None  # 20 us to ask a protocol
@@ -128,10 +135,25 @@ class Retuner:
             events.append(Event(t, "end", {"episode": self.n_episodes, "cost": cost} | known))
         is_candidate = self._budget.commit == "candidate" and not has_ended
         wanted = held if estimate is None else candidate if is_candidate else estimate.theta
-        if has_ended:
+        if has_ended and self._closes:
             self._window.end(wanted)
         theta = None if np.array_equal(wanted, held) else wanted
         return Proposal(theta, estimate, tuple(events), tuple(latencies), is_candidate)
+
+    def close(self, theta: Vector) -> None:
+        """Close the window of an episode that has ended with theta (d,) in force."""
+        self._window.end(theta)
+
+    def abandon(self) -> None:
+        """End the episode, if there is one, and forget its samples."""
+        if self._solver is None or self._remaining != math.inf:
+            self._remaining = 0.0
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget the samples, whose residuals are no longer valid."""
+        if isinstance(self._window, ResidualWindow):
+            self._window.clear()
 
     def snapshot(self) -> RetunerSnapshot | None:
         """Return the snapshot that `restore` needs; None where the window, an episode's own, cannot be restored."""
@@ -226,24 +248,3 @@ def estimate_as_json(estimate: Estimate) -> dict[str, Any]:
         "is_identifiable": list(estimate.is_identifiable),
         "reason": estimate.reason,
     }
-
-
-def make_retuner(
-    estimator: AskTell | Solver,
-    whitened: DerivativeResidual,
-    trigger: Trigger,
-    budget: Budget,
-    max_length: int,
-    linear: LinearForm | None = None,
-    text: str = "",
-) -> Retuner:
-    """Return the loop for an estimator that works with derivatives, on windows of at most max_length samples.
-
-    whitened: the residual in standard deviations of its noise; an estimator in physical units gets those.
-    text: description of the residual, for the report.
-    """
-    residual = whitened if estimator.is_whitened else replace(whitened, noise=(1.0,) * len(whitened.noise))
-    window = ResidualWindow(residual, len(whitened.noise), max_length)
-    if isinstance(trigger, AlwaysTrigger):
-        budget = replace(budget, evaluations=math.inf)
-    return Retuner(estimator, window, trigger, budget, linear, partial(str, text))

@@ -44,7 +44,7 @@ class Requirement:
 
 
 @dataclass(frozen=True)
-class Diagnosis:
+class Examination:
     """Requirements of an FMU, met or not. As text, a report of several lines."""
 
     title: str
@@ -76,7 +76,7 @@ class _ElfLibrary:
     """True where it uses Python's functions and names no library that has them."""
 
 
-def diagnose(fmu: Path) -> Diagnosis:
+def diagnose(fmu: Path) -> Examination:
     """Examine an FMU of any FMI version, native or in Python.
 
     Raises ModelDescriptionError where the file is no FMU or has no binary for this platform.
@@ -99,7 +99,7 @@ def diagnose(fmu: Path) -> Diagnosis:
             findings.append(_modules(script))
     tool = one_line(description.generationTool or "") or "a tool that it does not name"
     title = f"{fmu}: FMI {description.fmiVersion} for {_kind(description)}, made by {tool}"
-    return Diagnosis(title, tuple(findings), _advice(is_python, libpython, "pythonfmu" in tool.lower()))
+    return Examination(title, tuple(findings), _advice(is_python, libpython, "pythonfmu" in tool.lower()))
 
 
 def _kind(description: ModelDescription) -> str:

@@ -8,6 +8,6 @@ from ..terminal.exit_codes import DONE, UNFINISHED
 
 def command(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
-    diagnosis = diagnose(options.fmu)
-    print(diagnosis)
-    return DONE if diagnosis.is_well else UNFINISHED
+    examination = diagnose(options.fmu)
+    print(examination)
+    return DONE if examination.is_well else UNFINISHED

@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 
 from estimator import DerivativeResidual, LinearForm, Parameter, ParameterSpace, Sample
+from estimator.diagnosing import make_retuner
+from estimator.diagnosis import Diagnosis, DiagnosisSettings
 from estimator.methods import method_named
-from estimator.retuner import Budget, make_retuner
+from estimator.retuner import Budget
 from estimator.triggers import TRIGGERS
 
 try:
@@ -47,15 +49,22 @@ class EstimatorLoop:
         method = method_named(settings["method"])
         # As `run` spawns them: the noise's stream, which is the sampling's here, and the search's.
         rng = np.random.default_rng(np.random.SeedSequence(int(value("seed"))).spawn(2)[1])
+        rules = DiagnosisSettings(
+            enabled=bool(value("diagnosis_enabled")), false_alarm=value("diagnosis_false_alarm"),
+            rest=int(value("diagnosis_rest")), longest_rest=int(value("diagnosis_longest_rest")),
+        )  # fmt: skip
+        channels = [d["name"] for d in derivatives]
+        diagnosis = Diagnosis(whitened, channels, whitened.noise, rules, space) if rules.enabled else None
         self._retuner = make_retuner(
             method.estimator(space, start, rng, method.settings(**settings["settings"])),
             whitened,
-            trigger.trigger(whitened),
+            trigger,
             Budget(value("budget"), int(value("evaluations_per_step")), settings["commit"]),
             int(value("window")),
             LinearForm(space, *(_load(r, settings["ships"]) for r in settings["linear"]))
             if settings["linear"]
             else None,
+            diagnosis=diagnosis,
         )
         self._theta, self._std = start, np.array([p.upper - p.lower for p in space])
         self._is_identifiable: Sequence[bool] = (False,) * len(space)
@@ -72,8 +81,9 @@ class EstimatorLoop:
         self._is_first = False
         if proposal.estimate is not None:
             self._std, self._is_identifiable = proposal.estimate.std, proposal.estimate.is_identifiable
-        if proposal.theta is not None:
-            self._theta, self._is_updated = proposal.theta, True
+        theta = proposal.undo if proposal.theta is None else proposal.theta
+        if theta is not None and proposal.possible_disturbance is None:  # else it waits: it cannot predict
+            self._theta, self._is_updated = theta, True
 
     @property
     def outputs(self) -> list[float]:

@@ -74,6 +74,7 @@ def estimator_settings(scenario: Scenario, method: str = "target") -> dict[str, 
         "trigger": loop.trigger.kind,
         "trigger_parameters": _trigger_parameters(loop.trigger, tracking_unit),
         "commit": loop.commit,
+        "diagnosis": asdict(scenario.diagnosis),
         "loop": {
             "budget": loop.budget, "evaluations_per_step": loop.evaluations_per_step, "window": loop.window, "seed": 0,
         },

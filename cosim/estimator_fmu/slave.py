@@ -9,7 +9,7 @@ import pickle
 import platform
 import sys
 from collections.abc import Mapping
-from math import hypot
+from math import hypot, nextafter
 from typing import Any, ClassVar
 from xml.etree.ElementTree import Element
 
@@ -128,6 +128,13 @@ def _parameters(settings: Mapping[str, Any]) -> list[VariableRow]:
         table.append(_fixed(d["noise_name"], d["unit"], d["noise"], text, min=sys.float_info.min))
     for p in settings["trigger_parameters"]:
         table.append(_fixed(p["name"], p["unit"], p["start"], p["text"], min=p["min"], max=p["max"]))
+    known = settings["diagnosis"]
+    text = "Give only estimates that explain the samples where nothing else does"
+    table.append(_fixed("diagnosis_enabled", None, known["enabled"], text))
+    text = "Probability that a sample seems to contradict the estimates although nothing has changed"
+    table.append(_fixed(
+        "diagnosis_false_alarm", "1", known["false_alarm"], text, min=sys.float_info.min, max=nextafter(1.0, 0.0)
+    ))  # fmt: skip
     counts = (
         ("budget", "Evaluations an episode", 1),
         ("evaluations_per_step", "Evaluations a step", 1),
@@ -136,6 +143,9 @@ def _parameters(settings: Mapping[str, Any]) -> list[VariableRow]:
     )
     for name, text, least in counts:
         table.append(_fixed(name, None, loop[name], text, type="Integer", min=least, max=_LARGEST_INTEGER))
+    for name, text in (("rest", "First rest after three searches in vain"), ("longest_rest", "Longest rest")):
+        options = {"type": "Integer", "min": 1, "max": _LARGEST_INTEGER}
+        table.append(_fixed(f"diagnosis_{name}", None, known[name], f"{text}, in samples", **options))
     text = "Take the input tracking_error instead of the difference of tracked outputs and references"
     return [*table, _fixed("tracking_error_is_input", None, False, text)]
 

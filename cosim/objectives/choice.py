@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final, Literal, Protocol
 
 import numpy as np
@@ -13,8 +14,10 @@ from ..errors import ScenarioError, one_line
 from ..scenarios.scenario import Scenario
 from ..system.plant import Plant
 from ..user_code import USERS, load
+from ..variable_name import VariableName
 from .rollout import RolloutObjective
 from .rollout_fmu import START_METHODS, RunningPlant, StartMethod, obstacles_in_words, shadow_of
+from .rollout_start import NoisyStartObjective
 
 ENDLESS: Final = "estimation.trigger: 'always' is for derivatives: other objectives need episodes that end."
 _CAUTIONS: Final[Mapping[StartMethod, str]] = {
@@ -64,7 +67,14 @@ def open_objective(
         return FunctionObjective(_function(scenario), settings.objective, settings.space)
     way = None if settings.rollout.start == "auto" else settings.rollout.start
     shadow = shadow_of(scenario, plant, live is not None)
-    return stack.enter_context(RolloutObjective(shadow, theta, way, live, settings.rollout.jobs))
+    opened = partial(RolloutObjective, shadow, theta, way, live, settings.rollout.jobs)
+    known = {**scenario.sampling.outputs, **scenario.sampling.states}
+    measured = [known.get(VariableName(f"{plant.name}.{name}")) for name in plant.states]
+    noise = [0.0 if n is None else n.noise for n in measured]
+    may_be_measured = way == "measured" or (way is None and "state" in shadow.obstacles)
+    if any(noise) and may_be_measured:
+        return stack.enter_context(NoisyStartObjective(opened, noise))
+    return stack.enter_context(opened())
 
 
 def check_objective(scenario: Scenario, plant: Plant) -> list[str]:

@@ -189,6 +189,8 @@ class RolloutObjective:
             at = _Followed(theta.tobytes(), stretch.origin, stretch.origin.place, [])
             tunables = plan.last.tunables
         n = stretch.origin.place + stretch.n_steps - at.place
+        if not n:
+            return at.outputs
         if self.way == "replay":  # it may have begun before the stretch
             times, inputs = self._history.times[-n - 1 :], self._history.inputs[-n:]
         else:

@@ -23,9 +23,10 @@ class NoisyStartObjective:
     """
 
     def __init__(self, opened: Callable[[], RolloutObjective], noise: Sequence[float]) -> None:
-        """opened: makes an objective; noise (n,): standard deviation of each state, in its unit."""
-        self._noise, self._stack = tuple(noise), ExitStack()
-        self._objective, *self._aside = (self._stack.enter_context(opened()) for _ in range(len(noise) + 1))
+        """opened: makes an objective; noise (n,): standard deviation of each state, in its unit, 0 for an exact one."""
+        self._noise, self._stack = np.array(noise), ExitStack()
+        n_noisy = np.count_nonzero(self._noise)
+        self._objective, *self._aside = (self._stack.enter_context(opened()) for _ in range(n_noisy + 1))
         self._stretch: SampleSequence | None = None
         self._factor: Vector | None = None
 
@@ -89,7 +90,7 @@ class NoisyStartObjective:
     def _moved(self, stretch: SampleSequence) -> list[SampleSequence]:
         """Return the stretch begun a standard deviation aside, state by state."""
         first, *others = stretch.samples
-        moved = np.array(first.x) + np.diag(self._noise)
+        moved = np.array(first.x) + np.diag(self._noise)[self._noise > 0.0]
         return [replace(stretch, samples=(replace(first, x=tuple(x)), *others)) for x in moved.tolist()]
 
 

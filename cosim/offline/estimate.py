@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator import Parameter, ParameterSpace, Vector
-from estimator.offline import OFFLINE, Fit, FitProgress, NoFitError, fit
+from estimator.offline import OFFLINE, FitProgress, NoFitError, OfflineFit, fit
 from estimator.space import Scale
 
 from ..errors import CosimError, WiringError
@@ -111,7 +111,7 @@ class Estimation:
     space: ParameterSpace
     nominal: Vector
     """Values (d,) before: the FMU's own, or the user's."""
-    fit: Fit
+    fit: OfflineFit
     windows: tuple[LogWindow, ...]
     noise: Vector
     """Standard deviation (c,) of each output's noise."""

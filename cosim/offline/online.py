@@ -13,8 +13,11 @@ from typing import Any
 import numpy as np
 
 from estimator import METHODS, EpisodeWindow, ParameterSpace, Sample, Vector
+from estimator.diagnosing import make_episodes
+from estimator.diagnosis import DiagnosisSettings
+from estimator.episode_diagnosis import EpisodeDiagnosis
 from estimator.events import Event
-from estimator.retuner import Budget, Retuner
+from estimator.retuner import Budget
 from estimator.triggers import InnovationSettings
 
 from ..errors import ScenarioError, WiringError
@@ -26,6 +29,8 @@ from ..objectives.rollout_start import NoisyStartObjective
 from ..retuning.data_support import NoDataSupport
 from ..retuning.decision import Point
 from ..retuning.supervisor import Supervisor
+from ..sampling.screen import OutputScreen
+from ..scenarios.schema.sampling import ObservationSettings
 from .estimate import EstimateError, Request, Understood, understand
 from .log_windows import LogWindow
 from .rollout import grid_of, noise_of
@@ -49,6 +54,8 @@ class Watched:
     """Description of the objective."""
     failure: str | None
     """Reason why the roll-out with the parameters in use failed before the end, or None."""
+    found: Mapping[str, Any]
+    """Findings of screen and diagnosis, as JSON values."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +120,7 @@ def _watched(
     theta, space = understood.nominal, understood.space
     interface: Any = co_simulation(understood.component.description)
     samples, u0 = _samples(window, request.step, not interface.canHandleVariableCommunicationStepSize)
-    names, states = set(space.names), _states(request)
+    names, states, outputs = set(space.names), _states(request), tuple(request.measured)
     start = dict(zip(request.inputs, u0, strict=True)) | request.constants | dict(window.start)
     shadow = Shadow(
         request.fmu, tuple(request.inputs), states, tuple(request.measured), tuple(understood.noise.tolist()),
@@ -124,9 +131,13 @@ def _watched(
     events: list[Event] = []
     with NoisyStartObjective(partial(RolloutObjective, shadow, theta, None, None, request.jobs), noise) as objective:
         stretch = EpisodeWindow(objective, n_samples)
-        trigger, budget = InnovationSettings().trigger(stretch.innovation), Budget(request.evaluations)
-        retuner = Retuner(_search(request, space, theta, rng), stretch, trigger, budget)
-        supervisor = Supervisor(request.method, retuner, NoDataSupport())
+        diagnosis = EpisodeDiagnosis(stretch, outputs, tuple(request.inputs), DiagnosisSettings(), space)
+        retuner = make_episodes(
+            _search(request, space, theta, rng), stretch, InnovationSettings(), Budget(request.evaluations),
+            objective.describe, diagnosis=diagnosis,
+        )  # fmt: skip
+        screen = OutputScreen(ObservationSettings(), outputs, (True,) * len(outputs), samples[1].t - samples[0].t)
+        supervisor = Supervisor(request.method, retuner, NoDataSupport(), screen)
         for k, sample in enumerate(samples[1:], 1):
             try:
                 decision = supervisor.step(Point(k, window.origin + sample.t, sample, 0.0), theta)
@@ -136,7 +147,8 @@ def _watched(
             theta = theta if decision.write is None else decision.write
             progress(k + 1)
         failure = objective.why_lost if objective.is_ready else f"{len(samples)} rows are too few to begin"
-        return Watched(window, tuple(events), retuner.n_evaluations, theta, objective.describe(), failure)
+        found = supervisor.summary()
+        return Watched(window, tuple(events), retuner.n_evaluations, theta, objective.describe(), failure, found)
 
 
 def _search(request: Request, space: ParameterSpace, theta: Vector, rng: np.random.Generator) -> Any:

@@ -13,6 +13,7 @@ from estimator import ParameterSpace, Vector
 from estimator.events import Event
 
 from ..files import write_json, write_text
+from ..runs.report import diagnosed, screened
 from ..runs.run_files import ESTIMATES
 from ..ssv.document import ParameterValue, to_ssv
 from ..text_table import aligned, counted
@@ -33,7 +34,13 @@ def report(found: Online) -> str:
         *(f"warning: {warning}" for warning in found.understood.warnings),
     ]
     for w in windows:
-        lines += ["", *([w.window.name] if len(windows) > 1 else []), *_table(found, w)]
+        lines += [
+            "",
+            *([w.window.name] if len(windows) > 1 else []),
+            *_table(found, w),
+            *diagnosed(w.found["diagnosis"]),
+        ]
+        lines += screened(w.found["observations"])
     return "\n".join(lines)
 
 
@@ -56,6 +63,8 @@ def summary(found: Online) -> dict[str, Any]:
                 "how": w.how,
                 "candidates": w.n_candidates,
                 "failure": w.failure,
+                "diagnosis": w.found["diagnosis"],
+                "observations": w.found["observations"],
                 "events": [{"time": e.t, "event": e.kind, **e.detail} for e in w.events],
                 "end": space.named(w.theta),
             }
@@ -95,6 +104,8 @@ def _table(found: Online, watched: Watched) -> list[str]:
     texts.append("in force")
     for event, text in _shown(watched.events):
         values = [""] * n
+        if event.kind == "undo":
+            values = [f"{v:.6g}" for v in event.detail["theta"]]
         if event.kind == "write":
             pairs = zip(event.detail["theta"], event.detail["std"], strict=True)
             values = [_value(v, s, p.upper - p.lower) for (v, s), p in zip(pairs, space, strict=True)]
@@ -124,8 +135,14 @@ def _shown(events: Sequence[Event]) -> Iterator[tuple[Event, str]]:
             elif kind == "write":
                 last = f"the last of {len(together)}: " if len(together) > 1 else ""
                 yield event, last + event.detail["reason"]
-            else:
+            elif kind == "observation":
+                yield event, f"{event.detail['fault']} {event.detail['sensor']}"
+            elif kind == "undo":
+                yield event, "what was written since the trigger is taken back"
+            elif kind == "end":
                 yield event, f"episode {event.detail['episode']}"
+            else:
+                yield event, event.detail["reason"]
 
 
 def _csv(found: Online) -> str:

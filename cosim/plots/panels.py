@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..runs.result import Run
-from .canvas import GREY, AxisLimits, Series, new_figure, tidy, top_legend
+from .canvas import GREY, ORANGE, AxisLimits, Series, new_figure, tidy, top_legend
 
 RecordedEvent = Mapping[str, Any]
 """One line of the record: `t` [s], `kind`, and what belongs to that kind."""
@@ -41,6 +41,8 @@ def panels(run: Run, events: Sequence[RecordedEvent], n: int) -> tuple[Figure, l
         axes.set_xlim(settings.start_time, settings.stop_time)
         for i, (begin, end) in enumerate(_episodes(run, events)):
             axes.axvspan(begin, end, color=_SHADE, linewidth=0, zorder=-1, label="estimating" if i == 0 else None)
+        for i, (begin, end) in enumerate(_disturbances(run, events)):
+            axes.axvspan(begin, end, ymax=0.03, color=ORANGE, linewidth=0, label="disturbance" if i == 0 else None)
         if run.status != "done":
             axes.axvline(float(run.time[-1]), color=GREY, linewidth=1.0, label=run.status)
     for axes in shown[-n_columns:]:
@@ -65,6 +67,22 @@ def finish(figure: Figure, shown: Sequence[Axes], n_columns: int | None = None) 
     top_legend(figure, handles, n_columns=n_columns or (6 if figure.get_figwidth() > 8 else 5))
     figure.align_ylabels(list(shown))
     return figure
+
+
+def _disturbances(run: Run, events: Sequence[RecordedEvent]) -> Iterator[AxisLimits]:
+    """Yield begin and end [s] of each stretch in which a disturbance is known: from its event to that of its end."""
+    begin: float | None = None
+    for event in events:
+        if event.get("kind") != "disturbance":
+            continue
+        t = float(event["t"])
+        if begin is None and event.get("size"):
+            begin = t
+        elif begin is not None and not event.get("size"):
+            yield begin, t
+            begin = None
+    if begin is not None:
+        yield begin, float(run.time[-1])
 
 
 def _episodes(run: Run, events: Sequence[RecordedEvent]) -> Iterator[AxisLimits]:

@@ -9,7 +9,10 @@ from typing import Final
 import numpy as np
 
 from estimator import DerivativeResidual, EpisodeWindow, LinearForm, Method, Sample, Vector
-from estimator.retuner import Budget, Retuner, make_retuner
+from estimator.diagnosing import AnyRetuner, make_episodes, make_retuner
+from estimator.diagnosis import Diagnosis
+from estimator.episode_diagnosis import EpisodeDiagnosis
+from estimator.retuner import Budget
 from estimator.samples import RememberingModel
 
 from ..errors import CosimError, ScenarioError
@@ -45,10 +48,15 @@ def make_supervisor(
     """Return the supervisor of a scenario's controller; see `make_policy`. Raises ScenarioError."""
     space, settings = scenario.estimation.space, scenario.guard
     whitened = _residual(scenario, plant, stack) if chosen(scenario).kind == "derivative" else None
-    retuner = _retuner(scenario, estimator, plant, held, rng, stack, whitened, live)
+    diagnosis = None
+    if whitened is not None and scenario.diagnosis.enabled:
+        names = tuple(scenario.sampling.derivatives)
+        diagnosis = Diagnosis(whitened, names, whitened.noise, scenario.diagnosis, space)
+    retuner = _retuner(scenario, estimator, plant, held, rng, stack, whitened, live, diagnosis)
     support: DataSupport | NoDataSupport = NoDataSupport()
     if whitened is not None:
-        support = DataSupport(whitened, space, len(whitened.noise), max(scenario.estimation.window, _FEWEST))
+        residual = whitened if diagnosis is None else diagnosis.residual
+        support = DataSupport(residual, space, len(whitened.noise), max(scenario.estimation.window, _FEWEST))
     guard = Guard(settings, space, held, scenario.limits.divergence, support) if settings.enabled else None
     read_back = None if running is None else _read_back(scenario, running)
     lookahead = _lookahead(scenario, plant, whitened, running, stack)
@@ -90,7 +98,8 @@ def _retuner(
     stack: ExitStack,
     whitened: DerivativeResidual | None,
     live: RunningPlant | None,
-) -> Retuner:
+    diagnosis: Diagnosis | None,
+) -> AnyRetuner:
     """Return the retuner of the estimator, with window and trigger for the objective. Raises ScenarioError."""
     method = find_method(estimator, scenario)
     choice = chosen(scenario)
@@ -99,7 +108,7 @@ def _retuner(
     form = _linear_form(method, scenario)
     if whitened is not None:
         text = f"derivatives of {scenario.estimation.model} ({choice.why})"
-        return make_retuner(search, whitened, loop.trigger.trigger(whitened), budget, loop.window, form, text)
+        return make_retuner(search, whitened, loop.trigger, budget, loop.window, form, text, diagnosis)
     if method.needs_derivatives:
         raise ScenarioError(
             f"estimator '{estimator}' takes derivatives sample by sample: no estimation.objective else."
@@ -110,7 +119,14 @@ def _retuner(
     is_rollout = choice.kind == "rollout"
     noise = [n.noise for n in scenario.sampling.outputs.values()] if is_rollout and not search.is_whitened else None
     window = EpisodeWindow(objective, loop.window, noise)
-    return Retuner(search, window, loop.trigger.trigger(window.innovation), budget, form, objective.describe)
+    sequences = None
+    if scenario.diagnosis.enabled:
+        outputs = tuple(scenario.sampling.outputs) if is_rollout else (scenario.estimation.objective,)
+        driven = [name for name in plant.inputs if f"{plant.name}.{name}" in scenario.connections]
+        sequences = EpisodeDiagnosis(
+            window, outputs, tuple(plant.inputs), scenario.diagnosis, scenario.estimation.space, driven or None
+        )
+    return make_episodes(search, window, loop.trigger, budget, objective.describe, form, sequences)
 
 
 def _residual(scenario: Scenario, plant: Plant, stack: ExitStack) -> DerivativeResidual:

@@ -36,4 +36,4 @@ class Decision:
     events: tuple[Event, ...] = ()
     """Events in order."""
     latencies: tuple[float, ...] = ()
-    """Wall time of each evaluation [s]."""
+    """Wall time of each evaluation [s]; the last one of a step includes diagnosis, checks and prediction."""

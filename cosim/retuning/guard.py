@@ -26,14 +26,17 @@ _FALSE_ALARM = 1e-6
 """Probability of a false alarm: that noise alone makes good parameters seem to contradict a sample."""
 _NO_WORSE = 2.0
 """Largest ratio of a write's sum of squares at the newest sample to that of the parameters held."""
+_POSTPONED = 2
+"""Power of `growth` by which the error may pass its limit where the samples contradict what would return more."""
 _READ_BACK = 1e-6
 """Tolerance of the read-back: a controller may hold single precision."""
 _LITTLE = 0.01
 """Share of the scaled bounds below which a move in an unidentified direction, or an uncertainty, is ignored."""
 
 
-PredictedPeak = Callable[[Vector, Vector], float | None]
-"""Function of theta (d,) in controller and in plant: largest norm of the tracking error, or None if unknown."""
+PredictedPeak = Callable[[Vector, Vector, Vector | None], float | None]
+"""Function of theta (d,) in controller and in plant, and of a disturbance of the sampled derivatives (c,) or None:
+largest norm of the tracking error, or None if unknown."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +102,7 @@ class Guard:
         self._good = self._anchor = start
         self._trials: deque[Trial] = deque()
         self._rests_until = -1
-        self._refused: tuple[bytes, int] = (b"", 0)
+        self._refused: tuple[bytes, bool, int] = (b"", False, 0)
         self.counts: Counter[str] = Counter()
         """Number of proposals written, limited, held in part, vetoed, confirmed, reverted and retracted."""
         self.stopped_at: float | None = None
@@ -107,7 +110,7 @@ class Guard:
 
     def summary(self) -> dict[str, Any]:
         """Return the counts as JSON values."""
-        kinds = ("written", "limited", "held", "vetoed", "confirmed", "reverted", "retracted")
+        kinds = ("written", "limited", "held", "vetoed", "confirmed", "reverted", "retracted", "undone")
         return {kind: self.counts[kind] for kind in kinds} | {"stopped_at": self.stopped_at}
 
     def snapshot(self) -> GuardSnapshot:
@@ -120,6 +123,12 @@ class Guard:
             self._trials.pop()
         self._anchor = snapshot.anchor
         self.counts["retracted"] += 1
+
+    def undo(self, theta: Vector) -> None:
+        """Take the return to earlier parameters (d,): other writes are on probation no longer."""
+        self._trials = deque(trial for trial in self._trials if np.array_equal(trial.theta, theta))
+        self._anchor = theta
+        self.counts["undone"] += 1
 
     def not_taken(self, t: float, read: Sequence[float], held: Vector, names: Sequence[str]) -> Event | None:
         """Stop re-tuning where the read-back differs from the parameters written; return the event, or None.
@@ -148,13 +157,15 @@ class Guard:
         theta, estimate = proposal.theta, proposal.estimate
         if theta is None or estimate is None:
             return Ruling(None, confirmed)
-        if k < self._rests_until or (self._refused[0] == theta.tobytes() and k < self._refused[1]):
+        rival = proposal.possible_disturbance
+        this = (theta.tobytes(), rival is None)
+        if k < self._rests_until or (self._refused[:2] == this and k < self._refused[2]):
             return Ruling(None, confirmed)
-        verdict = self._judge(theta, held, estimate, error, peak)
+        verdict = self._judge(theta, held, estimate, error, peak, rival)
         events = tuple(Event(t, kind, {"theta": theta.tolist(), "reason": why}) for kind, why in verdict.reasons)
         self.counts.update(_COUNTED[kind] for kind, _ in verdict.reasons)
         if verdict.theta is None:
-            self._refused = (theta.tobytes(), k + self._settings.horizon // 2)
+            self._refused = (*this, k + self._settings.horizon // 2)
             return Ruling(None, (*confirmed, *events))
         self._put_on_probation(k, verdict.theta, max(error, verdict.expected))
         return Ruling(verdict.theta, (*confirmed, *events))
@@ -163,11 +174,13 @@ class Guard:
         """Return the revert, where a write on probation has raised the tracking error above its limit; or None."""
         if not self._trials or error <= (allowed := self._trials[0].allowed):
             return None
-        self.counts["reverted"] += 1
-        n = self.counts["reverted"]
+        n = self.counts["reverted"] + 1
         is_last = n >= self._settings.reverts
         is_good_bad = np.array_equal(held, self._good)  # the last good parameters are those that failed
         back = self._start if is_last or is_good_bad else self._good
+        if error <= self._settings.growth**_POSTPONED * allowed and self._is_worse(back, held):
+            return None
+        self.counts["reverted"] = n
         reason = f"tracking error {error:.4g} exceeded {allowed:.4g} while on probation"
         events = [Event(t, "revert", {"theta": back.tolist(), "reason": reason, "n": n})]
         self._anchor = self._good = back
@@ -180,6 +193,16 @@ class Guard:
         elif not np.array_equal(back, self._start):
             self._trials.append(Trial(back, k, self._settings.growth * error))
         return Ruling(back, tuple(events), is_revert=True)
+
+    def _is_worse(self, back: Vector, held: Vector) -> bool:
+        """Return whether the newest sample contradicts the parameters to go back to more than those held."""
+        cost = self._support.cost(back)
+        return isfinite(cost) and cost > max(self._limit, _NO_WORSE * self._support.cost(held))
+
+    @property
+    def _limit(self) -> float:
+        """Sum of squares at the newest sample that noise alone may reach."""
+        return chi2_limit(_FALSE_ALARM, self._support.n_channels)
 
     def _confirmed(self, k: int, t: float) -> tuple[Event, ...]:
         """Confirm the writes whose probation ends at point k; return the events."""
@@ -202,9 +225,18 @@ class Guard:
         return float(moved.max()) > self._settings.material
 
     def _judge(
-        self, theta: Vector, held: Vector, estimate: Estimate, error: float, peak: PredictedPeak | None
+        self,
+        theta: Vector,
+        held: Vector,
+        estimate: Estimate,
+        error: float,
+        peak: PredictedPeak | None,
+        rival: Vector | None,
     ) -> _Verdict:
-        """Return the result of the checks before a write, the cheap ones first."""
+        """Return the result of the checks before a write, the cheap ones first.
+
+        rival (c,): a disturbance that explains the samples as well; None where there is none.
+        """
         if refusal := outside(theta, self._space):
             return _Verdict(None, (("veto", refusal),))
         allowed, limited = within_rate(theta, held, self._space, self._settings.rate)
@@ -216,29 +248,46 @@ class Guard:
         if refusal := self._contradicted(allowed, held):
             return _Verdict(None, (*reasons, ("veto", refusal)))
         if peak is None:
-            return _Verdict(allowed, reasons)
-        refusal, expected = self._predicted(allowed, held, estimate, error, peak)
+            return _Verdict(allowed if rival is None else None, reasons)
+        refusal, expected = self._predicted(allowed, held, estimate, error, peak, rival)
         return _Verdict(None, (*reasons, ("veto", refusal))) if refusal else _Verdict(allowed, reasons, expected)
 
     def _contradicted(self, theta: Vector, held: Vector) -> str | None:
         """Return the reason why the newest sample contradicts a write, more than the parameters held; or None."""
-        cost, limit = self._support.cost(theta), chi2_limit(_FALSE_ALARM, self._support.n_channels)
-        before = self._support.cost(held)
-        if cost <= max(limit, _NO_WORSE * before) or not isfinite(before):
+        cost, before = self._support.cost(theta), self._support.cost(held)
+        if cost <= max(self._limit, _NO_WORSE * before) or not isfinite(before):
             return None
         return f"explains the newest sample worse: sum of squares {cost:.4g}, with what is held {before:.4g}"
 
     def _predicted(
-        self, theta: Vector, held: Vector, estimate: Estimate, error: float, peak: PredictedPeak
+        self,
+        theta: Vector,
+        held: Vector,
+        estimate: Estimate,
+        error: float,
+        peak: PredictedPeak,
+        rival: Vector | None,
     ) -> tuple[str | None, float]:
-        """Return the reason why a write is predicted to be unsafe, or None, and its predicted peak."""
+        """Return the reason why a write is predicted to be unsafe in a plant that is still possible, or None.
+
+        And its predicted peak.
+        """
         expected = 0.0
         growth = self._settings.growth
-        for name, plant in self._support.plausible_parameters(estimate.theta, self._settings.n_std, _LITTLE):
-            found = peak(theta, plant)
+        plants: list[tuple[str, Vector, Vector | None]] = [
+            (name, plant, None)
+            for name, plant in self._support.plausible_parameters(estimate.theta, self._settings.n_std, _LITTLE)
+        ]
+        if rival is not None:
+            plants.insert(0, ("parameters held, and a disturbance", held, rival))
+        for name, plant, disturbance in plants:
+            found = peak(theta, plant, disturbance)
             if found is None:
+                if disturbance is not None:
+                    return "a disturbance explains the samples as well, and its effect cannot be predicted", expected
                 continue
-            if found > growth * error and found > growth * ((stay := peak(held, plant)) or 0.0):
+            harmless = growth * error if disturbance is None else max(growth * error, self._tolerance)
+            if found > harmless and found > growth * ((stay := peak(held, plant, disturbance)) or 0.0):
                 without = f"{stay:.4g}" if stay is not None else "unknown"
                 reason = f"predicted peak of the tracking error {found:.4g}, without the write {without} ({name})"
                 return reason, found

@@ -11,7 +11,10 @@ from math import hypot, inf, isclose
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+import numpy as np
+
 from estimator import Sample, Vector
+from estimator.differences import central_differences
 
 from ..errors import CosimError, ScenarioError, SlaveError, WiringError
 from ..fmi.archive import co_simulation
@@ -24,6 +27,8 @@ from ..variable_name import VariableName
 from .model_plant import ModelPlant, not_given
 
 _ROUNDING: Final = 1e-9
+_INPUT_STEP: Final = 1e-4
+"""Step of differences in an input, as a share of its size."""
 
 
 class RunningSystem(NamedTuple):
@@ -123,11 +128,18 @@ class Lookahead:
         return states
 
     def predicted_peak(
-        self, snapshot: Mapping[str, Any], values: Sequence[float], k: int, controller: Vector, plant: Vector
+        self,
+        snapshot: Mapping[str, Any],
+        values: Sequence[float],
+        k: int,
+        controller: Vector,
+        plant: Vector,
+        offsets: Sequence[float] | None = None,
     ) -> float | None:
         """Return the largest norm of the tracking error over the horizon; infinite where an FMU fails or it diverges.
 
-        values: of all outputs now, at communication point k; controller, plant: theta (d,) in each. None where the
+        values: of all outputs now, at communication point k; controller, plant: theta (d,) in each; offsets: added to
+        the plant's connected inputs, see `equivalent_inputs`. None where the
         plant does not take these parameters, so that nothing is known, and where the FMUs' states cannot be restored:
         see `failure`. Raises ScenarioError where the FMUs cannot be unpacked any more, as on a full disk: the run
         faults, and can be resumed.
@@ -140,12 +152,43 @@ class Lookahead:
             self._give_up(str(fault))
             return None
         self.n_rolled += 1
+        master.offsets = {} if offsets is None else {self._plant.name: offsets}
         try:
             return self._simulate(master, k, controller, plant)
         except SlaveError as fault:
             self._stack.close()
             self._master = None  # loaded anew for the next
             return None if fault.function == "set" else inf  # a value that was refused before it reached the FMU
+
+    def equivalent_inputs(self, sample: Sample, disturbance: Vector, theta: Vector) -> list[float] | None:
+        """Return the offsets of the plant's connected inputs that act most like a disturbance; None if unknown.
+
+        disturbance (c,): of the sampled derivatives, in their units, or, without a model, (p,) of the inputs
+        themselves; theta (d,): parameters of the plant. To first order, and as far as the inputs reach: She et al.
+        (2008), "Improving disturbance-rejection performance based on an equivalent-input-disturbance approach", IEEE
+        Transactions on Industrial Electronics 55(1).
+        """
+        if self._model is None:
+            own = dict(zip(self._plant.inputs, disturbance.tolist(), strict=True))
+            return [own[name] for name in self._wiring[self._plant.name].sources]
+        named = dict(zip(self._scenario.estimation.space.names, theta.tolist(), strict=True))
+        channels, names = list(self._plant.channels), list(self._plant.inputs)
+        u = np.array(sample.u)
+        connected = [names.index(name) for name in self._wiring[self._plant.name].sources]
+
+        def derivatives(some: Vector) -> Vector:
+            assert self._model is not None
+            inputs = u.copy()
+            inputs[connected] = some
+            return np.array(self._model(sample.x, tuple(inputs.tolist()), **named))[channels]
+
+        try:
+            slopes = central_differences(derivatives, u[connected], _INPUT_STEP * np.maximum(np.abs(u[connected]), 1.0))
+        except (ArithmeticError, ValueError):  # where the model has no value
+            return None
+        if not np.all(np.isfinite(slopes)):
+            return None
+        return np.linalg.lstsq(slopes, disturbance, rcond=1e-9)[0].tolist()
 
     def _simulate(self, master: Master, k: int, controller: Vector, plant: Vector) -> float:
         settings = self._scenario.scenario
@@ -218,14 +261,22 @@ class Prediction:
         self._lookahead, self._k, self._measured, self._values = lookahead, k, measured, list(values)
         self._snapshots: list[dict[str, Any] | None] = []
 
-    def __call__(self, controller: Vector, plant: Vector) -> float | None:
-        """Return the largest norm of the tracking error with theta (d,) in each; None where it is unknown."""
+    def __call__(self, controller: Vector, plant: Vector, disturbance: Vector | None = None) -> float | None:
+        """Return the largest norm of the tracking error with theta (d,) in each; None where it is unknown.
+
+        disturbance (c,): of the sampled derivatives, in their units, that goes on.
+        """
         if not self._snapshots:
             self._snapshots.append(self._lookahead.snapshot(self._measured))
         snapshot = self._snapshots[0]
         if snapshot is None:
             return None
-        return self._lookahead.predicted_peak(snapshot, self._values, self._k, controller, plant)
+        offsets = None
+        if disturbance is not None and np.any(disturbance):
+            offsets = self._lookahead.equivalent_inputs(self._measured, disturbance, plant)
+            if offsets is None:
+                return None
+        return self._lookahead.predicted_peak(snapshot, self._values, self._k, controller, plant, offsets)
 
 
 def _same(found: Sequence[float], expected: Sequence[float]) -> bool:

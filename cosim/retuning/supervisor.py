@@ -10,13 +10,15 @@ write
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from time import perf_counter
 from typing import Any, Protocol
 
 import numpy as np
 
 from estimator import Sample, Vector
+from estimator.diagnosing import AnyRetuner
 from estimator.events import Event
-from estimator.retuner import Proposal, Retuner, RetunerSnapshot, estimate_as_json
+from estimator.retuner import Proposal, Retuner, estimate_as_json
 from estimator.samples import RememberingModel
 
 from ..errors import CosimError, ScenarioError, one_line, seconds
@@ -41,7 +43,7 @@ class _Snapshot:
 
     held: Vector
     """Parameters in the controller (d,)."""
-    retuner: RetunerSnapshot
+    retuner: Any
     support: tuple[Sample, ...]
     guard: GuardSnapshot | None
 
@@ -62,7 +64,7 @@ class Supervisor:
     def __init__(
         self,
         name: str,
-        retuner: Retuner,
+        retuner: AnyRetuner,
         support: DataSupport | NoDataSupport,
         screen: Screen | None = None,
         guard: Guard | None = None,
@@ -96,21 +98,26 @@ class Supervisor:
         return self._retuner.describe()
 
     def summary(self) -> dict[str, Any]:
-        """Return the counts of guard and screen as JSON values; None for either that is missing."""
-        observations = None if self._screen is None else self._screen.summary()
+        """Return the findings of guard, screen and diagnosis as JSON values; None for any that is missing."""
+        retuner = self._retuner
+        others = {
+            "observations": None if self._screen is None else self._screen.summary(),
+            "diagnosis": None if isinstance(retuner, Retuner) else retuner.diagnosis_summary(),
+        }
         if self._guard is None:
-            return {"guard": None, "observations": observations}
+            return {"guard": None, **others}
         if isinstance(self._lookahead, str):
             rolled = {"rolled_ahead": None, "not_rolled_ahead": self._lookahead}
         else:
             rolled = {"rolled_ahead": self._lookahead.n_rolled}
-        return {"guard": self._guard.summary() | rolled, "observations": observations}
+        return {"guard": self._guard.summary() | rolled, **others}
 
     def step(self, point: Point, held: Vector) -> Decision:
         """Return the decision at a communication point; held (d,): the controller's parameters.
 
         Raises ScenarioError, which names what has failed, for any exception of user code.
         """
+        begun = perf_counter()
         if not point.k:
             return Decision(events=tuple(self._no_lookahead(point.t)))
         if self._guard is not None and self._guard.stopped_at is not None:
@@ -126,13 +133,20 @@ class Supervisor:
             ruling = self._ruling(point, proposal, in_force)
         events = [*screened.events, *proposal.events, *ruling.events]
         write = ruling.write
-        if write is not None and not ruling.is_revert:
+        if proposal.undo is not None and not ruling.is_revert:
+            write = proposal.undo
+            if self._guard is not None:
+                self._guard.undo(write)
+        elif write is not None and not ruling.is_revert:
             events.append(_written(point.t, write, proposal))
         elif write is None and before is not None and not np.array_equal(before, held):
             write = before
             detail = {"theta": before.tolist(), "reason": "the sample before was an outlier"}
             events.append(Event(point.t, "write", detail))
-        return Decision(write, proposal.estimate, tuple(events), proposal.latencies)
+        latencies = proposal.latencies
+        if latencies:  # diagnosis, checks and prediction belong to the step's last evaluation
+            latencies = (*latencies[:-1], perf_counter() - begun - sum(latencies[:-1]))
+        return Decision(write, proposal.estimate, tuple(events), latencies)
 
     def _not_taken(self, point: Point, held: Vector) -> Event | None:
         """Return the stop event, where the read-back differs from the parameters written; or None."""
@@ -177,14 +191,17 @@ class Supervisor:
     def _ruling(self, point: Point, proposal: Proposal, held: Vector) -> Ruling:
         """Return the guard's ruling on a proposal."""
         if self._guard is None:
-            return Ruling(proposal.theta)
+            return Ruling(proposal.theta if proposal.possible_disturbance is None else None)
         lookahead, prediction = self._lookahead, None
         if not isinstance(lookahead, str) and point.measured is not None:
             prediction = Prediction(lookahead, point.k, point.measured, point.values)
         ruling = self._guard.step(point.k, point.t, point.error, proposal, held, prediction)
-        if ruling.is_revert and self._snapshot is not None:  # an outlier changes nothing about it
+        if ruling.is_revert:
             assert ruling.write is not None
-            self._snapshot = replace(self._snapshot, held=ruling.write, guard=self._guard.snapshot())
+            if not isinstance(self._retuner, Retuner):
+                self._retuner.reverted(ruling.write)
+            if self._snapshot is not None:  # an outlier changes nothing about it
+                self._snapshot = replace(self._snapshot, held=ruling.write, guard=self._guard.snapshot())
         if not isinstance(lookahead, str) and lookahead.failure is not None:
             self._lookahead = lookahead.failure
             return replace(ruling, events=(*ruling.events, *self._no_lookahead(point.t)))

@@ -1,10 +1,13 @@
 """The table that `retune run` prints."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any, Final
 
 from ..text_table import aligned, counted, with_std
 from .result import Run
 
+_WORSE: Final = 1.5
+"""Ratio of what the model leaves unexplained to the declared noise that is worth a line."""
 _ROLES = {"none": "nominal controller", "true": "true parameters (floor)"}
 
 
@@ -26,6 +29,7 @@ def report(run: Run, baselines: Mapping[str, Run]) -> str:
         _final_estimate(run),
         _latency(run),
         _oversight(run),
+        diagnosed(run.diagnosis),
         [f"run folder {run.folder}"] if run.folder else [],
     ]
     return "\n\n".join("\n".join(block) for block in blocks if block)
@@ -93,12 +97,49 @@ def _oversight(run: Run) -> list[str]:
         lines.append(
             f"guard: {', '.join(counts)}{stop}{f'; the loop was not simulated ahead: {blind}' if blind else ''}"
         )
-    if (seen := run.observations) and seen["kept_out"]:
+    return lines + screened(run.observations)
+
+
+def screened(seen: Mapping[str, Any] | None) -> list[str]:
+    """Return a line on the samples that were kept out, if any were."""
+    lines: list[str] = []
+    if seen and seen["kept_out"]:
         most = sorted(seen["found"].items(), key=lambda item: -item[1])
         findings = ", ".join(f"{name} ({n})" for name, n in most[:4])
         failed = f"; re-tuning is suspended, bad at the end: {', '.join(seen['failed'])}" if seen["failed"] else ""
         more = f" and {len(most) - 4} more" if len(most) > 4 else ""
         lines.append(f"{counted(seen['kept_out'], 'sample')} kept out: {findings}{more}{failed}")
+    return lines
+
+
+def diagnosed(found: Mapping[str, Any] | None) -> list[str]:
+    """Return lines on what the model leaves unexplained, on disturbances and on searches in vain."""
+    if not found:
+        return []
+    lines = [
+        f"the model explains {name} to {ratio:.2g} times its declared noise: multiply that by as much"
+        for name, channel in found["channels"].items()
+        if (ratio := max(channel["scale"], channel["noise_ratio"] or 0.0)) >= _WORSE
+    ]
+    lines += [
+        f"the declared noise of {name} is {1.0 / channel['noise_ratio']:.2g} times too large"
+        for name, channel in found["channels"].items()
+        if channel["noise_ratio"] and channel["scale"] * channel["noise_ratio"] <= 1.0 / _WORSE
+    ]
+    if found["disturbance"]:
+        last = found["disturbances"][-1]
+        sizes = ", ".join(f"{name} {size:.3g}" for name, size in last["size"].items())
+        lines.append(
+            f"{counted(found['disturbance'], 'disturbance')} named, the last at t = {last['t']:g} s ({sizes}): "
+            "no parameters were written for them"
+        )
+    if found["unexplained"]:
+        resting = [name for name, channel in found["channels"].items() if channel["is_resting"]]
+        asleep = f", {', '.join(resting)} left out at the end" if resting else ""
+        lines.append(
+            f"searches in vain: {found['unexplained']}, no parameters explain the samples{asleep}; the model lacks "
+            "something (friction, a lag, another parameter), or a sensor is wrong"
+        )
     return lines
 
 

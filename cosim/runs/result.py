@@ -72,6 +72,8 @@ class Run:
     """Counts of writes that the guard passed, changed, vetoed and reverted; None without a guard."""
     observations: Mapping[str, Any] | None = None
     """Counts of samples that were kept out, by fault; None without a screen."""
+    diagnosis: Mapping[str, Any] | None = None
+    """Findings of the diagnosis: what the model leaves unexplained by channel, disturbances, searches in vain."""
     final_estimate: FinalEstimate | None = None
     """Final estimate; None where nothing was estimated."""
 
@@ -150,6 +152,7 @@ class Run:
             "objective": self.objective or None,
             "guard": self.guard,
             "observations": self.observations,
+            "diagnosis": self.diagnosis,
             "latency_ms": _quantiles(evaluations),
             "deadline_ms": 1e3 * deadline,
             "missed_deadlines": sum(sum(step) > deadline for step in self.latencies),
@@ -238,7 +241,7 @@ def read_run(folder: Path | str) -> Run:
     return Run(
         scenario, manifest.plant, manifest.estimator, manifest.seed, series, status, result.error, result.evaluations,
         result.episodes, latencies, result.wall_s, folder, result.model_calls,
-        result.objective or "", result.guard, result.observations,
+        result.objective or "", result.guard, result.observations, result.diagnosis,
         final_estimate_from_json(result.final_estimate or result.belief),
     )  # fmt: skip
 
@@ -264,6 +267,7 @@ class _Result:
     objective: str | None = None
     guard: dict[str, Any] | None = None
     observations: dict[str, Any] | None = None
+    diagnosis: dict[str, Any] | None = None
     wall_s: float = float("nan")
     final_estimate: dict[str, Any] | None = None
     belief: dict[str, Any] | None = None

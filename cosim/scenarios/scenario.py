@@ -8,6 +8,8 @@ from typing import Any, Self
 
 from pydantic import Field, ValidationError, model_validator
 
+from estimator.diagnosis import DiagnosisSettings
+
 from ..errors import ScenarioError, one_line
 from ..names import did_you_mean
 from ..variable_name import VariableName
@@ -46,6 +48,8 @@ class Scenario(Table):
     """Limits at which the run is stopped."""
     observations: ObservationSettings = ObservationSettings()
     """Checks that keep bad samples from the estimator."""
+    diagnosis: DiagnosisSettings = DiagnosisSettings()
+    """Rules for what is taken for changed parameters."""
     guard: GuardSettings = GuardSettings()
     """Limits on what is written into the controller, and rules for reverting it."""
     folder: Path = Field(default=Path(), exclude=True)

@@ -55,6 +55,8 @@ class Master:
         self.values = [0.0] * len(self.names)
         self.inputs: dict[str, dict[str, float]] = {}
         """Values of each FMU's connected inputs in its last step, by name."""
+        self.offsets: dict[str, Sequence[float]] = {}
+        """Values added to all connected inputs of an FMU, by its name."""
         place = {name: i for i, name in enumerate(self.names)}
         for name, w in wiring.items():
             unknown = next((source for source in w.sources.values() if source not in place), None)
@@ -121,7 +123,9 @@ class Master:
 
     def _inputs(self, name: str) -> list[float]:
         values = self.values
-        return [values[i] if to is IDENTITY else to(values[i]) for i, to in self._sources[name]]
+        inputs = [values[i] if to is IDENTITY else to(values[i]) for i, to in self._sources[name]]
+        offsets = self.offsets.get(name)
+        return inputs if offsets is None else [u + d for u, d in zip(inputs, offsets, strict=True)]
 
     def _take(self, name: str, outputs: Sequence[float]) -> None:
         first = self._first[name]

@@ -106,7 +106,8 @@ def test_a_killed_run_is_replayed_as_far_as_it_was_written(recorded: Run, folder
     left = read_run(folder)
     assert (left.status, left.error, left.latencies, len(left.time)) == ("unfinished", None, (), 50)
     again = replayed(left, "target", 5)
-    np.testing.assert_array_equal(again.estimates["m"], recorded.estimates["m"][:50])
+    assert len(np.unique(again.estimates["m"])) > 1, "nothing was estimated"
+    np.testing.assert_array_equal(again.estimates["m"], replayed(recorded, "target", 5).estimates["m"][:50])
     comparison = replay(folder, ["target", "least-squares"], out=tmp_path / "out")
     assert "recorded up to t = 0.49 s" in comparison.table()
     assert json.loads((tmp_path / "out" / "comparison.json").read_text())["seeds"] == [5]

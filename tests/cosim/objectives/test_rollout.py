@@ -27,6 +27,7 @@ from cosim.slaves.slave import open_slave
 from cosim.system.fmu_cache import find_fmu
 from cosim.system.plant import plant_of
 from estimator import EpisodeWindow, Sample, SampleSequence
+from estimator.episode_diagnosis import EpisodeDiagnosis
 
 pytestmark = pytest.mark.fmu
 slow = pytest.mark.slow
@@ -245,6 +246,25 @@ def test_a_recorded_run_is_replayed_from_its_measured_states(pendulum, tmp_path)
         np.testing.assert_array_equal(again.estimates[name], values)
 
 
+def test_a_disturbance_is_looked_for_in_the_connected_inputs_alone(pendulum, monkeypatch):
+    """F_d, which is not connected, does the same as u but for rounding: shared among both, it would be any size."""
+    found, search = [], EpisodeDiagnosis._search_disturbance
+
+    def searched(self, held):
+        found.append(search(self, held))
+        return found[-1]
+
+    monkeypatch.setattr(EpisodeDiagnosis, "_search_disturbance", searched)
+    heavier = {"changes": '{ "plant.m" = [[0.0, 1.75], [0.3, 3.0]] }', "estimation.trigger": '{ kind = "innovation" }'}
+    result = run(pendulum(SHORT | heavier, 0.7), "target")
+    assert result.status == "done", result.error
+    assert found
+    for disturbed in found:
+        assert disturbed.fit.n_free == 1
+        assert 0.0 < abs(disturbed.inputs[0]) < 20.0  # N; the ball weighs 30
+        assert disturbed.inputs[1] == 0.0
+
+
 @pytest.mark.parametrize("way", ["auto", "measured"])
 def test_a_disturbance_does_not_keep_roll_outs_from_being_made_and_they_do_not_have_it(pendulum, way):
     """A changing force on the plant; the step that proves the saved state is repeated with the force of its time."""
@@ -254,7 +274,7 @@ def test_a_disturbance_does_not_keep_roll_outs_from_being_made_and_they_do_not_h
     result = run(scenario, "target")
     assert result.status == "done", result.error
     assert ("the plant's saved state (a repeated" if way == "auto" else "measured states") in result.objective
-    assert not [name for name in result.series if name.startswith("held.")]
+    assert [name for name in result.series if name.startswith("held.")] == ["held.plant.F_d"]  # the force is in none
     assert set(result["plant.u"]) == {2 + 3 * math.sin(20 * t) for t in result.time}
 
 

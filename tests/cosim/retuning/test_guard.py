@@ -31,7 +31,8 @@ def kinds(reviewed):
     return [event.kind for event in reviewed.events]
 
 
-def calm(controller, plant):
+def calm(controller, plant, disturbance):
+    assert disturbance is None
     return 0.01
 
 
@@ -114,7 +115,8 @@ def test_a_candidate_that_explains_the_newest_sample_worse_is_vetoed():
     ids=["as good", "worse", "as now", "diverges", "diverges either way", "unknown"],
 )
 def test_a_write_must_not_be_predicted_to_be_worse_than_none(with_it, without, error, is_written):
-    def peak(controller, plant):
+    def peak(controller, plant, disturbance):
+        assert disturbance is None
         return with_it if np.array_equal(controller, GOOD) else without
 
     reviewed = guard().step(3, 0.03, error, proposed(GOOD), peak)
@@ -125,7 +127,8 @@ def test_a_write_must_not_be_predicted_to_be_worse_than_none(with_it, without, e
 def test_the_prediction_is_widened_along_the_direction_seen_least():
     asked = []
 
-    def peak(controller, plant):
+    def peak(controller, plant, disturbance):
+        assert disturbance is None
         if np.array_equal(controller, GOOD):
             asked.append(plant)
         return 0.01
@@ -142,7 +145,8 @@ def test_the_prediction_is_widened_along_the_direction_seen_least():
 def test_a_small_change_is_not_looked_into_until_small_changes_add_up():
     asked = []
 
-    def peak(controller, plant):
+    def peak(controller, plant, disturbance):
+        assert disturbance is None
         asked.append(controller)
         return 0.01
 
@@ -155,10 +159,16 @@ def test_a_small_change_is_not_looked_into_until_small_changes_add_up():
 # After a write.
 
 
-def written(**settings):
-    """A guard that has written GOOD at k = 1; the tolerance is 0.5."""
-    watched = guard(**settings)
-    assert watched.step(1, 0.01, 0.0, proposed(GOOD), calm).write is not None
+MUTE = Sample(9.0, (0.0, 0.0), (), (0.0,))
+"""A sample that any parameters explain."""
+
+
+def written(peak=calm, **settings):
+    """A guard that has written GOOD at k = 1, and then gets a sample that tells nothing; the tolerance is 0.5."""
+    support = seen(*BOTH)
+    watched = guard(support, **settings)
+    assert watched.step(1, 0.01, 0.0, proposed(GOOD), peak).write is not None
+    support.append(MUTE)
     return watched
 
 
@@ -178,14 +188,27 @@ def test_a_regression_takes_the_write_back():
     assert watched.summary()["reverted"] == 1
 
 
-def test_an_error_that_is_no_number_is_a_regression():
+def test_a_regression_is_borne_with_where_the_samples_contradict_the_way_back():
+    """Its limit is 0.5, and growth is 2: up to 2."""
+    watched = guard(growth=2.0)  # the newest sample is that of GOOD
+    assert watched.step(1, 0.01, 0.0, proposed(GOOD), calm).write is not None
+    assert [kinds(watched.step(k, 0.01 * k, 2.0, NOTHING, calm)) for k in (2, 3, 4)] == [[], [], []]
+    assert watched.summary()["reverted"] == 0
+    reviewed = watched.step(5, 0.05, 2.01, NOTHING, calm)
+    assert (kinds(reviewed), reviewed.write.tolist()) == (["revert"], START.tolist())
+
+
+@pytest.mark.parametrize("is_contradicted", [False, True])
+def test_an_error_that_is_no_number_is_a_regression(is_contradicted):
     for error in (nan, inf):
-        assert kinds(written().step(2, 0.02, error, NOTHING, calm)) == ["revert"]
+        watched = guard() if is_contradicted else written()
+        if is_contradicted:
+            watched.step(1, 0.01, 0.0, proposed(GOOD), calm)
+        assert kinds(watched.step(2, 0.02, error, NOTHING, calm)) == ["revert"]
 
 
 def test_an_error_that_was_predicted_is_no_regression():
-    watched = guard(growth=1.5)
-    watched.step(1, 0.01, 0.0, proposed(GOOD), lambda controller, plant: 1.0)
+    watched = written(lambda controller, plant, disturbance: 1.0, growth=1.5)
     assert kinds(watched.step(2, 0.02, 1.49, NOTHING, calm)) == []
     assert kinds(watched.step(3, 0.03, 1.51, NOTHING, calm)) == ["revert"]
 
@@ -197,6 +220,7 @@ def test_the_way_back_leads_to_what_was_confirmed_and_then_to_the_start():
     assert kinds(watched.step(11, 0.11, 0.0, NOTHING, calm)) == ["confirm"]
     support.append(Sample(4.0, (1.0, 1.0), (), (12.0,)))  # of BETTER
     assert watched.step(12, 0.12, 0.0, proposed(BETTER), calm).write is not None
+    support.append(MUTE)
     np.testing.assert_array_equal(watched.step(13, 0.13, 1.0, NOTHING, calm).write, GOOD)
     np.testing.assert_array_equal(watched.step(14, 0.14, 2.0, NOTHING, calm).write, START)
 

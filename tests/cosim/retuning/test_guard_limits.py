@@ -40,7 +40,8 @@ class Peaks:
     def __init__(self, peaks):
         self._peaks, self.asked = peaks, []
 
-    def __call__(self, controller, plant):
+    def __call__(self, controller, plant, disturbance):
+        assert disturbance is None
         one, other = tuple(controller), tuple(plant)
         self.asked.append((one, other))
         return self._peaks[one, other] if (one, other) in self._peaks else self._peaks.get(one, 0.01)
@@ -96,7 +97,7 @@ def test_a_limited_move_starts_from_what_is_held_and_is_what_is_looked_into():
         assert (theta, tuple(BETTER)) in peak.asked
     assert watched.summary() == {
         "written": 4, "limited": 3, "held": 0, "vetoed": 0, "confirmed": 0, "reverted": 0, "retracted": 0,
-        "stopped_at": None,
+        "undone": 0, "stopped_at": None,
     }  # fmt: skip
 
 

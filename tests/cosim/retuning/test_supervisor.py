@@ -14,9 +14,11 @@ from cosim.retuning.supervisor import ReadBack, Supervisor
 from cosim.sampling.screen import Screened
 from cosim.scenarios.schema.guard import GuardSettings
 from estimator import DerivativeResidual, Estimate, Parameter, ParameterSpace, Sample
-from estimator.retuner import Budget, make_retuner
+from estimator.diagnosing import make_retuner
+from estimator.diagnosis import Diagnosis, DiagnosisSettings
+from estimator.retuner import Budget
 from estimator.samples import RememberingModel
-from estimator.triggers import InnovationTrigger
+from estimator.triggers import InnovationSettings
 
 SPACE = ParameterSpace((Parameter("a", 0.0, 10.0),))
 START, CHANGED = np.array([2.0]), np.array([4.0])
@@ -72,7 +74,7 @@ class Loop:
         self.log = []
         self.model = RememberingModel(model)
         residual = DerivativeResidual(self.model, SPACE, (0,), (SIGMA,))
-        retuner = make_retuner(Mean(self.log), residual, InnovationTrigger(residual, 1e-6), Budget(3), 1)
+        retuner = make_retuner(Mean(self.log), residual, InnovationSettings(), Budget(3), 1)
         support = DataSupport(residual, SPACE, 1, 30)
         self.guard = Guard(GuardSettings(tolerance=0.5, rate=1.0), SPACE, START, 100.0, support)
         screen = ScriptedScreen(self.log, **script)
@@ -150,7 +152,7 @@ def test_a_revert_is_not_undone_by_an_outlier_that_came_with_it():
     """At the outlier the write before it is taken back, for its tracking error: the next sample changes nothing."""
     loop = Loop(at_3=suspect, at_4=after_an_outlier)
     loop.step(2, 4.0)
-    decision = loop.step(3, OUTLIER, error=1.0)
+    decision = loop.step(3, OUTLIER, error=1.2)  # so large that no sample keeps it
     assert (kinds(decision)[-1], decision.write.tolist()) == ("revert", START.tolist())
     assert loop.step(4, 4.0).write is None
     assert loop.held.tolist() == START.tolist()
@@ -200,13 +202,48 @@ def test_a_model_that_raises_in_the_screen_is_a_fault_with_its_name():
         Loop(at_1=fails).step(1, 2.0)
 
 
+class Slope(Mean):
+    """The least-squares solution for y = a x."""
+
+    def solve(self, objective):
+        at_zero, at_one = objective.residual(np.zeros(1)), objective.residual(np.ones(1))
+        slope = at_one - at_zero
+        self.found = np.clip([-slope @ at_zero / (slope @ slope)], 0.0, 10.0)
+
+
+def test_a_search_that_fails_does_not_return_to_what_the_guard_has_reverted():
+    """a changes to 4; from the 48th sample on a sine is added, which nothing explains, and the error grows."""
+    model = RememberingModel(lambda x, u, a: [a * x[0]])
+    residual = DerivativeResidual(model, SPACE, (0,), (SIGMA,))
+    diagnosis = Diagnosis(residual, ("plant.der(x)",), residual.noise, DiagnosisSettings(), SPACE)
+    retuner = make_retuner(Slope([]), residual, InnovationSettings(), Budget(20), 5, diagnosis=diagnosis)
+    support = DataSupport(diagnosis.residual, SPACE, 1, 30)
+    guard = Guard(GuardSettings(tolerance=0.5, rate=1.0), SPACE, START, 100.0, support)
+    supervisor = Supervisor("mine", retuner, support, None, guard, model=model)
+    held, rng, told = START, np.random.default_rng(0), []
+    for k in range(1, 300):
+        x = 1.0 + k % 3
+        added = 30.0 * np.sin(0.3 * k) if k >= 48 else 0.0
+        y = (2.0 if k < 40 else 4.0) * x + added + SIGMA * rng.standard_normal()
+        sample = Sample(0.01 * k, (x,), (), (y,))
+        error = 5.0 if k == 48 else 0.0
+        decision = supervisor.step(Point(k, sample.t, sample, error, sample, [held[0]]), held)
+        told += [(k, kind) for kind in kinds(decision) if kind in ("write", "revert", "unexplained", "undo")]
+        held = held if decision.write is None else decision.write
+        assert k < 48 or held.tolist() == START.tolist()
+    before = {kind for k, kind in told if k < 48}
+    assert before == {"write"}
+    assert [kind for k, kind in told if k == 48] == ["revert"]
+    assert {kind for k, kind in told if k > 48} == {"unexplained"}
+
+
 def test_an_estimator_that_raises_is_a_fault_with_its_name():
     class Broken(Mean):
         def solve(self, objective):
             raise SystemExit(3)
 
     residual = DerivativeResidual(lambda x, u, a: [a], SPACE, (0,), (SIGMA,))
-    retuner = make_retuner(Broken([]), residual, InnovationTrigger(residual, 1e-6), Budget(3), 1)
+    retuner = make_retuner(Broken([]), residual, InnovationSettings(), Budget(3), 1)
     broken = Supervisor("mine", retuner, DataSupport(residual, SPACE, 1, 30))
     with pytest.raises(ScenarioError, match=r"estimator 'mine' failed at t = 0.010 s: SystemExit: 3."):
         broken.step(Point(1, 0.01, Sample(0.01, (1.0,), (), (9.0,)), 0.0), START)

@@ -174,6 +174,8 @@ MISSPELT = [
     ('sampling.derivatives."plant.der(phi_dot)".nois', "nois", "noise"),
     ("estimation.target.n_outptus", "estimation", "n_outputs"),
     ("estimation.paper.nois", "estimation", "noise"),
+    ("diagnosi.rest", "diagnosi", "diagnosis"),
+    ("diagnosis.longestrest", "diagnosis.longestrest", "longest_rest"),
 ]
 
 
@@ -231,6 +233,16 @@ BAD_VALUES = [
     ("definitions.a", "bcd", "definitions.a", "'bcd'"),
     ("components.plant.fmu", "3", "components.plant.fmu", "string"),
     ("limits.divergence", "-1", "limits.divergence", "greater than 0"),
+    ("diagnosis.rest", "0", "diagnosis.rest", "greater than or equal to 1, got 0"),
+    ("diagnosis.rest", "1.5", "diagnosis.rest", "integer"),
+    ("diagnosis.rest", "20000", "diagnosis", "rest must be from 1 to longest_rest, got 20000 and 16000"),
+    ("diagnosis.longest_rest", "999", "diagnosis", "rest must be from 1 to longest_rest, got 1000 and 999"),
+    ("diagnosis.false_alarm", "0", "diagnosis.false_alarm", "greater than 0, got 0"),
+    ("diagnosis.false_alarm", "1", "diagnosis.false_alarm", "less than 1, got 1"),
+    ("diagnosis.false_alarm", "nan", "diagnosis.false_alarm", "finite"),
+    ("diagnosis.enabled", "perhaps", "diagnosis.enabled", "boolean"),
+    ("diagnosis.never", "1", "diagnosis.never", "unknown key"),
+    ("diagnosis", "3", "diagnosis", "got 3"),
     ("folder", "elsewhere", "folder", "unknown key"),
 ]
 
@@ -374,7 +386,10 @@ def test_a_good_file_with_anything_in_one_place_loads_or_is_refused_as_a_scenari
     load_tree(tmp_path, tree)
 
 
-@pytest.mark.parametrize("key", ["observations.patience", "estimation.window", "guard.horizon", "scenario.timeout"])
+@pytest.mark.parametrize(
+    "key",
+    ["observations.patience", "estimation.window", "guard.horizon", "scenario.timeout", "diagnosis.longest_rest"],
+)
 def test_a_count_or_a_time_that_no_machine_can_hold_is_refused(key):
     with pytest.raises(ScenarioError, match=rf"{key}: input should be less than or equal to 1000000000"):
         Scenario.load("pendulum", {key: "1" + 20 * "0"})

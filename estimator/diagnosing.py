@@ -1,0 +1,283 @@
+"""Retuner whose proposals are passed on only where a diagnosis warrants them."""
+
+import math
+from collections.abc import Callable
+from copy import deepcopy
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Final, Union
+
+import numpy as np
+
+from .contract import AskTell, Solver
+from .diagnosis import Diagnosis, Judgement
+from .episode_diagnosis import EpisodeDiagnosis
+from .episode_window import EpisodeWindow
+from .events import Event
+from .objective import LinearForm
+from .retuner import Budget, Proposal, Retuner, RetunerSnapshot
+from .samples import DerivativeResidual, Sample
+from .sliding_window import ResidualWindow
+from .space import Vector
+from .triggers import Trigger, TriggerSettings
+
+_FEWEST: Final = 5
+"""Least number of samples since the onset at which a search fails."""
+_PATIENCE: Final = 20
+"""Number of samples after which a search without end counts as failed."""
+
+
+@dataclass(frozen=True)
+class DiagnosingSnapshot:
+    """State of retuner and diagnosis before a sample that may be an outlier."""
+
+    retuner: RetunerSnapshot
+    diagnosis: Any
+    warranted: bytes
+    solver: RetunerSnapshot | None
+
+
+@dataclass(frozen=True)
+class SuspicionTrigger:
+    """Trigger that begins an episode only where samples contradict the parameters in force."""
+
+    trigger: Trigger
+    diagnosis: Diagnosis
+
+    def __call__(self, sample: Sample, tracking_error: float, theta: Vector) -> str | None:
+        """Return the inner trigger's reason, or None."""
+        return self.trigger(sample, tracking_error, theta) if self.diagnosis.is_suspicious else None
+
+
+class _Counting:
+    """Counts of the retuner inside."""
+
+    _retuner: Retuner
+
+    def describe(self) -> str:
+        """Return how candidates are scored, in a line."""
+        return self._retuner.describe()
+
+    @property
+    def n_evaluations(self) -> int:
+        """Candidates evaluated so far."""
+        return self._retuner.n_evaluations
+
+    @property
+    def n_episodes(self) -> int:
+        """Episodes begun so far."""
+        return self._retuner.n_episodes
+
+    @property
+    def n_model_calls(self) -> int:
+        """Samples at which a candidate was scored so far."""
+        return self._retuner.n_model_calls
+
+
+class DiagnosingRetuner(_Counting):
+    """Retuner with a diagnosis of sampled derivatives beside it: the same calls, and only warranted proposals."""
+
+    def __init__(self, retuner: Retuner, diagnosis: Diagnosis, is_endless: bool) -> None:
+        """retuner: with `diagnosis.residual` for residuals; is_endless: true where its one episode lasts for ever."""
+        self._retuner, self._diagnosis, self._is_endless = retuner, diagnosis, is_endless
+        self._warranted = b""
+        self._solver: RetunerSnapshot | None = None  # of an endless search, at the onset
+
+    def diagnosis_summary(self) -> dict[str, Any]:
+        """Return what the diagnosis has found as JSON values."""
+        return self._diagnosis.summary()
+
+    def snapshot(self) -> DiagnosingSnapshot | None:
+        """Return the snapshot that `restore` needs; None where the retuner cannot be restored."""
+        inner = self._retuner.snapshot()
+        if inner is None:
+            return None
+        return DiagnosingSnapshot(inner, self._diagnosis.snapshot(), self._warranted, deepcopy(self._solver))
+
+    def restore(self, snapshot: DiagnosingSnapshot, held: Vector) -> None:
+        """Go back to a snapshot, which is used up; held (d,): the controller's parameters then."""
+        self._retuner.restore(snapshot.retuner, held)
+        self._diagnosis.restore(snapshot.diagnosis)
+        self._warranted, self._solver = snapshot.warranted, snapshot.solver
+
+    def reverted(self, theta: Vector) -> None:
+        """Take a revert of the guard's to theta (d,): no search that fails returns to what was reverted."""
+        self._diagnosis.accept(theta)
+
+    def step(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
+        """Take one communication point's sample, where there is one; return what to write, and why."""
+        diagnosis = self._diagnosis
+        if sample is not None:
+            was_suspicious = diagnosis.is_suspicious
+            if diagnosis.observe(sample, held):
+                self._retuner.forget()
+            if diagnosis.is_suspicious and not was_suspicious:
+                self._solver = self._retuner.snapshot() if self._is_endless else None
+            elif held.tobytes() == self._warranted:
+                diagnosis.accept(held)
+            settled = diagnosis.settle(t, held)
+            if settled is not None:
+                if settled.ends_search:
+                    return self._ended(t, Proposal(), settled.undo, held, settled.events)
+                self._solver = None
+        if self._is_endless and diagnosis.is_resting:
+            return Proposal()
+        if sample is not None:
+            sample = diagnosis.corrected(sample)
+        return self._judged(t, self._retuner.step(t, sample, tracking_error, held), held)
+
+    def _judged(self, t: float, proposal: Proposal, held: Vector) -> Proposal:
+        """Return the proposal as far as it is warranted."""
+        diagnosis, theta = self._diagnosis, proposal.theta
+        best = None if proposal.estimate is None else proposal.estimate.theta
+        verdict: Judgement = "refuted" if best is None else diagnosis.judge(best if theta is None else theta, held)
+        if proposal.estimate is not None and theta is not None:
+            verdict = "refuted" if diagnosis.is_at_unseen_bound(theta, proposal.estimate.std, held) else verdict
+        if verdict == "warranted" and theta is not None:
+            self._warranted = theta.tobytes()
+        has_ended = any(event.kind == "end" for event in proposal.events)
+        has_ended |= self._is_endless and diagnosis.n_since >= _PATIENCE
+        if has_ended and diagnosis.n_since >= _FEWEST and diagnosis.has_failed:
+            reference, events = diagnosis.reference, diagnosis.fail(t, best, held)
+            if events:
+                return self._ended(t, proposal, reference, held, events)
+            self._retuner.forget()  # the noise may be larger
+        if has_ended and diagnosis.is_suspicious and best is not None and not diagnosis.has_failed:
+            diagnosis.succeed()
+        if verdict == "refuted":
+            return replace(proposal, theta=None)
+        rival = diagnosis.disturbance(held) if verdict == "possible" and theta is not None else None
+        return replace(proposal, possible_disturbance=rival)
+
+    def _ended(
+        self, t: float, proposal: Proposal, before: Vector | None, held: Vector, events: tuple[Event, ...]
+    ) -> Proposal:
+        """End the search, of an endless one with its state from the onset; return to the parameters before (d,)."""
+        back = held if before is None else before
+        if self._solver is not None:
+            self._retuner.restore(self._solver, back)
+            self._solver = None
+        self._retuner.abandon()
+        events = (*proposal.events, *events)
+        if np.array_equal(back, held):
+            return replace(proposal, theta=None, events=events)
+        return replace(proposal, theta=None, undo=back, events=(*events, Event(t, "undo", {"theta": back.tolist()})))
+
+
+@dataclass(frozen=True)
+class EpisodeTrigger:
+    """Trigger that begins an episode only where a sequence of samples contradicts the parameters in force."""
+
+    trigger: Trigger
+    diagnosis: EpisodeDiagnosis
+
+    def __call__(self, sample: Sample, tracking_error: float, theta: Vector) -> str | None:
+        """Return the inner trigger's reason, or None."""
+        return self.diagnosis.reason(self.trigger, sample, tracking_error, theta)
+
+
+AnyRetuner = Union[Retuner, "DiagnosingRetuner", "DiagnosingEpisodes"]
+"""Retuner with or without a diagnosis."""
+
+
+class DiagnosingEpisodes(_Counting):
+    """Retuner with a diagnosis of sequences beside it: the same calls, and only warranted proposals."""
+
+    def __init__(self, retuner: Retuner, diagnosis: EpisodeDiagnosis) -> None:
+        """retuner: on the diagnosis' window, with an `EpisodeTrigger`."""
+        self._retuner, self._diagnosis = retuner, diagnosis
+        self._before: Vector | None = None  # in force at the beginning of the episode
+
+    def diagnosis_summary(self) -> dict[str, Any]:
+        """Return what the diagnosis has found as JSON values."""
+        return self._diagnosis.summary()
+
+    def snapshot(self) -> None:
+        """Return None: an episode's window cannot be restored."""
+
+    def restore(self, snapshot: None, held: Vector) -> None:
+        """Do nothing: there is no snapshot."""
+
+    def reverted(self, theta: Vector) -> None:
+        """Take a revert of the guard's to theta (d,): no search that fails returns to what was reverted."""
+        self._before = theta
+
+    def step(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
+        """Take one communication point's sample, where there is one; return what to write, and why."""
+        diagnosis = self._diagnosis
+        if sample is not None:
+            sample = diagnosis.corrected(sample)
+        proposal = self._retuner.step(t, sample, tracking_error, held)
+        kinds = [event.kind for event in proposal.events]
+        if "trigger" in kinds:
+            self._before = held
+        if proposal.estimate is None and "end" not in kinds:
+            return proposal
+        best = None if proposal.estimate is None else proposal.estimate.theta
+        theta, before = proposal.theta, held if self._before is None else self._before
+        verdict: Judgement = "refuted" if best is None else diagnosis.judge(best if theta is None else theta, before)
+        if proposal.estimate is not None and theta is not None:
+            verdict = "refuted" if diagnosis.is_at_unseen_bound(theta, proposal.estimate.std, held) else verdict
+        if verdict != "refuted":
+            rival = diagnosis.disturbance(before) if verdict == "possible" and theta is not None else None
+            if "end" in kinds:
+                diagnosis.succeed()
+                self._retuner.close(held if theta is None else theta)
+            return replace(proposal, possible_disturbance=rival)
+        if "end" not in kinds:
+            return replace(proposal, theta=None)
+        events = (*proposal.events, *diagnosis.fail(t, before))
+        self._retuner.close(before)
+        if np.array_equal(before, held):
+            return replace(proposal, theta=None, events=events)
+        return replace(
+            proposal, theta=None, undo=before, events=(*events, Event(t, "undo", {"theta": before.tolist()}))
+        )
+
+
+def make_episodes(
+    estimator: AskTell | Solver,
+    window: EpisodeWindow,
+    trigger: TriggerSettings,
+    budget: Budget,
+    describe: Callable[[], str],
+    linear: LinearForm | None = None,
+    diagnosis: EpisodeDiagnosis | None = None,
+) -> AnyRetuner:
+    """Return the loop for an estimator that works on sequences of samples.
+
+    describe: returns how the window scores candidates, in a line. diagnosis: on this window; None to write whatever
+    is proposed.
+    """
+    begins = trigger.trigger(window.innovation if diagnosis is None else diagnosis.innovation)
+    if diagnosis is None:
+        return Retuner(estimator, window, begins, budget, linear, describe)
+    retuner = Retuner(estimator, window, EpisodeTrigger(begins, diagnosis), budget, linear, describe, closes=False)
+    return DiagnosingEpisodes(retuner, diagnosis)
+
+
+def make_retuner(
+    estimator: AskTell | Solver,
+    whitened: DerivativeResidual,
+    trigger: TriggerSettings,
+    budget: Budget,
+    max_length: int,
+    linear: LinearForm | None = None,
+    text: str = "",
+    diagnosis: Diagnosis | None = None,
+) -> AnyRetuner:
+    """Return the loop for an estimator that works with derivatives, on windows of at most max_length samples.
+
+    whitened: the residual in standard deviations of its noise; an estimator in physical units gets those.
+    text: description of the residual, for the report. diagnosis: None to write whatever is proposed.
+    """
+    n = len(whitened.noise)
+    scaled = whitened if diagnosis is None else diagnosis.scaled
+    residual = scaled if estimator.is_whitened else replace(whitened, noise=(1.0,) * n)
+    begins = trigger.trigger(scaled)
+    if trigger.is_endless:
+        budget = replace(budget, evaluations=math.inf)
+    elif diagnosis is not None:
+        begins = SuspicionTrigger(begins, diagnosis)
+    retuner = Retuner(estimator, ResidualWindow(residual, n, max_length), begins, budget, linear, partial(str, text))
+    return retuner if diagnosis is None else DiagnosingRetuner(retuner, diagnosis, trigger.is_endless)

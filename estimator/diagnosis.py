@@ -1,0 +1,535 @@
+"""Diagnosis of samples that contradict the parameters in force: changed parameters, a disturbance, or neither.
+
+quiet        the parameters in force explain the samples; the residuals' true size is learnt
+suspicious   they do not, from an onset on; new parameters are warranted where they explain the samples since then
+
+A suspicion ends when the parameters in force, new ones perhaps, explain the samples again; or with a search for
+parameters that has found none: then either a constant disturbance explains them, and is subtracted from now on, or
+nothing does, and the channels concerned rest. See `hypotheses` for the comparison.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from copy import copy
+from dataclasses import dataclass, field, replace
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .events import Event
+from .hypotheses import (
+    FALSE_ALARM,
+    MARGIN,
+    USUAL_RATE,
+    ChangedParameters,
+    Disturbance,
+    Fit,
+    Weighing,
+    changed_parameters,
+    disturbance_of,
+    n_channels_of,
+    plain_fit,
+)
+from .residual_scale import ResidualScale, spread_of
+from .samples import Sample
+from .significance import chi2_limit
+from .space import ParameterSpace, Vector
+
+_WINDOW: Final = 20
+"""Largest number of samples on which hypotheses are compared."""
+_QUIET: Final = 5
+"""Number of newest samples that the parameters in force must explain for a suspicion to end."""
+_LONG: Final = 6
+"""Least number of samples since the onset on which parameters are accepted."""
+_FEWEST: Final = 3
+"""Least number of samples that name a disturbance, or its end."""
+_LENGTHS: Final = (5, 4, 3, 2, 1)
+"""Numbers of newest samples on which the hypotheses are compared, until changed parameters explain them."""
+_BETTER: Final = 0.5
+"""Share of the sum of squares of the parameters in force, at the newest sample, that better ones may have."""
+_RATE: Final = 2.0 * USUAL_RATE
+"""Largest change of a parameter from sample to sample, as a share of the scaled bounds: faster, it is none."""
+_NOISY: Final = 8
+"""Least number of samples since the onset that show a larger noise than the declared one."""
+_LARGER: Final = 1.3
+"""Factor by which it must be larger."""
+_SPARE: Final = 10
+"""Least number of explained values in excess of the fitted ones that makes good for a search in vain."""
+_LITTLE: Final = 1e-6
+"""Distance, as a share of the scaled bounds, that is none."""
+_WIDE: Final = 0.5
+"""Standard deviation, as a share of the scaled bounds, that says nothing."""
+_RENEWED: Final = 5
+"""Number of samples after which a comparison that changed parameters have won is repeated."""
+_PATIENCE: Final = 3
+"""Number of searches in vain, one soon after the other, after which the channels concerned rest."""
+_FORGOTTEN: Final = 200
+"""Number of quiet samples after which one search in vain is forgotten."""
+_MOST: Final = 1_000_000_000
+"""Largest number of samples of a rest: more is a mistake."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiagnosisSettings:
+    """Settings of the diagnosis: its false alarms, and its rests after what nothing explains."""
+
+    enabled: bool = True
+    """True to write parameters only where they explain the samples and nothing else does as well."""
+    false_alarm: float = field(default=1e-6, metadata={"gt": 0.0, "lt": 1.0})
+    """Probability that a sample seems to contradict the parameters in force although nothing has changed."""
+    rest: int = field(default=1000, metadata={"ge": 1, "le": _MOST})
+    """Number of samples for which channels rest that nothing explained three times; each further time twice as many."""
+    longest_rest: int = field(default=16000, metadata={"ge": 1, "le": _MOST})
+    """Largest number of samples of a rest."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.false_alarm < 1.0:
+            raise ValueError(f"false_alarm must be between 0 and 1, got {self.false_alarm}.")
+        if not 1 <= self.rest <= self.longest_rest <= _MOST:
+            raise ValueError(f"rest must be from 1 to longest_rest, got {self.rest} and {self.longest_rest}.")
+
+
+Judgement = Literal["warranted", "possible", "refuted"]
+"""Changed parameters are warranted; possible beside a disturbance; refuted, or too few samples to tell."""
+
+
+MOST_NAMED: Final = 20
+"""Largest number of disturbances in the summary."""
+KINDS: Final = ("disturbance", "unexplained", "rest")
+"""Kinds of events of a diagnosis."""
+
+
+def channel_summary(names: Sequence[str], scale: ResidualScale) -> list[tuple[str, dict[str, Any]]]:
+    """Return, for each channel, its name and what is known of its residuals' true size, as JSON values.
+
+    noise_ratio: what the model leaves unexplained in quiet, in standard deviations of the declared noise, or None.
+    """
+    observed = [None] * len(names) if scale.observed is None else scale.observed.tolist()
+    return [
+        (name, {"noise_ratio": ratio, "scale": float(s), "correlation": float(rho)})
+        for name, ratio, s, rho in zip(names, observed, scale.values, scale.correlations, strict=True)
+    ]
+
+
+@dataclass(frozen=True)
+class Settled:
+    """End of a suspicion."""
+
+    undo: Vector | None
+    """Parameters (d,) from before the onset, to return to; None where those in force stay."""
+    events: tuple[Event, ...] = ()
+    ends_search: bool = False
+    """True where the search for parameters is at its end, too."""
+
+
+@dataclass
+class _State:
+    """All that changes from sample to sample; copied for a snapshot."""
+
+    samples: list[Sample]
+    """The newest samples, from old to new; during a suspicion the older ones are thinned out."""
+    scale: ResidualScale
+    offset: Vector
+    """Known disturbance (c,), in standard deviations of the declared noise."""
+    rests_until: NDArray[np.intp]
+    """Number of the sample (c,) at which a channel's rest ends."""
+    is_resting: NDArray[np.bool_]
+    n_failures: int = 0
+    """Number of searches in vain, one soon after the other."""
+    n_quiet: int = 0
+    """Number of quiet samples in a row."""
+    counts: Counter[str] = field(default_factory=Counter[str])
+    """Number of events of each kind."""
+    named: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
+    """The newest disturbances with their times [s] and sizes; replaced, never changed."""
+    rested: list[Vector] = field(default_factory=list[Vector])
+    """Residuals (c,) at the parameters in force since the first channel rests."""
+    n_samples: int = 0
+    n_since: int = 0
+    """Number of samples since the onset of the suspicion; 0 while quiet."""
+    reference: Vector | None = None
+    """Parameters (d,) in force at the onset, or accepted since."""
+    changed: Vector | None = None
+    """Place (d,) of the parameters that explained the samples last."""
+    verdict: "Judgement" = "refuted"
+    n_spare: int = 0
+    """Number of its values in excess of those fitted."""
+    n_explained: int = 0
+    """Number of newest samples that the verdict is about."""
+    found_at: int = 0
+    """Number of the sample at which the verdict was found."""
+
+    def copy(self) -> "_State":
+        """Return an independent copy; arrays are replaced, never changed."""
+        other = copy(self)
+        other.samples, other.scale = [*self.samples], self.scale.copy()
+        other.rested, other.counts = [*self.rested], Counter(self.counts)
+        return other
+
+
+class Diagnosis:
+    """Diagnosis on sampled derivatives. It owns the residuals' true size, the known disturbance and the rests."""
+
+    def __init__(
+        self,
+        declared: Callable[[Vector, Sample], Vector],
+        names: Sequence[str],
+        sigma: Sequence[float],
+        settings: DiagnosisSettings,
+        space: ParameterSpace,
+    ) -> None:
+        """declared: residual (c,) in standard deviations of the declared noise; names, sigma (c,): of the channels,
+        and that noise."""
+        self._declared, self._names, self._settings = declared, tuple(names), settings
+        self._sigma, self._space = np.array(sigma), space
+        c = len(self._names)
+        zero = np.zeros(c, dtype=np.intp)
+        self._state = _State([], ResidualScale(c), np.zeros(c), zero, np.zeros(c, dtype=bool))
+        self._told: set[str] = set()
+
+    @property
+    def is_suspicious(self) -> bool:
+        """True where the samples contradict the parameters in force."""
+        return self._state.n_since > 0
+
+    @property
+    def is_resting(self) -> bool:
+        """True where every channel rests."""
+        return bool(self._state.is_resting.all())
+
+    @property
+    def n_since(self) -> int:
+        """Number of samples since the onset of the suspicion, at most 20; 0 while quiet."""
+        return self._state.n_since
+
+    def snapshot(self) -> _State:
+        """Return the present state, for `restore`."""
+        return self._state.copy()
+
+    def restore(self, state: _State) -> None:
+        """Go back to a snapshot, which is used up."""
+        self._state = state
+
+    def summary(self) -> dict[str, Any]:
+        """Return what is known of each channel, and the number of events of each kind, as JSON values."""
+        state = self._state
+        known = zip(
+            channel_summary(self._names, state.scale), state.offset * self._sigma, state.is_resting, strict=True
+        )
+        channels = {name: row | {"disturbance": float(d), "is_resting": bool(r)} for (name, row), d, r in known}
+        counts = {kind: state.counts[kind] for kind in KINDS}
+        return {"channels": channels, "disturbances": state.named} | counts
+
+    def residual(self, theta: Vector, sample: Sample) -> Vector:
+        """Return the residual (c,) in standard deviations of its true size, less the known disturbance.
+
+        It is 0 for a channel that rests or was not sampled.
+        """
+        return self.scaled(theta, self.corrected(sample))
+
+    def corrected(self, sample: Sample) -> Sample:
+        """Return the sample less the known disturbance, and without the channels that rest."""
+        state = self._state
+        if not (np.any(state.offset) or state.is_resting.any()):
+            return sample
+        xdot = np.where(state.is_resting, np.nan, np.array(sample.xdot) - state.offset * self._sigma)
+        return replace(sample, xdot=tuple(xdot.tolist()))
+
+    def scaled(self, theta: Vector, sample: Sample) -> Vector:
+        """Return the residual (c,) of a corrected sample in standard deviations of its true size."""
+        return self._declared(theta, sample) / self._state.scale.effective
+
+    def observe(self, sample: Sample, held: Vector) -> bool:
+        """Take a sample, with the parameters in force (d,); return whether residuals are to be computed anew."""
+        state = self._state
+        state.n_samples += 1
+        has_woken = self._wake()
+        declared = self._declared(held, self.corrected(sample))
+        if state.is_resting.any():
+            state.rested.append(self._declared(held, sample) - state.offset)
+        missing = int(np.count_nonzero(state.is_resting | np.isnan(sample.xdot)))
+        is_contradictory = not self._is_usual(declared / state.scale.values, len(declared) - missing)
+        self._keep(sample)
+        if state.n_since or is_contradictory:
+            if not state.n_since:
+                state.reference, state.verdict, state.changed = held, "refuted", None
+            state.n_since, state.n_quiet = min(state.n_since + 1, len(state.samples)), 0
+            return has_woken
+        state.n_quiet += not state.is_resting.any()
+        if state.n_quiet >= _FORGOTTEN:
+            state.n_quiet, state.n_failures = 0, max(state.n_failures - 1, 0)
+        return (not missing and state.scale.learn(declared)) or has_woken
+
+    def settle(self, t: float, held: Vector) -> Settled | None:
+        """End the suspicion where one hypothesis has won, from the samples since the onset; None where it goes on."""
+        state = self._state
+        n = state.n_since
+        if not n:
+            return None
+        reference = held if state.reference is None else state.reference
+        is_changed = not np.array_equal(reference, held)
+        here = self._rows(held, n)
+        is_explained = n >= _QUIET and plain_fit(here[-_QUIET:], 0).is_explained
+        if is_explained and not is_changed:
+            state.n_since = 0
+            return Settled(None)
+        there = self._rows(reference, n) if is_changed else here
+        without = there + np.where(state.is_resting, 0.0, state.offset / state.scale.effective)
+        newest = slice(-_QUIET, None) if is_changed else slice(None)
+        if not is_explained and n >= _FEWEST and plain_fit(without[newest], 0).is_explained:
+            events = (Event(t, "disturbance", {"size": {}, "reason": "the disturbance is over"}),)
+            had_offset = bool(np.any(state.offset))
+            state.offset, state.n_since = np.zeros(len(here[0])), 0
+            return Settled(reference if is_changed else None, events if had_offset else (), True)
+        if n < _LONG:
+            return None
+        disturbance = disturbance_of(there, may_drift=False)
+        parameters = plain_fit(here, self._n_free) if is_changed else None
+        if parameters is not None and parameters.is_explained and is_explained:
+            if disturbance.fit.score >= parameters.score + MARGIN:
+                state.n_since, state.reference = 0, held
+                return Settled(None)
+            return None
+        is_named = disturbance.fit.is_explained and disturbance.fit.score + MARGIN <= plain_fit(there, 0).score
+        if is_named and n % 2 == 0 and not self._best(held, n).fit.is_explained:
+            return Settled(reference if is_changed else None, self._name(t, disturbance), True)
+        return None
+
+    def judge(self, theta: Vector, held: Vector) -> Judgement:
+        """Return whether parameters theta (d,) in place of those in force are warranted by the newest samples."""
+        state = self._state
+        if not state.n_since:
+            n = min(len(state.samples), _QUIET)
+            return "warranted" if plain_fit(self._rows(theta, n), 0).is_explained else "refuted"
+        is_due = state.n_samples >= state.found_at + (_RENEWED if state.verdict == "warranted" else 1)
+        if is_due or state.found_at < state.n_samples - state.n_since:
+            self._weigh(theta, held)
+        if state.verdict == "refuted":
+            return "refuted"
+        now = self._rows(theta, 1)
+        if plain_fit(now, 0).is_explained or np.sum(now**2) < _BETTER * np.sum(self._rows(held, 1) ** 2):
+            return state.verdict
+        return "refuted"
+
+    def is_at_unseen_bound(self, theta: Vector, std: Vector, held: Vector) -> bool:
+        """Return whether a parameter would move to a bound although its standard deviation is as wide as the bounds."""
+        return is_at_unseen_bound(self._space, theta, std, held)
+
+    def accept(self, theta: Vector) -> None:
+        """Take parameters (d,) that are warranted and in force for those that the next ones are compared with."""
+        if self._state.n_since:
+            self._state.reference = theta
+
+    @property
+    def reference(self) -> Vector | None:
+        """Parameters (d,) in force at the onset, or accepted since; None before the first onset."""
+        return self._state.reference
+
+    def _weigh(self, theta: Vector, held: Vector) -> None:
+        """Compare the hypotheses on the newest samples since the onset, fewer of them where nothing explains more."""
+        state, space = self._state, self._space
+        state.found_at, state.verdict = state.n_samples, "refuted"
+        reference = held if state.reference is None else state.reference
+        there, before = self._rows(theta, state.n_since), self._rows(reference, state.n_since)
+        for n in _shorter(state.n_since):
+            if self._wins(plain_fit(there[-n:], len(space)), before[-n:]):
+                return
+        z = space.to_unit(theta) if state.changed is None else state.changed
+        for n in [n for n in _LENGTHS if n <= state.n_since]:
+            found = changed_parameters(lambda z, n=n: self._rows(space.beyond(z), n), z)
+            if found.rate <= _RATE and self._wins(found.fit, before[-n:]):
+                state.changed = found.z
+                return
+
+    def _wins(self, parameters: Fit, before: Vector) -> bool:
+        """Set the verdict where changed parameters are possible; before (n, c): residuals of the reference."""
+        weighing = Weighing(parameters, disturbance_of(before).fit, plain_fit(before, 0))
+        if weighing.are_parameters_possible:
+            self._state.n_explained = len(before)
+            self._state.n_spare = parameters.n_values - parameters.n_free
+            self._state.verdict = "warranted" if weighing.are_parameters_proven else "possible"
+        return weighing.are_parameters_possible
+
+    def _best(self, held: Vector, n: int) -> ChangedParameters:
+        """Return the constant parameters that explain the newest n samples best, whatever the search has found."""
+        space, changed = self._space, self._state.changed
+        z = space.to_unit(held) if changed is None else changed
+        return changed_parameters(lambda z: self._rows(space.beyond(z), n), z, may_drift=False)
+
+    def _is_changing(self, held: Vector, n: int) -> bool:
+        """Return whether parameters, constant ones or slowly changing, explain the newest n samples."""
+        space, changed = self._space, self._state.changed
+        z = space.to_unit(held) if changed is None else changed
+        found = changed_parameters(lambda z: self._rows(space.beyond(z), n), z)
+        return found.fit.is_explained and found.rate <= _RATE
+
+    def _both(self, held: Vector, n: int) -> Disturbance | None:
+        """Return the constant disturbance that explains the newest n samples together with changed parameters."""
+        space = self._space
+
+        def left(z: Vector) -> Vector:
+            rows = self._rows(space.beyond(z), n)
+            return rows - rows.mean(axis=0)
+
+        best = changed_parameters(left, space.to_unit(held), may_drift=False)
+        rows = self._rows(space.beyond(best.z), n)
+        n_channels, mean = n_channels_of(rows), rows.mean(axis=0)
+        fit = plain_fit(best.rows, self._n_free + n_channels, n * n_channels)
+        return Disturbance(mean, np.abs(mean), fit, True) if fit.is_explained else None
+
+    def _is_noise(self, held: Vector) -> bool:
+        """Adopt a larger noise where that explains the samples since the onset, with parameters at their best.
+
+        Noise is what differs from sample to sample by as much as in the whole: what a model lacks is smooth.
+        """
+        state = self._state
+        if state.n_since < _NOISY:
+            return False
+        n, space = min(state.n_since, _WINDOW // 2), self._space
+        best = self._best(held, n)
+        if not np.all(np.isfinite(best.rows)):
+            return False
+        larger = np.maximum(spread_of(best.rows), 1.0)
+        if np.all(larger < _LARGER):
+            return False
+        found = changed_parameters(lambda z: self._rows(space.beyond(z), n) / larger, best.z)
+        if found.rate > _RATE or not found.fit.is_explained:
+            return False
+        state.scale.enlarge(larger)
+        return True
+
+    @property
+    def _n_free(self) -> int:
+        return len(self._space)
+
+    @property
+    def has_failed(self) -> bool:
+        """True where changed parameters do not explain the newest samples, however few."""
+        return self._state.verdict == "refuted" or self._state.n_explained < _FEWEST
+
+    def disturbance(self, held: Vector) -> Vector:
+        """Return the disturbance (c,), in the derivatives' units, that may act in place of changed parameters."""
+        state = self._state
+        if not state.n_since:
+            return state.offset * self._sigma
+        reference = held if state.reference is None else state.reference
+        found = disturbance_of(self._rows(reference, min(state.n_since, _QUIET)))
+        return (state.offset + found.newest * state.scale.effective) * self._sigma
+
+    def fail(self, t: float, theta: Vector | None, held: Vector) -> tuple[Event, ...]:
+        """Take the end of a search that has found no parameters, theta (d,) being the best; return the events.
+
+        A disturbance is named where a constant one explains the samples. After the third time, one soon after the
+        other, the channels that neither explains rest, longer each time.
+        """
+        state = self._state
+        n = min(state.n_since, _QUIET)
+        rows = self._rows(held if state.reference is None else state.reference, n)
+        found = disturbance_of(rows)
+        if plain_fit(rows, 0).score <= found.fit.score:  # a false alarm
+            state.n_since, state.verdict = 0, "refuted"
+            return ()
+        if self._is_changing(held, n) or self._is_noise(held):  # which the search has not found
+            return ()
+        explaining = [d for d in (found, self._both(held, n)) if d is not None and d.fit.is_explained]
+        if n >= _QUIET and explaining:
+            return self._name(t, min(explaining, key=lambda d: d.fit.score))
+        state.n_since, state.verdict = 0, "refuted"
+        state.n_failures += 1
+        best = rows if theta is None else self._rows(theta, n)
+        with np.errstate(over="ignore", invalid="ignore"):
+            squares = np.nan_to_num(np.sum(best**2, axis=0), nan=np.inf)
+        lacks = squares > chi2_limit(FALSE_ALARM / len(self._names), n)
+        lacks = lacks if lacks.any() else ~state.is_resting
+        names = self._of(lacks)
+        reason = f"no parameters explain {', '.join(names)}"
+        event = Event(t, "unexplained", {"channels": names, "reason": reason})
+        state.counts["unexplained"] += 1
+        return (event,) if state.n_failures < _PATIENCE else (event, self._rest(t, lacks))
+
+    def _name(self, t: float, found: Disturbance) -> tuple[Event, ...]:
+        """Take a disturbance for the explanation; return the events."""
+        state = self._state
+        state.n_since, state.verdict = 0, "refuted"
+        state.n_failures += 1
+        acts = found.largest > np.sqrt(chi2_limit(FALSE_ALARM, 1))
+        offset = state.offset + found.newest * state.scale.effective
+        if found.is_constant:  # else it is another one in the next sample
+            state.offset = offset
+        size = {self._names[i]: float(offset[i] * self._sigma[i]) for i in np.flatnonzero(acts)}
+        how = "constant" if found.is_constant else "changing"
+        reason = f"a {how} disturbance explains the samples, changed parameters do not"
+        event = Event(t, "disturbance", {"size": size, "reason": reason})
+        state.counts["disturbance"] += 1
+        state.named = [*state.named, {"t": t, "size": size}][-MOST_NAMED:]
+        return (event,) if state.n_failures < _PATIENCE else (event, self._rest(t, acts))
+
+    def succeed(self) -> None:
+        """Take the end of a search that has found parameters: earlier failures count less, if that proves anything."""
+        if self._state.n_spare >= _SPARE:
+            self._state.n_failures = max(self._state.n_failures - 1, 0)
+
+    def _of(self, channels: NDArray[np.bool_]) -> list[str]:
+        return [self._names[i] for i in np.flatnonzero(channels)]
+
+    def _rest(self, t: float, channels: NDArray[np.bool_]) -> Event:
+        """Let the channels rest, longer each time; return the event."""
+        state, settings = self._state, self._settings
+        if len(state.rested) > 1:
+            usual = np.where(channels, np.array(state.rested), 0.0)
+            state.scale.admit(usual[np.isfinite(usual).all(axis=1)])
+        length = min(settings.rest * 2 ** min(state.n_failures - _PATIENCE, 20), settings.longest_rest)
+        state.rests_until = np.where(channels, state.n_samples + length, state.rests_until)
+        state.is_resting = state.is_resting | channels
+        state.rested.clear()
+        state.counts["rest"] += 1
+        names = self._of(channels)
+        reason = f"{state.n_failures} searches in vain: {', '.join(names)} left out for {length} samples"
+        return Event(t, "rest", {"channels": names, "reason": reason})
+
+    def _wake(self) -> bool:
+        """End the rests that are over; return whether there was one."""
+        state = self._state
+        over = state.is_resting & (state.n_samples >= state.rests_until)
+        if not over.any():
+            return False
+        state.is_resting = state.is_resting & ~over
+        state.n_since = 0
+        rested = np.array(state.rested).reshape(-1, len(over))
+        state.scale.wake(np.where(over, rested[np.isfinite(rested).all(axis=1)], 0.0))
+        return True
+
+    def _keep(self, sample: Sample) -> None:
+        """Keep a sample; of those since an onset, where they are many, every second of the older ones."""
+        samples = self._state.samples
+        samples.append(sample)
+        if len(samples) > _WINDOW:
+            if self._state.n_since < _WINDOW:
+                del samples[0]
+            else:
+                del samples[1 : _WINDOW // 2 : 2]
+                self._state.n_since = len(samples) - 1
+
+    def _is_usual(self, row: Vector, n_sampled: int) -> bool:
+        return not n_sampled or float(row @ row) <= chi2_limit(self._settings.false_alarm, n_sampled)
+
+    def _rows(self, theta: Vector, n: int) -> Vector:
+        """Return the residuals (n, c) of theta at the newest n samples, from old to new."""
+        samples = self._state.samples[-n:]
+        return np.array([self.residual(theta, sample) for sample in samples]).reshape(n, len(self._names))
+
+
+def is_at_unseen_bound(space: ParameterSpace, theta: Vector, std: Vector, held: Vector) -> bool:
+    """Return whether a parameter has moved from held (d,) to a bound, with a std as wide as the bounds."""
+    z = space.to_unit(theta)
+    is_at_bound = (z < _LITTLE) | (z > 1.0 - _LITTLE)
+    has_moved = np.abs(z - space.to_unit(held)) > _LITTLE
+    return bool(np.any(is_at_bound & has_moved & (std >= _WIDE * space.slope(theta))))
+
+
+def _shorter(n: int) -> Iterator[int]:
+    """Yield numbers of newest samples from n down to 6, each two thirds of the one before."""
+    while n > _LENGTHS[0]:
+        yield n
+        n = 2 * n // 3

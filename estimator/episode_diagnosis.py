@@ -1,0 +1,257 @@
+"""Diagnosis for objectives that judge whole sequences of samples: simulations, and functions of the user's.
+
+The lumped disturbance is a constant added to each of the plant's inputs; its effect is found by simulating with inputs
+moved aside. Otherwise as `diagnosis`.
+"""
+
+from collections import Counter, deque
+from collections.abc import Collection
+from copy import copy
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+import numpy as np
+
+from .diagnosis import KINDS, MOST_NAMED, DiagnosisSettings, Judgement, channel_summary, is_at_unseen_bound
+from .episode_window import EpisodeWindow
+from .events import Event
+from .hypotheses import NEVER, Fit, Weighing, changed_parameters, plain_fit
+from .objective import DIFFERENCE_STEP
+from .residual_scale import ResidualScale
+from .samples import Sample
+from .significance import chi2_limit
+from .space import ParameterSpace, Vector
+from .triggers import Trigger
+
+_PATIENCE: Final = 3
+"""Number of searches in vain, one soon after the other, after which re-tuning rests."""
+_FORGOTTEN: Final = 200
+"""Number of quiet samples after which one search in vain is forgotten."""
+_BETTER: Final = 0.5
+"""Share of the sum of squares of the parameters in force that better ones may have."""
+_ASIDE: Final = 0.01
+"""Step of differences in an input, as a share of its size, or of one where it is smaller."""
+
+
+@dataclass
+class _State:
+    """All that changes from sample to sample; arrays are replaced, never changed."""
+
+    scale: ResidualScale
+    inputs: Vector
+    """Known disturbance (p,) of the plant's inputs."""
+    n_failures: int = 0
+    n_quiet: int = 0
+    n_samples: int = 0
+    rests_until: int = 0
+    counts: Counter[str] = field(default_factory=Counter[str])
+    """Number of events of each kind."""
+    named: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
+    """The newest disturbances with their times [s] and sizes; replaced, never changed."""
+    rested: deque[Vector] = field(default_factory=lambda: deque[Vector](maxlen=200))
+
+
+@dataclass(frozen=True)
+class _Disturbed:
+    """Sequence explained by the parameters in force and a constant disturbance of the inputs."""
+
+    inputs: Vector
+    """Disturbance (p,)."""
+    fit: Fit
+
+
+class EpisodeDiagnosis:
+    """Diagnosis on an `EpisodeWindow`."""
+
+    def __init__(
+        self,
+        window: EpisodeWindow,
+        outputs: tuple[str, ...],
+        inputs: tuple[str, ...],
+        settings: DiagnosisSettings,
+        space: ParameterSpace,
+        driven: Collection[str] | None = None,
+    ) -> None:
+        """outputs: names of the channels; one for a function of the user's; inputs: names of the plant's.
+
+        driven: those of the inputs that disturbances are added to; others may do the same as they; by default all.
+        """
+        self._driven = [i for i, name in enumerate(inputs) if driven is None or name in driven]
+        self._window, self._outputs, self._inputs = window, outputs, inputs
+        self._settings, self._space = settings, space
+        self._state = _State(ResidualScale(len(outputs)), np.zeros(len(inputs)))
+        self._known: tuple[object, bytes, _Disturbed] | None = None
+        self._newest: Vector = np.empty(0)
+        self._verdict: Judgement = "refuted"
+        self._judged: object = None  # the sequence that the verdict is about
+        self._searched: object = None  # the sequence on which other parameters than the estimator's were tried
+
+    def snapshot(self) -> Any:
+        """Return the present state, for `restore`."""
+        other = copy(self._state)
+        other.scale, other.rested = other.scale.copy(), deque(other.rested, maxlen=200)
+        other.counts = Counter(other.counts)
+        return other
+
+    def restore(self, state: Any) -> None:
+        """Go back to a snapshot, which is used up."""
+        self._state = state
+
+    def summary(self) -> dict[str, Any]:
+        """Return what is known of each output and input, and the number of events of each kind, as JSON values."""
+        state = self._state
+        rests = state.n_samples < state.rests_until
+        channels = {n: row | {"is_resting": rests} for n, row in channel_summary(self._outputs, state.scale)}
+        inputs = dict(zip(self._inputs, state.inputs.tolist(), strict=True))
+        counts = {kind: state.counts[kind] for kind in KINDS}
+        return {"channels": channels, "inputs": inputs, "disturbances": state.named} | counts
+
+    def corrected(self, sample: Sample) -> Sample:
+        """Return the sample with the known disturbance added to its inputs."""
+        if not np.any(self._state.inputs):
+            return sample
+        return replace(sample, u=tuple((np.array(sample.u) + self._state.inputs).tolist()))
+
+    def reason(self, trigger: Trigger, sample: Sample, tracking_error: float, theta: Vector) -> str | None:
+        """Return the trigger's reason to begin an episode; None where the samples do not contradict theta (d,)."""
+        state = self._state
+        state.n_samples += 1
+        residual = self._newest = self._window.track(theta)
+        if not len(residual):  # a simulation has failed, if there are samples
+            return trigger(sample, tracking_error, theta) if self._window.n_tracked else None
+        is_by_output = len(residual) % len(self._outputs) == 0
+        newest = residual.reshape(len(self._outputs), -1)[:, -1] if is_by_output else residual[-1:]
+        newest = newest if self._window.weights is None else newest / self._window.weights
+        if state.n_samples < state.rests_until:
+            if np.all(np.isfinite(newest)):
+                state.rested.append(newest)
+            if state.n_samples == state.rests_until - 1 and state.scale.wake(np.array(state.rested)):
+                self._window.weights = 1.0 / state.scale.effective
+            return None
+        if float(residual @ residual) <= chi2_limit(self._settings.false_alarm, len(residual)):
+            self._quiet(newest)
+            return None
+        return trigger(sample, tracking_error, theta)
+
+    def innovation(self, theta: Vector, sample: Sample) -> Vector:
+        """Return the residual (D,) that `reason` has computed for this sample: a simulation is not continued twice."""
+        return self._newest
+
+    def judge(self, theta: Vector, held: Vector) -> Judgement:
+        """Return whether parameters theta (d,) in place of those in force are warranted by the sequence."""
+        window, space = self._window, self._space
+        if window.sequence is not self._judged:
+            self._judged, self._verdict = window.sequence, "refuted"
+        here = _fit(window.whitened(held), 0)
+        there = _fit(window.whitened(theta), len(space))
+        if there.is_explained:
+            self._compare(there, here, held)
+        elif self._verdict == "refuted" and window.sequence is not self._searched:
+            self._searched = window.sequence
+            rows_at = lambda z: window.whitened(space.from_unit(np.clip(z, 0.0, 1.0)))[:, None]  # noqa: E731
+            found = changed_parameters(
+                rows_at, space.to_unit(theta), iterations=8, step=DIFFERENCE_STEP, may_drift=False
+            )
+            if found.fit.is_explained:
+                self._compare(found.fit, here, held)
+        is_better = there.is_explained or there.squares < _BETTER * here.squares
+        return self._verdict if is_better else "refuted"
+
+    def _compare(self, parameters: Fit, nothing: Fit, held: Vector) -> None:
+        weighing = Weighing(parameters, self._disturbed(held).fit, nothing)
+        if weighing.are_parameters_possible:
+            self._verdict = "warranted" if weighing.are_parameters_proven else "possible"
+
+    def is_at_unseen_bound(self, theta: Vector, std: Vector, held: Vector) -> bool:
+        """Return whether a parameter would move to a bound although its standard deviation is as wide as the bounds."""
+        return is_at_unseen_bound(self._space, theta, std, held)
+
+    @property
+    def has_failed(self) -> bool:
+        """True where changed parameters do not explain the sequence."""
+        return self._verdict == "refuted"
+
+    def disturbance(self, held: Vector) -> Vector:
+        """Return the disturbance (p,) of the inputs that may act in place of changed parameters."""
+        return self._state.inputs + self._disturbed(held).inputs
+
+    def fail(self, t: float, held: Vector) -> tuple[Event, ...]:
+        """Take the end of a search that has found no parameters; return the events."""
+        state = self._state
+        disturbed = self._disturbed(held)
+        state.n_failures += 1
+        if disturbed.fit.is_explained:
+            now = state.inputs + disturbed.inputs
+            is_over = np.all(np.abs(now) <= 0.1 * np.abs(state.inputs).max()) and bool(np.any(state.inputs))
+            state.inputs = np.zeros(len(now)) if is_over else now
+            size = {} if is_over else dict(zip(self._inputs, now.tolist(), strict=True))
+            reason = "the disturbance is over" if is_over else (
+                "a constant disturbance of the inputs explains the samples, changed parameters do not"
+            )  # fmt: skip
+            event = Event(t, "disturbance", {"size": size, "reason": reason})
+            state.named = [*state.named, *([] if is_over else [{"t": t, "size": size}])][-MOST_NAMED:]
+        else:
+            reason = f"no parameters explain {', '.join(self._outputs)}"
+            event = Event(t, "unexplained", {"channels": list(self._outputs), "reason": reason})
+        state.counts[event.kind] += 1
+        if state.n_failures < _PATIENCE:
+            return (event,)
+        state.counts["rest"] += 1
+        if len(state.rested) > 1:
+            state.scale.admit(np.array(state.rested))
+            self._window.weights = 1.0 / state.scale.effective
+        length = min(self._settings.rest * 2 ** min(state.n_failures - _PATIENCE, 20), self._settings.longest_rest)
+        state.rests_until = state.n_samples + length
+        state.rested.clear()
+        reason = f"{state.n_failures} searches in vain: re-tuning rests for {length} samples"
+        return event, Event(t, "rest", {"channels": list(self._outputs), "reason": reason})
+
+    def succeed(self) -> None:
+        """Take the end of a search that has found parameters: earlier failures count less."""
+        self._state.n_failures = max(self._state.n_failures - 1, 0)
+
+    def _quiet(self, newest: Vector) -> None:
+        state = self._state
+        state.n_quiet += 1
+        if state.n_quiet >= _FORGOTTEN:
+            state.n_quiet, state.n_failures = 0, max(state.n_failures - 1, 0)
+        if np.all(np.isfinite(newest)) and state.scale.learn(newest):
+            self._window.weights = 1.0 / state.scale.effective
+
+    def _disturbed(self, held: Vector) -> _Disturbed:
+        """Return the disturbance of the inputs that explains the sequence best, by two Gauss-Newton steps."""
+        window = self._window
+        key = (window.sequence, held.tobytes())
+        if self._known is not None and self._known[0] is key[0] and self._known[1] == key[1]:
+            return self._known[2]
+        found = self._search_disturbance(held)
+        self._known = (*key, found)
+        return found
+
+    def _search_disturbance(self, held: Vector) -> _Disturbed:
+        d, driven = np.zeros(len(self._inputs)), self._driven
+        residual = self._window.whitened(held)
+        if not driven or not np.all(np.isfinite(residual)):
+            return _Disturbed(d, NEVER)
+        steps = _ASIDE * np.maximum(np.abs(self._window.largest_inputs()), 1.0)
+        columns = [(self._moved(held, np.diag(steps)[i]) - residual) / steps[i] for i in driven]
+        slopes = np.column_stack(columns)
+        if not np.all(np.isfinite(slopes)) or not np.any(slopes):
+            return _Disturbed(d, NEVER)
+        best = _fit(residual, len(driven))
+        for _ in range(2):
+            tried = d.copy()
+            tried[driven] -= np.linalg.lstsq(slopes, residual, rcond=1e-7)[0]
+            there = self._moved(held, tried)
+            fit = _fit(there, len(driven))
+            if not fit.squares < best.squares:
+                break
+            d, residual, best = tried, there, fit
+        return _Disturbed(d, best)
+
+    def _moved(self, theta: Vector, inputs: Vector) -> Vector:
+        return self._window.with_inputs(theta, inputs)
+
+
+def _fit(residual: Vector, n_free: int) -> Fit:
+    return plain_fit(residual, n_free, len(residual))

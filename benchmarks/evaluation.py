@@ -28,7 +28,7 @@ from cosim.files import write_text
 DOCS = Path(__file__).parents[1] / "docs"
 DATA = DOCS / "evaluation"
 RAW = report.RAW / "evaluation"
-UNGUARDED = {"guard.enabled": "false", "observations.enabled": "false"}
+UNGUARDED = {"guard.enabled": "false", "observations.enabled": "false", "diagnosis.enabled": "false"}
 """Settings that leave the estimators by themselves; docs/safety.md has what guard and screen prevent and cost."""
 _UNGUARDED = "".join(f" --set {key}={value}" for key, value in UNGUARDED.items())
 COMPARISONS = {

@@ -357,8 +357,7 @@ def _figures(by_mode: Mapping[str, Sequence[Row]], nominal: Row) -> Row:
         "runs": len(guarded), "lost": _n_lost(guarded, nominal), "nominal mse": nominal["mse"],
         "mse ratio": _short(median(ratios)), "worst": _short(max(ratios)),
         "largest ratio": _short(max(largest, default=nan)),
-        **{kind: _short(mean(r[kind] for r in guarded))
-           for kind in ("named", "episodes", "writes", "undone", "reverted", "vetoed", "unexplained", "rest")},
+        **{kind: _short(mean(r[kind] for r in guarded)) for kind in ("named", "episodes", "writes")},
         "first write": _short(median(firsts)) if firsts else None,
         **({"unguarded: lost": _n_lost(unguarded, nominal),
             "unguarded: mse ratio": _short(median(bare))}

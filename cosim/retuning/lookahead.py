@@ -174,6 +174,8 @@ class Lookahead:
         named = dict(zip(self._scenario.estimation.space.names, theta.tolist(), strict=True))
         channels, names = list(self._plant.channels), list(self._plant.inputs)
         u = np.array(sample.u)
+        if not np.all(np.isfinite([*sample.x, *u])):
+            return None
         connected = [names.index(name) for name in self._wiring[self._plant.name].sources]
 
         def derivatives(some: Vector) -> Vector:

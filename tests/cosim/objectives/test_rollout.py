@@ -237,8 +237,11 @@ def test_every_estimator_of_episodes_takes_roll_outs_within_its_budget(pendulum,
 
 @pytest.mark.full
 def test_a_recorded_run_is_replayed_from_its_measured_states(pendulum, tmp_path):
-    """There is no plant to take a state of; the measured states, with the noise of the outputs, are on record."""
-    settings = EARLY | SHORT | {"estimation.rollout.start": "measured"}
+    """There is no plant to take a state of; the measured states, with the noise of the outputs, are on record.
+
+    Without the diagnosis: what it finds possible only, a run predicts, and a replay, which cannot, leaves out.
+    """
+    settings = EARLY | SHORT | {"estimation.rollout.start": "measured", "diagnosis.enabled": "false"}
     original = run(pendulum(settings, 0.8), "target", 2, tmp_path)
     again = replayed(read_run(tmp_path), "target", 2)
     assert original.n_episodes
@@ -376,7 +379,7 @@ FAULTS = {
 )
 def test_a_roll_out_that_fails_is_a_bad_candidate_with_a_reason_and_the_run_goes_on(tmp_path, leaves_nothing, fault):
     # Its controller does not control: the error grows whatever is written, which the guard would take back.
-    scenario = Scenario.load(toml(tmp_path, spoilt(tmp_path, fault=fault), "replay"), {"guard.enabled": "false"})
+    scenario = Scenario.load(toml(tmp_path, spoilt(tmp_path, fault=fault), "replay"), UNGUARDED)
     folder = tmp_path / "out"
     folder.mkdir()
     result = run(scenario, "target", 0, folder)
@@ -549,8 +552,12 @@ def swinging(axis):
     )
 
 
+UNGUARDED = {"guard.enabled": "false", "diagnosis.enabled": "false"}
+AGAIN = "a second search makes up for the moment of the change, which the simulation from the start has a little wrong"
+
+
 @pytest.mark.full
-@pytest.mark.parametrize("way", ["auto", "replay"])
+@pytest.mark.parametrize("way", ["auto", pytest.param("replay", marks=pytest.mark.xfail(strict=True, reason=AGAIN))])
 def test_an_fmu_in_c_is_re_tuned_from_its_position_alone(swinging, leaves_nothing, way):
     scenario = Scenario.load(swinging, {"estimation.rollout.start": way})
     result = run(scenario, "target")

@@ -27,6 +27,7 @@ from ..system.parameters import start_value
 from ..system.plant import plant_of
 from .check_estimation import check_changes, check_parameters, check_sampling, check_tracking
 from .check_filter import check_filter, check_filtered_model
+from .check_noise import check_noise
 from .check_wiring import check_connections, check_inputs, check_loops, check_starts, check_steps
 
 _CHECKS: tuple[Callable[[Scenario, Mapping[str, Component]], Iterator[Finding]], ...] = (
@@ -59,7 +60,7 @@ def check(source: str | Path, overrides: Mapping[str, str] | None = None) -> lis
             return [Finding("connections", _plain(e))]
     findings += [finding for one in _CHECKS for finding in one(scenario, components)]
     if not any(f.is_error for f in findings):
-        findings += _check_model(scenario, components)
+        findings += [*_check_model(scenario, components), *check_noise(scenario)]
     return findings
 
 

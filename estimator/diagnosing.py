@@ -138,12 +138,14 @@ class DiagnosingRetuner(_Counting):
         has_ended = any(event.kind == "end" for event in proposal.events)
         has_ended |= self._is_endless and diagnosis.n_since >= _PATIENCE
         if has_ended and diagnosis.n_since >= _FEWEST and diagnosis.has_failed:
-            reference, events = diagnosis.reference, diagnosis.fail(t, best, held)
-            if events:
-                return self._ended(t, proposal, reference, held, events)
+            failed = diagnosis.fail(t, best, held)
+            if failed is not None:
+                return self._ended(t, proposal, failed.undo, held, failed.events)
             self._retuner.forget()  # the noise may be larger
         if has_ended and diagnosis.is_suspicious and best is not None and not diagnosis.has_failed:
-            diagnosis.succeed()
+            settled = diagnosis.succeed(t, best)
+            if settled is not None:
+                return self._ended(t, proposal, settled.undo, held, settled.events)
         if verdict == "refuted":
             return replace(proposal, theta=None)
         rival = diagnosis.disturbance(held) if verdict == "possible" and theta is not None else None

@@ -10,7 +10,8 @@ from typing import Any, Final, Union
 import numpy as np
 
 from .contract import AskTell, Solver
-from .diagnosis import Diagnosis, Judgement
+from .diagnosis import Diagnosis
+from .diagnosis_settings import Judgement
 from .episode_diagnosis import EpisodeDiagnosis
 from .episode_window import EpisodeWindow
 from .events import Event

@@ -8,15 +8,23 @@ parameters that has found none: then either a constant disturbance explains them
 nothing does, and the channels concerned rest. See `hypotheses` for the comparison.
 """
 
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from copy import copy
-from dataclasses import dataclass, field, replace
-from typing import Any, Final, Literal
+from dataclasses import dataclass, replace
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .diagnosis_settings import (
+    BETTER,
+    FORGOTTEN,
+    MOST_NAMED,
+    PATIENCE,
+    DiagnosisSettings,
+    Judgement,
+    is_at_unseen_bound,
+)
+from .diagnosis_state import DiagnosisState
 from .events import Event
 from .hypotheses import (
     FALSE_ALARM,
@@ -46,8 +54,6 @@ _FEWEST: Final = 3
 """Least number of samples that name a disturbance, or its end."""
 _LENGTHS: Final = (5, 4, 3, 2, 1)
 """Numbers of newest samples on which the hypotheses are compared, until changed parameters explain them."""
-_BETTER: Final = 0.5
-"""Share of the sum of squares of the parameters in force, at the newest sample, that better ones may have."""
 _RATE: Final = 2.0 * USUAL_RATE
 """Largest change of a parameter from sample to sample, as a share of the scaled bounds: faster, it is none."""
 _NOISY: Final = 8
@@ -56,64 +62,12 @@ _LARGER: Final = 1.3
 """Factor by which it must be larger."""
 _SPARE: Final = 10
 """Least number of explained values in excess of the fitted ones that makes good for a search in vain."""
-_LITTLE: Final = 1e-6
-"""Distance, as a share of the scaled bounds, that is none."""
-_WIDE: Final = 0.5
-"""Standard deviation, as a share of the scaled bounds, that says nothing."""
 _RENEWED: Final = 5
 """Number of samples after which a comparison that changed parameters have won is repeated."""
-_PATIENCE: Final = 3
-"""Number of searches in vain, one soon after the other, after which the channels concerned rest."""
-_FORGOTTEN: Final = 200
-"""Number of quiet samples after which one search in vain is forgotten."""
 _REMEMBERED: Final = 5
 """Number of searches, one soon after the other, that are compared with each other."""
 _AGREE: Final = 0.02
 """Distance, as a share of the scaled bounds, of parameters that agree, beside their drift."""
-_MOST: Final = 1_000_000_000
-"""Largest number of samples of a rest: more is a mistake."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class DiagnosisSettings:
-    """Settings of the diagnosis: its false alarms, and its rests after what nothing explains."""
-
-    enabled: bool = True
-    """True to write parameters only where they explain the samples and nothing else does as well."""
-    false_alarm: float = field(default=1e-6, metadata={"gt": 0.0, "lt": 1.0})
-    """Probability that a sample seems to contradict the parameters in force although nothing has changed."""
-    rest: int = field(default=1000, metadata={"ge": 1, "le": _MOST})
-    """Number of samples for which channels rest that nothing explained three times; each further time twice as many."""
-    longest_rest: int = field(default=16000, metadata={"ge": 1, "le": _MOST})
-    """Largest number of samples of a rest."""
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.false_alarm < 1.0:
-            raise ValueError(f"false_alarm must be between 0 and 1, got {self.false_alarm}.")
-        if not 1 <= self.rest <= self.longest_rest <= _MOST:
-            raise ValueError(f"rest must be from 1 to longest_rest, got {self.rest} and {self.longest_rest}.")
-
-
-Judgement = Literal["warranted", "possible", "refuted"]
-"""Changed parameters are warranted; possible beside a disturbance; refuted, or too few samples to tell."""
-
-
-MOST_NAMED: Final = 20
-"""Largest number of disturbances in the summary."""
-KINDS: Final = ("disturbance", "unexplained", "rest")
-"""Kinds of events of a diagnosis."""
-
-
-def channel_summary(names: Sequence[str], scale: ResidualScale) -> list[tuple[str, dict[str, Any]]]:
-    """Return, for each channel, its name and what is known of its residuals' true size, as JSON values.
-
-    noise_ratio: what the model leaves unexplained in quiet, in standard deviations of the declared noise, or None.
-    """
-    observed = [None] * len(names) if scale.observed is None else scale.observed.tolist()
-    return [
-        (name, {"noise_ratio": ratio, "scale": float(s), "correlation": float(rho)})
-        for name, ratio, s, rho in zip(names, observed, scale.values, scale.correlations, strict=True)
-    ]
 
 
 @dataclass(frozen=True)
@@ -125,60 +79,6 @@ class Settled:
     events: tuple[Event, ...] = ()
     ends_search: bool = False
     """True where the search for parameters is at its end, too."""
-
-
-@dataclass
-class _State:
-    """All that changes from sample to sample; copied for a snapshot."""
-
-    samples: list[Sample]
-    """The newest samples, from old to new; during a suspicion the older ones are thinned out."""
-    scale: ResidualScale
-    offset: Vector
-    """Known disturbance (c,), in standard deviations of the declared noise."""
-    rests_until: NDArray[np.intp]
-    """Number of the sample (c,) at which a channel's rest ends."""
-    is_resting: NDArray[np.bool_]
-    n_failures: int = 0
-    """Number of searches in vain, one soon after the other."""
-    n_quiet: int = 0
-    """Number of quiet samples in a row."""
-    found: tuple[int, Vector] | None = None
-    """Number of the sample and place (d,) of the parameters that the last search has found."""
-    suspected_at: int = 0
-    """Number of the last sample that was suspicious."""
-    moves: tuple[bool, ...] = ()
-    """True for each of the last searches, one soon after the other, that has found other parameters than the one before
-    although a disturbance explains the samples as well."""
-    lasting: Vector | None = None
-    """Parameters (d,) that the samples have not contradicted for long; None before the first onset."""
-    counts: Counter[str] = field(default_factory=Counter[str])
-    """Number of events of each kind."""
-    named: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
-    """The newest disturbances with their times [s] and sizes; replaced, never changed."""
-    rested: list[Vector] = field(default_factory=list[Vector])
-    """Residuals (c,) at the parameters in force since the first channel rests."""
-    n_samples: int = 0
-    n_since: int = 0
-    """Number of samples since the onset of the suspicion; 0 while quiet."""
-    reference: Vector | None = None
-    """Parameters (d,) in force at the onset, or accepted since."""
-    changed: Vector | None = None
-    """Place (d,) of the parameters that explained the samples last."""
-    verdict: "Judgement" = "refuted"
-    n_spare: int = 0
-    """Number of its values in excess of those fitted."""
-    n_explained: int = 0
-    """Number of newest samples that the verdict is about."""
-    found_at: int = 0
-    """Number of the sample at which the verdict was found."""
-
-    def copy(self) -> "_State":
-        """Return an independent copy; arrays are replaced, never changed."""
-        other = copy(self)
-        other.samples, other.scale = [*self.samples], self.scale.copy()
-        other.rested, other.counts = [*self.rested], Counter(self.counts)
-        return other
 
 
 class Diagnosis:
@@ -198,7 +98,7 @@ class Diagnosis:
         self._sigma, self._space = np.array(sigma), space
         c = len(self._names)
         zero = np.zeros(c, dtype=np.intp)
-        self._state = _State([], ResidualScale(c), np.zeros(c), zero, np.zeros(c, dtype=bool))
+        self._state = DiagnosisState([], ResidualScale(c), np.zeros(c), zero, np.zeros(c, dtype=bool))
 
     @property
     def is_suspicious(self) -> bool:
@@ -215,23 +115,17 @@ class Diagnosis:
         """Number of samples since the onset of the suspicion, at most 20; 0 while quiet."""
         return self._state.n_since
 
-    def snapshot(self) -> _State:
+    def snapshot(self) -> DiagnosisState:
         """Return the present state, for `restore`."""
         return self._state.copy()
 
-    def restore(self, state: _State) -> None:
+    def restore(self, state: DiagnosisState) -> None:
         """Go back to a snapshot, which is used up."""
         self._state = state
 
     def summary(self) -> dict[str, Any]:
         """Return what is known of each channel, and the number of events of each kind, as JSON values."""
-        state = self._state
-        known = zip(
-            channel_summary(self._names, state.scale), state.offset * self._sigma, state.is_resting, strict=True
-        )
-        channels = {name: row | {"disturbance": float(d), "is_resting": bool(r)} for (name, row), d, r in known}
-        counts = {kind: state.counts[kind] for kind in KINDS}
-        return {"channels": channels, "disturbances": state.named} | counts
+        return self._state.summary(self._names, self._sigma)
 
     def residual(self, theta: Vector, sample: Sample) -> Vector:
         """Return the residual (c,) in standard deviations of its true size, less the known disturbance.
@@ -266,13 +160,13 @@ class Diagnosis:
         if state.n_since or is_contradictory:
             if not state.n_since:
                 state.reference, state.verdict, state.changed = held, "refuted", None
-                if state.lasting is None or state.n_samples >= state.suspected_at + _FORGOTTEN:
+                if state.lasting is None or state.n_samples >= state.suspected_at + FORGOTTEN:
                     state.lasting = held
             state.n_since, state.n_quiet = min(state.n_since + 1, len(state.samples)), 0
             state.suspected_at = state.n_samples
             return has_woken
         state.n_quiet += not state.is_resting.any()
-        if state.n_quiet >= _FORGOTTEN:
+        if state.n_quiet >= FORGOTTEN:
             state.n_quiet, state.n_failures = 0, max(state.n_failures - 1, 0)
         return (not missing and state.scale.learn(declared)) or has_woken
 
@@ -301,7 +195,7 @@ class Diagnosis:
         if is_changed and is_explained and parameters.is_explained:
             return self._changed(t, held) if disturbance.score >= parameters.score + MARGIN else None
         is_named = disturbance.is_explained and disturbance.score + MARGIN <= plain_fit(there, 0).score
-        if is_named and n % 2 == 0 and not self._best(held, n).fit.is_explained:
+        if is_named and n % 2 == 0 and not self._best(held, n, may_drift=False).fit.is_explained:
             events = self._name(t, disturbance_of(there, may_drift=False))
             return Settled(self._undone(reference), events, True)
         return None
@@ -331,7 +225,7 @@ class Diagnosis:
     def _give_up(self, t: float) -> Settled:
         """Return to the parameters that lasted; all channels rest, as parameters explain each of them for a while."""
         state = self._state
-        state.moves, state.n_failures = (), max(state.n_failures + 1, _PATIENCE)
+        state.moves, state.n_failures = (), max(state.n_failures + 1, PATIENCE)
         state.n_since, state.verdict = 0, "refuted"
         every = ~state.is_resting
         names = self._of(every)
@@ -352,7 +246,7 @@ class Diagnosis:
         if state.verdict == "refuted":
             return "refuted"
         now = self._rows(theta, 1)
-        if plain_fit(now, 0).is_explained or np.sum(now**2) < _BETTER * np.sum(self._rows(held, 1) ** 2):
+        if plain_fit(now, 0).is_explained or np.sum(now**2) < BETTER * np.sum(self._rows(held, 1) ** 2):
             return state.verdict
         return "refuted"
 
@@ -395,17 +289,15 @@ class Diagnosis:
             self._state.verdict = "warranted" if weighing.are_parameters_proven else "possible"
         return weighing.are_parameters_possible
 
-    def _best(self, held: Vector, n: int) -> ChangedParameters:
-        """Return the constant parameters that explain the newest n samples best, whatever the search has found."""
+    def _best(self, held: Vector, n: int, *, may_drift: bool) -> ChangedParameters:
+        """Return the parameters that explain the newest n samples best, whatever the search has found."""
         space, changed = self._space, self._state.changed
         z = space.to_unit(held) if changed is None else changed
-        return changed_parameters(lambda z: self._rows(space.beyond(z), n), z, may_drift=False)
+        return changed_parameters(lambda z: self._rows(space.beyond(z), n), z, may_drift=may_drift)
 
     def _is_changing(self, held: Vector, n: int) -> bool:
         """Return whether parameters, constant ones or slowly changing, explain the newest n samples."""
-        space, changed = self._space, self._state.changed
-        z = space.to_unit(held) if changed is None else changed
-        found = changed_parameters(lambda z: self._rows(space.beyond(z), n), z)
+        found = self._best(held, n, may_drift=True)
         return found.fit.is_explained and found.rate <= _RATE
 
     def _both(self, held: Vector, n: int) -> Disturbance | None:
@@ -431,7 +323,7 @@ class Diagnosis:
         if state.n_since < _NOISY:
             return False
         n, space = min(state.n_since, _WINDOW // 2), self._space
-        best = self._best(held, n)
+        best = self._best(held, n, may_drift=False)
         if not np.all(np.isfinite(best.rows)):
             return False
         larger = np.maximum(spread_of(best.rows), 1.0)
@@ -492,7 +384,7 @@ class Diagnosis:
         reason = f"no parameters explain {', '.join(names)}"
         event = Event(t, "unexplained", {"channels": names, "reason": reason})
         state.counts["unexplained"] += 1
-        events = (event,) if state.n_failures < _PATIENCE else (event, self._rest(t, lacks))
+        events = (event,) if state.n_failures < PATIENCE else (event, self._rest(t, lacks))
         return Settled(self._undone(reference), events, True)
 
     def _name(self, t: float, found: Disturbance) -> tuple[Event, ...]:
@@ -506,7 +398,7 @@ class Diagnosis:
             state.offset = offset
         how = "constant" if found.is_constant else "changing"
         event = self._named(t, offset, acts, f"a {how} disturbance explains the samples, changed parameters do not")
-        return (event,) if state.n_failures < _PATIENCE else (event, self._rest(t, acts))
+        return (event,) if state.n_failures < PATIENCE else (event, self._rest(t, acts))
 
     def _passed(self, t: float, rows: Vector, is_changed: bool) -> tuple[Event, ...]:
         """Return the event of a disturbance that is over, from the residuals (n, c) of the parameters before it.
@@ -547,25 +439,25 @@ class Diagnosis:
     def _is_restless(self, theta: Vector) -> bool:
         """Take parameters (d,) that were found; return whether three of five such, soon one after the other, differ."""
         state, z = self._state, self._space.to_unit(theta)
-        (n, before), state.found = state.found or (-_FORGOTTEN, z), (state.n_samples, z)
+        (n, before), state.found = state.found or (-FORGOTTEN, z), (state.n_samples, z)
         n_passed = state.n_samples - n
-        if n_passed >= _FORGOTTEN:
+        if n_passed >= FORGOTTEN:
             state.moves = ()
         else:
             has_moved = bool(np.any(np.abs(z - before) > _AGREE + USUAL_RATE * n_passed))
             state.moves = (*state.moves, has_moved)[-_REMEMBERED:]
-        return sum(state.moves) >= _PATIENCE
+        return sum(state.moves) >= PATIENCE
 
     def _of(self, channels: NDArray[np.bool_]) -> list[str]:
         return [self._names[i] for i in np.flatnonzero(channels)]
 
     def _rest(self, t: float, channels: NDArray[np.bool_]) -> Event:
         """Let the channels rest, longer each time; return the event."""
-        state, settings = self._state, self._settings
+        state = self._state
         if len(state.rested) > 1:
             usual = np.where(channels, np.array(state.rested), 0.0)
             state.scale.admit(usual[np.isfinite(usual).all(axis=1)])
-        length = min(settings.rest * 2 ** min(state.n_failures - _PATIENCE, 20), settings.longest_rest)
+        length = self._settings.rest_length(state.n_failures)
         state.rests_until = np.where(channels, state.n_samples + length, state.rests_until)
         state.is_resting = state.is_resting | channels
         state.rested.clear()
@@ -604,14 +496,6 @@ class Diagnosis:
         """Return the residuals (n, c) of theta at the newest n samples, from old to new."""
         samples = self._state.samples[-n:]
         return np.array([self.residual(theta, sample) for sample in samples]).reshape(n, len(self._names))
-
-
-def is_at_unseen_bound(space: ParameterSpace, theta: Vector, std: Vector, held: Vector) -> bool:
-    """Return whether a parameter has moved from held (d,) to a bound, with a std as wide as the bounds."""
-    z = space.to_unit(theta)
-    is_at_bound = (z < _LITTLE) | (z > 1.0 - _LITTLE)
-    has_moved = np.abs(z - space.to_unit(held)) > _LITTLE
-    return bool(np.any(is_at_bound & has_moved & (std >= _WIDE * space.slope(theta))))
 
 
 def _acting(largest: Vector) -> NDArray[np.bool_]:

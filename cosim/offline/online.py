@@ -14,7 +14,7 @@ import numpy as np
 
 from estimator import METHODS, EpisodeWindow, ParameterSpace, Sample, Vector
 from estimator.diagnosing import make_episodes
-from estimator.diagnosis import DiagnosisSettings
+from estimator.diagnosis_settings import DiagnosisSettings
 from estimator.episode_diagnosis import EpisodeDiagnosis
 from estimator.events import Event
 from estimator.retuner import Budget

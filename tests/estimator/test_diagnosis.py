@@ -10,7 +10,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from estimator import DerivativeResidual, Parameter, ParameterSpace, Sample, TargetVector
 from estimator.baselines import LeastSquares
 from estimator.diagnosing import make_retuner
-from estimator.diagnosis import Diagnosis, DiagnosisSettings
+from estimator.diagnosis import Diagnosis
+from estimator.diagnosis_settings import DiagnosisSettings
 from estimator.filters import UnscentedKalman
 from estimator.retuner import Budget
 from estimator.triggers import AlwaysSettings, InnovationSettings

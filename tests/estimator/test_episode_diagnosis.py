@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from estimator import EpisodeWindow, Evaluation, Parameter, ParameterSpace, Sample, TargetVector
 from estimator.baselines import LeastSquares
 from estimator.diagnosing import make_episodes
-from estimator.diagnosis import DiagnosisSettings
+from estimator.diagnosis_settings import DiagnosisSettings
 from estimator.episode_diagnosis import EpisodeDiagnosis
 from estimator.retuner import Budget
 from estimator.triggers import InnovationSettings

@@ -76,6 +76,8 @@ class Request:
     """Roll-outs at a time."""
     timeout: float = 10.0
     """Time that each call of the FMU may take [s]."""
+    environment: tuple[str, ...] = ()
+    """Environment variables that the FMU's processes are given beside those which every FMU is given."""
 
     def __post_init__(self) -> None:
         if self.method not in OFFLINE:
@@ -188,7 +190,13 @@ def estimate(request: Request, progress: FitProgress = lambda n, cost: None) -> 
     began = perf_counter()
     component, space, nominal, windows, noise, warnings = understand(request)
     plant = SimulatedPlant(
-        request.fmu, tuple(request.inputs), tuple(request.measured), request.constants, request.step, request.timeout
+        request.fmu,
+        tuple(request.inputs),
+        tuple(request.measured),
+        request.constants,
+        request.step,
+        request.timeout,
+        request.environment,
     )
     with Rollouts(plant, component, windows, request.jobs) as rollouts:
         residual = RolloutResidual(rollouts, space, windows, noise)

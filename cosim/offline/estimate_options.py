@@ -56,6 +56,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--seed", type=_count, default=0, metavar="N", help="seed of the search (default: 0)")
     add("--jobs", type=_count, metavar="N", help="roll-outs at a time (default: one per processor)")
     add("--timeout", type=_number, default=10.0, metavar="S", help="for each call of the FMU (default: 10)")
+    add("--environment", action="append", default=[], metavar="NAME",
+        help="environment variable that the FMU needs (* for any text); may be repeated")  # fmt: skip
     add("--out", type=Path, metavar="DIR", help="absent or empty (default: runs/FMU-estimate-n)")
     add("--ssv", type=Path, metavar="FILE", help="also write the estimates to this new SSV file")
     add("--json", action="store_true", help="print one JSON object")
@@ -86,6 +88,7 @@ def request_of(options: argparse.Namespace) -> "Request":
         seed=options.seed,
         jobs=(os.cpu_count() or 1) if options.jobs is None else options.jobs,
         timeout=options.timeout,
+        environment=tuple(options.environment),
     )
 
 

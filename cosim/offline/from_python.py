@@ -40,6 +40,7 @@ def estimate(
     seed: int = 0,
     jobs: int | None = None,
     timeout: float = 10.0,
+    environment: Sequence[str] = (),
     out: Path | str | None = None,
     progress: FitProgress = lambda n, cost: None,
 ) -> Estimation:
@@ -55,6 +56,7 @@ def estimate(
     step: communication step [s]; by default from row to row.
     method: "target", "least-squares" or "multi-start". evaluations: candidates that the search may simulate.
     jobs: roll-outs at a time, by default one per processor. timeout: for each call of the FMU [s].
+    environment: environment variables that the FMU needs beside those which every FMU is given.
     out: an absent or empty folder for the files that `retune estimate` writes; nothing is written by default.
     progress: called with the evaluations so far and the least sum of squares.
 
@@ -79,6 +81,7 @@ def estimate(
         seed=seed,
         jobs=(os.cpu_count() or 1) if jobs is None else jobs,
         timeout=timeout,
+        environment=tuple(environment),
     )
     with threadpool_limits(1):  # as the command runs: the number of BLAS threads changes bits
         if out is None:

@@ -20,7 +20,7 @@ def load_scenario(
     if not is_package and system is None:
         return Scenario.load(source, overrides)
     from .package import SystemStructure  # most scenarios come without a package
-    from .scenario import scenario_in, with_system
+    from .scenario import check_settings, scenario_in, with_system
 
     file = scenario_in(path) if is_package else find_scenario(source)
     if file is None:
@@ -28,4 +28,6 @@ def load_scenario(
     label = path if is_package else file
     package = path if is_package else Path(str(system))
     tables = with_system(read_tables(file, label), SystemStructure.from_ssp(package))
+    if is_package:
+        check_settings(tables, overrides or {}, path)
     return Scenario.from_tables(tables, overrides, file.parent, label)

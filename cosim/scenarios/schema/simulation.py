@@ -1,6 +1,6 @@
 """Tables of a scenario file on the co-simulation: times and steps, components, limits of a run."""
 
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -30,6 +30,8 @@ class SimulationSettings(Table):
     """Communication points from one checkpoint of a run folder to the next, for `retune resume`; 0: none."""
     memory_limit: float = Field(default=0.0, ge=0.0)
     """Memory that the process of one FMU may hold [MB]; 0: half of the machine's memory. Linux only."""
+    environment: tuple[Annotated[str, Field(pattern=r"^[^=]+$")], ...] = ()
+    """Environment variables that the FMUs' processes are given beside PATH and the like; `*` for any text."""
     out_of_range: Literal["fault", "warning"] = "fault"
     """Treatment of an input or output outside its declared min and max; one that is not finite is always a fault."""
 
@@ -46,7 +48,7 @@ class SimulationSettings(Table):
     @property
     def slave_options(self) -> dict[str, Any]:
         """Keyword arguments of open_slave."""
-        return self.model_dump(include={"isolation", "timeout", "memory_limit", "out_of_range"})
+        return self.model_dump(include={"isolation", "timeout", "memory_limit", "environment", "out_of_range"})
 
     @property
     def n_steps(self) -> int:

@@ -117,6 +117,7 @@ class Scenario(Table):
                 if reference.component not in self.components:
                     hint = did_you_mean(reference.component, self.components)
                     raise ValueError(f"{table}: '{reference}': no component '{reference.component}'{hint}")
+        self.scenario.check_size(sum(c.fmu is not None for c in self.components.values()))
         self.change_functions()
         return self
 

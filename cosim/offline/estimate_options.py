@@ -42,6 +42,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--noise", action="append", type=_noise, default=[], metavar="OUTPUT=STD",
         help="standard deviation, in the FMU's unit (default: from the log)")  # fmt: skip
     add("--time", metavar="COLUMN", help="time stamps (default: the column 'time' or 't')")
+    add("--time-unit", metavar="UNIT", help="unit of the time stamps, such as ms (default: the log's, or s)")
     add("--window", action="append", type=_window, default=[], metavar="FROM:TO", dest="windows",
         help="part of each log to use [s]; may be repeated")  # fmt: skip
     add("--validate", action="append", type=Path, default=[], metavar="LOG", help="a log that is held out as a whole")
@@ -79,6 +80,7 @@ def request_of(options: argparse.Namespace) -> "Request":
         start={name: _value(text) for name, text in _unique(options.start, "--start").items()},
         noise=dict(options.noise),
         time=options.time,
+        time_unit=options.time_unit,
         windows=tuple(options.windows),
         validation=tuple(options.validate),
         holdout=options.holdout,

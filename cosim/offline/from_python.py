@@ -31,6 +31,7 @@ def estimate(
     start: Mapping[str, str | float] | None = None,
     noise: Mapping[str, float] | None = None,
     time: str | None = None,
+    time_unit: str | None = None,
     windows: Sequence[Cut] = (),
     validation: Sequence[Path | str] = (),
     holdout: float | None = None,
@@ -51,7 +52,8 @@ def estimate(
     measured, inputs: the log's column for each output and input of the FMU.
     start: the start value of a state or of a known parameter, as a number or as a column of the log.
     noise: standard deviation by output, in its unit; estimated from the logs by default.
-    time: the column of time stamps. windows: parts of each log to use, (from, to) [s].
+    time: the column of time stamps; time_unit: their unit, by default the log's, or s.
+    windows: parts of each log to use, (from, to) [s].
     validation: logs that are not fitted to. holdout: share of each log's rows that is not fitted to, 0.25 by default.
     step: communication step [s]; by default from row to row.
     method: "target", "least-squares" or "multi-start". evaluations: candidates that the search may simulate.
@@ -72,6 +74,7 @@ def estimate(
         start=start or {},
         noise=noise or {},
         time=time,
+        time_unit=time_unit,
         windows=tuple(windows),
         validation=tuple(map(Path, validation)),
         holdout=holdout,

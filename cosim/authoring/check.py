@@ -23,7 +23,7 @@ from ..scenarios.validation import error_texts
 from ..ssp.load import load_scenario
 from ..system.aliases import as_the_fmus_have_it
 from ..system.fmu_cache import component_path
-from ..system.parameters import start_value
+from ..system.parameters import start_values
 from ..system.plant import plant_of
 from .check_estimation import check_changes, check_parameters, check_sampling, check_tracking
 from .check_filter import check_filter, check_filtered_model
@@ -73,8 +73,8 @@ def _check_model(scenario: Scenario, components: Mapping[str, Component]) -> Ite
             for text in check_objective(scenario, plant):
                 yield Finding("estimation.objective", text, is_error=False, is_note=True)
             return
-        x = tuple([start_value(scenario, files, f"{plant.name}.{name}") for name in plant.states])
-        theta = np.array([start_value(scenario, files, p.writes) for p in scenario.estimation.parameters])
+        x = tuple(start_values(scenario, files, [f"{plant.name}.{name}" for name in plant.states]))
+        theta = np.array(start_values(scenario, files, [p.writes for p in scenario.estimation.parameters]))
         zeros = (0.0,) * len(scenario.sampling.derivatives)
         sample = Sample(scenario.scenario.start_time, x, tuple(plant.inputs.values()), zeros)
         try_model(scenario, "target", plant, theta, sample)

@@ -28,8 +28,8 @@ from .run_files import (
     MANIFEST,
     REQUIRED,
     RESULT,
+    SEALED,
     SERIES,
-    UNSEALED,
 )
 from .series import read_series, write_csv
 
@@ -212,8 +212,7 @@ def end_folder(run: Run, folder: Path, units: Mapping[str, Unit]) -> None:
         write_text(folder / ESTIMATES, to_ssv(run.scenario.scenario.name, held, units))
     write_csv(folder / CSV, run.series)
     manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-    final = (path for path in sorted(folder.iterdir()) if path.is_file())
-    hashes = {path.name: sha256(path) for path in final if path.name not in UNSEALED}
+    hashes = {name: sha256(folder / name) for name in sorted(SEALED) if (folder / name).is_file()}
     write_manifest(folder, manifest | {"status": run.status, "sha256": hashes})
     if run.status in ("done", "diverged"):
         (folder / CHECKPOINT).unlink(missing_ok=True)
@@ -233,8 +232,9 @@ def read_run(folder: Path | str) -> Run:
         _check_begun(folder)
         result, latencies = _Result(), ()
     else:
-        for name in REQUIRED:
-            check_file(folder, name, manifest.sha256)
+        for name in SEALED:  # of what else is in the folder, such as pictures and notes, the user may dispose
+            if name in REQUIRED or name in manifest.sha256:
+                check_file(folder, name, manifest.sha256)
         status, result = manifest.status, read_json(folder, RESULT, _Result)
         latencies = read_json(folder, LATENCIES, tuple[tuple[float, ...], ...])
     series = read_series(folder)

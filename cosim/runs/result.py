@@ -187,7 +187,7 @@ def begin_folder(
         "folder": str(scenario.folder.resolve()),
         "scenario": scenario.model_dump(mode="json"),
     }
-    write_manifest(folder, content)
+    write_manifest(folder, content, is_own=not scenario.origin.stranger)
     remove_half_written(folder)
     for name in MADE_AT_END:
         (folder / name).unlink(missing_ok=True)
@@ -213,7 +213,8 @@ def end_folder(run: Run, folder: Path, units: Mapping[str, Unit]) -> None:
     write_csv(folder / CSV, run.series)
     manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
     hashes = {name: sha256(folder / name) for name in sorted(SEALED) if (folder / name).is_file()}
-    write_manifest(folder, manifest | {"status": run.status, "sha256": hashes})
+    content = manifest | {"status": run.status, "sha256": hashes}
+    write_manifest(folder, content, is_own=not run.scenario.origin.stranger)
     if run.status in ("done", "diverged"):
         (folder / CHECKPOINT).unlink(missing_ok=True)
 

@@ -20,6 +20,7 @@ from ..fmi.ports import is_numeric
 from ..fmi.types import TYPES, Value, is_real
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
+from ..scenarios.trust import python_references
 from ..ssv.document import ParameterValue, add_units, document, ssv_element
 from ..ssv.xml import NAMESPACES
 from ..system.fmu_cache import fmu_paths
@@ -203,12 +204,10 @@ def _tables(scenario: Scenario, places: Mapping[str, str]) -> dict[str, Any]:
 
 def _modules(scenario: Scenario) -> Iterator[tuple[str, bytes]]:
     """Yield the sources of the user's modules that the scenario names, from its folder or the working directory."""
-    estimation = scenario.estimation
-    references = [estimation.model, estimation.objective, *(name for name in estimation.methods if ":" in name)]
-    if estimation.linear is not None:
-        references += [estimation.linear.rows, estimation.linear.coefficients]
-    for name in dict.fromkeys(r.partition(":")[0].partition(".")[0] for r in references if r is not None):
-        for folder in (scenario.folder, Path.cwd()) if name not in _OWN_PACKAGES else ():
+    references = [*python_references(scenario).values(), *(name for name in scenario.estimation.methods if ":" in name)]
+    places = (scenario.folder,) if scenario.origin.stranger else (scenario.folder, Path.cwd())
+    for name in dict.fromkeys(r.partition(":")[0].partition(".")[0] for r in references):
+        for folder in places if name and name not in _OWN_PACKAGES else ():
             found = [folder / f"{name}.py", *sorted((folder / name).rglob("*.py"))]
             found = [path for path in found if path.is_file()]
             yield from ((path.relative_to(folder).as_posix(), path.read_bytes()) for path in found)

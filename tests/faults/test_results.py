@@ -161,7 +161,7 @@ def resealed(**changes: object):
             manifest[key] = manifest[key] | value if isinstance(value, dict) else value
             if value is None:
                 del manifest[key]
-        write_manifest(folder, manifest)
+        write_manifest(folder, manifest, is_own=True)
 
     return inject
 

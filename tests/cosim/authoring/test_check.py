@@ -12,13 +12,21 @@ from cosim.scenarios.named import named_scenarios
 pytestmark = pytest.mark.fmu
 
 
+CALLED = "estimation.model: note: 'axis_model:derivative' was called, at the start values"
+
+
+def findings(path):
+    """What `check` finds, but for what it says of itself, and of the empty libraries of `described`."""
+    return [f for f in check(path) if str(f) != CALLED and "is not a valid shared library" not in f.what]
+
+
 @pytest.mark.parametrize("name", named_scenarios())
 def test_nothing_is_found_in_the_named_scenarios(name):
     assert [str(f) for f in check(name)] == []
 
 
 def test_nothing_is_found_in_a_sound_scenario_of_foreign_fmus(axis, capsys):
-    assert check(axis()) == []
+    assert [str(f) for f in check(axis())] == [CALLED]
     assert main(["check", str(axis())]) == 0
     assert capsys.readouterr().out.endswith("axis.toml: 0 errors, 0 warnings\n")
 
@@ -89,7 +97,7 @@ CASES = {
 def test_what_is_wrong_or_risky_is_found_where_it_is(axis, replacement, where, what):
     found = [str(f) for f in check(axis(replacement))]
     if where == REMOVED:
-        assert found == []
+        assert found == [CALLED]
         return
     hits = [f for f in found if f.replace('"', "").startswith(f"{where}: {what}".replace('"', ""))]
     assert len(hits) == 1, found
@@ -138,7 +146,7 @@ def test_feedthrough_that_closes_a_loop_is_a_warning_and_the_plants_inertia_none
     path = axis(
         ('reference = { table = "steps.csv" }', new), ('"controller.v_meas" = "plant.mass.v"', wired)
     )  # f_cmd depends on v_meas, that on f_cmd
-    found = {f.where: f for f in check(path)}
+    found = {f.where: f for f in findings(path)}
     assert not any(f.is_error for f in found.values()), list(map(str, found.values()))
     assert "as AxisController.fmu declares no dependencies" in found["connections"].what
     assert "controller.f_cmd" in found["connections"].what
@@ -159,7 +167,7 @@ def test_units_that_are_not_given_not_defined_or_to_be_converted_are_warnings(ax
     )
     found = {}
     for output in "abc":
-        (found[output],) = check(
+        (found[output],) = findings(
             axis(new, ('"plant.mass.s"\n"controller.v_meas"', f'"sensor.{output}"\n"controller.v_meas"'))
         )
     assert [f.is_error for f in found.values()] == [False, False, False]
@@ -184,9 +192,9 @@ def test_a_step_that_an_fmu_does_not_take_is_a_warning(axis, described):
         for name, content in files.items():
             fmu.writestr(name, content)
     new = ('reference = { table = "steps.csv" }', 'reference = { table = "steps.csv" }\nf = { fmu = "Fixed.fmu" }')
-    (found,) = check(axis(new))
+    (found,) = findings(axis(new))
     assert str(found) == "scenario.macro_step: warning: Fixed.fmu supports no other steps than 0.002 s"
-    assert check(axis(new, ("macro_step = 0.01", "macro_step = 0.002"))) == []
+    assert findings(axis(new, ("macro_step = 0.01", "macro_step = 0.002"))) == []
 
 
 def test_what_is_no_scenario_is_refused_in_one_line(axis, capsys, tmp_path):

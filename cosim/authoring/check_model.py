@@ -37,6 +37,10 @@ def check_model(scenario: Scenario, components: Mapping[str, Component]) -> Iter
         check_parameters(scenario, files)
         wire(scenario, files)
         true_parameters(scenario, files)
+    except CosimError as e:
+        yield Finding("scenario", plain(e))
+        return
+    try:
         kind = chosen(scenario).kind
         if kind == "derivative":
             yield from _derivative(scenario, plant, files)

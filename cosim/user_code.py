@@ -24,8 +24,8 @@ class CodeOrigin:
     """That file or folder, as the user gave it; empty for the user's own."""
     own: frozenset[str] = field(default=frozenset(), compare=False)
     """References and keys that the user has given beside that file: those are the user's all the same."""
-    files: Mapping[str, str] = field(default_factory=dict[str, str], compare=False)
-    """SHA-256 of the modules that the user ran the scenario with, by file; empty where they may be any."""
+    files: Mapping[str, str] | None = field(default=None, compare=False)
+    """SHA-256 of the modules that the user ran the scenario with, by file; None where they may be any."""
 
 
 OWN: Final = CodeOrigin()
@@ -40,12 +40,12 @@ def load(reference: str, folder: Path, key: str = "estimation.model", origin: Co
     if not is_trusted(reference, origin):
         raise ScenarioError(f"{key}: '{reference}' is Python code that {origin.stranger} names: only --trust runs it.")
     module_name, _, name = reference.partition(":")
-    places = _places(reference, folder, origin)
+    places = places_of(reference, folder, origin)
     if (path := namesake(module_name, places)) is not None:
         raise ScenarioError(f"{key}: {path} has the name of a package of fmu-retune: rename it.")
     if is_built_in(reference):
         places = []
-    elif reference not in origin.own and (changed := _changed(origin.files)) is not None:
+    elif reference not in origin.own and (changed := _changed(origin.files or {})) is not None:
         raise ScenarioError(f"{key}: {changed} is not as it was in the run: only --trust runs it as it is.")
     _forget(module_name.partition(".")[0], places)
     sys.path[:0] = places
@@ -72,14 +72,14 @@ def is_built_in(reference: str) -> bool:
 _PLANTS: Final = Path(__file__).resolve().parents[1] / "fmu_models"
 
 
-def _places(reference: str, folder: Path, origin: CodeOrigin) -> list[str]:
+def places_of(reference: str, folder: Path, origin: CodeOrigin) -> list[str]:
     """Return the folders in which a trusted reference is searched for before those of Python's path."""
-    here, there = folder.resolve(), Path.cwd()
+    here, there, files = str(folder.resolve()), Path.cwd(), origin.files
     if origin.stranger:  # in whose folder there may be a module of any name
         return [] if is_built_in(reference) else [str(there)]
-    if origin.files and reference not in origin.own and not any(there in Path(file).parents for file in origin.files):
-        return [str(here)]
-    return [str(here), str(there)]
+    if files is None or reference in origin.own or any(there in Path(file).parents for file in files):
+        return [here, str(there)]
+    return [here]  # the run was made elsewhere, and who knows what lies here
 
 
 def _changed(files: Mapping[str, str]) -> str | None:

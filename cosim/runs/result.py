@@ -32,6 +32,7 @@ from .run_files import (
     SERIES,
 )
 from .series import read_series, write_csv
+from .signature import is_signed
 
 Series = NDArray[np.float64]
 
@@ -211,10 +212,11 @@ def end_folder(run: Run, folder: Path, units: Mapping[str, Unit]) -> None:
         held = [ParameterValue(p.writes, float(run[p.writes][-1]), p.unit) for p in run.scenario.estimation.parameters]
         write_text(folder / ESTIMATES, to_ssv(run.scenario.scenario.name, held, units))
     write_csv(folder / CSV, run.series)
-    manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+    begun, manifest = read_manifest(folder), json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
     hashes = {name: sha256(folder / name) for name in sorted(SEALED) if (folder / name).is_file()}
     content = manifest | {"status": run.status, "sha256": hashes}
-    write_manifest(folder, content, is_own=not run.scenario.origin.stranger)
+    is_own = not run.scenario.origin.stranger and is_signed(begun.seal, begun.signature)  # it is still as it was begun
+    write_manifest(folder, content, is_own)
     if run.status in ("done", "diverged"):
         (folder / CHECKPOINT).unlink(missing_ok=True)
 

@@ -26,6 +26,7 @@ from ..ssv.xml import NAMESPACES
 from ..system.fmu_cache import fmu_paths
 from ..system.parameters import value_of_change
 from ..units import Unit, conversion
+from ..user_code import is_trusted, places_of
 from .package import STRUCTURE
 from .scenario import EXTRA, SCENARIO
 
@@ -205,9 +206,10 @@ def _tables(scenario: Scenario, places: Mapping[str, str]) -> dict[str, Any]:
 def _modules(scenario: Scenario) -> Iterator[tuple[str, bytes]]:
     """Yield the sources of the user's modules that the scenario names, from its folder or the working directory."""
     references = [*python_references(scenario).values(), *(name for name in scenario.estimation.methods if ":" in name)]
-    places = (scenario.folder,) if scenario.origin.stranger else (scenario.folder, Path.cwd())
-    for name in dict.fromkeys(r.partition(":")[0].partition(".")[0] for r in references):
-        for folder in places if name and name not in _OWN_PACKAGES else ():
+    for name, reference in {r.partition(":")[0].partition(".")[0]: r for r in references}.items():
+        trusted = is_trusted(reference, scenario.origin)
+        places = places_of(reference, scenario.folder, scenario.origin) if trusted else [scenario.folder]
+        for folder in map(Path, places) if name and name not in _OWN_PACKAGES else ():
             found = [folder / f"{name}.py", *sorted((folder / name).rglob("*.py"))]
             found = [path for path in found if path.is_file()]
             yield from ((path.relative_to(folder).as_posix(), path.read_bytes()) for path in found)

@@ -74,6 +74,7 @@ def package(sound, tmp_path):
     return make
 
 
+@pytest.mark.full_but("model", "objective", "what is ours, but no plant", "FMUs in our process")
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row["fault"])
 def test_what_a_package_asks_for_is_told_and_not_done(package, trace, command, tmp_path, row):
     modules = {"evil.py": EVIL} if "inner" not in row["asks"] else {"evil/__init__.py": EVIL, "evil/inner.py": EVIL}
@@ -292,3 +293,49 @@ def test_what_was_not_trusted_once_is_not_signed(package, trace, command, tmp_pa
     with pytest.raises((FolderError, ScenarioError)):
         resume(out)
     assert not trace.exists()
+
+
+def test_a_manifest_that_is_replaced_while_the_run_goes_on_is_not_signed_at_its_end(tmp_path):
+    """By an FMU, say, which may write in the run folder."""
+    out = tmp_path / "out"
+
+    def progress(t, _):
+        if t > 0.15 and not json.loads((out / MANIFEST).read_text())["scenario"]["estimation"]["model"].startswith(
+            "evil"
+        ):
+            claimed(out, model="evil:derivative")
+
+    run(Scenario.load("pendulum", SHORT), "none", 0, out, progress)
+    assert json.loads((out / MANIFEST).read_text())["signature"] == ""
+    with pytest.raises(ScenarioError, match=r"would run Python code \(module evil\)"):
+        replay(out, ["target"])
+
+
+def test_a_run_that_has_recorded_no_modules_loads_none_from_where_the_command_works(made, trace, command, runs):
+    folder = made()
+    content = json.loads((folder / MANIFEST).read_text())
+    (elsewhere := runs / "elsewhere").mkdir(exist_ok=True)
+    write_manifest(folder, content | {"modules": {}, "folder": str(elsewhere)}, is_own=True)
+    Path("evil.py").write_text(EVIL)
+    code, _, err = command("replay", folder, "--estimator", "target")
+    Path("evil.py").unlink()
+    assert (code, trace.exists()) == (2, False)
+    assert "cannot load 'evil:derivative'" in err
+
+
+def test_an_estimator_fmu_ships_the_users_model_and_not_its_namesake_in_the_package(package, trace, command, tmp_path):
+    path = package(modules={"mine.py": EVIL})
+    Path("mine.py").write_text("from fmu_models.pendulum import derivative\n")
+    try:
+        words = ["build", "--estimator", path, "--set", "estimation.model=mine:derivative", "--out", tmp_path / "fmus"]
+        code, _, err = command(*words)
+        assert command("export", path, *words[3:5], "--ssp", tmp_path / "again.ssp")[0] == 0
+    finally:
+        Path("mine.py").unlink()
+        shutil.rmtree("__pycache__", ignore_errors=True)
+    assert (code, err, trace.exists()) == (0, "", False)
+    for made in ("fmus/PendulumEstimator.fmu", "again.ssp"):
+        with zipfile.ZipFile(tmp_path / made) as archive:
+            contents = {name: archive.read(name) for name in archive.namelist()}
+        assert any("mine" in name for name in contents)
+        assert not any(b"TRACE" in content for content in contents.values())

@@ -66,6 +66,10 @@ _PATIENCE: Final = 3
 """Number of searches in vain, one soon after the other, after which the channels concerned rest."""
 _FORGOTTEN: Final = 200
 """Number of quiet samples after which one search in vain is forgotten."""
+_REMEMBERED: Final = 5
+"""Number of searches, one soon after the other, that are compared with each other."""
+_AGREE: Final = 0.02
+"""Distance, as a share of the scaled bounds, of parameters that agree, beside their drift."""
 _MOST: Final = 1_000_000_000
 """Largest number of samples of a rest: more is a mistake."""
 
@@ -139,6 +143,15 @@ class _State:
     """Number of searches in vain, one soon after the other."""
     n_quiet: int = 0
     """Number of quiet samples in a row."""
+    found: tuple[int, Vector] | None = None
+    """Number of the sample and place (d,) of the parameters that the last search has found."""
+    suspected_at: int = 0
+    """Number of the last sample that was suspicious."""
+    moves: tuple[bool, ...] = ()
+    """True for each of the last searches, one soon after the other, that has found other parameters than the one before
+    although a disturbance explains the samples as well."""
+    lasting: Vector | None = None
+    """Parameters (d,) that the samples have not contradicted for long; None before the first onset."""
     counts: Counter[str] = field(default_factory=Counter[str])
     """Number of events of each kind."""
     named: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
@@ -186,7 +199,6 @@ class Diagnosis:
         c = len(self._names)
         zero = np.zeros(c, dtype=np.intp)
         self._state = _State([], ResidualScale(c), np.zeros(c), zero, np.zeros(c, dtype=bool))
-        self._told: set[str] = set()
 
     @property
     def is_suspicious(self) -> bool:
@@ -254,7 +266,10 @@ class Diagnosis:
         if state.n_since or is_contradictory:
             if not state.n_since:
                 state.reference, state.verdict, state.changed = held, "refuted", None
+                if state.lasting is None or state.n_samples >= state.suspected_at + _FORGOTTEN:
+                    state.lasting = held
             state.n_since, state.n_quiet = min(state.n_since + 1, len(state.samples)), 0
+            state.suspected_at = state.n_samples
             return has_woken
         state.n_quiet += not state.is_resting.any()
         if state.n_quiet >= _FORGOTTEN:
@@ -275,26 +290,55 @@ class Diagnosis:
             state.n_since = 0
             return Settled(None)
         there = self._rows(reference, n) if is_changed else here
-        without = there + np.where(state.is_resting, 0.0, state.offset / state.scale.effective)
-        newest = slice(-_QUIET, None) if is_changed else slice(None)
-        if not is_explained and n >= _FEWEST and plain_fit(without[newest], 0).is_explained:
-            events = (Event(t, "disturbance", {"size": {}, "reason": "the disturbance is over"}),)
-            had_offset = bool(np.any(state.offset))
+        if self._is_over(here, there, is_changed, is_explained) and not (is_explained and self._is_changing(held, n)):
+            events = self._passed(t, there, is_changed)
             state.offset, state.n_since = np.zeros(len(here[0])), 0
-            return Settled(reference if is_changed else None, events if had_offset else (), True)
+            return Settled(reference if is_changed else None, events, True)
         if n < _LONG:
             return None
-        disturbance = disturbance_of(there, may_drift=False)
-        parameters = plain_fit(here, self._n_free) if is_changed else None
-        if parameters is not None and parameters.is_explained and is_explained:
-            if disturbance.fit.score >= parameters.score + MARGIN:
-                state.n_since, state.reference = 0, held
-                return Settled(None)
-            return None
-        is_named = disturbance.fit.is_explained and disturbance.fit.score + MARGIN <= plain_fit(there, 0).score
+        disturbance = disturbance_of(there, may_drift=False).fit
+        parameters = plain_fit(here, self._n_free)
+        if is_changed and is_explained and parameters.is_explained:
+            return self._changed(t, held) if disturbance.score >= parameters.score + MARGIN else None
+        is_named = disturbance.is_explained and disturbance.score + MARGIN <= plain_fit(there, 0).score
         if is_named and n % 2 == 0 and not self._best(held, n).fit.is_explained:
-            return Settled(reference if is_changed else None, self._name(t, disturbance), True)
+            events = self._name(t, disturbance_of(there, may_drift=False))
+            return Settled(self._undone(reference), events, True)
         return None
+
+    def _is_over(self, here: Vector, there: Vector, is_changed: bool, is_explained: bool) -> bool:
+        """Return whether the reference explains the newest samples again, and those in force do not explain all.
+
+        here, there: residuals (n, c) since the onset of the parameters in force and of the reference.
+        """
+        state = self._state
+        without = there + np.where(state.is_resting, 0.0, state.offset / state.scale.effective)
+        newest = slice(-_QUIET, None) if is_changed else slice(None)
+        before = plain_fit(without[newest], 0)
+        if not before.is_explained:
+            return False
+        if is_explained:
+            return is_changed and not plain_fit(here, 0).is_explained
+        return len(here) >= _FEWEST and before.score + MARGIN <= plain_fit(here[newest], 0).score
+
+    def _changed(self, t: float, held: Vector) -> Settled:
+        """End a suspicion that changed parameters, those in force, have won."""
+        if self._is_restless(held):
+            return self._give_up(t)
+        self._state.n_since, self._state.reference = 0, held
+        return Settled(None)
+
+    def _give_up(self, t: float) -> Settled:
+        """Return to the parameters that lasted; all channels rest, as parameters explain each of them for a while."""
+        state = self._state
+        state.moves, state.n_failures = (), max(state.n_failures + 1, _PATIENCE)
+        state.n_since, state.verdict = 0, "refuted"
+        every = ~state.is_resting
+        names = self._of(every)
+        reason = f"parameters explain {', '.join(names)} for a few samples only"
+        state.counts["unexplained"] += 1
+        event = Event(t, "unexplained", {"channels": names, "reason": reason})
+        return Settled(state.lasting, (event, self._rest(t, every)), True)
 
     def judge(self, theta: Vector, held: Vector) -> Judgement:
         """Return whether parameters theta (d,) in place of those in force are warranted by the newest samples."""
@@ -321,10 +365,10 @@ class Diagnosis:
         if self._state.n_since:
             self._state.reference = theta
 
-    @property
-    def reference(self) -> Vector | None:
-        """Parameters (d,) in force at the onset, or accepted since; None before the first onset."""
-        return self._state.reference
+    def _undone(self, reference: Vector) -> Vector:
+        """Return the parameters (d,) to go back to: the reference, or the lasting ones where everything rests."""
+        state = self._state
+        return state.lasting if state.is_resting.all() and state.lasting is not None else reference
 
     def _weigh(self, theta: Vector, held: Vector) -> None:
         """Compare the hypotheses on the newest samples since the onset, fewer of them where nothing explains more."""
@@ -417,24 +461,26 @@ class Diagnosis:
         found = disturbance_of(self._rows(reference, min(state.n_since, _QUIET)))
         return (state.offset + found.newest * state.scale.effective) * self._sigma
 
-    def fail(self, t: float, theta: Vector | None, held: Vector) -> tuple[Event, ...]:
-        """Take the end of a search that has found no parameters, theta (d,) being the best; return the events.
+    def fail(self, t: float, theta: Vector | None, held: Vector) -> Settled | None:
+        """Take the end of a search that has found no parameters, theta (d,) being the best; None for a false alarm.
 
         A disturbance is named where a constant one explains the samples. After the third time, one soon after the
         other, the channels that neither explains rest, longer each time.
         """
         state = self._state
         n = min(state.n_since, _QUIET)
-        rows = self._rows(held if state.reference is None else state.reference, n)
+        reference = held if state.reference is None else state.reference
+        rows = self._rows(reference, n)
         found = disturbance_of(rows)
         if plain_fit(rows, 0).score <= found.fit.score:  # a false alarm
             state.n_since, state.verdict = 0, "refuted"
-            return ()
+            return None
         if self._is_changing(held, n) or self._is_noise(held):  # which the search has not found
-            return ()
+            return None
         explaining = [d for d in (found, self._both(held, n)) if d is not None and d.fit.is_explained]
         if n >= _QUIET and explaining:
-            return self._name(t, min(explaining, key=lambda d: d.fit.score))
+            events = self._name(t, min(explaining, key=lambda d: d.fit.score))
+            return Settled(self._undone(reference), events, True)
         state.n_since, state.verdict = 0, "refuted"
         state.n_failures += 1
         best = rows if theta is None else self._rows(theta, n)
@@ -446,29 +492,69 @@ class Diagnosis:
         reason = f"no parameters explain {', '.join(names)}"
         event = Event(t, "unexplained", {"channels": names, "reason": reason})
         state.counts["unexplained"] += 1
-        return (event,) if state.n_failures < _PATIENCE else (event, self._rest(t, lacks))
+        events = (event,) if state.n_failures < _PATIENCE else (event, self._rest(t, lacks))
+        return Settled(self._undone(reference), events, True)
 
     def _name(self, t: float, found: Disturbance) -> tuple[Event, ...]:
         """Take a disturbance for the explanation; return the events."""
         state = self._state
         state.n_since, state.verdict = 0, "refuted"
         state.n_failures += 1
-        acts = found.largest > np.sqrt(chi2_limit(FALSE_ALARM, 1))
+        acts = _acting(found.largest)
         offset = state.offset + found.newest * state.scale.effective
         if found.is_constant:  # else it is another one in the next sample
             state.offset = offset
-        size = {self._names[i]: float(offset[i] * self._sigma[i]) for i in np.flatnonzero(acts)}
         how = "constant" if found.is_constant else "changing"
-        reason = f"a {how} disturbance explains the samples, changed parameters do not"
-        event = Event(t, "disturbance", {"size": size, "reason": reason})
-        state.counts["disturbance"] += 1
-        state.named = [*state.named, {"t": t, "size": size}][-MOST_NAMED:]
+        event = self._named(t, offset, acts, f"a {how} disturbance explains the samples, changed parameters do not")
         return (event,) if state.n_failures < _PATIENCE else (event, self._rest(t, acts))
 
-    def succeed(self) -> None:
-        """Take the end of a search that has found parameters: earlier failures count less, if that proves anything."""
-        if self._state.n_spare >= _SPARE:
-            self._state.n_failures = max(self._state.n_failures - 1, 0)
+    def _passed(self, t: float, rows: Vector, is_changed: bool) -> tuple[Event, ...]:
+        """Return the event of a disturbance that is over, from the residuals (n, c) of the parameters before it.
+
+        One that was not known is named where parameters were written for it, which it does not explain any more.
+        """
+        state = self._state
+        if np.any(state.offset):
+            return (Event(t, "disturbance", {"size": {}, "reason": "the disturbance is over"}),)
+        n_unusual = sum(not self._is_usual(row, n_channels_of(rows)) for row in rows)
+        if not is_changed or n_unusual < _FEWEST:
+            return ()
+        largest = rows[np.abs(rows).argmax(axis=0), np.arange(rows.shape[1])]
+        reason = "a disturbance has passed: the parameters before it explain the samples again"
+        return (self._named(t, largest * state.scale.effective, _acting(np.abs(largest)), reason),)
+
+    def _named(self, t: float, offset: Vector, acts: NDArray[np.bool_], reason: str) -> Event:
+        """Count a disturbance (c,), in standard deviations of the declared noise; return its event."""
+        state = self._state
+        size = {self._names[i]: float(offset[i] * self._sigma[i]) for i in np.flatnonzero(acts)}
+        state.counts["disturbance"] += 1
+        state.named = [*state.named, {"t": t, "size": size}][-MOST_NAMED:]
+        return Event(t, "disturbance", {"size": size, "reason": reason})
+
+    def succeed(self, t: float, theta: Vector) -> Settled | None:
+        """Take the end of a search that has found parameters theta (d,).
+
+        Earlier failures count less, if that proves anything. But parameters that are never proven and move on from
+        search to search, by more than they may drift, explain nothing: the third time they are undone.
+        """
+        state = self._state
+        if self._is_restless(theta):
+            return self._give_up(t)
+        if state.n_spare >= _SPARE and state.verdict == "warranted":
+            state.n_failures = max(state.n_failures - 1, 0)
+        return None
+
+    def _is_restless(self, theta: Vector) -> bool:
+        """Take parameters (d,) that were found; return whether three of five such, soon one after the other, differ."""
+        state, z = self._state, self._space.to_unit(theta)
+        (n, before), state.found = state.found or (-_FORGOTTEN, z), (state.n_samples, z)
+        n_passed = state.n_samples - n
+        if n_passed >= _FORGOTTEN:
+            state.moves = ()
+        else:
+            has_moved = bool(np.any(np.abs(z - before) > _AGREE + USUAL_RATE * n_passed))
+            state.moves = (*state.moves, has_moved)[-_REMEMBERED:]
+        return sum(state.moves) >= _PATIENCE
 
     def _of(self, channels: NDArray[np.bool_]) -> list[str]:
         return [self._names[i] for i in np.flatnonzero(channels)]
@@ -526,6 +612,12 @@ def is_at_unseen_bound(space: ParameterSpace, theta: Vector, std: Vector, held: 
     is_at_bound = (z < _LITTLE) | (z > 1.0 - _LITTLE)
     has_moved = np.abs(z - space.to_unit(held)) > _LITTLE
     return bool(np.any(is_at_bound & has_moved & (std >= _WIDE * space.slope(theta))))
+
+
+def _acting(largest: Vector) -> NDArray[np.bool_]:
+    """Return which channels (c,) a disturbance acts on, from its largest size (c,) there: one at least."""
+    acts = largest > np.sqrt(chi2_limit(FALSE_ALARM, 1))
+    return acts if acts.any() else largest >= largest.max()
 
 
 def _shorter(n: int) -> Iterator[int]:

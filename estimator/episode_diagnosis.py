@@ -31,6 +31,8 @@ _BETTER: Final = 0.5
 """Share of the sum of squares of the parameters in force that better ones may have."""
 _ASIDE: Final = 0.01
 """Step of differences in an input, as a share of its size, or of one where it is smaller."""
+_MORE: Final = "parameters and a disturbance explained fewer samples equally well"
+"""Reason of an episode on a longer window."""
 
 
 @dataclass
@@ -128,6 +130,8 @@ class EpisodeDiagnosis:
             if state.n_samples == state.rests_until - 1 and state.scale.wake(np.array(state.rested)):
                 self._window.weights = 1.0 / state.scale.effective
             return None
+        if self._window.is_extended:
+            return _MORE if self._window.is_ready else None
         if float(residual @ residual) <= chi2_limit(self._settings.false_alarm, len(residual)):
             self._quiet(newest)
             return None
@@ -205,6 +209,10 @@ class EpisodeDiagnosis:
         state.rested.clear()
         reason = f"{state.n_failures} searches in vain: re-tuning rests for {length} samples"
         return event, Event(t, "rest", {"channels": list(self._outputs), "reason": reason})
+
+    def wait(self) -> bool:
+        """Wait for more samples, on which the next episode begins; return False where there are many already."""
+        return self._window.extend()
 
     def succeed(self) -> None:
         """Take the end of a search that has found parameters: earlier failures count less."""

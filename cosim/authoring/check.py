@@ -24,6 +24,7 @@ from .check_estimation import check_changes, check_parameters, check_sampling, c
 from .check_filter import check_filter
 from .check_fmu import check_fmu
 from .check_model import check_model, plain, split
+from .check_noise import check_noise
 from .check_wiring import check_connections, check_inputs, check_loops, check_starts, check_steps
 
 _CHECKS: tuple[Callable[[Scenario, Mapping[str, Component]], Iterator[Finding]], ...] = (
@@ -59,7 +60,7 @@ def check(source: str | Path, overrides: Mapping[str, str] | None = None) -> lis
     findings += [finding for one in _CHECKS for finding in one(scenario, components)]
     findings += [warning("scenario", f"it would {what}, which only --trust allows") for what in distrusted(scenario)]
     if not any(f.is_error for f in findings):
-        findings += check_model(scenario, components)
+        findings += [*check_model(scenario, components), *check_noise(scenario)]
     return findings
 
 

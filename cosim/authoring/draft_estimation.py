@@ -15,6 +15,7 @@ from .guess import CONTROLLER, PLANT, alike, best
 from .toml_lines import quoted, said
 
 _NOISE: Final = 1e-3  # of the nominal value
+_GUESS: Final = "GUESS of the noise: a run measures it"
 _WIDE: Final = 10.0  # a guessed bound is this many times the start value
 
 
@@ -45,7 +46,7 @@ def sampling(plant: Component) -> list[str]:
         nominal = float(attribute(plant.variables[rate], "nominal") or 1.0)
         text = f"{quoted(f'{PLANT}.{rate}')} = {{ noise = {_NOISE * abs(nominal):g} }}"
         is_used = rate in telling or not telling
-        note = f"[{unit_name(plant, rate)}] " + ("GUESS of the noise" if is_used else "depends on states only")
+        note = f"[{unit_name(plant, rate)}] " + (_GUESS if is_used else "depends on states only")
         lines.append(said(text if is_used else f"# {text}", note))
     return lines if rates else _filtered(plant)
 
@@ -84,7 +85,7 @@ def _filtered(plant: Component) -> list[str]:
     for state in states:
         nominal = float(attribute(plant.variables[state], "nominal") or 1.0)
         text = f"{quoted(f'{PLANT}.{state}')} = {{ noise = {_NOISE * abs(nominal):g} }}"
-        note = "GUESS of the noise" if is_declared else "GUESS of the noise, and that it is a state"
+        note = _GUESS if is_declared else "GUESS of the noise, and that it is a state"
         lines.append(said(text, f"[{unit_name(plant, state)}] {note}"))
     return [
         *lines,

@@ -71,10 +71,12 @@ def _content(what: object) -> object:
 
 @pytest.fixture(scope="session", autouse=True)
 def cache(made_once, tmp_path_factory) -> Iterator[Path]:
-    """Where the built-in FMUs are kept: never the user's cache. What is unpacked there is a session's own."""
+    """Where the built-in FMUs are kept: never the user's cache. What is unpacked there is a session's own, and so
+    is the key of its runs."""
     folder = tmp_path_factory.mktemp("cache")
     built = made_once(lambda folder: None, "built-in FMUs", Path(fmu_models.__file__).parent)
     (folder / "fmus").symlink_to(built)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("FMU_RETUNE_CACHE", str(folder))
+        patch.setenv("XDG_STATE_HOME", str(folder / "state"))
         yield folder

@@ -1,32 +1,29 @@
 """Errors and risks in a scenario, found before any of its components runs.
 
 An error is something that `run` would refuse or that gives meaningless results; a warning may be intended. The only
-code that is called is the estimator's model: a function of the user's or a model-exchange FMU.
+code that is called is the estimator's model, where that is the user's own: see `check_model`.
 """
 
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
-import numpy as np
 from pydantic import ValidationError
 
-from estimator import Sample
-
-from ..errors import CosimError, ScenarioError, one_line
-from ..findings import Finding
+from ..errors import CosimError, ScenarioError
+from ..findings import Finding, warning
 from ..fmi.archive import FmuFile
 from ..fmi.component import Component, read_component
-from ..objectives.choice import check_objective, chosen
-from ..retuning.assembly import try_model
+from ..fmi.table import is_table
 from ..scenarios.scenario import Scenario
+from ..scenarios.trust import distrusted
 from ..scenarios.validation import error_texts
 from ..ssp.load import load_scenario
 from ..system.aliases import as_the_fmus_have_it
 from ..system.fmu_cache import component_path
-from ..system.parameters import start_values
-from ..system.plant import plant_of
 from .check_estimation import check_changes, check_parameters, check_sampling, check_tracking
-from .check_filter import check_filter, check_filtered_model
+from .check_filter import check_filter
+from .check_fmu import check_fmu
+from .check_model import check_model, plain, split
 from .check_noise import check_noise
 from .check_wiring import check_connections, check_inputs, check_loops, check_starts, check_steps
 
@@ -43,51 +40,30 @@ def check(source: str | Path, overrides: Mapping[str, str] | None = None) -> lis
     except ScenarioError as e:
         if not isinstance(e.__cause__, ValidationError):
             raise
-        found = [_split(text) for text in error_texts(e.__cause__, Scenario)]
+        found = [split(text) for text in error_texts(e.__cause__, Scenario)]
         return [f for f in found if not any(other.where.startswith(f"{f.where}.") for other in found)]  # what follows
     components: dict[str, Component] = {}
     findings: list[Finding] = []
     for name, c in scenario.components.items():
         try:
-            components[name] = read_component(component_path(c, scenario.folder))
+            path = component_path(c, scenario.folder)
+            components[name] = read_component(path)
+            findings += [] if is_table(path) else _fmu_errors(name, path)
         except CosimError as e:
-            findings.append(Finding(f"components.{name}", _plain(e)))
+            findings.append(Finding(f"components.{name}", plain(e)))
     if len(components) == len(scenario.components):
         try:
             files = {name: FmuFile(name, c.description) for name, c in components.items()}
             scenario = as_the_fmus_have_it(scenario, files)
         except CosimError as e:
-            return [Finding("connections", _plain(e))]
+            return [Finding("connections", plain(e))]
     findings += [finding for one in _CHECKS for finding in one(scenario, components)]
+    findings += [warning("scenario", f"it would {what}, which only --trust allows") for what in distrusted(scenario)]
     if not any(f.is_error for f in findings):
-        findings += [*_check_model(scenario, components), *check_noise(scenario)]
+        findings += [*check_model(scenario, components), *check_noise(scenario)]
     return findings
 
 
-def _check_model(scenario: Scenario, components: Mapping[str, Component]) -> Iterator[Finding]:
-    """Call the model once at the start values, or describe the objective; used when all other checks have passed."""
-    files = {name: FmuFile(name, c.description) for name, c in components.items()}
-    try:
-        plant = plant_of(scenario, files[scenario.plant])
-        if chosen(scenario).kind != "derivative":
-            for text in check_objective(scenario, plant):
-                yield Finding("estimation.objective", text, is_error=False, is_note=True)
-            return
-        x = tuple(start_values(scenario, files, [f"{plant.name}.{name}" for name in plant.states]))
-        theta = np.array(start_values(scenario, files, [p.writes for p in scenario.estimation.parameters]))
-        zeros = (0.0,) * len(scenario.sampling.derivatives)
-        sample = Sample(scenario.scenario.start_time, x, tuple(plant.inputs.values()), zeros)
-        try_model(scenario, "target", plant, theta, sample)
-        yield from check_filtered_model(scenario, plant, np.array(x), theta)
-    except CosimError as e:
-        yield _split(_plain(e)) if str(e).startswith("estimation.") else Finding("estimation.model", _plain(e))
-
-
-def _split(text: str) -> Finding:
-    """Return the finding of a schema error in the form `key: rule`."""
-    key, colon, rule = text.partition(": ")
-    return Finding(key, rule) if colon and " " not in key else Finding("scenario", text)
-
-
-def _plain(error: CosimError) -> str:
-    return one_line(str(error)).rstrip(".")
+def _fmu_errors(name: str, fmu: Path) -> list[Finding]:
+    """Return what `run` would refuse of a component's FMU beside its description: contents and library."""
+    return [Finding(f"components.{name}", f"{fmu}: {f.where}: {f.what}") for f in check_fmu(fmu) if f.is_error]

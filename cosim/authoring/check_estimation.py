@@ -1,16 +1,21 @@
 """Checks of the variables that a scenario changes, tracks, samples and estimates against its FMUs' declarations."""
 
 from collections.abc import Iterator
+from typing import Final
 
+from ..errors import ScenarioError, seconds
 from ..findings import Finding, warning
-from ..fmi.ports import attribute
+from ..fmi.ports import Catalogue, Ports, attribute
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
 from ..scenarios.schema.estimation import EstimatedParameter
-from ..system.parameters import parameter_problem
+from ..system.parameters import parameter_problem, value_of_change
 from ..system.plant import connected_as_well
 from ..variable_name import VariableName
 from .check_wiring import Components, output_refusal, output_refusals, parts, refusal, unit_finding
+
+_MOST_POINTS: Final = 1_000_000
+"""Most communication points at which a change is evaluated: of a longer run every second, third, ..."""
 
 
 def check_changes(scenario: Scenario, components: Components) -> Iterator[Finding]:
@@ -21,10 +26,30 @@ def check_changes(scenario: Scenario, components: Components) -> Iterator[Findin
         problem = component and refusal(component, "input" if is_input else "tunable parameter", name)
         if is_input and reference in scenario.connections:
             problem = connected_as_well(scenario, reference)
+        if component is not None and not problem:
+            catalogue = Catalogue(component.fmu.name, component.variables.values())
+            is_lenient = is_input and scenario.scenario.out_of_range == "warning"
+            port = catalogue.ports("input" if is_input else "tunable parameter", [name], is_lenient)
+            problem = _first_problem(scenario, reference, port)
         if problem:
             yield Finding(f'changes."{reference}"', problem)
     if not scenario.changes:
         yield warning("changes", "nothing changes in the plant: there is nothing to estimate")
+
+
+def _first_problem(scenario: Scenario, reference: VariableName, port: Ports) -> str | None:
+    """Return the problem of the first value that a change would set, as `run` finds it, or None."""
+    settings, change = scenario.scenario, scenario.change_functions()[reference]
+    last = settings.n_steps
+    for k in range(0, last + 1, max(1, last // _MOST_POINTS)):
+        t = settings.time(k)
+        try:
+            problem = port.problem([value_of_change(reference, change, t)])
+        except ScenarioError as e:
+            return str(e).removeprefix(f"changes.{reference} ").rstrip(".")
+        if problem and k < last:  # nothing steps from the last point on
+            return f"{problem}, at t = {seconds(t)} s"
+    return None
 
 
 def check_tracking(scenario: Scenario, components: Components) -> Iterator[Finding]:

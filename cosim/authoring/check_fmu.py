@@ -8,6 +8,7 @@ from ..findings import Finding, warning
 from ..fmi.archive import (
     DESCRIPTION,
     content,
+    contents_findings,
     interfaces,
     library_finding,
     library_path,
@@ -26,6 +27,8 @@ def check_fmu(fmu: Path) -> list[Finding]:
         if any(f.is_error for f in found):  # what has been found is why
             return found
         raise
+    damaged = [] if any(f.is_error for f in found) else [*contents_findings(fmu)]  # a bomb is not unpacked
+    found += damaged
     if any(part.needsExecutionTool in ("true", "1", True) for part in interfaces(description).values()):
         found.append(warning(DESCRIPTION, "the FMU needs the tool that made it to run (needsExecutionTool)"))
     if unusable(description, "model-exchange") and (problem := unusable(description, "co-simulation")):
@@ -34,6 +37,8 @@ def check_fmu(fmu: Path) -> list[Finding]:
         return [*found, Finding("binaries", problem)]
     for interface in interfaces(description):
         place = library_path(description, interface)
+        if repr(place) in {f.where for f in damaged}:
+            continue
         try:
             found += library_finding(BytesIO(content(fmu, place)), description, interface)
         except ModelDescriptionError as error:

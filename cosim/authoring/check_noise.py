@@ -2,8 +2,9 @@
 
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from ..errors import CosimError
 from ..findings import Finding
@@ -13,6 +14,24 @@ from ..scenarios.scenario import Scenario
 
 _NOTABLE: Final = 1.5
 """Ratio of the residuals' true size to the declared noise, or its inverse, that is worth a line."""
+
+
+@dataclass(frozen=True)
+class _Channel:
+    scale: float
+    noise_ratio: float | None
+
+
+@dataclass(frozen=True)
+class _Channels:
+    channels: dict[str, _Channel]
+
+
+@dataclass(frozen=True)
+class _Diagnosed:
+    """The part of a result file that is read here."""
+
+    diagnosis: _Channels | None = None
 
 
 def check_noise(scenario: Scenario, runs: Path = Path("runs")) -> Iterator[Finding]:
@@ -25,7 +44,7 @@ def check_noise(scenario: Scenario, runs: Path = Path("runs")) -> Iterator[Findi
         return
     folder, channels = found
     for name, channel in channels.items():
-        ratio = max(channel["scale"], channel["noise_ratio"]) if channel["noise_ratio"] else channel["scale"]
+        ratio = max(channel.scale, channel.noise_ratio) if channel.noise_ratio else channel.scale
         if 1.0 / _NOTABLE < ratio < _NOTABLE:
             continue
         yield Finding(*_advice(scenario, name, ratio, folder), is_error=False, is_note=True)
@@ -43,7 +62,7 @@ def _advice(scenario: Scenario, name: str, ratio: float, folder: Path) -> tuple[
     return "sampling", f"{folder} explains {name} to {ratio:.2g} times its noise: multiply the states' by as much"
 
 
-def _newest_diagnosis(scenario: Scenario, runs: Path) -> tuple[Path, Mapping[str, Any]] | None:
+def _newest_diagnosis(scenario: Scenario, runs: Path) -> tuple[Path, Mapping[str, _Channel]] | None:
     """Return the newest finished run's folder and the findings of its diagnosis on each channel, or None."""
     folders = sorted(runs.glob(f"{scenario.scenario.name}-*"), key=lambda folder: (len(folder.name), folder.name))
     for folder in reversed(folders):
@@ -51,7 +70,7 @@ def _newest_diagnosis(scenario: Scenario, runs: Path) -> tuple[Path, Mapping[str
             manifest = read_manifest(folder)
             if manifest.status != "done" or scenario_of(folder, manifest).sampling != scenario.sampling:
                 continue
-            diagnosis = read_json(folder, RESULT, dict[str, Any]).get("diagnosis")
-            if diagnosis:
-                return folder, diagnosis["channels"]
+            diagnosis = read_json(folder, RESULT, _Diagnosed).diagnosis
+            if diagnosis is not None:
+                return folder, diagnosis.channels
     return None

@@ -13,6 +13,7 @@ from ..files import to_json
 from ..retuning.estimators import check_estimator
 from ..runs.lock import new_locked_folder
 from ..scenarios.scenario import Scenario
+from ..scenarios.trust import check_trust, with_own
 from ..system.fmu_cache import fmu_paths
 from .comparison import Comparison
 from .executor import Executor, ExecutorError, RunsProgress, Task
@@ -40,7 +41,8 @@ def compare(
     the tables are written at the end; with `keep` each run has its folder there, too. Diverged and faulted runs count.
     Raises ValueError for seeds or jobs that make no sense; CosimError for what `run` refuses.
     """
-    scenario = scenario if isinstance(scenario, Scenario) else Scenario.load(scenario)
+    scenario = with_own(scenario if isinstance(scenario, Scenario) else Scenario.load(scenario), *(estimators or ()))
+    check_trust(scenario)
     out = None if out is None else Path(out)
     names = tuple(dict.fromkeys(("none", "true", *(usable(scenario) if estimators is None else estimators))))
     for name in names:

@@ -20,21 +20,28 @@ from ..runs.record import recording
 from ..runs.result import Run, read_run
 from ..sampling.sampler import recorded_samples
 from ..scenarios.schema.guard import GuardSettings
+from ..scenarios.trust import check_trust, trusted, with_own
 from .comparison import Comparison
 from .executor import record_of
 
 
-def replay(folder: Path, estimators: Sequence[str], seed: int | None = None, out: Path | None = None) -> Comparison:
+def replay(
+    folder: Path, estimators: Sequence[str], seed: int | None = None, out: Path | None = None, trust: bool = False
+) -> Comparison:
     """Return the estimates of each estimator from a run's samples; plant and controller move as recorded.
 
     Samples are screened as in a run, but there is no guard: a prediction or a revert has no consequences here. A
     tracking error that an estimator would have reduced stays, so one that is triggered by it is triggered repeatedly.
     Each starts from the controller's first parameters. seed: of the search, by default the run's. With `out`, an absent
-    or empty folder, the tables are written there.
+    or empty folder, the tables are written there. trust: run the Python code that the folder names even if the run was
+    not made by this user, or the code is not as it was.
     Raises FolderError for a folder without a run; ScenarioError for `none` and `true`, which estimate nothing, and for
     what `run` refuses of an estimator.
     """
     recorded = read_run(folder)
+    scenario = trusted(recorded.scenario) if trust else with_own(recorded.scenario, *estimators)
+    check_trust(scenario)
+    recorded = replace(recorded, scenario=scenario)
     for name in estimators:
         if name in ("none", "true"):
             raise ScenarioError(f"'{name}' estimates nothing; replay an estimator, such as 'target'.")

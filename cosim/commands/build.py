@@ -11,6 +11,7 @@ from ..errors import ScenarioError
 from ..estimator_fmu.build import build_estimator
 from ..ssp.load import load_scenario
 from ..system.fmu_cache import build_into
+from ..terminal.consent import consented
 from ..terminal.exit_codes import DONE
 
 
@@ -19,8 +20,8 @@ def command(options: argparse.Namespace) -> int:
     is_ours = options.fmi == 2 and not options.model_exchange
     if options.estimator and not is_ours:
         raise ScenarioError("--fmi and --model-exchange are of the built-in FMUs: leave out --estimator.")
-    if not options.estimator and (options.method or options.overrides):
-        raise ScenarioError("--method and --set are of an estimator: give --estimator SCENARIO.")
+    if not options.estimator and (options.method or options.overrides or options.trust):
+        raise ScenarioError("--method, --set and --trust are of an estimator: give --estimator SCENARIO.")
     builder = _estimator_builder(options) if options.estimator else _builder(options)
     for path, verb in build_into(options.out, options.force, builder):
         print(f"{path}  {verb}")
@@ -34,7 +35,7 @@ def _builder(options: argparse.Namespace) -> Callable[[Path], Mapping[str, Path]
 
 
 def _estimator_builder(options: argparse.Namespace) -> Callable[[Path], Mapping[str, Path]]:
-    scenario = load_scenario(options.estimator, dict(options.overrides))
+    scenario = consented(load_scenario(options.estimator, dict(options.overrides)), options.trust)
 
     def builder(folder: Path) -> Mapping[str, Path]:
         path = build_estimator(scenario, folder, options.method or "target")

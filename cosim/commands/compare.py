@@ -5,6 +5,7 @@ import argparse
 from ..campaigns.compare import compare
 from ..runs.record import recording
 from ..ssp.load import load_scenario
+from ..terminal.consent import consented
 from ..terminal.exit_codes import DONE
 from ..terminal.folders import new_folder
 from ..terminal.progress import bar_of_runs
@@ -12,7 +13,7 @@ from ..terminal.progress import bar_of_runs
 
 def command(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
-    scenario = load_scenario(options.scenario, dict(options.overrides))
+    scenario = consented(load_scenario(options.scenario, dict(options.overrides)), options.trust)
     name = scenario.scenario.name
     with (
         new_folder(f"{name}-compare", options.out) as folder,

@@ -4,13 +4,17 @@ import argparse
 from contextlib import nullcontext
 
 from ..campaigns.replay import replay
+from ..runs.manifest import read_manifest, scenario_of
+from ..terminal.consent import is_consented
 from ..terminal.exit_codes import DONE
 from ..terminal.folders import new_folder
 
 
 def command(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
+    recorded = scenario_of(options.run, read_manifest(options.run))
+    trust = is_consented(recorded, options.trust)
     with new_folder("replay", options.out) if options.out else nullcontext():
-        result = replay(options.run, options.estimator, options.seed, options.out)
+        result = replay(options.run, options.estimator, options.seed, options.out, trust)
     print(result.to_json() if options.json else result.table())
     return DONE

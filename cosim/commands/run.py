@@ -10,8 +10,10 @@ from ..retuning.estimators import check_estimator
 from ..runs.record import recording
 from ..runs.run_files import ESTIMATES
 from ..runs.simulation import run
+from ..scenarios.trust import with_own
 from ..ssp.load import load_scenario
 from ..ssp.start_values import with_start_values
+from ..terminal.consent import consented
 from ..terminal.folders import must_be_new, new_folder
 from ..terminal.run_output import BASELINES, simulated, tell
 
@@ -27,6 +29,7 @@ def command(options: argparse.Namespace) -> int:
         raise SspError(f"--scenario goes with an SSP package, got '{options.scenario}'.")
     source, system = (options.tables, options.scenario) if options.tables else (options.scenario, None)
     scenario = load_scenario(source, dict(options.overrides), system)
+    scenario = with_own(consented(scenario, options.trust), options.estimator)
     scenario = with_start_values(scenario, options.start_values)
     check_estimator(options.estimator, scenario)
     must_be_new(options.ssv, "--ssv")

@@ -16,6 +16,7 @@ from fmu_models.build import assemble, sources
 
 from ..errors import ScenarioError
 from ..scenarios.scenario import Scenario
+from ..user_code import places_of
 from .settings import estimator_settings
 from .slave import variable_table
 from .theory import ICON, THEORY
@@ -51,7 +52,7 @@ def build_estimator(scenario: Scenario, out_dir: Path, method: str = "target") -
         **{f"cosim/{module}": (own / module).read_bytes() for module in _SHIPPED},
         **sources(Path(estimator.__path__[0])),
         **sources(Path(fmu_models.__path__[0])),
-        **_user_sources(settings, scenario.folder),
+        **_user_sources(settings, scenario),
     }
     tops = sorted({path.partition("/")[0].removesuffix(".py") for path in files})
     files["requirements.txt"] = "".join(f"{package}\n" for package in settings["requires"]).encode()
@@ -64,15 +65,14 @@ def build_estimator(scenario: Scenario, out_dir: Path, method: str = "target") -
         raise ScenarioError(f"{e}.") from e
 
 
-def _user_sources(settings: Mapping[str, Any], folder: Path) -> dict[str, bytes]:
+def _user_sources(settings: Mapping[str, Any], scenario: Scenario) -> dict[str, bytes]:
     """Return the user's modules with the model and what it imports, as `run` finds them. Raises ScenarioError."""
-    places = [folder.resolve(), Path.cwd()]
     files: dict[str, bytes] = {}
     for reference in (settings["model"], *(settings["linear"] or ())):
         module = reference.partition(":")[0]
         if module.partition(".")[0] in _OURS:
             continue
-        finder = ModuleFinder(path=[str(place) for place in places], excludes=list(_OURS))
+        finder = ModuleFinder(path=places_of(reference, scenario.folder, scenario.origin), excludes=list(_OURS))
         try:
             finder.import_hook(module)
         except ImportError as e:

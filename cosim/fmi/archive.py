@@ -2,7 +2,7 @@
 
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -30,6 +30,7 @@ FindingsListener = Callable[[Iterable[Finding]], None]
 DESCRIPTION: Final = "modelDescription.xml"
 _DAMAGED: Final = (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, ValueError)  # what zipfile raises
 _BUILD: Final = "sources/buildDescription.xml"
+_CHUNK: Final = 1 << 20
 _VERSIONS: Final[dict[str, tuple[str, ...]]] = {"co-simulation": ("2.0", "3.0"), "model-exchange": ("2.0", "3.0")}
 
 
@@ -102,6 +103,9 @@ def look_into(fmu: Path, on_findings: FindingsListener | None = None) -> tuple[M
         n = len(error.problems) - 1
         more = f" (and {n} more, which `fmpy validate` lists)" if n else ""
         raise ModelDescriptionError(f"{fmu} is not a usable FMU: {one_line(error.problems[0])}{more}") from error
+    except (AttributeError, TypeError, IndexError) as error:  # FMPy surprised by what the schema allows
+        text = f"{DESCRIPTION}: it is not consistent ({type(error).__name__}: {_text_of(error)})"
+        raise ModelDescriptionError(f"{fmu} is not a usable FMU: {text}") from error
     except Exception as error:  # FMPy raises what the zip, XML and validation code happens to raise
         raise ModelDescriptionError(f"{fmu} is not a usable FMU: {_text_of(error)}") from error
     return description, platforms
@@ -109,7 +113,7 @@ def look_into(fmu: Path, on_findings: FindingsListener | None = None) -> tuple[M
 
 def library_finding(library: BinaryIO, description: ModelDescription, interface: str) -> Iterable[Finding]:
     """Yield problems with the library of an FMU."""
-    problem = library_problem(library, needed_functions(str(description.fmiVersion), interface))
+    problem = library_problem(library, needed_functions(description, interface))
     if problem:
         yield Finding(library_path(description, interface), problem)
 
@@ -191,13 +195,25 @@ def unpack(fmu: Path, folder: str) -> None:
         raise ModelDescriptionError(f"{fmu} cannot be unpacked: {_text_of(error)}") from error
 
 
+def contents_findings(fmu: Path) -> Iterator[Finding]:
+    """Yield the files of an archive that cannot be unpacked as its directory says: each is read to its end."""
+    with zipfile.ZipFile(fmu) as archive:
+        for entry in archive.infolist():
+            try:
+                with archive.open(entry) as file:
+                    while file.read(_CHUNK):
+                        pass
+            except _DAMAGED as error:
+                yield Finding(repr(entry.filename), f"cannot be unpacked: {_text_of(error)}")
+
+
 def _description_in(file: BinaryIO, on_findings: FindingsListener) -> Element:
     """Return the model description of an archive that can be unpacked. Raises what zipfile raises, ValueError."""
     with zipfile.ZipFile(file) as archive:
         on_findings(archive_findings(archive.infolist()))
         if _BUILD in archive.namelist():  # FMPy reads it too
             _strict(archive, _BUILD)
-        return _strict(archive, DESCRIPTION)
+        return _versioned(_strict(archive, DESCRIPTION))
 
 
 def _strict(archive: zipfile.ZipFile, name: str) -> Element:
@@ -208,6 +224,15 @@ def _strict(archive: zipfile.ZipFile, name: str) -> Element:
         return strict_root(archive.read(name))
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from error
+
+
+def _versioned(root: Element) -> Element:
+    """Return the root of a model description; without an FMI version it cannot be read. Raises ValueError."""
+    if root.tag != "fmiModelDescription":
+        raise ValueError(f"{DESCRIPTION}: its root is {root.tag!r}, not 'fmiModelDescription'")
+    if root.get("fmiVersion") is None:
+        raise ValueError(f"{DESCRIPTION}: it has no fmiVersion")
+    return root
 
 
 def _refuse(subject: str, findings: Iterable[Finding]) -> None:

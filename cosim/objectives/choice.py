@@ -100,7 +100,7 @@ def check_objective(scenario: Scenario, plant: Plant) -> list[str]:
 
 def _function(scenario: Scenario) -> Callable[..., Any]:
     name = scenario.estimation.objective
-    function = load(name, scenario.folder, "estimation.objective")
+    function = load(name, scenario.folder, "estimation.objective", scenario.origin)
     if not callable(function):
         raise ScenarioError(f"estimation.objective: '{name}' must be a function.")
     return function

@@ -8,13 +8,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from fmpy.model_description import ModelVariable
+from fmpy.model_description import ModelDescription, ModelVariable
 
 from estimator import Parameter
 
 from ..errors import CosimError, NotResumableError, ScenarioError, SlaveError
 from ..files import sha256
-from ..fmi.archive import fmu_to_load, unpacked
+from ..fmi.archive import fmu_to_load, read_description, unpacked
 from ..fmi.elements import resolved
 from ..fmi.ports import Catalogue
 from ..fmi.value_buffers import ScalarVariable
@@ -30,25 +30,47 @@ from ..user_code import load
 @contextmanager
 def opened_model(scenario: Scenario, plant: Plant) -> Generator[Any]:
     """Open the model, xdot (n,) = model(x, u, **parameters), see DerivativeResidual. Raises ScenarioError."""
-    reference = scenario.estimation.model
-    if reference is None:
-        raise ScenarioError("estimation.model: derivatives need it.")
-    if ":" in reference and not reference.endswith(".fmu"):
-        yield load(reference, scenario.folder)
+    fmu = model_fmu(scenario)
+    if fmu is None:
+        yield load(scenario.estimation.model or "", scenario.folder, origin=scenario.origin)
         return
-    try:
-        fmu = find_fmu(reference, scenario.folder, 3, "ModelExchange")
-        settings = scenario.scenario
+    settings = scenario.scenario
+    with _as_of_model():
         parameters = scenario.estimation.space.parameters
         model = FmuModel(fmu, plant, parameters, settings.timeout, settings.memory_limit, settings.environment)
-    except ScenarioError as e:
-        raise ScenarioError(f"estimation.model: {e}") from e
-    except CosimError as e:
-        raise ScenarioError(f"estimation.model: {str(e).rstrip('.')}.") from e
     try:
         yield model
     finally:
         model.close()
+
+
+def model_fmu(scenario: Scenario) -> Path | None:
+    """Return the file of a scenario's model if it is an FMU, None for a Python function. Raises ScenarioError."""
+    reference = scenario.estimation.model
+    if reference is None:
+        raise ScenarioError("estimation.model: derivatives need it.")
+    if ":" in reference and not reference.endswith(".fmu"):
+        return None
+    with _as_of_model():
+        return find_fmu(reference, scenario.folder, 3, "ModelExchange")
+
+
+def check_model_fmu(scenario: Scenario, plant: Plant) -> None:
+    """Raise ScenarioError for a model FMU that lacks what the plant has; it is not started."""
+    fmu = model_fmu(scenario)
+    if fmu is not None:
+        with _as_of_model():
+            _binding(fmu, read_description(fmu, "model-exchange"), plant, scenario.estimation.space.parameters)
+
+
+@contextmanager
+def _as_of_model() -> Generator[None]:
+    """Name the key in what is raised, all of which becomes ScenarioError."""
+    try:
+        yield
+    except CosimError as e:
+        text = str(e) if isinstance(e, ScenarioError) else f"{str(e).rstrip('.')}."
+        raise ScenarioError(f"estimation.model: {text}") from e
 
 
 class FmuModel:
@@ -75,7 +97,7 @@ class FmuModel:
         self._process: FmuProcess | None = None
         self._description, self._folder = unpacked(fmu, "model-exchange")
         try:
-            self._bound = self._binding(plant, parameters)
+            self._bound = _binding(fmu, self._description, plant, parameters)
             self._process = self._started()
         except BaseException:
             self.close()
@@ -115,28 +137,6 @@ class FmuModel:
             self._process = None
             self._folder.remove()
 
-    def _binding(
-        self, plant: Plant, parameters: Sequence[Parameter]
-    ) -> tuple[list[ScalarVariable], list[ScalarVariable], list[ScalarVariable]]:
-        """Return the FMU's variables: states and inputs, parameters, derivatives. Raises ScenarioError, WiringError."""
-        fmu, known = self._fmu, self._description.modelVariables
-        variables = {v.name: v for v in known}
-        rates = {v.derivative.name: v for v in known if v.derivative is not None}
-        states = _named(fmu, "state", plant.states, {name: variables[name] for name in rates})
-        inputs = _named(fmu, "input", plant.inputs, {n: v for n, v in variables.items() if v.causality == "input"})
-        if len(states) != len(rates):
-            missing = next(name for name in rates if name not in {v.name for v in states})
-            raise ScenarioError(f"{fmu.name} has the state {missing!r}, which {plant.name} has not.")
-        names = [resolved(p.name, variables) for p in parameters]
-        tunables = Catalogue(fmu.name, known).ports("tunable parameter", names)
-        for p, name in zip(parameters, names, strict=True):
-            _check_bounds(p, variables[name], fmu)
-        return (
-            [_variable(v) for v in (*states, *inputs)],
-            tunables.variables,
-            [_variable(rates[v.name]) for v in states],
-        )
-
     def _end(self) -> None:
         if self._process is not None:
             self._process.close(None, is_polite=False)
@@ -152,6 +152,29 @@ class FmuModel:
             process.close(None, is_polite=False)
             raise
         return process
+
+
+def _binding(
+    fmu: Path, description: ModelDescription, plant: Plant, parameters: Sequence[Parameter]
+) -> tuple[list[ScalarVariable], list[ScalarVariable], list[ScalarVariable]]:
+    """Return the FMU's variables: states and inputs, parameters, derivatives. Raises ScenarioError, WiringError."""
+    known = description.modelVariables
+    variables = {v.name: v for v in known}
+    rates = {v.derivative.name: v for v in known if v.derivative is not None}
+    states = _named(fmu, "state", plant.states, {name: variables[name] for name in rates})
+    inputs = _named(fmu, "input", plant.inputs, {n: v for n, v in variables.items() if v.causality == "input"})
+    if len(states) != len(rates):
+        missing = next(name for name in rates if name not in {v.name for v in states})
+        raise ScenarioError(f"{fmu.name} has the state {missing!r}, which {plant.name} has not.")
+    names = [resolved(p.name, variables) for p in parameters]
+    tunables = Catalogue(fmu.name, known).ports("tunable parameter", names)
+    for p, name in zip(parameters, names, strict=True):
+        _check_bounds(p, variables[name], fmu)
+    return (
+        [_variable(v) for v in (*states, *inputs)],
+        tunables.variables,
+        [_variable(rates[v.name]) for v in states],
+    )
 
 
 def _variable(variable: ModelVariable) -> ScalarVariable:

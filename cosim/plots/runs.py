@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..errors import CosimError
+from ..files import readable
 from ..fmi.component import read_component
 from ..runs.result import Run
 from ..runs.run_files import EVENTS
@@ -62,7 +63,7 @@ def draw_run(run: Run, baselines: Mapping[str, Run]) -> list[Path]:
 def read_events(folder: Path) -> list[RecordedEvent]:
     """Return the events of a run folder, as far as they can be read; none if there is no file."""
     events: list[Any] = []
-    with suppress(OSError), open(folder / EVENTS, encoding="utf-8", errors="replace") as file:
+    with suppress(OSError), open(readable(folder / EVENTS), encoding="utf-8", errors="replace") as file:
         for text in file:
             with suppress(json.JSONDecodeError):  # the last line of a run that was killed
                 events.append(json.loads(text))

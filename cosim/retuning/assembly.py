@@ -144,8 +144,8 @@ def _linear_form(method: Method, scenario: Scenario) -> LinearForm | None:
         return None
     return LinearForm(
         scenario.estimation.space,
-        load(settings.rows, scenario.folder, "estimation.linear.rows"),
-        load(settings.coefficients, scenario.folder, "estimation.linear.coefficients"),
+        load(settings.rows, scenario.folder, "estimation.linear.rows", scenario.origin),
+        load(settings.coefficients, scenario.folder, "estimation.linear.coefficients", scenario.origin),
     )
 
 

@@ -48,7 +48,7 @@ class _NoSettings:
 
 
 def _user_method(name: str, scenario: Scenario) -> Method:
-    found = load(name, scenario.folder, "estimator")
+    found = load(name, scenario.folder, "estimator", scenario.origin)
     if not isinstance(found, type):
         raise ScenarioError(f"estimator '{name}' must be a class, got {type(found).__name__}.")
     method = Method(

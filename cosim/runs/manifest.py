@@ -16,12 +16,14 @@ from ..errors import FolderError, one_line
 from ..files import readable, sha256, to_json, write_json
 from ..scenarios.scenario import Scenario
 from ..system.plant import Plant
+from ..user_code import CodeOrigin
 from .run_files import MANIFEST
+from .signature import is_signed, signature_of
 
 Status = Literal["done", "diverged", "faulted", "interrupted", "running", "unfinished"]
 """Status of a run; the last two only of a folder, whose run goes on in another process or was killed."""
 PACKAGES: Final = ("fmu-retune", "fmpy", "pythonfmu", "numpy", "scipy", "GPy", "pyarrow")
-_SEAL: Final = "seal"
+_SEAL, _SIGNATURE = "seal", "signature"
 
 
 @dataclass(frozen=True)
@@ -48,28 +50,42 @@ class Manifest:
     """Versions of the packages."""
     sha256: dict[str, str] = field(default_factory=dict[str, str])
     """SHA-256 of the files of a run that has ended."""
+    seal: str = ""
+    """SHA-256 of the rest of the manifest; none in one of an older version."""
+    signature: str = ""
+    """Signature of that, of a run whose Python code is the user's."""
 
 
 def read_manifest(folder: Path) -> Manifest:
     """Return the manifest of a run folder. Raises FolderError."""
-    manifest = read_json(folder, MANIFEST, Manifest)
+    read_json(folder, MANIFEST, Manifest)
     content = json.loads((folder / MANIFEST).read_bytes())
     if content.get(_SEAL, _digest(content)) != _digest(content):  # one of an older version has none
         raise FolderError(f"{folder} is damaged: {MANIFEST} is not as it was written.")
-    return manifest
+    return TypeAdapter(Manifest).validate_json(json.dumps(content))  # of what the hash is of, however it was written
 
 
 def scenario_of(folder: Path, manifest: Manifest) -> Scenario:
-    """Return the scenario of a run folder's manifest. Raises FolderError."""
+    """Return the scenario of a run folder's manifest: a stranger's, unless this user made the run. Raises FolderError.
+
+    Of the user's own only the modules as they were then are loaded.
+    """
+    is_own = is_signed(manifest.seal, manifest.signature)
+    origin = CodeOrigin(files=manifest.modules) if is_own else CodeOrigin(str(folder))
     try:
-        return Scenario.model_validate(manifest.scenario | {"folder": manifest.folder})
+        return Scenario.model_validate(manifest.scenario | {"folder": manifest.folder, "origin": origin})
     except ValidationError as e:
         raise FolderError(f"{folder} holds a scenario of another version: {_first(e)}.") from e
 
 
-def write_manifest(folder: Path, content: Mapping[str, Any]) -> None:
-    """Write the manifest, with the SHA-256 of its own content. Raises FolderError."""
-    write_json(folder / MANIFEST, {**content, _SEAL: _digest(json.loads(to_json(content)))})
+def write_manifest(folder: Path, content: Mapping[str, Any], is_own: bool) -> None:
+    """Write the manifest, with the SHA-256 of its own content. Raises FolderError.
+
+    is_own: whether the Python code that it names is the user's; it is signed then.
+    """
+    seal = _digest(json.loads(to_json(content)))
+    signature = signature_of(seal) if is_own else ""
+    write_json(folder / MANIFEST, {**content, _SEAL: seal, _SIGNATURE: signature})
 
 
 def check_file(folder: Path, name: str, digests: Mapping[str, str]) -> None:
@@ -119,5 +135,5 @@ def _first(error: ValidationError) -> str:
 
 def _digest(content: Mapping[str, Any]) -> str:
     """Return the SHA-256 of JSON values, independent of the order of their keys."""
-    rest = {key: value for key, value in content.items() if key != _SEAL}
+    rest = {key: value for key, value in content.items() if key not in (_SEAL, _SIGNATURE)}
     return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()

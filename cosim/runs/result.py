@@ -28,10 +28,11 @@ from .run_files import (
     MANIFEST,
     REQUIRED,
     RESULT,
+    SEALED,
     SERIES,
-    UNSEALED,
 )
 from .series import read_series, write_csv
+from .signature import is_signed
 
 Series = NDArray[np.float64]
 
@@ -187,7 +188,7 @@ def begin_folder(
         "folder": str(scenario.folder.resolve()),
         "scenario": scenario.model_dump(mode="json"),
     }
-    write_manifest(folder, content)
+    write_manifest(folder, content, is_own=not scenario.origin.stranger)
     remove_half_written(folder)
     for name in MADE_AT_END:
         (folder / name).unlink(missing_ok=True)
@@ -211,10 +212,11 @@ def end_folder(run: Run, folder: Path, units: Mapping[str, Unit]) -> None:
         held = [ParameterValue(p.writes, float(run[p.writes][-1]), p.unit) for p in run.scenario.estimation.parameters]
         write_text(folder / ESTIMATES, to_ssv(run.scenario.scenario.name, held, units))
     write_csv(folder / CSV, run.series)
-    manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-    final = (path for path in sorted(folder.iterdir()) if path.is_file())
-    hashes = {path.name: sha256(path) for path in final if path.name not in UNSEALED}
-    write_manifest(folder, manifest | {"status": run.status, "sha256": hashes})
+    begun, manifest = read_manifest(folder), json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+    hashes = {name: sha256(folder / name) for name in sorted(SEALED) if (folder / name).is_file()}
+    content = manifest | {"status": run.status, "sha256": hashes}
+    is_own = not run.scenario.origin.stranger and is_signed(begun.seal, begun.signature)  # it is still as it was begun
+    write_manifest(folder, content, is_own)
     if run.status in ("done", "diverged"):
         (folder / CHECKPOINT).unlink(missing_ok=True)
 
@@ -233,8 +235,9 @@ def read_run(folder: Path | str) -> Run:
         _check_begun(folder)
         result, latencies = _Result(), ()
     else:
-        for name in REQUIRED:
-            check_file(folder, name, manifest.sha256)
+        for name in SEALED:  # of what else is in the folder, such as pictures and notes, the user may dispose
+            if name in REQUIRED or name in manifest.sha256:
+                check_file(folder, name, manifest.sha256)
         status, result = manifest.status, read_json(folder, RESULT, _Result)
         latencies = read_json(folder, LATENCIES, tuple[tuple[float, ...], ...])
     series = read_series(folder)

@@ -45,7 +45,7 @@ RUN_FILES: Final = (
 """All files of a run folder but its pictures. A new file needs a row here, and code that writes it."""
 MADE_AT_END: Final = tuple(file.name for file in RUN_FILES if file.is_made_at_end)
 REQUIRED: Final = tuple(file.name for file in RUN_FILES if file.is_required)
-UNSEALED: Final = frozenset(file.name for file in RUN_FILES if not file.is_sealed)
+SEALED: Final = tuple(file.name for file in RUN_FILES if file.is_sealed)
 
 
 _OWNER: Final = re.compile(rb"(process \d+ on [^\n]*)?")

@@ -10,6 +10,7 @@ from ..errors import FolderError, NotResumableError
 from ..fmi.table import TableSlave, is_table
 from ..retuning.estimators import check_estimator
 from ..scenarios.scenario import Scenario
+from ..scenarios.trust import check_trust, trusted, with_own
 from ..slaves.slave import open_slave
 from ..system.aliases import as_the_fmus_have_it
 from ..system.fmu_cache import fmu_paths
@@ -41,14 +42,15 @@ def run(
     Raises ScenarioError, ModelDescriptionError, WiringError or FolderError before any step; KeyboardInterrupt when
     interrupted and UnfinishedError when the disk is full, the rows so far recorded: `resume` continues from them.
     """
-    scenario = scenario if isinstance(scenario, Scenario) else Scenario.load(scenario)
+    scenario = with_own(scenario if isinstance(scenario, Scenario) else Scenario.load(scenario), estimator)
     return _simulated(scenario, estimator, seed, None if out is None else Path(out), progress)
 
 
-def resume(folder: Path | str, progress: StepProgress | None = None) -> Run:
+def resume(folder: Path | str, progress: StepProgress | None = None, trust: bool = False) -> Run:
     """Resume a run that was killed, interrupted or faulted from its last checkpoint. The result is the same, bit for
     bit, as without the interruption; wall times are added up.
 
+    trust: run the Python code that the folder names even if the run was not made by this user.
     Raises FolderError with the reason where that is impossible, leaving the folder unchanged; and what `run` raises.
     """
     folder = Path(folder)
@@ -58,6 +60,7 @@ def resume(folder: Path | str, progress: StepProgress | None = None) -> Run:
             old = read_unfinished(folder)
             manifest = old.manifest
             scenario = scenario_of(folder, manifest)
+            scenario = trusted(scenario) if trust else scenario
             return _simulated(scenario, manifest.estimator, manifest.seed, folder, progress, old)
         except NotResumableError as e:
             raise FolderError(f"{folder} cannot be resumed: {e}.") from e
@@ -72,6 +75,7 @@ def _simulated(
     old: Unfinished | None = None,
 ) -> Run:
     """Simulate for `run` or, with old, an earlier record to be continued, for `resume`."""
+    check_trust(scenario, estimator)
     check_estimator(estimator, scenario)
     paths = fmu_paths(scenario)
     hold_those_of(paths.values())

@@ -29,7 +29,7 @@ from .schema.table import MOST, Table
 
 _PLACE: Final = re.compile(r"(<!-- tables: (\w+) -->\n).*?(<!-- end of tables -->)", re.DOTALL)
 _HEAD: Final = "| key | value | default | meaning |\n| --- | --- | --- | --- |\n"
-_HIDDEN: Final = {(Scenario, "folder"), (EstimationSettings, "methods")}
+_HIDDEN: Final = {(Scenario, "folder"), (Scenario, "origin"), (EstimationSettings, "methods")}
 """Fields that are no keys of a file."""
 
 
@@ -67,6 +67,8 @@ def _section(title: str, table: type[Any]) -> str:
 def _tables_in(table: type[Any], place: str) -> Iterator[tuple[str, type[Any]]]:
     """Yield the tables below one in a file, with their headings."""
     for key, annotation in _types(table).items():
+        if (table, key) in _HIDDEN:
+            continue
         path, mark = f"{place}.{key}" if place else key, "[{}]"
         origin, parts = get_origin(annotation), get_args(annotation)
         if origin is dict:

@@ -12,6 +12,7 @@ from estimator.diagnosis_settings import DiagnosisSettings
 
 from ..errors import ScenarioError, one_line
 from ..names import did_you_mean
+from ..user_code import OWN, CodeOrigin
 from ..variable_name import VariableName
 from .changes import Change, change_functions
 from .named import named_scenarios
@@ -54,11 +55,13 @@ class Scenario(Table):
     """Limits on what is written into the controller, and rules for reverting it."""
     folder: Path = Field(default=Path(), exclude=True)
     """Folder that relative paths of FMUs begin at."""
+    origin: CodeOrigin = Field(default=OWN, exclude=True)
+    """Owner of the Python code that it names."""
 
     @classmethod
     def known_keys(cls) -> set[str]:
         """Return the keys that a file may have."""
-        return super().known_keys() - {"folder"}
+        return super().known_keys() - {"folder", "origin"}
 
     @classmethod
     def load(cls, source: str | Path, overrides: Mapping[str, str] | None = None) -> "Scenario":
@@ -73,7 +76,12 @@ class Scenario(Table):
 
     @classmethod
     def from_tables(
-        cls, tables: Mapping[str, Any], overrides: Mapping[str, str] | None, folder: Path, label: Path
+        cls,
+        tables: Mapping[str, Any],
+        overrides: Mapping[str, str] | None,
+        folder: Path,
+        label: Path,
+        origin: CodeOrigin = OWN,
     ) -> "Scenario":
         """Make the scenario of a file's tables; folder: where its paths begin; label: names it in messages.
 
@@ -82,10 +90,10 @@ class Scenario(Table):
         tree = dict(tables)
         for key, value in (overrides or {}).items():
             override(tree, key, value)
-        if "folder" in tree:
-            raise ScenarioError(f"{label}: folder: unknown key.")
+        if inner := next((key for key in ("folder", "origin") if key in tree), None):
+            raise ScenarioError(f"{label}: {inner}: unknown key.")
         try:
-            return cls.model_validate(tree | {"folder": folder})
+            return cls.model_validate(tree | {"folder": folder, "origin": origin})
         except ValidationError as e:
             raise ScenarioError(f"{label}: {one_line(first_error(e, cls))}") from e
 

@@ -20,13 +20,15 @@ from ..fmi.ports import is_numeric
 from ..fmi.types import TYPES, Value, is_real
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
+from ..scenarios.trust import GRANTS, python_references
 from ..ssv.document import ParameterValue, add_units, document, ssv_element
 from ..ssv.xml import NAMESPACES
 from ..system.fmu_cache import fmu_paths
 from ..system.parameters import value_of_change
 from ..units import Unit, conversion
+from ..user_code import is_trusted, places_of
 from .package import STRUCTURE
-from .scenario import EXTRA, OF_THE_USER, SCENARIO
+from .scenario import EXTRA, SCENARIO
 
 START_VALUES = "initialValues"
 """Name of every component's parameter set: ecos sets those of the name that it is given."""
@@ -197,19 +199,18 @@ def _tables(scenario: Scenario, places: Mapping[str, str]) -> dict[str, Any]:
     up = "../" * (EXTRA.count("/") + 1)
     for name, component in tables["components"].items():
         component["fmu"] = up + places[name]
-    tables["scenario"] = {k: v for k, v in tables["scenario"].items() if k not in OF_THE_USER}
+    tables["scenario"] = {k: v for k, v in tables["scenario"].items() if k not in GRANTS}
     tables["estimation"] |= tables["estimation"].pop("methods", {})
     return tables
 
 
 def _modules(scenario: Scenario) -> Iterator[tuple[str, bytes]]:
     """Yield the sources of the user's modules that the scenario names, from its folder or the working directory."""
-    estimation = scenario.estimation
-    references = [estimation.model, estimation.objective, *(name for name in estimation.methods if ":" in name)]
-    if estimation.linear is not None:
-        references += [estimation.linear.rows, estimation.linear.coefficients]
-    for name in dict.fromkeys(r.partition(":")[0].partition(".")[0] for r in references if r is not None):
-        for folder in (scenario.folder, Path.cwd()) if name not in _OWN_PACKAGES else ():
+    references = [*python_references(scenario).values(), *(name for name in scenario.estimation.methods if ":" in name)]
+    for name, reference in {r.partition(":")[0].partition(".")[0]: r for r in references}.items():
+        trusted = is_trusted(reference, scenario.origin)
+        places = places_of(reference, scenario.folder, scenario.origin) if trusted else [scenario.folder]
+        for folder in map(Path, places) if name and name not in _OWN_PACKAGES else ():
             found = [folder / f"{name}.py", *sorted((folder / name).rglob("*.py"))]
             found = [path for path in found if path.is_file()]
             yield from ((path.relative_to(folder).as_posix(), path.read_bytes()) for path in found)

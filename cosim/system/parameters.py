@@ -42,8 +42,11 @@ def start_values(scenario: Scenario, slaves: Mapping[str, Described], references
 
 
 def check_parameters(scenario: Scenario, slaves: Mapping[str, Described]) -> None:
-    """Check that the controller accepts every estimate within the bounds. Raises WiringError."""
+    """Raise WiringError unless the controller takes every estimate within the bounds, and holds no true value."""
+    writes = {parameter.writes for parameter in scenario.estimation.parameters}
     for parameter in scenario.estimation.parameters:
+        if (true := scenario.true_reference(parameter)) in writes:
+            raise WiringError(f"'{true}' is written: 'true' of '{parameter.name}' must name the plant's parameter.")
         component, name = parameter.writes.parts
         found = {v.name: v for v in slaves[component].description.modelVariables}
         if name not in found:

@@ -25,6 +25,8 @@ def wire(scenario: Scenario, slaves: Mapping[str, Described]) -> tuple[dict[str,
     disturbances: dict[str, list[str]] = {name: [] for name in slaves}
     for reference in [*scenario.changes, *(p.writes for p in scenario.estimation.parameters)]:
         component, variable = reference.parts
+        if variable in tunables[component]:
+            raise WiringError(f"'{reference}' is set twice: a parameter is either changed, or written by one estimate.")
         (disturbances if reference in disturbed else tunables)[component].append(variable)
     outputs = {name: numeric_outputs(slave) for name, slave in slaves.items()}
     known = {name: set(own) for name, own in outputs.items()}

@@ -40,6 +40,7 @@ def _build(parser: Parser) -> None:
     parser.add_argument("--estimator", metavar="SCENARIO", help="build this scenario's estimator instead, as one FMU")
     parser.add_argument("--method", metavar="NAME", help="the estimator's method (default: target)")
     _add_set(parser)
+    _add_trust(parser, "an SSP package")
     parser.add_argument("--fmi", type=int, choices=(2, 3), default=2, help="FMI version (default: 2)")
     parser.add_argument("--model-exchange", action="store_true", help="the plants for model exchange, FMI 3.0")
 
@@ -54,6 +55,7 @@ def _run(parser: Parser) -> None:
         "--out", type=Path, metavar="DIR", help="run folder, absent or empty (default: runs/SCENARIO-n)"
     )
     _add_set(parser)
+    _add_trust(parser, "an SSP package")
     parser.add_argument("--scenario", type=Path, metavar="FILE", dest="tables", help="TOML file for an SSP without one")
     _add_start_values(parser)
     parser.add_argument("--ssv", type=Path, metavar="FILE", help="also write the estimates to this new SSV file")
@@ -63,6 +65,7 @@ def _run(parser: Parser) -> None:
 
 def _resume(parser: Parser) -> None:
     parser.add_argument("run", type=Path, metavar="RUN", help="folder of a run that was killed, interrupted or faulted")
+    _add_trust(parser, "a run folder that you did not make")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -79,6 +82,7 @@ def _compare(parser: Parser) -> None:
     parser.add_argument("--out", type=Path, metavar="DIR", help="absent or empty (default: runs/SCENARIO-compare-n)")
     parser.add_argument("--keep", action="store_true", help="keep a run folder for each run")
     _add_set(parser)
+    _add_trust(parser, "an SSP package")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -87,6 +91,7 @@ def _replay(parser: Parser) -> None:
     parser.add_argument("--estimator", type=_names, required=True, metavar="A,B,C", help="one estimator or several")
     parser.add_argument("--seed", type=_seed, metavar="N", help="seed of the search (default: the run's)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="also write the tables there, absent or empty")
+    _add_trust(parser, "a run folder that you did not make, or of code that has changed")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -140,6 +145,10 @@ def _add_set(parser: argparse.ArgumentParser) -> None:
         "--set", action="append", default=[], type=_assignment, metavar="KEY=VALUE", dest="overrides",
         help="replace a scenario's setting, such as estimation.budget=60",
     )  # fmt: skip
+
+
+def _add_trust(parser: argparse.ArgumentParser, of: str) -> None:
+    parser.add_argument("--trust", action="store_true", help=f"run the Python code of {of}")
 
 
 def _add_start_values(parser: argparse.ArgumentParser) -> None:

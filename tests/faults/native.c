@@ -214,7 +214,9 @@ NONE(fmi2SetBoolean, const fmi2ValueReference vr[], size_t n, const fmi2Boolean 
 NONE(fmi2SetFMUstate, fmi2FMUstate state)
 NONE(fmi2SerializeFMUstate, fmi2FMUstate state, fmi2Byte bytes[], size_t size)
 NONE(fmi2DeSerializeFMUstate, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state)
+#ifndef WITHOUT_GET_STATE
 fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state) { *state = c; return fmi2OK; }
+#endif
 fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state) { *state = NULL; return fmi2OK; }
 fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_t *size) {
     *size = (size_t)300000000;

@@ -110,6 +110,12 @@ def damage(path: Path, what: str) -> None:
     path.write_bytes(data)
 
 
+def with_table(path: Path, offset: int, form: str, value: int) -> None:
+    """A file that no model description names, of which the directory says what is not so."""
+    add(path, "resources/table", b"0.0, 1.0\n" * 1000, compress_type=zipfile.ZIP_DEFLATED)
+    patch_directory(path, "resources/table", offset, form, value)
+
+
 def as_pipe(path: Path) -> None:
     path.unlink()
     os.mkfifo(path)
@@ -140,6 +146,11 @@ ARCHIVES = {
     "wrong checksum": lambda p: patch_directory(p, DESCRIPTION, 16, "<I", 17),
     "damaged contents": lambda p: damage(p, DESCRIPTION),
     "a size that is too small": lambda p: patch_directory(p, DESCRIPTION, 24, "<I", 100),
+    "a table's wrong checksum": lambda p: with_table(p, 16, "<I", 17),
+    "a table's size that is too small": lambda p: with_table(p, 24, "<I", 100),
+    "a table's packed size that is too small": lambda p: with_table(p, 20, "<I", 10),
+    "a table by an unknown method": lambda p: with_table(p, 10, "<H", 9),
+    "a library's wrong checksum": lambda p: patch_directory(p, LIBRARY, 16, "<I", 17),
     "a description that is too large": lambda p: with_size(p, (256 << 20) + 1),
     "a description that is large": lambda p: with_size(p, 256 << 20),
     "a description of another name": lambda p: add(p, "./" + DESCRIPTION),
@@ -241,12 +252,15 @@ LIBRARIES = {  # places: the header of ELF, 64 bit
 }
 
 
+WITHOUT = {"without fmi2DoStep": "WITHOUT_DO_STEP", "without fmi2GetFMUstate": "WITHOUT_GET_STATE"}
+
+
 @pytest.mark.parametrize("row", CATALOGUE["library"], ids=lambda row: row["inject"])
 def test_library(unsound, is_told, compiled, row):
     if row["inject"] == "an object file":
         library = {LIBRARY: compiled("-c", "-fPIC")}
-    elif row["inject"] == "without fmi2DoStep":
-        library = {LIBRARY: compiled("-shared", "-fPIC", "-DWITHOUT_DO_STEP")}
+    elif row["inject"] in WITHOUT:
+        library = {LIBRARY: compiled("-shared", "-fPIC", f"-D{WITHOUT[row['inject']]}")}
     else:
         library = LIBRARIES[row["inject"]](compiled())
     zipped(unsound, {DESCRIPTION: files_of(unsound)[DESCRIPTION]} | library)

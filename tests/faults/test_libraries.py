@@ -11,6 +11,7 @@ from io import BytesIO
 
 import fmpy
 import pytest
+from fmpy.model_description import CoSimulation, ModelDescription, ModelVariable
 
 from cosim.fmi.preflight.library import elf_problems, needed_functions
 
@@ -20,22 +21,50 @@ pytestmark = [
 ]
 LOAD, DYNAMIC = 1, 2
 NO_SECTIONS = (0x28, "<Q", 0), (0x3C, "<H", 0)
-OF_2 = (
-    "fmi2Instantiate fmi2FreeInstance fmi2SetupExperiment fmi2EnterInitializationMode "
-    "fmi2ExitInitializationMode fmi2Terminate"
+OF_2 = (  # FMI 2.0.4, section 2.4: all of them, by table of contents
+    "fmi2GetTypesPlatform fmi2GetVersion fmi2SetDebugLogging fmi2Instantiate fmi2FreeInstance fmi2SetupExperiment "
+    "fmi2EnterInitializationMode fmi2ExitInitializationMode fmi2Terminate fmi2Reset fmi2GetReal fmi2GetInteger "
+    "fmi2GetBoolean fmi2GetString fmi2SetReal fmi2SetInteger fmi2SetBoolean fmi2SetString fmi2GetFMUstate "
+    "fmi2SetFMUstate fmi2FreeFMUstate fmi2SerializedFMUstateSize fmi2SerializeFMUstate fmi2DeSerializeFMUstate "
+    "fmi2GetDirectionalDerivative"
+)
+CO_SIMULATION_2 = (  # section 4.2
+    "fmi2SetRealInputDerivatives fmi2GetRealOutputDerivatives fmi2DoStep fmi2CancelStep fmi2GetStatus "
+    "fmi2GetRealStatus fmi2GetIntegerStatus fmi2GetBooleanStatus fmi2GetStringStatus"
+)
+MODEL_EXCHANGE_2 = (  # section 3.2
+    "fmi2EnterEventMode fmi2NewDiscreteStates fmi2EnterContinuousTimeMode fmi2CompletedIntegratorStep fmi2SetTime "
+    "fmi2SetContinuousStates fmi2GetDerivatives fmi2GetEventIndicators fmi2GetContinuousStates "
+    "fmi2GetNominalsOfContinuousStates"
 )
 OF_3 = "fmi3FreeInstance fmi3EnterInitializationMode fmi3ExitInitializationMode fmi3Terminate"
+STATES_3 = (
+    "fmi3GetFMUState fmi3SetFMUState fmi3FreeFMUState fmi3SerializedFMUStateSize fmi3SerializeFMUState "
+    "fmi3DeserializeFMUState"
+)
 NEEDED = {
-    ("2.0", "co-simulation"): f"{OF_2} fmi2DoStep",
-    ("2.0", "model-exchange"): f"{OF_2} fmi2GetDerivatives",
-    ("3.0", "co-simulation"): f"{OF_3} fmi3InstantiateCoSimulation fmi3DoStep",
-    ("3.0", "model-exchange"): f"{OF_3} fmi3InstantiateModelExchange fmi3GetContinuousStateDerivatives",
-    ("3.0-beta.2", "co-simulation"): f"{OF_3} fmi3InstantiateCoSimulation fmi3DoStep",
+    ("2.0", "co-simulation"): f"{OF_2} {CO_SIMULATION_2}",
+    ("2.0", "model-exchange"): f"{OF_2} {MODEL_EXCHANGE_2}",
+    ("3.0", "co-simulation"): f"{OF_3} fmi3InstantiateCoSimulation fmi3DoStep fmi3SetFloat64 fmi3GetInt64 {STATES_3}",
+    ("3.0", "model-exchange"): f"{OF_3} fmi3InstantiateModelExchange fmi3EnterEventMode fmi3EnterContinuousTimeMode "
+    "fmi3UpdateDiscreteStates fmi3SetContinuousStates fmi3GetContinuousStateDerivatives",
+    ("3.0-beta.2", "co-simulation"): f"{OF_3} fmi3InstantiateCoSimulation fmi3DoStep fmi3SetFloat64 fmi3GetInt64 "
+    f"{STATES_3}",
 }
 
 
 def problems(content, needed=frozenset(), machine="x86_64"):
     return [*elf_problems(BytesIO(content), len(content), machine, needed)]
+
+
+def described(version):
+    """The description of an FMU of both interfaces, which saves its state."""
+    part = CoSimulation(modelIdentifier="Model", canGetAndSetFMUstate=True, canSerializeFMUstate=True)
+    variables = [
+        ModelVariable(name, i, type=kind, causality=causality)
+        for i, (name, kind, causality) in enumerate([("u", "Float64", "input"), ("y", "Enumeration", "output")])
+    ]
+    return ModelDescription(fmiVersion=version, coSimulation=part, modelVariables=variables)
 
 
 def patched(content, *changes):
@@ -70,7 +99,7 @@ def linked(compiled, tmp_path_factory):
 
 @pytest.mark.parametrize(("version", "interface"), NEEDED)
 def test_a_library_without_a_function_of_its_interface_is_refused(linked, version, interface):
-    names, needed = NEEDED[version, interface].split(), needed_functions(version, interface)
+    names, needed = NEEDED[version, interface].split(), needed_functions(described(version), interface)
     sound = linked(names)
     assert problems(sound, needed) == []
     for name in names:
@@ -78,11 +107,21 @@ def test_a_library_without_a_function_of_its_interface_is_refused(linked, versio
         assert problems(renamed, needed) == [f"lacks the function {name}"]
 
 
-def test_what_a_library_has_is_not_always_told(linked):
-    """By the loader's older table, or without the sections that it does not need, names are not looked up."""
-    old, new = linked(["other"], "-Wl,--hash-style=sysv"), linked(["other"], "-Wl,--hash-style=gnu")
-    for library in (old, patched(new, *NO_SECTIONS)):
-        assert problems(library, {"fmi2DoStep"}) == []
+@pytest.mark.parametrize("style", ["sysv", "gnu", "both"])
+def test_what_a_library_has_is_told_by_either_of_the_loaders_tables(linked, style):
+    library = linked(["other"], f"-Wl,--hash-style={style}")
+    assert problems(library, {"other"}) == []
+    assert problems(library, {"other", "fmi2DoStep"}) == ["lacks the function fmi2DoStep"]
+
+
+def test_a_function_that_a_library_only_calls_is_lacking(linked):
+    library = linked(["other"], "-Wl,--hash-style=sysv", "-Wl,-u,fmi2DoStep")
+    assert problems(library, {"fmi2DoStep"}) == ["lacks the function fmi2DoStep"]
+
+
+def test_what_a_library_without_sections_has_is_not_told(linked):
+    """The loader does not need them."""
+    assert problems(patched(linked(["other"]), *NO_SECTIONS), {"fmi2DoStep"}) == []
 
 
 @pytest.mark.parametrize(

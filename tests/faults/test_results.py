@@ -19,7 +19,7 @@ import pytest
 from cosim import Scenario, run
 from cosim.cli import main
 from cosim.runs.manifest import write_manifest
-from cosim.runs.run_files import CHECKPOINT, EVENTS, LATENCIES, LOCK, MANIFEST, RESULT, SERIES
+from cosim.runs.run_files import CHECKPOINT, CSV, ESTIMATES, EVENTS, LATENCIES, LOCK, MANIFEST, RESULT, SERIES
 from cosim.runs.series import read_series
 from fmu_models.build import build
 
@@ -159,7 +159,9 @@ def resealed(**changes: object):
         manifest = json.loads((folder / MANIFEST).read_text())
         for key, value in changes.items():
             manifest[key] = manifest[key] | value if isinstance(value, dict) else value
-        write_manifest(folder, manifest)
+            if value is None:
+                del manifest[key]
+        write_manifest(folder, manifest, is_own=True)
 
     return inject
 
@@ -202,6 +204,14 @@ DAMAGED = [
     ("no result", gone(RESULT), "replay", "cannot read result.json: No such file"),
     ("latencies cut short", cut(LATENCIES, lambda n: n - 2), "replay", f"latencies.json {OTHER}"),
     ("no latencies", gone(LATENCIES), "replay", "cannot read latencies.json: No such file"),
+    *((f"no {name}", gone(name), "replay", f"cannot read {name}: No such file") for name in (EVENTS, CSV, ESTIMATES)),
+    *((f"a bit of {name}", flipped(name), "replay", f"{name} {OTHER}") for name in (EVENTS, CSV, ESTIMATES)),
+    *(
+        (f"a folder for {name}", folder_instead(name), "replay", f"cannot read {name}: Is a directory")
+        for name in (EVENTS, CSV, ESTIMATES)
+    ),
+    ("another estimate", edited(ESTIMATES, 'value="', 'value="9'), "replay", f"estimates.ssv {OTHER}"),
+    ("a link to another file", link_instead(EVENTS), "replay", f"events.jsonl {OTHER}"),
     ("half a manifest", cut(MANIFEST, lambda n: n // 2), "replay", "manifest.json: Invalid JSON"),
     ("an empty manifest", cut(MANIFEST, lambda n: 0), "replay", "manifest.json: Invalid JSON"),
     ("a manifest of zeros", filled(MANIFEST, b"\0"), "replay", "manifest.json: Invalid JSON"),
@@ -232,7 +242,11 @@ DAMAGED = [
     ("a link for a lock", link_instead(LOCK), "resume", "cannot write in {folder}: lock is a symbolic link."),
     *(
         (f"a pipe for {name}", pipe_instead(name), how, f"cannot read {name}: it is not a regular file")
-        for name, how in [(SERIES, "replay"), (MANIFEST, "replay"), (EVENTS, "resume"), (CHECKPOINT, "resume")]
+        for name, how in [
+            *((name, "replay") for name in (SERIES, MANIFEST, EVENTS, CSV, ESTIMATES, RESULT, LATENCIES)),
+            (EVENTS, "resume"),
+            (CHECKPOINT, "resume"),
+        ]
     ),
     ("no checkpoint", gone(CHECKPOINT), "resume", "cannot be resumed: it has no checkpoint"),
     ("a class that is not there", pickled_elsewhere, "resume", "its checkpoint is of another version: AttributeError"),
@@ -296,9 +310,9 @@ def torn(folder: Path) -> None:
 
 
 HARMLESS = [
-    ("no CSV", gone("series.csv"), "replay"),
-    ("no events", gone(EVENTS), "replay"),
     ("somebody's file", lambda f: (f / "notes.txt").write_text("mine"), "replay"),
+    ("a picture drawn anew", lambda f: (f / "tracking.png").write_bytes(b"new"), "replay"),
+    ("an older version's, without hashes of all", resealed(sha256=None), "replay"),
     ("the lock of a dead process, read", stale_lock, "replay left"),
     ("a torn end, read", torn, "replay left"),
     ("no checkpoint, read", gone(CHECKPOINT), "replay left"),

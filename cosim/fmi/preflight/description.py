@@ -38,7 +38,10 @@ def description_findings(description: ModelDescription) -> Iterator[Finding]:
 
 
 def index_findings(root: Element) -> Iterator[Finding]:
-    """Yield wrong indices of an FMI 2.0 model description; FMPy takes 0 for the last variable's."""
+    """Yield wrong indices of an FMI 2.0 model description, of which FMPy takes 0 for the last variable's.
+
+    Of FMI 3.0, sizes of arrays by variables that there are not.
+    """
     variables = root.findall("ModelVariables/ScalarVariable")
     for kind in ("Outputs", "Derivatives", "InitialUnknowns"):
         seen: set[str] = set()
@@ -48,6 +51,10 @@ def index_findings(root: Element) -> Iterator[Finding]:
                 yield warning(_PLACE, f"{kind} has the index {index} more than once")
             seen.add(index)
             yield from _unknown((index, *unknown.get("dependencies", "").split()), len(variables), kind)
+    known = {variable.get("valueReference") for variable in root.iterfind("ModelVariables/*")}
+    for dimension in root.iterfind("ModelVariables/*/Dimension"):
+        if (reference := dimension.get("valueReference", "")) and reference not in known:
+            yield Finding(_PLACE, f"a Dimension is that of the valueReference {reference}, which no variable has")
     rates = (real.get("derivative") for real in root.iterfind("ModelVariables/ScalarVariable/Real"))
     yield from _unknown((i for i in rates if i is not None), len(variables), "ModelVariables/*/Real/derivative")
 

@@ -8,28 +8,43 @@ from collections.abc import Iterator, Set
 from typing import Any, BinaryIO, Final
 
 from elftools.common.exceptions import ELFError
+from fmpy import fmi2
+from fmpy.model_description import ModelDescription
 
+from ..types import TYPES
 from .elf import opened_elf
 
 _ELF_MACHINES: Final = {"x86_64": "EM_X86_64", "aarch64": "EM_AARCH64"}  # as Linux names them
 _PE_MACHINES: Final = {"amd64": 0x8664, "x86_64": 0x8664, "arm64": 0xAA64, "x86": 0x014C}
 _PE_IS_DLL: Final = 0x2000
-_NEEDED: Final = {
-    "2.0": ("fmi2Instantiate", "fmi2FreeInstance", "fmi2SetupExperiment", "fmi2EnterInitializationMode",
-            "fmi2ExitInitializationMode", "fmi2Terminate"),
-    "3.0": ("fmi3FreeInstance", "fmi3EnterInitializationMode", "fmi3ExitInitializationMode", "fmi3Terminate"),
-}  # fmt: skip
+_FMPY: Final = {"co-simulation": "FMU2Slave", "model-exchange": "FMU2Model"}
+_NEEDED: Final = ("fmi3FreeInstance", "fmi3EnterInitializationMode", "fmi3ExitInitializationMode", "fmi3Terminate")
 _NEEDED_OF: Final = {
-    ("2.0", "co-simulation"): ("fmi2DoStep",),
-    ("2.0", "model-exchange"): ("fmi2GetDerivatives",),
-    ("3.0", "co-simulation"): ("fmi3InstantiateCoSimulation", "fmi3DoStep"),
-    ("3.0", "model-exchange"): ("fmi3InstantiateModelExchange", "fmi3GetContinuousStateDerivatives"),
-}
+    "co-simulation": ("fmi3InstantiateCoSimulation", "fmi3DoStep"),
+    "model-exchange": (
+        "fmi3InstantiateModelExchange", "fmi3EnterEventMode", "fmi3EnterContinuousTimeMode", "fmi3UpdateDiscreteStates",
+        "fmi3SetContinuousStates", "fmi3GetContinuousStateDerivatives",
+    ),
+}  # fmt: skip
+_OF_STATES: Final = ("fmi3GetFMUState", "fmi3SetFMUState", "fmi3FreeFMUState", "fmi3SerializedFMUStateSize",
+                     "fmi3SerializeFMUState", "fmi3DeserializeFMUState")  # fmt: skip
 
 
-def needed_functions(version: str, interface: str) -> frozenset[str]:
-    """Return the functions that an FMU of a version ("2.0", ...) and interface ("co-simulation", ...) must have."""
-    return frozenset((*_NEEDED.get(version[:3], ()), *_NEEDED_OF.get((version[:3], interface), ())))
+def needed_functions(description: ModelDescription, interface: str) -> frozenset[str]:
+    """Return the functions that an FMU of this description must have for an interface ("co-simulation", ...).
+
+    Of FMI 2.0 they are all that FMPy looks for as it loads an FMU; of FMI 3.0 those that will be called.
+    """
+    if str(description.fmiVersion) == "2.0":
+        return frozenset(name for name in dir(getattr(fmi2, _FMPY[interface])) if name.startswith("fmi2"))
+    if not str(description.fmiVersion).startswith("3."):
+        return frozenset()
+    part: Any = description.coSimulation if interface == "co-simulation" else None
+    of_states = _OF_STATES if part and part.canGetAndSetFMUstate and part.canSerializeFMUstate else ()
+    verbs = {"input": "Set", "output": "Get"} if interface == "co-simulation" else {}
+    exchanged = [(verbs[v.causality], TYPES[v.type]) for v in description.modelVariables if v.causality in verbs]
+    of_types = {f"fmi3{verb}{kind.fmi3.functions}" for verb, kind in exchanged if kind.fmi3 and kind.is_numeric}
+    return frozenset((*_NEEDED, *_NEEDED_OF[interface], *of_states, *of_types))
 
 
 def library_problem(file: BinaryIO, needed: Set[str] = frozenset()) -> str | None:
@@ -61,13 +76,18 @@ def elf_problems(file: BinaryIO, size: int, machine: str, needed: Set[str] = fro
         if dynamic is None:
             yield "is no shared library: it has no dynamic section"
             return
-        table = elf.get_section_by_name(".gnu.hash")  # to list all symbols would take a hundred times as long
+        # To list all symbols would take a hundred times as long; older linkers write the second table.
+        table = elf.get_section_by_name(".gnu.hash") or elf.get_section_by_name(".hash")
         if table is not None:
-            lacking = sorted(name for name in needed if table.get_symbol(name) is None)
+            lacking = sorted(name for name in needed if not _is_defined(table.get_symbol(name)))
             if lacking:
                 yield f"lacks the function {', '.join(lacking)}"
     except (ELFError, ValueError, KeyError, AttributeError, TypeError, IndexError, struct.error, ArithmeticError):
         yield "is not a valid shared library for Linux (ELF)"  # a damaged file surprises the parser
+
+
+def _is_defined(symbol: Any) -> bool:
+    return symbol is not None and symbol["st_shndx"] != "SHN_UNDEF"
 
 
 def pe_problem(head: bytes, machine: str) -> str | None:

@@ -198,7 +198,8 @@ def test_a_model_exchange_fmu_as_the_model_leaves_only_the_change_to_fill_in(tmp
     assert [line.split(":")[3].split()[0] for line in capsys.readouterr().out.splitlines() if "to fill in" in line] == [
         "[changes]"
     ]
-    assert [f.where for f in check(path)] == ["changes"]  # the model is called with x, u and J[1] of the FMU
+    found = check(path)  # the model is called with x, u and J[1] of the FMU
+    assert [(f.where, f.is_note) for f in found] == [("changes", False), ("estimation.model", True)]
     disturbances = [line for line in path.read_text().splitlines() if '"plant.F_d' in line or '"plant.M_d' in line]
     assert [line[:11] for line in disturbances] == ['# "plant.F_'] * 3 + ['# "plant.M_'] * 3
     assert all("a disturbance, which may be left unconnected" in line for line in disturbances)

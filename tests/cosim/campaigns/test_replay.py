@@ -13,7 +13,7 @@ from cosim.errors import CosimError, FolderError
 from cosim.files import sha256
 from cosim.runs.manifest import write_manifest
 from cosim.runs.result import read_run
-from cosim.runs.run_files import EVENTS, LATENCIES, MANIFEST, RESULT, SERIES
+from cosim.runs.run_files import LATENCIES, MANIFEST, RESULT, SERIES
 from cosim.scenarios.scenario import Scenario
 
 pytestmark = pytest.mark.fmu
@@ -97,7 +97,7 @@ def killed(folder: Path, n_bytes_lost: int) -> None:
     for name in (RESULT, LATENCIES, "series.csv", "estimates.ssv"):
         (folder / name).unlink()
     manifest = json.loads((folder / MANIFEST).read_text())
-    write_manifest(folder, manifest | {"status": "running"})
+    write_manifest(folder, manifest | {"status": "running"}, is_own=True)
     content = (folder / SERIES).read_bytes()
     (folder / SERIES).write_bytes(content[: len(content) - n_bytes_lost])
 
@@ -139,7 +139,7 @@ def test_a_replay_writes_nothing_into_the_run_and_overwrites_nothing(folder: Pat
 def rewrite(name: str, **changes: object):
     def spoil(folder: Path) -> None:
         content = json.loads((folder / name).read_text()) | changes
-        write_manifest(folder, {k: v for k, v in content.items() if v != "gone"})
+        write_manifest(folder, {k: v for k, v in content.items() if v != "gone"}, is_own=True)
 
     return spoil
 
@@ -161,7 +161,7 @@ def accepted(folder: Path) -> None:
     """Let the manifest say that its files are as they are."""
     manifest = json.loads((folder / MANIFEST).read_text())
     there = [path for path in folder.iterdir() if path.is_file() and path.name != MANIFEST]
-    write_manifest(folder, manifest | {"sha256": {path.name: sha256(path) for path in there}})
+    write_manifest(folder, manifest | {"sha256": {path.name: sha256(path) for path in there}}, is_own=True)
 
 
 def written(name: str, text: str):
@@ -227,6 +227,5 @@ def test_a_model_that_is_gone_is_told_in_one_line(folder: Path) -> None:
     scenario = json.loads((folder / MANIFEST).read_text())["scenario"]
     scenario["estimation"]["model"] = "gone_with_the_wind:derivative"
     rewrite(MANIFEST, scenario=scenario)(folder)
-    (folder / EVENTS).unlink()  # not needed
     with pytest.raises(CosimError, match="cannot load 'gone_with_the_wind:derivative'"):
         replay(folder, ["least-squares"])

@@ -485,8 +485,8 @@ def test_the_doctor_knows_what_it_needs_and_what_of_that_is_missing(tmp_path, mo
         (["--estimator", "pendulum", "--set", "estimation.budget=0"], "estimation.budget"),
         (["--estimator", "pendulum", "--set", "scenario.name=1st"], "scenario.name '1st' must begin with a letter"),
         (["--estimator", "pendulum", "--set", "sampling.derivatives={'plant.der(x)'={noise=1.0}}"], "plant.der(x)"),
-        (["--method", "target"], "--method and --set are of an estimator"),
-        (["--set", "estimation.budget=2"], "--method and --set are of an estimator"),
+        (["--method", "target"], "--method, --set and --trust are of an estimator"),
+        (["--set", "estimation.budget=2"], "--method, --set and --trust are of an estimator"),
     ],
     ids=lambda value: " ".join(value[-1:]) if isinstance(value, list) else "",
 )

@@ -141,8 +141,8 @@ def test_an_input_that_is_connected_as_well_is_refused_in_one_line(pushed, axis)
 
 def test_a_changed_input_is_not_told_as_an_unconnected_one(pushed, pushed_axes, axis):
     path = axis(('"Axis.fmu"', f'"{(pushed_axes / "Axis").as_posix()}.fmu"'))
-    assert check(path, SHOVE) == []
-    assert [f.where for f in check(path)] == ['connections."plant.push"']
+    assert [f for f in check(path, SHOVE) if not f.is_note] == []
+    assert [f.where for f in check(path) if not f.is_note] == ['connections."plant.push"']
 
 
 @pytest.mark.parametrize(

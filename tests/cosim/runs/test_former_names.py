@@ -21,7 +21,7 @@ def test_a_final_estimate_under_its_former_name_is_read(pendulum, tmp_path):
     manifest = json.loads((folder / "manifest.json").read_text())
     del manifest["sha256"]["result.json"], manifest["seal"]
     manifest["scenario"]["guard"]["foresight"] = manifest["scenario"]["guard"].pop("lookahead")
-    write_manifest(folder, manifest)
+    write_manifest(folder, manifest, is_own=True)
     old = read_run(folder)
     assert old.final_estimate == found
     assert old.scenario.guard.lookahead

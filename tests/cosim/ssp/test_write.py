@@ -133,7 +133,7 @@ def test_a_model_of_the_users_goes_along(export, pendulum, tmp_path):
     settings = {"estimation.model": "a_pendulum_of_mine:derivative", 'changes."plant.m"': "[[0.0, 1.75], [0.1, 4.0]]"}
     path = export(pendulum(settings).model_copy(update={"folder": tmp_path}))
     (tmp_path / "a_pendulum_of_mine.py").unlink()
-    assert run(load_scenario(path), seed=0).n_evaluations > 0
+    assert run(load_scenario(path, trust=True), seed=0).n_evaluations > 0
 
 
 def test_two_fmus_of_one_name_are_kept_apart(export, pendulum, tmp_path):

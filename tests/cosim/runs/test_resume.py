@@ -111,6 +111,64 @@ def test_every_scenario_goes_on_to_the_same_bits(tmp_path, name):
     check_resume(scenario, "target", tmp_path)
 
 
+ROLLOUT = IN_PROCESS | {
+    "scenario.stop_time": "0.4",
+    "scenario.checkpoint": "9",
+    "sampling.outputs": '{"plant.phi" = {noise = 1e-3}, "plant.phi_dot" = {noise = 2e-3}}',
+    "estimation.objective": "rollout",
+    "estimation.rollout.jobs": "1",
+    "estimation.window": "8",
+    "estimation.budget": "8",
+    'changes."plant.m"': "[[0.0, 1.75], [0.1, 3.0]]",
+}
+OTHERWISE = {
+    "from the saved state": ROLLOUT | {"estimation.rollout.start": "state"},
+    "from measured states": ROLLOUT | {"estimation.rollout.start": "measured"},
+    "from noisy states": ROLLOUT
+    | {
+        "estimation.rollout.start": "measured",
+        "sampling.outputs": '{"plant.phi_dot" = {noise = 2e-3}}',
+        "sampling.states": '{"plant.phi" = {noise = 1e-3}}',
+    },
+    "again from the start": ROLLOUT | {"estimation.rollout.start": "replay"},
+    "without a diagnosis": ROLLOUT | {"diagnosis.enabled": "false"} | INNOVATION,
+    "on filtered derivatives": EARLY_CHANGE | IN_PROCESS | {
+        "sampling.derivatives": '{ "plant.der(phi_dot)" = { of = "plant.phi_dot" } }',
+        "sampling.states": '{ "plant.phi" = { noise = 1e-4 }, "plant.phi_dot" = { noise = 1e-4 } }',
+        "sampling.filter": '{ kind = "savitzky-golay" }',
+    },
+    "with a sensor that fails": EARLY_CHANGE | IN_PROCESS | {
+        "sampling.faults": '[{ kind = "spikes", sensor = "plant.der(phi_dot)", probability = 0.2, size = 3.0 }]'
+    },
+}  # fmt: skip
+
+
+@pytest.mark.full_but("from the saved state")
+@pytest.mark.parametrize("settings", OTHERWISE.values(), ids=OTHERWISE)
+def test_roll_outs_filters_and_sensors_go_on_to_the_same_bits(tmp_path, settings):
+    whole = check_resume(Scenario.load("pendulum", settings), "target", tmp_path, 0.15, 0.33)
+    assert whole.n_episodes
+
+
+FUNCTION = """
+def residual(theta, samples):
+    return [
+        1e3 * (b.x[1] - a.x[1] - (b.t - a.t) * (b.u[0] / theta["m"] / theta["l"] - 9.81 / theta["l"]))
+        for a, b in zip(samples, samples[1:])
+    ]
+"""
+
+
+@pytest.mark.full
+def test_a_function_of_the_users_goes_on_to_the_same_bits(tmp_path, monkeypatch):
+    name = f"function_{tmp_path.name}"
+    (tmp_path / f"{name}.py").write_text(FUNCTION)
+    monkeypatch.chdir(tmp_path)
+    settings = EARLY_CHANGE | IN_PROCESS | INNOVATION | {"estimation.objective": f"{name}:residual"}
+    assert check_resume(Scenario.load("pendulum", settings), "target", tmp_path).n_episodes
+    sys.modules.pop(name)
+
+
 @pytest.mark.full
 def test_a_table_is_played_on_from_where_it_was(tmp_path):
     rows = "".join(f"{0.05 * k},{np.sin(k)},0.0\n" for k in range(20))

@@ -58,7 +58,7 @@ class RecursiveLeastSquares:
         """Begin at theta (d,), with all samples forgotten."""
         self._z, self._information = self._space.to_unit(start), information(np.eye(len(self._space)))
         self._misfit, self._n_evaluations = np.inf, 0
-        self._filter: KalmanFilter | None = None
+        self._coefficients: tuple[Vector, Vector] | None = None  # and their covariance
 
     def solve(self, objective: Objective) -> None:
         """Process the newest sample. Raises ValueError where the model's linear form is unknown."""
@@ -70,11 +70,11 @@ class RecursiveLeastSquares:
         if not is_known.any():
             return
         rows, targets = rows[is_known], targets[is_known]
-        kalman = self._filter or self._begin(linear)
-        self._filter = kalman
+        kalman = self._kalman(*(self._coefficients or self._begin(linear)))
         kalman.P = _at_most(self._start_std, kalman.P / self._settings.forgetting)
         kalman.update(targets, R=self._settings.noise**2 * np.eye(len(targets)), H=rows)
-        self._project(linear, kalman)
+        self._coefficients = kalman.x, kalman.P
+        self._project(linear, kalman.x, kalman.P)
         self._n_evaluations += 1
         self._misfit = float(np.sum(objective.newest_residual(self._space.from_unit(self._z)) ** 2))
 
@@ -85,22 +85,25 @@ class RecursiveLeastSquares:
             cost=self._misfit, n_evaluations=self._n_evaluations, reason="recursive least squares",
         )  # fmt: skip
 
-    def _begin(self, linear: LinearForm) -> "KalmanFilter":
-        from filterpy.kalman import KalmanFilter
-
+    def _begin(self, linear: LinearForm) -> tuple[Vector, Vector]:
         psi = linear.coefficients(self._space.from_unit(self._z))
         cube = scipy.stats.qmc.Halton(len(self._space), scramble=False).random(64)
         anywhere = np.array([linear.coefficients(self._space.from_unit(z)) for z in cube])
         self._start_std = self._settings.spread * np.std(anywhere, axis=0)
+        return psi, np.diag(self._start_std**2)
+
+    def _kalman(self, psi: Vector, P: Vector) -> "KalmanFilter":
+        from filterpy.kalman import KalmanFilter
+
         kalman = KalmanFilter(dim_x=len(psi), dim_z=1)
-        kalman.x, kalman.P = psi, np.diag(self._start_std**2)
+        kalman.x, kalman.P = psi, P
         return kalman
 
-    def _project(self, linear: LinearForm, kalman: "KalmanFilter") -> None:
-        weight = np.linalg.inv(np.linalg.cholesky(kalman.P + 1e-12 * np.trace(kalman.P) * np.eye(len(kalman.P))))
+    def _project(self, linear: LinearForm, psi: Vector, P: Vector) -> None:
+        weight = np.linalg.inv(np.linalg.cholesky(P + 1e-12 * np.trace(P) * np.eye(len(P))))
 
         def misfit(z: Vector) -> Vector:
-            return weight @ (linear.coefficients(self._space.from_unit(z)) - kalman.x)
+            return weight @ (linear.coefficients(self._space.from_unit(z)) - psi)
 
         result = optimize.least_squares(misfit, self._z, bounds=(0.0, 1.0))
         self._z = result.x
@@ -151,12 +154,14 @@ class UnscentedKalman:
     def restart(self, start: Vector) -> None:
         """Begin at theta (d,), with all samples forgotten."""
         self._start, self._cost, self._n_evaluations = self._space.to_unit(start), np.inf, 0
-        self._filter: UnscentedKalmanFilter | None = None
+        self._mean, self._covariance, self._n_channels = self._start, np.eye(len(self._start)), 0  # 0: no sample yet
 
     def solve(self, objective: Objective) -> None:
         """Process the newest sample. One at which the model has no value for a sigma point is left out."""
-        kalman = self._filter or self._begin(len(objective.newest_residual(self._space.from_unit(self._start))))
-        self._filter = kalman
+        if not self._n_channels:
+            self._n_channels = len(objective.newest_residual(self._space.from_unit(self._start)))
+            self._covariance = self._settings.spread**2 * np.eye(len(self._start))
+        kalman = self._kalman()
         kalman.predict()
         x, P = kalman.x.copy(), kalman.P.copy()
         with np.errstate(all="ignore"):  # where the model overflows at a sigma point
@@ -164,7 +169,7 @@ class UnscentedKalman:
         if not np.all(np.isfinite(kalman.x)):
             kalman.x, kalman.P = x, P
         kalman.P = 0.5 * (kalman.P + kalman.P.T) + 1e-12 * np.eye(len(kalman.x))
-        kalman.x = np.clip(kalman.x, 0.0, 1.0)
+        self._mean, self._covariance = np.clip(kalman.x, 0.0, 1.0), kalman.P
         self._n_evaluations += objective.n_evaluations
         with np.errstate(all="ignore"):
             cost = float(np.sum(kalman.y**2))
@@ -172,8 +177,7 @@ class UnscentedKalman:
 
     def estimate(self) -> Estimate:
         """Return the mean with the covariance's diagonal; cost: the squared innovation of the newest sample."""
-        z = self._start if self._filter is None else self._filter.x
-        P = np.eye(len(z)) if self._filter is None else self._filter.P
+        z, P = self._mean, self._covariance
         std = np.minimum(np.sqrt(np.diag(P)), 1.0)
         # Less than half of the start's: else the data have added nothing to the assumption.
         below = min(self._settings.identifiable_below, 0.5 * self._settings.spread)
@@ -182,16 +186,15 @@ class UnscentedKalman:
             cost=self._cost, n_evaluations=self._n_evaluations, reason="unscented Kalman filter",
         )  # fmt: skip
 
-    def _begin(self, n_channels: int) -> "UnscentedKalmanFilter":
+    def _kalman(self) -> "UnscentedKalmanFilter":
         from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
         d = len(self._space)
         points = MerweScaledSigmaPoints(d, alpha=self._settings.alpha, beta=2.0, kappa=3.0 - d)
-        kalman = UnscentedKalmanFilter(d, n_channels, 1.0, hx=None, fx=_stay, points=points)
-        kalman.x = self._start.copy()
-        kalman.P = self._settings.spread**2 * np.eye(d)
+        kalman = UnscentedKalmanFilter(d, self._n_channels, 1.0, hx=None, fx=_stay, points=points)
+        kalman.x, kalman.P = self._mean, self._covariance
         kalman.Q = self._settings.walk**2 * np.eye(d)
-        kalman.R = np.eye(n_channels)
+        kalman.R = np.eye(self._n_channels)
         return kalman
 
 

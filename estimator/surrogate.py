@@ -1,11 +1,11 @@
 """Gaussian-process surrogates; the only module that imports GPy.
 
 GPy owns the kernels, their priors, bounds and hyperparameters; likelihood and posterior are those of
-`gaussian_process`, and what a fit finds is written back into GPy's objects.
+`gaussian_process`, and what a fit has found is written into GPy's objects when they are asked for.
 """
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 from scipy.optimize import minimize
@@ -35,13 +35,22 @@ class VectorSurrogate:
     (the concentrated likelihood: Rasmussen and Williams (2006), section 5.4.1; Santner et al. (2003), section 3.3).
     """
 
+    made_anew: ClassVar = ("_kernel",)
+    """Attributes that are in no checkpoint."""
+
     def __init__(self, n_dimensions: int) -> None:
         import GPy  # takes 0.4 s: not before it is needed, while the FMUs of a run start
 
-        self.kernel = GPy.kern.RBF(n_dimensions, variance=1.0, lengthscale=np.ones(n_dimensions), ARD=True)
-        self.kernel.lengthscale.set_prior(GPy.priors.LogGaussian(*LENGTHSCALE_PRIOR), warning=False)
-        self.kernel.lengthscale.constrain_bounded(*LENGTHSCALE_BOUNDS, warning=False)
+        self._kernel = GPy.kern.RBF(n_dimensions, variance=1.0, lengthscale=np.ones(n_dimensions), ARD=True)
+        self._kernel.lengthscale.set_prior(GPy.priors.LogGaussian(*LENGTHSCALE_PRIOR), warning=False)
+        self._kernel.lengthscale.constrain_bounded(*LENGTHSCALE_BOUNDS, warning=False)
         self._lengthscales = np.ones(n_dimensions)
+
+    @property
+    def kernel(self) -> Any:
+        """GPy's kernel with its prior and bounds, at the present lengthscales."""
+        self._kernel.lengthscale[:] = self._lengthscales
+        return self._kernel
 
     @property
     def lengthscales(self) -> Vector:
@@ -50,7 +59,7 @@ class VectorSurrogate:
 
     def fit(self, Z: Vector, Y: Vector, max_iterations: int = 8) -> None:
         """Refit the lengthscales to Y (n, k) at Z (n, d), from where they are."""
-        prior = self.kernel.lengthscale.priors.properties()[0]
+        prior = self._kernel.lengthscale.priors.properties()[0]
         found = minimize(
             negative_log_posterior,
             np.log(self._lengthscales),
@@ -61,7 +70,6 @@ class VectorSurrogate:
             options={"maxiter": max_iterations, "ftol": _ENOUGH},
         )
         self._lengthscales = np.exp(found.x)
-        self.kernel.lengthscale[:] = self._lengthscales
 
     def condition(self, Z: Vector, Y: Vector) -> Posterior:
         """Return the posterior given Y (n, k) at Z (n, d), at the present lengthscales."""
@@ -81,17 +89,33 @@ class MaternBounds:
 class ScalarSurrogate:
     """GP for one noisy output: GPy's Matern-5/2 with a lengthscale a dimension, fitted by maximum likelihood."""
 
+    made_anew: ClassVar = ("_kernel", "_likelihood")
+    """Attributes that are in no checkpoint."""
+
     def __init__(self, n_dimensions: int, bounds: MaternBounds | None = None) -> None:
         import GPy
 
         bounds = bounds or MaternBounds()
-        self.kernel = GPy.kern.Matern52(n_dimensions, ARD=True)
-        self.likelihood = GPy.likelihoods.Gaussian()
-        _constrain(self.kernel.variance, bounds.variance)
-        _constrain(self.kernel.lengthscale, bounds.lengthscale)
-        _constrain(self.likelihood.variance, bounds.noise)
+        self._kernel = GPy.kern.Matern52(n_dimensions, ARD=True)
+        self._likelihood = GPy.likelihoods.Gaussian()
+        _constrain(self._kernel.variance, bounds.variance)
+        _constrain(self._kernel.lengthscale, bounds.lengthscale)
+        _constrain(self._likelihood.variance, bounds.noise)
         self._log_bounds = np.log([bounds.variance, bounds.noise, *[bounds.lengthscale] * n_dimensions])
         self.forget()
+
+    @property
+    def kernel(self) -> Any:
+        """GPy's kernel with its bounds, at the present variance and lengthscales."""
+        variance, _, *lengthscales = np.exp(self._log_parameters)
+        self._kernel.variance[:], self._kernel.lengthscale[:] = variance, lengthscales
+        return self._kernel
+
+    @property
+    def likelihood(self) -> Any:
+        """GPy's likelihood with its bounds, at the present noise variance."""
+        self._likelihood.variance[:] = np.exp(self._log_parameters[1])
+        return self._likelihood
 
     def forget(self) -> None:
         """Reset the hyperparameters to GPy's start, one, or the bound nearest to it."""
@@ -109,9 +133,6 @@ class ScalarSurrogate:
             options={"maxiter": max_iterations, "ftol": _ENOUGH},
         )
         self._log_parameters = found.x
-        variance, noise, *lengthscales = np.exp(found.x)
-        self.kernel.variance[:], self.likelihood.variance[:] = variance, noise
-        self.kernel.lengthscale[:] = lengthscales
 
     def condition(self, Z: Vector, y: Vector) -> "ScalarPosterior":
         """Return the posterior given y (n,) at Z (n, d), at the present hyperparameters."""

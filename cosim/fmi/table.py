@@ -176,11 +176,6 @@ class TableSlave:
         """Return the bound columns: see get."""
         return self.get()
 
-    @property
-    def checkpoint_name(self) -> str:
-        """Name in messages about checkpoints: see `cosim.runs.checkpoint.Alive`."""
-        return f"table {self.name}"
-
     def to_checkpoint(self) -> tuple[float, float]:
         """Return the present time; its rows are in its file."""
         return self._time, self._slack

@@ -115,8 +115,6 @@ class FmuModel:
             self._end()
             raise ValueError(str(error)) from error
 
-    checkpoint_name = "estimation.model"
-
     def to_checkpoint(self) -> str:
         """Return the SHA-256 of the FMU, which keeps nothing from one call to the next."""
         return sha256(self._fmu)

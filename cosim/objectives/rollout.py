@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, Final, NamedTuple
+from typing import Any, ClassVar, Final, NamedTuple
 
 import numpy as np
 
@@ -40,6 +40,9 @@ class RolloutObjective:
 
     How roll-outs begin is decided once, by the first samples. Leaving the context ends the processes.
     """
+
+    made_anew: ClassVar = ("_pool", "_follower", "_followed")
+    """Attributes that are in no checkpoint: processes, and the roll-out that one of them is at, which begins again."""
 
     def __init__(
         self, shadow: Shadow, theta: Vector, way: StartMethod | None, live: RunningPlant | None, jobs: int

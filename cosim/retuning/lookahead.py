@@ -88,8 +88,6 @@ class Lookahead:
         self.failure: str | None = None
         """Reason why the loop cannot be simulated ahead after all, or None."""
 
-    checkpoint_name = "loop simulated ahead"
-
     def to_checkpoint(self) -> tuple[int, str | None]:
         """Return `n_rolled` and `failure`: the rest is set to the present state whenever it is needed."""
         return self.n_rolled, self.failure

@@ -1,17 +1,13 @@
 """Checkpoints: all that a run needs to be resumed bit for bit, in one file of its folder.
 
-The run is pickled with everything that it holds, so that later attributes are in its checkpoints without further code.
-Live parts that cannot be pickled, such as an FMU in its process, are left out and save and restore their own state: see
-`Alive`. A checkpoint is as trusted as a program: unpickling runs the code in it.
+The run is saved with everything that it holds, so that later attributes are in its checkpoints without further code:
+see `cosim.runs.run_state`. A checkpoint is data; nothing in it is run, whoever has written it.
 """
 
 import hashlib
-import pickle
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from io import BytesIO
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any, Final, Literal, Protocol
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -19,18 +15,19 @@ from ..errors import CosimError, FolderError, NotResumableError, one_line
 from ..files import readable, to_json, write_bytes
 from .record import Place, Recorder, recording
 from .run_files import CHECKPOINT
+from .run_restoration import restore_state
+from .run_state import StartObjects, encoded
+
+_SCHEMA: Final = "fmu-retune checkpoint"
+_VERSION: Final = 2
+"""Version of the file; one of another is refused. The first was a pickle."""
 
 
 class Alive(Protocol):
-    """A live part that is not pickled: the resumed run has made its own of the same name and restores its state."""
-
-    @property
-    def checkpoint_name(self) -> str:
-        """Name, unique within the run."""
-        ...
+    """A live part, such as an FMU in its process, which saves its own state; the resumed run's own restores it."""
 
     def to_checkpoint(self) -> object:
-        """Return the state that from_checkpoint needs, to be pickled. Raises NotResumableError with the reason."""
+        """Return the state that from_checkpoint needs, as data. Raises NotResumableError with the reason."""
         ...
 
     def from_checkpoint(self, saved: Any) -> None:
@@ -44,18 +41,17 @@ class Checkpoint:
 
     place: Place
     """End of its record at that point."""
-    n_parts: int
-    """Number of live parts, the run itself among them."""
     content: bytes
-    """Their names and states, pickled one after the other."""
+    """The run's state."""
 
 
 @dataclass(frozen=True)
 class _Header:
     """The second line of the file. The first is the SHA-256 of the rest; the content follows."""
 
+    schema: Literal["fmu-retune checkpoint"]
+    version: Literal[2]
     place: Place | None = None
-    n_parts: int = 0
     reason: str = ""
     """Reason why there is no content."""
 
@@ -63,26 +59,26 @@ class _Header:
 class Checkpoints:
     """Writer of checkpoints, every `every` communication points from the first one on."""
 
-    def __init__(self, folder: Path | None, every: int) -> None:
-        """folder, every: without a folder, or with every = 0, no checkpoints are written."""
-        self._folder, self._every = folder, every
+    def __init__(self, folder: Path | None, every: int, start: StartObjects | None) -> None:
+        """start: the run's objects; without them, without a folder, or with every = 0, no checkpoints are written."""
+        self._folder, self._every, self._start = folder, every, start
 
-    def offer(self, k: int, run: Alive, recorder: Recorder) -> None:
+    def offer(self, k: int, recorder: Recorder) -> None:
         """Write a checkpoint if one is due at the beginning of point k. Raises UnfinishedError, SlaveError.
 
         For a run that cannot be resumed the file holds the reason; an earlier checkpoint is kept instead.
         """
-        if self._folder is None or not self._every or k % self._every:
+        if self._folder is None or self._start is None or not self._every or k % self._every:
             return
         path = self._folder / CHECKPOINT
         try:
-            content, parts = _dumped(run)
-            header = _Header(recorder.place(), len(parts))
+            content = _encoded(self._start)
+            header = _Header(_SCHEMA, _VERSION, recorder.place())
         except NotResumableError as e:
             self._every = 0
             if path.exists():
                 return
-            header, content = _Header(reason=str(e)), b""
+            header, content = _Header(_SCHEMA, _VERSION, reason=str(e)), b""
         rest = to_json(asdict(header)).encode() + b"\n" + content
         with recording(self._folder):
             write_bytes(path, hashlib.sha256(rest).hexdigest().encode() + b"\n" + rest)
@@ -104,63 +100,23 @@ def read_checkpoint(folder: Path) -> Checkpoint:
         raise NotResumableError("its checkpoint is of another version") from e
     if header.place is None:
         raise NotResumableError(header.reason)
-    return Checkpoint(header.place, header.n_parts, content)
+    return Checkpoint(header.place, content)
 
 
-def restore(run: Alive, checkpoint: Checkpoint) -> None:
+def restore(start: StartObjects, checkpoint: Checkpoint) -> None:
     """Restore the state of a checkpoint in a run just initialised. Raises NotResumableError, SlaveError."""
-    _, parts = _dumped(run)
-    unpickler = _Unpickler(checkpoint.content, parts)
     try:
-        states = [cast(tuple[str, Any], unpickler.load()) for _ in range(checkpoint.n_parts)]
+        restore_state(start, checkpoint.content)
     except CosimError:
         raise
-    except Exception as e:  # whatever a class that has changed raises
-        raise NotResumableError(f"its checkpoint is of another version: {type(e).__name__}: {one_line(str(e))}") from e
-    for name, state in states:
-        parts[name].from_checkpoint(state)
+    except Exception as e:  # whatever content that does not fit leads to
+        raise NotResumableError(f"its checkpoint does not fit the run: {type(e).__name__}: {one_line(str(e))}") from e
 
 
-def _dumped(run: Alive) -> tuple[bytes, dict[str, Alive]]:
-    """Return the pickled states of the run and its live parts, one after the other, and these parts by name."""
-    buffer = BytesIO()
-    pickler = _Pickler(buffer)  # one for all: what two parts share stays shared
-    pickler.persistent_id(run)
+def _encoded(start: StartObjects) -> bytes:
     try:
-        while pickler.pending:
-            part = pickler.pending.pop()
-            pickler.dump((part.checkpoint_name, part.to_checkpoint()))
+        return encoded(start)
     except CosimError:
         raise
-    except Exception as e:  # whatever a user's class raises that cannot be pickled
+    except Exception as e:  # whatever a user's class raises
         raise NotResumableError(f"its state cannot be saved: {type(e).__name__}: {one_line(str(e))}") from e
-    return buffer.getvalue(), pickler.parts
-
-
-class _Pickler(pickle.Pickler):
-    def __init__(self, file: BytesIO) -> None:
-        super().__init__(file, pickle.HIGHEST_PROTOCOL)
-        self.parts: dict[str, Alive] = {}
-        self.pending: list[Alive] = []
-
-    def persistent_id(self, obj: Any) -> str | None:
-        if not hasattr(type(obj), "to_checkpoint"):
-            return None
-        name = obj.checkpoint_name
-        if name not in self.parts:
-            self.parts[name] = obj
-            self.pending.append(obj)
-        elif self.parts[name] is not obj:
-            raise ValueError(f"two parts are called '{name}'")
-        return name
-
-
-class _Unpickler(pickle.Unpickler):
-    def __init__(self, content: bytes, parts: Mapping[str, Alive]) -> None:
-        super().__init__(BytesIO(content))
-        self._parts = parts
-
-    def persistent_load(self, pid: str) -> Alive:
-        if pid not in self._parts:
-            raise NotResumableError(f"nothing in the new run is called '{pid}'")
-        return self._parts[pid]

@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from math import hypot
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
@@ -38,6 +38,7 @@ from .final_estimate import EstimateTracker
 from .latencies import Latencies
 from .manifest import Status
 from .record import Recorder
+from .run_state import StartObjects
 
 StepProgress = Callable[[float, Mapping[str, float]], None]
 """Callback at each communication point: time [s] and the controller's parameters, by name."""
@@ -85,6 +86,9 @@ class Loop:
     3. `execute` steps to the end.
     """
 
+    made_anew: ClassVar = ("begun",)
+    """Attributes that are in no checkpoint: their values are the resumed run's own."""
+
     def __init__(
         self,
         scenario: Scenario,
@@ -105,6 +109,7 @@ class Loop:
         self.estimates, self.latencies = EstimateTracker(scenario, estimator), Latencies()
         self._scenario, self._estimator, self._truth = scenario, estimator, truth
         self._master, self._sampler, self._held, self._k = master, sampler, held, 0
+        self._elapsed = 0.0  # wall time at the newest communication point [s]
         self._disturbances = disturbances
         inputs = {name for names in disturbances.values() for name in names}
         self._changed = [name for name in scenario.changes if name not in inputs]
@@ -132,31 +137,15 @@ class Loop:
         try_model(self._scenario, self._estimator, self.plant, self._held, first)
         return None
 
-    @property
-    def checkpoint_name(self) -> str:
-        """Name in checkpoints: see `cosim.runs.checkpoint.Alive`."""
-        return "loop"
-
-    def to_checkpoint(self) -> tuple[dict[str, Any], float]:
-        """Return all attributes except those made from the scenario alone, and the wall time so far [s]."""
-        fixed = ("_scenario", "_truth", "begun")
-        return {name: value for name, value in vars(self).items() if name not in fixed}, perf_counter() - self.begun
-
-    def from_checkpoint(self, saved: tuple[dict[str, Any], float]) -> None:
-        """Restore the saved attributes and wall time."""
-        held, wall = saved
-        vars(self).update(held)
-        self.begun -= wall
-
-    def go_to(self, checkpoint: Checkpoint, fault: str | None) -> None:
-        """Go from the start to a checkpoint; fault: reason why initialisation failed. Raises NotResumableError."""
+    def go_to(self, checkpoint: Checkpoint, start: StartObjects) -> None:
+        """Go to a checkpoint; start: the objects of this run, just initialised. Raises NotResumableError."""
         try:
-            if fault is None:
-                restore(self, checkpoint)
+            restore(start, checkpoint)
         except SlaveError as e:
-            fault = str(e)
-        if fault is not None:
-            raise NotResumableError(fault.rstrip("."))
+            raise NotResumableError(str(e).rstrip(".")) from e
+        if self._k not in range(self._scenario.scenario.n_steps + 1):
+            raise NotResumableError(f"its checkpoint does not fit the run: there is no communication point {self._k}")
+        self.begun -= self._elapsed
 
     def execute(
         self, recorder: Recorder, checkpoints: Checkpoints, progress: StepProgress | None
@@ -168,7 +157,8 @@ class Loop:
         try:
             for k in range(self._k, settings.n_steps + 1):
                 self._k, t = k, settings.time(k)
-                checkpoints.offer(k, self, recorder)
+                self._elapsed = perf_counter() - self.begun
+                checkpoints.offer(k, recorder)
                 if self._step(k, t, recorder):
                     return "diverged", None
                 if progress is not None:
@@ -222,14 +212,6 @@ class _TrueParameters:
 
     def __call__(self, t: float) -> Vector:
         return np.array([value(t) for value in self._values])
-
-    checkpoint_name = "true parameters"
-
-    def to_checkpoint(self) -> None:
-        """Return None: the object is made from the scenario alone."""
-
-    def from_checkpoint(self, saved: None) -> None:
-        """Do nothing: there is no state to restore."""
 
 
 def _running_plant(

@@ -24,6 +24,7 @@ from .record import Recorder, recording, uninterrupted
 from .result import Run, begin_folder, end_folder
 from .resumable import Unfinished, has_begun, read_unfinished
 from .run_files import new_run_folder
+from .run_state import StartObjects
 
 
 def run(
@@ -91,8 +92,11 @@ def _simulated(
         scenario = as_the_fmus_have_it(scenario, slaves)
         loop = open_loop(scenario, slaves, paths, estimator, seed, begun, stack)
         fault = loop.initialize()
+        start = None if out is None or fault is not None else StartObjects(loop)
         if old is not None and old.checkpoint is not None:
-            loop.go_to(old.checkpoint, fault)
+            if start is None:
+                raise NotResumableError((fault or "").rstrip("."))
+            loop.go_to(old.checkpoint, start)
         if out is not None:
             if old is None and not has_begun(out):
                 new_run_folder(settings.name, out)
@@ -104,7 +108,7 @@ def _simulated(
                 begin_folder(out, scenario, estimator, seed, paths, loop.plant)
             recorder = Recorder(out, loop.columns, old and old.place)
         stack.callback(recorder.release)
-        checkpoints = Checkpoints(out, settings.checkpoint)
+        checkpoints = Checkpoints(out, settings.checkpoint, start)
         status, error = ("faulted", fault) if fault else loop.execute(recorder, checkpoints, progress)
         wall = perf_counter() - loop.begun
         policy = loop.policy

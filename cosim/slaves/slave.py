@@ -251,11 +251,6 @@ class Slave:
         self._life.call(self._host.call, "set_state", self._life.time, state)
         self._life.phase, self._values = Phase.RUNNING, None  # the state of an FMU that was running
 
-    @property
-    def checkpoint_name(self) -> str:
-        """Name in messages about checkpoints: see `cosim.runs.checkpoint.Alive`."""
-        return f"FMU {self.name}"
-
     def to_checkpoint(self) -> tuple[bytes, float | None, tuple[float, ...] | None]:
         """Return state, communication point and outputs. Raises NotResumableError, SlaveError."""
         if not self.has_states:

@@ -5,6 +5,8 @@ A row of the table is a fault, how it is injected, the command, and the expected
 
 import json
 import os
+import pickle
+import random
 import shutil
 import signal
 import sys
@@ -179,11 +181,54 @@ def swapped_rows(folder: Path) -> None:
         writer.write_table(table.slice(1))
 
 
-def pickled_elsewhere(folder: Path) -> None:
-    """The estimator's class is not where it was."""
-    _, _, rest = (folder / CHECKPOINT).read_bytes().partition(b"\n")
-    rest = rest.replace(b"TargetVector", b"TurgetVictor")
+class Malicious:
+    """Once unpickled it has made a file beside the run folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.command = f"touch '{folder.parent / 'called'}'"
+
+    def __reduce__(self):
+        return os.system, (self.command,)
+
+
+def seal(folder: Path, rest: bytes) -> None:
+    """A checkpoint with the right hash, whatever is in it."""
     (folder / CHECKPOINT).write_bytes(sha256(rest).hexdigest().encode() + b"\n" + rest)
+
+
+def pickled(folder: Path) -> None:
+    """As earlier versions wrote them, by someone who means harm."""
+    _, head, _ = (folder / CHECKPOINT).read_bytes().split(b"\n", 2)
+    old = {"place": json.loads(head)["place"], "n_parts": 1, "reason": ""}
+    seal(folder, json.dumps(old).encode() + b"\n" + pickle.dumps(("loop", Malicious(folder))))
+
+
+def pickle_inside(folder: Path) -> None:
+    """With the header of this version."""
+    _, head, _ = (folder / CHECKPOINT).read_bytes().split(b"\n", 2)
+    seal(folder, head + b"\n" + pickle.dumps(Malicious(folder)))
+
+
+def restated(change: Callable[[dict], object]):
+    """A checkpoint whose state has been changed."""
+
+    def inject(folder: Path) -> None:
+        _, head, text, block = (folder / CHECKPOINT).read_bytes().split(b"\n", 3)
+        state = json.loads(text)
+        change(state)
+        seal(folder, b"\n".join([head, json.dumps(state).encode(), block]))
+
+    return inject
+
+
+def strange_class(state: dict) -> None:
+    state["new"].append(["object", "subprocess:Popen", ["args", "true"]])
+
+
+def late(state: dict) -> None:
+    """A communication point after the end."""
+    attributes = state["contents"][0][1][2]
+    attributes[attributes.index("_k") + 1] = 10**6
 
 
 OTHER = "is not as it was written"
@@ -249,7 +294,10 @@ DAMAGED = [
         ]
     ),
     ("no checkpoint", gone(CHECKPOINT), "resume", "cannot be resumed: it has no checkpoint"),
-    ("a class that is not there", pickled_elsewhere, "resume", "its checkpoint is of another version: AttributeError"),
+    ("a pickle for a checkpoint", pickled, "resume", "cannot be resumed: its checkpoint is of another version."),
+    ("a pickle in a checkpoint", pickle_inside, "resume", "its checkpoint does not fit the run: "),
+    ("a class of somebody else's", restated(strange_class), "resume", "ValueError: no objects of subprocess:Popen"),
+    ("a checkpoint after the end", restated(late), "resume", "there is no communication point 1000000"),
     ("a half manifest to go on with", cut(MANIFEST, lambda n: n // 2), "resume", "manifest.json: Invalid JSON"),
     ("another seed to go on with", edited(MANIFEST, '"seed": 1', '"seed": 2'), "resume", f"manifest.json {OTHER}"),
     ("another NumPy", resealed(versions={"numpy": "1.0"}), "resume", "it was begun with numpy 1.0, and this is "),
@@ -297,6 +345,45 @@ def test_a_damaged_folder_is_told_in_one_line_and_left_as_it_is(copied, capfd, i
     assert str(folder) in err
     assert outcome.replace("{folder}", str(folder)) in err
     assert contents(folder) == before
+    assert list(folder.parent.glob("called")) == []
+
+
+POOL = [None, True, -1, 0, 3, 2**70, 1e308, 1e-308, "", "x", [], ["n", 0], ["n", 5], ["s", 0], ["s", 9],
+        ["tuple", []], ["bytes", {"b": 3}], {"b": 0}, {"b": 8}]  # fmt: skip
+
+
+def places_in(values, path=()):
+    """The place of each JSON value that holds no others."""
+    if isinstance(values, list) and values:
+        return [p for i, value in enumerate(values) for p in places_in(value, (*path, i))]
+    return [path]
+
+
+@pytest.mark.parametrize("seed", [pytest.param(i, marks=[pytest.mark.full] if i > 4 else []) for i in range(100)])
+def test_whatever_a_checkpoint_holds_the_end_is_one_line(copied, capfd, seed):
+    """A value or two of it are others, and its hash is right: it may fit, and lead to a run of other numbers."""
+    folder, rng = copied("resume"), random.Random(seed)
+
+    def change(state: dict) -> None:
+        values = [state["contents"], state["new"], state["alive"]]
+        for _ in range(rng.choice([1, 1, 2, 9])):
+            *path, last = rng.choice(places_in(values))
+            inner = values
+            for i in path:
+                inner = inner[i]
+            inner[last] = rng.choice(POOL)
+
+    restated(change)(folder)
+    before = contents(folder)
+    code, out, err = called(capfd, "resume", folder)
+    assert code in (0, 1, 2)
+    assert "Traceback" not in err
+    if code:
+        assert len(err.splitlines()) == 1
+        assert err.startswith("retune: ")
+    if code == 2:
+        assert out == ""
+        assert contents(folder) == before
 
 
 def stale_lock(folder: Path) -> None:

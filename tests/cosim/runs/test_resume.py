@@ -65,15 +65,17 @@ def assert_same(a: Path, b: Path) -> None:
     assert counts[0] == counts[1]
 
 
-def check_resume(scenario: Scenario, estimator: str, tmp_path: Path, until: float = 0.37) -> Run:
+def check_resume(scenario: Scenario, estimator: str, tmp_path: Path, *until: float) -> Run:
     (tmp_path / "undisturbed").mkdir()
     whole = run(scenario, estimator, 5, tmp_path / "undisturbed")
     assert whole.status == "done"
-    left_at(until, scenario, estimator, tmp_path / "left")
-    assert read_run(tmp_path / "left").status == "unfinished"
-    resumed = resume(tmp_path / "left")
-    assert resumed.wall > 0.0
-    assert_same(tmp_path / "undisturbed", tmp_path / "left")
+    for t in until or (0.37,):
+        left = tmp_path / f"left at {t}"
+        left_at(t, scenario, estimator, left)
+        assert read_run(left).status == "unfinished"
+        resumed = resume(left)
+        assert resumed.wall > 0.0
+        assert_same(tmp_path / "undisturbed", left)
     return whole
 
 
@@ -107,6 +109,64 @@ def test_every_kind_of_run_goes_on_to_the_same_bits(tmp_path, settings):
 def test_every_scenario_goes_on_to_the_same_bits(tmp_path, name):
     scenario = Scenario.load(name, IN_PROCESS | {"scenario.stop_time": "0.6", "scenario.checkpoint": "15"})
     check_resume(scenario, "target", tmp_path)
+
+
+ROLLOUT = IN_PROCESS | {
+    "scenario.stop_time": "0.4",
+    "scenario.checkpoint": "9",
+    "sampling.outputs": '{"plant.phi" = {noise = 1e-3}, "plant.phi_dot" = {noise = 2e-3}}',
+    "estimation.objective": "rollout",
+    "estimation.rollout.jobs": "1",
+    "estimation.window": "8",
+    "estimation.budget": "8",
+    'changes."plant.m"': "[[0.0, 1.75], [0.1, 3.0]]",
+}
+OTHERWISE = {
+    "from the saved state": ROLLOUT | {"estimation.rollout.start": "state"},
+    "from measured states": ROLLOUT | {"estimation.rollout.start": "measured"},
+    "from noisy states": ROLLOUT
+    | {
+        "estimation.rollout.start": "measured",
+        "sampling.outputs": '{"plant.phi_dot" = {noise = 2e-3}}',
+        "sampling.states": '{"plant.phi" = {noise = 1e-3}}',
+    },
+    "again from the start": ROLLOUT | {"estimation.rollout.start": "replay"},
+    "without a diagnosis": ROLLOUT | {"diagnosis.enabled": "false"} | INNOVATION,
+    "on filtered derivatives": EARLY_CHANGE | IN_PROCESS | {
+        "sampling.derivatives": '{ "plant.der(phi_dot)" = { of = "plant.phi_dot" } }',
+        "sampling.states": '{ "plant.phi" = { noise = 1e-4 }, "plant.phi_dot" = { noise = 1e-4 } }',
+        "sampling.filter": '{ kind = "savitzky-golay" }',
+    },
+    "with a sensor that fails": EARLY_CHANGE | IN_PROCESS | {
+        "sampling.faults": '[{ kind = "spikes", sensor = "plant.der(phi_dot)", probability = 0.2, size = 3.0 }]'
+    },
+}  # fmt: skip
+
+
+@pytest.mark.full_but("from the saved state")
+@pytest.mark.parametrize("settings", OTHERWISE.values(), ids=OTHERWISE)
+def test_roll_outs_filters_and_sensors_go_on_to_the_same_bits(tmp_path, settings):
+    whole = check_resume(Scenario.load("pendulum", settings), "target", tmp_path, 0.15, 0.33)
+    assert whole.n_episodes
+
+
+FUNCTION = """
+def residual(theta, samples):
+    return [
+        1e3 * (b.x[1] - a.x[1] - (b.t - a.t) * (b.u[0] / theta["m"] / theta["l"] - 9.81 / theta["l"]))
+        for a, b in zip(samples, samples[1:])
+    ]
+"""
+
+
+@pytest.mark.full
+def test_a_function_of_the_users_goes_on_to_the_same_bits(tmp_path, monkeypatch):
+    name = f"function_{tmp_path.name}"
+    (tmp_path / f"{name}.py").write_text(FUNCTION)
+    monkeypatch.chdir(tmp_path)
+    settings = EARLY_CHANGE | IN_PROCESS | INNOVATION | {"estimation.objective": f"{name}:residual"}
+    assert check_resume(Scenario.load("pendulum", settings), "target", tmp_path).n_episodes
+    sys.modules.pop(name)
 
 
 @pytest.mark.full
@@ -236,14 +296,35 @@ def test_an_fmu_that_cannot_save_its_state_is_named(tmp_path, faulty_toml):
 
 
 OWN = """
+import random
 import threading
+from dataclasses import dataclass
+
 from estimator import TargetVector
+
+
+@dataclass
+class Memory:
+    theta: list
+
+
+class Hidden(TargetVector):
+    def __init__(self, space, start, rng, settings):
+        super().__init__(space, start, rng)
+        self.random = random.Random(0)
 
 
 class Locked(TargetVector):
     def __init__(self, space, start, rng, settings):
         super().__init__(space, start, rng)
-        self.lock = threading.Lock()
+        self.lock, self.function = threading.Lock(), lambda theta: theta
+        self.memories = []
+
+    def tell(self, theta, residual):
+        with self.lock:
+            self.memories = [*self.memories[-5:], Memory(theta.tolist())]
+        shift = 1e-6 * sum(memory.theta[0] for memory in self.memories)
+        super().tell(self.function(theta), residual + shift)
 
 
 class Late(TargetVector):
@@ -268,15 +349,19 @@ def own(tmp_path, monkeypatch):
     sys.modules.pop(name, None)
 
 
-def test_an_estimator_of_ones_own_that_cannot_be_pickled_runs_and_says_why_it_cannot_go_on(tmp_path, own):
-    left_at(0.4, Scenario.load("pendulum", EARLY_CHANGE | IN_PROCESS), f"{own}:Locked", tmp_path / "left")
-    why = "its state cannot be saved: TypeError: cannot pickle '_thread.lock' object"
+def test_an_estimator_of_ones_own_with_hidden_state_runs_and_says_why_it_cannot_go_on(tmp_path, own):
+    left_at(0.4, Scenario.load("pendulum", EARLY_CHANGE | IN_PROCESS), f"{own}:Hidden", tmp_path / "left")
+    why = "its state cannot be saved: Hidden.random is a Random, which is no data"
     assert refused(tmp_path / "left") == f"{tmp_path / 'left'} cannot be resumed: {why}."
 
 
+def test_one_with_functions_locks_and_classes_of_its_own_goes_on_to_the_same_bits(tmp_path, own):
+    check_resume(Scenario.load("pendulum", EARLY_CHANGE | IN_PROCESS), f"{own}:Locked", tmp_path)
+
+
 @pytest.mark.full
-def test_one_that_can_be_pickled_at_first_goes_on_from_there(tmp_path, own):
-    check_resume(Scenario.load("pendulum", EARLY_CHANGE | IN_PROCESS), f"{own}:Late", tmp_path, until=0.5)
+def test_one_that_can_be_saved_at_first_goes_on_from_there(tmp_path, own):
+    check_resume(Scenario.load("pendulum", EARLY_CHANGE | IN_PROCESS), f"{own}:Late", tmp_path, 0.5)
 
 
 def test_an_estimator_that_has_changed_is_not_gone_on_with(tmp_path, own):

@@ -105,6 +105,11 @@ class DiagnosingRetuner(_Counting):
         """Take a revert of the guard's to theta (d,): no search that fails returns to what was reverted."""
         self._diagnosis.accept(theta)
 
+    def suspend(self, t: float, held: Vector) -> Proposal | None:
+        """End the search on samples that turn out to be doubtful, and undo what it wrote; None where there is none."""
+        reference = self._diagnosis.suspend()
+        return None if reference is None else self._ended(t, Proposal(), reference, held, ())
+
     def step(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
         """Take one communication point's sample, where there is one; return what to write, and why."""
         diagnosis = self._diagnosis
@@ -205,6 +210,16 @@ class DiagnosingEpisodes(_Counting):
     def reverted(self, theta: Vector) -> None:
         """Take a revert of the guard's to theta (d,): no search that fails returns to what was reverted."""
         self._before = theta
+
+    def suspend(self, t: float, held: Vector) -> Proposal | None:
+        """End the search on samples that turn out to be doubtful, and undo what it wrote; None where there is none."""
+        if self._before is None or not self._retuner.is_searching:
+            return None
+        self._retuner.abandon()
+        self._retuner.close(self._before)
+        if np.array_equal(self._before, held):
+            return Proposal()
+        return Proposal(undo=self._before, events=(Event(t, "undo", {"theta": self._before.tolist()}),))
 
     def step(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
         """Take one communication point's sample, where there is one; return what to write, and why."""

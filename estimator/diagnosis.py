@@ -254,6 +254,14 @@ class Diagnosis:
         """Return whether a parameter would move to a bound although its standard deviation is as wide as the bounds."""
         return is_at_unseen_bound(self._space, theta, std, held)
 
+    def suspend(self) -> Vector | None:
+        """End the suspicion, whose samples are doubtful; return the parameters (d,) to go back to, None without one."""
+        state = self._state
+        if not state.n_since:
+            return None
+        state.n_since, state.verdict = 0, "refuted"
+        return state.reference
+
     def accept(self, theta: Vector) -> None:
         """Take parameters (d,) that are warranted and in force for those that the next ones are compared with."""
         if self._state.n_since:

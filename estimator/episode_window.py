@@ -162,7 +162,7 @@ class EpisodeWindow:
         """End the episode with theta (d,) in force."""
         if self._stretch is not None:
             self._objective.accept(theta, self._stretch)
-        self._stretch = None
+        self._stretch, self._is_filling, self._extended = None, False, 0
         self._judged.clear()
 
     def extend(self) -> bool:

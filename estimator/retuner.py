@@ -140,6 +140,11 @@ class Retuner:
         theta = None if np.array_equal(wanted, held) else wanted
         return Proposal(theta, estimate, tuple(events), tuple(latencies), is_candidate)
 
+    @property
+    def is_searching(self) -> bool:
+        """True where an episode is under way."""
+        return self._remaining > 0
+
     def close(self, theta: Vector) -> None:
         """Close the window of an episode that has ended with theta (d,) in force."""
         self._window.end(theta)

@@ -128,7 +128,11 @@ class Supervisor:
             screened, before = self._screened(point, held)
         in_force = held if before is None else before
         with failing(f"estimator '{self._name}'", point.t):
-            proposal = self._retuner.step(point.t, screened.sample, point.error, in_force)
+            proposal = None
+            if screened.has_failed and not isinstance(self._retuner, Retuner):
+                proposal = self._retuner.suspend(point.t, in_force)
+            if proposal is None:
+                proposal = self._retuner.step(point.t, screened.sample, point.error, in_force)
         with failing("estimation.model", point.t):
             ruling = self._ruling(point, proposal, in_force)
         events = [*screened.events, *proposal.events, *ruling.events]

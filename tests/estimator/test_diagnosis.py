@@ -261,6 +261,20 @@ def test_a_gust_that_parameters_were_written_for_is_named_and_undone_when_it_has
     assert [k for k, _ in run.of("disturbance", "undo") if k > 120] == []
 
 
+@SEARCHES
+def test_what_was_written_is_undone_where_the_samples_turn_out_to_be_doubtful(estimator):
+    run = Run(estimator, 1, is_trusting=True).go(100).go(4, TRUE, PUSH[1])
+    assert run.writes
+    proposal = run.retuner.suspend(5.2, run.held)
+    assert_array_equal(proposal.undo, TRUE)
+    assert [event.kind for event in proposal.events] == ["undo"]
+    assert not run.diagnosis.is_suspicious
+    assert run.retuner.suspend(5.25, TRUE) is None
+    run.held = TRUE
+    run.go(60)
+    assert near(run.held, TRUE)
+
+
 @pytest.mark.parametrize("seed", range(4))
 @SEARCHES
 def test_parameters_that_change_from_search_to_search_rest_and_return(estimator, seed):

@@ -141,6 +141,19 @@ def test_changed_parameters_are_found_whatever_the_noise(seed):
     assert run.of("disturbance", "unexplained", "rest", "undo") == []
 
 
+def test_a_search_on_samples_that_turn_out_to_be_doubtful_ends_and_is_undone():
+    run = Run("target").go(100)
+    assert run.retuner.suspend(10.0, run.held) is None
+    while not run.writes:
+        run.go(1, CHANGED)
+    proposal = run.retuner.suspend(13.0, run.held)
+    assert_array_equal(proposal.undo, TRUE)
+    run.held = TRUE
+    assert run.retuner.suspend(13.1, TRUE) is None
+    run.go(80, CHANGED)
+    assert near(run.held, CHANGED)
+
+
 @SEARCHES
 def test_a_disturbance_of_the_input_is_named_with_its_size_and_its_end(estimator):
     run = Run(estimator).go(100).go(100, TRUE, PUSH)

@@ -196,8 +196,7 @@ class Diagnosis:
             return self._changed(t, held) if disturbance.score >= parameters.score + MARGIN else None
         is_named = disturbance.is_explained and disturbance.score + MARGIN <= plain_fit(there, 0).score
         if is_named and n % 2 == 0 and not self._best(held, n, may_drift=False).fit.is_explained:
-            events = self._name(t, disturbance_of(there, may_drift=False))
-            return Settled(self._undone(reference), events, True)
+            return Settled(reference, self._name(t, disturbance_of(there, may_drift=False)), True)
         return None
 
     def _is_over(self, here: Vector, there: Vector, is_changed: bool, is_explained: bool) -> bool:
@@ -379,8 +378,9 @@ class Diagnosis:
             return None
         explaining = [d for d in (found, self._both(held, n)) if d is not None and d.fit.is_explained]
         if n >= _QUIET and explaining:
-            events = self._name(t, min(explaining, key=lambda d: d.fit.score))
-            return Settled(self._undone(reference), events, True)
+            best = min(explaining, key=lambda d: d.fit.score)
+            events = self._name(t, best)
+            return Settled(reference if best.is_constant else self._undone(reference), events, True)
         state.n_since, state.verdict = 0, "refuted"
         state.n_failures += 1
         best = rows if theta is None else self._rows(theta, n)
@@ -440,7 +440,7 @@ class Diagnosis:
         state = self._state
         if self._is_restless(theta):
             return self._give_up(t)
-        if state.n_spare >= _SPARE and state.verdict == "warranted":
+        if state.n_spare >= _SPARE and not any(state.moves[-1:]):
             state.n_failures = max(state.n_failures - 1, 0)
         return None
 

@@ -15,6 +15,7 @@ from .terminal.exit_codes import INTERRUPTED, REFUSED, UNFINISHED
 from .terminal.options import make_parser
 from .terminal.signals import SignalHandler
 from .terminal.streams import can_print, drop_output, ready_streams
+from .warnings_log import warnings_logged
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -47,7 +48,7 @@ def _ended(arguments: Sequence[str] | None) -> int:
     except ImportError as e:
         return _end(options, str(e), REFUSED)
     try:
-        with _everything_logged() if options.debug else nullcontext():
+        with warnings_logged(), _everything_logged() if options.debug else nullcontext():
             code = import_module(f".commands.{options.command}", __package__).command(options)
         sys.stdout.flush()
         return code

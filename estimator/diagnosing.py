@@ -10,7 +10,8 @@ from typing import Any, Final, Union
 import numpy as np
 
 from .contract import AskTell, Solver
-from .diagnosis import Diagnosis, Judgement
+from .diagnosis import Diagnosis
+from .diagnosis_settings import Judgement
 from .episode_diagnosis import EpisodeDiagnosis
 from .episode_window import EpisodeWindow
 from .events import Event
@@ -138,12 +139,14 @@ class DiagnosingRetuner(_Counting):
         has_ended = any(event.kind == "end" for event in proposal.events)
         has_ended |= self._is_endless and diagnosis.n_since >= _PATIENCE
         if has_ended and diagnosis.n_since >= _FEWEST and diagnosis.has_failed:
-            reference, events = diagnosis.reference, diagnosis.fail(t, best, held)
-            if events:
-                return self._ended(t, proposal, reference, held, events)
+            failed = diagnosis.fail(t, best, held)
+            if failed is not None:
+                return self._ended(t, proposal, failed.undo, held, failed.events)
             self._retuner.forget()  # the noise may be larger
         if has_ended and diagnosis.is_suspicious and best is not None and not diagnosis.has_failed:
-            diagnosis.succeed()
+            settled = diagnosis.succeed(t, best)
+            if settled is not None:
+                return self._ended(t, proposal, settled.undo, held, settled.events)
         if verdict == "refuted":
             return replace(proposal, theta=None)
         rival = diagnosis.disturbance(held) if verdict == "possible" and theta is not None else None
@@ -187,6 +190,7 @@ class DiagnosingEpisodes(_Counting):
         """retuner: on the diagnosis' window, with an `EpisodeTrigger`."""
         self._retuner, self._diagnosis = retuner, diagnosis
         self._before: Vector | None = None  # in force at the beginning of the episode
+        self._ended: tuple[Vector, Judgement] | None = None  # what the last episode proposed in the end
 
     def diagnosis_summary(self) -> dict[str, Any]:
         """Return what the diagnosis has found as JSON values."""
@@ -205,6 +209,7 @@ class DiagnosingEpisodes(_Counting):
     def step(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
         """Take one communication point's sample, where there is one; return what to write, and why."""
         diagnosis = self._diagnosis
+        self._close(held)
         if sample is not None:
             sample = diagnosis.corrected(sample)
         proposal = self._retuner.step(t, sample, tracking_error, held)
@@ -221,8 +226,7 @@ class DiagnosingEpisodes(_Counting):
         if verdict != "refuted":
             rival = diagnosis.disturbance(before) if verdict == "possible" and theta is not None else None
             if "end" in kinds:
-                diagnosis.succeed()
-                self._retuner.close(held if theta is None else theta)
+                self._ended = (held if theta is None else theta, verdict)
             return replace(proposal, possible_disturbance=rival)
         if "end" not in kinds:
             return replace(proposal, theta=None)
@@ -233,6 +237,17 @@ class DiagnosingEpisodes(_Counting):
         return replace(
             proposal, theta=None, undo=before, events=(*events, Event(t, "undo", {"theta": before.tolist()}))
         )
+
+    def _close(self, held: Vector) -> None:
+        """Close the window of the last episode; wait for more samples where its proposal was possible, and refused."""
+        if self._ended is None:
+            return
+        (proposed, verdict), self._ended = self._ended, None
+        was_refused = not np.array_equal(proposed, held)
+        if verdict == "possible" and was_refused and self._diagnosis.wait():
+            return
+        self._diagnosis.succeed()
+        self._retuner.close(held)
 
 
 def make_episodes(

@@ -8,15 +8,23 @@ parameters that has found none: then either a constant disturbance explains them
 nothing does, and the channels concerned rest. See `hypotheses` for the comparison.
 """
 
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from copy import copy
-from dataclasses import dataclass, field, replace
-from typing import Any, Final, Literal
+from dataclasses import dataclass, replace
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .diagnosis_settings import (
+    BETTER,
+    FORGOTTEN,
+    MOST_NAMED,
+    PATIENCE,
+    DiagnosisSettings,
+    Judgement,
+    is_at_unseen_bound,
+)
+from .diagnosis_state import DiagnosisState
 from .events import Event
 from .hypotheses import (
     FALSE_ALARM,
@@ -46,8 +54,6 @@ _FEWEST: Final = 3
 """Least number of samples that name a disturbance, or its end."""
 _LENGTHS: Final = (5, 4, 3, 2, 1)
 """Numbers of newest samples on which the hypotheses are compared, until changed parameters explain them."""
-_BETTER: Final = 0.5
-"""Share of the sum of squares of the parameters in force, at the newest sample, that better ones may have."""
 _RATE: Final = 2.0 * USUAL_RATE
 """Largest change of a parameter from sample to sample, as a share of the scaled bounds: faster, it is none."""
 _NOISY: Final = 8
@@ -56,60 +62,12 @@ _LARGER: Final = 1.3
 """Factor by which it must be larger."""
 _SPARE: Final = 10
 """Least number of explained values in excess of the fitted ones that makes good for a search in vain."""
-_LITTLE: Final = 1e-6
-"""Distance, as a share of the scaled bounds, that is none."""
-_WIDE: Final = 0.5
-"""Standard deviation, as a share of the scaled bounds, that says nothing."""
 _RENEWED: Final = 5
 """Number of samples after which a comparison that changed parameters have won is repeated."""
-_PATIENCE: Final = 3
-"""Number of searches in vain, one soon after the other, after which the channels concerned rest."""
-_FORGOTTEN: Final = 200
-"""Number of quiet samples after which one search in vain is forgotten."""
-_MOST: Final = 1_000_000_000
-"""Largest number of samples of a rest: more is a mistake."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class DiagnosisSettings:
-    """Settings of the diagnosis: its false alarms, and its rests after what nothing explains."""
-
-    enabled: bool = True
-    """True to write parameters only where they explain the samples and nothing else does as well."""
-    false_alarm: float = field(default=1e-6, metadata={"gt": 0.0, "lt": 1.0})
-    """Probability that a sample seems to contradict the parameters in force although nothing has changed."""
-    rest: int = field(default=1000, metadata={"ge": 1, "le": _MOST})
-    """Number of samples for which channels rest that nothing explained three times; each further time twice as many."""
-    longest_rest: int = field(default=16000, metadata={"ge": 1, "le": _MOST})
-    """Largest number of samples of a rest."""
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.false_alarm < 1.0:
-            raise ValueError(f"false_alarm must be between 0 and 1, got {self.false_alarm}.")
-        if not 1 <= self.rest <= self.longest_rest <= _MOST:
-            raise ValueError(f"rest must be from 1 to longest_rest, got {self.rest} and {self.longest_rest}.")
-
-
-Judgement = Literal["warranted", "possible", "refuted"]
-"""Changed parameters are warranted; possible beside a disturbance; refuted, or too few samples to tell."""
-
-
-MOST_NAMED: Final = 20
-"""Largest number of disturbances in the summary."""
-KINDS: Final = ("disturbance", "unexplained", "rest")
-"""Kinds of events of a diagnosis."""
-
-
-def channel_summary(names: Sequence[str], scale: ResidualScale) -> list[tuple[str, dict[str, Any]]]:
-    """Return, for each channel, its name and what is known of its residuals' true size, as JSON values.
-
-    noise_ratio: what the model leaves unexplained in quiet, in standard deviations of the declared noise, or None.
-    """
-    observed = [None] * len(names) if scale.observed is None else scale.observed.tolist()
-    return [
-        (name, {"noise_ratio": ratio, "scale": float(s), "correlation": float(rho)})
-        for name, ratio, s, rho in zip(names, observed, scale.values, scale.correlations, strict=True)
-    ]
+_REMEMBERED: Final = 5
+"""Number of searches, one soon after the other, that are compared with each other."""
+_AGREE: Final = 0.02
+"""Distance, as a share of the scaled bounds, of parameters that agree, beside their drift."""
 
 
 @dataclass(frozen=True)
@@ -121,51 +79,6 @@ class Settled:
     events: tuple[Event, ...] = ()
     ends_search: bool = False
     """True where the search for parameters is at its end, too."""
-
-
-@dataclass
-class _State:
-    """All that changes from sample to sample; copied for a snapshot."""
-
-    samples: list[Sample]
-    """The newest samples, from old to new; during a suspicion the older ones are thinned out."""
-    scale: ResidualScale
-    offset: Vector
-    """Known disturbance (c,), in standard deviations of the declared noise."""
-    rests_until: NDArray[np.intp]
-    """Number of the sample (c,) at which a channel's rest ends."""
-    is_resting: NDArray[np.bool_]
-    n_failures: int = 0
-    """Number of searches in vain, one soon after the other."""
-    n_quiet: int = 0
-    """Number of quiet samples in a row."""
-    counts: Counter[str] = field(default_factory=Counter[str])
-    """Number of events of each kind."""
-    named: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
-    """The newest disturbances with their times [s] and sizes; replaced, never changed."""
-    rested: list[Vector] = field(default_factory=list[Vector])
-    """Residuals (c,) at the parameters in force since the first channel rests."""
-    n_samples: int = 0
-    n_since: int = 0
-    """Number of samples since the onset of the suspicion; 0 while quiet."""
-    reference: Vector | None = None
-    """Parameters (d,) in force at the onset, or accepted since."""
-    changed: Vector | None = None
-    """Place (d,) of the parameters that explained the samples last."""
-    verdict: "Judgement" = "refuted"
-    n_spare: int = 0
-    """Number of its values in excess of those fitted."""
-    n_explained: int = 0
-    """Number of newest samples that the verdict is about."""
-    found_at: int = 0
-    """Number of the sample at which the verdict was found."""
-
-    def copy(self) -> "_State":
-        """Return an independent copy; arrays are replaced, never changed."""
-        other = copy(self)
-        other.samples, other.scale = [*self.samples], self.scale.copy()
-        other.rested, other.counts = [*self.rested], Counter(self.counts)
-        return other
 
 
 class Diagnosis:
@@ -185,8 +98,7 @@ class Diagnosis:
         self._sigma, self._space = np.array(sigma), space
         c = len(self._names)
         zero = np.zeros(c, dtype=np.intp)
-        self._state = _State([], ResidualScale(c), np.zeros(c), zero, np.zeros(c, dtype=bool))
-        self._told: set[str] = set()
+        self._state = DiagnosisState([], ResidualScale(c), np.zeros(c), zero, np.zeros(c, dtype=bool))
 
     @property
     def is_suspicious(self) -> bool:
@@ -203,23 +115,17 @@ class Diagnosis:
         """Number of samples since the onset of the suspicion, at most 20; 0 while quiet."""
         return self._state.n_since
 
-    def snapshot(self) -> _State:
+    def snapshot(self) -> DiagnosisState:
         """Return the present state, for `restore`."""
         return self._state.copy()
 
-    def restore(self, state: _State) -> None:
+    def restore(self, state: DiagnosisState) -> None:
         """Go back to a snapshot, which is used up."""
         self._state = state
 
     def summary(self) -> dict[str, Any]:
         """Return what is known of each channel, and the number of events of each kind, as JSON values."""
-        state = self._state
-        known = zip(
-            channel_summary(self._names, state.scale), state.offset * self._sigma, state.is_resting, strict=True
-        )
-        channels = {name: row | {"disturbance": float(d), "is_resting": bool(r)} for (name, row), d, r in known}
-        counts = {kind: state.counts[kind] for kind in KINDS}
-        return {"channels": channels, "disturbances": state.named} | counts
+        return self._state.summary(self._names, self._sigma)
 
     def residual(self, theta: Vector, sample: Sample) -> Vector:
         """Return the residual (c,) in standard deviations of its true size, less the known disturbance.
@@ -254,10 +160,13 @@ class Diagnosis:
         if state.n_since or is_contradictory:
             if not state.n_since:
                 state.reference, state.verdict, state.changed = held, "refuted", None
+                if state.lasting is None or state.n_samples >= state.suspected_at + FORGOTTEN:
+                    state.lasting = held
             state.n_since, state.n_quiet = min(state.n_since + 1, len(state.samples)), 0
+            state.suspected_at = state.n_samples
             return has_woken
         state.n_quiet += not state.is_resting.any()
-        if state.n_quiet >= _FORGOTTEN:
+        if state.n_quiet >= FORGOTTEN:
             state.n_quiet, state.n_failures = 0, max(state.n_failures - 1, 0)
         return (not missing and state.scale.learn(declared)) or has_woken
 
@@ -275,26 +184,55 @@ class Diagnosis:
             state.n_since = 0
             return Settled(None)
         there = self._rows(reference, n) if is_changed else here
-        without = there + np.where(state.is_resting, 0.0, state.offset / state.scale.effective)
-        newest = slice(-_QUIET, None) if is_changed else slice(None)
-        if not is_explained and n >= _FEWEST and plain_fit(without[newest], 0).is_explained:
-            events = (Event(t, "disturbance", {"size": {}, "reason": "the disturbance is over"}),)
-            had_offset = bool(np.any(state.offset))
+        if self._is_over(here, there, is_changed, is_explained) and not (is_explained and self._is_changing(held, n)):
+            events = self._passed(t, there, is_changed)
             state.offset, state.n_since = np.zeros(len(here[0])), 0
-            return Settled(reference if is_changed else None, events if had_offset else (), True)
+            return Settled(reference if is_changed else None, events, True)
         if n < _LONG:
             return None
-        disturbance = disturbance_of(there, may_drift=False)
-        parameters = plain_fit(here, self._n_free) if is_changed else None
-        if parameters is not None and parameters.is_explained and is_explained:
-            if disturbance.fit.score >= parameters.score + MARGIN:
-                state.n_since, state.reference = 0, held
-                return Settled(None)
-            return None
-        is_named = disturbance.fit.is_explained and disturbance.fit.score + MARGIN <= plain_fit(there, 0).score
-        if is_named and n % 2 == 0 and not self._best(held, n).fit.is_explained:
-            return Settled(reference if is_changed else None, self._name(t, disturbance), True)
+        disturbance = disturbance_of(there, may_drift=False).fit
+        parameters = plain_fit(here, self._n_free)
+        if is_changed and is_explained and parameters.is_explained:
+            return self._changed(t, held) if disturbance.score >= parameters.score + MARGIN else None
+        is_named = disturbance.is_explained and disturbance.score + MARGIN <= plain_fit(there, 0).score
+        if is_named and n % 2 == 0 and not self._best(held, n, may_drift=False).fit.is_explained:
+            events = self._name(t, disturbance_of(there, may_drift=False))
+            return Settled(self._undone(reference), events, True)
         return None
+
+    def _is_over(self, here: Vector, there: Vector, is_changed: bool, is_explained: bool) -> bool:
+        """Return whether the reference explains the newest samples again, and those in force do not explain all.
+
+        here, there: residuals (n, c) since the onset of the parameters in force and of the reference.
+        """
+        state = self._state
+        without = there + np.where(state.is_resting, 0.0, state.offset / state.scale.effective)
+        newest = slice(-_QUIET, None) if is_changed else slice(None)
+        before = plain_fit(without[newest], 0)
+        if not before.is_explained:
+            return False
+        if is_explained:
+            return is_changed and not plain_fit(here, 0).is_explained
+        return len(here) >= _FEWEST and before.score + MARGIN <= plain_fit(here[newest], 0).score
+
+    def _changed(self, t: float, held: Vector) -> Settled:
+        """End a suspicion that changed parameters, those in force, have won."""
+        if self._is_restless(held):
+            return self._give_up(t)
+        self._state.n_since, self._state.reference = 0, held
+        return Settled(None)
+
+    def _give_up(self, t: float) -> Settled:
+        """Return to the parameters that lasted; all channels rest, as parameters explain each of them for a while."""
+        state = self._state
+        state.moves, state.n_failures = (), max(state.n_failures + 1, PATIENCE)
+        state.n_since, state.verdict = 0, "refuted"
+        every = ~state.is_resting
+        names = self._of(every)
+        reason = f"parameters explain {', '.join(names)} for a few samples only"
+        state.counts["unexplained"] += 1
+        event = Event(t, "unexplained", {"channels": names, "reason": reason})
+        return Settled(state.lasting, (event, self._rest(t, every)), True)
 
     def judge(self, theta: Vector, held: Vector) -> Judgement:
         """Return whether parameters theta (d,) in place of those in force are warranted by the newest samples."""
@@ -308,7 +246,7 @@ class Diagnosis:
         if state.verdict == "refuted":
             return "refuted"
         now = self._rows(theta, 1)
-        if plain_fit(now, 0).is_explained or np.sum(now**2) < _BETTER * np.sum(self._rows(held, 1) ** 2):
+        if plain_fit(now, 0).is_explained or np.sum(now**2) < BETTER * np.sum(self._rows(held, 1) ** 2):
             return state.verdict
         return "refuted"
 
@@ -321,10 +259,10 @@ class Diagnosis:
         if self._state.n_since:
             self._state.reference = theta
 
-    @property
-    def reference(self) -> Vector | None:
-        """Parameters (d,) in force at the onset, or accepted since; None before the first onset."""
-        return self._state.reference
+    def _undone(self, reference: Vector) -> Vector:
+        """Return the parameters (d,) to go back to: the reference, or the lasting ones where everything rests."""
+        state = self._state
+        return state.lasting if state.is_resting.all() and state.lasting is not None else reference
 
     def _weigh(self, theta: Vector, held: Vector) -> None:
         """Compare the hypotheses on the newest samples since the onset, fewer of them where nothing explains more."""
@@ -351,17 +289,15 @@ class Diagnosis:
             self._state.verdict = "warranted" if weighing.are_parameters_proven else "possible"
         return weighing.are_parameters_possible
 
-    def _best(self, held: Vector, n: int) -> ChangedParameters:
-        """Return the constant parameters that explain the newest n samples best, whatever the search has found."""
+    def _best(self, held: Vector, n: int, *, may_drift: bool) -> ChangedParameters:
+        """Return the parameters that explain the newest n samples best, whatever the search has found."""
         space, changed = self._space, self._state.changed
         z = space.to_unit(held) if changed is None else changed
-        return changed_parameters(lambda z: self._rows(space.beyond(z), n), z, may_drift=False)
+        return changed_parameters(lambda z: self._rows(space.beyond(z), n), z, may_drift=may_drift)
 
     def _is_changing(self, held: Vector, n: int) -> bool:
         """Return whether parameters, constant ones or slowly changing, explain the newest n samples."""
-        space, changed = self._space, self._state.changed
-        z = space.to_unit(held) if changed is None else changed
-        found = changed_parameters(lambda z: self._rows(space.beyond(z), n), z)
+        found = self._best(held, n, may_drift=True)
         return found.fit.is_explained and found.rate <= _RATE
 
     def _both(self, held: Vector, n: int) -> Disturbance | None:
@@ -387,7 +323,7 @@ class Diagnosis:
         if state.n_since < _NOISY:
             return False
         n, space = min(state.n_since, _WINDOW // 2), self._space
-        best = self._best(held, n)
+        best = self._best(held, n, may_drift=False)
         if not np.all(np.isfinite(best.rows)):
             return False
         larger = np.maximum(spread_of(best.rows), 1.0)
@@ -417,24 +353,26 @@ class Diagnosis:
         found = disturbance_of(self._rows(reference, min(state.n_since, _QUIET)))
         return (state.offset + found.newest * state.scale.effective) * self._sigma
 
-    def fail(self, t: float, theta: Vector | None, held: Vector) -> tuple[Event, ...]:
-        """Take the end of a search that has found no parameters, theta (d,) being the best; return the events.
+    def fail(self, t: float, theta: Vector | None, held: Vector) -> Settled | None:
+        """Take the end of a search that has found no parameters, theta (d,) being the best; None for a false alarm.
 
         A disturbance is named where a constant one explains the samples. After the third time, one soon after the
         other, the channels that neither explains rest, longer each time.
         """
         state = self._state
         n = min(state.n_since, _QUIET)
-        rows = self._rows(held if state.reference is None else state.reference, n)
+        reference = held if state.reference is None else state.reference
+        rows = self._rows(reference, n)
         found = disturbance_of(rows)
         if plain_fit(rows, 0).score <= found.fit.score:  # a false alarm
             state.n_since, state.verdict = 0, "refuted"
-            return ()
+            return None
         if self._is_changing(held, n) or self._is_noise(held):  # which the search has not found
-            return ()
+            return None
         explaining = [d for d in (found, self._both(held, n)) if d is not None and d.fit.is_explained]
         if n >= _QUIET and explaining:
-            return self._name(t, min(explaining, key=lambda d: d.fit.score))
+            events = self._name(t, min(explaining, key=lambda d: d.fit.score))
+            return Settled(self._undone(reference), events, True)
         state.n_since, state.verdict = 0, "refuted"
         state.n_failures += 1
         best = rows if theta is None else self._rows(theta, n)
@@ -446,40 +384,80 @@ class Diagnosis:
         reason = f"no parameters explain {', '.join(names)}"
         event = Event(t, "unexplained", {"channels": names, "reason": reason})
         state.counts["unexplained"] += 1
-        return (event,) if state.n_failures < _PATIENCE else (event, self._rest(t, lacks))
+        events = (event,) if state.n_failures < PATIENCE else (event, self._rest(t, lacks))
+        return Settled(self._undone(reference), events, True)
 
     def _name(self, t: float, found: Disturbance) -> tuple[Event, ...]:
         """Take a disturbance for the explanation; return the events."""
         state = self._state
         state.n_since, state.verdict = 0, "refuted"
         state.n_failures += 1
-        acts = found.largest > np.sqrt(chi2_limit(FALSE_ALARM, 1))
+        acts = _acting(found.largest)
         offset = state.offset + found.newest * state.scale.effective
         if found.is_constant:  # else it is another one in the next sample
             state.offset = offset
-        size = {self._names[i]: float(offset[i] * self._sigma[i]) for i in np.flatnonzero(acts)}
         how = "constant" if found.is_constant else "changing"
-        reason = f"a {how} disturbance explains the samples, changed parameters do not"
-        event = Event(t, "disturbance", {"size": size, "reason": reason})
+        event = self._named(t, offset, acts, f"a {how} disturbance explains the samples, changed parameters do not")
+        return (event,) if state.n_failures < PATIENCE else (event, self._rest(t, acts))
+
+    def _passed(self, t: float, rows: Vector, is_changed: bool) -> tuple[Event, ...]:
+        """Return the event of a disturbance that is over, from the residuals (n, c) of the parameters before it.
+
+        One that was not known is named where parameters were written for it, which it does not explain any more.
+        """
+        state = self._state
+        if np.any(state.offset):
+            return (Event(t, "disturbance", {"size": {}, "reason": "the disturbance is over"}),)
+        n_unusual = sum(not self._is_usual(row, n_channels_of(rows)) for row in rows)
+        if not is_changed or n_unusual < _FEWEST:
+            return ()
+        largest = rows[np.abs(rows).argmax(axis=0), np.arange(rows.shape[1])]
+        reason = "a disturbance has passed: the parameters before it explain the samples again"
+        return (self._named(t, largest * state.scale.effective, _acting(np.abs(largest)), reason),)
+
+    def _named(self, t: float, offset: Vector, acts: NDArray[np.bool_], reason: str) -> Event:
+        """Count a disturbance (c,), in standard deviations of the declared noise; return its event."""
+        state = self._state
+        size = {self._names[i]: float(offset[i] * self._sigma[i]) for i in np.flatnonzero(acts)}
         state.counts["disturbance"] += 1
         state.named = [*state.named, {"t": t, "size": size}][-MOST_NAMED:]
-        return (event,) if state.n_failures < _PATIENCE else (event, self._rest(t, acts))
+        return Event(t, "disturbance", {"size": size, "reason": reason})
 
-    def succeed(self) -> None:
-        """Take the end of a search that has found parameters: earlier failures count less, if that proves anything."""
-        if self._state.n_spare >= _SPARE:
-            self._state.n_failures = max(self._state.n_failures - 1, 0)
+    def succeed(self, t: float, theta: Vector) -> Settled | None:
+        """Take the end of a search that has found parameters theta (d,).
+
+        Earlier failures count less, if that proves anything. But parameters that are never proven and move on from
+        search to search, by more than they may drift, explain nothing: the third time they are undone.
+        """
+        state = self._state
+        if self._is_restless(theta):
+            return self._give_up(t)
+        if state.n_spare >= _SPARE and state.verdict == "warranted":
+            state.n_failures = max(state.n_failures - 1, 0)
+        return None
+
+    def _is_restless(self, theta: Vector) -> bool:
+        """Take parameters (d,) that were found; return whether three of five such, soon one after the other, differ."""
+        state, z = self._state, self._space.to_unit(theta)
+        (n, before), state.found = state.found or (-FORGOTTEN, z), (state.n_samples, z)
+        n_passed = state.n_samples - n
+        if n_passed >= FORGOTTEN:
+            state.moves = ()
+        else:
+            has_moved = bool(np.any(np.abs(z - before) > _AGREE + USUAL_RATE * n_passed))
+            state.moves = (*state.moves, has_moved)[-_REMEMBERED:]
+        return sum(state.moves) >= PATIENCE
 
     def _of(self, channels: NDArray[np.bool_]) -> list[str]:
         return [self._names[i] for i in np.flatnonzero(channels)]
 
     def _rest(self, t: float, channels: NDArray[np.bool_]) -> Event:
         """Let the channels rest, longer each time; return the event."""
-        state, settings = self._state, self._settings
+        state = self._state
         if len(state.rested) > 1:
             usual = np.where(channels, np.array(state.rested), 0.0)
             state.scale.admit(usual[np.isfinite(usual).all(axis=1)])
-        length = min(settings.rest * 2 ** min(state.n_failures - _PATIENCE, 20), settings.longest_rest)
+        length = self._settings.rest_length(state.n_failures)
         state.rests_until = np.where(channels, state.n_samples + length, state.rests_until)
         state.is_resting = state.is_resting | channels
         state.rested.clear()
@@ -520,12 +498,10 @@ class Diagnosis:
         return np.array([self.residual(theta, sample) for sample in samples]).reshape(n, len(self._names))
 
 
-def is_at_unseen_bound(space: ParameterSpace, theta: Vector, std: Vector, held: Vector) -> bool:
-    """Return whether a parameter has moved from held (d,) to a bound, with a std as wide as the bounds."""
-    z = space.to_unit(theta)
-    is_at_bound = (z < _LITTLE) | (z > 1.0 - _LITTLE)
-    has_moved = np.abs(z - space.to_unit(held)) > _LITTLE
-    return bool(np.any(is_at_bound & has_moved & (std >= _WIDE * space.slope(theta))))
+def _acting(largest: Vector) -> NDArray[np.bool_]:
+    """Return which channels (c,) a disturbance acts on, from its largest size (c,) there: one at least."""
+    acts = largest > np.sqrt(chi2_limit(FALSE_ALARM, 1))
+    return acts if acts.any() else largest >= largest.max()
 
 
 def _shorter(n: int) -> Iterator[int]:

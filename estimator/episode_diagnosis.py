@@ -12,7 +12,17 @@ from typing import Any, Final
 
 import numpy as np
 
-from .diagnosis import KINDS, MOST_NAMED, DiagnosisSettings, Judgement, channel_summary, is_at_unseen_bound
+from .diagnosis_settings import (
+    BETTER,
+    FORGOTTEN,
+    KINDS,
+    MOST_NAMED,
+    PATIENCE,
+    DiagnosisSettings,
+    Judgement,
+    is_at_unseen_bound,
+)
+from .diagnosis_state import channel_summary
 from .episode_window import EpisodeWindow
 from .events import Event
 from .hypotheses import NEVER, Fit, Weighing, changed_parameters, plain_fit
@@ -23,14 +33,10 @@ from .significance import chi2_limit
 from .space import ParameterSpace, Vector
 from .triggers import Trigger
 
-_PATIENCE: Final = 3
-"""Number of searches in vain, one soon after the other, after which re-tuning rests."""
-_FORGOTTEN: Final = 200
-"""Number of quiet samples after which one search in vain is forgotten."""
-_BETTER: Final = 0.5
-"""Share of the sum of squares of the parameters in force that better ones may have."""
 _ASIDE: Final = 0.01
 """Step of differences in an input, as a share of its size, or of one where it is smaller."""
+_MORE: Final = "parameters and a disturbance explained fewer samples equally well"
+"""Reason of an episode on a longer window."""
 
 
 @dataclass
@@ -128,6 +134,8 @@ class EpisodeDiagnosis:
             if state.n_samples == state.rests_until - 1 and state.scale.wake(np.array(state.rested)):
                 self._window.weights = 1.0 / state.scale.effective
             return None
+        if self._window.is_extended:
+            return _MORE if self._window.is_ready else None
         if float(residual @ residual) <= chi2_limit(self._settings.false_alarm, len(residual)):
             self._quiet(newest)
             return None
@@ -154,7 +162,7 @@ class EpisodeDiagnosis:
             )
             if found.fit.is_explained:
                 self._compare(found.fit, here, held)
-        is_better = there.is_explained or there.squares < _BETTER * here.squares
+        is_better = there.is_explained or there.squares < BETTER * here.squares
         return self._verdict if is_better else "refuted"
 
     def _compare(self, parameters: Fit, nothing: Fit, held: Vector) -> None:
@@ -194,17 +202,21 @@ class EpisodeDiagnosis:
             reason = f"no parameters explain {', '.join(self._outputs)}"
             event = Event(t, "unexplained", {"channels": list(self._outputs), "reason": reason})
         state.counts[event.kind] += 1
-        if state.n_failures < _PATIENCE:
+        if state.n_failures < PATIENCE:
             return (event,)
         state.counts["rest"] += 1
         if len(state.rested) > 1:
             state.scale.admit(np.array(state.rested))
             self._window.weights = 1.0 / state.scale.effective
-        length = min(self._settings.rest * 2 ** min(state.n_failures - _PATIENCE, 20), self._settings.longest_rest)
+        length = self._settings.rest_length(state.n_failures)
         state.rests_until = state.n_samples + length
         state.rested.clear()
         reason = f"{state.n_failures} searches in vain: re-tuning rests for {length} samples"
         return event, Event(t, "rest", {"channels": list(self._outputs), "reason": reason})
+
+    def wait(self) -> bool:
+        """Wait for more samples, on which the next episode begins; return False where there are many already."""
+        return self._window.extend()
 
     def succeed(self) -> None:
         """Take the end of a search that has found parameters: earlier failures count less."""
@@ -213,7 +225,7 @@ class EpisodeDiagnosis:
     def _quiet(self, newest: Vector) -> None:
         state = self._state
         state.n_quiet += 1
-        if state.n_quiet >= _FORGOTTEN:
+        if state.n_quiet >= FORGOTTEN:
             state.n_quiet, state.n_failures = 0, max(state.n_failures - 1, 0)
         if np.all(np.isfinite(newest)) and state.scale.learn(newest):
             self._window.weights = 1.0 / state.scale.effective

@@ -14,6 +14,8 @@ FALSE_ALARM: Final = 1e-4
 """Probability that samples fail the chi-square test of the parameters that produced them."""
 _ALLOWANCE: Final = 0.01
 """Probability that a step's residuals exceed the allowance of the cumulative sum where nothing has changed."""
+_LONGEST: Final = 4
+"""Largest length of a window that has been extended, in lengths of a usual one."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +97,7 @@ class EpisodeWindow:
         self._anchors: list[int] = []  # two of their places, the first being 0
         self._stretch: SampleSequence | None = None
         self._is_filling = False
+        self._extended = 0  # number of steps to wait for after an episode that could not tell; 0 for a usual window
         self._judged: dict[bytes, Evaluation] = {}
         self.n_model_calls = 0
         """Number of samples at which parameters were evaluated."""
@@ -119,13 +122,17 @@ class EpisodeWindow:
             self._anchors.append(len(self._recent))
         self._recent.append(sample)
         self._origins.append(self._objective.snapshot(is_anchor))
-        if len(self._anchors) > 2:
+        is_in_episode = self._is_filling or self._stretch is not None
+        while len(self._anchors) > 2 and not is_in_episode:
             self._drop(self._anchors[1])
         self._freeze()
 
     def begin(self, theta: Vector) -> str:
         """Begin an episode with theta (d,) in force; return on which samples, in words."""
         self._judged.clear()
+        if self._extended and self._stretch is not None:
+            self._extended = 0
+            return f"the last {self._stretch.n_steps}, on fewer of which the episode before could not tell"
         self._is_filling = True
         past, first = self._stretch_from(0), len(self._recent) - 1
         if past.n_steps and self._objective.is_ready:
@@ -157,6 +164,27 @@ class EpisodeWindow:
             self._objective.accept(theta, self._stretch)
         self._stretch = None
         self._judged.clear()
+
+    def extend(self) -> bool:
+        """End the episode, and begin the next one on the same samples and as many again, when they are there.
+
+        Return False, and do nothing, where the window would be longer than four usual ones.
+        """
+        stretch = self._stretch
+        if stretch is None or stretch.samples[0] is not self._recent[0]:
+            return False
+        n_steps = 2 * stretch.n_steps
+        if n_steps > _LONGEST * self._max_length:
+            return False
+        self._stretch, self._is_filling, self._extended = None, True, n_steps
+        self._judged.clear()
+        self._freeze()
+        return True
+
+    @property
+    def is_extended(self) -> bool:
+        """True from the end of an episode that could not tell to the beginning of the next, on more samples."""
+        return self._extended > 0
 
     def residual(self, theta: Vector) -> Vector:
         """Return the residual (D,) of one candidate; not finite where it failed."""
@@ -229,7 +257,8 @@ class EpisodeWindow:
         """Do nothing: no residual outlives an episode."""
 
     def _freeze(self) -> None:
-        if self._is_filling and len(self._recent) > self._max_length and self._objective.is_ready:
+        n_wanted = self._extended or self._max_length
+        if self._is_filling and len(self._recent) > n_wanted and self._objective.is_ready:
             self._is_filling, self._stretch = False, self._stretch_from(0)
 
     def _stretch_from(self, first: int) -> SampleSequence:

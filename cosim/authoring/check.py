@@ -23,10 +23,11 @@ from ..scenarios.validation import error_texts
 from ..ssp.load import load_scenario
 from ..system.aliases import as_the_fmus_have_it
 from ..system.fmu_cache import component_path
-from ..system.parameters import start_value
+from ..system.parameters import start_values
 from ..system.plant import plant_of
 from .check_estimation import check_changes, check_parameters, check_sampling, check_tracking
 from .check_filter import check_filter, check_filtered_model
+from .check_noise import check_noise
 from .check_wiring import check_connections, check_inputs, check_loops, check_starts, check_steps
 
 _CHECKS: tuple[Callable[[Scenario, Mapping[str, Component]], Iterator[Finding]], ...] = (
@@ -59,7 +60,7 @@ def check(source: str | Path, overrides: Mapping[str, str] | None = None) -> lis
             return [Finding("connections", _plain(e))]
     findings += [finding for one in _CHECKS for finding in one(scenario, components)]
     if not any(f.is_error for f in findings):
-        findings += _check_model(scenario, components)
+        findings += [*_check_model(scenario, components), *check_noise(scenario)]
     return findings
 
 
@@ -72,8 +73,8 @@ def _check_model(scenario: Scenario, components: Mapping[str, Component]) -> Ite
             for text in check_objective(scenario, plant):
                 yield Finding("estimation.objective", text, is_error=False, is_note=True)
             return
-        x = tuple([start_value(scenario, files, f"{plant.name}.{name}") for name in plant.states])
-        theta = np.array([start_value(scenario, files, p.writes) for p in scenario.estimation.parameters])
+        x = tuple(start_values(scenario, files, [f"{plant.name}.{name}" for name in plant.states]))
+        theta = np.array(start_values(scenario, files, [p.writes for p in scenario.estimation.parameters]))
         zeros = (0.0,) * len(scenario.sampling.derivatives)
         sample = Sample(scenario.scenario.start_time, x, tuple(plant.inputs.values()), zeros)
         try_model(scenario, "target", plant, theta, sample)

@@ -10,7 +10,7 @@ from ..scenarios.schema.estimation import EstimatedParameter
 from ..system.parameters import parameter_problem
 from ..system.plant import connected_as_well
 from ..variable_name import VariableName
-from .check_wiring import Components, output_refusal, parts, refusal, unit_finding
+from .check_wiring import Components, output_refusal, output_refusals, parts, refusal, unit_finding
 
 
 def check_changes(scenario: Scenario, components: Components) -> Iterator[Finding]:
@@ -62,9 +62,8 @@ def check_sampling(scenario: Scenario, components: Components) -> Iterator[Findi
             problem = None if is_known else f"no state with a declared derivative{did_you_mean(name, derivatives)}"
         if problem:
             yield Finding(f'sampling.states."{reference}"', problem)
-    for state in derivatives if scenario.sampling.derivatives and not is_filtered else ():
-        if problem := output_refusal(plant, state):
-            yield Finding("sampling", f"the model takes every state: {problem}")
+    for problem in output_refusals(plant, derivatives if scenario.sampling.derivatives and not is_filtered else ()):
+        yield Finding("sampling", f"the model takes every state: {problem}")
     for v in plant.having("input"):
         try:
             float(v.start or 0.0)

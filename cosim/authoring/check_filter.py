@@ -15,7 +15,7 @@ from ..sampling.derivative_filter import Kernel, derivative_noise, kernel_of
 from ..scenarios.scenario import Scenario
 from ..system.plant import Plant
 from ..variable_name import VariableName
-from .check_wiring import Components, output_refusal
+from .check_wiring import MOST_LISTED, Components, output_refusal
 
 _LITTLE: Final = 0.5  # of the noise of a plain difference
 _SHARE: Final = 0.3  # of the derivative's noise: with more the residual's variance is 9 % larger than judged
@@ -35,9 +35,11 @@ def check_filter(scenario: Scenario, components: Components) -> Iterator[Finding
         problem = output_refusal(plant, name) if component == scenario.plant else f"no state of {scenario.plant}"
         if problem:
             yield Finding(f'sampling.states."{reference}"', problem)
-    for state in plant.derivatives:
-        if output_refusal(plant, state):
-            yield warning("sampling", f"the state '{state}' is no output: the model is called without it")
+    without = [state for state in plant.derivatives if state not in plant.outputs]
+    for state in without[:MOST_LISTED]:
+        yield warning("sampling", f"the state '{state}' is no output: the model is called without it")
+    if len(without) > MOST_LISTED:
+        yield warning("sampling", f"{len(without) - MOST_LISTED} more states are no outputs")
     kernel = kernel_of(settings, scenario.scenario.macro_step)
     if len(kernel.weights) >= scenario.scenario.n_steps:
         yield Finding(_WHERE, f"it needs {len(kernel.weights) + 1} points, and the run ends before that")

@@ -1,13 +1,13 @@
 """Checks of start values, connections, inputs, loops and steps of a scenario against its FMUs' declarations."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Final
 
 from ..errors import WiringError
 from ..findings import Finding, warning
 from ..fmi.archive import co_simulation
 from ..fmi.component import Component
 from ..fmi.feedthrough import algebraic_loops
-from ..fmi.ports import Catalogue
 from ..fmi.table import is_table
 from ..fmi.types import is_real
 from ..names import did_you_mean
@@ -17,6 +17,8 @@ from ..units import IDENTITY, conversion
 from ..variable_name import VariableName
 from .guess import is_disturbance
 
+MOST_LISTED: Final = 20
+"""Variables that are listed one by one."""
 Components = Mapping[str, Component]
 """Components that could be read, by instance name."""
 
@@ -30,7 +32,7 @@ def parts(reference: str, components: Components) -> tuple[Component | None, str
 def refusal(component: Component, role: str, name: str) -> str | None:
     """Return the reason why a variable cannot have a role ('input', 'tunable parameter', 'output'), or None."""
     try:
-        Catalogue(component.fmu.name, component.variables.values()).ports(role, [name])
+        component.catalogue.ports(role, [name])
     except WiringError as e:
         return str(e).rstrip(".")
     return None
@@ -38,12 +40,19 @@ def refusal(component: Component, role: str, name: str) -> str | None:
 
 def output_refusal(component: Component, name: str) -> str | None:
     """Return the reason why a variable cannot be read at communication points, or None."""
-    outputs = [v.name for v in component.having("output")]
-    if name in outputs:
+    if name in component.outputs:
         return None
     return refusal(component, "output", name) or f"'{name}' is no output of {component.fmu.name}" + did_you_mean(
-        name, outputs
+        name, component.outputs
     )
+
+
+def output_refusals(component: Component, names: Iterable[str]) -> Iterator[str]:
+    """Yield the reasons why variables cannot be read at communication points: the first ones, and how many more."""
+    refused = [name for name in names if name not in component.outputs]
+    yield from (text for name in refused[:MOST_LISTED] if (text := output_refusal(component, name)))
+    if len(refused) > MOST_LISTED:
+        yield f"{len(refused) - MOST_LISTED} more are no outputs of {component.fmu.name}"
 
 
 def unit_finding(
@@ -72,7 +81,7 @@ def unit_finding(
 def check_starts(scenario: Scenario, components: Components) -> Iterator[Finding]:
     """Yield start values that an FMU does not take, or that are outside its limits."""
     for name, component in components.items():
-        catalogue = Catalogue(component.fmu.name, component.variables.values())
+        catalogue = component.catalogue
         for variable, value in scenario.components[name].start.items():
             where = f"components.{name}.start.{variable}"
             try:
@@ -104,9 +113,10 @@ def check_connections(scenario: Scenario, components: Components) -> Iterator[Fi
 
 def check_inputs(scenario: Scenario, components: Components) -> Iterator[Finding]:
     """Yield inputs that are neither connected nor changed, but for disturbances."""
+    taken = {*scenario.connections, *scenario.changes}
     for name, component in components.items():
         for v in component.having("input"):
-            if not is_disturbance(v) and f"{name}.{v.name}" not in {*scenario.connections, *scenario.changes}:
+            if not is_disturbance(v) and f"{name}.{v.name}" not in taken:
                 start = scenario.components[name].start.get(v.name, v.start)
                 yield warning(f'connections."{name}.{v.name}"', f"the input is not connected: it stays {start}")
 

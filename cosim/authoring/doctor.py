@@ -3,13 +3,11 @@
 No code of the FMU is executed: its library is read, not loaded, and its scripts are searched for import statements.
 """
 
-import os
 import platform
 import re
 import shlex
-import shutil
-import subprocess
 import sys
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.metadata import distributions, packages_distributions, version
@@ -19,14 +17,15 @@ from pathlib import Path
 from typing import Any
 
 import fmpy
-from elftools.common.exceptions import ELFError
-from elftools.elf.elffile import ELFFile
 from find_libpython import find_libpython
 from fmpy.model_description import ModelDescription
 
 from ..errors import one_line
 from ..fmi.archive import read_any, unpack
 from ..fmi.folder import PrivateFolder
+from ..fmi.preflight.library import library_problem
+from .library_search import missing_libraries
+from .shared_library import SharedLibrary, read_shared_library
 
 _EXIT_OF_PYTHONFMU = "GLIBC_TUNABLES=glibc.malloc.tcache_count=65535"  # its library uses freed memory as it is unloaded
 
@@ -64,18 +63,6 @@ class Examination:
         return "\n".join([self.title, *lines, "", self.advice])
 
 
-@dataclass(frozen=True)
-class _ElfLibrary:
-    """Requirements of a shared library for Linux."""
-
-    needed: tuple[str, ...]
-    """Libraries by name."""
-    glibc: str
-    """Least version; empty where none is asked for."""
-    has_open_python: bool
-    """True where it uses Python's functions and names no library that has them."""
-
-
 def diagnose(fmu: Path) -> Examination:
     """Examine an FMU of any FMI version, native or in Python.
 
@@ -86,10 +73,10 @@ def diagnose(fmu: Path) -> Examination:
         unpack(fmu, folder)
         identifiers = _identifiers(description)
         binary = _binary(Path(folder), identifiers)
-        library = _read_library(binary) if sys.platform == "linux" else None
+        library = read_shared_library(binary) if sys.platform == "linux" else None
         script = Path(folder, "resources", "slavemodule.txt")
-        is_python = script.is_file() or (library is not None and library.has_open_python)
-        findings = [_found(binary.relative_to(folder).as_posix(), identifiers, library)]
+        is_python = script.is_file() or (library is not None and _has_open_python(library))
+        findings = [_found(folder, binary, identifiers, library)]
         if library is not None:
             findings += _libraries(binary, library)
         libpython = find_libpython() if is_python else None
@@ -119,49 +106,32 @@ def _binary(folder: Path, identifiers: list[str]) -> Path:
     return next((path for path in found if path.stem in identifiers), found[0])
 
 
-def _found(binary: str, identifiers: list[str], library: _ElfLibrary | None) -> Requirement:
-    if Path(binary).stem not in identifiers:
+def _found(folder: str, path: Path, identifiers: list[str], library: SharedLibrary | None) -> Requirement:
+    binary = path.relative_to(folder).as_posix()
+    if path.stem not in identifiers:
         return Requirement(
             "binary", False, f"{' or '.join(identifiers)} by the model description, but here is {binary}"
         )
     if library is None and sys.platform == "linux":
         return Requirement("binary", False, f"{binary} is no shared library for Linux")
+    with path.open("rb") as file:
+        if problem := library_problem(file):
+            return Requirement("binary", False, f"{binary} {problem}")
     return Requirement("binary", True, binary if library else f"{binary}, which is not examined on this platform")
 
 
-def _read_library(path: Path) -> _ElfLibrary | None:
-    """Return the requirements of an ELF file; None for any other file."""
-    try:
-        with path.open("rb") as file:
-            elf: Any = ELFFile(file)
-            dynamic, symbols = elf.get_section_by_name(".dynamic"), elf.get_section_by_name(".dynsym")
-            versions = elf.get_section_by_name(".gnu.version_r")
-            needed = tuple(tag.needed for tag in dynamic.iter_tags("DT_NEEDED")) if dynamic else ()
-            asked = [a.name for _, names in versions.iter_versions() for a in names] if versions else []
-            undefined = [s.name for s in symbols.iter_symbols() if s["st_shndx"] == "SHN_UNDEF"] if symbols else []
-    except (ELFError, ValueError, KeyError, AttributeError):  # a damaged file surprises the parser
-        return None
-    glibc = [tuple(map(int, name.removeprefix("GLIBC_").split("."))) for name in asked if re.match(r"GLIBC_\d", name)]
-    is_python = any(re.match(r"_?Py[A-Z_]", name) for name in undefined)
-    has_libpython = any(name.startswith("libpython") for name in needed)
-    return _ElfLibrary(needed, ".".join(map(str, max(glibc, default=()))), is_python and not has_libpython)
+def _has_open_python(library: SharedLibrary) -> bool:
+    """Return whether a library uses Python's functions and names no library that has them."""
+    return library.uses_python and not any(name.startswith("libpython") for name in library.needed)
 
 
-def _libraries(binary: Path, library: _ElfLibrary) -> Iterator[Requirement]:
+def _libraries(binary: Path, library: SharedLibrary) -> Iterator[Requirement]:
     here = platform.libc_ver()[1] or "not glibc"
     if library.glibc:
-        is_enough = bool(re.match(r"\d", here)) and _numbers(here) >= _numbers(library.glibc)
-        yield Requirement("glibc", is_enough, f"{library.glibc} or newer, here {here}")
-    if shutil.which("ldd"):
-        listing = subprocess.run(
-            ["ldd", binary], capture_output=True, text=True, errors="replace", env=os.environ | {"LC_ALL": "C"}
-        )
-        lines = (listing.stdout + listing.stderr).splitlines()
-        lacking = [one_line(line.split(": ", 1)[-1].split(" (", 1)[0]) for line in lines if "not found" in line]
-        if listing.returncode and not lacking:
-            lacking = [one_line(lines[-1].strip()) if lines else "ldd says nothing"]
-        names = ", ".join(library.needed) or "none"
-        yield Requirement("libraries", not lacking, "; ".join(dict.fromkeys(lacking)) if lacking else names)
+        is_enough = bool(re.match(r"\d", here)) and _numbers(here) >= library.glibc
+        yield Requirement("glibc", is_enough, f"{'.'.join(map(str, library.glibc))} or newer, here {here}")
+    lacking = "; ".join(missing_libraries(binary, library))
+    yield Requirement("libraries", not lacking, one_line(lacking or ", ".join(library.needed) or "none", longest=4000))
 
 
 def _numbers(text: str) -> tuple[int, ...]:
@@ -195,12 +165,14 @@ def _modules(script: Path) -> Requirement:
     requirements = script.with_name("requirements.txt")
     if requirements.is_file():
         return _requirements(requirements.read_text(encoding="utf-8", errors="replace"))
-    entry = script.with_name(f"{script.read_text(encoding='utf-8').strip()}.py")
     finder = _Imports(path=[str(script.parent)])
     try:
-        finder.run_script(str(entry))
-    except (OSError, SyntaxError, ValueError) as error:
-        return Requirement("modules", False, f"{entry.name} cannot be read: {one_line(str(error))}")
+        entry = script.with_name(f"{script.read_text(encoding='utf-8').strip()}.py")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # what the compiler has to say on its style
+            finder.run_script(str(entry))
+    except (OSError, SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        return Requirement("modules", False, f"its script cannot be read: {one_line(str(error))}")
     own = {name.partition(".")[0] for name in finder.modules}
     names = {name.partition(".")[0] for name in finder.any_missing()} - own - sys.stdlib_module_names
     here = sorted(name for name in names if find_spec(name) is not None)

@@ -18,6 +18,8 @@ from .draft_estimation import described, estimation, model_states, parameter_pai
 from .guess import CONTROLLER, PLANT, REFERENCE, alike, best, guess_connections, have_one_unit, is_likely
 from .toml_lines import key, quoted, said
 
+MOST_PAIRS: Final = 1_000_000
+"""Pairs of names that are compared, which takes some seconds."""
 _STOP_TIME, _MACRO_STEP = 10.0, 0.01  # s, where no FMU says any
 
 
@@ -46,6 +48,7 @@ def draft(fmus: Mapping[str, Path], folder: Path, model: str | None = None) -> D
     components = {name: read_component(path) for name, path in fmus.items()}
     if not components[PLANT].having("output"):
         raise WiringError(f"{fmus[PLANT]} has no outputs: nothing of it can be tracked or measured.")
+    _check_size(components)
     pairs = parameter_pairs(components)
     description = components[PLANT].description
     if model is None and description.modelExchange is not None:
@@ -65,6 +68,24 @@ def draft(fmus: Mapping[str, Path], folder: Path, model: str | None = None) -> D
         *parameters(components, pairs, is_fmu),
     ]
     return Draft("\n\n".join("\n".join(block) for block in blocks) + "\n")
+
+
+def _check_size(components: Mapping[str, Component]) -> None:
+    """Raise WiringError where there are too many names to compare each with each."""
+
+    def count(name: str, *role: str) -> int:
+        return len(components[name].having(*role)) if name in components else 0
+
+    pairs = {
+        "inputs and outputs": count(CONTROLLER, "input") * (count(PLANT, "output") + count(REFERENCE, "output"))
+        + count(PLANT, "input") * count(CONTROLLER, "output")
+        + count(REFERENCE, "input") * count(PLANT, "output"),
+        "outputs of plant and reference": count(PLANT, "output") * count(REFERENCE, "output"),
+        "parameters of plant and controller": count(PLANT, "parameter") * count(CONTROLLER, "parameter", "tunable"),
+    }
+    for what, n in pairs.items():
+        if n > MOST_PAIRS:
+            raise WiringError(f"there are too many {what} to guess which belong together: {n} pairs.")
 
 
 _LEGEND: Final = [

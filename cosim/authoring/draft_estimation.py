@@ -15,6 +15,7 @@ from .guess import CONTROLLER, PLANT, alike, best
 from .toml_lines import quoted, said
 
 _NOISE: Final = 1e-3  # of the nominal value
+_GUESS: Final = "GUESS of the noise: a run measures it"
 _WIDE: Final = 10.0  # a guessed bound is this many times the start value
 
 
@@ -39,13 +40,13 @@ def sampling(plant: Component) -> list[str]:
     """
     outputs = {v.name for v in plant.having("output")}
     rates = {rate: state for state, rate in plant.derivatives.items() if rate in outputs}
-    telling = [rate for rate, depends in _dependencies(plant).items() if rate in rates and depends]
+    telling = {rate for rate, depends in _dependencies(plant).items() if rate in rates and depends}
     lines = ["[sampling.derivatives]  # what is measured, with the standard deviation of its noise"]
     for rate in rates:
         nominal = float(attribute(plant.variables[rate], "nominal") or 1.0)
         text = f"{quoted(f'{PLANT}.{rate}')} = {{ noise = {_NOISE * abs(nominal):g} }}"
         is_used = rate in telling or not telling
-        note = f"[{unit_name(plant, rate)}] " + ("GUESS of the noise" if is_used else "depends on states only")
+        note = f"[{unit_name(plant, rate)}] " + (_GUESS if is_used else "depends on states only")
         lines.append(said(text if is_used else f"# {text}", note))
     return lines if rates else _filtered(plant)
 
@@ -55,7 +56,8 @@ def model_states(plant: Component) -> list[str]:
     outputs = [v.name for v in plant.having("output") if _is_real(v)]
     if not plant.derivatives:
         return outputs
-    return [state for state in plant.derivatives if _has_rates(plant) or state in outputs] or outputs
+    has_rates, measured = _has_rates(plant), set(outputs)
+    return [state for state in plant.derivatives if has_rates or state in measured] or outputs
 
 
 def _has_rates(plant: Component) -> bool:
@@ -68,7 +70,7 @@ def _filtered(plant: Component) -> list[str]:
     """Return the lines for derivatives filtered from the outputs that may be states."""
     states = model_states(plant)
     lines = ["[sampling.derivatives]  # no output is declared as one: the filter below makes them from sampled states"]
-    rates = {state: _rate_of(plant, state, states) for state in states}
+    rates = _rates_of(plant, states)
     is_any = any(rate is None for rate in rates.values())
     for state, rate in rates.items():
         text = f"{quoted(f'{PLANT}.der({state})')} = {{ of = {quoted(f'{PLANT}.{state}')} }}"
@@ -84,7 +86,7 @@ def _filtered(plant: Component) -> list[str]:
     for state in states:
         nominal = float(attribute(plant.variables[state], "nominal") or 1.0)
         text = f"{quoted(f'{PLANT}.{state}')} = {{ noise = {_NOISE * abs(nominal):g} }}"
-        note = "GUESS of the noise" if is_declared else "GUESS of the noise, and that it is a state"
+        note = _GUESS if is_declared else "GUESS of the noise, and that it is a state"
         lines.append(said(text, f"[{unit_name(plant, state)}] {note}"))
     return [
         *lines,
@@ -100,18 +102,17 @@ def _filtered(plant: Component) -> list[str]:
     ]
 
 
-def _rate_of(plant: Component, state: str, others: list[str]) -> str | None:
-    """Return the only other output in the state's unit per second, likely its derivative by kinematics, or None."""
-    unit = plant.unit(state)
-    if unit is None or unit.exponents is None:
-        return None
-    per_second = [n - (base == "s") for base, n in zip(BASE_UNITS, unit.exponents, strict=True)]
-    found = [
-        other for other in others
-        if (its := plant.unit(other)) is not None and its.exponents is not None and its.factor == unit.factor
-        and list(its.exponents) == per_second
-    ]  # fmt: skip
-    return found[0] if found else None
+def _rates_of(plant: Component, states: list[str]) -> dict[str, str | None]:
+    """Return each state's likely derivative by kinematics: the first other one in its unit per second, or None."""
+    units = {state: unit for state in states if (unit := plant.unit(state)) is not None and unit.exponents is not None}
+    first: dict[tuple[float, tuple[int, ...]], str] = {}
+    for state, unit in units.items():
+        first.setdefault((unit.factor, unit.exponents or ()), state)
+    rates: dict[str, str | None] = dict.fromkeys(states)
+    for state, unit in units.items():
+        per_second = [n - (base == "s") for base, n in zip(BASE_UNITS, unit.exponents or (), strict=True)]
+        rates[state] = first.get((unit.factor, tuple(per_second)))
+    return rates
 
 
 def _dependencies(plant: Component) -> dict[str, bool]:
@@ -175,7 +176,7 @@ def parameters(
             said('unit = "1"', "FILL"),
             said('writes = "controller.FILL"', "FILL a tunable parameter of the controller"),
         ]
-    shared = [v.name for v, _ in pairs]
+    shared = {v.name for v, _ in pairs}
     others = [v.name for v in controller.having("parameter", "tunable")] if controller else []
     if names := ", ".join(one_line(name) for name in others if name not in shared):
         yield [f"# Tunable in the controller too, but not estimated: {names}"]

@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from difflib import SequenceMatcher
+from functools import lru_cache
 from typing import Final
 
 from ..fmi.component import Component, ModelVariable
@@ -72,7 +73,8 @@ def alike(name: str, other: str) -> str | None:
     short, long = sorted((words, others), key=len)
     if short and long[-len(short) :] == short and "der" not in long[: -len(short)]:
         return LAST_WORDS
-    is_like = SequenceMatcher(None, " ".join(words), " ".join(others)).ratio() >= _LIKE
+    pair = SequenceMatcher(None, " ".join(words), " ".join(others))  # the quick ones are upper bounds
+    is_like = all(ratio() >= _LIKE for ratio in (pair.real_quick_ratio, pair.quick_ratio, pair.ratio))
     return LIKE if is_like and ("der" in words) == ("der" in others) else None
 
 
@@ -160,6 +162,7 @@ def _words(name: str) -> list[str]:
     return [word.lower() for word in _WORDS.findall(name)]
 
 
+@lru_cache(maxsize=100_000)
 def _stem(name: str) -> list[str]:
     """Return the words of a name without those that denote a role."""
     words = _words(name)

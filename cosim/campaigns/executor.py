@@ -23,6 +23,7 @@ from ..runs.result import Run
 from ..runs.simulation import run
 from ..scenarios.scenario import Scenario
 from ..slaves.channel import CALL, FAULT, RESULT, channel_pair, decode, encode, open_channel
+from ..warnings_log import warnings_logged
 
 CLOSE_TIMEOUT_S: Final = 10.0
 """Time for an interrupted run to end its FMUs."""
@@ -211,13 +212,14 @@ def serve(channel_argument: str, temporary: str) -> NoReturn:
     former_names.LOG.disabled = True  # the parent has logged them
     try:
         threading.Thread(target=_interrupt_at_end_of, args=(lifeline,), daemon=True).start()
-        while True:
-            value, blob = decode(channel.receive(None))
-            if blob is not None:
-                scenario = pickle.loads(blob)  # of our own parent
-            if scenario is None:
-                raise ValueError("the first task must bring the scenario.")
-            channel.send(_answer(scenario, Task(*value)))
+        with warnings_logged():
+            while True:
+                value, blob = decode(channel.receive(None))
+                if blob is not None:
+                    scenario = pickle.loads(blob)  # of our own parent
+                if scenario is None:
+                    raise ValueError("the first task must bring the scenario.")
+                channel.send(_answer(scenario, Task(*value)))
     except (EOFError, OSError, KeyboardInterrupt):
         shutil.rmtree(temporary, ignore_errors=True)
     os._exit(0)

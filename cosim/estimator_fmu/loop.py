@@ -9,7 +9,8 @@ import numpy as np
 
 from estimator import DerivativeResidual, LinearForm, Parameter, ParameterSpace, Sample
 from estimator.diagnosing import make_retuner
-from estimator.diagnosis import Diagnosis, DiagnosisSettings
+from estimator.diagnosis import Diagnosis
+from estimator.diagnosis_settings import DiagnosisSettings
 from estimator.methods import method_named
 from estimator.retuner import Budget
 from estimator.triggers import TRIGGERS

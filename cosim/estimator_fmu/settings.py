@@ -22,7 +22,7 @@ from ..retuning.assembly import make_supervisor, try_model
 from ..retuning.estimators import find_method
 from ..scenarios.scenario import Scenario
 from ..system.fmu_cache import fmu_paths
-from ..system.parameters import check_parameters, start_value
+from ..system.parameters import check_parameters, start_value, start_values
 from ..system.plant import Plant, plant_of
 from ..system.wiring import wire
 from ..variable_name import VariableName
@@ -41,7 +41,7 @@ def estimator_settings(scenario: Scenario, method: str = "target") -> dict[str, 
     plant = plant_of(scenario, fmus[scenario.plant])
     check_parameters(scenario, fmus)
     wire(scenario, fmus)
-    theta = np.array([start_value(scenario, fmus, p.writes) for p in scenario.estimation.parameters])
+    theta = np.array(start_values(scenario, fmus, [p.writes for p in scenario.estimation.parameters]))
     _try(scenario, method, plant, fmus, theta)
     loop, linear = scenario.estimation.loop(method), scenario.estimation.linear
     variables = _Variables(scenario, fmus, plant)
@@ -131,7 +131,7 @@ def _try(scenario: Scenario, method: str, plant: Plant, fmus: Mapping[str, FmuFi
     """Construct the FMU's loop, and call the model once. Raises ScenarioError."""
     with ExitStack() as stack:
         make_supervisor(scenario, method, plant, theta, np.random.default_rng(0), stack)
-    x = tuple(start_value(scenario, fmus, f"{plant.name}.{name}") for name in plant.states)
+    x = tuple(start_values(scenario, fmus, [f"{plant.name}.{name}" for name in plant.states]))
     first = Sample(0.0, x, tuple(plant.inputs.values()), (0.0,) * len(plant.channels))
     try_model(scenario, method, plant, theta, first)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from fmpy.model_description import ModelDescription as ModelDescription
@@ -10,7 +11,7 @@ from fmpy.model_description import ModelVariable as ModelVariable
 from ..errors import ModelDescriptionError
 from ..units import Unit, defined_units
 from .archive import read_description
-from .ports import is_numeric
+from .ports import Catalogue, is_numeric
 from .table import describe, is_table, read_table
 
 _EXPERIMENT = {"startTime": "start_time", "stopTime": "stop_time", "stepSize": "step_size", "tolerance": "tolerance"}
@@ -37,7 +38,7 @@ class Component:
             if v.causality == causality and variability in (None, v.variability) and is_numeric(v)
         ]
 
-    @property
+    @cached_property
     def derivatives(self) -> dict[str, str]:
         """Declared derivative of each continuous state, by the state's name, in the order of the states."""
         rates = {v.derivative.name: v.name for v in self.variables.values() if v.derivative is not None}
@@ -48,6 +49,16 @@ class Component:
         """Default experiment: start_time, stop_time, step_size [s] and tolerance, as far as they are declared."""
         found = {name: getattr(self.description.defaultExperiment, key, None) for key, name in _EXPERIMENT.items()}
         return {name: float(value) for name, value in found.items() if value is not None}
+
+    @cached_property
+    def catalogue(self) -> Catalogue:
+        """Its variables as they can be set and got."""
+        return Catalogue(self.fmu.name, self.variables.values())
+
+    @cached_property
+    def outputs(self) -> Mapping[str, ModelVariable]:
+        """Its numeric outputs by name."""
+        return {v.name: v for v in self.having("output")}
 
     def unit(self, variable: str) -> Unit | None:
         """Return the unit of a variable, where it has one."""

@@ -3,7 +3,7 @@
 FMI 2.0.4, section 2.2.8 (ModelStructure): an output without `dependencies` may depend on every input.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -12,6 +12,7 @@ from fmpy.model_description import Unknown
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
+from ..variable_name import VariableName
 from .component import Component
 
 _REFERENCE: Final = 0xFFFFFFFF  # of an array's element: its other bits say which one
@@ -44,17 +45,24 @@ def declared(component: Component, unknowns: Iterable[Unknown] | None = None) ->
     return {v.name: said.get(_key(component, v)) for v in component.having("output")}
 
 
-def feedthrough(component: Component) -> dict[str, list[str]]:
-    """Return the inputs that each output depends on, by its name: all of them where the FMU declares none."""
-    inputs = {v.name: None for v in component.having("input")}
-    return {name: [i for i in inputs if on is None or i in on] for name, on in declared(component).items()}
+def feedthrough(component: Component, inputs: Sequence[str], outputs: Collection[str]) -> dict[str, list[str]]:
+    """Return those of the inputs that each of the outputs depends on: all of them where the FMU declares none."""
+    found: dict[str, list[str]] = {}
+    for name, on in declared(component).items():
+        if name in outputs:
+            entering = None if on is None else set(on)
+            found[name] = [i for i in inputs if entering is None or i in entering]
+    return found
 
 
 def algebraic_loops(components: Mapping[str, Component], connections: Mapping[str, str]) -> list[AlgebraicLoop]:
     """Return one loop for each set of variables that depend on each other. connections: input = output."""
     depends: dict[str, list[str]] = {target: [source] for target, source in connections.items()}
+    connected = {*connections, *connections.values()}  # a loop leads through no other variables
     for name, component in components.items():
-        for output, inputs in feedthrough(component).items():
+        own = {v for v in component.variables if f"{name}.{v}" in connected}
+        its_inputs = [v.name for v in component.having("input") if v.name in own]
+        for output, inputs in feedthrough(component, its_inputs, own).items():
             depends[f"{name}.{output}"] = [f"{name}.{i}" for i in inputs]
     nodes = list(dict.fromkeys([*depends, *(n for sources in depends.values() for n in sources)]))
     place = {node: i for i, node in enumerate(nodes)}
@@ -72,15 +80,13 @@ def algebraic_loops(components: Mapping[str, Component], connections: Mapping[st
 
 def _loop(members: list[str], depends: Mapping[str, list[str]], components: Mapping[str, Component]) -> AlgebraicLoop:
     """Follow the dependencies within a set of variables until one is reached again."""
-    way = [members[0]]
-    while True:
-        following = next(n for n in depends[way[-1]] if n in members)
-        if following in way:
-            break
-        way.append(following)
-    nodes = way[way.index(following) :]
-    outputs = [node.partition(".") for node in nodes]
-    silent = [c for c, _, variable in outputs if declared(components[c]).get(variable, []) is None]
+    found, way = set(members), {members[0]: None}
+    while (following := next(n for n in depends[next(reversed(way))] if n in found)) not in way:
+        way[following] = None
+    nodes = list(way)[list(way).index(following) :]
+    outputs = [VariableName(node).parts for node in nodes]
+    on = {name: declared(components[name]) for name, _ in outputs}
+    silent = [name for name, variable in outputs if on[name].get(variable, []) is None]
     return AlgebraicLoop(tuple(nodes), tuple(dict.fromkeys(silent)))
 
 

@@ -40,7 +40,7 @@ def opened_model(scenario: Scenario, plant: Plant) -> Generator[Any]:
         fmu = find_fmu(reference, scenario.folder, 3, "ModelExchange")
         settings = scenario.scenario
         parameters = scenario.estimation.space.parameters
-        model = FmuModel(fmu, plant, parameters, settings.timeout, settings.memory_limit)
+        model = FmuModel(fmu, plant, parameters, settings.timeout, settings.memory_limit, settings.environment)
     except ScenarioError as e:
         raise ScenarioError(f"estimation.model: {e}") from e
     except CosimError as e:
@@ -66,9 +66,10 @@ class FmuModel:
         parameters: Sequence[Parameter],
         timeout: float = 10.0,
         memory_limit: float = 0.0,
+        environment: Sequence[str] = (),
     ) -> None:
-        """timeout of a call [s], memory_limit [MB]: see open_slave. Raises CosimError."""
-        self._fmu, self._timeout, self._memory_limit = fmu, timeout, memory_limit
+        """timeout of a call [s], memory_limit [MB], environment: see open_slave. Raises CosimError."""
+        self._fmu, self._timeout, self._memory_limit, self._environment = fmu, timeout, memory_limit, environment
         self._parameters = [p.name for p in parameters]
         self._theta: tuple[float, ...] | None = None
         self._process: FmuProcess | None = None
@@ -141,7 +142,7 @@ class FmuModel:
 
     def _started(self) -> FmuProcess:
         to_load = fmu_to_load(self._description, self._folder.path, self._fmu.stem, "model-exchange")
-        process = FmuProcess(to_load, self._timeout, memory_limit=self._memory_limit)
+        process = FmuProcess(to_load, self._timeout, memory_limit=self._memory_limit, environment=self._environment)
         try:
             process.bind(*self._bound)
             process.call("initialize", 0.0, (), 0.0, None)

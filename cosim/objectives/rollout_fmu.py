@@ -57,10 +57,12 @@ class Shadow:
     """Ways of bringing it to the beginning of a window that do not work, each with the reason."""
     timeout: float = 10.0
     """Longest time that a call may take [s]."""
+    environment: tuple[str, ...] = ()
+    """Environment variables that its process is given: see open_slave."""
 
     def opened(self, tunables: tuple[str, ...] | None = None) -> Slave:
         """Start a process of it, variables bound; tunables: by default the parameters, if settable while it runs."""
-        slave = open_slave(self.fmu, "shadow", timeout=self.timeout)
+        slave = open_slave(self.fmu, "shadow", timeout=self.timeout, environment=self.environment)
         if tunables is None:
             tunables = () if "replay" in self.obstacles else self.parameters
         try:
@@ -97,6 +99,7 @@ def shadow_of(scenario: Scenario, plant: Plant, is_live: bool) -> Shadow:
             fmu, inputs, plant.states, outputs, tuple(n.noise for n in scenario.sampling.outputs.values()),
             tuple(names), {k: v for k, v in start.items() if k not in names}, scenario.scenario.start_time,
             not interface.canBeInstantiatedOnlyOncePerProcess, {}, scenario.scenario.timeout,
+            scenario.scenario.environment,
         )  # fmt: skip
     except CosimError as e:
         raise ScenarioError(f"{where}: {str(e).rstrip('.')}.") from e

@@ -20,6 +20,7 @@ from ..fmi.types import is_real
 from .log_windows import Cut, LogColumns, LogWindow, windows_of
 from .logs import LogError, read_log
 from .rollout import RolloutResidual, Rollouts, SimulatedPlant, noise_of
+from .time_unit import check_time
 
 HOLDOUT = 0.25
 """Share of each log's rows, the last ones, that parameters are not fitted to."""
@@ -60,6 +61,8 @@ class Request:
     """Standard deviation by output, in its unit; estimated from the log where absent."""
     time: str | None = None
     """Column of time stamps."""
+    time_unit: str | None = None
+    """Unit of the time stamps; None: the log's, or s."""
     windows: tuple[Cut, ...] = ()
     """Parts of each log to use [s]; none: all of it."""
     validation: tuple[Path, ...] = ()
@@ -76,6 +79,8 @@ class Request:
     """Roll-outs at a time."""
     timeout: float = 10.0
     """Time that each call of the FMU may take [s]."""
+    environment: tuple[str, ...] = ()
+    """Environment variables that the FMU's processes are given beside those which every FMU is given."""
 
     def __post_init__(self) -> None:
         if self.method not in OFFLINE:
@@ -177,6 +182,7 @@ def understand(request: Request) -> Understood:
     component = read_component(request.fmu)
     space, nominal = _space(request, component)
     windows, warnings = _windows(request, _signals(request, component), component)
+    check_time(windows, component, request.step, request.time_unit is not None)
     return Understood(component, space, nominal, windows, _noise(request, windows), warnings)
 
 
@@ -188,7 +194,13 @@ def estimate(request: Request, progress: FitProgress = lambda n, cost: None) -> 
     began = perf_counter()
     component, space, nominal, windows, noise, warnings = understand(request)
     plant = SimulatedPlant(
-        request.fmu, tuple(request.inputs), tuple(request.measured), request.constants, request.step, request.timeout
+        request.fmu,
+        tuple(request.inputs),
+        tuple(request.measured),
+        request.constants,
+        request.step,
+        request.timeout,
+        request.environment,
     )
     with Rollouts(plant, component, windows, request.jobs) as rollouts:
         residual = RolloutResidual(rollouts, space, windows, noise)
@@ -260,7 +272,7 @@ def _signals(request: Request, component: Component) -> LogColumns:
         if name in request.inputs:
             raise EstimateError(f"input '{name}' starts as its column does; leave out its --start.")
     columns = {name: value for name, value in request.start.items() if isinstance(value, str)}
-    return LogColumns(request.inputs, request.measured, columns, request.time)
+    return LogColumns(request.inputs, request.measured, columns, request.time, request.time_unit)
 
 
 def _windows(request: Request, signals: LogColumns, component: Component) -> tuple[list[LogWindow], list[str]]:

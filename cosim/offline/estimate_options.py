@@ -42,6 +42,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--noise", action="append", type=_noise, default=[], metavar="OUTPUT=STD",
         help="standard deviation, in the FMU's unit (default: from the log)")  # fmt: skip
     add("--time", metavar="COLUMN", help="time stamps (default: the column 'time' or 't')")
+    add("--time-unit", metavar="UNIT", help="unit of the time stamps, such as ms (default: the log's, or s)")
     add("--window", action="append", type=_window, default=[], metavar="FROM:TO", dest="windows",
         help="part of each log to use [s]; may be repeated")  # fmt: skip
     add("--validate", action="append", type=Path, default=[], metavar="LOG", help="a log that is held out as a whole")
@@ -56,6 +57,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--seed", type=_count, default=0, metavar="N", help="seed of the search (default: 0)")
     add("--jobs", type=_count, metavar="N", help="roll-outs at a time (default: one per processor)")
     add("--timeout", type=_number, default=10.0, metavar="S", help="for each call of the FMU (default: 10)")
+    add("--environment", action="append", default=[], metavar="NAME",
+        help="environment variable that the FMU needs (* for any text); may be repeated")  # fmt: skip
     add("--out", type=Path, metavar="DIR", help="absent or empty (default: runs/FMU-estimate-n)")
     add("--ssv", type=Path, metavar="FILE", help="also write the estimates to this new SSV file")
     add("--json", action="store_true", help="print one JSON object")
@@ -77,6 +80,7 @@ def request_of(options: argparse.Namespace) -> "Request":
         start={name: _value(text) for name, text in _unique(options.start, "--start").items()},
         noise=dict(options.noise),
         time=options.time,
+        time_unit=options.time_unit,
         windows=tuple(options.windows),
         validation=tuple(options.validate),
         holdout=options.holdout,
@@ -86,6 +90,7 @@ def request_of(options: argparse.Namespace) -> "Request":
         seed=options.seed,
         jobs=(os.cpu_count() or 1) if options.jobs is None else options.jobs,
         timeout=options.timeout,
+        environment=tuple(options.environment),
     )
 
 

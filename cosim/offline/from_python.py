@@ -31,6 +31,7 @@ def estimate(
     start: Mapping[str, str | float] | None = None,
     noise: Mapping[str, float] | None = None,
     time: str | None = None,
+    time_unit: str | None = None,
     windows: Sequence[Cut] = (),
     validation: Sequence[Path | str] = (),
     holdout: float | None = None,
@@ -40,6 +41,7 @@ def estimate(
     seed: int = 0,
     jobs: int | None = None,
     timeout: float = 10.0,
+    environment: Sequence[str] = (),
     out: Path | str | None = None,
     progress: FitProgress = lambda n, cost: None,
 ) -> Estimation:
@@ -50,11 +52,13 @@ def estimate(
     measured, inputs: the log's column for each output and input of the FMU.
     start: the start value of a state or of a known parameter, as a number or as a column of the log.
     noise: standard deviation by output, in its unit; estimated from the logs by default.
-    time: the column of time stamps. windows: parts of each log to use, (from, to) [s].
+    time: the column of time stamps; time_unit: their unit, by default the log's, or s.
+    windows: parts of each log to use, (from, to) [s].
     validation: logs that are not fitted to. holdout: share of each log's rows that is not fitted to, 0.25 by default.
     step: communication step [s]; by default from row to row.
     method: "target", "least-squares" or "multi-start". evaluations: candidates that the search may simulate.
     jobs: roll-outs at a time, by default one per processor. timeout: for each call of the FMU [s].
+    environment: environment variables that the FMU needs beside those which every FMU is given.
     out: an absent or empty folder for the files that `retune estimate` writes; nothing is written by default.
     progress: called with the evaluations so far and the least sum of squares.
 
@@ -70,6 +74,7 @@ def estimate(
         start=start or {},
         noise=noise or {},
         time=time,
+        time_unit=time_unit,
         windows=tuple(windows),
         validation=tuple(map(Path, validation)),
         holdout=holdout,
@@ -79,6 +84,7 @@ def estimate(
         seed=seed,
         jobs=(os.cpu_count() or 1) if jobs is None else jobs,
         timeout=timeout,
+        environment=tuple(environment),
     )
     with threadpool_limits(1):  # as the command runs: the number of BLAS threads changes bits
         if out is None:

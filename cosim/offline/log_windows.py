@@ -19,6 +19,8 @@ from ..unit_text import understood
 from ..units import Unit, conversion
 from .logs import Column, Log, LogError
 
+LARGEST: Final = 1e100
+"""Largest absolute value that is taken for a measurement, in the variable's unit: its square can be summed."""
 GAP: Final = 10.0
 """Distance of two rows that counts as a gap, in median distances of time stamps."""
 Cut = tuple[float, float]
@@ -37,6 +39,8 @@ class LogColumns:
     """Column by variable of the FMU that starts with its value in a window's first row."""
     time: str | None = None
     """Column of time stamps; None: the one called time or t."""
+    time_unit: str | None = None
+    """Unit of the time stamps; None: the log's, or s."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +110,8 @@ def _table(log: Log, signals: LogColumns, component: Component) -> tuple[Vector,
     if signals.time is None:
         log = log.on_one_raster(signals.inputs.values(), [*signals.measured.values(), *signals.start.values()])
     stamps = log.time_column(signals.time)
+    if signals.time_unit is not None:
+        stamps = replace(stamps, unit=signals.time_unit)
     time = _converted(stamps, understood("s"), f"{log.path}: time", understood)
     roles = {"input": signals.inputs, "measured": signals.measured, "start": signals.start}
     table = {role: _columns(log, columns, component, len(time)) for role, columns in roles.items()}
@@ -145,6 +151,9 @@ def _columns(log: Log, columns: Mapping[str, str], component: Component, n: int)
         if len(converted) != n:
             raise LogError(f"{log.path}: column '{name}' has {len(converted)} values, time has {n}.")
         values[:, i] = np.where(np.isfinite(converted), converted, np.nan)
+        largest = float(np.max(np.abs(values[:, i]), where=np.isfinite(values[:, i]), initial=0.0))
+        if largest > LARGEST:
+            raise LogError(f"{log.path}: column '{name}' for {variable} has values up to {largest:.3g}: too large.")
     return values
 
 
@@ -153,7 +162,8 @@ def _converted(column: Column, target: Unit | None, what: str, unit_of: Callable
         linear = conversion(unit_of(column.unit) if column.unit else None, target)
     except ValueError as e:
         raise LogError(f"{what}: {e}.") from e
-    return linear.factor * column.values + linear.offset
+    with np.errstate(over="ignore", invalid="ignore"):
+        return linear.factor * column.values + linear.offset
 
 
 def _unbroken(rows: NDArray[np.intp], time: Vector, inputs: Vector, start: Vector) -> list[NDArray[np.intp]]:

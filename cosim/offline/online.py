@@ -14,7 +14,7 @@ import numpy as np
 
 from estimator import METHODS, EpisodeWindow, ParameterSpace, Sample, Vector
 from estimator.diagnosing import make_episodes
-from estimator.diagnosis import DiagnosisSettings
+from estimator.diagnosis_settings import DiagnosisSettings
 from estimator.episode_diagnosis import EpisodeDiagnosis
 from estimator.events import Event
 from estimator.retuner import Budget
@@ -126,6 +126,7 @@ def _watched(
         request.fmu, tuple(request.inputs), states, tuple(request.measured), tuple(understood.noise.tolist()),
         space.names, {name: value for name, value in start.items() if name not in names}, samples[0].t,
         not interface.canBeInstantiatedOnlyOncePerProcess, obstacles, request.timeout,
+        request.environment,
     )  # fmt: skip
     noise = noise_of([replace(w, measured=w.states) for w in understood.windows]).tolist()
     events: list[Event] = []

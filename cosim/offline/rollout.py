@@ -42,6 +42,8 @@ class SimulatedPlant:
     """Communication step [s]; None: from row to row."""
     timeout: float = 10.0
     """Time that each call of the FMU may take [s]."""
+    environment: tuple[str, ...] = ()
+    """Environment variables that its process is given: see open_slave."""
 
 
 class Rollout(NamedTuple):
@@ -90,7 +92,7 @@ class Rollouts:
         return [found[k : k + len(numbers)] for k in range(0, len(found), len(numbers))]
 
     def _opened(self) -> Slave:
-        slave = open_slave(self._plant.fmu, "plant", timeout=self._plant.timeout)
+        slave = open_slave(self._plant.fmu, "plant", timeout=self._plant.timeout, environment=self._plant.environment)
         slave.bind(self._plant.inputs, (), self._plant.outputs)
         return slave
 

@@ -29,7 +29,7 @@ from ..sampling.sampler import Sampler
 from ..scenarios.scenario import Scenario
 from ..slaves.slave import Slave
 from ..system.master import Master, Wiring
-from ..system.parameters import check_parameters, start_value, true_parameters
+from ..system.parameters import check_parameters, start_values, true_parameters
 from ..system.plant import Plant, plant_of
 from ..system.tunables import ReadBackCheck, TunableWriter
 from ..system.wiring import wire, with_read_back
@@ -66,7 +66,7 @@ def open_loop(
     noise, search, faults = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3))
     master = Master(slaves, wiring, groups)
     sampler = Sampler(scenario, plant, master.names, noise, faults)
-    held = np.array([start_value(scenario, slaves, name) for name in writes])
+    held = np.array(start_values(scenario, slaves, writes))
     truth = true_parameters(scenario, slaves)
     running = RunningSystem(slaves, wiring, groups, paths, master.names)
     live = _running_plant(scenario, slaves[scenario.plant], wiring[scenario.plant], truth)

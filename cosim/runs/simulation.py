@@ -13,6 +13,7 @@ from ..scenarios.scenario import Scenario
 from ..slaves.slave import open_slave
 from ..system.aliases import as_the_fmus_have_it
 from ..system.fmu_cache import fmu_paths
+from ..system.package_cache import hold_those_of
 from ..units import defined_units
 from .checkpoint import Checkpoints
 from .lock import locked
@@ -74,6 +75,7 @@ def _simulated(
     """Simulate for `run` or, with old, an earlier record to be continued, for `resume`."""
     check_estimator(estimator, scenario)
     paths = fmu_paths(scenario)
+    hold_those_of(paths.values())
     with threadpool_limits(1), ExitStack() as stack:  # the number of BLAS threads changes bits
         begun = perf_counter()
         settings = scenario.scenario

@@ -3,12 +3,16 @@
 from collections.abc import Callable, Mapping
 from itertools import pairwise
 from keyword import iskeyword
-from typing import Annotated
+from math import nan
+from typing import Annotated, Final
 
 from pydantic import BeforeValidator
 
 from ..variable_name import VariableName
 from .formula import CONSTANTS, FUNCTIONS, compile_formula
+
+MOST_DEFINITIONS: Final = 100
+"""Named functions: each is a call within the call of the one that names it."""
 
 
 def _not_boolean(value: object) -> object:
@@ -26,11 +30,27 @@ def change_functions(
 ) -> dict[VariableName, Callable[[float], float]]:
     """Return each change as a function of t [s]; a definition may use those before it. Raises ValueError."""
     defined: dict[str, Callable[[float], float]] = {}
+    if len(definitions) > MOST_DEFINITIONS:
+        raise ValueError(
+            f"definitions: there are {len(definitions)}; at most {MOST_DEFINITIONS} can build on each other"
+        )
     for name, text in definitions.items():
         if not name.isidentifier() or iskeyword(name) or name in {"t", *FUNCTIONS, *CONSTANTS}:
             raise ValueError(f"definitions: '{name}' must be a name of its own")
-        defined[name] = _named(f"definitions.{name}", text, defined)
+        defined[name] = _remembering(_named(f"definitions.{name}", text, defined))
     return {name: _change_function(f"changes.{name}", change, defined) for name, change in changes.items()}
+
+
+def _remembering(function: Callable[[float], float]) -> Callable[[float], float]:
+    """Return the function with its last value kept: else one that names two others, and so on, doubles each time."""
+    last = [nan, nan]
+
+    def value(t: float) -> float:
+        if t != last[0]:
+            last[:] = t, function(t)
+        return last[1]
+
+    return value
 
 
 def _named(

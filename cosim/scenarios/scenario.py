@@ -8,7 +8,7 @@ from typing import Any, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from estimator.diagnosis import DiagnosisSettings
+from estimator.diagnosis_settings import DiagnosisSettings
 
 from ..errors import ScenarioError, one_line
 from ..names import did_you_mean
@@ -34,7 +34,7 @@ class Scenario(Table):
     connections: dict[Reference, Reference] = {}
     """Each connected input, and the output it takes: `"controller.phi" = "plant.phi"`; units are converted."""
     definitions: dict[str, float | str] = {}
-    """Named functions of t [s] for the formulas of `changes`; each may use those before it."""
+    """Named functions of t [s] for the formulas of `changes`; each may use those before it; at most 100."""
     changes: dict[Reference, Change] = {}
     """Changes of the plant, unknown to the estimator: its tunable parameters, or inputs that are not connected
     (disturbances), as a value, a formula in t, or rows `[time, value]`."""
@@ -117,6 +117,7 @@ class Scenario(Table):
                 if reference.component not in self.components:
                     hint = did_you_mean(reference.component, self.components)
                     raise ValueError(f"{table}: '{reference}': no component '{reference.component}'{hint}")
+        self.scenario.check_size(sum(c.fmu is not None for c in self.components.values()))
         self.change_functions()
         return self
 

@@ -46,10 +46,18 @@ class FmuProcess:
     Every method but close may raise SlaveError; the process has been ended then, and only close may follow.
     """
 
-    def __init__(self, fmu: FmuToLoad, timeout_s: float, kind: str = KIND, memory_limit: float = 0.0) -> None:
+    def __init__(
+        self,
+        fmu: FmuToLoad,
+        timeout_s: float,
+        kind: str = KIND,
+        memory_limit: float = 0.0,
+        environment: Sequence[str] = (),
+    ) -> None:
         """timeout_s is the time each call may take [s]; kind is that of channel_pair.
 
         memory_limit: resident memory that the process may have [MB], 0 for half of the machine's (Linux).
+        environment: names of variables that it is given beside those which every FMU is given, `*` for any text.
         """
         self._name = fmu.instance_name
         self._timeout_s = timeout_s
@@ -60,8 +68,9 @@ class FmuProcess:
         self._channel, theirs = channel_pair(kind)
         try:
             self._process = SupervisedProcess(
-                self._name, _command(theirs.argument), theirs.popen_arguments(), memory_limit, self._channel.hang_up
-            )
+                self._name, _command(theirs.argument), theirs.popen_arguments(), memory_limit, self._channel.hang_up,
+                environment,
+            )  # fmt: skip
         except BaseException:
             self._channel.close()
             raise

@@ -45,6 +45,7 @@ def open_slave(
     timeout: float = 10.0,
     out_of_range: OutOfRange = "fault",
     memory_limit: float = 0.0,
+    environment: Sequence[str] = (),
 ) -> "Slave":
     """Unpack an FMU for co-simulation, FMI 2.0 or 3.0, into a private folder, and load it.
 
@@ -52,6 +53,7 @@ def open_slave(
     several and they load at the same time. "none" loads it into this process, and trusts it with all that is in it.
     timeout is the time each call may take [s], memory_limit what its process may hold [MB] (0: half of the
     machine's memory; Linux); only a process of its own can be held to them.
+    environment: names of environment variables that its process is given beside those which every FMU is given.
     out_of_range: whether an input or output outside its declared min and max is a fault, or a warning, given once.
 
     Raises ModelDescriptionError for a bad file, SlaveError when loading fails (isolated: in the first call).
@@ -65,7 +67,11 @@ def open_slave(
     try:
         to_load = fmu_to_load(description, folder.path, instance_name)
         isolated = isolation == "process"
-        host = FmuProcess(to_load, timeout, memory_limit=memory_limit) if isolated else InProcessFmu(to_load)
+        host = (
+            FmuProcess(to_load, timeout, memory_limit=memory_limit, environment=environment)
+            if isolated
+            else InProcessFmu(to_load)
+        )
     except BaseException:
         folder.remove()
         raise

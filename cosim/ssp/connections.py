@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Final, NamedTuple
 from xml.etree.ElementTree import Element
 
 from ..errors import SspError, one_line
@@ -14,6 +14,10 @@ from .tree import Connector, SystemElement
 _PARAMETERS = ("parameter", "structuralParameter")
 _GIVES = ("output", "calculatedParameter", "inout")
 _TAKES = ("input", *_PARAMETERS, "inout")
+
+
+LONGEST_WAY: Final = 200
+"""Connections from an input to the output that it takes: down and up again through nested systems."""
 
 
 class End(NamedTuple):
@@ -153,6 +157,8 @@ def _follow(
         source = edges[way[-1]].source
         if source in way:
             raise SspError(f"{where}: the connections of '{source}' go round in a circle.")
+        if len(way) == LONGEST_WAY:
+            raise SspError(f"{where}: '{target}' is more than {LONGEST_WAY} connections from its source.")
         way.append(source)
     unit, total = kinds[way[-1]].unit, IDENTITY
     for end in reversed(way[:-1]):

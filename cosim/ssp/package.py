@@ -1,22 +1,16 @@
 """Systems of FMUs as SSP packages describe them: System Structure and Parameterization, versions 1.0 and 2.0."""
 
-import hashlib
-import os
-import shutil
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self, TypeVar
 from xml.etree.ElementTree import Element
 
-from ..errors import SspError
-from ..files import readable
-from ..fmi.archive import unpack
+from ..errors import CosimError, SspError
 from ..fmi.component import Component
 from ..fmi.types import Value
 from ..ssv.xml import attribute, defined_in, number, parse
-from ..system.fmu_cache import cache_folder
+from ..system.package_cache import discard, unpacked_package
 from .connections import Connection, connect
 from .parameters import start_values
 from .tree import TreeReader
@@ -57,37 +51,19 @@ class SystemStructure:
         return _read(cls, Path(path))
 
 
-def unpacked(path: Path) -> Path:
-    """Unpack a package into the user's cache, under its content's hash, and return its folder.
-
-    Raises SspError, ModelDescriptionError for an archive that cannot be read or would write outside its folder.
-    """
-    try:
-        digest = hashlib.sha256(readable(path).read_bytes()).hexdigest()
-        cache = cache_folder() / "ssp"
-        folder = cache / digest
-        if folder.is_dir():
-            return folder
-        cache.mkdir(parents=True, exist_ok=True)
-        stage = Path(tempfile.mkdtemp(dir=cache, prefix=".unpacking-"))
-    except OSError as e:
-        raise SspError(f"{path} cannot be unpacked: {e.strerror or e}.") from e
-    try:
-        unpack(path, str(stage))
-        os.rename(stage, folder)
-    except OSError as e:
-        if not folder.is_dir():  # another process has been faster
-            raise SspError(f"{path} cannot be unpacked: {e.strerror or e}.") from e
-    finally:
-        shutil.rmtree(stage, ignore_errors=True)
-    return folder
-
-
 _T = TypeVar("_T", bound=SystemStructure)
 
 
 def _read(kind: type[_T], path: Path) -> _T:
-    folder = unpacked(path)
+    folder = unpacked_package(path)
+    try:
+        return _read_from(kind, path, folder)
+    except CosimError:
+        discard(folder)
+        raise
+
+
+def _read_from(kind: type[_T], path: Path, folder: Path) -> _T:
     file, where = folder / STRUCTURE, f"{path}: {STRUCTURE}"
     if not file.is_file():
         raise SspError(f"{path} has no {STRUCTURE}.")

@@ -13,7 +13,7 @@ from ..ssv.document import ParameterSet, ParameterValue, parameter_set
 from ..ssv.xml import attribute, check, parse
 from ..units import IDENTITY, Linear, Unit, conversion
 from .connections import End, FlatConnections, transformation
-from .tree import SystemElement, resource
+from .tree import DEEPEST, SystemElement, resource
 
 
 class _Bound(NamedTuple):
@@ -81,12 +81,18 @@ def _place(node: SystemElement, name: str, bound: _Bound, found: _Found) -> None
         # The way from a connector with a unit to the variable converts from that unit.
         found.connectors[End(node.name, name)] = converted if unit is None else converted._replace(unit=None)
     else:
-        fits = [own for own in node.children if name.startswith(f"{own}.")]
-        if fits:
-            own = max(fits, key=len)
+        own = next((part for part in _heads(name) if part in node.children), None)
+        if own is not None:
             _place(node.children[own], name[len(own) + 1 :], bound, found)
         else:
             found.ignored.append(str(End(node.name, name)))
+
+
+def _heads(name: str) -> Iterator[str]:
+    """Yield what is before each dot of a name, the longest first; of a name without end the first dots count."""
+    parts = name.split(".")
+    for n in range(min(len(parts) - 1, DEEPEST), 0, -1):
+        yield ".".join(parts[:n])
 
 
 def _bound_in(binding: Element, folder: Path, units: Mapping[str, Unit], place: str) -> Iterator[tuple[str, _Bound]]:

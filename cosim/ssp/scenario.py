@@ -8,19 +8,35 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
 
-from ..errors import SspError
+from ..errors import ScenarioError, SspError
+from ..scenarios.schema.simulation import MOST_COMPONENTS
+from ..system.package_cache import unpacked_package
 from ..units import conversion
-from .package import SystemStructure, unpacked
+from .package import SystemStructure
 
 EXTRA = "extra/org.fmu-retune"
 """Folder of the scenario in a package of ours: `extra/` is for data that the standard does not define (section 3)."""
 SCENARIO = "scenario.toml"
+OF_THE_USER: Mapping[str, Any] = {"isolation": "process", "environment": [], "most_components": MOST_COMPONENTS}
+"""Settings of `scenario` by which FMUs are trusted, each with the value that grants nothing."""
 
 
 def scenario_in(package: Path) -> Path | None:
     """Return the scenario file that a package has, if any. Raises SspError, ModelDescriptionError."""
-    file = unpacked(package) / EXTRA / SCENARIO
+    file = unpacked_package(package) / EXTRA / SCENARIO
     return file if file.is_file() else None
+
+
+def check_settings(tree: Mapping[str, Any], overrides: Mapping[str, str], label: Path) -> None:
+    """Check that a package's scenario leaves to the user what only the user may grant; `--set` grants it.
+
+    Raises ScenarioError.
+    """
+    table: Any = tree.get("scenario")
+    settings = cast(dict[str, Any], table) if isinstance(table, dict) else {}
+    for key, harmless in OF_THE_USER.items():
+        if settings.get(key, harmless) != harmless and f"scenario.{key}" not in overrides:
+            raise ScenarioError(f"{label}: scenario.{key}: a package cannot set it; give --set scenario.{key}=...")
 
 
 def with_system(tree: Mapping[str, Any], system: SystemStructure) -> dict[str, Any]:

@@ -34,6 +34,10 @@ def settings_of(system: SystemStructure, given: Mapping[str, Any]) -> Simulation
         if missing:
             raise SspError(f"{system.name} does not say its {missing}; give --set scenario.{missing}=...") from e
         raise SspError(f"{system.name}: scenario.{first_error(e, SimulationSettings)}") from e
+    try:
+        settings.check_size(len(system.components))
+    except ValueError as e:
+        raise SspError(f"{system.name}: {e}.") from e
     if settings.coupling != "parallel":
         raise SspError(f"{system.name}: without an estimator coupling is 'parallel', got '{settings.coupling}'.")
     return settings

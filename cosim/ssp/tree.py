@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 from urllib.parse import unquote
 from xml.etree.ElementTree import Element
 
@@ -49,23 +50,35 @@ class SystemElement:
             yield from child.components()
 
 
+MOST_ELEMENTS: Final = 1000
+"""Systems and components of a package."""
+DEEPEST: Final = 100
+"""Systems within systems."""
+
+
 class TreeReader:
     """Reader of the elements of one package; each FMU is read once."""
 
     def __init__(self, folder: Path, units: Mapping[str, Unit], where: str) -> None:
         self._folder, self._units, self._where = folder, units, where
         self._components: dict[Path, Component] = {}
+        self._n_elements = 0
 
-    def system(self, element: Element, name: str = "") -> SystemElement:
+    def system(self, element: Element, name: str = "", depth: int = 1) -> SystemElement:
         """Read a system and all that is in it. Raises SspError, ModelDescriptionError."""
         children: dict[str, SystemElement] = {}
+        if depth > DEEPEST:
+            raise SspError(f"{self._where}: systems are nested more than {DEEPEST} deep.")
         for child in element.findall("Elements/*"):
+            self._n_elements += 1
+            if self._n_elements > MOST_ELEMENTS:
+                raise SspError(f"{self._where}: it has more than {MOST_ELEMENTS} systems and components.")
             own = attribute(child, "name", self._where)
             full = f"{name}.{own}" if name else own
             if own in children:
                 raise SspError(f"{self._where}: two elements have the name '{full}'.")
             if child.tag == "System":
-                children[own] = self.system(child, full)
+                children[own] = self.system(child, full, depth + 1)
             elif child.tag == "Component":
                 children[own] = self._component(child, full)
             else:

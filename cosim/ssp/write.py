@@ -26,7 +26,7 @@ from ..system.fmu_cache import fmu_paths
 from ..system.parameters import value_of_change
 from ..units import Unit, conversion
 from .package import STRUCTURE
-from .scenario import EXTRA, SCENARIO
+from .scenario import EXTRA, OF_THE_USER, SCENARIO
 
 START_VALUES = "initialValues"
 """Name of every component's parameter set: ecos sets those of the name that it is given."""
@@ -197,6 +197,7 @@ def _tables(scenario: Scenario, places: Mapping[str, str]) -> dict[str, Any]:
     up = "../" * (EXTRA.count("/") + 1)
     for name, component in tables["components"].items():
         component["fmu"] = up + places[name]
+    tables["scenario"] = {k: v for k, v in tables["scenario"].items() if k not in OF_THE_USER}
     tables["estimation"] |= tables["estimation"].pop("methods", {})
     return tables
 

@@ -1,6 +1,6 @@
 """Parameters of plant and controller: start values, true values over time, and checks that estimates can be written."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import Any
 
@@ -18,16 +18,27 @@ from .plant import Described
 
 def start_value(scenario: Scenario, slaves: Mapping[str, Described], reference: str) -> float:
     """Return a variable's value before the first step: the scenario's, else the FMU's. Raises WiringError."""
-    component, variable = VariableName(reference).parts
-    start: Any = scenario.components[component].start.get(variable)
-    if start is None:
-        found = {v.name: v.start for v in slaves[component].description.modelVariables}
-        if variable not in found:
-            raise WiringError(f"no variable '{variable}' in {component}{did_you_mean(variable, found) or '.'}")
-        start = found[variable]
-    if start is None:
-        raise WiringError(f"'{reference}' has no start value; give it one under components.{component}.start.")
-    return float(start)
+    return start_values(scenario, slaves, [reference])[0]
+
+
+def start_values(scenario: Scenario, slaves: Mapping[str, Described], references: Iterable[str]) -> list[float]:
+    """Return the values of several variables before the first step: see start_value."""
+    declared: dict[str, dict[str, Any]] = {}
+    found: list[float] = []
+    for reference in references:
+        component, variable = VariableName(reference).parts
+        start: Any = scenario.components[component].start.get(variable)
+        if start is None:
+            if component not in declared:
+                declared[component] = {v.name: v.start for v in slaves[component].description.modelVariables}
+            known = declared[component]
+            if variable not in known:
+                raise WiringError(f"no variable '{variable}' in {component}{did_you_mean(variable, known) or '.'}")
+            start = known[variable]
+        if start is None:
+            raise WiringError(f"'{reference}' has no start value; give it one under components.{component}.start.")
+        found.append(float(start))
+    return found
 
 
 def check_parameters(scenario: Scenario, slaves: Mapping[str, Described]) -> None:

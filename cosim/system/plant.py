@@ -41,15 +41,17 @@ def plant_of(scenario: Scenario, slave: Described) -> Plant:
     state_of = derivatives_of(slave)
     sampling = scenario.sampling
     outputs, is_state = set(numeric_outputs(slave)), set(state_of.values())
+    own = {f"{slave.name}.{name}" for name in outputs}
     if sampling.filter is not None:
         is_state = (is_state & outputs) | {name.variable for name in sampling.states}
     elif not sampling.derivatives and not is_state <= outputs:
         is_state = set()  # no model takes them, so they need not be measured
     states = tuple(v.name for v in variables if v.name in is_state)
     if sampling.filter is None and not state_of:
-        states = tuple(name.variable for name in sampling.states if name in {f"{slave.name}.{own}" for own in outputs})
+        states = tuple(name.variable for name in sampling.states if name in own)
+    known = {f"{slave.name}.{name}" for name in states}
     for reference in sampling.states:
-        if reference not in {f"{slave.name}.{name}" for name in states}:
+        if reference not in known:
             raise WiringError(f"'{reference}' is no state of {slave.name}{did_you_mean(reference, states) or '.'}")
     channels: list[int] = []
     for reference, derivative in sampling.derivatives.items():

@@ -27,14 +27,15 @@ def wire(scenario: Scenario, slaves: Mapping[str, Described]) -> tuple[dict[str,
         component, variable = reference.parts
         (disturbances if reference in disturbed else tunables)[component].append(variable)
     outputs = {name: numeric_outputs(slave) for name, slave in slaves.items()}
+    known = {name: set(own) for name, own in outputs.items()}
     read = [*scenario.connections.values(), *scenario.tracking, *scenario.tracking.values()]
     sampling = scenario.sampling
     measured = [name for name, d in sampling.derivatives.items() if not d.of]
     for reference in [*read, *measured, *sampling.outputs, *sampling.states]:
         component, variable = reference.parts
-        if variable not in outputs[component]:
-            known = outputs[component]
-            raise WiringError(f"'{reference}' is no output of {component}{did_you_mean(variable, known) or '.'}")
+        if variable not in known[component]:
+            hint = did_you_mean(variable, outputs[component]) or "."
+            raise WiringError(f"'{reference}' is no output of {component}{hint}")
     conversions = unit_conversions(scenario, {name: slave.description for name, slave in slaves.items()})
     wiring = {
         name: Wiring(

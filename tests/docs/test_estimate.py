@@ -57,7 +57,6 @@ def test_the_example_prints_what_the_document_shows(tmp_path, monkeypatch, capsy
     assert {name: start[name] for name in found} == found
 
 
-@pytest.mark.xfail(reason="the page shows the output before the diagnosis: it triggers 8 times now and writes 16")
 def test_the_log_taken_as_if_online_prints_what_the_document_shows(tmp_path, monkeypatch, capsys):
     changed, command, shown = BLOCKS[4:7]
     monkeypatch.chdir(tmp_path)

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from estimator import EpisodeWindow, Evaluation, Parameter, ParameterSpace, Sample, TargetVector
 from estimator.baselines import LeastSquares
 from estimator.diagnosing import make_episodes
-from estimator.diagnosis import DiagnosisSettings
+from estimator.diagnosis_settings import DiagnosisSettings
 from estimator.episode_diagnosis import EpisodeDiagnosis
 from estimator.retuner import Budget
 from estimator.triggers import InnovationSettings
@@ -83,10 +83,11 @@ class Run:
         self.retuner = make_episodes(search, window, trigger, Budget(24, 6), describe, diagnosis=self.diagnosis)
         self.held, self.k, self.x = TRUE, 0, np.zeros(2)
 
-    def go(self, n, truth=TRUE, push=0.0):
-        """Take n samples; push: added to the input unseen, a value or a function of the sample's number."""
+    def go(self, n, truth=TRUE, push=0.0, drive=None):
+        """Take n samples; push: added to the input unseen, a value or a function of the sample's number; drive: the
+        input, where it is constant."""
         for i in range(n):
-            u = float(np.sin(0.35 * self.k) + 0.6 * np.sign(np.sin(0.11 * self.k)))
+            u = float(np.sin(0.35 * self.k) + 0.6 * np.sign(np.sin(0.11 * self.k))) if drive is None else drive
             if self.k:
                 self.x = after(self.x, u + (push(i) if callable(push) else push), truth)
             y = self.x + self.noise * SIGMA * self.rng.standard_normal(2)
@@ -160,6 +161,21 @@ def test_what_a_disturbance_explains_is_not_written_in_the_end(estimator):
     run = Run(estimator).go(100).go(100, TRUE, PUSH)
     assert_array_equal(run.held, TRUE)
     assert bool(run.writes) == bool(run.undone)
+
+
+@SEARCHES
+@pytest.mark.parametrize("truth", [np.array([0.9, 0.8]), TRUE], ids=["parameters", "push"])
+def test_what_cannot_be_told_apart_is_judged_on_more_samples(estimator, truth):
+    """At a constant input a larger gain b is a push: both move b u by 0.3; what tells them apart comes later."""
+    run = Run(estimator).go(100, drive=1.0)
+    push = 0.0 if truth is not TRUE else 0.6  # b u = 0.5 (1 + 0.6) = 0.8
+    run.go(LENGTH + 6, truth, push, drive=1.0)
+    assert run.writes == []
+    run.go(3 * LENGTH, truth, push)
+    extended = [event for _, event in run.of("trigger") if "fewer samples" in event.detail["reason"]]
+    assert extended[0].detail["samples"].startswith(f"the last {2 * LENGTH},")
+    assert near(run.held, truth)
+    assert bool(run.of("disturbance")) == bool(push)
 
 
 @pytest.mark.parametrize(

@@ -125,6 +125,27 @@ def test_an_episode_that_ends_leaves_nothing_but_a_belief():
         window.residual(TRUE)
 
 
+def test_an_extended_window_begins_where_it_began_and_is_twice_as_long_up_to_four_times():
+    window = fed(Ramp(), 36, jump=30)
+    window.begin(TRUE)
+    samples, n = iter(ramp(100, jump=30)[36:]), 10
+    for _ in range(2):
+        while not window.is_ready:
+            window.append(next(samples))
+        assert len(window.residual(CHANGED)) == n
+        assert window.extend()
+        assert window.is_extended
+        while not window.is_ready:
+            window.append(next(samples))
+        n *= 2
+        assert window.begin(TRUE).startswith(f"the last {n},")
+        assert not window.is_extended
+        assert len(window.residual(CHANGED)) == n
+        assert np.mean(window.residual(CHANGED) ** 2) < 3.0  # still nothing of before the jump
+    assert not window.extend()
+    assert window.is_ready
+
+
 def test_a_failed_candidate_has_a_reason_and_no_value():
     window = fed(Ramp(), 31)
     window.begin(TRUE)

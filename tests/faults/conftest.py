@@ -96,6 +96,7 @@ def fail(how):
         "exit 3": lambda: os._exit(3),
         "segfault": lambda: ctypes.string_at(0),
         "print": lambda: print("hello from inside") or os.write(1, b"and from below\\n"),
+        "print environment": lambda: print(*sorted(os.environ), sep="\\n", flush=True),
         "name": lambda: print("cosim is", sys.modules["cosim"].__file__),
         "child": lambda: os.spawnlp(os.P_NOWAIT, "sleep", "sleep", "3600") and os._exit(0),
         "garbage": lambda: [os.write(fd, b"garbage") for fd in sockets()],
@@ -149,12 +150,12 @@ class Faulty(Fmi2Slave):
 
     def at(self, where):
         if self.has_failed:
-            with open(os.environ["FAULT_MARKER"], "a") as notes:
+            with open(os.environ["PYTHON_FAULT_MARKER"], "a") as notes:
                 notes.write(where)
         if self.where == where and self.how in ("nan", "text", "None"):
             return None
         if self.where == where and (self.is_due or "init" in where or where == "terminate"):
-            self.has_failed = "FAULT_MARKER" in os.environ
+            self.has_failed = "PYTHON_FAULT_MARKER" in os.environ
             return fail(self.how)
 
     def enter_initialization_mode(self):
@@ -231,7 +232,8 @@ def temporary(tmp_path, monkeypatch) -> Iterator[Path]:
     before, surroundings = children_of(os.getpid()), ours()
     monkeypatch.setattr(tempfile, "tempdir", str(folder))
     monkeypatch.chdir(work)
-    mark = f"FAULT_TEST={tmp_path.name}-{os.getpid()}"
+    # FMUs' processes are given what begins with PYTHON.
+    mark = f"PYTHON_FAULT_TEST={tmp_path.name}-{os.getpid()}"
     monkeypatch.setenv(*mark.split("="))
     with ended_in_time():
         yield folder

@@ -1,7 +1,7 @@
 /* An FMI 2.0 co-simulation FMU that fails in the way `how`, in the function `where`, from t = 0.02 s on.
 
    Until then y = u. An instance whose name begins with "instantiate: " fails as it is made, the way that follows.
-   Leaves a file at $FAULT_MARKER as soon as it is loaded, for the proof that it was not. */
+   Leaves a file at $PYTHON_FAULT_MARKER as soon as it is loaded, for the proof that it was not. */
 
 #define _GNU_SOURCE
 #include <fenv.h>
@@ -33,7 +33,7 @@ static volatile double sink, zero_real = 0.0;
 static volatile int zero = 0, one = 1;
 
 __attribute__((constructor)) static void leave_a_trace(void) {
-    const char *path = getenv("FAULT_MARKER");
+    const char *path = getenv("PYTHON_FAULT_MARKER");
     if (path) close(open(path, O_CREAT | O_WRONLY, 0600));
 }
 

@@ -184,7 +184,7 @@ def is_told(unsound, tmp_path, command):
         assert not marker.exists(), "code of the FMU has run"
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("FAULT_MARKER", str(marker))
+        patch.setenv("PYTHON_FAULT_MARKER", str(marker))
         yield check
 
 

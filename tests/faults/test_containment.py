@@ -2,7 +2,9 @@
 
 import inspect
 import json
+import os
 import re
+import subprocess
 import sys
 import zipfile
 from importlib.resources import files
@@ -39,7 +41,7 @@ def test_what_has_failed_is_not_called_again(faulty, tmp_path, monkeypatch, isol
     """Neither to terminate nor to be freed: it would note any call."""
     marker = tmp_path / "called"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("FAULT_MARKER", str(marker))
+        patch.setenv("PYTHON_FAULT_MARKER", str(marker))
         slave = open_slave(faulty, "plant", isolation=isolation)
         slave.bind(inputs=["u"], outputs=["y"])
         slave.initialize({"how": "return False", "where": "do_step"})
@@ -54,7 +56,7 @@ def test_what_has_failed_is_not_called_again(faulty, tmp_path, monkeypatch, isol
 def test_an_fmu_that_is_called_after_its_fault_notes_it(faulty, tmp_path, monkeypatch):
     """So that the test before this one can fail."""
     marker = tmp_path / "called"
-    monkeypatch.setenv("FAULT_MARKER", str(marker))
+    monkeypatch.setenv("PYTHON_FAULT_MARKER", str(marker))
     description, folder = unpacked(faulty)
     fmu = InProcessFmu(fmu_to_load(description, folder.path, "plant"))
     numbers = {v.name: v.valueReference for v in description.modelVariables}
@@ -92,6 +94,55 @@ def test_a_scenario_can_set_what_a_slave_can_be_told():
     options = SimulationSettings(name="x", stop_time=1.0, macro_step=0.1).slave_options
     parameters = inspect.signature(open_slave).parameters
     assert options == {name: p.default for name, p in parameters.items() if p.kind is p.KEYWORD_ONLY}
+
+
+KEPT = ("AWS_SECRET_ACCESS_KEY", "GITHUB_TOKEN", "SSH_AUTH_SOCK", "HTTPS_PROXY", "MY_LICENSE_KEY", "LC")
+GIVEN = ("LC_ALL", "PYTHONPATH", "LD_LIBRARY_PATH", "TZ", "OMP_NUM_THREADS", "MLM_LICENSE_FILE")
+
+
+@pytest.mark.parametrize(
+    ("more", "expected"), [((), set()), (("GITHUB_TOKEN", "HTTP*"), {"GITHUB_TOKEN", "HTTPS_PROXY"})], ids=["", "more"]
+)
+def test_an_fmu_is_given_what_fmus_need_of_the_environment(faulty, monkeypatch, capfd, more, expected):
+    for name in (*KEPT, *GIVEN):
+        monkeypatch.setenv(name, os.environ.get(name, "1" if name == "OMP_NUM_THREADS" else ""))
+    with open_slave(faulty, "plant", environment=more) as slave:
+        slave.bind(inputs=["u"])
+        slave.initialize({"how": "print environment", "where": "exit_init"})
+    names = {line.removeprefix("plant: ") for line in capfd.readouterr().err.splitlines()}
+    assert names >= {*GIVEN, "PATH"}
+    assert names & {*KEPT} == expected
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"estimation.model": "Pendulum", "guard.horizon": "3"},
+        {"estimation.objective": "rollout", "sampling.outputs": '{"plant.phi" = {noise = 0.01}}'},
+    ],
+    ids=["model and lookahead", "rollout"],
+)
+def test_every_process_of_a_run_is_given_as_much(tmp_path, monkeypatch, command, settings):
+    """The FMUs, a model-exchange FMU as the model, shadows that are simulated ahead, shadows for roll-outs."""
+    started = []
+
+    class Recorded(subprocess.Popen):
+        def __init__(self, command, env=None, **options):
+            started.append(env)
+            super().__init__(command, env=env, **options)
+
+    monkeypatch.setattr(subprocess, "Popen", Recorded)
+    monkeypatch.setenv("NEEDED", "1")
+    monkeypatch.setenv("SECRET", "2")
+    short = {
+        "scenario.stop_time": "0.3",
+        "scenario.environment": '["NEEDED"]',
+        'changes."plant.m"': "[[0.0, 1.75], [0.05, 3.0]]",
+    }
+    overrides = [part for key, value in (short | settings).items() for part in ("--set", f"{key}={value}")]
+    assert command("run", "pendulum", *overrides, "--only", "--out", tmp_path / "run")[0] == 0
+    assert len(started) > 3
+    assert all(env["NEEDED"] == "1" and "SECRET" not in env for env in started)
 
 
 # The command.

@@ -2,6 +2,8 @@
 
 import json
 import re
+import subprocess
+import sys
 
 import pytest
 
@@ -117,3 +119,31 @@ def test_an_estimator_that_exits_faults_the_run(command, module, tmp_path):
     assert code == 1
     assert re.match(rf"retune: estimator '{name}:Leaving' failed at t = 0\.\d+ s: SystemExit: 0", err), err
     assert json.loads((out / "manifest.json").read_text())["status"] == "faulted"
+
+
+OVERFLOWING = """
+import numpy as np
+from fmu_models.pendulum import derivative as good
+
+def model(x, u, m, l):
+    np.exp(np.float64(1e4)), np.log(np.float64(-1.0))
+    return good(x, u, m=m, l=l)
+"""
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["check"], ["run", *RUN, "--out", "run"], ["compare", *RUN[1:], "--estimators", "target", "--seeds", "1"]],
+    ids=lambda arguments: arguments[0],
+)
+def test_a_warning_of_numpys_reaches_no_terminal(tmp_path, temporary, arguments):
+    (tmp_path / "overflowing.py").write_text(OVERFLOWING)
+    name, *options = arguments
+    command = [sys.executable, "-m", "cosim.cli", name, "pendulum", "--set", "estimation.model=overflowing:model"]
+    short = ["--set", "scenario.stop_time=0.2", *CHANGE] if name != "check" else []
+    done = subprocess.run([*command, *options, *short], capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "Warning" not in done.stderr
+    if name == "check":
+        debug = subprocess.run([*command, "--debug"], capture_output=True, text=True, cwd=tmp_path)
+        assert "RuntimeWarning: overflow encountered in exp" in debug.stderr

@@ -35,7 +35,7 @@ def archive_findings(entries: Sequence[ZipInfo]) -> Iterator[Finding]:
         yield Finding(_PLACE, f"unpacks to {unpacked / max(packed, 1):.0f} times its size, as only a zip bomb does")
     for entry in entries:
         yield from _entry_findings(entry)
-    yield from _name_findings([e.filename for e in entries])
+    yield from _name_findings([e.filename for e in entries if len(e.filename) <= LONGEST_NAME])
     yield from _overlaps(entries)
 
 

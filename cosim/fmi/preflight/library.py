@@ -8,7 +8,8 @@ from collections.abc import Iterator, Set
 from typing import Any, BinaryIO, Final
 
 from elftools.common.exceptions import ELFError
-from elftools.elf.elffile import ELFFile
+
+from .elf import opened_elf
 
 _ELF_MACHINES: Final = {"x86_64": "EM_X86_64", "aarch64": "EM_AARCH64"}  # as Linux names them
 _PE_MACHINES: Final = {"amd64": 0x8664, "x86_64": 0x8664, "arm64": 0xAA64, "x86": 0x014C}
@@ -43,7 +44,7 @@ def library_problem(file: BinaryIO, needed: Set[str] = frozenset()) -> str | Non
 def elf_problems(file: BinaryIO, size: int, machine: str, needed: Set[str] = frozenset()) -> Iterator[str]:
     """Yield problems with a shared library for Linux of `size` bytes."""
     try:
-        elf: Any = ELFFile(file)
+        elf: Any = opened_elf(file)
         header = elf.header
         if elf.elfclass != 64 or not elf.little_endian or header.e_machine != _ELF_MACHINES.get(machine):
             kind = f"{elf.elfclass} bit, {elf.get_machine_arch()}"

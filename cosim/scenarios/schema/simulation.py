@@ -1,10 +1,13 @@
 """Tables of a scenario file on the co-simulation: times and steps, components, limits of a run."""
 
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
 from .table import MOST, Table, Value
+
+MOST_COMPONENTS: Final = 64
+"""FMUs that are started without being asked for."""
 
 
 class SimulationSettings(Table):
@@ -30,6 +33,10 @@ class SimulationSettings(Table):
     """Communication points from one checkpoint of a run folder to the next, for `retune resume`; 0: none."""
     memory_limit: float = Field(default=0.0, ge=0.0)
     """Memory that the process of one FMU may hold [MB]; 0: half of the machine's memory. Linux only."""
+    environment: tuple[Annotated[str, Field(pattern=r"^[^=]+$")], ...] = ()
+    """Environment variables that the FMUs' processes are given beside PATH and the like; `*` for any text."""
+    most_components: int = Field(default=MOST_COMPONENTS, ge=1, le=1000)
+    """Most FMUs that are started, each in a process of its own."""
     out_of_range: Literal["fault", "warning"] = "fault"
     """Treatment of an input or output outside its declared min and max; one that is not finite is always a fault."""
 
@@ -43,10 +50,16 @@ class SimulationSettings(Table):
             )
         return self
 
+    def check_size(self, n_fmus: int) -> None:
+        """Raise ValueError where there are more FMUs than shall be started."""
+        if n_fmus > self.most_components:
+            more = f"scenario.most_components is {self.most_components}: give --set scenario.most_components={n_fmus}"
+            raise ValueError(f"it has {n_fmus} FMUs, each in a process of its own, and {more}")
+
     @property
     def slave_options(self) -> dict[str, Any]:
         """Keyword arguments of open_slave."""
-        return self.model_dump(include={"isolation", "timeout", "memory_limit", "out_of_range"})
+        return self.model_dump(include={"isolation", "timeout", "memory_limit", "environment", "out_of_range"})
 
     @property
     def n_steps(self) -> int:

@@ -12,6 +12,7 @@ from typing import Any
 
 from ...blas_threads import ONE_THREAD
 from .descendants import VARIABLE, end_marked, new_mark
+from .environment import passed_on
 from .memory_watchdog import MemoryWatchdog, half_of_memory
 from .output import OutputRelay
 from .placement import REVIEW, Placement, same_addresses
@@ -33,17 +34,20 @@ class SupervisedProcess:
         handles: Mapping[str, Any],
         memory_limit: float,
         on_death: Callable[[], None],
+        environment: Sequence[str],
     ) -> None:
         """handles: arguments of Popen that let the process inherit its channel.
 
         memory_limit: resident memory that it may have [MB], 0 for half of the machine's (Linux).
         on_death: called, in another thread, when the process has ended by itself.
+        environment: names of variables that it is given beside those which every FMU is given.
         """
         self.has_ended = False
         self._mark = new_mark()
         self._output = OutputRelay(name)
         try:
-            self._process = _start(command, self._mark, self._output.descriptor, handles)
+            variables = passed_on(os.environ, environment) | ONE_THREAD | {VARIABLE: self._mark}
+            self._process = _start(command, variables, self._output.descriptor, handles)
         except BaseException:
             self._output.abandon()
             raise
@@ -106,7 +110,9 @@ class SupervisedProcess:
             end_marked(self._mark)
 
 
-def _start(command: Sequence[str], mark: str, output: int, handles: Mapping[str, Any]) -> "subprocess.Popen[bytes]":
+def _start(
+    command: Sequence[str], environment: Mapping[str, str], output: int, handles: Mapping[str, Any]
+) -> "subprocess.Popen[bytes]":
     """Start the process in a group of its own, so that Ctrl-C does not reach it."""
     group: dict[str, Any] = {} if sys.platform == "win32" else {"process_group": 0}
     with same_addresses():
@@ -115,7 +121,7 @@ def _start(command: Sequence[str], mark: str, output: int, handles: Mapping[str,
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=output,
-            env=os.environ | ONE_THREAD | {VARIABLE: mark},
+            env=environment,
             **group,
             **handles,
         )

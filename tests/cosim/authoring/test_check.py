@@ -7,7 +7,9 @@ import pytest
 from cosim.authoring.check import check
 from cosim.cli import main
 from cosim.errors import ScenarioError
+from cosim.runs.simulation import run
 from cosim.scenarios.named import named_scenarios
+from cosim.scenarios.scenario import Scenario
 
 pytestmark = pytest.mark.fmu
 
@@ -187,3 +189,18 @@ def test_what_is_no_scenario_is_refused_in_one_line(axis, capsys, tmp_path):
         check(tmp_path / "no.toml")
     assert main(["check", str(tmp_path / "no.fmu")]) == 2
     assert re.fullmatch(r"retune: .*no\.fmu cannot be read: No such file or directory\n", capsys.readouterr().err)
+
+
+def test_a_run_of_the_scenario_tells_which_noise_to_declare(tmp_path, monkeypatch):
+    """The sensor's noise is 0.05 and 0.001, drawn independently: 0.05001 in all, where 0.001 is declared."""
+    monkeypatch.chdir(tmp_path)
+    noisy = {"sampling.faults": '[{ sensor = "plant.der(phi_dot)", kind = "noise", size = 0.05 }]'}
+    assert check("pendulum", noisy) == []
+    run(Scenario.load("pendulum", noisy), "target", out=tmp_path / "runs" / "pendulum-2")
+    (found,) = check("pendulum", noisy)
+    assert found.where == 'sampling.derivatives."plant.der(phi_dot)"'
+    assert found.is_note
+    assert 0.04 < float(found.what.rpartition("noise = ")[2]) < 0.0625
+    assert check("pendulum") == []  # a run with other sensors tells nothing
+    (tmp_path / "runs" / "pendulum-2" / "manifest.json").write_text("{")
+    assert check("pendulum", noisy) == []

@@ -1,16 +1,25 @@
 """`retune doctor`: what an FMU needs, native or in Python, whole or broken."""
 
+import importlib
+import os
 import platform
 import re
 import shutil
+import struct
 import subprocess
 import sys
 import zipfile
+from io import BytesIO
+from pathlib import Path
 
 import pytest
+from elftools.elf.elffile import ELFFile
 from pythonfmu import FmuBuilder
 
+from cosim.authoring import library_search
 from cosim.authoring.doctor import diagnose
+from cosim.authoring.library_search import missing_libraries
+from cosim.authoring.shared_library import read_shared_library
 from cosim.cli import main
 from cosim.errors import ModelDescriptionError
 from cosim.system.fmu_cache import find_fmu
@@ -139,6 +148,90 @@ def test_a_library_that_is_not_here_is_named(tmp_path):
     files = {"modelDescription.xml": DESCRIPTIONS["2.0"], "binaries/linux64/Native.so": library}
     found = finding(diagnose(zipped(tmp_path / "Native.fmu", files)), "libraries")
     assert (found.is_well, found.text) == (False, "libgone.so.1 => not found")
+
+
+@needs_gcc
+def test_no_code_of_a_library_runs(tmp_path):
+    """`ldd` loads the library's audit libraries."""
+    marker = tmp_path / "ran"
+    audit = f'#include <stdio.h>\nunsigned la_version(unsigned v) {{ fclose(fopen("{marker}", "w")); return v; }}'
+    compiled(tmp_path, audit)
+    (tmp_path / "library.so").rename(tmp_path / "audit.so")
+    library = compiled(tmp_path, "double fmi2One(void) { return 1.0; }", f"-Wl,--audit={tmp_path / 'audit.so'}")
+    files = {"modelDescription.xml": DESCRIPTIONS["2.0"], "binaries/linux64/Native.so": library}
+    assert diagnose(zipped(tmp_path / "Native.fmu", files)).is_well
+    assert not marker.exists()
+
+
+@needs_gcc
+@pytest.mark.parametrize("flag", ["--enable-new-dtags", "--disable-new-dtags"])
+def test_libraries_of_libraries_are_looked_for_where_each_says(tmp_path, flag):
+    """A DT_RPATH holds for what a library's libraries need too, a DT_RUNPATH does not."""
+    compiled(tmp_path, "int last(void) { return 1; }", "-Wl,-soname,liblast.so")
+    (tmp_path / "library.so").rename(tmp_path / "liblast.so")
+    middle = compiled(tmp_path, "int last(void); int middle(void) { return last(); }", "-L.", "-llast")
+    (tmp_path / "libmiddle.so").write_bytes(middle)
+    options = ["-L.", "-lmiddle", "-Wl,-rpath,$ORIGIN/own", f"-Wl,{flag}", "-Wl,-soname,Native.so"]
+    library = compiled(tmp_path, "int middle(void); int here(void) { return middle(); }", *options)
+    files = {
+        "modelDescription.xml": DESCRIPTIONS["2.0"],
+        "binaries/linux64/Native.so": library,
+        "binaries/linux64/own/libmiddle.so": middle,
+        "binaries/linux64/own/liblast.so": (tmp_path / "liblast.so").read_bytes(),
+    }
+    found = finding(diagnose(zipped(tmp_path / "Native.fmu", files)), "libraries")
+    assert found.text == ("libmiddle.so" if "disable" in flag else "liblast.so => not found")
+
+
+@pytest.mark.skipif(shutil.which("ldd") is None, reason="there is no ldd to compare with")
+@pytest.mark.parametrize("module", ["numpy", "scipy"])
+def test_what_is_found_is_what_ldd_finds(module):
+    folder = Path(importlib.import_module(module).__file__).parent
+    for path in sorted([*folder.rglob("*.so"), *folder.parent.glob(f"{module}.libs/*.so*")])[-12:]:
+        listing = subprocess.run(["ldd", path], capture_output=True, text=True, env=os.environ | {"LC_ALL": "C"})
+        theirs = {line.split(" (")[0].strip() for line in listing.stdout.splitlines() if "not found" in line}
+        library = read_shared_library(path)
+        assert {name for name in missing_libraries(path, library) if "=>" in name} == theirs, path
+
+
+def test_a_search_without_end_is_given_up(tmp_path, monkeypatch, pendulum):
+    monkeypatch.setattr(library_search, "LONGEST_S", -1.0)
+    found = finding(diagnose(pendulum), "libraries")
+    assert not found.is_well
+    assert found.text == "not all looked for: the search was given up after -1 s"
+
+
+def test_a_table_without_end_is_no_librarys(tmp_path, pendulum):
+    """Versions that are needed: 2^31 by the section's header, each the same one."""
+
+    def endless(library):
+        elf = ELFFile(BytesIO(library))
+        number = next(i for i, s in enumerate(elf.iter_sections()) if s.name == ".gnu.version_r")
+        (offset,) = [s["sh_offset"] for s in elf.iter_sections() if s.name == ".gnu.version_r"]
+        patched = bytearray(library)
+        struct.pack_into("<I", patched, elf["e_shoff"] + number * elf["e_shentsize"] + 44, 1 << 31)
+        struct.pack_into("<I", patched, offset + 12, 0)
+        return bytes(patched)
+
+    found = finding(diagnose(with_library(pendulum, tmp_path / "endless.fmu", endless)), "binary")
+    assert not found.is_well
+    assert found.text.endswith("is no shared library for Linux")
+
+
+@needs_gcc
+def test_what_blocks_when_it_is_opened_is_no_library(tmp_path, monkeypatch):
+    os.mkfifo(tmp_path / "libgone.so.1")
+    monkeypatch.setenv("LD_LIBRARY_PATH", str(tmp_path))
+    test_a_library_that_is_not_here_is_named(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["../x", "x/y", b"\xff", "x" * 300], ids=["above", "below", "bytes", "long"])
+def test_a_script_of_an_odd_name_is_told(tmp_path, pendulum, name):
+    with zipfile.ZipFile(pendulum) as archive:
+        files = {name: archive.read(name) for name in archive.namelist()}
+    found = finding(diagnose(zipped(tmp_path / "odd.fmu", files | {"resources/slavemodule.txt": name})), "modules")
+    assert not found.is_well
+    assert found.text.startswith("its script cannot be read: ")
 
 
 @pytest.mark.parametrize("content", [b"", b"MZ not for Linux", b"\x7fELF" + bytes(60)], ids=["empty", "other", "cut"])

@@ -27,7 +27,9 @@ def gain(described):
 def test_an_output_depends_on_what_is_declared_and_else_on_every_input(gain, dependencies, said, inputs):
     component = gain("A", dependencies)
     assert declared(component) == {"y": said}
-    assert feedthrough(component) == {"y": inputs}
+    assert feedthrough(component, ["u", "w"], ["y"]) == {"y": inputs}
+    assert feedthrough(component, ["w"], ["y"]) == {"y": [name for name in inputs if name == "w"]}
+    assert feedthrough(component, ["u", "w"], []) == {}
 
 
 def test_a_loop_needs_feedthrough_in_every_component_on_it(gain):

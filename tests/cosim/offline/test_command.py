@@ -1,8 +1,10 @@
 """`retune estimate` from the command line."""
 
 import json
+import re
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import matplotlib.image
@@ -171,3 +173,78 @@ def _command_of(process_id):
 
 def _is_running(process_id):
     return Path(f"/proc/{process_id}").exists()
+
+
+EXPERIMENTS = {
+    "step": '<DefaultExperiment startTime="0" stopTime="10" stepSize="0.01"/>',
+    "span": '<DefaultExperiment startTime="0" stopTime="10"/>',
+}
+
+
+def with_experiment(plant, path, experiment):
+    with zipfile.ZipFile(plant) as whole, zipfile.ZipFile(path, "w") as changed:
+        for name in whole.namelist():
+            content = whole.read(name)
+            if name == "modelDescription.xml":
+                content = content.replace(b"<ModelVariables>", EXPERIMENTS[experiment].encode() + b"<ModelVariables>")
+            changed.writestr(name, content)
+    return path
+
+
+def rescaled(oracles, path, factor, column="time [s]"):
+    """A log whose time stamps are in another unit and do not say so; of another column: its values multiplied."""
+    columns = {name.replace("time [s]", "time"): factor * v if name == column else v
+               for name, v in oracles.measure(0).items()}  # fmt: skip
+    return oracles.write_log(path, columns)
+
+
+APART = {
+    "ms": (1e3, "rows are 10 s apart, and Timed.fmu's step is 0.01 s"),
+    "us": (1e6, "rows are 10000 s apart, and Timed.fmu's step is 0.01 s"),
+    "h": (1 / 3600.0, "rows are 2.77778e-06 s apart, and Timed.fmu's step is 0.01 s"),
+}
+
+
+@pytest.mark.parametrize("mode", [[], ["--online"]], ids=["offline", "online"])
+@pytest.mark.parametrize("unit", APART)
+def test_time_stamps_in_another_unit_are_told(plant, oracles, tmp_path, monkeypatch, capsys, unit, mode):
+    """Before, an FMU that takes fixed steps inside was simulated for hours, or days."""
+    monkeypatch.chdir(tmp_path)
+    factor, text = APART[unit]
+    fmu = with_experiment(plant, tmp_path / "Timed.fmu", "step")
+    log = rescaled(oracles, tmp_path / "log.csv", factor)
+    assert main(["estimate", str(fmu), str(log), *SOUGHT, *ROLES, *mode]) == 2
+    question = f"is its time in {unit}? Give --time-unit {unit}, or --time-unit s where it is right."
+    assert capsys.readouterr().err == f"retune: log.csv: {text}: {question}\n"
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS)
+def test_the_unit_that_is_given_is_taken(plant, oracles, tmp_path, monkeypatch, capsys, experiment):
+    monkeypatch.chdir(tmp_path)
+    fmu = with_experiment(plant, tmp_path / "Timed.fmu", experiment)
+    log = rescaled(oracles, tmp_path / "log.csv", 1e3)
+    arguments = ["estimate", str(fmu), str(log), *SOUGHT, *ROLES, "--evaluations", "20", "--json"]
+    assert main(arguments) == 2
+    assert ("it is 8000 s long, and Timed.fmu's experiment 10 s" in capsys.readouterr().err) == (experiment == "span")
+    assert main([*arguments, "--time-unit", "ms"]) == 0
+    found = json.loads(capsys.readouterr().out)["parameters"]
+    assert found["k"]["value"] == pytest.approx(oracles.TRUTH.k, rel=0.01)
+    assert main([*arguments, "--time-unit", "fortnight"]) == 2
+    assert "'fortnight' cannot be converted to 's'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("mode", [[], ["--online"]], ids=["offline", "online"])
+def test_more_steps_than_anybody_waits_for_are_refused(command, capsys, mode):
+    assert command(*SOUGHT, *ROLES, "--step", "1e-9", "--time-unit", "s", *mode) == 2
+    told = capsys.readouterr().err
+    assert told == "retune: log.csv: its 8 s are 8e+09 steps of 1e-09 s; at most 1e+07 are simulated.\n"
+
+
+def test_what_cannot_be_computed_with_is_told_and_no_warning_of_numpys(plant, oracles, tmp_path):
+    log = rescaled(oracles, tmp_path / "log.csv", 1e300, "x [m]")
+    command = [sys.executable, "-m", "cosim.cli", "estimate", str(plant), str(log), *SOUGHT, *ROLES]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 2
+    assert re.fullmatch(
+        r"retune: .*log\.csv: column 'x' for x has values up to [\d.]+e\+29\d: too large\.\n", done.stderr
+    )

@@ -15,6 +15,7 @@ from cosim.objectives.rollout_fmu import Shadow
 from cosim.objectives.rollout_start import NoisyStartObjective
 from cosim.offline.estimate import EstimateError, Request, Sought
 from cosim.offline.online import run_online
+from cosim.offline.online_report import report
 from cosim.ssv.document import read_ssv
 from estimator import Sample, SampleSequence
 
@@ -92,6 +93,31 @@ def test_without_states_it_is_simulated_from_the_start(ask, oracles):
     assert "simulated again from the start" in watched.how
     assert 4.0 < of(watched, "trigger")[0].t <= 4.1
     assert watched.theta == pytest.approx([2.6, 1.4], rel=0.05)
+
+
+def spikes(column, scale, rng):
+    wild = rng.random(len(column)) < 0.01
+    return np.where(wild, column + scale * rng.choice([-1.0, 1.0], len(column)), column)
+
+
+FAULTS = {
+    "spikes": spikes,
+    "stuck": lambda column, scale, rng: np.where(np.arange(len(column)) > 200, column[200], column),
+    "delayed": lambda column, scale, rng: np.concatenate([column[:30], column[:-30]]),
+    "wrong sign": lambda column, scale, rng: np.where(np.arange(len(column)) > 200, -column, column),
+}
+
+
+@pytest.mark.full_but("wrong sign")
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_bad_channel_is_never_written_as_parameters_and_is_told(ask, oracles, fault):
+    columns = oracles.measure(1)
+    columns["v [m/s]"] = FAULTS[fault](columns["v [m/s]"], 100.0 * np.ptp(columns["v [m/s]"]), np.random.default_rng(2))
+    found = ask(columns)
+    (watched,) = found.watched
+    assert watched.theta == pytest.approx([1.7, 0.9])
+    text = report(found)
+    assert "kept out" in text or "no parameters explain" in text
 
 
 def test_what_cannot_be_is_refused(ask, oracles):

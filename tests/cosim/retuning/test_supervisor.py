@@ -15,7 +15,8 @@ from cosim.sampling.screen import Screened
 from cosim.scenarios.schema.guard import GuardSettings
 from estimator import DerivativeResidual, Estimate, Parameter, ParameterSpace, Sample
 from estimator.diagnosing import make_retuner
-from estimator.diagnosis import Diagnosis, DiagnosisSettings
+from estimator.diagnosis import Diagnosis
+from estimator.diagnosis_settings import DiagnosisSettings
 from estimator.retuner import Budget
 from estimator.samples import RememberingModel
 from estimator.triggers import InnovationSettings

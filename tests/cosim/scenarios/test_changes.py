@@ -79,3 +79,21 @@ def test_a_formula_that_is_none_is_refused_with_the_name_of_what_it_was_to_chang
         change(((0.0, 1.0), (1.0, "sinn(t)")))
     with pytest.raises(ValueError, match=r"bad.*sinn"):
         change_functions({"bad": "sinn(t)"}, {})
+
+
+def test_definitions_that_name_those_before_them_twice_take_no_longer():
+    """Each is evaluated once for a time; 2^99 evaluations would take for ever."""
+    definitions = {"d0": "t"} | {f"d{i}": f"d{i - 1} + d{i - 2}" if i > 1 else "d0 + 1" for i in range(1, 100)}
+    m = change("d99", definitions)
+    ones, twos = 0.0, 1.0
+    for _ in range(99):
+        ones, twos = twos, ones + twos
+    assert [m(t) for t in (0.0, 0.0)] == [ones, ones]
+    assert m(1.0) != ones
+    assert m(0.0) == ones
+
+
+def test_there_are_not_more_definitions_than_calls_can_be_nested():
+    definitions = {"d0": "t"} | {f"d{i}": f"d{i - 1}" for i in range(1, 101)}
+    with pytest.raises(ValueError, match=r"^definitions: there are 101; at most 100 can build on each other$"):
+        change("d100", definitions)

@@ -1,14 +1,17 @@
 """`retune export`, and `retune run` on packages."""
 
 import json
+from pathlib import Path
 
 import pytest
 from fmpy.ssp.ssd import read_ssv
 
+import cosim
 from cosim.runs.series import read_series
 
 pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("leaves_nothing", "workplace")]
 SHORT = ["--set", "scenario.stop_time=0.2", "--only", "--json"]
+SCENARIOS = Path(cosim.__file__).parent / "scenarios"
 CHANGE = ["--set", 'changes."plant.m"=[[0.0, 1.75], [0.05, 4.271]]']
 
 
@@ -29,6 +32,22 @@ def test_an_export_runs_as_the_scenario_does(called, workplace):
     for name in ("series.arrow", "events.jsonl", "estimates.ssv"):
         assert (workplace / "one" / name).read_bytes() == (workplace / "other" / name).read_bytes(), name
     assert (workplace / "one" / "events.jsonl").stat().st_size > 0
+
+
+@pytest.mark.parametrize(("key", "value"), [("environment", '["*"]'), ("isolation", '"none"')])
+def test_a_package_cannot_ask_for_trust(called, package, workplace, monkeypatch, key, value):
+    """An export leaves it out; a package made by hand that has it is refused, unless the user asks for the same."""
+    text = (SCENARIOS / "pendulum.toml").read_text()
+    tables = text.replace("[scenario]\n", f"[scenario]\n{key} = {value}\n")
+    assert tables != text
+    path = package(files={"extra/org.fmu-retune/scenario.toml": tables}, name="asks.ssp")
+    message = f"retune: {path}: scenario.{key}: a package cannot set it; give --set scenario.{key}=...\n"
+    assert called("run", path, *SHORT) == (2, "", message)
+    assert called("check", path) == (2, "", message)
+    assert called("run", path, *SHORT, "--set", f"scenario.{key}={value}")[0] == 0
+    (workplace / "asks.toml").write_text(tables)
+    assert called("export", "asks.toml", "--ssp", "own.ssp")[0] == 0
+    assert called("run", "own.ssp", *SHORT)[0] == 0
 
 
 @pytest.mark.full

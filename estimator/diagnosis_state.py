@@ -1,0 +1,90 @@
+"""State of a diagnosis of sampled derivatives: all that changes from sample to sample."""
+
+from collections import Counter
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .diagnosis_settings import KINDS, Judgement
+from .residual_scale import ResidualScale
+from .samples import Sample
+from .space import Vector
+
+
+@dataclass
+class DiagnosisState:
+    """State, which is copied for a snapshot."""
+
+    samples: list[Sample]
+    """The newest samples, from old to new; during a suspicion the older ones are thinned out."""
+    scale: ResidualScale
+    offset: Vector
+    """Known disturbance (c,), in standard deviations of the declared noise."""
+    rests_until: NDArray[np.intp]
+    """Number of the sample (c,) at which a channel's rest ends."""
+    is_resting: NDArray[np.bool_]
+    n_failures: int = 0
+    """Number of searches in vain, one soon after the other."""
+    n_quiet: int = 0
+    """Number of quiet samples in a row."""
+    found: tuple[int, Vector] | None = None
+    """Number of the sample and place (d,) of the parameters that the last search has found."""
+    suspected_at: int = 0
+    """Number of the last sample that was suspicious."""
+    moves: tuple[bool, ...] = ()
+    """True for each of the last searches, one soon after the other, that has found other parameters than the one before
+    although a disturbance explains the samples as well."""
+    lasting: Vector | None = None
+    """Parameters (d,) that the samples have not contradicted for long; None before the first onset."""
+    counts: Counter[str] = field(default_factory=Counter[str])
+    """Number of events of each kind."""
+    named: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
+    """The newest disturbances with their times [s] and sizes; replaced, never changed."""
+    rested: list[Vector] = field(default_factory=list[Vector])
+    """Residuals (c,) at the parameters in force since the first channel rests."""
+    n_samples: int = 0
+    n_since: int = 0
+    """Number of samples since the onset of the suspicion; 0 while quiet."""
+    reference: Vector | None = None
+    """Parameters (d,) in force at the onset, or accepted since."""
+    changed: Vector | None = None
+    """Place (d,) of the parameters that explained the samples last."""
+    verdict: Judgement = "refuted"
+    n_spare: int = 0
+    """Number of its values in excess of those fitted."""
+    n_explained: int = 0
+    """Number of newest samples that the verdict is about."""
+    found_at: int = 0
+    """Number of the sample at which the verdict was found."""
+
+    def copy(self) -> "DiagnosisState":
+        """Return an independent copy; arrays are replaced, never changed."""
+        other = copy(self)
+        other.samples, other.scale = [*self.samples], self.scale.copy()
+        other.rested, other.counts = [*self.rested], Counter(self.counts)
+        return other
+
+    def summary(self, names: Sequence[str], sigma: Vector) -> dict[str, Any]:
+        """Return what is known of each channel, and the number of events of each kind, as JSON values.
+
+        names, sigma (c,): of the channels, and their declared noise.
+        """
+        known = zip(channel_summary(names, self.scale), self.offset * sigma, self.is_resting, strict=True)
+        channels = {name: row | {"disturbance": float(d), "is_resting": bool(r)} for (name, row), d, r in known}
+        return {"channels": channels, "disturbances": self.named} | {kind: self.counts[kind] for kind in KINDS}
+
+
+def channel_summary(names: Sequence[str], scale: ResidualScale) -> list[tuple[str, dict[str, Any]]]:
+    """Return, for each channel, its name and what is known of its residuals' true size, as JSON values.
+
+    noise_ratio: what the model leaves unexplained in quiet, in standard deviations of the declared noise, or None.
+    """
+    observed = [None] * len(names) if scale.observed is None else scale.observed.tolist()
+    return [
+        (name, {"noise_ratio": ratio, "scale": float(s), "correlation": float(rho)})
+        for name, ratio, s, rho in zip(names, observed, scale.values, scale.correlations, strict=True)
+    ]

@@ -40,6 +40,9 @@ class RecursiveSettings:
 class RecursiveLeastSquares:
     """Recursive least squares with exponential forgetting, on a model's linear form.
 
+    The linear form is called with (x, u, xdot) of each sample. xdot holds the sampled derivatives, one a channel in the
+    order of `sampling.derivatives`, not one a state; where there is a filter, x, u and xdot are filtered.
+
     The Kalman filter of constant coefficients whose covariance is divided by lambda at each sample: Ljung (1999),
     section 11.2. In no direction does the covariance exceed its start, so that it does not wind up where nothing is
     excited (Åström and Wittenmark (1995), section 11.5). The parameters are those whose coefficients lie nearest
@@ -64,7 +67,7 @@ class RecursiveLeastSquares:
         """Process the newest sample. Raises ValueError where the model's linear form is unknown."""
         linear = objective.linear
         if linear is None:
-            raise ValueError("recursive least squares needs the model's linear form.")
+            raise ValueError("recursive least squares needs the model's linear form, rows(x, u, xdot) psi = targets.")
         rows, targets = linear.rows(objective.newest)
         is_known = np.isfinite(targets) & np.isfinite(rows).all(axis=1)
         if not is_known.any():

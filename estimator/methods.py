@@ -40,12 +40,14 @@ _ONE_SOLVE = {"budget": 1, "evaluations_per_step": 1, "window": 1}
 _RECURSIVE = {"trigger": {"kind": "always"}, "evaluations_per_step": 1, "window": 1}
 # On a noisy function Ipopt's line searches take a hundred evaluations an iteration.
 _IPOPT = {"minimizer": "ipopt", "max_iterations": 10}
+# Commits each candidate, one a time step, looks at the newest sample alone, and leaves the regression to GPy.
+_ALGORITHM_1 = {"commit": "candidate", "evaluations_per_step": 1, "window": 1, "surrogate": "gpy"}
+_BO_SCALAR = {"commit": "incumbent", "refits": "seldom", "surrogate": "auto"}
 
 METHODS: dict[str, Method] = {
     "target": Method(TargetVector, TargetSettings),
-    # Algorithm 1 commits each candidate, one a time step, and looks at the newest sample alone.
-    "paper": Method(PaperBO, PaperSettings, None, {"commit": "candidate", "evaluations_per_step": 1, "window": 1}),
-    "bo-scalar": Method(PaperBO, PaperSettings, "paper", {"commit": "incumbent", "refits": "seldom"}),
+    "paper": Method(PaperBO, PaperSettings, None, _ALGORITHM_1),
+    "bo-scalar": Method(PaperBO, PaperSettings, "paper", _BO_SCALAR),
     "ipm": Method(NoisyNorm, NormSettings, "paper", _ONE_SOLVE | _IPOPT, needs_package="cyipopt"),
     "ipm-scipy": Method(NoisyNorm, NormSettings, "paper", _ONE_SOLVE | {"minimizer": "trust-constr"}),
     "sqp": Method(NoisyNorm, NormSettings, "paper", _ONE_SOLVE | {"minimizer": "SLSQP"}),

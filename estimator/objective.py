@@ -50,14 +50,29 @@ class LinearForm:
     space: ParameterSpace
     """Parameters that `coefficients_of` is called with, by name."""
     rows_of: Callable[..., tuple[Sequence[Sequence[float]], Sequence[float]]]
-    """(rows (r, p), targets (r,)) = rows_of(x, u, xdot): state (n,), held input, sampled derivatives (c,)."""
+    """(rows (r, p), targets (r,)) = rows_of(x, u, xdot): state (n,), held input, sampled derivatives (c,).
+
+    xdot has one number a channel, in the order of `sampling.derivatives`, and NaN where a sample lacks one.
+    """
     coefficients_of: Callable[..., Sequence[float]]
     """psi (p,) = coefficients_of(**theta)."""
 
     def rows(self, sample: Sample) -> tuple[Vector, Vector]:
-        """Return the rows (r, p) and targets (r,) of one sample."""
-        rows, targets = self.rows_of(sample.x, sample.u, sample.xdot)
-        return np.array(rows, dtype=float), np.array(targets, dtype=float)
+        """Return the rows (r, p) and targets (r,) of one sample.
+
+        Raises ValueError, which says what the sample holds, where they cannot be made of it.
+        """
+        try:
+            rows, targets = self.rows_of(sample.x, sample.u, sample.xdot)
+            found = np.array(rows, dtype=float), np.array(targets, dtype=float)
+            if found[0].ndim != 2 or found[1].shape != found[0].shape[:1]:
+                raise ValueError(f"rows {found[0].shape} and targets {found[1].shape} do not match")
+        except (IndexError, TypeError, ValueError) as e:
+            held = (
+                f"x has {len(sample.x)} states, u {len(sample.u)} inputs, xdot {len(sample.xdot)} sampled derivatives"
+            )
+            raise ValueError(f"linear form, rows(x, u, xdot): {e}; {held}, in the order of sampling.derivatives") from e
+        return found
 
     def coefficients(self, theta: Vector) -> Vector:
         """Return the coefficients psi (p,) at theta (d,)."""

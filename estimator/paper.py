@@ -1,15 +1,17 @@
 """Bayesian optimisation of one noisy norm: the paper's estimator, kept as published, for comparison."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import scipy  # its stats, which takes 0.3 s, is loaded when it is used
 
 from .acquisition import Acquisition, expected_improvement, lower_confidence_bound, probability_of_improvement
 from .contract import Estimate, NoEstimateError
+from .gpy_surrogate import GPyScalarPosterior, Surrogate, scalar_surrogate
+from .kernels import OwnKernel, check_kernel
 from .space import ParameterSpace, Vector
-from .surrogate import ScalarPosterior, ScalarSurrogate
+from .surrogate import ScalarPosterior
 
 _REFITS = frozenset({5, 7, 9, 12, 16, 21, 26})
 """Numbers of observations at which the hyperparameters are refitted, where that is seldom."""
@@ -29,8 +31,15 @@ class PaperSettings:
     """Number of candidates among which the acquisition is maximised."""
     refits: Literal["always", "seldom"] = "always"
     """Refits of the surrogate's hyperparameters: at every evaluation, or on a schedule."""
+    surrogate: Surrogate = "auto"
+    """The Gaussian process: `auto` is this package's code where it knows the kernel, which is Matern52, and GPy's where
+    not; `gpy` is always GPy's, and with `refits = "always"` GPy's own L-BFGS. `paper` has `gpy`."""
+    kernel: str = "Matern52"
+    """Kernel of GPy's, by name, or a sum and product of several: "Matern52 * StdPeriodic(period=0.5) + Linear"."""
 
     def __post_init__(self) -> None:
+        if self.kernel != "Matern52":
+            check_kernel(self.kernel)
         if self.noise < 0.0:
             raise ValueError(f"noise must not be negative, got {self.noise}.")
         if self.n_initial < 1 or self.n_pool < 1:
@@ -40,20 +49,34 @@ class PaperSettings:
 class PaperBO:
     """Bayesian optimisation with one GP (Matern-5/2, a lengthscale a dimension) for |residual| + noise.
 
-    The GP is refitted at every evaluation. Each episode starts without data, and recorded norms are never updated,
-    even when the plant changes meanwhile.
+    The GP is GPy's own regression, or the same in LAPACK: see `PaperSettings.surrogate`. It is refitted at every
+    evaluation. Each episode starts without data, and recorded norms are never updated, even when the plant changes
+    meanwhile.
     Khan and Chatterjee (2020), algorithm 1. Residuals are in physical units.
     """
 
     is_whitened = False
 
     def __init__(
-        self, space: ParameterSpace, start: Vector, rng: np.random.Generator, settings: PaperSettings | None = None
+        self,
+        space: ParameterSpace,
+        start: Vector,
+        rng: np.random.Generator,
+        settings: PaperSettings | None = None,
+        kernel: OwnKernel | None = None,
     ) -> None:
+        """kernel: a GPy.kern.Kern, or a function of d that makes one, in the place of the settings' kernel."""
         self._space, self._rng, self._settings = space, rng, settings or PaperSettings()
-        self._surrogate = ScalarSurrogate(len(space))
+        self._surrogate = scalar_surrogate(len(space), self._settings.surrogate, self._settings.kernel, kernel)
         self._sobol = scipy.stats.qmc.Sobol(len(space), rng=rng)
         self.restart(start)
+
+    @property
+    def model(self) -> Any:
+        """A GPy model of the norms over the unit cube; new each time, so that changing it changes nothing here."""
+        if not len(self._places):
+            raise NoEstimateError("no candidate has succeeded yet: tell the residual of one first.")
+        return self._surrogate.model(self._places, self._norms)
 
     def restart(self, start: Vector) -> None:
         """Begin an episode without data. The paper does not use the start."""
@@ -101,11 +124,10 @@ class PaperBO:
             reason="incumbent",
         )
 
-    def _posterior(self) -> ScalarPosterior:
+    def _posterior(self) -> ScalarPosterior | GPyScalarPosterior:
         """Return the GP of the recorded norms, its hyperparameters refitted always and from their start, or seldom."""
         if self._settings.refits == "always":
-            self._surrogate.forget()
-            self._surrogate.fit(self._places, self._norms, max_iterations=50)
+            self._surrogate.fit_anew(self._places, self._norms)
         elif len(self._places) in _REFITS:
             self._surrogate.fit(self._places, self._norms)
         return self._surrogate.condition(self._places, self._norms)

@@ -1,15 +1,23 @@
 """Parts of the target-vector search: pure functions of residuals and posteriors."""
 
+from typing import Protocol
+
 import numpy as np
 from scipy.linalg import get_lapack_funcs
 
-from .gaussian_process import Posterior
 from .identifiability import information
 from .space import Vector
 
 _ENOUGH = 1e-4
 """Change of the sum of squares, in variances of the noise, at which a minimisation ends."""
 (_posv,) = get_lapack_funcs(("posv",), dtype=np.float64)
+
+
+class VectorPosterior(Protocol):
+    """Mean and variance of k outputs, and the mean's slope."""
+
+    def predict(self, Q: Vector) -> tuple[Vector, Vector]: ...
+    def mean_and_jacobian(self, z: Vector) -> tuple[Vector, Vector]: ...
 
 
 def best_that_differ(residuals: Vector, n: int) -> list[int]:
@@ -46,7 +54,7 @@ def principal_components(residuals: Vector, n_outputs: int) -> Vector:
     return U[:, :k] * s[:k]
 
 
-def least_squares_of_mean(posterior: Posterior, z: Vector, n_iterations: int = 8) -> Vector:
+def least_squares_of_mean(posterior: VectorPosterior, z: Vector, n_iterations: int = 8) -> Vector:
     """Return a minimiser of |posterior mean|^2 in the unit cube, by damped Gauss-Newton steps from z (d,).
 
     Levenberg (1944), Marquardt (1963).
@@ -73,7 +81,7 @@ def least_squares_of_mean(posterior: Posterior, z: Vector, n_iterations: int = 8
     return z
 
 
-def least_change(posterior: Posterior, z: Vector, n_moved: int) -> Vector:
+def least_change(posterior: VectorPosterior, z: Vector, n_moved: int) -> Vector:
     """Return the place of least |posterior mean|^2 reached from z (d,) by moving in n_moved directions only.
 
     At each step they are the directions of largest singular values: a flat direction may turn on the way.

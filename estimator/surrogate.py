@@ -1,9 +1,10 @@
-"""Gaussian-process surrogates; the only module that imports GPy.
+"""Gaussian-process surrogates in LAPACK, for one kernel each; `gpy_surrogate` has those of GPy's other kernels.
 
 GPy owns the kernels, their priors, bounds and hyperparameters; likelihood and posterior are those of
 `gaussian_process`, and what a fit has found is written into GPy's objects when they are asked for.
 """
 
+import warnings
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
@@ -17,13 +18,14 @@ from .gaussian_process import (
     negative_log_posterior,
     squared_differences,
 )
+from .kernels import constrain
 from .space import Vector
 
 LENGTHSCALE_BOUNDS: Final = (0.2, 5.0)
 """Bounds of the lengthscales in the unit cube; shorter ones fit spurious optima of the likelihood to few points."""
 LENGTHSCALE_PRIOR: Final[tuple[Any, Any]] = (0.0, 0.7)
 """Mean and standard deviation of a lengthscale's logarithm: long, so that a few points predict far."""
-_ENOUGH: Final = 1e-4
+ENOUGH: Final = 1e-4
 """Relative gain of the likelihood below which a fit ends: candidates are chosen no better for more."""
 
 
@@ -67,13 +69,17 @@ class VectorSurrogate:
             jac=True,
             method="L-BFGS-B",
             bounds=[tuple(np.log(LENGTHSCALE_BOUNDS))] * Z.shape[1],
-            options={"maxiter": max_iterations, "ftol": _ENOUGH},
+            options={"maxiter": max_iterations, "ftol": ENOUGH},
         )
         self._lengthscales = np.exp(found.x)
 
     def condition(self, Z: Vector, Y: Vector) -> Posterior:
         """Return the posterior given Y (n, k) at Z (n, d), at the present lengthscales."""
         return Posterior(Z, Y, self._lengthscales)
+
+    def model(self, Z: Vector, Y: Vector) -> Any:
+        """Return GPy's regression of the outputs Y (n, k), each divided by the root of its q_j."""
+        return regression_of_outputs(Z, Y, self.kernel.copy(), np.sqrt(self.condition(Z, Y).variances))
 
 
 @dataclass(frozen=True)
@@ -98,9 +104,10 @@ class ScalarSurrogate:
         bounds = bounds or MaternBounds()
         self._kernel = GPy.kern.Matern52(n_dimensions, ARD=True)
         self._likelihood = GPy.likelihoods.Gaussian()
-        _constrain(self._kernel.variance, bounds.variance)
-        _constrain(self._kernel.lengthscale, bounds.lengthscale)
-        _constrain(self._likelihood.variance, bounds.noise)
+        constrain(self._kernel.variance, bounds.variance)
+        constrain(self._kernel.lengthscale, bounds.lengthscale)
+        constrain(self._likelihood.variance, bounds.noise)
+        self._noise_bounds = bounds.noise
         self._log_bounds = np.log([bounds.variance, bounds.noise, *[bounds.lengthscale] * n_dimensions])
         self.forget()
 
@@ -121,6 +128,11 @@ class ScalarSurrogate:
         """Reset the hyperparameters to GPy's start, one, or the bound nearest to it."""
         self._log_parameters = np.clip(0.0, *self._log_bounds.T)
 
+    def fit_anew(self, Z: Vector, y: Vector) -> None:
+        """Fit the hyperparameters to y (n,) at Z (n, d) from their start."""
+        self.forget()
+        self.fit(Z, y, max_iterations=50)
+
     def fit(self, Z: Vector, y: Vector, max_iterations: int = 12) -> None:
         """Refit the hyperparameters to y (n,) at Z (n, d), from where they are."""
         found = minimize(
@@ -130,13 +142,18 @@ class ScalarSurrogate:
             jac=True,
             method="L-BFGS-B",
             bounds=self._log_bounds,
-            options={"maxiter": max_iterations, "ftol": _ENOUGH},
+            options={"maxiter": max_iterations, "ftol": ENOUGH},
         )
         self._log_parameters = found.x
 
     def condition(self, Z: Vector, y: Vector) -> "ScalarPosterior":
         """Return the posterior given y (n,) at Z (n, d), at the present hyperparameters."""
         return ScalarPosterior(Z, y, self._log_parameters)
+
+    def model(self, Z: Vector, y: Vector) -> Any:
+        """Return GPy's regression of y (n,) at Z (n, d), at the present hyperparameters."""
+        noise = float(np.exp(self._log_parameters[1]))
+        return regression_of_norms(Z, y, self.kernel.copy(), noise, self._noise_bounds)
 
 
 class ScalarPosterior:
@@ -153,12 +170,27 @@ class ScalarPosterior:
         return self._mean + self._deviation * mean, self._deviation**2 * variance
 
 
-def _constrain(parameter: Any, bounds: tuple[float, float]) -> None:
-    """Constrain GPy's parameter to its bounds, or fix it where they are equal."""
-    if bounds[0] < bounds[1]:
-        parameter.constrain_bounded(*bounds, warning=False)
-    else:
-        parameter.constrain_fixed(bounds[0], warning=False)
+def regression_of_outputs(Z: Vector, Y: Vector, kernel: Any, deviations: Vector) -> Any:
+    """Return GPy's regression of Y (n, k), without noise, divided by the outputs' deviations (k,)."""
+    import GPy
+
+    tiny = np.finfo(float).tiny  # GPy's inference adds JITTER, which is NOISE
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of kernels that need not all dimensions
+        model = GPy.models.GPRegression(Z.copy(), Y / deviations, kernel, noise_var=tiny)
+    model.likelihood.variance.fix(warning=False)
+    return model
+
+
+def regression_of_norms(Z: Vector, y: Vector, kernel: Any, noise: float, noise_bounds: tuple[float, float]) -> Any:
+    """Return GPy's regression of y (n,) at Z (n, d), which GPy normalises; noise: its variance, then."""
+    import GPy
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # as above, and of equal values
+        model = GPy.models.GPRegression(Z.copy(), y[:, None].copy(), kernel, normalizer=True, noise_var=noise)
+    constrain(model.likelihood.variance, noise_bounds)
+    return model
 
 
 def _normalised(y: Vector) -> tuple[Vector, float, float]:

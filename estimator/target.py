@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy  # its stats, which takes 0.3 s, is loaded when it is used
@@ -11,11 +11,18 @@ from scipy.spatial.distance import cdist
 
 from .acquisition import log_target_vector_improvement
 from .contract import Estimate, NoEstimateError, scaled_estimate
-from .gaussian_process import Posterior
+from .gpy_surrogate import Surrogate, vector_surrogate
 from .identifiability import IDENTIFIABLE_BELOW, Information, information
-from .search import best_that_differ, least_change, least_squares_of_mean, one_at_a_time, principal_components
+from .kernels import OwnKernel, check_kernel
+from .search import (
+    VectorPosterior,
+    best_that_differ,
+    least_change,
+    least_squares_of_mean,
+    one_at_a_time,
+    principal_components,
+)
 from .space import ParameterSpace, Vector
-from .surrogate import VectorSurrogate
 
 _FAR = 50.0
 """Root mean square residual [standard deviations] above which old candidates, which lie where the optimum was, say
@@ -47,8 +54,15 @@ class TargetSettings:
     """Standard deviations by which a change in a direction must exceed zero; else that direction is held."""
     identifiable_below: float = IDENTIFIABLE_BELOW
     """A parameter counts as identifiable when its standard deviation is below this share of the scaled bounds."""
+    surrogate: Surrogate = "auto"
+    """The Gaussian processes: `auto` is this package's code where it knows the kernel, which is RBF, and GPy's where
+    not; `gpy` is always GPy's, several times slower."""
+    kernel: str = "RBF"
+    """Kernel of GPy's, by name, or a sum and product of several: "Matern52 * StdPeriodic(period=0.5) + Linear"."""
 
     def __post_init__(self) -> None:
+        if self.kernel != "RBF":
+            check_kernel(self.kernel)
         for name in ("n_outputs", "significance", "identifiable_below"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}.")
@@ -95,14 +109,20 @@ class TargetVector:
     is_whitened = True
 
     def __init__(
-        self, space: ParameterSpace, start: Vector, rng: np.random.Generator, settings: TargetSettings | None = None
+        self,
+        space: ParameterSpace,
+        start: Vector,
+        rng: np.random.Generator,
+        settings: TargetSettings | None = None,
+        kernel: OwnKernel | None = None,
     ) -> None:
+        """kernel: a GPy.kern.Kern, or a function of d that makes one, in the place of the settings' kernel."""
         self._space, self._rng, self._settings = space, rng, settings or TargetSettings()
         d = len(space)
         self._step = self._settings.initial_step / max(d, 2)
         self._n_modelled = self._settings.n_modelled or 3 * d + 2
         self._global = scipy.stats.qmc.Sobol(d, rng=rng).random(128)
-        self._surrogate = VectorSurrogate(d)
+        self._surrogate = vector_surrogate(d, self._settings.surrogate, self._settings.kernel, kernel)
         self._theta = np.empty((0, d))
         self._residuals: Vector | None = None
         self._model_now: _Model | None = None
@@ -113,6 +133,15 @@ class TargetVector:
     def candidates(self) -> Vector:
         """Stored candidates (n, d), in the parameters' units."""
         return self._theta
+
+    @property
+    def model(self) -> Any:
+        """A GPy model of the residual's principal components over the unit cube, each in signal standard deviations.
+
+        New each time, so that changing it changes nothing here.
+        """
+        model = self._model()
+        return self._surrogate.model(model.Z, model.Y)
 
     def restart(self, start: Vector) -> None:
         """Begin an episode at theta (d,): keep the first candidates, the best ones, and the GPs' lengthscales."""
@@ -296,7 +325,7 @@ class TargetVector:
         hopeful = pool[cdist(pool, Z).min(axis=1) <= cdist(pool, self._failed).min(axis=1)]
         return hopeful if len(hopeful) else pool
 
-    def _pool(self, posterior: Posterior, best: Vector) -> Vector:
+    def _pool(self, posterior: VectorPosterior, best: Vector) -> Vector:
         """Return candidates to choose from: over the whole cube, around the incumbent, around the mean's minimiser."""
         d = len(best)
         minimiser = least_squares_of_mean(posterior, best)
@@ -319,7 +348,7 @@ class _Model(NamedTuple):
     """Their residuals' principal components (n, k)."""
     costs: Vector
     """Their sums of squared residuals (n,)."""
-    posterior: Posterior
+    posterior: VectorPosterior
 
 
 class _Hold(NamedTuple):

@@ -137,6 +137,28 @@ def test_a_linear_form_calls_the_models_functions_by_name_of_the_parameters():
     assert_allclose(rows @ turned.coefficients(TRUTH[::-1]), targets, atol=5 * NOISE)
 
 
+def rows_that_want_every_states_derivative(x, u, xdot):
+    return [[x[0], u[0], xdot[1]]], [xdot[0]]
+
+
+def one_row_too_many(x, u, xdot):
+    return [[x[0], u[0], 1.0]] * 2, [xdot[0]]
+
+
+FORMS = {
+    rows_that_want_every_states_derivative: "tuple index out of range",
+    one_row_too_many: "rows \\(2, 3\\) and targets \\(1,\\) do not match",
+}
+
+
+@pytest.mark.parametrize("rows", FORMS)
+def test_a_linear_form_that_fails_says_what_xdot_holds(rows):
+    with pytest.raises(ValueError, match=FORMS[rows]) as e:
+        LinearForm(SPACE, rows, pendulum.coefficients).rows(swing(1)[0])
+    held = "x has 2 states, u 1 inputs, xdot 1 sampled derivatives, in the order of sampling.derivatives"
+    assert held in str(e.value)
+
+
 def test_a_solver_solves_once_a_macro_step_on_the_samples_so_far():
     samples, solver = swing(5), Counting()
     run(solver, samples, Budget(30, 3))

@@ -65,7 +65,8 @@ class LinearModel(Table):
     """A model written as rows psi(theta) = targets, linear in coefficients psi."""
 
     rows: str = Field(pattern=r"^[\w.]+:\w+$")
-    """`module:function`, called as f(x, u, xdot) for rows (r, p) and targets (r,)."""
+    """`module:function`, called as f(x, u, xdot) for rows (r, p) and targets (r,). xdot holds the derivatives of
+    `sampling.derivatives`, in that order, and no others; with `sampling.filter` all three are the filter's."""
     coefficients: str = Field(pattern=r"^[\w.]+:\w+$")
     """`module:function`, called as f(**parameters) for the coefficients (p,)."""
 

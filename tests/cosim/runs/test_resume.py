@@ -150,6 +150,42 @@ def test_roll_outs_filters_and_sensors_go_on_to_the_same_bits(tmp_path, settings
     assert whole.n_episodes
 
 
+GPYS = {
+    "target": {"estimation.target.kernel": '"Matern52 + Linear"', "estimation.evaluations_per_step": "3"},
+    "bo-scalar": {"estimation.bo-scalar.surrogate": '"gpy"'},
+}
+
+
+@pytest.mark.full_but("target")
+@pytest.mark.parametrize("estimator", GPYS)
+def test_kernels_of_gpys_go_on_to_the_same_bits(tmp_path, estimator):
+    scenario = Scenario.load("pendulum", EARLY_CHANGE | IN_PROCESS | GPYS[estimator])
+    assert check_resume(scenario, estimator, tmp_path, 0.15, 0.37).n_evaluations
+
+
+OWN_KERNEL = """
+import GPy
+from estimator import TargetSettings, TargetVector
+
+
+class Smooth(TargetVector):
+    Settings = TargetSettings
+
+    def __init__(self, space, start, rng, settings):
+        super().__init__(space, start, rng, settings, kernel=lambda d: GPy.kern.RBF(d, ARD=True) + GPy.kern.Bias(d))
+"""
+
+
+@pytest.mark.full
+def test_a_kernel_of_the_users_goes_on_to_the_same_bits(tmp_path, monkeypatch):
+    name = f"kernel_{tmp_path.name}"
+    (tmp_path / f"{name}.py").write_text(OWN_KERNEL)
+    monkeypatch.chdir(tmp_path)
+    scenario = Scenario.load("pendulum", EARLY_CHANGE | IN_PROCESS)
+    assert check_resume(scenario, f"{name}:Smooth", tmp_path).n_evaluations
+    sys.modules.pop(name)
+
+
 FUNCTION = """
 def residual(theta, samples):
     return [

@@ -221,6 +221,13 @@ REFUSED = [
     ("function as formula", lambda f: [*SHORT, "--set", 'changes."plant.m"=sin'], "plant.m"),
     ("unknown model", lambda f: [*SHORT, "--set", "estimation.model=nowhere:f"], "nowhere"),
     ("setting of the estimator", lambda f: [*SHORT, "--set", "estimation.paper.n_initial=-5"], "n_initial"),
+    ("unknown kernel", lambda f: [*SHORT, "--set", "estimation.target.kernel=Matern25"], "did you mean 'Matern52'"),
+    (
+        "kernel that is code",
+        lambda f: [*SHORT, "--set", 'estimation.target.kernel="exec(1)"'],
+        "names of GPy's kernels",
+    ),
+    ("kernel of one dimension", lambda f: [*SHORT, "--set", "estimation.target.kernel=Brownian"], "in 2 dimensions"),
     ("build over a file", lambda f: ["build", "--out", f / "a file"], "cannot build into"),
     ("an estimator's package", lambda f: [*SHORT, "--estimator", "nowhere:Nobody"], "cannot load 'nowhere:Nobody'"),
     ("compare nothing", lambda f: ["compare"], "SCENARIO"),

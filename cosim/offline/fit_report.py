@@ -46,7 +46,12 @@ def words(found: Estimation) -> list[str]:
 
 
 def summary(found: Estimation) -> dict[str, Any]:
-    """Return the whole result as JSON values."""
+    """Return the whole result as JSON values, with its findings in words."""
+    return numbers(found) | {"words": words(found)}
+
+
+def numbers(found: Estimation) -> dict[str, Any]:
+    """Return the whole result as JSON values, without words: nothing of the report is made."""
     fit, request = found.fit, found.request
     return {
         "fmu": str(request.fmu),
@@ -80,7 +85,6 @@ def summary(found: Estimation) -> dict[str, Any]:
         },
         "windows": [{"name": w.name, "rows": len(w.time), "rows_fitted": w.n_fit} for w in found.windows],
         "warnings": list(found.warnings),
-        "words": words(found),
         "rollouts": len(found.evaluations),
         "failures": dict(found.failures),
         "seconds": found.seconds,
@@ -88,16 +92,17 @@ def summary(found: Estimation) -> dict[str, Any]:
 
 
 def write_files(found: Estimation, folder: Path) -> None:
-    """Write estimate.json, estimates.ssv, candidates.csv, and fit.csv with measured and simulated outputs.
+    """Write estimates.ssv, estimate.json, candidates.csv, and fit.csv with measured and simulated outputs.
 
-    Raises FolderError.
+    The numbers are on disk before the report is made of them. Raises FolderError.
     """
-    write_json(folder / "estimate.json", summary(found))
     write_text(folder / ESTIMATES, estimates_ssv(found))
+    write_json(folder / "estimate.json", numbers(found))
     theta = np.array([candidate for candidate, _, _ in found.evaluations])
     costs = [cost for _, cost, _ in found.evaluations]
     write_csv(folder / "candidates.csv", dict(zip(found.space.names, theta.T, strict=True)) | {"sum_of_squares": costs})
     write_csv(folder / "fit.csv", _series(found))
+    write_json(folder / "estimate.json", summary(found))
 
 
 def estimates_ssv(found: Estimation) -> str:

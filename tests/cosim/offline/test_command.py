@@ -54,6 +54,22 @@ def test_what_it_prints_and_writes(command, oracles, capsys, tmp_path):
     assert matplotlib.image.imread(folder / "fit.png").std() > 0.05
 
 
+def test_the_fit_is_on_disk_before_the_report_is_made(command, monkeypatch, tmp_path):
+    """Whatever the report stumbles over, hours of roll-outs are not lost."""
+
+    def stumbles(*_):
+        raise ValueError("not enough values to unpack")
+
+    monkeypatch.setattr("cosim.offline.fit_report.findings", stumbles)
+    assert command(*SOUGHT, *ROLES, "--evaluations", "10") == 1
+    folder = tmp_path / "work" / "runs" / "Plant-estimate-1"
+    numbers = json.loads((folder / "estimate.json").read_text())["parameters"]
+    assert {p.name: p.value for p in read_ssv(folder / "estimates.ssv").values} == {
+        name: p["value"] for name, p in numbers.items()
+    }
+    assert {"candidates.csv", "fit.csv"} <= {p.name for p in folder.iterdir()}
+
+
 def test_json_is_one_object(command, capsys):
     assert command(*SOUGHT, *ROLES, "--evaluations", "20", "--json") == 0
     assert json.loads(capsys.readouterr().out)["parameters"].keys() == {"m", "c", "k"}

@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator import Parameter, ParameterSpace, Vector
-from estimator.offline import OFFLINE, FitProgress, NoFitError, OfflineFit, fit
+from estimator.evaluated import FitProgress
+from estimator.offline import OFFLINE, NoFitError, OfflineFit, fit
 from estimator.space import Scale
 
 from ..errors import CosimError, WiringError

@@ -15,6 +15,8 @@ from ..ssv.document import ParameterValue, to_ssv
 from ..text_table import aligned, counted, with_std
 from .estimate import Estimation
 
+_ROUGH: Final = 0.5
+"""Noise of the FMU's solver, in standard deviations of the noise, from which it is reported."""
 _CORRELATED: Final = 0.3
 """Autocorrelation of the residuals above which it is reported."""
 
@@ -69,6 +71,7 @@ def numbers(found: Estimation) -> dict[str, Any]:
             )
         },
         "misfit": fit.misfit,
+        "solver_noise": fit.solver_noise,
         "autocorrelation": fit.autocorrelation,
         "singular_values": fit.information.singular_values.tolist(),
         "directions": fit.information.directions.tolist(),
@@ -154,6 +157,11 @@ def _of_fit(found: Estimation) -> list[str]:
             f"The residuals are {fit.misfit:.3g} times the noise: something is missing from the model, the search has "
             "not found the best fit (--evaluations, --method multi-start), or a start value is wrong (--start)."
         ]
+    if fit.solver_noise > _ROUGH:
+        sentences.append(
+            f"Between parameters that are all but equal the FMU's results scatter by {fit.solver_noise:.2g} times the "
+            "noise, by its own solver: give it a smaller tolerance, if it has one."
+        )
     if fit.autocorrelation > _CORRELATED:
         sentences.append(
             f"The residuals are correlated from row to row ({fit.autocorrelation:.2f}): they are more than "

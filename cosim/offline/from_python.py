@@ -6,7 +6,7 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from estimator.offline import FitProgress
+from estimator.evaluated import FitProgress
 from estimator.space import Scale
 
 from ..runs.lock import new_locked_folder

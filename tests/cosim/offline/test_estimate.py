@@ -2,9 +2,11 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from pythonfmu import FmuBuilder
 from scipy.integrate import solve_ivp
 
 import cosim
@@ -208,6 +210,26 @@ def test_what_only_ratios_are_seen_of_is_said_to_trade_off(ask, oracles):
     assert any("trade off" in word and "m" in word and "k" in word for word in words(found))
     m, _, k = found.fit.theta
     assert k / m == pytest.approx(oracles.TRUTH.k / oracles.TRUTH.m, rel=1e-2)
+
+
+@pytest.mark.full
+def test_an_fmu_with_an_adaptive_solver_is_not_believed_what_it_cannot_show(made_once, oracles, tmp_path):
+    """Only c/m and k/m are seen; before, each of m, c and k was called identifiable."""
+    slave = Path(__file__).with_name("rk45_slave.py")
+    fmu = made_once(lambda folder: FmuBuilder.build_FMU(slave, dest=folder), slave) / "AdaptivePlant.fmu"
+    t = np.arange(401) / 50.0
+    x, _ = oracles.response(t, oracles.TRUTH.k * np.where(t % 1.3 < 0.6 - 1e-9, 0.3, -0.2))
+    columns = {"t": t, "x": x + 2e-3 * np.random.default_rng(0).standard_normal(len(t))}
+    log = oracles.write_log(tmp_path / "log.csv", columns)
+    for seed in range(3):
+        request = Request(
+            fmu, (log,), (MASS, DAMPER, SPRING), {"x": "x"}, evaluations=30, seed=seed, holdout=0.0, jobs=2
+        )
+        found = estimate(request)
+        assert not any(found.fit.is_identifiable)
+        assert any(word.startswith("m, c and k trade off") for word in words(found))
+        m, _, k = found.fit.theta
+        assert k / m == pytest.approx(oracles.TRUTH.k / oracles.TRUTH.m, rel=1e-2)
 
 
 def test_a_parameter_that_nothing_depends_on_stays_and_is_named(ask, oracles):

@@ -3,6 +3,7 @@
 Returns the standard deviation of each parameter there too. Independent of logs and FMUs.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -10,6 +11,7 @@ import numpy as np
 import scipy  # its stats, which takes 0.3 s, is loaded when it is used
 
 from .contract import AskTell
+from .correlated_residuals import information_of_correlated
 from .descent import Descent
 from .evaluated import CubeResidual, FitProgress, Residual
 from .identifiability import IDENTIFIABLE_BELOW, Information
@@ -33,15 +35,22 @@ class OfflineFit:
     theta: Vector
     """Values (d,), in each parameter's unit."""
     std: Vector
-    """Standard deviations (d,), s^2 (J^T J)^-1; as wide as the bounds where the data say nothing."""
+    """Standard deviations (d,), with the residuals' size and their correlation from row to row; as wide as the bounds
+    where the data say nothing."""
+    white_std: Vector
+    """Standard deviations (d,) if the residuals were white, s^2 (J^T J)^-1."""
     misfit: float
     """s: root mean square residual, D - d degrees of freedom, in standard deviations of the noise."""
     autocorrelation: float
     """Correlation of the residuals from one row to the next."""
     information: Information
-    """Sensitivity in the unit cube, in standard deviations of the misfit."""
+    """Sensitivity in the unit cube, in standard deviations of the misfit, its correlation included."""
     place: Vector
     """Place of theta in the unit cube (d,)."""
+    residual: Vector
+    """Residuals (D,) at theta."""
+    jacobian: Vector
+    """Their slopes (D, d) in the unit cube."""
     solver_noise: float
     """Noise of the simulation's own solver: root mean square over the rows, in standard deviations of the noise."""
 
@@ -51,13 +60,9 @@ class OfflineFit:
         return tuple(bool(s <= IDENTIFIABLE_BELOW) for s in self.information.std())
 
     @property
-    def inflation(self) -> float:
-        """Factor by which correlated residuals widen the standard deviations, sqrt((1 + a)/(1 - a)).
-
-        For a first-order process: Bartlett (1946).
-        """
-        a = min(max(self.autocorrelation, 0.0), 0.999)
-        return float(np.sqrt((1.0 + a) / (1.0 - a)))
+    def inflation(self) -> Vector:
+        """Factors (d,) by which correlated residuals widen the standard deviations."""
+        return self.std / self.white_std
 
 
 def fit(
@@ -68,6 +73,7 @@ def fit(
     n_evaluations: int = 60,
     rng: np.random.Generator | None = None,
     progress: FitProgress = lambda n, cost: None,
+    series: Sequence[int] = (),
 ) -> OfflineFit:
     """Return the parameters that explain the data best.
 
@@ -76,6 +82,7 @@ def fit(
     Gauss-Newton steps with central differences above the noise of the solver, not counted in n_evaluations, lead to
     the minimum. Directions that the data do not determine go back to nominal (d,) where that costs less than a
     standard deviation.
+    series: numbers of residuals that follow one another in time, D together; none: all do.
     Raises NoFitError where none of the places spread over the bounds can be evaluated.
     """
     rng = rng or np.random.default_rng(0)
@@ -93,15 +100,19 @@ def fit(
         raise NoFitError
     descent = Descent(seen, seen.best)
     descent.hold(space.to_unit(nominal))
-    place, seen_by_data = descent.place, descent.information
+    place, lengths = descent.place, series or [len(descent.place.r)]
+    seen_by_data = information_of_correlated(descent.jacobian, place.r, place.misfit, lengths)
     theta = space.from_unit(place.z)
     return OfflineFit(
         theta=theta,
         std=seen_by_data.std() * space.slope(theta),
+        white_std=descent.information.std() * space.slope(theta),
         misfit=place.misfit,
         autocorrelation=float(place.r[1:] @ place.r[:-1]) / place.cost if place.cost else 0.0,
         information=seen_by_data,
         place=place.z,
+        residual=place.r,
+        jacobian=descent.jacobian,
         solver_noise=descent.noise / np.sqrt(len(place.r)),
     )
 

@@ -14,6 +14,7 @@ from ..runs.series import write_csv
 from ..ssv.document import ParameterValue, to_ssv
 from ..text_table import aligned, counted, with_std
 from .estimate import Estimation
+from .misfit_over_log import misfit_over_log, worst_part
 
 _ROUGH: Final = 0.5
 """Noise of the FMU's solver, in standard deviations of the noise, from which it is reported."""
@@ -63,11 +64,13 @@ def numbers(found: Estimation) -> dict[str, Any]:
         "seed": request.seed,
         "parameters": {
             p.name: {
-                "unit": p.unit, "value": float(value), "std": float(std), "is_identifiable": is_identifiable,
+                "unit": p.unit, "value": float(value), "std": float(std), "white_std": float(white_std),
+                "is_identifiable": is_identifiable,
                 "before": float(before), "lower": p.lower, "upper": p.upper, "scale": p.scale,
             }
-            for p, value, std, is_identifiable, before in zip(
-                found.space, fit.theta, fit.std, fit.is_identifiable, found.nominal, strict=True
+            | _profile_of(found, p.name)
+            for p, value, std, white_std, is_identifiable, before in zip(
+                found.space, fit.theta, fit.std, fit.white_std, found.is_identifiable, found.nominal, strict=True
             )
         },
         "misfit": fit.misfit,
@@ -86,12 +89,22 @@ def numbers(found: Estimation) -> dict[str, Any]:
             }
             for i, name in enumerate(request.measured)
         },
+        "misfit_over_log": [part._asdict() for part in misfit_over_log(found)],
         "windows": [{"name": w.name, "rows": len(w.time), "rows_fitted": w.n_fit} for w in found.windows],
         "warnings": list(found.warnings),
         "rollouts": len(found.evaluations),
         "failures": dict(found.failures),
         "seconds": found.seconds,
     }  # fmt: skip
+
+
+def _profile_of(found: Estimation, name: str) -> dict[str, Any]:
+    """Return the profile of a parameter as JSON values; empty where none was made."""
+    if not found.profiles:
+        return {}
+    p = found.profiles[found.space.names.index(name)]
+    ends = {"lower": p.lower, "upper": p.upper, "is_flat": p.is_flat}
+    return {"profile": ends | {"values": p.values.tolist(), "rise": p.rise.tolist()}}
 
 
 def write_files(found: Estimation, folder: Path) -> None:
@@ -164,10 +177,11 @@ def _of_fit(found: Estimation) -> list[str]:
         )
     if fit.autocorrelation > _CORRELATED:
         sentences.append(
-            f"The residuals are correlated from row to row ({fit.autocorrelation:.2f}): they are more than "
-            "noise, and the standard deviations, which assume white noise, are too small by a factor of about "
-            f"{fit.inflation:.1f}."
+            f"The residuals are correlated from row to row ({fit.autocorrelation:.2f}): they are more than noise. "
+            f"± includes it: it is up to {fit.inflation.max():.2g} times what white noise would give."
         )
+    if told := worst_part(found):
+        sentences.append(told)
     inside, outside = (found.rms(found.after, is_held_out) for is_held_out in (False, True))
     for name, fitted, held_out in zip(found.request.measured, inside, outside, strict=True):
         if held_out > 2.0 * fitted:
@@ -186,7 +200,21 @@ def _of_fit(found: Estimation) -> list[str]:
 
 def _of_identifiability(found: Estimation) -> list[str]:
     fit, space = found.fit, found.space
-    sentences = findings(fit.information, space, fit.theta)
-    if all(fit.is_identifiable):
+    sentences = [*findings(fit.information, space, fit.theta), *_of_profiles(found)]
+    if all(found.is_identifiable):
         sentences.append("Each parameter is identifiable." if len(space) > 1 else "The parameter is identifiable.")
+    return sentences
+
+
+def _of_profiles(found: Estimation) -> list[str]:
+    """Return a sentence for each profile: its 95 % interval, or the side to which it is open."""
+    sentences: list[str] = []
+    for p, one in zip(found.space, found.profiles, strict=False):
+        if one.is_flat:
+            sentences.append(f"{p.name} is not identifiable: its profile is flat, the others make up for any value.")
+        elif one.lower is None or one.upper is None:
+            ends = [text for text, end in (("below", one.lower), ("above", one.upper)) if end is None]
+            sentences.append(f"{p.name} is not identifiable: its profile is open {' and '.join(ends)}.")
+        else:
+            sentences.append(f"95 % of {p.name} by its profile: {one.lower:.6g} to {one.upper:.6g}.")
     return sentences

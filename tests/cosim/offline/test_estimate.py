@@ -14,6 +14,7 @@ from cosim.errors import WiringError
 from cosim.offline.estimate import EstimateError, FailedError, Request, Sought, estimate
 from cosim.offline.fit_report import report, words
 from cosim.offline.logs import LogError
+from cosim.offline.misfit_over_log import misfit_over_log
 from cosim.system.fmu_cache import find_fmu
 
 pytestmark = pytest.mark.fmu
@@ -258,6 +259,24 @@ def test_a_wrong_start_value_shows_in_the_words(ask, oracles):
     told = " ".join(words(found))
     assert "times the noise: something is missing from the model" in told
     assert "correlated from row to row" in told
+
+
+def test_the_part_of_the_log_that_the_model_fails_in_is_told(ask, oracles):
+    """A blow that nobody recorded, at 4 s: its end is known in closed form, that of a free swing."""
+    columns = oracles.measure(0)
+    late = columns["time [s]"] >= 4.0
+    x, v = oracles.response(columns["time [s]"][late], np.zeros(np.count_nonzero(late)), start=(0.0, 0.2))
+    columns["x [m]"][late] += x
+    columns["v [m/s]"][late] += v
+    truth = vars(oracles.TRUTH)
+    close = tuple(Sought(name, 0.9995 * truth[name], 1.0005 * truth[name]) for name in ("m", "c", "k"))
+    found = estimate(ask(columns, parameters=close, holdout=0.0, evaluations=12))
+    parts = [part for part in misfit_over_log(found) if part.output == "v"]
+    assert len(parts) == 10
+    assert all(part.misfit < 3.0 for part in parts[:5])
+    worst = max(parts, key=lambda part: part.misfit)
+    assert worst.begin == pytest.approx(4.0)
+    assert any(word.startswith("The model fails most from 4 to 4.8 s: the residuals of v") for word in words(found))
 
 
 def test_a_bound_that_is_met_is_named(ask, oracles):

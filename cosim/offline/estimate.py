@@ -19,6 +19,7 @@ from ..errors import CosimError, WiringError
 from ..fmi.component import Component, read_component
 from ..fmi.ports import Catalogue
 from ..fmi.types import is_real
+from .finer_step import FinerStep, finer_step
 from .log_windows import Cut, LogColumns, LogWindow, windows_of
 from .logs import LogError, read_log
 from .rollout import RolloutResidual, Rollouts, SimulatedPlant, noise_of
@@ -132,6 +133,8 @@ class Estimation:
     """Candidates in order: theta, sum of squares and, where it failed, the reason."""
     seconds: float
     """Wall time [s]."""
+    finer: FinerStep | None = None
+    """Change of the estimates by half the communication step; None where it cannot be told."""
     profiles: tuple[Profile, ...] = ()
     """Profile likelihood of each parameter; empty where none was asked for."""
 
@@ -228,6 +231,7 @@ def estimate(request: Request, progress: FitProgress = lambda n, cost: None) -> 
         tuple(warnings),
         tuple(residual.evaluations),
         perf_counter() - began,
+        finer_step(_plant(request), component, windows, space, noise, found),
     )
 
 

@@ -1,5 +1,6 @@
 """Report of an estimation from logs: in words for the terminal, and as files."""
 
+from dataclasses import asdict
 from math import isfinite
 from pathlib import Path
 from typing import Any, Final
@@ -18,6 +19,8 @@ from .misfit_over_log import misfit_over_log, worst_part
 
 _ROUGH: Final = 0.5
 """Noise of the FMU's solver, in standard deviations of the noise, from which it is reported."""
+_BIASED: Final = 0.5
+"""Change of an estimate by a finer step, in standard deviations, from which it is reported."""
 _CORRELATED: Final = 0.3
 """Autocorrelation of the residuals above which it is reported."""
 
@@ -89,6 +92,7 @@ def numbers(found: Estimation) -> dict[str, Any]:
             }
             for i, name in enumerate(request.measured)
         },
+        "finer_step": asdict(found.finer) if found.finer else None,
         "misfit_over_log": [part._asdict() for part in misfit_over_log(found)],
         "windows": [{"name": w.name, "rows": len(w.time), "rows_fitted": w.n_fit} for w in found.windows],
         "warnings": list(found.warnings),
@@ -180,6 +184,7 @@ def _of_fit(found: Estimation) -> list[str]:
             f"The residuals are correlated from row to row ({fit.autocorrelation:.2f}): they are more than noise. "
             f"± includes it: it is up to {fit.inflation.max():.2g} times what white noise would give."
         )
+    sentences += _of_step(found)
     if told := worst_part(found):
         sentences.append(told)
     inside, outside = (found.rms(found.after, is_held_out) for is_held_out in (False, True))
@@ -196,6 +201,21 @@ def _of_fit(found: Estimation) -> list[str]:
             f"{n} of {len(found.evaluations)} roll-outs failed and count as bad candidates; one reason: {reason}."
         )
     return sentences
+
+
+def _of_step(found: Estimation) -> list[str]:
+    """Return a sentence on the bias by the FMU's own solver, if half the step shows one."""
+    if found.finer is None:
+        return []
+    shares = {name: change / found.std[name] for name, change in found.finer.change.items() if found.std[name] > 0.0}
+    name = max(shares, key=lambda name: abs(shares[name]))
+    if abs(shares[name]) < _BIASED:
+        return []
+    return [
+        f"At half the communication step, {found.finer.step:.4g} s, {name} would change by "
+        f"{found.finer.change[name]:+.2g} ({abs(shares[name]):.2g} standard deviations): the FMU's own solver is too "
+        f"coarse; try a finer step, --step {found.finer.step:.4g}."
+    ]
 
 
 def _of_identifiability(found: Estimation) -> list[str]:

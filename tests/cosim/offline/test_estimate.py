@@ -261,6 +261,24 @@ def test_a_wrong_start_value_shows_in_the_words(ask, oracles):
     assert "correlated from row to row" in told
 
 
+def test_the_bias_of_an_fmu_s_coarse_solver_is_told(made_once, ask, oracles):
+    """Explicit Euler steps h take k h from the damping of a weakly damped swing; c makes up for it."""
+    slave = Path(__file__).with_name("euler_slave.py")
+    fmu = made_once(lambda folder: FmuBuilder.build_FMU(slave, dest=folder), slave) / "EulerPlant.fmu"
+    found = estimate(ask(oracles.measure(0, end=4.0), fmu=fmu, parameters=(DAMPER, SPRING), evaluations=20))
+    bias = oracles.TRUTH.k * 0.01
+    assert found.estimates["c"] - oracles.TRUTH.c == pytest.approx(bias, rel=0.2)
+    assert found.finer.step == pytest.approx(0.005)
+    assert found.finer.change["c"] == pytest.approx(-bias / 2.0, rel=0.2)
+    assert any("too coarse; try a finer step, --step 0.005" in word for word in words(found))
+
+
+def test_of_a_fine_solver_no_bias_is_told(ask, oracles):
+    found = estimate(ask(oracles.measure(0), evaluations=20))
+    assert all(abs(change) < 0.1 * found.std[name] for name, change in found.finer.change.items())
+    assert not any("finer step" in word for word in words(found))
+
+
 def test_the_part_of_the_log_that_the_model_fails_in_is_told(ask, oracles):
     """A blow that nobody recorded, at 4 s: its end is known in closed form, that of a free swing."""
     columns = oracles.measure(0)

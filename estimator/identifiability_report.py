@@ -10,7 +10,7 @@ from .identifiability import IDENTIFIABLE_BELOW, Information
 from .space import Parameter, ParameterSpace, Vector
 
 _PART: Final = 0.3
-"""Component of a unit direction above which a parameter counts as part of it."""
+"""Component of a direction, as a share of its largest, above which a parameter counts as part of it."""
 _SAME: Final = 1.1
 """Factor within which two exponents count as equal."""
 _MOVE: Final = 0.01
@@ -63,7 +63,8 @@ def _sparse(directions: Vector) -> list[Vector]:
 
 
 def _parts(direction: Vector) -> list[int]:
-    return np.flatnonzero(np.abs(direction) > _PART).tolist()
+    """Return the parameters that a direction is made of, at least one however many share it."""
+    return np.flatnonzero(np.abs(direction) > _PART * np.abs(direction).max()).tolist()
 
 
 def _together(directions: Sequence[Vector]) -> list[list[Vector]]:

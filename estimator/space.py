@@ -71,11 +71,11 @@ class ParameterSpace:
 
     @cached_property
     def _lower(self) -> Vector:
-        return np.array([p.lower for p in self.parameters])
+        return np.array([p.lower for p in self.parameters], dtype=float)
 
     @cached_property
     def _upper(self) -> Vector:
-        return np.array([p.upper for p in self.parameters])
+        return np.array([p.upper for p in self.parameters], dtype=float)
 
     @cached_property
     def _origin(self) -> Vector:

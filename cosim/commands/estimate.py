@@ -2,12 +2,14 @@
 
 import argparse
 import sys
+from pathlib import Path
 
 from ..files import to_json, write_text
-from ..offline.estimate import FailedError, estimate
+from ..offline.estimate import Estimation, FailedError, estimate, with_profiles
 from ..offline.estimate_options import request_of
 from ..offline.fit_plot import draw_fit
 from ..offline.fit_report import estimates_ssv, report, summary, write_files
+from ..offline.profile_plot import draw_profiles
 from ..runs.record import recording
 from ..terminal.exit_codes import DONE, INTERRUPTED, UNFINISHED
 from ..terminal.folders import must_be_new, new_folder
@@ -26,6 +28,7 @@ def command(options: argparse.Namespace) -> int:
     def state(n: int, cost: float) -> tuple[int, int, str]:
         return n, max(request.evaluations, n), f"sum of squares {cost:.4g}"
 
+    there = "there is no estimate yet"
     try:
         with new_folder(f"{request.fmu.stem}-estimate", options.out) as folder:
             with progress_bar(request.fmu.stem, "{n_fmt} of {total_fmt} candidates", state) as progress:
@@ -33,14 +36,28 @@ def command(options: argparse.Namespace) -> int:
             with recording(folder):
                 write_files(found, folder)
                 draw_fit(found, folder / "fit.png")
+            there = f"the estimate, without profiles, is in {folder}"
+            if options.profile:
+                found = _profiled(found, folder)
     except FailedError as e:
         print(f"retune: {e}", file=sys.stderr)
         return UNFINISHED
     except KeyboardInterrupt:
-        print("retune: interrupted; there is no estimate yet", file=sys.stderr)
+        print(f"retune: interrupted; {there}", file=sys.stderr)
         return INTERRUPTED
     if options.ssv:
         with recording(options.ssv.parent):
             write_text(options.ssv, estimates_ssv(found))
     print(to_json(summary(found)) if options.json else f"{report(found)}\n\nwritten to {folder}")
     return DONE
+
+
+def _profiled(found: Estimation, folder: Path) -> Estimation:
+    """Return the estimation with its profiles, which are written too. Raises UnfinishedError."""
+    n = len(found.space)
+    with progress_bar(found.request.fmu.stem, "{n_fmt} of {total_fmt} profiles", lambda k: (k, n, "")) as progress:
+        found = with_profiles(found, progress)
+    with recording(folder):
+        write_files(found, folder)
+        draw_profiles(found, folder / "profiles.png")
+    return found

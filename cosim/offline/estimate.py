@@ -1,8 +1,8 @@
 """Offline estimation: parameters of a plant FMU from logs of measurements."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
 from typing import NamedTuple
@@ -10,13 +10,16 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator import Parameter, ParameterSpace, Vector
-from estimator.offline import OFFLINE, FitProgress, NoFitError, OfflineFit, fit
+from estimator.evaluated import FitProgress
+from estimator.offline import OFFLINE, NoFitError, OfflineFit, fit
+from estimator.profile_likelihood import Profile, profile
 from estimator.space import Scale
 
 from ..errors import CosimError, WiringError
 from ..fmi.component import Component, read_component
 from ..fmi.ports import Catalogue
 from ..fmi.types import is_real
+from .finer_step import FinerStep, finer_step
 from .log_windows import Cut, LogColumns, LogWindow, windows_of
 from .logs import LogError, read_log
 from .rollout import RolloutResidual, Rollouts, SimulatedPlant, noise_of
@@ -130,6 +133,15 @@ class Estimation:
     """Candidates in order: theta, sum of squares and, where it failed, the reason."""
     seconds: float
     """Wall time [s]."""
+    finer: FinerStep | None = None
+    """Change of the estimates by half the communication step; None where it cannot be told."""
+    profiles: tuple[Profile, ...] = ()
+    """Profile likelihood of each parameter; empty where none was asked for."""
+
+    @property
+    def is_identifiable(self) -> tuple[bool, ...]:
+        """True where the data determine the parameter (d,): by its profile, if there is one."""
+        return tuple(p.is_identifiable for p in self.profiles) or self.fit.is_identifiable
 
     def __repr__(self) -> str:
         """Return one line with the estimates: the series would fill pages."""
@@ -193,16 +205,7 @@ def estimate(request: Request, progress: FitProgress = lambda n, cost: None) -> 
     """
     began = perf_counter()
     component, space, nominal, windows, noise, warnings = understand(request)
-    plant = SimulatedPlant(
-        request.fmu,
-        tuple(request.inputs),
-        tuple(request.measured),
-        request.constants,
-        request.step,
-        request.timeout,
-        request.environment,
-    )
-    with Rollouts(plant, component, windows, request.jobs) as rollouts:
+    with Rollouts(_plant(request), component, windows, request.jobs) as rollouts:
         residual = RolloutResidual(rollouts, space, windows, noise)
         if residual.n_residuals <= len(space):
             raise EstimateError(
@@ -210,7 +213,7 @@ def estimate(request: Request, progress: FitProgress = lambda n, cost: None) -> 
             )
         rng = np.random.default_rng(request.seed)
         try:
-            found = fit(residual, space, nominal, request.method, request.evaluations, rng, progress)
+            found = fit(residual, space, nominal, request.method, request.evaluations, rng, progress, residual.series)
         except NoFitError as e:
             raise FailedError(f"every roll-out failed, the first so: {residual.evaluations[0][2]}.") from e
         named = [space.named(nominal), space.named(found.theta)]
@@ -228,6 +231,33 @@ def estimate(request: Request, progress: FitProgress = lambda n, cost: None) -> 
         tuple(warnings),
         tuple(residual.evaluations),
         perf_counter() - began,
+        finer_step(_plant(request), component, windows, space, noise, found),
+    )
+
+
+def with_profiles(found: Estimation, progress: Callable[[int], None] = lambda n: None) -> Estimation:
+    """Return the estimation with the profile likelihood of each parameter, by further roll-outs.
+
+    progress: called with the number of parameters done.
+    """
+    request, profiles = found.request, list[Profile]()
+    with Rollouts(_plant(request), found.component, found.windows, request.jobs) as rollouts:
+        residual = RolloutResidual(rollouts, found.space, found.windows, found.noise)
+        for j in range(len(found.space)):
+            progress(j)
+            profiles.append(profile(residual, found.space, found.fit, j))
+    return replace(found, profiles=tuple(profiles))
+
+
+def _plant(request: Request) -> SimulatedPlant:
+    return SimulatedPlant(
+        request.fmu,
+        tuple(request.inputs),
+        tuple(request.measured),
+        request.constants,
+        request.step,
+        request.timeout,
+        request.environment,
     )
 
 

@@ -51,6 +51,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--method", default="target", help="target (default), least-squares or multi-start")
     add("--evaluations", type=_count, metavar="N",
         help="candidates to simulate in the search (default: 60), or, --online, in an episode (30)")  # fmt: skip
+    add("--profile", action="store_true", help="profile likelihoods decide what is identifiable; takes more roll-outs")
     add("--online", action="store_true",
         help="sample by sample, as if the loop ran: when it triggers, what it writes")  # fmt: skip
     add("--samples", type=_count, metavar="N", help="with --online: samples a candidate is judged on (default: 50)")
@@ -70,6 +71,8 @@ def request_of(options: argparse.Namespace) -> "Request":
 
     if options.samples is not None and not (options.online and options.samples):
         raise EstimateError("--samples must be 1 or more, and goes with --online.")
+    if options.profile and options.online:
+        raise EstimateError("--profile is of a fit to the whole log, not --online.")
     evaluations = options.evaluations if options.evaluations is not None else 30 if options.online else 60
     return Request(
         fmu=options.fmu,

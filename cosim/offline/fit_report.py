@@ -1,5 +1,6 @@
 """Report of an estimation from logs: in words for the terminal, and as files."""
 
+from dataclasses import asdict
 from math import isfinite
 from pathlib import Path
 from typing import Any, Final
@@ -14,7 +15,12 @@ from ..runs.series import write_csv
 from ..ssv.document import ParameterValue, to_ssv
 from ..text_table import aligned, counted, with_std
 from .estimate import Estimation
+from .misfit_over_log import misfit_over_log, worst_part
 
+_ROUGH: Final = 0.5
+"""Noise of the FMU's solver, in standard deviations of the noise, from which it is reported."""
+_BIASED: Final = 0.5
+"""Change of an estimate by a finer step, in standard deviations, from which it is reported."""
 _CORRELATED: Final = 0.3
 """Autocorrelation of the residuals above which it is reported."""
 
@@ -46,7 +52,12 @@ def words(found: Estimation) -> list[str]:
 
 
 def summary(found: Estimation) -> dict[str, Any]:
-    """Return the whole result as JSON values."""
+    """Return the whole result as JSON values, with its findings in words."""
+    return numbers(found) | {"words": words(found)}
+
+
+def numbers(found: Estimation) -> dict[str, Any]:
+    """Return the whole result as JSON values, without words: nothing of the report is made."""
     fit, request = found.fit, found.request
     return {
         "fmu": str(request.fmu),
@@ -56,14 +67,17 @@ def summary(found: Estimation) -> dict[str, Any]:
         "seed": request.seed,
         "parameters": {
             p.name: {
-                "unit": p.unit, "value": float(value), "std": float(std), "is_identifiable": is_identifiable,
+                "unit": p.unit, "value": float(value), "std": float(std), "white_std": float(white_std),
+                "is_identifiable": is_identifiable,
                 "before": float(before), "lower": p.lower, "upper": p.upper, "scale": p.scale,
             }
-            for p, value, std, is_identifiable, before in zip(
-                found.space, fit.theta, fit.std, fit.is_identifiable, found.nominal, strict=True
+            | _profile_of(found, p.name)
+            for p, value, std, white_std, is_identifiable, before in zip(
+                found.space, fit.theta, fit.std, fit.white_std, found.is_identifiable, found.nominal, strict=True
             )
         },
         "misfit": fit.misfit,
+        "solver_noise": fit.solver_noise,
         "autocorrelation": fit.autocorrelation,
         "singular_values": fit.information.singular_values.tolist(),
         "directions": fit.information.directions.tolist(),
@@ -78,26 +92,37 @@ def summary(found: Estimation) -> dict[str, Any]:
             }
             for i, name in enumerate(request.measured)
         },
+        "finer_step": asdict(found.finer) if found.finer else None,
+        "misfit_over_log": [part._asdict() for part in misfit_over_log(found)],
         "windows": [{"name": w.name, "rows": len(w.time), "rows_fitted": w.n_fit} for w in found.windows],
         "warnings": list(found.warnings),
-        "words": words(found),
         "rollouts": len(found.evaluations),
         "failures": dict(found.failures),
         "seconds": found.seconds,
     }  # fmt: skip
 
 
-def write_files(found: Estimation, folder: Path) -> None:
-    """Write estimate.json, estimates.ssv, candidates.csv, and fit.csv with measured and simulated outputs.
+def _profile_of(found: Estimation, name: str) -> dict[str, Any]:
+    """Return the profile of a parameter as JSON values; empty where none was made."""
+    if not found.profiles:
+        return {}
+    p = found.profiles[found.space.names.index(name)]
+    ends = {"lower": p.lower, "upper": p.upper, "is_flat": p.is_flat}
+    return {"profile": ends | {"values": p.values.tolist(), "rise": p.rise.tolist()}}
 
-    Raises FolderError.
+
+def write_files(found: Estimation, folder: Path) -> None:
+    """Write estimates.ssv, estimate.json, candidates.csv, and fit.csv with measured and simulated outputs.
+
+    The numbers are on disk before the report is made of them. Raises FolderError.
     """
-    write_json(folder / "estimate.json", summary(found))
     write_text(folder / ESTIMATES, estimates_ssv(found))
+    write_json(folder / "estimate.json", numbers(found))
     theta = np.array([candidate for candidate, _, _ in found.evaluations])
     costs = [cost for _, cost, _ in found.evaluations]
     write_csv(folder / "candidates.csv", dict(zip(found.space.names, theta.T, strict=True)) | {"sum_of_squares": costs})
     write_csv(folder / "fit.csv", _series(found))
+    write_json(folder / "estimate.json", summary(found))
 
 
 def estimates_ssv(found: Estimation) -> str:
@@ -149,12 +174,19 @@ def _of_fit(found: Estimation) -> list[str]:
             f"The residuals are {fit.misfit:.3g} times the noise: something is missing from the model, the search has "
             "not found the best fit (--evaluations, --method multi-start), or a start value is wrong (--start)."
         ]
+    if fit.solver_noise > _ROUGH:
+        sentences.append(
+            f"Between parameters that are all but equal the FMU's results scatter by {fit.solver_noise:.2g} times the "
+            "noise, by its own solver: give it a smaller tolerance, if it has one."
+        )
     if fit.autocorrelation > _CORRELATED:
         sentences.append(
-            f"The residuals are correlated from row to row ({fit.autocorrelation:.2f}): they are more than "
-            "noise, and the standard deviations, which assume white noise, are too small by a factor of about "
-            f"{fit.inflation:.1f}."
+            f"The residuals are correlated from row to row ({fit.autocorrelation:.2f}): they are more than noise. "
+            f"± includes it: it is up to {fit.inflation.max():.2g} times what white noise would give."
         )
+    sentences += _of_step(found)
+    if told := worst_part(found):
+        sentences.append(told)
     inside, outside = (found.rms(found.after, is_held_out) for is_held_out in (False, True))
     for name, fitted, held_out in zip(found.request.measured, inside, outside, strict=True):
         if held_out > 2.0 * fitted:
@@ -171,9 +203,38 @@ def _of_fit(found: Estimation) -> list[str]:
     return sentences
 
 
+def _of_step(found: Estimation) -> list[str]:
+    """Return a sentence on the bias by the FMU's own solver, if half the step shows one."""
+    if found.finer is None:
+        return []
+    shares = {name: change / found.std[name] for name, change in found.finer.change.items() if found.std[name] > 0.0}
+    name = max(shares, key=lambda name: abs(shares[name]))
+    if abs(shares[name]) < _BIASED:
+        return []
+    return [
+        f"At half the communication step, {found.finer.step:.4g} s, {name} would change by "
+        f"{found.finer.change[name]:+.2g} ({abs(shares[name]):.2g} standard deviations): the FMU's own solver is too "
+        f"coarse; try a finer step, --step {found.finer.step:.4g}."
+    ]
+
+
 def _of_identifiability(found: Estimation) -> list[str]:
     fit, space = found.fit, found.space
-    sentences = findings(fit.information, space, fit.theta)
-    if all(fit.is_identifiable):
+    sentences = [*findings(fit.information, space, fit.theta), *_of_profiles(found)]
+    if all(found.is_identifiable):
         sentences.append("Each parameter is identifiable." if len(space) > 1 else "The parameter is identifiable.")
+    return sentences
+
+
+def _of_profiles(found: Estimation) -> list[str]:
+    """Return a sentence for each profile: its 95 % interval, or the side to which it is open."""
+    sentences: list[str] = []
+    for p, one in zip(found.space, found.profiles, strict=False):
+        if one.is_flat:
+            sentences.append(f"{p.name} is not identifiable: its profile is flat, the others make up for any value.")
+        elif one.lower is None or one.upper is None:
+            ends = [text for text, end in (("below", one.lower), ("above", one.upper)) if end is None]
+            sentences.append(f"{p.name} is not identifiable: its profile is open {' and '.join(ends)}.")
+        else:
+            sentences.append(f"95 % of {p.name} by its profile: {one.lower:.6g} to {one.upper:.6g}.")
     return sentences

@@ -6,16 +6,17 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from estimator.offline import FitProgress
+from estimator.evaluated import FitProgress
 from estimator.space import Scale
 
 from ..runs.lock import new_locked_folder
 from ..runs.record import recording
-from .estimate import Estimation, Request, Sought
+from .estimate import Estimation, Request, Sought, with_profiles
 from .estimate import estimate as estimate_from
 from .fit_plot import draw_fit
 from .fit_report import write_files
 from .log_windows import Cut
+from .profile_plot import draw_profiles
 
 Bounds = tuple[float, float] | tuple[float, float, Scale]
 """Lower bound, upper bound and, where it is not "linear", the scale of the search: "log"."""
@@ -42,6 +43,7 @@ def estimate(
     jobs: int | None = None,
     timeout: float = 10.0,
     environment: Sequence[str] = (),
+    profile: bool = False,
     out: Path | str | None = None,
     progress: FitProgress = lambda n, cost: None,
 ) -> Estimation:
@@ -59,6 +61,7 @@ def estimate(
     method: "target", "least-squares" or "multi-start". evaluations: candidates that the search may simulate.
     jobs: roll-outs at a time, by default one per processor. timeout: for each call of the FMU [s].
     environment: environment variables that the FMU needs beside those which every FMU is given.
+    profile: whether profile likelihoods decide what is identifiable, by further roll-outs.
     out: an absent or empty folder for the files that `retune estimate` writes; nothing is written by default.
     progress: called with the evaluations so far and the least sum of squares.
 
@@ -88,12 +91,18 @@ def estimate(
     )
     with threadpool_limits(1):  # as the command runs: the number of BLAS threads changes bits
         if out is None:
-            return estimate_from(request, progress)
+            found = estimate_from(request, progress)
+            return with_profiles(found) if profile else found
         with new_locked_folder(request.fmu.stem, Path(out)) as folder:
             found = estimate_from(request, progress)
             with recording(folder):
                 write_files(found, folder)
                 draw_fit(found, folder / "fit.png")
+            if profile:
+                found = with_profiles(found)
+                with recording(folder):
+                    write_files(found, folder)
+                    draw_profiles(found, folder / "profiles.png")
     return found
 
 

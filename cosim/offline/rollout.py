@@ -138,6 +138,9 @@ class RolloutResidual:
         self._measured = [w.measured[: w.n_fit] for w in windows if w.n_fit]
         self.n_residuals = int(sum(np.isfinite(m).sum() for m in self._measured))
         """Number of residuals D."""
+        known = [np.isfinite(m).sum(axis=0).tolist() for m in self._measured]
+        self.series: list[int] = [n for window in known for n in window if n]
+        """Numbers of residuals of one output in one window, in order."""
         self.evaluations: list[tuple[Vector, float, str | None]] = []
         """Candidates in order: theta (d,), sum of squares and, where it failed, the reason."""
 

@@ -59,6 +59,16 @@ def test_what_one_product_is_seen_of_trades_off_in_all_other_ways():
     assert word.startswith("m, c and k trade off in 2 ways: hold 2 of them,")
 
 
+@pytest.mark.parametrize("d", [11, 12, 30])
+def test_a_direction_over_many_parameters_is_named_by_its_members(d):
+    """Where only the ratios of d parameters are seen, each has 1/sqrt(d) of the direction: below 0.3 from 12 on."""
+    space = ParameterSpace(tuple(Parameter(f"p{i}", 0.1, 10.0, **LOG) for i in range(d)))
+    ratios = 1e4 * (np.eye(d) - np.full((d, d), 1.0 / d))
+    (word,) = findings(information(ratios), space, np.ones(d))
+    names = ", ".join(f"p{i}" for i in range(d - 1))
+    assert word.startswith(f"{names} and p{d - 1} trade off: their ratios are seen, their common factor is not;")
+
+
 def test_trade_offs_that_share_no_parameter_are_told_each():
     words = told((M, L, C, K, A), lambda m, l, c, k, a: m * l, lambda m, l, c, k, a: c / k, noise=1e-4)
     assert sorted(word.partition(";")[0] for word in words) == [

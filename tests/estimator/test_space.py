@@ -139,3 +139,10 @@ def test_maps_take_whole_tables_and_leave_them_alone():
     np.testing.assert_array_equal(theta, before)
     np.testing.assert_allclose(z, [[0.25, 0.5], [0.0, 1.0], [1.0, 0.0]], atol=4 * EPS)
     np.testing.assert_allclose(space.from_unit(z), [[0.0, 1.0], [-1.0, 100.0], [3.0, 0.01]], atol=1e-13)
+
+
+def test_bounds_that_are_whole_numbers_are_as_exact_as_others():
+    """On a log scale: the logarithms of an array of integers are not integers."""
+    whole, floating = (ParameterSpace((Parameter("C", kind(200), kind(20000), "J/K", "log"),)) for kind in (int, float))
+    assert whole.from_unit([0.5]) == pytest.approx([2000.0])
+    assert whole.to_unit([700.0]) == floating.to_unit([700.0])

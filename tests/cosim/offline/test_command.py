@@ -54,6 +54,46 @@ def test_what_it_prints_and_writes(command, oracles, capsys, tmp_path):
     assert matplotlib.image.imread(folder / "fit.png").std() > 0.05
 
 
+def test_the_fit_is_on_disk_before_the_report_is_made(command, monkeypatch, tmp_path):
+    """Whatever the report stumbles over, hours of roll-outs are not lost."""
+
+    def stumbles(*_):
+        raise ValueError("not enough values to unpack")
+
+    monkeypatch.setattr("cosim.offline.fit_report.findings", stumbles)
+    assert command(*SOUGHT, *ROLES, "--evaluations", "10") == 1
+    folder = tmp_path / "work" / "runs" / "Plant-estimate-1"
+    numbers = json.loads((folder / "estimate.json").read_text())["parameters"]
+    assert {p.name: p.value for p in read_ssv(folder / "estimates.ssv").values} == {
+        name: p["value"] for name, p in numbers.items()
+    }
+    assert {"candidates.csv", "fit.csv"} <= {p.name for p in folder.iterdir()}
+
+
+def test_profiles_decide_and_are_drawn(command, oracles, capsys, tmp_path):
+    """Swinging freely, the plant shows k/m and c/m only."""
+    log = oracles.write_log(tmp_path / "free.csv", oracles.measure(0, force=lambda t: 0.0 * t))
+    sought = ["--parameter", "m=0.85:3.4:log", "--parameter", "c=0.3:3:log", "--parameter", "k=8:60:log"]
+    assert command(*sought, *ROLES, "--evaluations", "20", "--holdout", "0", "--profile", log=log) == 0
+    printed = capsys.readouterr().out
+    assert "m is not identifiable: its profile is flat, the others make up for any value." in printed
+    assert "Each parameter is identifiable" not in printed
+    folder = tmp_path / "work" / "runs" / "Plant-estimate-1"
+    m = json.loads((folder / "estimate.json").read_text())["parameters"]["m"]
+    assert m["is_identifiable"] is False
+    assert (m["profile"]["lower"], m["profile"]["upper"]) == (None, None)
+    assert (m["profile"]["values"][0], m["profile"]["values"][-1]) == pytest.approx((0.85, 3.4))
+    assert max(m["profile"]["rise"]) < 1.0
+    assert matplotlib.image.imread(folder / "profiles.png").std() > 0.05
+    assert command(*SOUGHT, *ROLES, "--evaluations", "20", "--profile", "--json") == 0
+    for name, told in json.loads(capsys.readouterr().out)["parameters"].items():
+        assert told["is_identifiable"]
+        assert told["profile"]["lower"] < told["value"] < told["profile"]["upper"]
+        half = 1.96 * told["std"]
+        assert told["profile"]["upper"] - told["profile"]["lower"] == pytest.approx(2.0 * half, rel=0.05)
+        assert abs(told["value"] - getattr(oracles.TRUTH, name)) < 4.0 * told["std"]
+
+
 def test_json_is_one_object(command, capsys):
     assert command(*SOUGHT, *ROLES, "--evaluations", "20", "--json") == 0
     assert json.loads(capsys.readouterr().out)["parameters"].keys() == {"m", "c", "k"}
@@ -74,6 +114,7 @@ def test_json_is_one_object(command, capsys):
         ([*SOUGHT, *ROLES, "--window", "1"], "must be FROM:TO, got '1'"),
         ([*SOUGHT, *ROLES, "--noise", "x=-1"], "--noise x must be positive"),
         ([*SOUGHT, *ROLES, "--holdout", "1"], "--holdout must be from 0 to below 1"),
+        ([*SOUGHT, *ROLES, "--profile", "--online"], "--profile is of a fit to the whole log, not --online"),
         ([*SOUGHT, *ROLES, "--method", "magic"], "no method 'magic' for a log"),
         ([*SOUGHT, *ROLES, "--evaluations", "0"], "must be 1 or more"),
         ([*SOUGHT, *ROLES, "--seed", "-1"], "must be a whole number"),

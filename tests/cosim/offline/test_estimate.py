@@ -2,9 +2,11 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from pythonfmu import FmuBuilder
 from scipy.integrate import solve_ivp
 
 import cosim
@@ -12,6 +14,7 @@ from cosim.errors import WiringError
 from cosim.offline.estimate import EstimateError, FailedError, Request, Sought, estimate
 from cosim.offline.fit_report import report, words
 from cosim.offline.logs import LogError
+from cosim.offline.misfit_over_log import misfit_over_log
 from cosim.system.fmu_cache import find_fmu
 
 pytestmark = pytest.mark.fmu
@@ -210,6 +213,26 @@ def test_what_only_ratios_are_seen_of_is_said_to_trade_off(ask, oracles):
     assert k / m == pytest.approx(oracles.TRUTH.k / oracles.TRUTH.m, rel=1e-2)
 
 
+@pytest.mark.full
+def test_an_fmu_with_an_adaptive_solver_is_not_believed_what_it_cannot_show(made_once, oracles, tmp_path):
+    """Only c/m and k/m are seen; before, each of m, c and k was called identifiable."""
+    slave = Path(__file__).with_name("rk45_slave.py")
+    fmu = made_once(lambda folder: FmuBuilder.build_FMU(slave, dest=folder), slave) / "AdaptivePlant.fmu"
+    t = np.arange(401) / 50.0
+    x, _ = oracles.response(t, oracles.TRUTH.k * np.where(t % 1.3 < 0.6 - 1e-9, 0.3, -0.2))
+    columns = {"t": t, "x": x + 2e-3 * np.random.default_rng(0).standard_normal(len(t))}
+    log = oracles.write_log(tmp_path / "log.csv", columns)
+    for seed in range(3):
+        request = Request(
+            fmu, (log,), (MASS, DAMPER, SPRING), {"x": "x"}, evaluations=30, seed=seed, holdout=0.0, jobs=2
+        )
+        found = estimate(request)
+        assert not any(found.fit.is_identifiable)
+        assert any(word.startswith("m, c and k trade off") for word in words(found))
+        m, _, k = found.fit.theta
+        assert k / m == pytest.approx(oracles.TRUTH.k / oracles.TRUTH.m, rel=1e-2)
+
+
 def test_a_parameter_that_nothing_depends_on_stays_and_is_named(ask, oracles):
     found = estimate(ask(oracles.measure(0), parameters=(MASS, DAMPER, SPRING, Sought("c_limit", 10.0, 20.0))))
     assert found.fit.theta[3] == pytest.approx(20.0)  # the FMU's own 1e9, within the bounds
@@ -236,6 +259,42 @@ def test_a_wrong_start_value_shows_in_the_words(ask, oracles):
     told = " ".join(words(found))
     assert "times the noise: something is missing from the model" in told
     assert "correlated from row to row" in told
+
+
+def test_the_bias_of_an_fmu_s_coarse_solver_is_told(made_once, ask, oracles):
+    """Explicit Euler steps h take k h from the damping of a weakly damped swing; c makes up for it."""
+    slave = Path(__file__).with_name("euler_slave.py")
+    fmu = made_once(lambda folder: FmuBuilder.build_FMU(slave, dest=folder), slave) / "EulerPlant.fmu"
+    found = estimate(ask(oracles.measure(0, end=4.0), fmu=fmu, parameters=(DAMPER, SPRING), evaluations=20))
+    bias = oracles.TRUTH.k * 0.01
+    assert found.estimates["c"] - oracles.TRUTH.c == pytest.approx(bias, rel=0.2)
+    assert found.finer.step == pytest.approx(0.005)
+    assert found.finer.change["c"] == pytest.approx(-bias / 2.0, rel=0.2)
+    assert any("too coarse; try a finer step, --step 0.005" in word for word in words(found))
+
+
+def test_of_a_fine_solver_no_bias_is_told(ask, oracles):
+    found = estimate(ask(oracles.measure(0), evaluations=20))
+    assert all(abs(change) < 0.1 * found.std[name] for name, change in found.finer.change.items())
+    assert not any("finer step" in word for word in words(found))
+
+
+def test_the_part_of_the_log_that_the_model_fails_in_is_told(ask, oracles):
+    """A blow that nobody recorded, at 4 s: its end is known in closed form, that of a free swing."""
+    columns = oracles.measure(0)
+    late = columns["time [s]"] >= 4.0
+    x, v = oracles.response(columns["time [s]"][late], np.zeros(np.count_nonzero(late)), start=(0.0, 0.2))
+    columns["x [m]"][late] += x
+    columns["v [m/s]"][late] += v
+    truth = vars(oracles.TRUTH)
+    close = tuple(Sought(name, 0.9995 * truth[name], 1.0005 * truth[name]) for name in ("m", "c", "k"))
+    found = estimate(ask(columns, parameters=close, holdout=0.0, evaluations=12))
+    parts = [part for part in misfit_over_log(found) if part.output == "v"]
+    assert len(parts) == 10
+    assert all(part.misfit < 3.0 for part in parts[:5])
+    worst = max(parts, key=lambda part: part.misfit)
+    assert worst.begin == pytest.approx(4.0)
+    assert any(word.startswith("The model fails most from 4 to 4.8 s: the residuals of v") for word in words(found))
 
 
 def test_a_bound_that_is_met_is_named(ask, oracles):

@@ -55,6 +55,7 @@ def test_where_evaluations_fail_none_is_known():
     assert solver_noise(lambda places: [np.full(3, np.nan) for _ in places], np.array([0.5])) == 0.0
 
 
+@pytest.mark.full_but("linear-0")
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("scale", ["log", "linear"])
 def test_a_set_that_no_data_determine_is_named_though_the_solver_scatters(seed, scale):
@@ -72,6 +73,7 @@ def test_a_set_that_no_data_determine_is_named_though_the_solver_scatters(seed, 
     assert c / m == pytest.approx(0.9 / 1.7, rel=0.1)
 
 
+@pytest.mark.full
 def test_what_the_data_determine_is_not_lost_in_the_solver_s_noise():
     """With m known, c and k are identifiable; their deviations are those of a tight solver."""
     space = ParameterSpace((Parameter("c", 0.1, 5.0, "kg/s", "log"), Parameter("k", 5.0, 90.0, "N/m", "log")))

@@ -84,6 +84,7 @@ def test_many_variables_are_read(large, command, arguments):
     Path("large.toml").unlink(missing_ok=True)
 
 
+@pytest.mark.full
 def test_a_scenario_of_many_variables_is_checked(large, tmp_path, command):
     (tmp_path / "large.toml").write_text(SCENARIO)
     shutil.copy(large, tmp_path)
@@ -193,6 +194,7 @@ def aged(folder: Path, days: float) -> Path:
     return folder
 
 
+@pytest.mark.full
 def test_those_used_longest_ago_go_and_none_that_is_in_use(tmp_path, cached, monkeypatch):
     """Of five packages two may stay, and the oldest, which another process has read."""
     monkeypatch.setattr(package_cache, "MOST_PACKAGES", 2)

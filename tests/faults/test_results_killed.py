@@ -139,7 +139,7 @@ KILLS = {
 }
 
 
-@pytest.mark.full_but("rls")
+@pytest.mark.full
 @pytest.mark.parametrize(("arguments", "n_kills"), KILLS.values(), ids=KILLS)
 def test_a_run_that_is_killed_again_and_again_ends_with_the_same_bits(
     started, undisturbed, temporary, processes, tmp_path, arguments, n_kills

@@ -98,6 +98,7 @@ def test_what_is_trusted_runs(package, trace, command, tmp_path):
     assert (code, err, trace.exists()) == (0, "", True)
 
 
+@pytest.mark.full
 def test_in_python_it_is_asked_for_too(package, trace):
     path = package(*OF_MODEL)
     with pytest.raises(ScenarioError, match=r"would run Python code \(module evil\)"):
@@ -106,6 +107,7 @@ def test_in_python_it_is_asked_for_too(package, trace):
     assert run(load_scenario(path, trust=True)).status == "done"
 
 
+@pytest.mark.full_but(r"no\n-False")
 @pytest.mark.parametrize(("answer", "is_run"), [("y\n", True), ("\n", False), ("no\n", False), ("\4", False)])
 def test_on_a_terminal_it_is_asked_for(package, trace, tmp_path, answer, is_run):
     path, out = package(*OF_MODEL), tmp_path / "out"
@@ -124,6 +126,7 @@ def test_on_a_terminal_it_is_asked_for(package, trace, tmp_path, answer, is_run)
     assert (process.returncode, trace.exists(), out.exists()) == ((0, True, True) if is_run else (2, False, False))
 
 
+@pytest.mark.full
 def test_modules_of_a_package_hide_none_of_ours(package, trace, tmp_path):
     """Those that are loaded before a run and in it, in a fresh interpreter."""
     names = ("json", "numpy", "matplotlib", "GPy", "scipy", "tqdm", "fmu_models", "estimator", "pyarrow", "csv", "html")
@@ -133,6 +136,7 @@ def test_modules_of_a_package_hide_none_of_ours(package, trace, tmp_path):
     assert not trace.exists()
 
 
+@pytest.mark.full
 def test_a_model_that_the_user_names_is_not_searched_for_in_the_package(package, trace, command, tmp_path):
     path = package(modules={"mine.py": EVIL})
     Path("mine.py").write_text("from fmu_models.pendulum import derivative\n")
@@ -189,6 +193,7 @@ def test_a_run_of_the_users_own_is_replayed_and_resumed(made, trace, command):
     assert trace.exists()
 
 
+@pytest.mark.full
 def test_a_run_of_the_users_own_goes_on(made, trace, command):
     code, _, err = command("resume", made("left"))
     assert (code, err, trace.exists()) == (0, "", True)
@@ -275,6 +280,7 @@ def test_the_runs_inside_a_run_are_asked_for_as_well(made, runs, trace, command)
     assert not trace.exists()
 
 
+@pytest.mark.full
 def test_pictures_of_a_run_load_nothing_of_a_strangers(made, trace):
     folder = made()
     claimed(folder)
@@ -282,6 +288,7 @@ def test_pictures_of_a_run_load_nothing_of_a_strangers(made, trace):
     assert not trace.exists()
 
 
+@pytest.mark.full
 def test_what_was_not_trusted_once_is_not_signed(package, trace, command, tmp_path):
     """A model of the user's own on a stranger's system does not make the stranger's linear form the user's."""
     out = tmp_path / "out"
@@ -295,6 +302,7 @@ def test_what_was_not_trusted_once_is_not_signed(package, trace, command, tmp_pa
     assert not trace.exists()
 
 
+@pytest.mark.full
 def test_a_manifest_that_is_replaced_while_the_run_goes_on_is_not_signed_at_its_end(tmp_path):
     """By an FMU, say, which may write in the run folder."""
     out = tmp_path / "out"

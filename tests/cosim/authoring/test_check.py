@@ -211,6 +211,7 @@ def test_what_is_no_scenario_is_refused_in_one_line(axis, capsys, tmp_path):
     assert re.fullmatch(r"retune: .*no\.fmu cannot be read: No such file or directory\n", capsys.readouterr().err)
 
 
+@pytest.mark.full
 def test_a_run_of_the_scenario_tells_which_noise_to_declare(tmp_path, monkeypatch):
     """The sensor's noise is 0.05 and 0.001, drawn independently: 0.05001 in all, where 0.001 is declared."""
     monkeypatch.chdir(tmp_path)

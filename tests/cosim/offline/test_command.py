@@ -70,6 +70,7 @@ def test_the_fit_is_on_disk_before_the_report_is_made(command, monkeypatch, tmp_
     assert {"candidates.csv", "fit.csv"} <= {p.name for p in folder.iterdir()}
 
 
+@pytest.mark.full
 def test_profiles_decide_and_are_drawn(command, oracles, capsys, tmp_path):
     """Swinging freely, the plant shows k/m and c/m only."""
     log = oracles.write_log(tmp_path / "free.csv", oracles.measure(0, force=lambda t: 0.0 * t))
@@ -281,6 +282,7 @@ def test_more_steps_than_anybody_waits_for_are_refused(command, capsys, mode):
     assert told == "retune: log.csv: its 8 s are 8e+09 steps of 1e-09 s; at most 1e+07 are simulated.\n"
 
 
+@pytest.mark.full
 def test_what_cannot_be_computed_with_is_told_and_no_warning_of_numpys(plant, oracles, tmp_path):
     log = rescaled(oracles, tmp_path / "log.csv", 1e300, "x [m]")
     command = [sys.executable, "-m", "cosim.cli", "estimate", str(plant), str(log), *SOUGHT, *ROLES]

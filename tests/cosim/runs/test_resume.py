@@ -143,7 +143,7 @@ OTHERWISE = {
 }  # fmt: skip
 
 
-@pytest.mark.full_but("from the saved state")
+@pytest.mark.full
 @pytest.mark.parametrize("settings", OTHERWISE.values(), ids=OTHERWISE)
 def test_roll_outs_filters_and_sensors_go_on_to_the_same_bits(tmp_path, settings):
     whole = check_resume(Scenario.load("pendulum", settings), "target", tmp_path, 0.15, 0.33)
@@ -156,7 +156,7 @@ GPYS = {
 }
 
 
-@pytest.mark.full_but("target")
+@pytest.mark.full
 @pytest.mark.parametrize("estimator", GPYS)
 def test_kernels_of_gpys_go_on_to_the_same_bits(tmp_path, estimator):
     scenario = Scenario.load("pendulum", EARLY_CHANGE | IN_PROCESS | GPYS[estimator])

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.fmu
 @pytest.mark.full
 def test_the_estimator_of_ones_own_works(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    (example,) = re.findall(r"```python\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)
+    (example,) = re.findall(r"```python\n(import numpy.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)
     Path("shown_estimator.py").write_text(example)
     settings = ["scenario.stop_time=1.0", 'changes."plant.m"=[[0.0, 1.75], [0.05, 4.271]]']
     command = ["run", "pendulum", "--only", "--json", "--estimator", "shown_estimator:Evolution", "--out", "out"]

@@ -254,10 +254,10 @@ def test_a_disk_that_is_full_at_the_end_leaves_a_run_that_goes_on(tmp_path, monk
         (tmp_path / folder).mkdir()
     run(scenario, "least-squares", 5, tmp_path / "undisturbed")
 
-    def full(folder, *_):
+    def full(folder, *others, **named):
         if name != "write_manifest" or (tmp_path / "full" / RESULT).exists():
             raise FolderError(f"cannot write {folder}: No space left on device.")
-        write_manifest(folder, *_)
+        write_manifest(folder, *others, **named)
 
     with monkeypatch.context() as patch:
         patch.setattr(f"cosim.runs.result.{name}", full)

@@ -24,7 +24,7 @@ def correlated(rng, a, n=N):
 
 
 def exact_std(a, basis=BASIS):
-    """Of the least-squares estimate, in closed form."""
+    """Covariance of the least-squares estimate, in closed form."""
     inverse = np.linalg.inv(basis.T @ basis)
     return np.sqrt(np.diag(inverse @ basis.T @ toeplitz(a ** np.arange(len(basis))) @ basis @ inverse))
 

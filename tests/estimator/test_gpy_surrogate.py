@@ -45,7 +45,7 @@ def advance(estimator, residual, n):
 
 
 def largest_difference(problem, kind, settings, n, seed):
-    """Of n candidates, each asked of both surrogates after the same ones before, in the unit cube."""
+    """Compare n candidates, each asked of both surrogates after the same ones before, in the unit cube."""
     space, start, residual = problem
     fast, gpy = (kind(space, np.array(start), np.random.default_rng(seed), s) for s in settings)
     worst = 0.0

@@ -196,7 +196,7 @@ def aged(folder: Path, days: float) -> Path:
 
 @pytest.mark.full
 def test_those_used_longest_ago_go_and_none_that_is_in_use(tmp_path, cached, monkeypatch):
-    """Of five packages two may stay, and the oldest, which another process has read."""
+    """Two of five packages may stay, and the oldest, which another process has read."""
     monkeypatch.setattr(package_cache, "MOST_PACKAGES", 2)
     paths = [package(tmp_path / f"{i}.ssp", components(i)) for i in range(5)]
     with subprocess.Popen(

@@ -99,7 +99,7 @@ def test_with_true_parameters_the_error_is_that_of_the_held_input():
 @pytest.mark.parametrize("duration", [0.05, 0.1])
 @pytest.mark.parametrize("push", [-0.5, -0.3, 0.3, 0.5])
 def test_the_nominal_controller_survives_a_push(push, duration, begin):
-    """Of up to half the weight; static it would move the ball by half of g over 1600/s2, 3 mm."""
+    """The push is up to half the weight; static it would move the ball by half of g over 1600/s2, 3 mm."""
     off = loop("nominal", push, begin, duration) - loop("nominal")
     assert np.abs(loop("nominal", push, begin, duration)).max() < 0.75 * SCENARIO["limits"]["divergence"]
     assert np.abs(off).max() > 5e-4

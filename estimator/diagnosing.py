@@ -166,10 +166,7 @@ class DiagnosingRetuner(_Counting):
             self._retuner.restore(self._solver, back)
             self._solver = None
         self._retuner.abandon()
-        events = (*proposal.events, *events)
-        if np.array_equal(back, held):
-            return replace(proposal, theta=None, events=events)
-        return replace(proposal, theta=None, undo=back, events=(*events, Event(t, "undo", {"theta": back.tolist()})))
+        return _undone(t, proposal, back, held, events)
 
 
 @dataclass(frozen=True)
@@ -217,9 +214,7 @@ class DiagnosingEpisodes(_Counting):
             return None
         self._retuner.abandon()
         self._retuner.close(self._before)
-        if np.array_equal(self._before, held):
-            return Proposal()
-        return Proposal(undo=self._before, events=(Event(t, "undo", {"theta": self._before.tolist()}),))
+        return _undone(t, Proposal(), self._before, held, ())
 
     def step(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
         """Take one communication point's sample, where there is one; return what to write, and why."""
@@ -245,13 +240,9 @@ class DiagnosingEpisodes(_Counting):
             return replace(proposal, possible_disturbance=rival)
         if "end" not in kinds:
             return replace(proposal, theta=None)
-        events = (*proposal.events, *diagnosis.fail(t, before))
+        events = diagnosis.fail(t, before)
         self._retuner.close(before)
-        if np.array_equal(before, held):
-            return replace(proposal, theta=None, events=events)
-        return replace(
-            proposal, theta=None, undo=before, events=(*events, Event(t, "undo", {"theta": before.tolist()}))
-        )
+        return _undone(t, proposal, before, held, events)
 
     def _close(self, held: Vector) -> None:
         """Close the window of the last episode; wait for more samples where its proposal was possible, and refused."""
@@ -263,6 +254,14 @@ class DiagnosingEpisodes(_Counting):
             return
         self._diagnosis.succeed()
         self._retuner.close(held)
+
+
+def _undone(t: float, proposal: Proposal, before: Vector, held: Vector, events: tuple[Event, ...]) -> Proposal:
+    """Return the proposal to go back from held (d,) to the parameters before (d,), with further events."""
+    events = (*proposal.events, *events)
+    if np.array_equal(before, held):
+        return replace(proposal, theta=None, events=events)
+    return replace(proposal, theta=None, undo=before, events=(*events, Event(t, "undo", {"theta": before.tolist()})))
 
 
 def make_episodes(

@@ -190,13 +190,13 @@ class Diagnosis:
             return Settled(reference if is_changed else None, events, True)
         if n < _LONG:
             return None
-        disturbance = disturbance_of(there, may_drift=False).fit
+        disturbance = disturbance_of(there, may_drift=False)
         parameters = plain_fit(here, self._n_free)
         if is_changed and is_explained and parameters.is_explained:
-            return self._changed(t, held) if disturbance.score >= parameters.score + MARGIN else None
-        is_named = disturbance.is_explained and disturbance.score + MARGIN <= plain_fit(there, 0).score
+            return self._changed(t, held) if disturbance.fit.score >= parameters.score + MARGIN else None
+        is_named = disturbance.fit.is_explained and disturbance.fit.score + MARGIN <= plain_fit(there, 0).score
         if is_named and n % 2 == 0 and not self._best(held, n, may_drift=False).fit.is_explained:
-            return Settled(reference, self._name(t, disturbance_of(there, may_drift=False)), True)
+            return Settled(reference, self._name(t, disturbance), True)
         return None
 
     def _is_over(self, here: Vector, there: Vector, is_changed: bool, is_explained: bool) -> bool:

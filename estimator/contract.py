@@ -1,8 +1,10 @@
 """Interfaces of the estimators, and the estimate that they return."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
+from .arrival_cost import ArrivalCost
 from .identifiability import Information
 from .objective import Objective
 from .space import ParameterSpace, Vector
@@ -111,6 +113,36 @@ class Batching(AskTell, Protocol):
 
     def ask_many(self, n: int) -> list[Vector]:
         """Return at least one candidate theta (d,), at most n."""
+        ...
+
+
+@runtime_checkable
+class Converging(AskTell, Protocol):
+    """Ask-tell estimator that knows when more evaluations gain nothing."""
+
+    @property
+    def is_done(self) -> bool:
+        """True where the residual is explained, and nothing worth a tenth of a standard deviation is to be gained."""
+        ...
+
+
+@runtime_checkable
+class Following(AskTell, Protocol):
+    """Ask-tell estimator that goes on with single samples between its episodes."""
+
+    arrival_cost: ArrivalCost | None
+    """What the samples so far say of the parameters, frozen; None where no estimate has been accepted yet."""
+
+    def remember(self) -> None:
+        """Begin a new arrival cost with the present estimate."""
+        ...
+
+    def follow(self, residual: Callable[[Vector], Vector], held: Vector, is_contradictory: bool) -> Estimate | None:
+        """Take one more sample; return the new estimate, or None where a search is needed.
+
+        residual: (c,) of theta (d,), in standard deviations; held (d,): in force, and the estimate where the samples
+        do not tell it from a better one; is_contradictory: true where the sample contradicts it.
+        """
         ...
 
 

@@ -25,3 +25,13 @@ def central_differences(
         above[i], below[i] = min(z[i] + step, upper), max(z[i] - step, lower)
         columns.append(np.subtract(function(above), function(below)) / (above[i] - below[i]))
     return np.column_stack(columns)
+
+
+def forward_differences(function: Callable[[Vector], Vector], z: Vector, value: Vector, step: float) -> Vector:
+    """Return df/dz (D, d) at z (d,) of the unit cube, where f is value (D,), by steps towards the cube's middle."""
+    columns: list[Vector] = []
+    for i, z_i in enumerate(z.tolist()):
+        aside = z.copy()
+        aside[i] += step if z_i < 0.5 else -step
+        columns.append((function(aside) - value) / (aside[i] - z_i))
+    return np.column_stack(columns)

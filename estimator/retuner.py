@@ -13,7 +13,8 @@ from typing import Any, Literal, cast
 
 import numpy as np
 
-from .contract import AskTell, Batching, Estimate, NoEstimateError, Rescoring, Solver
+from .arrival_cost import ArrivalCost
+from .contract import AskTell, Batching, Converging, Estimate, Following, NoEstimateError, Rescoring, Solver
 from .events import Event
 from .objective import LinearForm, Objective, Window
 from .samples import Sample
@@ -63,6 +64,7 @@ class RetunerSnapshot:
     remaining: float
     believed: Vector | None
     solver: Solver | None
+    arrival_cost: ArrivalCost | None
 
 
 class Retuner:
@@ -90,6 +92,10 @@ class Retuner:
         self._rescoring = estimator if isinstance(estimator, Rescoring) else None
         is_batching = isinstance(estimator, Batching) and not window.is_rescoring_cheap
         self._batching = cast(Batching, estimator) if is_batching else None
+        is_following = isinstance(estimator, Following) and window.is_rescoring_cheap
+        self._following = cast(Following, estimator) if is_following else None
+        self._converging = estimator if isinstance(estimator, Converging) else None
+        self._before: ArrivalCost | None = None  # at the beginning of the newest episode
         self._linear = linear
         self._believed: Vector | None = None  # the newest estimate of the present episode
         self._remaining = 0.0
@@ -110,8 +116,9 @@ class Retuner:
         events: list[Event] = []
         if sample is not None and not self._remaining:
             reason = self._trigger(sample, tracking_error, held)
-            if reason is None:
-                return Proposal()
+            followed = self._follow(held, reason is not None)
+            if followed is not None or reason is None:
+                return followed or Proposal()
             samples = self._begin(held)
             on = {} if samples is None else {"samples": samples}
             events.append(Event(t, "trigger", {"reason": reason, "episode": self.n_episodes, **on}))
@@ -135,6 +142,8 @@ class Retuner:
             events.append(Event(t, "end", {"episode": self.n_episodes, "cost": cost} | known))
         is_candidate = self._budget.commit == "candidate" and not has_ended
         wanted = held if estimate is None else candidate if is_candidate else estimate.theta
+        if has_ended and self._following is not None and estimate is not None:
+            self._following.remember()
         if has_ended and self._closes:
             self._window.end(wanted)
         theta = None if np.array_equal(wanted, held) else wanted
@@ -150,10 +159,17 @@ class Retuner:
         self._window.end(theta)
 
     def abandon(self) -> None:
-        """End the episode, if there is one, and forget its samples."""
+        """End the episode, if there is one, and forget its samples; what was known before it is known again."""
         if self._solver is None or self._remaining != math.inf:
             self._remaining = 0.0
+        if self._following is not None:
+            self._following.arrival_cost = self._before
         self.forget()
+
+    def reverted(self) -> None:
+        """Take a return to earlier parameters, of which nothing is known."""
+        if self._following is not None:
+            self._following.arrival_cost = self._before = None
 
     def forget(self) -> None:
         """Forget the samples, whose residuals are no longer valid."""
@@ -164,7 +180,8 @@ class Retuner:
         """Return the snapshot that `restore` needs; None where the window, an episode's own, cannot be restored."""
         if not isinstance(self._window, ResidualWindow):
             return None
-        return RetunerSnapshot(self._window.copy(), self._remaining, self._believed, deepcopy(self._solver))
+        known = None if self._following is None else self._following.arrival_cost
+        return RetunerSnapshot(self._window.copy(), self._remaining, self._believed, deepcopy(self._solver), known)
 
     def restore(self, snapshot: RetunerSnapshot, held: Vector) -> None:
         """Go back to a snapshot, which is used up; held (d,): the controller's parameters then.
@@ -173,6 +190,8 @@ class Retuner:
         """
         snapshot.window.n_model_calls = self._window.n_model_calls
         self._window, self._remaining, self._believed = snapshot.window, snapshot.remaining, snapshot.believed
+        if self._following is not None:
+            self._following.arrival_cost = snapshot.arrival_cost
         if snapshot.solver is not None:
             self._solver = self._estimator = snapshot.solver
         elif self._rescoring is None:
@@ -194,11 +213,26 @@ class Retuner:
             self._window.explain(estimate.theta)
         return estimate
 
+    def _follow(self, held: Vector, is_contradictory: bool) -> Proposal | None:
+        """Take the newest sample between two episodes; return None where there is nothing to go on from."""
+        if self._following is None:
+            return None
+        begun = perf_counter()
+        estimate = self._following.follow(self._window.newest_residual, held, is_contradictory)
+        if estimate is None:
+            return None
+        latencies = (perf_counter() - begun,)
+        if np.array_equal(estimate.theta, held):
+            return Proposal(latencies=latencies)
+        return Proposal(estimate.theta, estimate, latencies=latencies)
+
     def _begin(self, held: Vector) -> str | None:
         """Begin an episode; return on which samples, in words, or None for simply the newest ones."""
         self.n_episodes += 1
         self._remaining = self._budget.evaluations
         self._estimator.restart(held)
+        if self._following is not None:
+            self._before = self._following.arrival_cost
         if self._rescoring is not None and not self._window.is_rescoring_cheap:
             # Their residuals belong to other samples: marked as failures, they are dropped.
             self._rescoring.rescore(np.full((len(self._rescoring.candidates), 1), np.nan))
@@ -243,6 +277,8 @@ class Retuner:
                 now = perf_counter()
                 yield theta, float(residual @ residual), now - begun
                 begun = now
+            if self._converging is not None and self._converging.is_done:
+                self._remaining = n = 0
 
 
 def estimate_as_json(estimate: Estimate) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """Target-vector Bayesian optimisation: a GP for the residual vector, minimising its squared norm."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from .acquisition import log_target_vector_improvement
+from .arrival_cost import ArrivalCost
 from .contract import Estimate, NoEstimateError, scaled_estimate
 from .gpy_surrogate import Surrogate, vector_surrogate
+from .hypotheses import USUAL_RATE
 from .identifiability import IDENTIFIABLE_BELOW, Information, information
 from .kernels import OwnKernel, check_kernel
 from .search import (
@@ -22,6 +24,7 @@ from .search import (
     one_at_a_time,
     principal_components,
 )
+from .significance import chi2_limit
 from .space import ParameterSpace, Vector
 
 _FAR = 50.0
@@ -39,6 +42,14 @@ _NEAR_RADII = np.repeat([[0.003], [0.0005]], 8, axis=0)
 """Standard deviation in the unit cube of each candidate drawn around the minimiser of the surrogate's mean."""
 
 
+_LITTLE = float(np.log(0.1**2))
+"""Logarithm of an expected decrease of the sum of squares that is not worth an evaluation."""
+_FALSE_ALARM = 1e-4
+"""Probability that the residual of the true parameters does not count as explained."""
+_WORTH = 1.0
+"""Squared distance, in standard deviations, of a filtered estimate that is worth a write."""
+
+
 @dataclass(frozen=True)
 class TargetSettings:
     """Settings of `TargetVector`; the defaults suit two to ten parameters."""
@@ -54,6 +65,9 @@ class TargetSettings:
     """Standard deviations by which a change in a direction must exceed zero; else that direction is held."""
     identifiable_below: float = IDENTIFIABLE_BELOW
     """A parameter counts as identifiable when its standard deviation is below this share of the scaled bounds."""
+    drift: float = USUAL_RATE
+    """Standard deviation of a drifting parameter's change from sample to sample, as a share of the scaled bounds: what
+    is larger is a jump."""
     surrogate: Surrogate = "auto"
     """The Gaussian processes: `auto` is this package's code where it knows the kernel, which is RBF, and GPy's where
     not; `gpy` is always GPy's, several times slower."""
@@ -63,7 +77,7 @@ class TargetSettings:
     def __post_init__(self) -> None:
         if self.kernel != "RBF":
             check_kernel(self.kernel)
-        for name in ("n_outputs", "significance", "identifiable_below"):
+        for name in ("n_outputs", "significance", "identifiable_below", "drift"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}.")
         if not 0.0 < self.initial_step <= 1.0:
@@ -127,6 +141,8 @@ class TargetVector:
         self._residuals: Vector | None = None
         self._model_now: _Model | None = None
         self._asks_since_fit = 0
+        self.arrival_cost: ArrivalCost | None = None
+        """What the samples so far say of the parameters, in the unit cube; None before an estimate."""
         self.restart(start)
 
     @property
@@ -143,10 +159,19 @@ class TargetVector:
         model = self._model()
         return self._surrogate.model(model.Z, model.Y)
 
+    @property
+    def is_done(self) -> bool:
+        """True where the residual is explained, and nothing worth a tenth of a standard deviation is to be gained."""
+        if self._queue or self._residuals is None or self._gain > _LITTLE:
+            return False
+        costs = self._costs()
+        return float(costs.min()) <= chi2_limit(_FALSE_ALARM, self._residuals.shape[1])
+
     def restart(self, start: Vector) -> None:
         """Begin an episode at theta (d,): keep the first candidates, the best ones, and the GPs' lengthscales."""
         self._start = self._space.to_unit(start)
         self._n_evaluations = 0
+        self._gain = np.inf
         self._queue = [self._start]
         self._failed = np.empty((0, len(self._start)))
         self._forget()
@@ -231,6 +256,37 @@ class TargetVector:
             cost=cost, n_evaluations=self._n_evaluations, reason=reason,
         )  # fmt: skip
 
+    def remember(self) -> None:
+        """Begin a new arrival cost with the present estimate."""
+        estimate = self.estimate()
+        assert estimate.information is not None
+        self.arrival_cost = ArrivalCost.of_estimate(self._space.to_unit(estimate.theta), estimate.information)
+
+    def follow(self, residual: Callable[[Vector], Vector], held: Vector, is_contradictory: bool) -> Estimate | None:
+        """Take one more sample by an extended Kalman filter; return its estimate, or None where a search is needed.
+
+        residual: (c,) of theta (d,), in standard deviations; held (d,): in force, and the estimate where the samples
+        do not tell it from the filter's; is_contradictory: true where the sample contradicts it.
+        """
+        known, space = self.arrival_cost, self._space
+        if known is None:
+            return None
+
+        def at(z: Vector) -> Vector:
+            return residual(space.beyond(z))
+
+        known = known.drifted(at, self._settings.drift) if is_contradictory else known.updated(at)
+        if known is None:
+            return None
+        self.arrival_cost = known
+        seen_by_data = known.information
+        estimate = scaled_estimate(
+            space, known.mean, seen_by_data.std(), self._settings.identifiable_below, seen_by_data,
+            cost=float(known.cost), n_evaluations=0, reason="filtered",
+        )  # fmt: skip
+        is_better = known.distance(space.to_unit(held)) >= _WORTH
+        return estimate if is_better else replace(estimate, theta=held)
+
     def _hold(self, model: "_Model") -> "_Hold":
         """Return the place with insignificant changes of the best candidate undone, and what is expected there."""
         best = int(np.argmin(model.costs))
@@ -307,9 +363,11 @@ class TargetVector:
             apart = pool[cdist(pool, np.array(others)).min(axis=1) > _APART]
             pool = apart if len(apart) else pool
         gain = log_target_vector_improvement(*model.posterior.predict(pool), max(float(costs[best]), 1e-12))
-        if gain.max() < 0.0 and not others:  # less than a standard deviation is to be gained
+        self._gain = float(gain.max())
+        if self._gain < 0.0 and not others:  # less than a standard deviation is to be gained
             hold = self._hold(model)
             if self._is_to_be_tried(hold):
+                self._gain = np.inf
                 return hold.place
         return pool[int(np.argmax(gain))]
 

@@ -1,0 +1,146 @@
+"""Arrival cost: what all samples since the last change say of the parameters, sample by sample.
+
+Between searches the parameters are a random walk in the unit cube, and each sample measures them: an extended Kalman
+filter, whose mean and covariance are the arrival cost of the samples to come: Rao, Rawlings, Lee (2001), "Constrained
+linear state estimation: a moving horizon approach"; Jazwinski (1970), section 8.3.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple, Self
+
+import numpy as np
+
+from .differences import forward_differences
+from .identifiability import Information, information_of_covariance
+from .significance import chi2_limit
+from .space import Vector
+
+_BLOCK: Final = 10
+"""Number of samples whose corrections are compared with their variance."""
+_TOO_LARGE: Final = 9.0
+"""Square of a correction, in variances, that shows a drift: three standard deviations."""
+_FADING: Final = 0.25
+"""Factor of the walk's variance after a block whose correction is less than a standard deviation."""
+_FALSE_ALARM: Final = 1e-4
+"""Probability that a sample of drifting parameters is taken for a jump."""
+_STEP: Final = 1e-4
+"""Step of the differences, in the unit cube."""
+_WIDEST: Final = 0.5
+"""Standard deviation of a parameter of which nothing is known, in the unit cube."""
+
+
+@dataclass(frozen=True)
+class ArrivalCost:
+    """Mean and covariance of the parameters given the samples so far, in the unit cube, and their random walk.
+
+    The walk is learnt from the filter's own corrections, which are larger than it expects where parameters drift:
+    Myers and Tapley (1976), "Adaptive sequential estimation with unknown noise statistics".
+    """
+
+    mean: Vector
+    """Mean (d,)."""
+    covariance: Vector
+    """Covariance (d, d)."""
+    walk: Vector
+    """Variance (d,) of each parameter's change from sample to sample."""
+    correction: Vector
+    """Sum (d,) of the corrections of the present block of samples."""
+    expected: Vector
+    """Variance (d,) of that sum, if the walk is right."""
+    n_samples: int = 0
+    """Number of samples in the present block."""
+    cost: float = 0.0
+    """Sum of squared residuals of the newest sample, at the mean before it."""
+
+    @classmethod
+    def of_estimate(cls, z: Vector, known: Information) -> Self:
+        """Return the arrival cost of an estimate z (d,) with its information."""
+        s = np.maximum(known.singular_values, 1.0 / _WIDEST)
+        zero = np.zeros(len(z))
+        return cls(z, (known.directions.T / s**2) @ known.directions, zero, zero, zero)
+
+    @property
+    def information(self) -> Information:
+        """Information that gives this covariance."""
+        return information_of_covariance(self.covariance)
+
+    def distance(self, z: Vector) -> float:
+        """Return the squared distance of z (d,) from the mean, in standard deviations: Mahalanobis'."""
+        moved = z - self.mean
+        return float(moved @ np.linalg.solve(self.covariance, moved))
+
+    def updated(self, residual: Callable[[Vector], Vector]) -> Self:
+        """Return the arrival cost with one more sample; residual: (c,) in standard deviations at a place (d,).
+
+        A sample at which the model has no value is left out.
+        """
+        measured = _measured(residual, self.mean)
+        if measured is None:
+            return self
+        before = self.covariance + np.diag(self.walk)
+        moved, after = _corrected(before, measured)
+        block = replace(
+            self,
+            mean=np.minimum(np.maximum(self.mean + moved, 0.0), 1.0),
+            covariance=after,
+            correction=self.correction + moved,
+            expected=self.expected + (before - after).diagonal(),
+            n_samples=self.n_samples + 1,
+            cost=float(measured.value @ measured.value),
+        )
+        return block if block.n_samples < _BLOCK else block._learnt()
+
+    def drifted(self, residual: Callable[[Vector], Vector], rate: float) -> Self | None:
+        """Return the arrival cost with a sample that contradicts it; None where a drift does not explain that.
+
+        rate: standard deviation of a drifting parameter's change from sample to sample. The one parameter that explains
+        the sample best drifts from now on, all of them where one is not enough.
+        """
+        measured = _measured(residual, self.mean)
+        if measured is None:
+            return None
+        limit, d = chi2_limit(_FALSE_ALARM, len(measured.value)), len(self.mean)
+        one = [rate**2 * row for row in np.eye(d)]
+        costs = [_squared(self.covariance + np.diag(walk), measured) for walk in one]
+        walk = one[int(np.argmin(costs))] if min(costs) <= limit else np.full(d, rate**2)
+        if min(costs) > limit and _squared(self.covariance + np.diag(walk), measured) > limit:
+            return None
+        return replace(self, walk=np.maximum(self.walk, walk)).updated(residual)
+
+    def _learnt(self) -> Self:
+        """Return the arrival cost at a block's end, with the walk that its correction shows."""
+        squared, known = self.correction**2, self.covariance.diagonal()
+        shown = (squared - self.expected) / _BLOCK + self.walk
+        walk = np.where(squared > _TOO_LARGE * self.expected, shown, self.walk)
+        walk = np.where(squared < self.expected, _FADING * walk, walk)
+        zero = np.zeros(len(walk))
+        walk = np.where(walk < 1e-6 * known, 0.0, walk)
+        return replace(self, walk=walk, correction=zero, expected=zero, n_samples=0)
+
+
+class _Measured(NamedTuple):
+    """A sample's residual (c,) at the mean, and its slope (c, d)."""
+
+    value: Vector
+    slope: Vector
+
+
+def _measured(residual: Callable[[Vector], Vector], z: Vector) -> _Measured | None:
+    value = residual(z)
+    slope = forward_differences(residual, z, value, _STEP)
+    return _Measured(value, slope) if np.all(np.isfinite(value)) and np.all(np.isfinite(slope)) else None
+
+
+def _squared(P: Vector, measured: _Measured) -> float:
+    """Return the normalised innovation squared of a measurement, from the covariance (d, d) before it."""
+    value, H = measured
+    return float(value @ np.linalg.solve(H @ P @ H.T + np.eye(len(value)), value))
+
+
+def _corrected(P: Vector, measured: _Measured) -> tuple[Vector, Vector]:
+    """Return the correction (d,) of the mean and the covariance (d, d) after a measurement, from that before it."""
+    value, H = measured
+    gain = np.linalg.solve(H @ P @ H.T + np.eye(len(value)), H @ P).T
+    left = np.eye(len(P)) - gain @ H
+    return -gain @ value, left @ P @ left.T + gain @ gain.T  # Joseph's form

@@ -7,6 +7,7 @@ linear state estimation: a moving horizon approach"; Jazwinski (1970), section 8
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from math import sqrt
 from typing import Final, NamedTuple, Self
 
 import numpy as np
@@ -24,6 +25,12 @@ _FADING: Final = 0.25
 """Factor of the walk's variance after a block whose correction is less than a standard deviation."""
 _FALSE_ALARM: Final = 1e-4
 """Probability that a sample of drifting parameters is taken for a jump."""
+_MEMORY: Final = 0.95
+"""Factor by which the innovations' sums fade from sample to sample."""
+_CORRELATED: Final = 0.5
+"""Correlation of an innovation with the one before that shows what no parameter explains."""
+_N_STD: Final = 3.5
+"""Standard deviations that it must exceed, where there are few channels."""
 _STEP: Final = 1e-4
 """Step of the differences, in the unit cube."""
 _WIDEST: Final = 0.5
@@ -48,6 +55,12 @@ class ArrivalCost:
     """Sum (d,) of the corrections of the present block of samples."""
     expected: Vector
     """Variance (d,) of that sum, if the walk is right."""
+    innovation: Vector
+    """Innovation (c,) of the newest sample, in its own standard deviations; empty before the first."""
+    power: float = 0.0
+    """Sum of the innovations' squares, fading."""
+    product: float = 0.0
+    """Sum of the products of each innovation with the one before, fading."""
     n_samples: int = 0
     """Number of samples in the present block."""
     cost: float = 0.0
@@ -58,7 +71,7 @@ class ArrivalCost:
         """Return the arrival cost of an estimate z (d,) with its information."""
         s = np.maximum(known.singular_values, 1.0 / _WIDEST)
         zero = np.zeros(len(z))
-        return cls(z, (known.directions.T / s**2) @ known.directions, zero, zero, zero)
+        return cls(z, (known.directions.T / s**2) @ known.directions, zero, zero, zero, np.empty(0))
 
     @property
     def information(self) -> Information:
@@ -70,16 +83,24 @@ class ArrivalCost:
         moved = z - self.mean
         return float(moved @ np.linalg.solve(self.covariance, moved))
 
+    @property
+    def is_refuted(self) -> bool:
+        """True where drifting parameters do not explain the samples: their innovations are not white (Mehra, 1970)."""
+        limit = max(_CORRELATED, _N_STD * sqrt((1.0 - _MEMORY) / max(len(self.innovation), 1)))
+        return bool(np.any(self.walk)) and self.product > limit * self.power
+
     def updated(self, residual: Callable[[Vector], Vector]) -> Self:
         """Return the arrival cost with one more sample; residual: (c,) in standard deviations at a place (d,).
 
-        A sample at which the model has no value is left out.
+        A sample at which the model has no value, or that depends on no parameter, is left out.
         """
         measured = _measured(residual, self.mean)
         if measured is None:
             return self
         before = self.covariance + np.diag(self.walk)
         moved, after = _corrected(before, measured)
+        innovation = _normalised(before, measured)
+        last = self.innovation if len(self.innovation) else np.zeros(len(innovation))
         block = replace(
             self,
             mean=np.minimum(np.maximum(self.mean + moved, 0.0), 1.0),
@@ -87,6 +108,9 @@ class ArrivalCost:
             correction=self.correction + moved,
             expected=self.expected + (before - after).diagonal(),
             n_samples=self.n_samples + 1,
+            innovation=innovation,
+            power=_MEMORY * self.power + float(innovation @ innovation),
+            product=_MEMORY * self.product + float(innovation @ last),
             cost=float(measured.value @ measured.value),
         )
         return block if block.n_samples < _BLOCK else block._learnt()
@@ -102,11 +126,16 @@ class ArrivalCost:
             return None
         limit, d = chi2_limit(_FALSE_ALARM, len(measured.value)), len(self.mean)
         one = [rate**2 * row for row in np.eye(d)]
-        costs = [_squared(self.covariance + np.diag(walk), measured) for walk in one]
-        walk = one[int(np.argmin(costs))] if min(costs) <= limit else np.full(d, rate**2)
-        if min(costs) > limit and _squared(self.covariance + np.diag(walk), measured) > limit:
+        squares = [self._squared(walk, measured) for walk in one]
+        walk = one[int(np.argmin(squares))] if min(squares) <= limit else np.full(d, rate**2)
+        if min(squares) > limit and self._squared(walk, measured) > limit:
             return None
         return replace(self, walk=np.maximum(self.walk, walk)).updated(residual)
+
+    def _squared(self, walk: Vector, measured: "_Measured") -> float:
+        """Return the normalised innovation squared of a sample where the parameters walk by these variances (d,)."""
+        innovation = _normalised(self.covariance + np.diag(walk), measured)
+        return float(innovation @ innovation)
 
     def _learnt(self) -> Self:
         """Return the arrival cost at a block's end, with the walk that its correction shows."""
@@ -129,13 +158,14 @@ class _Measured(NamedTuple):
 def _measured(residual: Callable[[Vector], Vector], z: Vector) -> _Measured | None:
     value = residual(z)
     slope = forward_differences(residual, z, value, _STEP)
-    return _Measured(value, slope) if np.all(np.isfinite(value)) and np.all(np.isfinite(slope)) else None
+    has_value = np.all(np.isfinite(value)) and np.all(np.isfinite(slope))
+    return _Measured(value, slope) if has_value and np.any(slope) else None
 
 
-def _squared(P: Vector, measured: _Measured) -> float:
-    """Return the normalised innovation squared of a measurement, from the covariance (d, d) before it."""
+def _normalised(P: Vector, measured: _Measured) -> Vector:
+    """Return the innovation (c,) in its own standard deviations, from the covariance (d, d) before it."""
     value, H = measured
-    return float(value @ np.linalg.solve(H @ P @ H.T + np.eye(len(value)), value))
+    return np.linalg.solve(np.linalg.cholesky(H @ P @ H.T + np.eye(len(value))), value)
 
 
 def _corrected(P: Vector, measured: _Measured) -> tuple[Vector, Vector]:

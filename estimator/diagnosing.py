@@ -130,7 +130,11 @@ class DiagnosingRetuner(_Counting):
             return Proposal()
         if sample is not None:
             sample = diagnosis.corrected(sample)
-        return self._judged(t, self._retuner.step(t, sample, tracking_error, held), held)
+        proposal = self._retuner.step(t, sample, tracking_error, held)
+        if proposal.undo is not None:  # a drift that explains nothing
+            settled = diagnosis.refute_drift(t)
+            return self._ended(t, replace(proposal, undo=None), settled.undo, held, settled.events)
+        return self._judged(t, proposal, held)
 
     def _judged(self, t: float, proposal: Proposal, held: Vector) -> Proposal:
         """Return the proposal as far as it is warranted."""

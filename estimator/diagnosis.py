@@ -221,16 +221,24 @@ class Diagnosis:
         self._state.n_since, self._state.reference = 0, held
         return Settled(None)
 
-    def _give_up(self, t: float) -> Settled:
+    def refute_drift(self, t: float) -> Settled:
+        """Take parameters that drift and explain nothing: those that lasted return; the third time, all rests."""
+        state = self._state
+        state.moves = (*state.moves, True)[-_REMEMBERED:]
+        return self._give_up(t, rests=sum(state.moves) >= PATIENCE)
+
+    def _give_up(self, t: float, *, rests: bool = True) -> Settled:
         """Return to the parameters that lasted; all channels rest, as parameters explain each of them for a while."""
         state = self._state
-        state.moves, state.n_failures = (), max(state.n_failures + 1, PATIENCE)
         state.n_since, state.verdict = 0, "refuted"
         every = ~state.is_resting
         names = self._of(every)
         reason = f"parameters explain {', '.join(names)} for a few samples only"
         state.counts["unexplained"] += 1
         event = Event(t, "unexplained", {"channels": names, "reason": reason})
+        if not rests:
+            return Settled(state.lasting, (event,), True)
+        state.moves, state.n_failures = (), max(state.n_failures + 1, PATIENCE)
         return Settled(state.lasting, (event, self._rest(t, every)), True)
 
     def judge(self, theta: Vector, held: Vector) -> Judgement:

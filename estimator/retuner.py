@@ -95,7 +95,9 @@ class Retuner:
         is_following = isinstance(estimator, Following) and window.is_rescoring_cheap
         self._following = cast(Following, estimator) if is_following else None
         self._converging = estimator if isinstance(estimator, Converging) else None
+        self._is_waiting = False
         self._before: ArrivalCost | None = None  # at the beginning of the newest episode
+        self._searched: Vector | None = None  # where the newest search ended
         self._linear = linear
         self._believed: Vector | None = None  # the newest estimate of the present episode
         self._remaining = 0.0
@@ -144,6 +146,7 @@ class Retuner:
         wanted = held if estimate is None else candidate if is_candidate else estimate.theta
         if has_ended and self._following is not None and estimate is not None:
             self._following.remember()
+            self._searched = estimate.theta
         if has_ended and self._closes:
             self._window.end(wanted)
         theta = None if np.array_equal(wanted, held) else wanted
@@ -222,6 +225,10 @@ class Retuner:
         if estimate is None:
             return None
         latencies = (perf_counter() - begun,)
+        known = self._following.arrival_cost
+        if known is not None and known.is_refuted:
+            self.reverted()
+            return Proposal(undo=self._searched, latencies=latencies)
         if np.array_equal(estimate.theta, held):
             return Proposal(latencies=latencies)
         return Proposal(estimate.theta, estimate, latencies=latencies)
@@ -238,8 +245,13 @@ class Retuner:
             self._rescoring.rescore(np.full((len(self._rescoring.candidates), 1), np.nan))
         samples = self._window.begin(held)
         self._believed = held
-        if self._estimator.is_whitened:
+        window = self._window
+        if isinstance(window, ResidualWindow) and self._searched is not None and not window.is_full and not self._is_waiting:
+            window.wait()  # parameters that were found on fewer samples may have been wrong
+            self._is_waiting = True
+        elif self._estimator.is_whitened:
             self._window.explain(held, patient=False)
+            self._is_waiting = False
         return samples
 
     def _evaluate(self, held: Vector) -> Iterator[tuple[Vector, float, float]]:

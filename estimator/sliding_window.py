@@ -38,6 +38,11 @@ class ResidualWindow:
         return tuple(self._lengths)
 
     @property
+    def is_full(self) -> bool:
+        """True where no channel could have more samples."""
+        return max(self._lengths) == self._max_length
+
+    @property
     def newest(self) -> Sample:
         """The newest sample. Raises IndexError where there is none."""
         return self._samples[-1]
@@ -107,6 +112,10 @@ class ResidualWindow:
         """Drop the rows kept for all but these candidates."""
         kept = {theta.tobytes() for theta in candidates}
         self._rows = {key: rows for key, rows in self._rows.items() if key in kept}
+
+    def wait(self) -> None:
+        """Take all samples for unexplained yet: they wait for a better incumbent, none is dropped."""
+        self._is_explained = [False] * len(self._lengths)
 
     def explain(self, theta: Vector, patient: bool = True, false_alarm: float = 1e-4) -> None:
         """Restart, at the newest sample, each channel that stopped agreeing with the incumbent theta.

@@ -116,7 +116,7 @@ class ArrivalCost:
         return block if block.n_samples < _BLOCK else block._learnt()
 
     def drifted(self, residual: Callable[[Vector], Vector], rate: float) -> Self | None:
-        """Return the arrival cost with a sample that contradicts it; None where a drift does not explain that.
+        """Return the arrival cost with a sample that may contradict it; None where a drift does not explain it.
 
         rate: standard deviation of a drifting parameter's change from sample to sample. The one parameter that explains
         the sample best drifts from now on, all of them where one is not enough.
@@ -126,11 +126,11 @@ class ArrivalCost:
             return None
         limit, d = chi2_limit(_FALSE_ALARM, len(measured.value)), len(self.mean)
         one = [rate**2 * row for row in np.eye(d)]
-        squares = [self._squared(walk, measured) for walk in one]
-        walk = one[int(np.argmin(squares))] if min(squares) <= limit else np.full(d, rate**2)
-        if min(squares) > limit and self._squared(walk, measured) > limit:
-            return None
-        return replace(self, walk=np.maximum(self.walk, walk)).updated(residual)
+        best = min(one, key=lambda walk: self._squared(walk, measured))
+        for walk in (np.zeros(d), best, np.full(d, rate**2)):
+            if self._squared(walk, measured) <= limit:
+                return replace(self, walk=np.maximum(self.walk, walk)).updated(residual)
+        return None
 
     def _squared(self, walk: Vector, measured: "_Measured") -> float:
         """Return the normalised innovation squared of a sample where the parameters walk by these variances (d,)."""

@@ -137,11 +137,15 @@ class Following(AskTell, Protocol):
         """Begin a new arrival cost with the present estimate."""
         ...
 
-    def follow(self, residual: Callable[[Vector], Vector], held: Vector, is_contradictory: bool) -> Estimate | None:
+    def recall(self, arrival_cost: ArrivalCost | None, held: Vector) -> None:
+        """Go back to an earlier arrival cost, where it agrees with the parameters held (d,); else to none."""
+        ...
+
+    def follow(self, residual: Callable[[Vector], Vector], held: Vector, is_triggered: bool) -> Estimate | None:
         """Take one more sample; return the new estimate, or None where a search is needed.
 
         residual: (c,) of theta (d,), in standard deviations; held (d,): in force, and the estimate where the samples
-        do not tell it from a better one; is_contradictory: true where the sample contradicts it.
+        do not tell it from a better one; is_triggered: true where a search would begin.
         """
         ...
 

@@ -146,6 +146,8 @@ class DiagnosingRetuner(_Counting):
         if verdict == "warranted" and theta is not None:
             self._warranted = theta.tobytes()
         has_ended = any(event.kind == "end" for event in proposal.events)
+        if has_ended and verdict != "warranted":
+            self._retuner.reverted()
         has_ended |= self._is_endless and diagnosis.n_since >= _PATIENCE
         if has_ended and diagnosis.n_since >= _FEWEST and diagnosis.has_failed:
             failed = diagnosis.fail(t, best, held)
@@ -169,7 +171,7 @@ class DiagnosingRetuner(_Counting):
         if self._solver is not None:
             self._retuner.restore(self._solver, back)
             self._solver = None
-        self._retuner.abandon()
+        self._retuner.abandon(back)
         return _undone(t, proposal, back, held, events)
 
 
@@ -216,7 +218,7 @@ class DiagnosingEpisodes(_Counting):
         """End the search on samples that turn out to be doubtful, and undo what it wrote; None where there is none."""
         if self._before is None or not self._retuner.is_searching:
             return None
-        self._retuner.abandon()
+        self._retuner.abandon(self._before)
         self._retuner.close(self._before)
         return _undone(t, Proposal(), self._before, held, ())
 

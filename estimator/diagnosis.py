@@ -250,7 +250,7 @@ class Diagnosis:
         is_due = state.n_samples >= state.found_at + (_RENEWED if state.verdict == "warranted" else 1)
         if is_due or state.found_at < state.n_samples - state.n_since:
             self._weigh(theta, held)
-        if state.verdict == "refuted":
+        if state.verdict == "refuted" or (state.verdict == "possible" and state.n_failures):
             return "refuted"
         now = self._rows(theta, 1)
         if plain_fit(now, 0).is_explained or np.sum(now**2) < BETTER * np.sum(self._rows(held, 1) ** 2):
@@ -296,7 +296,12 @@ class Diagnosis:
                 return
 
     def _wins(self, parameters: Fit, before: Vector) -> bool:
-        """Set the verdict where changed parameters are possible; before (n, c): residuals of the reference."""
+        """Set the verdict where changed parameters are possible; before (n, c): residuals of the reference.
+
+        As many samples as could be tested must be: fewer than the parameters are explained by any.
+        """
+        if parameters.n_values <= parameters.n_free < self._state.n_since * n_channels_of(before) // 2:
+            return False
         weighing = Weighing(parameters, disturbance_of(before).fit, plain_fit(before, 0))
         if weighing.are_parameters_possible:
             self._state.n_explained = len(before)

@@ -161,12 +161,12 @@ class Retuner:
         """Close the window of an episode that has ended with theta (d,) in force."""
         self._window.end(theta)
 
-    def abandon(self) -> None:
-        """End the episode, if there is one, and forget its samples; what was known before it is known again."""
+    def abandon(self, held: Vector) -> None:
+        """End the episode, if there is one, and forget its samples; what was known of held (d,) is known again."""
         if self._solver is None or self._remaining != math.inf:
             self._remaining = 0.0
         if self._following is not None:
-            self._following.arrival_cost = self._before
+            self._following.recall(self._before, held)
         self.forget()
 
     def reverted(self) -> None:
@@ -216,12 +216,12 @@ class Retuner:
             self._window.explain(estimate.theta)
         return estimate
 
-    def _follow(self, held: Vector, is_contradictory: bool) -> Proposal | None:
+    def _follow(self, held: Vector, is_triggered: bool) -> Proposal | None:
         """Take the newest sample between two episodes; return None where there is nothing to go on from."""
         if self._following is None:
             return None
         begun = perf_counter()
-        estimate = self._following.follow(self._window.newest_residual, held, is_contradictory)
+        estimate = self._following.follow(self._window.newest_residual, held, is_triggered)
         if estimate is None:
             return None
         latencies = (perf_counter() - begun,)

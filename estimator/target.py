@@ -46,6 +46,8 @@ _LITTLE = float(np.log(0.1**2))
 """Logarithm of an expected decrease of the sum of squares that is not worth an evaluation."""
 _FALSE_ALARM = 1e-4
 """Probability that the residual of the true parameters does not count as explained."""
+_AGREES = 4.0
+"""Squared distance, in standard deviations and by parameter, up to which a filtered estimate is that of a write."""
 _WORTH = 1.0
 """Squared distance, in standard deviations, of a filtered estimate that is worth a write."""
 
@@ -262,11 +264,16 @@ class TargetVector:
         assert estimate.information is not None
         self.arrival_cost = ArrivalCost.of_estimate(self._space.to_unit(estimate.theta), estimate.information)
 
-    def follow(self, residual: Callable[[Vector], Vector], held: Vector, is_contradictory: bool) -> Estimate | None:
+    def recall(self, arrival_cost: ArrivalCost | None, held: Vector) -> None:
+        """Go back to an earlier arrival cost, where it agrees with the parameters held (d,); else to none."""
+        agrees = arrival_cost is not None and arrival_cost.distance(self._space.to_unit(held)) < _AGREES * len(held)
+        self.arrival_cost = arrival_cost if agrees else None
+
+    def follow(self, residual: Callable[[Vector], Vector], held: Vector, is_triggered: bool) -> Estimate | None:
         """Take one more sample by an extended Kalman filter; return its estimate, or None where a search is needed.
 
         residual: (c,) of theta (d,), in standard deviations; held (d,): in force, and the estimate where the samples
-        do not tell it from the filter's; is_contradictory: true where the sample contradicts it.
+        do not tell it from the filter's; is_triggered: true where a search would begin.
         """
         known, space = self.arrival_cost, self._space
         if known is None:
@@ -275,14 +282,14 @@ class TargetVector:
         def at(z: Vector) -> Vector:
             return residual(space.beyond(z))
 
-        known = known.drifted(at, self._settings.drift) if is_contradictory else known.updated(at)
+        known = known.drifted(at, self._settings.drift) if is_triggered else known.updated(at)
         if known is None:
             return None
         self.arrival_cost = known
         seen_by_data = known.information
         estimate = scaled_estimate(
             space, known.mean, seen_by_data.std(), self._settings.identifiable_below, seen_by_data,
-            cost=float(known.cost), n_evaluations=0, reason="filtered",
+            cost=float(known.cost), n_evaluations=self._n_evaluations, reason="filtered",
         )  # fmt: skip
         is_better = known.distance(space.to_unit(held)) >= _WORTH
         return estimate if is_better else replace(estimate, theta=held)

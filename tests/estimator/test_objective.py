@@ -234,8 +234,13 @@ def by_name(name, seed, samples):
     return estimator, run(estimator, samples, budget, trigger, window, FORM if method.needs_linear_form else None)[1]
 
 
+def estimates(decisions):
+    """Between searches there is an estimate only where it is worth a write."""
+    return [d.estimate for d in decisions if d.estimate is not None]
+
+
 def bits(decisions):
-    return [(d.estimate.theta.tobytes(), d.estimate.std.tobytes(), d.estimate.cost) for d in decisions]
+    return [(e.theta.tobytes(), e.std.tobytes(), e.cost) for e in estimates(decisions)]
 
 
 @pytest.mark.parametrize("name", METHODS)
@@ -244,13 +249,14 @@ def test_every_estimator_runs_by_name_inside_the_bounds(name):
     assert isinstance(estimator, Solver) != isinstance(estimator, AskTell)
     assert len(decisions) == 12
     lower, upper = np.array([(p.lower, p.upper) for p in SPACE]).T
-    for d in decisions:
-        assert np.all((d.estimate.theta >= lower) & (d.estimate.theta <= upper))
-        assert np.all(np.isfinite(d.estimate.std))
-        assert np.all(d.estimate.std >= 0.0)
-        assert np.isfinite(d.estimate.cost)
-        assert d.estimate.n_evaluations > 0
-        assert len(d.estimate.is_identifiable) == 2
+    assert len(estimates(decisions)) >= 8
+    for estimate in estimates(decisions):
+        assert np.all((estimate.theta >= lower) & (estimate.theta <= upper))
+        assert np.all(np.isfinite(estimate.std))
+        assert np.all(estimate.std >= 0.0)
+        assert np.isfinite(estimate.cost)
+        assert estimate.n_evaluations > 0
+        assert len(estimate.is_identifiable) == 2
     assert any(d.theta is not None for d in decisions)
 
 
@@ -271,6 +277,6 @@ def test_the_estimators_of_the_residual_vector_find_the_truth(name):
 
     The filter forgets by a walk of 0.003 of the bounds, 0.7 %, a sample.
     """
-    theta = by_name(name, 0, swing(40))[1][-1].estimate.theta
+    theta = estimates(by_name(name, 0, swing(40))[1])[-1].theta
     assert_allclose(theta, TRUTH, rtol=0.04)
     assert np.all(np.abs(START / TRUTH - 1.0) > 0.2)

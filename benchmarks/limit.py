@@ -4,8 +4,8 @@
 
 At the scenario's instants, whole runs, FMUs and all. The bound is that of the samples that the run itself made since
 the plant's parameters changed last: no unbiased estimator that knows when they changed, and nothing of before, has a
-smaller variance (Kay (1993), "Fundamentals of Statistical Signal Processing", section 3.8). Instants at which a parameter
-drifts have no such bound and are left out. An error is in the parameters' scaled bounds; a row pools the seeds, and all
+smaller variance (Kay (1993), "Fundamentals of Statistical Signal Processing", section 3.8). Instants at which a
+parameter drifts have no such bound and are left out. An error is in the parameters' scaled bounds; a row pools the seeds, and all
 parameters whose bound is below a tenth of the bounds. Every run is kept in raw/limit.json, from where an interrupted
 measurement goes on; results/limit.json has a row for each scenario, instant and estimator.
 """

@@ -173,4 +173,5 @@ def _corrected(P: Vector, measured: _Measured) -> tuple[Vector, Vector]:
     value, H = measured
     gain = np.linalg.solve(H @ P @ H.T + np.eye(len(value)), H @ P).T
     left = np.eye(len(P)) - gain @ H
-    return -gain @ value, left @ P @ left.T + gain @ gain.T  # Joseph's form
+    after: Vector = left @ P @ left.T + gain @ gain.T  # Joseph's form
+    return -gain @ value, after

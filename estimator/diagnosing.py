@@ -104,6 +104,7 @@ class DiagnosingRetuner(_Counting):
     def reverted(self, theta: Vector) -> None:
         """Take a revert of the guard's to theta (d,): no search that fails returns to what was reverted."""
         self._diagnosis.accept(theta)
+        self._retuner.distrust()
 
     def suspend(self, t: float, held: Vector) -> Proposal | None:
         """End the search on samples that turn out to be doubtful, and undo what it wrote; None where there is none."""
@@ -146,8 +147,8 @@ class DiagnosingRetuner(_Counting):
         if verdict == "warranted" and theta is not None:
             self._warranted = theta.tobytes()
         has_ended = any(event.kind == "end" for event in proposal.events)
-        if has_ended and verdict != "warranted":
-            self._retuner.reverted()
+        if has_ended and verdict == "refuted":
+            self._retuner.distrust()
         has_ended |= self._is_endless and diagnosis.n_since >= _PATIENCE
         if has_ended and diagnosis.n_since >= _FEWEST and diagnosis.has_failed:
             failed = diagnosis.fail(t, best, held)

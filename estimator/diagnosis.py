@@ -250,7 +250,7 @@ class Diagnosis:
         is_due = state.n_samples >= state.found_at + (_RENEWED if state.verdict == "warranted" else 1)
         if is_due or state.found_at < state.n_samples - state.n_since:
             self._weigh(theta, held)
-        if state.verdict == "refuted" or (state.verdict == "possible" and state.n_failures):
+        if state.verdict == "refuted":
             return "refuted"
         now = self._rows(theta, 1)
         if plain_fit(now, 0).is_explained or np.sum(now**2) < BETTER * np.sum(self._rows(held, 1) ** 2):
@@ -258,8 +258,11 @@ class Diagnosis:
         return "refuted"
 
     def is_at_unseen_bound(self, theta: Vector, std: Vector, held: Vector) -> bool:
-        """Return whether a parameter would move to a bound although its standard deviation is as wide as the bounds."""
-        return is_at_unseen_bound(self._space, theta, std, held)
+        """Return whether a parameter would move to a bound although its standard deviation is as wide as the bounds.
+
+        Or anywhere, while channels rest.
+        """
+        return is_at_unseen_bound(self._space, theta, std, held, not self._state.is_resting.any())
 
     def suspend(self) -> Vector | None:
         """End the suspicion, whose samples are doubtful; return the parameters (d,) to go back to, None without one."""
@@ -296,12 +299,7 @@ class Diagnosis:
                 return
 
     def _wins(self, parameters: Fit, before: Vector) -> bool:
-        """Set the verdict where changed parameters are possible; before (n, c): residuals of the reference.
-
-        As many samples as could be tested must be: fewer than the parameters are explained by any.
-        """
-        if parameters.n_values <= parameters.n_free < self._state.n_since * n_channels_of(before) // 2:
-            return False
+        """Set the verdict where changed parameters are possible; before (n, c): residuals of the reference."""
         weighing = Weighing(parameters, disturbance_of(before).fit, plain_fit(before, 0))
         if weighing.are_parameters_possible:
             self._state.n_explained = len(before)
@@ -393,7 +391,7 @@ class Diagnosis:
         if n >= _QUIET and explaining:
             best = min(explaining, key=lambda d: d.fit.score)
             events = self._name(t, best)
-            return Settled(reference if best.is_constant else self._undone(reference), events, True)
+            return Settled(self._undone(reference), events, True)
         state.n_since, state.verdict = 0, "refuted"
         state.n_failures += 1
         best = rows if theta is None else self._rows(theta, n)

@@ -15,6 +15,8 @@ BETTER: Final = 0.5
 """Share of the sum of squares of the parameters in force, at the newest samples, that better ones may have."""
 _LITTLE: Final = 1e-6
 """Distance, as a share of the scaled bounds, that is none."""
+_MOVED: Final = 0.02
+"""Share of the scaled bounds by which an unseen parameter may move even so."""
 _WIDE: Final = 0.5
 """Standard deviation, as a share of the scaled bounds, that says nothing."""
 _MOST: Final = 1_000_000_000
@@ -51,9 +53,13 @@ class DiagnosisSettings:
         return min(self.rest * 2 ** min(n_failures - PATIENCE, 20), self.longest_rest)
 
 
-def is_at_unseen_bound(space: ParameterSpace, theta: Vector, std: Vector, held: Vector) -> bool:
-    """Return whether a parameter has moved from held (d,) to a bound, with a std as wide as the bounds."""
+def is_at_unseen_bound(space: ParameterSpace, theta: Vector, std: Vector, held: Vector, may_move: bool = True) -> bool:
+    """Return whether a parameter has moved from held (d,) to a bound, with a std as wide as the bounds.
+
+    may_move: False where it may not move at all then.
+    """
     z = space.to_unit(theta)
     is_at_bound = (z < _LITTLE) | (z > 1.0 - _LITTLE)
-    has_moved = np.abs(z - space.to_unit(held)) > _LITTLE
-    return bool(np.any(is_at_bound & has_moved & (std >= _WIDE * space.slope(theta))))
+    moved = np.abs(z - space.to_unit(held))
+    is_forbidden = moved > np.where(is_at_bound, _LITTLE, np.inf if may_move else _MOVED)
+    return bool(np.any(is_forbidden & (std >= _WIDE * space.slope(theta))))

@@ -92,10 +92,10 @@ class Retuner:
         self._rescoring = estimator if isinstance(estimator, Rescoring) else None
         is_batching = isinstance(estimator, Batching) and not window.is_rescoring_cheap
         self._batching = cast(Batching, estimator) if is_batching else None
-        is_following = isinstance(estimator, Following) and window.is_rescoring_cheap
+        is_following = isinstance(estimator, Following) and isinstance(window, ResidualWindow)
         self._following = cast(Following, estimator) if is_following else None
         self._converging = estimator if isinstance(estimator, Converging) else None
-        self._is_waiting = False
+        self._is_waiting = False  # whether the newest episode began on a window that waits
         self._before: ArrivalCost | None = None  # at the beginning of the newest episode
         self._searched: Vector | None = None  # where the newest search ended
         self._linear = linear
@@ -169,8 +169,12 @@ class Retuner:
             self._following.recall(self._before, held)
         self.forget()
 
-    def reverted(self) -> None:
-        """Take a return to earlier parameters, of which nothing is known."""
+    def reverted(self, theta: Vector) -> None:
+        """Take a return to earlier parameters theta (d,): what the filter knows is doubtful."""
+        self.distrust()
+
+    def distrust(self) -> None:
+        """Forget what the samples so far say of the parameters: the next samples are followed after a search only."""
         if self._following is not None:
             self._following.arrival_cost = self._before = None
 
@@ -218,7 +222,7 @@ class Retuner:
 
     def _follow(self, held: Vector, is_triggered: bool) -> Proposal | None:
         """Take the newest sample between two episodes; return None where there is nothing to go on from."""
-        if self._following is None:
+        if self._following is None or not isinstance(self._window, ResidualWindow):
             return None
         begun = perf_counter()
         estimate = self._following.follow(self._window.newest_residual, held, is_triggered)
@@ -227,7 +231,7 @@ class Retuner:
         latencies = (perf_counter() - begun,)
         known = self._following.arrival_cost
         if known is not None and known.is_refuted:
-            self.reverted()
+            self.distrust()
             return Proposal(undo=self._searched, latencies=latencies)
         if np.array_equal(estimate.theta, held):
             return Proposal(latencies=latencies)
@@ -246,12 +250,12 @@ class Retuner:
         samples = self._window.begin(held)
         self._believed = held
         window = self._window
-        if isinstance(window, ResidualWindow) and self._searched is not None and not window.is_full and not self._is_waiting:
-            window.wait()  # parameters that were found on fewer samples may have been wrong
-            self._is_waiting = True
+        waits = isinstance(window, ResidualWindow) and self._searched is not None and not window.is_full
+        if isinstance(window, ResidualWindow) and waits and not self._is_waiting:
+            window.wait()  # what was found on fewer samples may have been wrong, the plant still the same
         elif self._estimator.is_whitened:
-            self._window.explain(held, patient=False)
-            self._is_waiting = False
+            window.explain(held, patient=False)
+        self._is_waiting = waits and not self._is_waiting
         return samples
 
     def _evaluate(self, held: Vector) -> Iterator[tuple[Vector, float, float]]:

@@ -111,6 +111,10 @@ class TargetVector:
        than (significance misfit)^2; else the nearest candidate to z0 within that is taken. The error is
        std_j^2 = sum_i V_ij^2 / s_i^2 + (z_ls - z)_j^2, with z_ls the linear least squares.
 
+    7. Between episodes `follow` takes each sample by an extended Kalman filter, which begins with the estimate: see
+       `ArrivalCost`. It follows parameters that drift; a search is needed after a jump only. An episode is done when
+       the residual is explained and the expected improvement is below a tenth of a standard deviation, squared.
+
     Usage, after which target.estimate().theta is (1.75, 0.75) to 1e-4:
 
         space = ParameterSpace((Parameter("m", 0.1, 5.0, "kg"), Parameter("l", 0.1, 3.0, "m")))

@@ -202,8 +202,7 @@ class Supervisor:
         ruling = self._guard.step(point.k, point.t, point.error, proposal, held, prediction)
         if ruling.is_revert:
             assert ruling.write is not None
-            if not isinstance(self._retuner, Retuner):
-                self._retuner.reverted(ruling.write)
+            self._retuner.reverted(ruling.write)
             if self._snapshot is not None:  # an outlier changes nothing about it
                 self._snapshot = replace(self._snapshot, held=ruling.write, guard=self._guard.snapshot())
         if not isinstance(lookahead, str) and lookahead.failure is not None:

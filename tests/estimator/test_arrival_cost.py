@@ -16,7 +16,7 @@ RATE = 0.0025
 
 
 def linear(rng, truth, n_channels=4, error=0.0):
-    """A sample whose residual is linear in z, with unit noise: 1/100 of the bounds is two to three of its deviations."""
+    """A sample whose residual is linear in z, with unit noise: a hundredth of the bounds is two deviations of it."""
     H = 200.0 * rng.standard_normal((n_channels, len(truth)))
     noise = rng.standard_normal(n_channels) + error
     return H, noise, lambda z: H @ (z - truth) + noise

@@ -5,14 +5,15 @@
 At the scenario's instants, whole runs, FMUs and all. The bound is that of the samples that the run itself made since
 the plant's parameters changed last: no unbiased estimator that knows when they changed, and nothing of before, has a
 smaller variance (Kay (1993), "Fundamentals of Statistical Signal Processing", section 3.8). Instants at which a
-parameter drifts have no such bound and are left out. An error is in the parameters' scaled bounds; a row pools the seeds, and all
-parameters whose bound is below a tenth of the bounds. Every run is kept in raw/limit.json, from where an interrupted
-measurement goes on; results/limit.json has a row for each scenario, instant and estimator.
+parameter drifts have no such bound and are left out. An error is in the parameters' scaled bounds; a row pools the
+seeds, and all parameters whose bound is below a tenth of the bounds. Every run is kept in raw/limit.json, from where an
+interrupted measurement goes on; results/limit.json has a row for each scenario, instant and estimator.
 """
 
 import argparse
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from itertools import product
 from math import sqrt
 from typing import Any
@@ -27,7 +28,7 @@ from cosim.runs.simulation import run
 from cosim.sampling.sampler import recorded_samples
 from cosim.scenarios.scenario import Scenario
 from cosim.user_code import load
-from estimator import DerivativeResidual, Vector
+from estimator import DerivativeResidual, Sample, Vector
 from estimator.differences import central_differences
 
 SCENARIOS = ("pendulum", "quadrotor", "rigid-body", "stiction", "magnetic-levitation")
@@ -127,10 +128,16 @@ def cramer_rao(result: Run, rows: range, truth: Vector) -> Vector:
     residual = DerivativeResidual(model, space, result.plant.channels, tuple(sigma))
     z, information = space.to_unit(truth), np.zeros((len(space), len(space)))
     for sample in recorded_samples(scenario, result.plant, result.series, rows):
-        J = central_differences(lambda z, s=sample: residual(space.beyond(z), s), z, np.full(len(z), 1e-5))
-        information += J.T @ J
+        if sample is not None:
+            J = central_differences(partial(_at, residual, sample), z, np.full(len(z), 1e-5))
+            information += J.T @ J
     values, directions = np.linalg.eigh(information)
     return np.sqrt(np.sum(directions**2 / np.maximum(values, 1e-12), axis=1))
+
+
+def _at(residual: DerivativeResidual, sample: Sample, z: Vector) -> Vector:
+    """Return the residual (c,) at z (d,), in standard deviations of the noise."""
+    return residual(residual.space.beyond(z), sample)
 
 
 if __name__ == "__main__":

@@ -165,7 +165,8 @@ def _measured(residual: Callable[[Vector], Vector], z: Vector) -> _Measured | No
 def _normalised(P: Vector, measured: _Measured) -> Vector:
     """Return the innovation (c,) in its own standard deviations, from the covariance (d, d) before it."""
     value, H = measured
-    return np.linalg.solve(np.linalg.cholesky(H @ P @ H.T + np.eye(len(value))), value)
+    innovation: Vector = np.linalg.solve(np.linalg.cholesky(H @ P @ H.T + np.eye(len(value))), value)
+    return innovation
 
 
 def _corrected(P: Vector, measured: _Measured) -> tuple[Vector, Vector]:

@@ -57,7 +57,6 @@ class EstimatorSlave(Slave):
     def _enter(self, is_initialized: bool) -> None:
         super()._enter(is_initialized)
         if is_initialized:
-            self._must_be_in_range()
             self._loop = self._loop_type(self.settings, lambda name: self._values[self._place[name]])
 
     def _refresh(self) -> None:
@@ -105,12 +104,6 @@ class EstimatorSlave(Slave):
                 f"{module} cannot be imported, {type(e).__name__}: {e}. "
                 f"Install them there: python -m pip install {' '.join(packages)}"
             ) from e
-
-    def _must_be_in_range(self) -> None:
-        for v, value in zip(self.variables, self._values[self._parameters], strict=False):
-            lower, upper = v.min, v.max
-            if (lower is not None and value < lower) or (upper is not None and value > upper):
-                raise ValueError(f"{self.modelName}: {v.name} must be in [{lower}, {upper}], got {value:g}.")
 
 
 def _parameters(settings: Mapping[str, Any]) -> list[VariableRow]:

@@ -132,7 +132,10 @@ def test_derivatives_depend_on_exactly_what_a_perturbation_shows(name):
     parameters = [n for n, v in variables.items() if v.get("causality") == "parameter"]
     for _ in range(60):
         for known in parameters:  # a start of zero hides a dependency
-            values = [x + rng.uniform(0.01, 0.1) for x in map(float, variables[known].get("start").split())]
+            starts = map(float, variables[known].get("start").split())
+            values = [
+                x + min(rng.uniform(0.01, 0.1), 0.5 * (float(variables[known].get("max", "inf")) - x)) for x in starts
+            ]
             model.set_float64([reference[known]], values)
         for known in (*states, *inputs):
             model.set_float64([reference[known]], [rng.uniform(-1.0, 1.0) for _ in range(size[known])])

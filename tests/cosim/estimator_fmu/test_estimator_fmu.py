@@ -132,19 +132,23 @@ def test_initial_dependencies_are_exactly_what_a_perturbation_shows():
     kind = type("Estimator", (EstimatorSlave,), {"settings": settings, "__doc__": "Estimates."})
     outputs = [v.name for v in kind.variables if v.causality == "output"]
 
-    def initial(name=None):
+    def another(v, value):
+        if isinstance(value, bool):
+            return not value
+        return value / 2 if v.max is not None and value + 1 > v.max else value + 1 if value else 0.5
+
+    def initial(v=None):
         slave = kind(instance_name="one")
         slave.setup_experiment(0.0)
-        if name is not None:
-            (value,) = get(slave, name)
-            put(slave, **{name: not value if isinstance(value, bool) else value + 1 if value else 0.5})
+        if v is not None:
+            put(slave, **{v.name: another(v, *get(slave, v.name))})
         return get(slave, *outputs)
 
     before = initial()
     seen = {name: set() for name in outputs}
     for v in kind.variables:
         if v.causality != "output":
-            for name, a, b in zip(outputs, before, initial(v.name), strict=True):
+            for name, a, b in zip(outputs, before, initial(v), strict=True):
                 if a != b:
                     seen[name].add(v.name)
     assert seen == {v.name: set(v.dependencies) for v in kind.variables if v.causality == "output"}

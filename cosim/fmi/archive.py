@@ -1,5 +1,6 @@
 """An FMU as a file: the zip archive, the description in it, and a folder to unpack it into."""
 
+import re
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -19,7 +20,7 @@ from .binding import FmuToLoad
 from .elements import scalarized
 from .folder import PrivateFolder
 from .preflight.archive import archive_findings
-from .preflight.description import description_findings, index_findings
+from .preflight.description import description_findings, harmless_findings, index_findings
 from .preflight.library import library_problem, needed_functions
 from .preflight.xml import LARGEST, strict_root
 
@@ -31,7 +32,7 @@ DESCRIPTION: Final = "modelDescription.xml"
 _DAMAGED: Final = (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, ValueError)  # what zipfile raises
 _BUILD: Final = "sources/buildDescription.xml"
 _CHUNK: Final = 1 << 20
-_VERSIONS: Final[dict[str, tuple[str, ...]]] = {"co-simulation": ("2.0", "3.0"), "model-exchange": ("2.0", "3.0")}
+_VERSION: Final = re.compile(r"2\.0|3\.0(\.\d+)?")  # those of betas have other functions
 
 
 @dataclass(frozen=True)
@@ -58,10 +59,10 @@ def read_description(fmu: Path, interface: InterfaceName = "co-simulation") -> M
 def unusable(description: ModelDescription, interface: InterfaceName) -> str | None:
     """Return the reason why an FMU cannot be used, its version or kind being another than asked for; else None."""
     version, offered = str(description.fmiVersion), interfaces(description)
-    if version.startswith(_VERSIONS[interface]) and interface in offered:
+    if _VERSION.fullmatch(version) and interface in offered:
         return None
     kind = next(iter(offered), "scheduled-execution")
-    return f"is an FMI {version} {kind} FMU, not FMI {' or '.join(_VERSIONS[interface])} {interface}"
+    return f"is an FMI {one_line(version)} {kind} FMU, not FMI 2.0 or 3.0 {interface}"
 
 
 def read_any(fmu: Path) -> ModelDescription:
@@ -92,7 +93,7 @@ def look_into(fmu: Path, on_findings: FindingsListener | None = None) -> tuple[M
     try:
         with open(readable(fmu), "rb") as file:
             on_findings(index_findings(_description_in(file, on_findings)))
-            description = fmpy.read_model_description(file)
+            description = _validated(file, on_findings)
             on_findings(description_findings(description))
             platforms: list[str] = fmpy.supported_platforms(file)
     except ModelDescriptionError:
@@ -109,6 +110,18 @@ def look_into(fmu: Path, on_findings: FindingsListener | None = None) -> tuple[M
     except Exception as error:  # FMPy raises what the zip, XML and validation code happens to raise
         raise ModelDescriptionError(f"{fmu} is not a usable FMU: {_text_of(error)}") from error
     return description, platforms
+
+
+def _validated(file: BinaryIO, on_findings: FindingsListener) -> ModelDescription:
+    """Return the description of a valid FMU, or of one whose faults are harmless. Raises what FMPy raises."""
+    try:
+        return fmpy.read_model_description(file)
+    except ValidationError as error:
+        harmless = harmless_findings(error.problems)
+        if harmless is None:
+            raise
+        on_findings(harmless)
+        return fmpy.read_model_description(file, validate=False)
 
 
 def library_finding(library: BinaryIO, description: ModelDescription, interface: str) -> Iterable[Finding]:

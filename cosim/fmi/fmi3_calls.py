@@ -12,6 +12,7 @@ from fmpy import read_model_description
 from ..errors import SlaveError
 from .binding import WARNING, FmuToLoad, StartValues, failure
 from .fmu_log import LogListener, Messages
+from .preflight.description import clock_problem
 from .value_buffers import ScalarVariable
 from .value_buffers3 import ValueBuffer3, buffers3_of, overlaid, start_arrays
 
@@ -114,7 +115,9 @@ class Fmi3Calls:
             )
             fmu.instantiate(loggingOn=True, logMessage=lambda _, status, __, text: self.log.add(status, text or b""))
         except Exception as error:  # FMPy raises nothing more special
-            raise SlaveError(self.name, "instantiate", None, f"failed: {self.log.reason() or error}") from error
+            problem = clock_problem(self.description) if to_load.interface == "co-simulation" else None
+            reason = "; ".join(filter(None, (self.log.reason() or str(error), problem)))
+            raise SlaveError(self.name, "instantiate", None, f"failed: {reason}") from error
         finally:
             os.chdir(directory)  # FMPy stays in the FMU's folder when loading fails
         return fmu

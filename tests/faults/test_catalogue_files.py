@@ -203,9 +203,11 @@ def is_told(unsound, tmp_path, command):
 def test_archive(unsound, is_told, row):
     how = row["inject"]
     with ExitStack() as stack:
-        if how == "two descriptions":
+        if how in ("two descriptions", "a table twice"):
             stack.enter_context(pytest.warns(UserWarning, match="Duplicate name"))
-            add(unsound, DESCRIPTION)
+            name = DESCRIPTION if how == "two descriptions" else "resources/table"
+            for _ in range(1 if how == "two descriptions" else 2):
+                add(unsound, name)
         elif how.startswith("name "):
             add(unsound, how.removeprefix("name "))
         else:

@@ -24,7 +24,7 @@ fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n, const f
 }
 fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean has_tolerance, fmi3Float64 tolerance,
                                        fmi3Float64 from, fmi3Boolean has_stop, fmi3Float64 stop) {
-    ((Model *)c)->time = from;
+    begin(c, from, has_tolerance, tolerance);
     return fmi3OK;
 }
 fmi3Status fmi3ExitInitializationMode(fmi3Instance c) {

@@ -5,8 +5,6 @@ from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 
-from fmpy.model_description import ModelDescription
-
 from ..errors import ModelDescriptionError, one_line
 from ..findings import Finding, warning
 from ..fmi.archive import (
@@ -21,6 +19,7 @@ from ..fmi.archive import (
     unpack,
     unusable,
 )
+from ..fmi.component import ModelDescription
 from ..fmi.folder import PrivateFolder
 from ..fmi.preflight.description import clock_problem
 from .library_search import missing_libraries

@@ -1,5 +1,6 @@
 """An FMU as a file: the zip archive, the description in it, and a folder to unpack it into."""
 
+import math
 import re
 import zipfile
 import zlib
@@ -139,9 +140,16 @@ def library_path(description: ModelDescription, interface: str) -> str:
 
 
 def fmu_to_load(
-    description: ModelDescription, folder: str, instance_name: str, interface: InterfaceName = "co-simulation"
+    description: ModelDescription,
+    folder: str,
+    instance_name: str,
+    interface: InterfaceName = "co-simulation",
+    tolerance: float | None = None,
 ) -> FmuToLoad:
-    """Return the argument of loading.load for an FMU that is unpacked into folder."""
+    """Return the argument of loading.load for an FMU that is unpacked into folder.
+
+    tolerance: by default that of its default experiment.
+    """
     return FmuToLoad(
         folder,
         str(interfaces(description)[interface].modelIdentifier),
@@ -150,7 +158,13 @@ def fmu_to_load(
         "pythonfmu" in (description.generationTool or "").lower(),
         str(description.fmiVersion),
         interface,
+        _declared_tolerance(description) if tolerance is None else tolerance,
     )
+
+
+def _declared_tolerance(description: ModelDescription) -> float | None:
+    declared = getattr(description.defaultExperiment, "tolerance", None)
+    return float(declared) if declared is not None and 0.0 < float(declared) < math.inf else None
 
 
 def interfaces(description: ModelDescription) -> Mapping[str, Any]:

@@ -24,6 +24,7 @@ class Fmi3Calls:
         """make: FMPy's class for the interface; on_log: called with each message of the FMU. Raises SlaveError."""
         self.name = fmu.instance_name
         self.time: float | None = None
+        self._tolerance = fmu.tolerance
         self.log = Messages(on_log)
         self.description = read_model_description(fmu.folder, validate=False)
         self.start = start_arrays(self.description)
@@ -87,7 +88,8 @@ class Fmi3Calls:
         """Enter initialization mode; times in s."""
         enter = self.raw("fmi3EnterInitializationMode", c_bool, c_double, c_double, c_bool, c_double)
         end = 0.0 if stop_time is None else stop_time
-        self.call("enter_initialization_mode", enter, False, 0.0, start_time, stop_time is not None, end)
+        tolerance = (self._tolerance is not None, self._tolerance or 0.0)
+        self.call("enter_initialization_mode", enter, *tolerance, start_time, stop_time is not None, end)
 
     def exit_initialization(self) -> None:
         """Exit initialization mode."""

@@ -242,6 +242,7 @@ class Lookahead:
                 continue
             once = bool(co_simulation(slave.description).canBeInstantiatedOnlyOncePerProcess)
             own: dict[str, Any] = options | ({"isolation": "process"} if once else {})
+            own["tolerance"] = self._scenario.components[name].tolerance
             try:
                 self._shadows[name] = self._stack.enter_context(open_slave(path, label, **own))
             except CosimError as e:  # it could be opened before: the disk is full, or the file has gone

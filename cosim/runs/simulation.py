@@ -85,7 +85,9 @@ def _simulated(
         settings = scenario.scenario
         slaves = {
             name: stack.enter_context(
-                TableSlave(path, name) if is_table(path) else open_slave(path, name, **settings.slave_options)
+                TableSlave(path, name)
+                if is_table(path)
+                else open_slave(path, name, **settings.slave_options, tolerance=scenario.components[name].tolerance)
             )
             for name, path in paths.items()
         }

@@ -137,6 +137,7 @@ def test_a_system_with_a_table_is_no_ssp_package(with_table):
         ('{ fmu = "A.fmu", table = "a.csv" }', "either 'fmu' or 'table'"),
         ("{ }", "either 'fmu' or 'table'"),
         ('{ table = "a.csv", start = { x = 1.0 } }', "a table takes no start values"),
+        ('{ table = "a.csv", tolerance = 1e-6 }', "a table takes no start values, and no tolerance"),
         ('{ table = "a.xlsx" }', "components.reference.table: string should match"),
     ],
 )

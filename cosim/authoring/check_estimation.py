@@ -68,16 +68,19 @@ def check_sampling(scenario: Scenario, components: Components) -> Iterator[Findi
     if plant is None:
         return
     derivatives = plant.derivatives
-    measured = [reference for reference, d in scenario.sampling.derivatives.items() if d.of is None]
-    for reference in measured:
+    is_filtered = scenario.sampling.filter is not None  # `check_filter` looks at its states
+    states = {*derivatives} or {name.variable for name in scenario.sampling.states}
+    for reference, d in () if is_filtered else scenario.sampling.derivatives.items():
         where, name = f'sampling.derivatives."{reference}"', reference.variable
         problem = output_refusal(plant, name)
         if problem:
             yield Finding(where, problem)
-        elif name not in derivatives.values():
-            hint = did_you_mean(name, derivatives.values())
+        elif d.of is None and name not in derivatives.values():
+            hint = did_you_mean(name, derivatives.values()) or f'; say of which: of = "{scenario.plant}.STATE"'
             yield Finding(where, f"'{name}' is not declared as a state's derivative{hint}")
-    is_filtered = scenario.sampling.filter is not None  # `check_filter` looks at its states
+        elif d.of is not None and d.of.variable not in states:
+            hint = did_you_mean(d.of.variable, states) or "; name the states in sampling.states"
+            yield Finding(where, f"'{d.of}' is no state{hint}")
     for reference in () if is_filtered else scenario.sampling.states:
         component, name = reference.parts
         if component == scenario.plant and not derivatives:

@@ -22,7 +22,7 @@ from ..fmi.table import TableSlave
 from ..scenarios.scenario import Scenario
 from ..slaves.slave import Slave, open_slave
 from ..system.master import Master, Steppable, Wiring
-from ..system.plant import Plant, derivatives_of
+from ..system.plant import Plant
 from ..variable_name import VariableName
 from .model_plant import ModelPlant, not_given
 
@@ -232,7 +232,7 @@ class Lookahead:
         for name, slave in self._slaves.items():
             if name == self._modelled and self._model is not None:
                 space = self._scenario.estimation.space
-                self._shadows[name] = ModelPlant(self._plant, self._model, space.names, derivatives_of(slave))
+                self._shadows[name] = ModelPlant(self._plant, self._model, space.names, self._plant.rates)
                 continue
             path, label = self._running.paths[name], f"{name} (simulated ahead)"
             if _file(path) != self._files[name]:
@@ -312,6 +312,6 @@ def _modelled(
     if model is None:
         raise CosimError(f"{plant.name} cannot save its state, and no model stands for it")
     read = {s for w in wiring.values() for s in w.sources.values()} | {*scenario.tracking, *scenario.tracking.values()}
-    if missing := not_given(plant, derivatives_of(slaves[plant.name]), read):
+    if missing := not_given(plant, plant.rates, read):
         raise CosimError(f"{plant.name} cannot save its state, and the model does not give '{missing}'")
     return plant.name

@@ -32,7 +32,7 @@ def wire(scenario: Scenario, slaves: Mapping[str, Described]) -> tuple[dict[str,
     known = {name: set(own) for name, own in outputs.items()}
     read = [*scenario.connections.values(), *scenario.tracking, *scenario.tracking.values()]
     sampling = scenario.sampling
-    measured = [name for name, d in sampling.derivatives.items() if not d.of]
+    measured = [] if sampling.filter else sampling.derivatives
     for reference in [*read, *measured, *sampling.outputs, *sampling.states]:
         component, variable = reference.parts
         if variable not in known[component]:

@@ -194,6 +194,11 @@ class Fmi3CoSimulation(Fmi3Model, CoSimulation):
         return Fmi3StepResult()
 
     @_retaining
+    def _set_fmu_state(self, state: bytes) -> None:
+        super()._set_fmu_state(state)
+        self.time = self._slave._time
+
+    @_retaining
     def update_discrete_states(self) -> NoReturn:
         """Refuse: only model exchange, and co-simulation with hasEventMode, have an event mode."""
         raise ValueError(

@@ -83,7 +83,10 @@ class Slave(Fmi2Slave):
             for kind in ("Real", "Integer", "Boolean", "String")
         }
         bounds = [(i, v.min, v.max) for i, v in enumerate(cls.variables[:n_exact]) if (v.min, v.max) != (None, None)]
-        cls._bounded = [(i, -inf if a is None else a, inf if b is None else b) for i, a, b in bounds]
+        all_bounds = [(i, -inf if a is None else a, inf if b is None else b) for i, a, b in bounds]
+        cls._bounds, cls._latched_bounds = (
+            [row for row in all_bounds if cls.variables[row[0]].is_latched is latched] for latched in (False, True)
+        )
         cls._settable = {False: frozenset(range(n_exact)), True: frozenset(i for i, b in enumerate(is_later) if b)}
 
     @classmethod
@@ -314,11 +317,14 @@ class Slave(Fmi2Slave):
             for v, value in zip(self.variables, self._values[self._given]):
                 if not isfinite(value):
                     raise ValueError(f"{self.modelName}: {v.name} must be finite, got {value}.")
-        for i, low, high in self._bounded:
+        self._must_be_within(self._bounds)
+        self._is_unchecked = False
+
+    def _must_be_within(self, bounds: list[tuple[int, float, float]]) -> None:
+        for i, low, high in bounds:
             if not low <= self._values[i] <= high:
                 name, value = self.variables[i].name, self._values[i]
                 raise ValueError(f"{self.modelName}: {name} must be in [{low}, {high}], got {value:g}.")
-        self._is_unchecked = False
 
     def _refuse(self, vrs: list[int], settable: frozenset[int], kind: str) -> None:
         for vr in vrs:

@@ -9,6 +9,7 @@ import sys
 import fmpy
 import numpy as np
 import pytest
+from pythonfmu3 import Fmi3Status
 from scipy.integrate import solve_ivp
 
 from fmu_models import build
@@ -226,6 +227,19 @@ def test_time_is_the_communication_point():
     model.exit_initialization_mode()
     model.do_step(0.5, 0.25)
     assert model.get_float64([0, vr]) == [1.25, 0.75]
+    saved = model._get_fmu_state()
+    model.do_step(0.75, 0.25)
+    model._set_fmu_state(saved)
+    assert model.get_float64([vr]) == [0.75]
+
+
+def test_a_step_that_cannot_be_taken_is_an_error_and_the_time_stays():
+    model = co_simulation("Quadrotor")
+    model.exit_initialization_mode()
+    assert model.do_step(0.0, 0.25).status == Fmi3Status.ok
+    assert model.do_step(0.0, 0.25).status == Fmi3Status.error
+    assert model.time == 0.25
+    assert model.do_step(0.25, 0.25).status == Fmi3Status.ok
 
 
 # -- FMPy -----------------------------------------------------------------------------------------------------------

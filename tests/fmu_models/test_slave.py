@@ -410,6 +410,19 @@ def test_an_adaptive_controller_starts_with_its_initial_inputs_and_keeps_them_un
     assert get(slave, "y", "k_held") == [4.5, 4.0]
 
 
+def test_an_adaptive_controller_s_inputs_must_be_within_bounds_where_they_are_used():
+    slave = adaptive()
+    put(slave, k=0.0)  # less than its min
+    assert slave.do_step(0.0, 0.1)
+    assert get(slave, "k_held") == [3.0]
+    set_ready(slave, True)
+    assert "LeverAdaptive: k must be in [0.5, inf], got 0." in discarded(slave, 0.1, 0.1)
+    assert get(slave, "k_held") == [3.0]
+    put(slave, k=4.0)
+    assert slave.do_step(0.1, 0.1)
+    assert get(slave, "k_held") == [4.0]
+
+
 def test_the_state_of_an_adaptive_controller_has_what_it_keeps():
     slave = adaptive()
     set_ready(slave, True)

@@ -115,6 +115,16 @@ def test_a_beta_of_fmi_3_is_an_error(changed):
         runs(fmu)
 
 
+@pytest.mark.parametrize(("option", "reason"), [
+    ("EARLY", "returned early, at 0.005 s"), ("OVER", "asked to end the simulation"),
+])  # fmt: skip
+def test_a_step_that_is_not_taken_to_its_end_is_a_fault(foreign, tmp_path, option, reason):
+    """An importer that does not allow early return must not get one; it must not take the values for those of t + h."""
+    fmu = build_c(FOREIGN / "Axis.c", (FOREIGN / "Axis-3.xml").read_text(), tmp_path / "Axis.fmu", f"-D{option}")
+    with pytest.raises(SlaveError, match=f"do_step at t = 0.000 s {reason}"):
+        runs(fmu)
+
+
 @pytest.fixture
 def incomplete(foreign, tmp_path):
     """An FMU whose library needs another one that is nowhere."""

@@ -16,6 +16,12 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
                                          const fmi3ValueReference intermediate[], size_t n_intermediate,
                                          fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
                                          fmi3IntermediateUpdateCallback update) {
+#ifdef NEEDS_EVENT_MODE
+    if (!has_event_mode) {
+        log(environment, fmi3Error, "logStatusError", "Clocks need event mode.");
+        return NULL;
+    }
+#endif
     return new_model(0);
 }
 void fmi3FreeInstance(fmi3Instance c) { free(c); }

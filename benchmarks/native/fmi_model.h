@@ -14,6 +14,7 @@
    In FMI 3.0 the value reference N_VARIABLES is the time. -DONCE: one instance a process, as some tools export.
    -DONLY_EXCHANGE: no co-simulation. -DTOLERANCE=PLACE: the tolerance that it is given is put there, -1 without one.
    -DEARLY: each step of FMI 3.0 returns in its middle. -DOVER: each asks to end the simulation.
+   -DNEEDS_EVENT_MODE: no co-simulation in FMI 3.0 without it.
    The headers of the standard are FMPy's (fmpy/c-code). */
 
 #include <stdlib.h>

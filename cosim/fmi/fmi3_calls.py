@@ -118,7 +118,8 @@ class Fmi3Calls:
             fmu.instantiate(loggingOn=True, logMessage=lambda _, status, __, text: self.log.add(status, text or b""))
         except Exception as error:  # FMPy raises nothing more special
             problem = clock_problem(self.description) if to_load.interface == "co-simulation" else None
-            reason = "; ".join(filter(None, (self.log.reason() or str(error), problem)))
+            reason = self.log.reason() or str(error)
+            reason = f"{reason.rstrip('.')}; {problem}" if problem else reason
             raise SlaveError(self.name, "instantiate", None, f"failed: {reason}") from error
         finally:
             os.chdir(directory)  # FMPy stays in the FMU's folder when loading fails

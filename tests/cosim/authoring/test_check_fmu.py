@@ -107,6 +107,16 @@ def test_clocks_that_need_event_mode_are_an_error(changed, causality, n):
     assert told(changed("Axis-3", clock, has_event_mode, structure)) == [f"{text}; that is not supported"] * n
 
 
+def test_an_instantiation_that_fails_for_event_mode_says_what_is_missing(foreign, tmp_path):
+    text = (FOREIGN / "Axis-3.xml").read_text().replace("<CoSimulation ", '<CoSimulation hasEventMode="true" ')
+    text = text.replace("</ModelVariables>", f"{CLOCK.format('input')}</ModelVariables>")
+    fmu = build_c(FOREIGN / "Axis.c", text, tmp_path / "Axis.fmu", "-DNEEDS_EVENT_MODE")
+    with pytest.raises(SlaveError) as caught:
+        runs(fmu)
+    reason = "Clocks need event mode; it has input clocks, 'tick' for one, which tick in event mode only"
+    assert str(caught.value) == f"axis: instantiate failed: {reason}; that is not supported"
+
+
 def test_a_beta_of_fmi_3_is_an_error(changed):
     fmu = changed("Axis-3", ('fmiVersion="3.0"', 'fmiVersion="3.0-beta.2"'))
     reason = "is an FMI 3.0-beta.2 co-simulation FMU, not FMI 2.0 or 3.0 co-simulation"

@@ -15,7 +15,6 @@ import traceback
 from collections.abc import Callable
 from ctypes import py_object, pythonapi
 from functools import wraps
-from math import inf, isfinite
 from typing import Any, ClassVar, TypeVar
 from uuid import NAMESPACE_DNS, uuid5
 from xml.etree.ElementTree import Element
@@ -24,11 +23,10 @@ from pythonfmu import DefaultExperiment, Fmi2Slave
 from pythonfmu import __version__ as pythonfmu_version
 from pythonfmu.enums import Fmi2Status
 
+from . import refusals
 from .description import VariableRow, model_description
 
 NAMESPACE = uuid5(NAMESPACE_DNS, "fmu-retune")
-_SLACK, _ROUNDING = 1e-6, 1e-9
-"""Parts of a step and of the time that an importer's sum of steps may be off by."""
 _Method = TypeVar("_Method", bound=Callable[..., Any])
 
 
@@ -82,11 +80,8 @@ class Slave(Fmi2Slave):
             kind: frozenset(i for i, v in enumerate(cls.variables) if v.type == kind)
             for kind in ("Real", "Integer", "Boolean", "String")
         }
-        bounds = [(i, v.min, v.max) for i, v in enumerate(cls.variables[:n_exact]) if (v.min, v.max) != (None, None)]
-        all_bounds = [(i, -inf if a is None else a, inf if b is None else b) for i, a, b in bounds]
-        cls._bounds, cls._latched_bounds = (
-            [row for row in all_bounds if cls.variables[row[0]].is_latched is latched] for latched in (False, True)
-        )
+        given = cls.variables[:n_exact]
+        cls._bounds, cls._latched_bounds = (refusals.bounds_of(given, is_latched) for is_latched in (False, True))
         cls._settable = {False: frozenset(range(n_exact)), True: frozenset(i for i, b in enumerate(is_later) if b)}
 
     @classmethod
@@ -276,13 +271,7 @@ class Slave(Fmi2Slave):
         self._settable_reals = self._settable[is_initialized] & self._of_type["Real"]
 
     def _step(self, current_time: float, step_size: float) -> None:
-        if not 0.0 < step_size < inf:
-            raise ValueError(f"{self.modelName}: step_size must be positive, got {step_size} s.")
-        begin = current_time if self._next is None else self._next
-        if not abs(current_time - begin) <= _SLACK * step_size + _ROUNDING * abs(begin):
-            raise ValueError(
-                f"{self.modelName}: a step must begin where the last ended, {begin} s, not {current_time} s."
-            )
+        self._demand_none(refusals.of_step(self._next, current_time, step_size))
         if self._is_unchecked:
             self._check()
         self._time = self._next = current_time + step_size
@@ -291,12 +280,7 @@ class Slave(Fmi2Slave):
     def _must_be(self, vrs: list[int], kind: str) -> None:
         if not self._of_type[kind].issuperset(vrs):
             wrong = next(vr for vr in vrs if vr not in self._of_type[kind])
-            is_known = 0 <= wrong < len(self.variables)
-            its_type = f"of type {self.variables[wrong].type}" if is_known else "which no variable has"
-            raise ValueError(f"{self.modelName}: {self._named(wrong)}, {its_type}, must not be read as {kind}.")
-
-    def _named(self, vr: int) -> str:
-        return self.variables[vr].name if 0 <= vr < len(self.variables) else f"value reference {vr}"
+            self._demand_none(refusals.of_read(self.variables, wrong, kind))
 
     def _set(self, vrs: list[int], values: list[float], kind: str) -> None:
         settable = self._settable[self._is_initialized] & self._of_type[kind]
@@ -313,26 +297,22 @@ class Slave(Fmi2Slave):
         self._is_stale = False
 
     def _check(self) -> None:
-        if not isfinite(sum(self._values[self._given])):
-            for v, value in zip(self.variables, self._values[self._given]):
-                if not isfinite(value):
-                    raise ValueError(f"{self.modelName}: {v.name} must be finite, got {value}.")
+        self._demand_none(refusals.of_values(self.variables, self._values[self._given]))
         self._must_be_within(self._bounds)
         self._is_unchecked = False
 
-    def _must_be_within(self, bounds: list[tuple[int, float, float]]) -> None:
-        for i, low, high in bounds:
-            if not low <= self._values[i] <= high:
-                name, value = self.variables[i].name, self._values[i]
-                raise ValueError(f"{self.modelName}: {name} must be in [{low}, {high}], got {value:g}.")
+    def _must_be_within(self, bounds: list[refusals.Bounds]) -> None:
+        self._demand_none(refusals.of_bounds(self.variables, self._values, bounds))
 
     def _refuse(self, vrs: list[int], settable: frozenset[int], kind: str) -> None:
-        for vr in vrs:
-            if vr not in settable:
-                when = "after" if self._is_initialized else "before the end of"
-                raise ValueError(
-                    f"{self.modelName}: {self._named(vr)} must not be set as {kind} {when} initialisation."
-                )
+        wrong = next(vr for vr in vrs if vr not in settable)
+        when = "after" if self._is_initialized else "before the end of"
+        name = refusals.named(self.variables, wrong)
+        self._demand_none(f"{name} must not be set as {kind} {when} initialisation.")
+
+    def _demand_none(self, problem: str | None) -> None:
+        if problem is not None:
+            raise ValueError(f"{self.modelName}: {problem}")
 
     def _log_error(self, error: BaseException) -> None:
         self.log("".join(traceback.format_exception(error)), Fmi2Status.error)

@@ -135,6 +135,13 @@ def test_an_export_re_tunes_again_with_the_same_result(export, pendulum):
     assert package.estimation.methods == scenario.estimation.methods
 
 
+def test_a_component_s_tolerance_comes_back(export, pendulum):
+    package = load_scenario(export(pendulum({"components.plant.tolerance": "1e-6"})))
+    assert {name: c.tolerance for name, c in package.components.items()} == {
+        "plant": 1e-6, "controller": None, "reference": None,
+    }  # fmt: skip
+
+
 def test_what_another_tool_edits_in_the_package_counts(export, pendulum, tmp_path):
     path = export(pendulum())
     with zipfile.ZipFile(path) as archive:

@@ -54,7 +54,7 @@ def unwritten(program, fmu, kind, folder):
     return set(done.stdout.splitlines())
 
 
-@pytest.mark.full_but("Pendulum")
+@pytest.mark.full
 @pytest.mark.parametrize("name", PLANTS)
 def test_model_exchange_writes_every_result(program, tmp_path, name):
     """An importer goes on calling fmi3UpdateDiscreteStates for as long as discreteStatesNeedUpdate is true."""

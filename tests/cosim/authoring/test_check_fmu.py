@@ -79,6 +79,7 @@ def test_a_continuous_enumeration_hides_no_other_fault(changed):
         told(changed("Axis", ("</ModelVariables>", f"{twin}</ModelVariables>"), types))
 
 
+@pytest.mark.full
 def test_an_output_of_bytes_that_nothing_takes_is_passed_over(changed):
     output = '<Binary name="raw" valueReference="20" causality="output"/></ModelVariables>'
     structure = '<ModelStructure><Output valueReference="20"/>'
@@ -107,6 +108,7 @@ def test_clocks_that_need_event_mode_are_an_error(changed, causality, n):
     assert told(changed("Axis-3", clock, has_event_mode, structure)) == [f"{text}; that is not supported"] * n
 
 
+@pytest.mark.full
 def test_an_instantiation_that_fails_for_event_mode_says_what_is_missing(foreign, tmp_path):
     text = (FOREIGN / "Axis-3.xml").read_text().replace("<CoSimulation ", '<CoSimulation hasEventMode="true" ')
     text = text.replace("</ModelVariables>", f"{CLOCK.format('input')}</ModelVariables>")
@@ -125,6 +127,7 @@ def test_a_beta_of_fmi_3_is_an_error(changed):
         runs(fmu)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("option", "reason"), [
     ("EARLY", "returned early, at 0.005 s"), ("OVER", "asked to end the simulation"),
 ])  # fmt: skip
@@ -155,6 +158,7 @@ def test_a_library_that_is_missing_is_an_error(incomplete):
         runs(incomplete)
 
 
+@pytest.mark.full
 def test_a_system_of_an_fmu_that_does_not_load_raises(incomplete, tmp_path):
     with zipfile.ZipFile(tmp_path / "one.ssp", "w") as package:
         package.write(incomplete, "resources/Axis.fmu")

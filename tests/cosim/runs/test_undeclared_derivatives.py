@@ -36,6 +36,7 @@ def undeclared(foreign, axis):
     return write
 
 
+@pytest.mark.full
 def test_it_runs_bit_for_bit_as_the_one_that_declares_them(undeclared, axis):
     path = undeclared()
     assert [f for f in check(path) if f.is_error] == []

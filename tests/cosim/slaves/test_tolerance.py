@@ -30,6 +30,7 @@ def given(path, **options):
         return slave.get()[0]
 
 
+@pytest.mark.full_but("Axis-none", "Axis-3-none")
 @pytest.mark.parametrize("isolation", ["process", "none"])
 @pytest.mark.parametrize("name", ["Axis", "Axis-3"])
 def test_the_default_experiment_s_is_given_and_an_own_one_instead(fmu, name, isolation):
@@ -38,12 +39,14 @@ def test_the_default_experiment_s_is_given_and_an_own_one_instead(fmu, name, iso
     assert given(path, isolation=isolation, tolerance=1e-3) == 1e-3
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", ["Axis", "Axis-3"])
 @pytest.mark.parametrize("declared", [None, "0", "-1e-6", "INF"])
 def test_without_a_usable_one_none_is_given(fmu, name, declared):
     assert given(fmu(name, declared)) == NONE
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("of_the_scenario", "expected"), [("", 1e-9), (", tolerance = 1e-4", 1e-4)])
 def test_a_scenario_sets_a_component_s(fmu, axis, of_the_scenario, expected):
     fmu("Axis", "1e-9").rename(axis().with_name("With.fmu"))

@@ -41,7 +41,7 @@ def test_the_files_are_valid(export, name):
 FMI_3 = {f"components.{name}.fmi": "3" for name in ("plant", "controller", "reference")}
 
 
-@pytest.mark.full_but("all")
+@pytest.mark.full
 @pytest.mark.parametrize("of_fmi_3", [FMI_3, {"components.plant.fmi": "3"}], ids=["all", "plant"])
 def test_fmus_of_fmi_3_without_arrays_are_exported(export, pendulum, of_fmi_3):
     """The same system in FMI 2.0 is the truth: both FMUs compute the same bits."""

@@ -9,7 +9,7 @@ from ..fmi.ports import Catalogue, Ports, attribute
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
 from ..scenarios.schema.estimation import EstimatedParameter
-from ..system.parameters import parameter_problem, value_of_change
+from ..system.parameters import parameter_problem, unit_problem, value_of_change
 from ..system.plant import connected_as_well
 from ..variable_name import VariableName
 from .check_wiring import Components, output_refusal, output_refusals, parts, refusal, unit_finding
@@ -115,25 +115,39 @@ def _problems(scenario: Scenario, parameter: EstimatedParameter, components: Com
         yield True, f"no variable '{name}' in {plant.fmu.name}{hint or '; give the one it stands for with true = ...'}"
     elif plant is not None and true not in scenario.changes and _start(scenario, true, components) is None:
         yield True, f"'{true}' has no start value; give it one under components.{scenario.plant}.start"
-    yield from ((f.is_error, f.what) for f in unit_finding("", true, parameter.writes, components) if f.is_error)
-    controller, name = parts(parameter.writes, components)
+    for reference in parameter.written:
+        yield from _written(scenario, parameter, reference, components)
+    if parameter.is_written_as_it_is or plant is None or name not in plant.variables:
+        return
+    if problem := unit_problem(parameter, true, plant.variables[name]):
+        yield True, problem.rstrip(".")
+
+
+def _written(
+    scenario: Scenario, parameter: EstimatedParameter, reference: VariableName, components: Components
+) -> Iterator[tuple[bool, str]]:
+    """Yield problems with a parameter of the controller that is written; those of a formula's value: `check_rule`."""
+    controller, name = parts(reference, components)
     if controller is None:
         return
     problem = refusal(controller, "tunable parameter", name)
     if problem:
         yield True, problem
         return
+    if not parameter.is_written_as_it_is:
+        return
+    true = scenario.true_reference(parameter)
+    yield from ((f.is_error, f.what) for f in unit_finding("", true, reference, components) if f.is_error)
     variable = controller.variables[name]
     if problem := parameter_problem(parameter, variable):
         yield True, problem.rstrip(".")
     if attribute(variable, "min") is None and attribute(variable, "max") is None:
         yield False, f"{controller.fmu.name} declares neither min nor max: only lower and upper limit what is written"
-    start = _start(scenario, parameter.writes, components)
+    start = _start(scenario, reference, components)
     if start is None:
-        place = f"components.{parameter.writes.component}.start"
-        yield True, f"'{parameter.writes}' has no start value; give it one under {place}"
+        yield True, f"'{reference}' has no start value; give it one under components.{reference.component}.start"
     elif not parameter.to_parameter().contains(start):
-        yield False, f"'{parameter.writes}' starts at {start:g}, outside [{parameter.lower:g}, {parameter.upper:g}]"
+        yield False, f"'{reference}' starts at {start:g}, outside [{parameter.lower:g}, {parameter.upper:g}]"
 
 
 def _start(scenario: Scenario, reference: VariableName, components: Components) -> float | None:

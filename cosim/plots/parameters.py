@@ -8,20 +8,26 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
+from ..errors import CosimError
 from ..runs.result import Run
 from ..scenarios.schema.estimation import EstimatedParameter
+from ..system.tuning import tuning_rule
+from ..variable_name import VariableName
 from .canvas import BLACK, BLUE, ORANGE, AxisLimits, Series, label, set_linear, set_log, tame, value_range
 from .panels import RecordedEvent, finish, mark, panels
 
 
 def draw_parameters(run: Run, events: Sequence[RecordedEvent]) -> Figure:
-    """Draw the parameters over time: true values, the controller's with their uncertainty, and candidates."""
-    parameters = run.scenario.estimation.parameters
-    figure, rows = panels(run, events, len(parameters))
+    """Draw the parameters over time: true values, the controller's with their uncertainty, and candidates.
+
+    Below them are the parameters of the controller that formulas give.
+    """
+    parameters, gains = run.scenario.estimation.parameters, run.gains
+    figure, rows = panels(run, events, len(parameters) + len(gains))
     truth, held = run.true_parameters, run.estimates
     tried = [e for e in events if e.get("kind") == "candidate"]
     writes = [e for e in events if e.get("kind") == "write"]
-    for i, (axes, p) in enumerate(zip(rows, parameters, strict=True)):
+    for i, (axes, p) in enumerate(zip(rows, parameters, strict=False)):
         limits, is_log = _parameter_axis(axes, p, [truth[p.name], held[p.name]])
         _draw_band(axes, run, p, writes, i)
         places = tame(_column(tried, "theta", i), limits, is_log)
@@ -36,7 +42,39 @@ def draw_parameters(run: Run, events: Sequence[RecordedEvent]) -> Figure:
             if np.any(np.isfinite(values)):
                 axes.step(run.time, tame(values, limits, is_log), where="post", label=text, **style)
         axes.set_ylabel(label(p.name, p.unit))
+    for axes, (name, values) in zip(rows[len(parameters) :], gains.items(), strict=True):
+        _draw_gain(axes, run, name, values)
     return finish(figure, rows)
+
+
+def _draw_gain(axes: Axes, run: Run, name: str, values: Series) -> None:
+    """Draw a parameter of the controller that a formula gives, and what it gives for the true parameters."""
+    truth = _true_gain(run, name)
+    limits = set_linear(axes, value_range([values, truth]) or (0.0, 1.0), margin=0.1)
+    style: dict[str, Any] = {"color": BLUE, "linewidth": _width(values)} | mark(run)
+    axes.step(run.time, tame(values, limits, False), where="post", label="controller", **style)
+    if np.any(np.isfinite(truth)):
+        dashed: dict[str, Any] = {"color": BLACK, "linewidth": 1.0, "linestyle": "--"}
+        axes.step(run.time, tame(truth, limits, False), where="post", label="truth", **dashed)
+    axes.set_ylabel(VariableName(name).variable)
+
+
+def _true_gain(run: Run, name: str) -> Series:
+    """Return what the tuning rule gives for the true parameters (n,); NaN where that is not known."""
+    found = np.full(len(run.time), np.nan)
+    try:
+        rule = tuning_rule(run.scenario)
+    except CosimError:  # a function of somebody else's, or one that has gone
+        return found
+    place = rule.names.index(VariableName(name))
+    truth = np.array(list(run.true_parameters.values())).T
+    changed = [k for k in range(len(truth)) if k == 0 or np.any(truth[k] != truth[k - 1])]
+    for k in changed:
+        try:
+            found[k:] = rule(truth[k])[place]
+        except ValueError:
+            found[k:] = np.nan
+    return found
 
 
 def _parameter_axis(axes: Axes, p: EstimatedParameter, curves: Sequence[ArrayLike]) -> tuple[AxisLimits, bool]:

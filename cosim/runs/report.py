@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
+import numpy as np
+
 from ..text_table import aligned, counted, with_std
 from .result import Run
 
@@ -57,6 +59,8 @@ def _parameters(run: Run) -> list[str]:
     for i, parameter in enumerate(columns[0]):
         values = [f"{c[i]['true']:.4g} / {c[i]['estimated']:.4g}" for c in columns]
         rows.append([f"{parameter['name']} [{parameter['unit']}]", *values])
+    places = [min(int(np.searchsorted(run.time, t - 1e-9)), len(run.time) - 1) for t in times]
+    rows += [[name, *(f"{values[k]:.4g}" for k in places)] for name, values in run.gains.items()]
     return aligned(rows)
 
 

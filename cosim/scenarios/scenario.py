@@ -110,6 +110,22 @@ class Scenario(Table):
         """Return the plant's variable that an estimated parameter stands for."""
         return parameter.true or VariableName(f"{self.plant}.{parameter.name}")
 
+    @property
+    def formulas(self) -> dict[VariableName, str]:
+        """Formula, or `module:function`, of each parameter of the controllers that has one."""
+        parameters = self.estimation.parameters
+        return {name: text for p in parameters if not p.is_written_as_it_is for name, text in p.written.items()}
+
+    @property
+    def written(self) -> dict[VariableName, str]:
+        """Formulas, with the names of the estimates that are written as they are."""
+        return {name: text for p in self.estimation.parameters for name, text in p.written.items()}
+
+    def held_column(self, parameter: EstimatedParameter) -> str:
+        """Return the recorded column of an estimate: the controller's parameter, where it is written as it is."""
+        writes = parameter.writes
+        return writes if isinstance(writes, VariableName) else f"estimated.{parameter.name}"
+
     @model_validator(mode="after")
     def _names_fit(self) -> Self:
         named: dict[str, Iterable[VariableName]] = {
@@ -118,7 +134,7 @@ class Scenario(Table):
             "tracking": [*self.tracking, *self.tracking.values()],
             "sampling": [*self.sampling.derivatives, *self.sampling.outputs, *self.sampling.states],
             "sampling.faults": [f.sensor for f in self.sampling.faults if f.sensor is not None],
-            "estimation.parameters": [p.writes for p in self.estimation.parameters],
+            "estimation.parameters": self.written,
         }
         for table, references in named.items():
             for reference in references:

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 from pydantic import ValidationError
 
 from ..names import did_you_mean
+from .schema.estimation import FORMULAS, NAME
 from .schema.table import Table, Value
 
 
@@ -47,7 +48,7 @@ def _place(path: Sequence[int | str], root: type[Table]) -> tuple[list[str], typ
         tagged = next((table for table in _tables(kind) if part in _tags(table)), None)
         if tagged is not None:
             kind = tagged
-        elif part != "[key]":
+        elif part not in ("[key]", NAME, FORMULAS):
             keys.append(str(part))
             kind = _item(kind, part)
     tables = _tables(kind)

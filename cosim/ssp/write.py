@@ -169,8 +169,8 @@ def _parameters(scenario: Scenario, name: str, component: Component) -> list[Par
         owner, variable = reference.parts
         if owner == name:
             values[variable] = value_of_change(reference, change, scenario.scenario.start_time)
-    for parameter in scenario.estimation.parameters:
-        owner, variable = parameter.writes.parts
+    for reference in scenario.written:
+        owner, variable = reference.parts
         start = _variable(component, name, variable).start if owner == name else None
         if start is not None:
             values.setdefault(variable, float(start))

@@ -1,13 +1,16 @@
 """Base class of a scenario file's tables, and the types that they share."""
 
+import re
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, cast
+from typing import Annotated, Any, ClassVar, Final, cast
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, GetPydanticSchema, model_validator
 
 from ...former_names import tell_new_name
 from ...variable_name import VariableName
 
+FUNCTION: Final = re.compile(r"[\w.]+:\w+")
+"""A function of the user's, `module:function`."""
 MOST = 1_000_000_000
 """Largest count, or waiting time [s]: more is a mistake, or more than a machine can hold."""
 

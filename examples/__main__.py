@@ -1,0 +1,60 @@
+"""Build the FMUs of an example in a folder of its own, and carry out the commands of its README there.
+
+    python -m examples pi-speed-drive
+
+The FMUs are compiled by gcc.
+"""
+
+import argparse
+import os
+import re
+import shlex
+import shutil
+import sys
+from pathlib import Path
+
+from benchmarks.native_fmus import build_c
+from cosim.cli import main as retune
+
+FOLDER = Path(__file__).parent
+NAMES = tuple(sorted(path.parent.name for path in FOLDER.glob("*/README.md")))
+
+
+def commands(name: str) -> list[str]:
+    """Return the commands in the README of an example, `retune ...`."""
+    blocks = re.findall(r"^```sh\n(.*?)^```", (FOLDER / name / "README.md").read_text(encoding="utf-8"), re.S | re.M)
+    return [line for block in blocks for line in block.splitlines() if line.startswith("retune ")]
+
+
+def prepare(name: str, folder: Path) -> None:
+    """Copy an example into an absent folder, and build its FMUs there. Raises RuntimeError, FileExistsError."""
+    shutil.copytree(FOLDER / name, folder)
+    for description in folder.glob("*.xml"):
+        build_c(description.with_suffix(".c"), description.read_text(encoding="utf-8"), description.with_suffix(".fmu"))
+
+
+def main() -> int:
+    """Carry out an example; return the exit code of the last command."""
+    parser = argparse.ArgumentParser(prog="python -m examples", description="Build an example's FMUs, and run it.")
+    parser.add_argument("name", choices=NAMES)
+    parser.add_argument(
+        "--out", type=Path, help="absent folder to build it in (default: NAME in the working directory)"
+    )
+    options = parser.parse_args()
+    folder = options.out or Path(options.name)
+    try:
+        prepare(options.name, folder)
+    except FileExistsError:
+        parser.error(f"{folder} is there already: give --out another folder.")
+    except RuntimeError as e:
+        parser.error(str(e))
+    os.chdir(folder)
+    for command in commands(options.name):
+        print(f"$ {command}", flush=True)
+        if code := retune(shlex.split(command)[1:]):
+            return code
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

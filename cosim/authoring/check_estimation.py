@@ -117,10 +117,10 @@ def _problems(scenario: Scenario, parameter: EstimatedParameter, components: Com
         yield True, f"'{true}' has no start value; give it one under components.{scenario.plant}.start"
     for reference in parameter.written:
         yield from _written(scenario, parameter, reference, components)
-    if parameter.is_written_as_it_is or plant is None or name not in plant.variables:
+    if plant is None or name not in plant.variables:
         return
     if problem := unit_problem(parameter, true, plant.variables[name]):
-        yield True, problem.rstrip(".")
+        yield not parameter.is_written_as_it_is, problem.rstrip(".")
 
 
 def _written(

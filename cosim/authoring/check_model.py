@@ -18,7 +18,7 @@ from ..objectives.choice import check_objective, chosen
 from ..objectives.model import check_model_fmu, model_fmu
 from ..retuning.assembly import try_model
 from ..scenarios.scenario import Scenario
-from ..system.parameters import check_parameters, start_values, true_parameters
+from ..system.parameters import check_parameters, first_states, true_parameters
 from ..system.plant import Plant, plant_of
 from ..system.tuning import first_parameters
 from ..system.wiring import wire
@@ -60,7 +60,7 @@ def check_model(scenario: Scenario, components: Mapping[str, Component]) -> Iter
 def _derivative(scenario: Scenario, plant: Plant, files: Mapping[str, FmuFile]) -> Iterator[Finding]:
     """Yield problems with a model for derivatives; it is called once, at the start values, if it may run."""
     reference = scenario.estimation.model or ""
-    x = tuple(start_values(scenario, files, [f"{plant.name}.{name}" for name in plant.states]))
+    x, hidden = first_states(scenario, files, plant)
     theta = np.array(first_parameters(scenario, files))
     if (fmu := model_fmu(scenario)) is not None:
         check_model_fmu(scenario, plant)
@@ -72,11 +72,12 @@ def _derivative(scenario: Scenario, plant: Plant, files: Mapping[str, FmuFile]) 
     may_run = is_ours or is_trusted(reference, scenario.origin)
     if may_run:
         zeros = (0.0,) * len(scenario.sampling.derivatives)
-        sample = Sample(scenario.scenario.start_time, x, tuple(plant.inputs.values()), zeros)
+        sample = Sample(scenario.scenario.start_time, tuple(x), tuple(plant.inputs.values()), zeros)
         try_model(scenario, "target", plant, theta, sample)
         yield from check_filtered_model(scenario, plant, np.array(x), theta)
     if not is_ours:
         how = "was called, at the start values" if may_run else "was not called"
+        how += f" and zero for {', '.join(hidden)}, which the FMU starts itself" if may_run and hidden else ""
         yield _note("estimation.model", f"{_named(reference, scenario)} {how}")
 
 

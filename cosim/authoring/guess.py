@@ -63,6 +63,39 @@ def guess_connections(components: Mapping[str, Component]) -> list[Guess]:
     return list(guesses.values())
 
 
+def guess_tracking(components: Mapping[str, Component]) -> list[Guess]:
+    """Return the plant's output that each output of the reference is for, by name and unit; none without a reference.
+
+    Derivatives are left out; where no name fits, the only output in the unit is taken.
+    """
+    plant, found = components[PLANT], []
+    rates = set(plant.derivatives.values())
+    outputs = [v for v in plant.having("output") if v.name not in rates]
+    for r in components[REFERENCE].having("output") if REFERENCE in components else ():
+        guess = _tracked(components[REFERENCE], r, plant, outputs)
+        found += [] if guess is None or guess.target in {g.target for g in found} else [guess]
+    return found
+
+
+def _tracked(owner: Component, r: ModelVariable, plant: Component, outputs: list[ModelVariable]) -> Guess | None:
+    """Return the guess of the output that a reference is for, or None."""
+    source = f"{REFERENCE}.{r.name}"
+    ranked: list[tuple[int, float, str, bool]] = []
+    for o in outputs:
+        how, unit = alike(r.name, o.name), have_one_unit(owner, r.name, plant, o.name)
+        if how is None or unit is False:
+            continue
+        ratio = SequenceMatcher(None, r.name, o.name).ratio()
+        ranked.append((_ORDER.index(how), -ratio, o.name, is_likely(how, unit)))
+    if ranked:
+        order, _, name, likely = min(ranked)
+        return Guess(f"{PLANT}.{name}", source, _ORDER[order], likely)
+    same = [o.name for o in outputs if have_one_unit(owner, r.name, plant, o.name)]
+    if len(same) == 1:
+        return Guess(f"{PLANT}.{same[0]}", source, "the only output in this unit, by another name", False)
+    return None
+
+
 def alike(name: str, other: str) -> str | None:
     """Return the similarity of two names: one of the constants above, or None."""
     if name == other:

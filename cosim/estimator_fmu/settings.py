@@ -22,7 +22,7 @@ from ..retuning.assembly import make_supervisor, try_model
 from ..retuning.estimators import find_method
 from ..scenarios.scenario import Scenario
 from ..system.fmu_cache import fmu_paths
-from ..system.parameters import check_parameters, start_value, start_values
+from ..system.parameters import check_parameters, first_states, start_value
 from ..system.plant import Plant, plant_of
 from ..system.tuning import check_first_values, first_parameters, tuning_rule, written_variables
 from ..system.wiring import wire
@@ -147,8 +147,8 @@ def _try(scenario: Scenario, method: str, plant: Plant, fmus: Mapping[str, FmuFi
     """Construct the FMU's loop, and call the model once. Raises ScenarioError."""
     with ExitStack() as stack:
         make_supervisor(scenario, method, plant, theta, np.random.default_rng(0), stack)
-    x = tuple(start_values(scenario, fmus, [f"{plant.name}.{name}" for name in plant.states]))
-    first = Sample(0.0, x, tuple(plant.inputs.values()), (0.0,) * len(plant.channels))
+    x, _ = first_states(scenario, fmus, plant)
+    first = Sample(0.0, tuple(x), tuple(plant.inputs.values()), (0.0,) * len(plant.channels))
     try_model(scenario, method, plant, theta, first)
 
 

@@ -7,7 +7,9 @@ can be named. Compiled once: a call takes 1 us, a general evaluator's 30.
 
 import ast
 import math
+import re
 from collections.abc import Callable, Collection, Mapping
+from keyword import iskeyword
 from types import CodeType
 from typing import Any, cast
 
@@ -24,6 +26,12 @@ _NODES = (
     ast.BinOp, ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.Mod, ast.UnaryOp, ast.USub, ast.UAdd, ast.Not,
     ast.Compare, ast.Lt, ast.LtE, ast.Gt, ast.GtE, ast.Eq, ast.NotEq, ast.BoolOp, ast.And, ast.Or,
 )  # fmt: skip
+
+
+def identifier(name: str) -> str:
+    """Return the name as one that a formula, or a function's argument, can have: `inertia_J` for `inertia.J`."""
+    plain = re.sub(r"\W+", "_", name).strip("_")
+    return plain if plain.isidentifier() and not iskeyword(plain) else f"p_{plain}"
 
 
 def compile_formula(text: str, definitions: Mapping[str, Callable[[float], float]]) -> Callable[[float], float]:

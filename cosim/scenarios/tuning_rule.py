@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from .formula import compile_expression
+from .formula import compile_expression, identifier
 
 
 @dataclass(frozen=True)
@@ -47,11 +47,14 @@ class TuningRule:
     def __init__(
         self, estimated: Sequence[str], formulas: Mapping[str, str], load: Callable[[str], Callable[..., Any]]
     ) -> None:
-        """estimated: names of the estimated parameters; formulas: by parameter of a controller, an estimate's name, a
-        formula, or `module:function`, which load returns. Raises ValueError for what is no formula."""
+        """estimated: names of the estimated parameters, which formulas and functions have as identifiers; formulas: by
+        parameter of a controller, an estimate's name, a formula, or `module:function`, which load returns.
+
+        Raises ValueError for what is no formula.
+        """
         self.names = tuple(formulas)
         """The controllers' parameters, `component.variable`."""
-        self._estimated = tuple(estimated)
+        self._estimated = tuple(map(identifier, estimated))
         place = {name: i for i, name in enumerate(estimated)}
         self._places = [place.get(text) for text in formulas.values()]
         """Places in theta of those that are written as they are."""
@@ -59,7 +62,7 @@ class TuningRule:
         for name, text in formulas.items():
             if text not in place:
                 functions.setdefault(text if ":" in text else f"{text}\n{name}", []).append(name)
-        self._laws = [_law(key.partition("\n")[0], names, estimated, load) for key, names in functions.items()]
+        self._laws = [_law(key.partition("\n")[0], names, self._estimated, load) for key, names in functions.items()]
 
     @property
     def is_plain(self) -> bool:

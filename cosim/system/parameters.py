@@ -13,7 +13,7 @@ from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
 from ..scenarios.schema.estimation import EstimatedParameter
 from ..variable_name import VariableName
-from .plant import Described
+from .plant import Described, Plant
 
 
 def start_value(scenario: Scenario, slaves: Mapping[str, Described], reference: str) -> float:
@@ -41,6 +41,17 @@ def start_values(scenario: Scenario, slaves: Mapping[str, Described], references
     return found
 
 
+def first_states(scenario: Scenario, slaves: Mapping[str, Described], plant: Plant) -> tuple[list[float], list[str]]:
+    """Return the plant's states before the first step, zero where only its FMU knows them; and the names of those."""
+    description = slaves[plant.name].description
+    declared = {v.name for v in description.modelVariables if v.start is not None}
+    known = declared | scenario.components[plant.name].start.keys()
+    hidden = [name for name in plant.states if name not in known]
+    starts = start_values(scenario, slaves, [f"{plant.name}.{name}" for name in plant.states if name in known])
+    given = iter(starts)
+    return [0.0 if name in hidden else next(given) for name in plant.states], hidden
+
+
 def check_parameters(scenario: Scenario, slaves: Mapping[str, Described]) -> None:
     """Raise WiringError unless the controller takes every estimate within the bounds, and holds no true value."""
     writes = scenario.written
@@ -66,13 +77,11 @@ def _variable(slaves: Mapping[str, Described], reference: VariableName) -> Model
 
 
 def unit_problem(parameter: EstimatedParameter, reference: VariableName, variable: ModelVariable) -> str | None:
-    """Return the reason why a variable is not in the parameter's unit, or None."""
-    unit = attribute(variable, "unit") or "1"
-    return (
-        None
-        if unit == parameter.unit
-        else f"'{reference}' has the unit {unit}, but '{parameter.name}' {parameter.unit}."
-    )
+    """Return the reason why a variable is not in the parameter's unit, or None, as where it declares none."""
+    unit = attribute(variable, "unit")
+    if unit is None or unit == parameter.unit:
+        return None
+    return f"'{reference}' has the unit {unit}, but '{parameter.name}' {parameter.unit}."
 
 
 def parameter_problem(parameter: EstimatedParameter, variable: ModelVariable) -> str | None:

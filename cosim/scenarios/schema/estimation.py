@@ -12,7 +12,7 @@ from estimator.triggers import TriggerSettings
 from ...former_names import tell_new_name
 from ...names import did_you_mean
 from ...variable_name import VariableName
-from ..formula import compile_expression
+from ..formula import compile_expression, identifier
 from .table import FUNCTION, MOST, Reference, Table
 
 NAME, FORMULAS = "[name]", "[formulas]"
@@ -59,9 +59,9 @@ class EstimatedParameter(Table):
     """Scale of the search."""
     writes: Writes = {}
     """The controller's tunable parameter that the estimate is written to; or formulas for several, in all estimated
-    parameters by name: `{ "controller.PI.k" = "20*J", "controller.PI.Ti" = "J/d" }`. In place of a formula
-    `module:function`, called as f(**parameters) for a number or, where it is named for several, as many in their order.
-    May be left out where the formulas of others use the estimate."""
+    parameters by name (`inertia_J` for `inertia.J`): `{ "controller.PI.k" = "20*J", "controller.PI.Ti" = "J/d" }`. In
+    place of a formula `module:function`, called as f(**parameters) for a number or, where it is named for several, as
+    many in their order. May be left out where the formulas of others use the estimate."""
     start: float | None = None
     """Value that the controller begins with, where `writes` has formulas or is left out; otherwise it is the start
     value of the controller's parameter."""
@@ -186,7 +186,7 @@ class EstimationSettings(LoopSettings):
     @model_validator(mode="after")
     def _formulas_have_their_names(self) -> Self:
         written: set[VariableName] = set()
-        names = [p.name for p in self.parameters]
+        names = [identifier(p.name) for p in self.parameters]
         for parameter in self.parameters:
             for reference, text in parameter.written.items():
                 if reference in written:

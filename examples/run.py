@@ -1,6 +1,6 @@
 """Build the FMUs of an example in a folder of its own, and carry out the commands of its README there.
 
-    python -m examples pi-speed-drive
+    python examples/run.py pi-speed-drive
 
 The FMUs are compiled by gcc.
 """
@@ -13,10 +13,12 @@ import shutil
 import sys
 from pathlib import Path
 
-from benchmarks.native_fmus import build_c
-from cosim.cli import main as retune
-
 FOLDER = Path(__file__).parent
+sys.path.insert(0, str(FOLDER.parent))  # of benchmarks, which is not installed
+
+from benchmarks.native_fmus import build_c  # noqa: E402
+from cosim.cli import main as retune  # noqa: E402
+
 NAMES = tuple(sorted(path.parent.name for path in FOLDER.glob("*/README.md")))
 
 
@@ -35,7 +37,7 @@ def prepare(name: str, folder: Path) -> None:
 
 def main() -> int:
     """Carry out an example; return the exit code of the last command."""
-    parser = argparse.ArgumentParser(prog="python -m examples", description="Build an example's FMUs, and run it.")
+    parser = argparse.ArgumentParser(prog="python examples/run.py", description="Build an example's FMUs, and run it.")
     parser.add_argument("name", choices=NAMES)
     parser.add_argument(
         "--out", type=Path, help="absent folder to build it in (default: NAME in the working directory)"

@@ -1,1 +1,0 @@
-"""Worked examples: `python -m examples NAME` builds the FMUs of one and carries out its commands."""

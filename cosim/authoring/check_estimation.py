@@ -1,6 +1,7 @@
 """Checks of the variables that a scenario changes, tracks, samples and estimates against its FMUs' declarations."""
 
 from collections.abc import Iterator
+from math import isclose
 from typing import Final
 
 from ..errors import ScenarioError, seconds
@@ -14,6 +15,8 @@ from ..system.plant import connected_as_well
 from ..variable_name import VariableName
 from .check_wiring import Components, output_refusal, output_refusals, parts, refusal, unit_finding
 
+_SAME: Final = 1e-6
+"""Relative difference of start values that is none."""
 _MOST_POINTS: Final = 1_000_000
 """Most communication points at which a change is evaluated: of a longer run every second, third, ..."""
 
@@ -115,12 +118,32 @@ def _problems(scenario: Scenario, parameter: EstimatedParameter, components: Com
         yield True, f"no variable '{name}' in {plant.fmu.name}{hint or '; give the one it stands for with true = ...'}"
     elif plant is not None and true not in scenario.changes and _start(scenario, true, components) is None:
         yield True, f"'{true}' has no start value; give it one under components.{scenario.plant}.start"
+    if plant is not None and name in plant.variables:
+        yield from _beginnings(scenario, parameter, true, components)
     for reference in parameter.written:
         yield from _written(scenario, parameter, reference, components)
     if plant is None or name not in plant.variables:
         return
     if problem := unit_problem(parameter, true, plant.variables[name]):
         yield not parameter.is_written_as_it_is, problem.rstrip(".")
+
+
+def _beginnings(
+    scenario: Scenario, parameter: EstimatedParameter, true: VariableName, components: Components
+) -> Iterator[tuple[bool, str]]:
+    """Yield a plant that begins with another value of the parameter than its controller."""
+    if true in scenario.changes:  # its author has said what it begins with
+        return
+    begins = _start(scenario, true, components)
+    own = next(iter(parameter.written), None)
+    if parameter.start is not None or own is None:
+        holds, whose = parameter.start, f"'{parameter.name}' of the controller"
+    elif own.component in components and own.variable in components[own.component].variables:
+        holds, whose = _start(scenario, own, components), f"'{own}'"
+    else:
+        return
+    if begins is not None and holds is not None and not isclose(begins, holds, rel_tol=_SAME):
+        yield False, f"'{true}' starts at {begins:.6g}, and {whose} at {holds:.6g}"
 
 
 def _written(

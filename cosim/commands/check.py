@@ -13,9 +13,13 @@ from ..text_table import counted
 def command(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
     is_fmu = options.scenario.lower().endswith(".fmu")
-    if is_fmu and options.overrides:
-        raise ScenarioError("--set is for a scenario, not for an FMU.")
-    findings = check_fmu(Path(options.scenario)) if is_fmu else check(options.scenario, dict(options.overrides))
+    if is_fmu and (options.overrides or options.dry_run):
+        raise ScenarioError(f"{'--dry-run' if options.dry_run else '--set'} is for a scenario, not for an FMU.")
+    findings = (
+        check_fmu(Path(options.scenario))
+        if is_fmu
+        else check(options.scenario, dict(options.overrides), options.dry_run, options.trust)
+    )
     for finding in findings:
         print(f"{options.scenario}: {finding}")
     n_errors = sum(finding.is_error for finding in findings)

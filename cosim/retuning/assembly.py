@@ -18,6 +18,7 @@ from estimator.samples import RememberingModel
 from ..errors import CosimError, ScenarioError
 from ..objectives.choice import ENDLESS, chosen, open_objective
 from ..objectives.model import opened_model
+from ..objectives.model_trial import try_derivatives
 from ..objectives.rollout_fmu import RunningPlant
 from ..sampling.derivative_filter import derivative_noise
 from ..sampling.screen import OutputScreen, SampleScreen, Sensors
@@ -77,7 +78,8 @@ def try_model(scenario: Scenario, estimator: str, plant: Plant, theta: Vector, f
     settings = scenario.estimation
     try:
         with ExitStack() as stack:
-            _residual(scenario, plant, stack)(theta, first)
+            model = _residual(scenario, plant, stack).model
+            try_derivatives(model, plant, settings.space, theta, first, settings.model or "")
     except CosimError:
         raise
     except USERS as e:

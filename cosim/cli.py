@@ -28,8 +28,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         signals.take()
         return _ended(arguments)
-    except KeyboardInterrupt:
-        print("retune: interrupted; what was recorded so far is in the run folder", file=sys.stderr)
+    except KeyboardInterrupt as e:
+        print(f"retune: interrupted{'; ' if str(e) else ''}{e}", file=sys.stderr)
         return INTERRUPTED
     finally:
         signals.give_back()

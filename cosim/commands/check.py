@@ -7,6 +7,7 @@ from ..authoring.check import check
 from ..authoring.check_fmu import check_fmu
 from ..errors import ScenarioError
 from ..terminal.exit_codes import DONE, REFUSED
+from ..terminal.next_step import set_options, tell_next
 from ..text_table import counted
 
 
@@ -25,4 +26,6 @@ def command(options: argparse.Namespace) -> int:
     n_errors = sum(finding.is_error for finding in findings)
     n_warnings = sum(not (finding.is_error or finding.is_note) for finding in findings)
     print(f"{options.scenario}: {counted(n_errors, 'error')}, {counted(n_warnings, 'warning')}")
+    if not n_errors:
+        tell_next("info" if is_fmu else "run", options.scenario, *set_options(options.overrides))
     return REFUSED if n_errors else DONE

@@ -26,8 +26,7 @@ def try_derivatives(
     reason = ""
     for at, sample in _points(space, theta, first):
         try:
-            with np.errstate(all="ignore"):
-                modelled: Any = model(sample.x, sample.u, **space.named(at))
+            modelled: Any = model(sample.x, sample.u, **space.named(at))
         except (ArithmeticError, ValueError) as e:
             reason = reason or f": {type(e).__name__}: {one_line(str(e))}"
             continue

@@ -148,6 +148,9 @@ class Scenario(Table):
 
 def read_tables(path: Path, label: Path | None = None) -> dict[str, Any]:
     """Read the tables of a TOML file; label: names it in messages. Raises ScenarioError."""
+    if path.suffix.lower() == ".fmu":
+        about = f"retune info {path} lists what it has, retune new --plant {path} -o FILE.toml writes a scenario for it"
+        raise ScenarioError(f"{path} is an FMU, not a scenario: {about}.")
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as e:  # bytes or numbers that are too long, tables too deep
@@ -163,6 +166,9 @@ def find_scenario(source: str | Path) -> Path:
     try:
         if path.is_file():
             return path
+        if str(source) and path.is_dir():
+            about = f"a run's goes on with retune resume {path}, and again with retune replay {path} --estimator NAME"
+            raise ScenarioError(f"{path} is a folder, not a scenario: {about}.")
     except OSError:  # no file can have this name
         path = Path()
     names = named_scenarios()

@@ -1,12 +1,15 @@
 """Command-line options of `retune`. Imports nothing heavy, so that --help is fast."""
 
 import argparse
+import re
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final, NoReturn
 
 from .. import __version__
+from ..errors import one_line
+from ..names import did_you_mean
 from ..offline.estimate_options import add_options
 from ..scenarios.named import named_scenarios
 from .exit_codes import REFUSED
@@ -17,8 +20,15 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Report an error in one line, without the usage, and exit."""
+        message = _with_hint(message)
         print(f"{self.prog}: {message}; see {self.prog} --help", file=sys.stderr)
         raise SystemExit(REFUSED)
+
+
+def _with_hint(message: str) -> str:
+    """Return argparse's message on an unknown command with the one that may be meant."""
+    choice = re.fullmatch(r"argument COMMAND: invalid choice: '(.*)' \(choose from .*\)", message, re.DOTALL)
+    return f"no command '{one_line(choice[1])}'{did_you_mean(choice[1], _OPTIONS)}" if choice else message
 
 
 def make_parser() -> Parser:

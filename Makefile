@@ -37,6 +37,7 @@ lint: $(VENV)/.test
 
 docs-tables: $(VENV)/.run
 	$(BIN)/python -m cosim.scenarios.reference docs/scenario.md docs/estimators.md
+	$(BIN)/retune schema > docs/scenario.schema.json
 
 format: $(VENV)/.test
 	$(BIN)/ruff check --fix .

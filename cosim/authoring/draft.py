@@ -13,6 +13,7 @@ from typing import Final
 from ..errors import WiringError, one_line
 from ..fmi.component import Component, ModelVariable, read_component
 from ..fmi.table import is_table
+from ..scenarios.json_schema import URL
 from ..variable_name import VariableName
 from .draft_estimation import (
     described,
@@ -100,6 +101,7 @@ def _check_size(components: Mapping[str, Component]) -> None:
 
 
 _LEGEND: Final = [
+    f"#:schema {URL}",
     "# Written by `retune new` from what the FMUs declare. Look it over, then: retune check, retune run.",
     "# guess: name and unit agree.  GUESS: look at it.  FILL: yours to say.",
 ]

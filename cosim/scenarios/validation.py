@@ -1,5 +1,6 @@
 """Errors of a scenario file, in one line each. Known keys come from the schema's types."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from types import UnionType
@@ -41,6 +42,8 @@ def _text(first: Mapping[str, Any], root: type[Table]) -> str:
     got = f", got {value!r}" if isinstance(value, Value) and "got" not in message else ""
     if key and message.startswith(f"{key}."):  # the place is in the message already, and more closely
         key = ""
+    if key and (inner := re.match(r"[\w.]+(?=: must be )", message)):  # a key of that table
+        key, message = f"{key}.{inner[0]}", message[inner.end() + 2 :]
     return f"{key + ': ' if key else ''}{message[:1].lower()}{message[1:]}{got}"
 
 

@@ -3,15 +3,16 @@
 import argparse
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Final, NoReturn
+from typing import Any, Final, NoReturn
 
 from .. import __version__
 from ..errors import one_line
 from ..names import did_you_mean
 from ..offline.estimate_options import add_options
 from ..scenarios.named import named_scenarios
+from .completion import SHELLS, estimators, scenarios
 from .exit_codes import REFUSED
 
 
@@ -57,9 +58,8 @@ def _build(parser: Parser) -> None:
 
 def _run(parser: Parser) -> None:
     _add_scenario(parser, ", an SSP package")
-    parser.add_argument(
-        "--estimator", default="target", help="target (default), another estimator, none, true, or module:Class"
-    )
+    text = "target (default), another estimator, none, true, or module:Class"
+    _completed(parser.add_argument("--estimator", default="target", help=text), estimators)
     parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="seed of noise and search (default: 0)")
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="run folder, absent or empty (default: runs/SCENARIO-n)"
@@ -81,12 +81,8 @@ def _resume(parser: Parser) -> None:
 
 def _compare(parser: Parser) -> None:
     _add_scenario(parser)
-    parser.add_argument(
-        "--estimators",
-        type=_names,
-        metavar="A,B,C",
-        help="default: all that the scenario and the installed packages allow",
-    )
+    text = "default: all that the scenario and the installed packages allow"
+    _completed(parser.add_argument("--estimators", type=_names, metavar="A,B,C", help=text), estimators)
     parser.add_argument("--seeds", type=_count, default=10, metavar="N", help="seeds 0 to N - 1 (default: 10)")
     parser.add_argument("--jobs", type=_count, metavar="N", help="runs at a time (default: one per processor)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="absent or empty (default: runs/SCENARIO-compare-n)")
@@ -98,7 +94,8 @@ def _compare(parser: Parser) -> None:
 
 def _replay(parser: Parser) -> None:
     parser.add_argument("run", type=Path, metavar="RUN", help="run folder")
-    parser.add_argument("--estimator", type=_names, required=True, metavar="A,B,C", help="one estimator or several")
+    text = "one estimator or several"
+    _completed(parser.add_argument("--estimator", type=_names, required=True, metavar="A,B,C", help=text), estimators)
     parser.add_argument("--seed", type=_seed, metavar="N", help="seed of the search (default: the run's)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="also write the tables there, absent or empty")
     _add_trust(parser, "a run folder that you did not make, or of code that has changed")
@@ -146,13 +143,28 @@ def _export(parser: Parser) -> None:
     _add_start_values(parser)
 
 
+def _completed(action: argparse.Action, completer: Callable[..., Iterable[str]]) -> None:
+    """Set the completions of an argument's value; those of others are files."""
+    option: Any = action
+    option.completer = completer
+
+
+def _completion(parser: Parser) -> None:
+    parser.add_argument("shell", choices=SHELLS, help="the shell to switch completion on in")
+
+
+def _schema(parser: Parser) -> None:
+    parser.add_argument("-o", "--out", type=Path, metavar="FILE", help="JSON file to write, new (default: print it)")
+
+
 def _illustrate(parser: Parser) -> None:
     parser.add_argument("--out", type=Path, default=Path("illustration.png"), metavar="FILE", help="PNG, new")
     parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="seed of the noise (default: 0)")
 
 
 def _add_scenario(parser: argparse.ArgumentParser, also: str = "") -> None:
-    parser.add_argument("scenario", metavar="SCENARIO", help=f"{', '.join(named_scenarios())}{also}, or a TOML file")
+    text = f"{', '.join(named_scenarios())}{also}, or a TOML file"
+    _completed(parser.add_argument("scenario", metavar="SCENARIO", help=text), scenarios)
 
 
 def _add_set(parser: argparse.ArgumentParser) -> None:
@@ -217,5 +229,7 @@ _OPTIONS: Final[Mapping[str, tuple[str, Callable[[Parser], None]]]] = {
     "doctor": ("say what an FMU needs on this machine, and how to start an importer for it", _doctor),
     "export": ("write a scenario's system for other tools, as an SSP package", _export),
     "estimate": ("estimate a plant's parameters from logs", add_options),
+    "schema": ("print the JSON Schema of scenario files, for editors", _schema),
+    "completion": ("print what switches completion on in a shell", _completion),
     "illustrate": ("draw the one-dimensional illustration", _illustrate),
 }

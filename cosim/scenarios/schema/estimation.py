@@ -1,9 +1,9 @@
 """Tables of a scenario file on the estimation: parameters, objective, loop and estimators."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Self, cast
+from typing import Annotated, Any, Literal, Self, cast, get_type_hints
 
-from pydantic import Discriminator, Field, Tag, TypeAdapter, ValidationError, model_validator
+from pydantic import Discriminator, Field, Strict, Tag, TypeAdapter, ValidationError, model_validator
 
 from estimator import METHODS, Method, Parameter, ParameterSpace
 from estimator.methods import FORMER_METHODS, method_named
@@ -14,6 +14,7 @@ from ...names import did_you_mean
 from ...variable_name import VariableName
 from ..formula import compile_expression, identifier
 from .table import FUNCTION, MOST, Reference, Table
+from .toml_types import check_types
 
 NAME, FORMULAS = "[name]", "[formulas]"
 """Pydantic's places of the two forms of `writes`, which are no keys."""
@@ -135,7 +136,7 @@ class EstimationSettings(LoopSettings):
     """Simulation of candidates, with the objective `rollout`."""
     parameters: tuple[EstimatedParameter, ...] = Field(min_length=1)
     """The parameters to estimate, in the order of theta."""
-    instants: tuple[float, ...] = ()
+    instants: tuple[Annotated[float, Strict()], ...] = ()
     """Times [s] at which the report compares estimated and true parameters."""
     linear: LinearModel | None = None
     """The model's linear form, for recursive least squares."""
@@ -215,6 +216,10 @@ class EstimationSettings(LoopSettings):
         for key in self.methods.get(name, {}):
             if key not in known:
                 raise ValueError(f"estimation.{name} has no setting '{key}'{did_you_mean(key, known)}")
+        try:
+            check_types(get_type_hints((method or method_named(name)).settings), self.methods.get(name, {}))
+        except ValueError as e:
+            raise ValueError(f"estimation.{name}.{e}") from e
         try:
             self.loop(name, method)
             self.settings(name, method)

@@ -78,7 +78,7 @@ class ComponentSettings(Table):
     """Name of a built-in FMU, or a path to a file, relative to the scenario's."""
     fmi: Literal[2, 3] = 2
     """FMI version of a built-in FMU; a file says its own."""
-    table: str | None = Field(default=None, pattern=r"(?i)\.csv$")
+    table: str | None = Field(default=None, pattern=r"\.[cC][sS][vV]$")
     """Instead of an FMU: path of a CSV file whose columns are played back over time."""
     start: dict[str, Value] = {}
     """Start values set before initialisation."""

@@ -8,6 +8,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, GetPydanticSchema, m
 
 from ...former_names import tell_new_name
 from ...variable_name import VariableName
+from .toml_types import check_types
 
 FUNCTION: Final = re.compile(r"[\w.]+:\w+")
 """A function of the user's, `module:function`."""
@@ -48,4 +49,5 @@ class Table(BaseModel):
                     raise ValueError(f"'{old}' is now '{new}': leave out '{old}'")
                 given[new] = given.pop(old)
                 tell_new_name(former, now)
+        check_types({key: field.annotation for key, field in cls.model_fields.items()}, given)
         return given

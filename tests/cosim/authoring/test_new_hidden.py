@@ -14,6 +14,7 @@ from cosim.authoring.guess import guess_tracking
 from cosim.cli import main
 from cosim.fmi.component import read_component
 from cosim.runs.simulation import run
+from cosim.scenarios.json_schema import URL
 from cosim.scenarios.scenario import Scenario
 
 pytestmark = [pytest.mark.fmu, pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")]
@@ -70,6 +71,7 @@ def axis_draft(built, foreign, tmp_path, capsys):
 
 def test_a_plant_that_hides_its_states_gets_roll_outs_that_check_and_run_take(axis_draft):
     tree = tomllib.loads(axis_draft.read_text())
+    assert axis_draft.read_text().startswith(f"#:schema {URL}\n")
     assert tree["estimation"]["objective"] == "rollout"
     assert set(tree["sampling"]["outputs"]) == {"plant.s", "plant.v"}
     assert "start" not in tree["components"]["plant"]

@@ -517,7 +517,7 @@ def test_an_estimator_of_ones_own_is_compared(called, own):
         ("Raises", {}, "cannot be made: RuntimeError: not today"),
         ("Asker", {"valu": "1.0"}, "has no setting 'valu'; did you mean 'value'"),
         ("Asker", {"value": "-1.0"}, "value must be positive, got -1.0"),
-        ("Asker", {"value": "text"}, "value: input should be a valid number"),
+        ("Asker", {"value": "text"}, "value: must be a number"),
         ("Asker", {"budget": "0"}, "budget"),
     ],
 )

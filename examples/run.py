@@ -10,6 +10,7 @@ import os
 import re
 import shlex
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 
@@ -23,9 +24,9 @@ NAMES = tuple(sorted(path.parent.name for path in FOLDER.glob("*/README.md")))
 
 
 def commands(name: str) -> list[str]:
-    """Return the commands in the README of an example, `retune ...`."""
+    """Return the commands in the README of an example, `retune ...` and `python FILE`."""
     blocks = re.findall(r"^```sh\n(.*?)^```", (FOLDER / name / "README.md").read_text(encoding="utf-8"), re.S | re.M)
-    return [line for block in blocks for line in block.splitlines() if line.startswith("retune ")]
+    return [line for block in blocks for line in block.splitlines() if re.match(r"retune |python \w+\.py", line)]
 
 
 def prepare(name: str, folder: Path) -> None:
@@ -53,7 +54,10 @@ def main() -> int:
     os.chdir(folder)
     for command in commands(options.name):
         print(f"$ {command}", flush=True)
-        if code := retune(shlex.split(command)[1:]):
+        program, *arguments = shlex.split(command)
+        is_ours = program == "retune"
+        code = retune(arguments) if is_ours else subprocess.run([sys.executable, *arguments], check=False).returncode
+        if code:
             return code
     return 0
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Final
 
 from ..errors import one_line
+from ..fmi.archive import co_simulation
 from ..fmi.component import Component, ModelVariable
 from ..fmi.feedthrough import declared
 from ..fmi.ports import attribute
@@ -69,7 +70,9 @@ def is_settable(v: ModelVariable) -> bool:
 
 
 def _saves_its_state(plant: Component) -> bool:
-    return bool(getattr(plant.description.coSimulation, "canGetAndSetFMUstate", False))
+    """Return whether its states can be given to another instance, in another process."""
+    interface = co_simulation(plant.description)
+    return bool(interface.canGetAndSetFMUstate and interface.canSerializeFMUstate)
 
 
 def _outputs(plant: Component) -> list[str]:
@@ -232,13 +235,14 @@ def parameters(
 
 def _parameter(controller: Component, own: ModelVariable, its: ModelVariable, is_fmu: bool) -> list[str]:
     low, high, notes = bounds(own, its)
+    unit = attribute(own, "unit") or attribute(its, "unit")
     name = its.name if is_fmu else identifier(own.name)
     lines = [
-        said("[[estimation.parameters]]", described(controller, own)),
+        said("[[estimation.parameters]]", f"[{unit or '1'}] {one_line(own.description or '')}".rstrip()),
         f"name = {quoted(name)}",
         said(f"lower = {low!r}", notes[0]),
         said(f"upper = {high!r}", notes[1]),
-        *unit_and_scale(attribute(own, "unit") or attribute(its, "unit"), low, high),
+        *unit_and_scale(unit, low, high),
         f"writes = {quoted(f'{CONTROLLER}.{own.name}')}",
     ]
     if its.name != name:

@@ -178,17 +178,23 @@ def _sources(name: str, variable: str) -> tuple[str, ...]:
 
 
 def _by_unit(guess: Guess, used: Iterable[str | None], components: Mapping[str, Component]) -> Guess:
-    """Return a guess with the only output left in the input's unit; the guess as it is if there is not exactly one."""
+    """Return a guess with the only output left in the input's unit, or the only one left where a unit is not known.
+
+    The guess as it is if there is not exactly one. Derivatives are left out where the unit is not known.
+    """
     name, variable = VariableName(guess.target).parts
     other = _sources(name, variable)[0]
-    free = [
-        f"{other}.{o.name}"
-        for o in (components[other].having("output") if other in components else ())
-        if f"{other}.{o.name}" not in used and have_one_unit(components[name], variable, components[other], o.name)
-    ]
-    if len(free) != 1:
-        return guess
-    return Guess(guess.target, free[0], "the only output left in this unit, by another name", False)
+    owner = components.get(other)
+    free = [o.name for o in owner.having("output") if f"{other}.{o.name}" not in used] if owner else []
+    units = {o: have_one_unit(components[name], variable, components[other], o) for o in free}
+    same = [o for o in free if units[o]]
+    rates = set(owner.derivatives.values()) if owner else set[str]()
+    open_ones = [o for o in free if units[o] is not False and o not in rates]
+    if len(same) == 1:
+        return Guess(guess.target, f"{other}.{same[0]}", "the only output left in this unit, by another name", False)
+    if not same and len(open_ones) == 1:
+        return Guess(guess.target, f"{other}.{open_ones[0]}", "the only output left, no unit to compare", False)
+    return guess
 
 
 def _words(name: str) -> list[str]:

@@ -163,3 +163,36 @@ def test_what_is_tracked_is_matched_by_name_and_unit(described, outputs, referen
     assert tomllib.loads(text)["tracking"] == (
         {tracked: f"reference.{reference[0]}"} if tracked else {"plant.FILL": "reference.FILL"}
     )
+
+
+def pin(name, causality, place, unit="", start=' start="0"'):
+    attribute = f' unit="{unit}"' if unit else ""
+    return (
+        f'<ScalarVariable name="{name}" valueReference="{place}" causality="{causality}">'
+        f"<Real{start if causality == 'input' else ''}{attribute}/></ScalarVariable>"
+    )
+
+
+def test_the_words_of_process_control_are_joined_where_one_output_is_left(described):
+    """SP, PV and OUT without units: no name is like another, and there is no choice."""
+    plant = described(pin("pump", "input", 0, "W") + pin("level", "output", 1, "m"), name="P")
+    controller = described(pin("SP", "input", 0) + pin("PV", "input", 1) + pin("OUT", "output", 2), name="C")
+    reference = described(pin("wanted", "output", 0, "m"), name="R")
+    text = draft({"plant": plant, "controller": controller, "reference": reference}, plant.parent).text
+    assert tomllib.loads(text)["connections"] == {
+        "controller.SP": "reference.wanted", "controller.PV": "plant.level", "plant.pump": "controller.OUT",
+    }  # fmt: skip
+    assert text.count("GUESS: the only output left, no unit to compare") == 2
+    two = described(pin("pump", "input", 0, "W") + pin("y1", "output", 1, "m") + pin("y2", "output", 2, "m"), name="Q")
+    text = draft({"plant": two, "controller": controller, "reference": reference}, plant.parent).text
+    assert "controller.PV" not in tomllib.loads(text)["connections"]  # either of two
+
+
+@pytest.mark.parametrize(
+    ("offered", "window"),
+    [("", 100), ('canGetAndSetFMUstate="true"', 100), ('canGetAndSetFMUstate="true" canSerializeFMUstate="true"', 20)],
+    ids=["none", "not as bytes", "saved"],
+)
+def test_roll_outs_from_the_start_are_longer_than_from_a_saved_state(described, offered, window):
+    plant = described(pin("u", "input", 0) + pin("y", "output", 1), name="P", interface=offered)
+    assert tomllib.loads(draft({"plant": plant}, plant.parent).text)["estimation"]["window"] == window

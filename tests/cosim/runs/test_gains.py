@@ -10,6 +10,7 @@ import pytest
 from cosim import ScenarioError, read_run, resume, run
 from cosim.authoring.check import check
 from cosim.campaigns.replay import replayed
+from cosim.cli import main
 from cosim.plots.parameters import draw_parameters
 from cosim.retuning.guard import Guard
 from cosim.scenarios.scenario import Scenario
@@ -145,3 +146,18 @@ def test_check_tells_what_the_formulas_give_within_the_bounds(gains, tmp_path):
     assert "did you mean 'Kd'" in found
     gains('"controller.Kp" = "10*m/1.75 - 1"', '"controller.Kd" = "gain_functions:nothing"')
     assert "gain_functions" in "\n".join(map(str, check(tmp_path / "gains.toml")))
+
+
+def test_a_strangers_function_is_not_called_unasked(gains, tmp_path, capsys, monkeypatch):
+    code = PLACE + "\nopen('called', 'w').close()\n"
+    monkeypatch.chdir(tmp_path)
+    gains(KP_KD, code=code)
+    assert main(["export", "gains.toml", "--ssp", "gains.ssp"]) == 0
+    (tmp_path / "gain_functions.py").unlink()
+    assert main(["check", "gains.ssp"]) == 0
+    assert "gain_functions:place of gains.ssp was not called" in capsys.readouterr().out
+    assert main(["run", "gains.ssp", "--only", "--estimator", "none"]) == 2
+    assert "would run Python code (module gain_functions), which only --trust allows" in capsys.readouterr().err
+    assert not (tmp_path / "called").exists()
+    assert main(["check", "gains.ssp", "--trust"]) == 0
+    assert (tmp_path / "called").exists()

@@ -11,7 +11,7 @@ from difflib import SequenceMatcher
 from functools import lru_cache
 from typing import Final
 
-from ..fmi.component import Component, ModelVariable
+from ..fmi.component import Component, ModelVariable, is_disturbance
 from ..units import IDENTITY, conversion
 from ..variable_name import VariableName
 
@@ -135,11 +135,6 @@ def best(name: str, owner: Component, others: Iterable[tuple[Component, ModelVar
 def is_likely(how: str | None, has_one_unit: bool | None) -> bool:
     """Return whether a guess needs no checking: the names have the same words, and the units are known to be equal."""
     return how in (SAME, SAME_WORDS) and bool(has_one_unit)
-
-
-def is_disturbance(v: ModelVariable) -> bool:
-    """Return whether an input acts only where somebody connects or changes it, by its description."""
-    return "disturbance" in (v.description or "").lower()
 
 
 def is_desired(name: str) -> bool:

@@ -3,6 +3,7 @@
 import importlib.util
 import json
 import re
+import shlex
 import shutil
 import sys
 from pathlib import Path
@@ -94,6 +95,15 @@ def test_a_room_is_found_in_its_log(carried_out):
     found = json.loads((folder / "runs" / "Zone-estimate-1" / "estimate.json").read_text())["parameters"]
     for name, value in (("air.C", 5e6), ("wall.R", 0.006)):  # of make_log.py
         assert abs(found[name]["value"] - value) < 4.0 * found[name]["std"]
+
+
+def test_an_input_that_the_command_forgets_is_told(carried_out, capfd):
+    _, printed = carried_out("thermal-zone")
+    assert "No column was given" not in printed
+    (command,) = examples.commands("thermal-zone")
+    words = shlex.split(command.replace("--input heater.Q_flow=heat", ""))[1:]
+    assert examples.retune([*words, "--evaluations", "5"]) == 0
+    assert "No column was given for heater.Q_flow (0): it stayed at its start." in capfd.readouterr().out
 
 
 def test_the_estimator_re_tunes_in_another_tools_ssp(carried_out):

@@ -556,13 +556,14 @@ def test_the_command_builds_it_and_replaces_nothing_unasked(capsys, tmp_path, mo
     monkeypatch.chdir(tmp_path)
     command = ["build", "--estimator", "quadrotor", "--out", "fmus"]
     assert main(command) == 0
-    assert capsys.readouterr().out == "fmus/QuadrotorEstimator.fmu  built\n"
+    following = "next: retune info fmus/QuadrotorEstimator.fmu\n"
+    assert capsys.readouterr().out == f"fmus/QuadrotorEstimator.fmu  built\n{following}"
     assert main(command) == 0
-    assert capsys.readouterr().out == "fmus/QuadrotorEstimator.fmu  unchanged\n"
+    assert capsys.readouterr().out == f"fmus/QuadrotorEstimator.fmu  unchanged\n{following}"
     assert main([*command, "--set", "estimation.budget=5"]) == 2
     assert "exists and differs; give --force" in capsys.readouterr().err
     assert main([*command, "--set", "estimation.budget=5", "--force"]) == 0
-    assert capsys.readouterr().out == "fmus/QuadrotorEstimator.fmu  replaced\n"
+    assert capsys.readouterr().out == f"fmus/QuadrotorEstimator.fmu  replaced\n{following}"
 
 
 @pytest.mark.parametrize(

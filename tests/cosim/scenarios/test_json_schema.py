@@ -92,11 +92,12 @@ def test_it_is_in_step_with_the_loader_on_1000_mutated_files(tmp_path):
     for i in range(1000):
         tables = mutated(trees[i % len(trees)], rng)
         types, text = faults(tables, tmp_path)
+        follows = {"too_short"} if "value_error" in types else set()  # a list whose only item was refused
         is_valid = SCHEMA.is_valid(tables)
         if not types:
             n_taken += 1
             assert is_valid, (tables, [error.message for error in SCHEMA.iter_errors(tables)])
-        elif types != {"value_error"} or re.search(r": must be (a|true)", text):
+        elif types - follows != {"value_error"} or re.search(r": must be (a|true)", text):
             n_refused += 1
             assert not is_valid, text
     assert n_taken > 100

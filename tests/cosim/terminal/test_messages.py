@@ -85,7 +85,7 @@ def test_json_is_followed_by_nothing(workplace, called):
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 def test_an_interrupt_names_the_folder_and_the_line_that_resumes(workplace, becomes_true):
     command = [sys.executable, "-m", "cosim.cli", "run", "pendulum", "--only", "--out", "mine folder"]
-    more = ["--estimator", "none", "--set", "scenario.stop_time=3600.0", "--set", "scenario.checkpoint=20"]
+    more = ["--estimator", "none", "--set", "scenario.stop_time=3600.0"]
     process = subprocess.Popen([*command, *more], stderr=subprocess.PIPE, text=True, env=os.environ)
     series = workplace / "mine folder" / "series.arrow"
     assert becomes_true(lambda: series.exists() and series.stat().st_size > 20_000)

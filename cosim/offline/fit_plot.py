@@ -6,19 +6,8 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.axes import Axes
 
-from ..plots.canvas import (
-    BLACK,
-    BLUE,
-    VERMILION,
-    label,
-    new_figure,
-    save_png,
-    set_linear,
-    tame,
-    tidy,
-    top_legend,
-    value_range,
-)
+from ..plots.canvas import label, new_figure, save_png, set_linear, tame, tidy, top_legend, value_range
+from ..plots.palette import BLACK, BLUE, VERMILION
 from .estimate import Estimation
 
 _MOST: Final = 8

@@ -19,17 +19,6 @@ from ..runs.result import Series
 
 AxisLimits = tuple[float, float]
 
-# Okabe and Ito (2008): told apart by every kind of colour vision.
-BLACK: Final = "#000000"
-GREY: Final = "#8c8c8c"
-ORANGE: Final = "#E69F00"
-SKY: Final = "#56B4E9"
-GREEN: Final = "#009E73"
-YELLOW: Final = "#F0E442"
-BLUE: Final = "#0072B2"
-VERMILION: Final = "#D55E00"
-PURPLE: Final = "#CC79A7"
-
 _DPI: Final = 120
 _STEPS: Final = (1, 2, 2.5, 5, 10)
 _GREEK: Final = frozenset(
@@ -100,11 +89,11 @@ def tidy(axes: Axes) -> None:
     axes.tick_params(labelsize=9)
 
 
-def top_legend(figure: Figure, handles: Mapping[str, Any], n_columns: int) -> None:
+def top_legend(figure: Figure, handles: Mapping[str, Any], n_columns: int, title: str | None = None) -> None:
     """Draw a legend above all axes, where it covers no data; handles: by text."""
     figure.legend(
         handles.values(), handles.keys(), loc="outside upper center", ncols=n_columns, frameon=False, fontsize=9,
-        columnspacing=1.3, handlelength=1.6, handletextpad=0.5,
+        columnspacing=1.3, handlelength=2.2, handletextpad=0.5, title=title, title_fontsize=10,
     )  # fmt: skip
 
 

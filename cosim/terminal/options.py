@@ -101,6 +101,13 @@ def _figures(parser: Parser) -> None:
     parser.add_argument("--jobs", type=_count, metavar="N", help="runs at a time (default: one per processor)")
 
 
+def _plot(parser: Parser) -> None:
+    parser.add_argument("runs", type=Path, nargs="+", metavar="RUN", help="run folder, one or several")
+    parser.add_argument(
+        "-o", "--out", type=Path, default=Path("plot.png"), metavar="FILE", help="PNG or SVG, new (default: plot.png)"
+    )
+
+
 def _new(parser: Parser) -> None:
     parser.add_argument("--plant", type=Path, required=True, metavar="FMU", help="the plant")
     parser.add_argument("--controller", type=Path, metavar="FMU", help="the controller that is to be re-tuned")
@@ -195,6 +202,7 @@ _OPTIONS: Final[Mapping[str, tuple[str, Callable[[Parser], None]]]] = {
     "resume": ("go on with a run from its last checkpoint, to the same bits", _resume),
     "compare": ("run every estimator on the same plant, noise and seeds", _compare),
     "replay": ("give the recorded samples of a run to other estimators, open loop", _replay),
+    "plot": ("draw outputs, inputs and parameters of runs over one another", _plot),
     "figures": ("draw the paper's figures and table from runs made here", _figures),
     "new": ("write a scenario for your own FMUs, to look over", _new),
     "check": ("list what is wrong or risky in a scenario or an FMU, before it runs", _check),

@@ -8,10 +8,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter
 
-from ..plots.canvas import label, new_figure, set_linear, set_log, tame, tidy, top_legend, value_range
+from ..plots.canvas import label, new_figure, set_linear, set_log, tidy, top_legend
 from ..plots.palette import BLACK, BLUE, GREEN, GREY, ORANGE, SKY, VERMILION, Dashed
 from ..plots.panels import Curve, finish, line, panels
-from ..plots.runs import tracking_limits
+from ..plots.ranges import tame, tracking_limits, value_range
 from ..runs.quantities import short_names
 from ..runs.recorded_events import RecordedEvent
 from ..runs.result import Run

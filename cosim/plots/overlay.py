@@ -13,11 +13,11 @@ from ..runs.quantities import inputs_of, units_of
 from ..runs.recorded_events import RecordedEvent, read_events
 from ..runs.result import Run
 from ..variable_name import VariableName
-from .canvas import label, new_figure, set_linear, tame, tidy, top_legend, value_range
+from .canvas import label, new_figure, set_linear, tidy, top_legend
 from .palette import BLACK, RUNS
 from .panels import Curve, line, title_of
 from .parameters import draw_band, parameter_axis
-from .runs import tracking_limits
+from .ranges import tame, tracking_limits, value_range
 
 
 def draw_overlay(runs: Sequence[Run]) -> Figure:

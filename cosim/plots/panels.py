@@ -7,9 +7,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..runs.recorded_events import RecordedEvent
-from ..runs.result import Run
-from .canvas import AxisLimits, Series, new_figure, tidy, top_legend
+from ..runs.result import Run, Series
+from .canvas import new_figure, tidy, top_legend
 from .palette import BLACK, GREY, ORANGE, VERMILION, Dashed
+from .ranges import AxisLimits
 
 DrawStyle = Literal["default", "steps-pre", "steps-post"]
 """Style of a line between two points; an input was held until its row, a parameter is held from its row on."""

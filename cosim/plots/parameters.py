@@ -10,11 +10,12 @@ from numpy.typing import ArrayLike
 
 from ..runs.quantities import event_column, uncertainty_band
 from ..runs.recorded_events import RecordedEvent
-from ..runs.result import Run
+from ..runs.result import Run, Series
 from ..scenarios.schema.estimation import EstimatedParameter
-from .canvas import AxisLimits, Series, label, set_linear, set_log, tame, value_range
+from .canvas import label, set_linear, set_log
 from .palette import BLACK, BLUE, ORANGE
 from .panels import finish, mark, panels, title_of
+from .ranges import AxisLimits, tame, value_range
 
 
 def draw_parameters(run: Run, events: Sequence[RecordedEvent]) -> Figure:

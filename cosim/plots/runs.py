@@ -9,10 +9,11 @@ from matplotlib.figure import Figure
 from ..runs.quantities import inputs_of, norm, short_names, trigger_threshold, units_of
 from ..runs.recorded_events import RecordedEvent, read_events
 from ..runs.result import Run
-from .canvas import AxisLimits, Series, label, save_png, set_linear, set_log, tame, value_range, with_unit
+from .canvas import label, save_png, set_linear, set_log, with_unit
 from .palette import BASELINES, BLACK, BLUE, Dashed
 from .panels import Curve, finish, line, panels, title_of
 from .parameters import draw_parameters
+from .ranges import error_limits, tame, tracking_limits, value_range
 from .response import draw_response
 
 
@@ -68,16 +69,6 @@ def draw_tracking(run: Run, curves: Sequence[Curve], events: Sequence[RecordedEv
     return finish(figure, rows, title_of(run))
 
 
-def tracking_limits(reference: Series, outputs: Sequence[Series]) -> AxisLimits:
-    """Return limits for all curves, without excursions of more than twice the reference's range from it."""
-    wanted = value_range([reference, *outputs], percentile=0.2) or (0.0, 1.0)
-    low, high = value_range([reference]) or wanted
-    width = high - low
-    if width <= 1e-9 * max(abs(low), abs(high)):
-        return min(low, wanted[0]), max(high, wanted[1])
-    return min(low, max(wanted[0], low - 2.0 * width)), max(high, min(wanted[1], high + 2.0 * width))
-
-
 def _draw_error(run: Run, curves: Sequence[Curve], events: Sequence[RecordedEvent]) -> Figure:
     """Draw absolute tracking errors over time; with several tracked outputs, also their norm, which triggers."""
     outputs: list[str] = list(run.scenario.tracking)
@@ -92,7 +83,7 @@ def _draw_error(run: Run, curves: Sequence[Curve], events: Sequence[RecordedEven
     for axes, (name, unit, members) in zip(rows, contents, strict=True):
         with np.errstate(all="ignore"):  # infinite minus infinite
             errors = [norm([c.run.errors[o] for o in members]) for c in curves]
-        limits = set_log(axes, "y", _error_limits(errors, run.scenario.limits.divergence))
+        limits = set_log(axes, "y", error_limits(errors, run.scenario.limits.divergence))
         for curve, error in zip(curves, errors, strict=True):
             is_zero = not np.any(error > 0.0)
             line(axes, curve._replace(text=curve.text + ": zero") if is_zero else curve, tame(error, limits, True))
@@ -102,12 +93,3 @@ def _draw_error(run: Run, curves: Sequence[Curve], events: Sequence[RecordedEven
         text = r"$\Vert e \Vert$" if name is None else f"$|e|$ in {label(name)}"
         axes.set_ylabel(with_unit(text, unit))
     return finish(figure, rows, title_of(run))
-
-
-def _error_limits(errors: Sequence[Series], divergence: float) -> AxisLimits:
-    """Return limits over at most six decades; the smallest percent of the values may lie below them."""
-    positive = [e[np.isfinite(e) & (e > 0.0)] for e in errors]
-    low, _ = value_range(positive, percentile=1.0) or (1e-3, 1.0)
-    _, high = value_range(positive) or (1e-3, 1.0)
-    high = min(max(high, 1e-30), 2.0 * divergence)
-    return min(max(low, 1e-6 * high), 0.5 * high), high

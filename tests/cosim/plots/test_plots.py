@@ -15,10 +15,11 @@ from scipy.optimize import minimize_scalar
 from cosim import Run, Scenario, run
 from cosim.errors import FolderError
 from cosim.paper.illustration import global_minimum, illustrate, optimise, unknown
-from cosim.plots.canvas import label, set_log, tame, value_range
+from cosim.plots.canvas import label, set_log
 from cosim.plots.overlay import columns_of, draw_overlay, plot_run
 from cosim.plots.palette import BASELINES, RUNS
 from cosim.plots.panels import Curve, panels
+from cosim.plots.ranges import tame, value_range
 from cosim.plots.response import response_surface
 from cosim.plots.runs import draw_run, draw_tracking
 from cosim.system.plant import Plant

@@ -14,6 +14,7 @@ from ..runs.recorded_events import RecordedEvent, read_events
 from ..runs.result import Run
 from ..variable_name import VariableName
 from .canvas import label, new_figure, set_linear, tidy, top_legend
+from .overlay_texts import texts_of
 from .palette import BLACK, RUNS
 from .panels import Curve, line, title_of
 from .parameters import draw_band, parameter_axis
@@ -117,14 +118,3 @@ def _draw_parameter(axes: Axes, i: int, curves: Sequence[Curve], events: Sequenc
         values = tame(truth, limits, is_log)
         axes.step(run.time, values, "--", where="post", color=BLACK, linewidth=1.0, label="truth")
     axes.set_ylabel(label(p.name, p.unit))
-
-
-def texts_of(runs: Sequence[Run]) -> list[str]:
-    """Return a text for each run by which it differs from the others: estimator, seed, scenario, folder as need be."""
-    parts = [
-        (r.estimator, f"seed {r.seed}", r.scenario.scenario.name, str(r.folder or f"run {k}"))
-        for k, r in enumerate(runs)
-    ]
-    places = [i for i in range(3) if len({p[i] for p in parts}) > 1] or [0]
-    short = [", ".join(p[i] for i in places) for p in parts]
-    return short if len(set(short)) == len(short) else [f"{s} ({p[3]})" for s, p in zip(short, parts, strict=True)]

@@ -101,6 +101,18 @@ def _figures(parser: Parser) -> None:
     parser.add_argument("--jobs", type=_count, metavar="N", help="runs at a time (default: one per processor)")
 
 
+def _report(parser: Parser) -> None:
+    parser.add_argument("folders", type=Path, nargs="+", metavar="RUN", help="run folder, or a folder of runs; several")
+    parser.add_argument(
+        "-o",
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="HTML file (default: report.html, in the run folder; of several here)",
+    )
+    parser.add_argument("--force", action="store_true", help="replace a file")
+
+
 def _plot(parser: Parser) -> None:
     parser.add_argument("runs", type=Path, nargs="+", metavar="RUN", help="run folder, one or several")
     parser.add_argument(
@@ -202,6 +214,7 @@ _OPTIONS: Final[Mapping[str, tuple[str, Callable[[Parser], None]]]] = {
     "resume": ("go on with a run from its last checkpoint, to the same bits", _resume),
     "compare": ("run every estimator on the same plant, noise and seeds", _compare),
     "replay": ("give the recorded samples of a run to other estimators, open loop", _replay),
+    "report": ("write what a run did into one HTML file, to send and to look at", _report),
     "plot": ("draw outputs, inputs and parameters of runs over one another", _plot),
     "figures": ("draw the paper's figures and table from runs made here", _figures),
     "new": ("write a scenario for your own FMUs, to look over", _new),

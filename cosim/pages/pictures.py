@@ -123,6 +123,7 @@ class _Sketch:
         }  # fmt: skip
 
     def _framed(self, plot: Any, label: str) -> Any:
+        plot.name = label or "events"
         plot.yaxis.axis_label = PlainText(text=label)
         plot.axis.axis_label_text_font_style = "normal"
         plot.outline_line_color = None

@@ -37,7 +37,7 @@ class PageOfRuns:
     @property
     def is_final(self) -> bool:
         """True where no run on the page can grow any more."""
-        return not any(s.run.status in ("running", "unfinished") for s in self.main)
+        return not any(s.run.status in ("running", "unfinished", "interrupted") for s in self.main)
 
     @property
     def main(self) -> list[ShownRun]:
@@ -65,7 +65,7 @@ class PageOfRuns:
         pictures = draw_pictures(self.shown)
         return {
             "structure": pictures.structure, "columns": pictures.columns.to_json(), "ranges": pictures.ranges,
-            "parts": self._parts(), "is_final": self.is_final,
+            "parts": self._parts(),
         }  # fmt: skip
 
     def _parts(self) -> dict[str, Any]:

@@ -99,7 +99,8 @@ def uncertainty_band(run: Run, p: EstimatedParameter, events: Sequence[RecordedE
         low, high = theta / factor, theta * factor
     else:
         low, high = theta - 2.0 * std, theta + 2.0 * std
-    times = np.array([*(e["t"] for e in writes), float(run.time[-1])])
+    at = [float(e["t"]) for e in writes]
+    times = np.array([*at, max(float(run.time[-1]), at[-1])])  # of a run that goes on, rows may be behind events
     below, above = (np.clip(np.append(edge, edge[-1]), p.lower, p.upper) for edge in (low, high))
     return Band(times, below, above)
 
@@ -121,5 +122,5 @@ def disturbance_sizes(run: Run, events: Sequence[RecordedEvent]) -> dict[str, Ma
         for channel in {*sizes, *size}:
             begin = {float(run.time[0]): 0.0} if len(run.time) else {}
             value = size.get(channel, 0.0)
-            sizes.setdefault(channel, begin)[float(event["t"])] = float(value) if value is not None else np.nan
+            sizes.setdefault(channel, begin)[float(event["t"])] = value if isinstance(value, int | float) else np.nan
     return {channel: {**of, float(run.time[-1]): [*of.values()][-1]} for channel, of in sizes.items() if len(run.time)}

@@ -36,6 +36,7 @@ function put(plots, news) {
     part.querySelectorAll(".scroll").forEach((box, i) => { box.scrollTop = tops[i] ?? 0; });
     part.querySelectorAll("details").forEach((box, i) => { box.open = open[i] ?? false; });
   }
+  if (hasList) arrange();
 }
 
 async function follow(plots) {
@@ -43,7 +44,7 @@ async function follow(plots) {
     await new Promise((resolve) => setTimeout(resolve, wait));
     let answer;
     try {
-      answer = await fetch(`${location.pathname.replace(/\/$/, "")}/data?since=${version}`);
+      answer = await fetch(`data?since=${version}`);
     } catch {
       tell("retune view has ended: the page stays as it is.");
       return;
@@ -54,44 +55,50 @@ async function follow(plots) {
     if (news.structure !== undefined && news.structure !== page.structure) { location.reload(); return; }
     if (news.columns) put(plots, news);
     version = news.version;
-    tell(news.is_final ? "The run has ended: the page is complete." : "The page grows with the run.");
-    if (news.is_final) return;
+    tell(news.state);
+    if (news.is_final) {
+      fetch(`data?since=${version}&has=all`).catch(() => {});
+      return;
+    }
   }
 }
 
+const sorted = {column: -1, sign: 1};
+
+function arrange() {
+  const body = document.getElementById("rows");
+  const rows = [...body.rows];
+  const words = document.getElementById("filter").value.toLowerCase().split(/\s+/).filter(Boolean);
+  for (const row of rows) row.classList.toggle("hidden", !words.every((w) => row.textContent.toLowerCase().includes(w)));
+  document.getElementById("n-shown").textContent = rows.filter((row) => !row.classList.contains("hidden")).length;
+  if (sorted.column < 0) return;
+  const key = (row) => row.cells[sorted.column].dataset.value ?? row.cells[sorted.column].textContent;
+  const compare = (a, b) => {
+    const [x, y] = [key(a), key(b)];
+    const isText = [x, y].some((text) => text === "" || Number.isNaN(Number(text)));
+    return sorted.sign * (isText ? x.localeCompare(y) : x - y);
+  };
+  body.append(...rows.sort(compare));
+}
+
 function listing() {
-  const search = document.getElementById("filter");
-  if (!search) return;
-  const rows = [...document.querySelectorAll("#runs tbody tr")];
-  search.addEventListener("input", () => {
-    const words = search.value.toLowerCase().split(/\s+/).filter(Boolean);
-    for (const row of rows) row.classList.toggle("hidden", !words.every((w) => row.textContent.toLowerCase().includes(w)));
-    document.getElementById("n-shown").textContent = rows.filter((row) => !row.classList.contains("hidden")).length;
-  });
+  document.getElementById("filter").addEventListener("input", arrange);
   document.querySelectorAll("#runs th").forEach((head, i) => {
     head.dataset.sort = "";
-    let sign = -1;
     head.addEventListener("click", () => {
-      sign = -sign;
-      const key = (row) => row.cells[i].dataset.value ?? row.cells[i].textContent;
-      const compare = (a, b) => {
-        const [x, y] = [key(a), key(b)];
-        const [p, q] = [parseFloat(x), parseFloat(y)];
-        return sign * (Number.isNaN(p) || Number.isNaN(q) ? x.localeCompare(y) : p - q);
-      };
-      document.querySelector("#runs tbody").append(...[...rows].sort(compare));
+      sorted.sign = sorted.column === i ? -sorted.sign : 1;
+      sorted.column = i;
+      arrange();
     });
   });
 }
 
-listing();
-if (page.item) {
-  Bokeh.embed.embed_item(page.item, "plots").then((views) => {
-    const plots = Bokeh.documents[0];
-    choose(plots);
-    if (page.is_live) follow(plots);
-    document.body.dataset.ready = "yes";
-  });
-} else {
+const hasList = document.getElementById("filter") !== null;
+if (hasList) listing();
+const drawn = page.item ? Bokeh.embed.embed_item(page.item, "plots") : Promise.resolve();
+drawn.then(() => {
+  const plots = page.item ? Bokeh.documents[0] : null;
+  choose(plots);
+  if (page.is_live) follow(plots);
   document.body.dataset.ready = "yes";
-}
+});

@@ -33,7 +33,7 @@ def test_a_folder_of_many_runs_becomes_a_list_with_links(called, recorded, workp
     (workplace / "all" / "run 3" / "report.html").write_text("there")
     assert called("report", "all")[0] == 0
     text = (workplace / "all" / "report.html").read_text()
-    assert "9 of 9 runs" in text
+    assert "</span> of 9 runs" in text
     assert 'href="run%203/report.html"' in text
     assert 'href="run%204"' in text
 

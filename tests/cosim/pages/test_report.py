@@ -10,9 +10,11 @@ import pytest
 from cosim.errors import FolderError
 from cosim.files import to_json
 from cosim.pages.list_page import listed, run_folders
+from cosim.pages.marks import SIGNS, with_reasons
 from cosim.pages.pictures import draw_pictures
 from cosim.pages.runs_page import read_page
 from cosim.runs.manifest import read_manifest
+from cosim.runs.recorded_events import read_events
 
 HOSTILE = "</script><img src=http://evil.example/x onerror=alert(1)>$$x$$"
 
@@ -104,6 +106,18 @@ def test_hostile_names_stay_text(made_up, page_of):
 )
 def test_whatever_the_values_there_is_a_page(made_up, page_of, columns):
     page = page_of(made_up(**columns))
+    assert "</html>" in page.html()
+    to_json(page.news())
+
+
+def test_events_that_make_no_sense_are_survived(made_up, page_of, tmp_path):
+    odd = ["text", [1], {"a": 1}, None, 1e999, True, -1]
+    keys = ("kind", "reason", "theta", "std", "cost", "size", "fault", "sensor")
+    events = [{"t": 0.1 * k, key: value} for key in keys for k, value in enumerate(odd)]
+    events += [event | {"kind": kind} for kind in ("trigger", "candidate", *SIGNS) for event in events]
+    events += [{"t": 0.5, "kind": "disturbance", "size": {"plant.phi": value}} for value in odd]
+    (tmp_path / "events.jsonl").write_text("".join(json.dumps(event) + "\n" for event in events))
+    page = page_of(made_up(events=with_reasons(read_events(tmp_path))))
     assert "</html>" in page.html()
     to_json(page.news())
 

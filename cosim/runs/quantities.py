@@ -6,6 +6,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from estimator import METHODS
+
 from ..errors import CosimError
 from ..fmi.component import Component, read_component
 from ..scenarios.schema.estimation import EstimatedParameter
@@ -65,7 +67,7 @@ def _declared(run: Run, component: str, found: Component) -> dict[str, str]:
 def trigger_threshold(run: Run) -> float | None:
     """Return the tracking error [unit of the tracked outputs] that triggers an episode in this run, or None."""
     estimation = run.scenario.estimation
-    loop = estimation if run.estimator in BASELINES else estimation.loop(run.estimator)
+    loop = estimation.loop(run.estimator) if run.estimator in METHODS else estimation  # a user's own is not loaded
     return loop.trigger.tracking_error
 
 

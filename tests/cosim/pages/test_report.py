@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 
+from cosim import run
 from cosim.errors import FolderError
 from cosim.files import to_json
 from cosim.pages.list_page import listed, run_folders
@@ -131,6 +132,14 @@ def test_a_million_rows_make_a_small_page_that_has_the_peak(made_up, page_of):
     assert len(html) < 3_000_000
     packed = page.news()["columns"]["r0 plant.phi"]["plant.phi 0"]["f8"]
     assert np.frombuffer(base64.b64decode(packed)).max() == 3.0
+
+
+@pytest.mark.full
+@pytest.mark.fmu
+def test_the_report_of_the_quadrotor_is_small_enough_to_send(tmp_path):
+    for name in ("target", "none", "true"):
+        run("quadrotor", name, 0, tmp_path / ("run" if name == "target" else f"run/{name}"))
+    assert len(read_page([tmp_path / "run"]).html()) < 3_000_000
 
 
 def test_a_folder_without_a_run_is_named(tmp_path):

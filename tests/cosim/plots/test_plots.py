@@ -157,6 +157,10 @@ def test_a_run_is_drawn_on_the_axes_that_are_given_and_on_new_ones() -> None:
         plot_run(made_up, ["plant.phi", "plant.m"], axes)
 
 
+def test_a_run_of_the_users_own_estimator_is_drawn(tmp_path: Path) -> None:
+    assert check_pictures(draw_run(made_up_run(tmp_path, estimator="mine:Estimator"), {})) == OVER_TIME
+
+
 def test_a_run_without_a_folder_is_refused() -> None:
     with pytest.raises(ValueError, match="run it with `out`"):
         draw_run(made_up_run(None), {})

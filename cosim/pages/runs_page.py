@@ -18,7 +18,8 @@ from ..runs.report import report
 from ..runs.result import Run, read_run
 from .frame import rendered, rendered_part, script_data
 from .marks import refusals, with_reasons
-from .pictures import ShownRun, draw_pictures
+from .pictures import draw_pictures
+from .sketch import ShownRun
 from .story import MOST_CHAPTERS, chapters, plant_changes, verdict
 from .thinning import MOST_ROWS
 

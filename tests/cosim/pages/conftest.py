@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from cosim import Scenario, run
-from cosim.pages.pictures import ShownRun
 from cosim.pages.runs_page import PageOfRuns
+from cosim.pages.sketch import ShownRun
 from cosim.plots.palette import RUNS
 from cosim.runs.manifest import Manifest
 from cosim.runs.result import Run

@@ -1,17 +1,21 @@
 """Pictures of why re-tuning did what it did: events, evidence, disturbances and latencies."""
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from bokeh.models import Span
 
 from ..plots.palette import BLACK, ORANGE
-from ..plots.ranges import error_limits, tame, value_range
+from ..plots.ranges import tame, value_range
 from ..runs.innovations import innovation_limit, innovations
 from ..runs.quantities import disturbance_sizes
 from ..runs.result import Series
+from ..variable_name import VariableName
 from .marks import MOST_MARKS, SIGNS, reason_of
 from .sketch import ShownRun, Sketch, axis_label
+
+_RANGE: Final = 1e-12
+"""Ratio of the smallest misfit that is drawn to the largest."""
 
 
 def draw_events(sketch: Sketch) -> None:
@@ -49,7 +53,8 @@ def draw_disturbances(sketch: Sketch) -> None:
     for channel in sorted({channel for of in sizes.values() for channel in of}):
         having = [(s, sizes[s.key][channel]) for s in sketch.main if channel in sizes[s.key]]
         limits = value_range([list(of.values()) for _, of in having]) or (0.0, 1.0)
-        plot = sketch.add(axis_label(f"disturbance of {channel}", sketch.units.get(channel)), limits, height=130)
+        name = VariableName(channel).variable if "." in channel else channel
+        plot = sketch.add(f"disturbance of\n{axis_label(name, sketch.units.get(channel))}", limits, height=130)
         for s, of in having:
             t, y = np.array([*of]), np.array([*of.values()])
             sketch.line(
@@ -87,7 +92,8 @@ def draw_evidence(sketch: Sketch) -> None:
     costs = [float(e["cost"]) for events in found.values() for e in events]
     if not costs:
         return
-    limits = error_limits([np.array(costs)], np.inf)
+    low, high = min(costs), max(costs)
+    limits = (max(low, _RANGE * high), high)
     plot = sketch.add("evidence: misfit\nof the candidates", limits, is_log=True)
     for s in sketch.main:
         events = found[s.key][:MOST_MARKS]

@@ -16,6 +16,7 @@ from ..ssp.start_values import with_start_values
 from ..terminal.consent import consented
 from ..terminal.folders import must_be_new, new_folder
 from ..terminal.run_output import BASELINES, simulated, tell, telling_how_to_resume
+from ..terminal.viewer import show_in_browser
 
 
 def command(options: argparse.Namespace) -> int:
@@ -38,6 +39,8 @@ def command(options: argparse.Namespace) -> int:
         estimators = {folder: options.estimator} | ({} if is_alone else {folder / name: name for name in BASELINES})
         for path in estimators:
             path.mkdir(exist_ok=True)  # empty: a run that is still to be made, also by `resume`
+        if options.view:
+            show_in_browser(folder)
         runs = {
             path: simulated(scenario, name, partial(run, scenario, name, options.seed, path))
             for path, name in estimators.items()

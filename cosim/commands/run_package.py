@@ -15,7 +15,7 @@ from ..terminal.next_step import tell_next
 
 def run_package(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
-    if options.ssv or options.estimator not in ("target", "none"):
+    if options.ssv or options.view or options.estimator not in ("target", "none"):
         raise SspError(f"{options.scenario} holds no scenario: nothing is estimated in it; give --scenario FILE.")
     system, settings = overridden(
         SystemStructure.from_ssp(options.scenario), dict(options.overrides), options.start_values

@@ -18,12 +18,12 @@ def report(run: Run, baselines: Mapping[str, Run]) -> str:
     scenario = run.scenario.scenario
     title = f"{scenario.name}: {scenario.description}" if scenario.description else scenario.name
     duration = float(run.time[-1]) - scenario.start_time if len(run.time) else 0.0
-    pace = f", {duration / run.wall:.1f} times real time" if duration else ""
+    pace = f" in {run.wall:.1f} s, {duration / run.wall:.1f} times real time" if run.wall > 0.0 else " so far"
     judged = [f"candidates judged by {run.objective}"] if run.objective else []
     blocks = [
         [
             title,
-            f"estimator {run.estimator}, seed {run.seed}; {duration:g} s simulated in {run.wall:.1f} s{pace}",
+            f"estimator {run.estimator}, seed {run.seed}; {duration:g} s simulated{pace}",
             *judged,
         ],
         _errors([*baselines.values(), run]),

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -177,6 +178,27 @@ class Run:
         except ImportError as e:
             raise ImportError("to_pandas needs pandas: pip install 'fmu-retune[pandas]'") from e
         return pd.DataFrame(dict(self.series)).set_index("time")
+
+    def to_xarray(self) -> Any:
+        """Return the series as an xarray Dataset, with units and attributes. Raises ImportError without xarray."""
+        return _built_on_runs("runs.dataset").to_dataset(self)
+
+    def plot(self, *names: str, axes: Any = None) -> Any:
+        """Draw columns, by default tracked outputs, inputs and parameters, a pair of Matplotlib axes each.
+
+        axes: one or several to draw on, by default those of a new figure. Returns them in the form in which they were
+        given. Raises KeyError for a column that there is not, ValueError for too few axes.
+        """
+        return _built_on_runs("plots.overlay").plot_run(self, names, axes)
+
+    def _repr_html_(self) -> str:
+        """Return the table that a notebook shows."""
+        return _built_on_runs("pages.notebook").html_of(self)
+
+
+def _built_on_runs(module: str) -> Any:
+    """Return a module that is built on runs, loaded when it is needed: this one cannot import it."""
+    return import_module(f"cosim.{module}")
 
 
 def begin_folder(

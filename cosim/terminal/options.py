@@ -70,6 +70,7 @@ def _run(parser: Parser) -> None:
     _add_start_values(parser)
     parser.add_argument("--ssv", type=Path, metavar="FILE", help="also write the estimates to this new SSV file")
     parser.add_argument("--only", action="store_true", help="leave out the runs with nominal and true parameters")
+    parser.add_argument("--view", action="store_true", help="show the run in a browser while it goes on")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -106,6 +107,31 @@ def _figures(parser: Parser) -> None:
     parser.add_argument("--out", type=Path, default=Path("figures"), metavar="DIR", help="absent or empty")
     parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="seed of noise and search (default: 0)")
     parser.add_argument("--jobs", type=_count, metavar="N", help="runs at a time (default: one per processor)")
+
+
+def _report(parser: Parser) -> None:
+    parser.add_argument("folders", type=Path, nargs="+", metavar="RUN", help="run folder, or a folder of runs; several")
+    parser.add_argument(
+        "-o",
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="HTML file (default: report.html, in the run folder; of several here)",
+    )
+    parser.add_argument("--force", action="store_true", help="replace a file")
+
+
+def _view(parser: Parser) -> None:
+    parser.add_argument("folders", type=Path, nargs="+", metavar="RUN", help="run folder, or a folder of runs; several")
+    parser.add_argument("--no-browser", action="store_true", help="print the address, and open no browser")
+    parser.add_argument("--until-end", action="store_true", help="end when the runs have ended and the page has it all")
+
+
+def _plot(parser: Parser) -> None:
+    parser.add_argument("runs", type=Path, nargs="+", metavar="RUN", help="run folder, one or several")
+    parser.add_argument(
+        "-o", "--out", type=Path, default=Path("plot.png"), metavar="FILE", help="PNG or SVG, new (default: plot.png)"
+    )
 
 
 def _new(parser: Parser) -> None:
@@ -222,6 +248,9 @@ _OPTIONS: Final[Mapping[str, tuple[str, Callable[[Parser], None]]]] = {
     "resume": ("go on with a run from its last checkpoint, to the same bits", _resume),
     "compare": ("run every estimator on the same plant, noise and seeds", _compare),
     "replay": ("give the recorded samples of a run to other estimators, open loop", _replay),
+    "report": ("write what a run did into one HTML file, to send and to look at", _report),
+    "view": ("show runs in a browser, on a page that grows with them", _view),
+    "plot": ("draw outputs, inputs and parameters of runs over one another", _plot),
     "figures": ("draw the paper's figures and table from runs made here", _figures),
     "new": ("write a scenario for your own FMUs, to look over", _new),
     "check": ("list what is wrong or risky in a scenario or an FMU, before it runs", _check),

@@ -79,7 +79,8 @@ class SensorFault(Table):
     def _is_sound(self) -> Self:
         if self.kind == "late" and self.sensor is not None:
             raise ValueError("a whole sample is late: leave out 'sensor'")
-        if (self.kind in ("bias", "noise", "spikes", "scale")) != ("size" in self.model_fields_set):
+        needs_size = self.kind in ("bias", "noise", "spikes", "scale")
+        if needs_size != ("size" in self.model_fields_set and (needs_size or self.size != 0.0)):  # a manifest has all
             raise ValueError(f"'size' belongs to bias, noise, spikes and scale, which need it, got kind '{self.kind}'")
         return self
 

@@ -443,3 +443,9 @@ def test_an_estimator_by_its_former_name_is_another_with_a_setting(told, name):
     assert scenario.estimation.settings(former) == now.estimation.settings(name)
     assert scenario.estimation.loop(former) == now.estimation.loop(name)
     assert scenario.estimation.settings(name).difference_step == 0.0
+
+
+@pytest.mark.parametrize("fault", ['{kind = "stuck"}', '{kind = "dropout"}', '{kind = "bias", size = 0.0}'])
+def test_a_scenario_with_a_sensor_fault_is_read_back_from_its_manifest(fault):
+    scenario = Scenario.load("pendulum", {"sampling.faults": f"[{fault}]"})
+    assert Scenario.model_validate(scenario.model_dump(mode="json")).sampling == scenario.sampling

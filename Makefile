@@ -1,11 +1,11 @@
-# make run | test | test-full | interop | experiments | evaluation | lint | clean. Everything is set up in .venv on first use.
+# make run | test | test-full | docs | interop | experiments | evaluation | lint | clean. Everything is set up in .venv on first use.
 PYTHON ?= python3
 VENV := .venv
 INTEROP := .venv-interop
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
-.PHONY: run test test-full interop experiments evaluation lint docs-tables format clean
+.PHONY: run test docs test-full interop experiments evaluation lint docs-tables format clean
 
 run: $(VENV)/.run
 	$(BIN)/retune run pendulum
@@ -35,8 +35,12 @@ lint: $(VENV)/.test
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 
+docs: $(VENV)/.test
+	$(BIN)/python -m sphinx -W --keep-going -b html docs build/docs
+
 docs-tables: $(VENV)/.run
 	$(BIN)/python -m cosim.scenarios.reference docs/scenario.md docs/estimators.md
+	$(BIN)/retune schema > docs/scenario.schema.json
 
 format: $(VENV)/.test
 	$(BIN)/ruff check --fix .

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from .errors import WiringError as WiringError
     from .offline.estimate import Estimation as Estimation
     from .offline.from_python import estimate as estimate
+    from .plots.beliefs import plot_belief as plot_belief
+    from .plots.beliefs import plot_surrogate as plot_surrogate
     from .runs.result import Run as Run
     from .runs.result import read_run as read_run
     from .runs.simulation import resume as resume
@@ -47,6 +49,8 @@ _MODULES = {
     "estimate": "offline.from_python",
     "load_scenario": "ssp.load",
     "open_slave": "slaves.slave",
+    "plot_belief": "plots.beliefs",
+    "plot_surrogate": "plots.beliefs",
     "read_run": "runs.result",
     "resume": "runs.simulation",
     "run": "runs.simulation",

@@ -11,6 +11,7 @@ from importlib import import_module
 
 from .blas_threads import ONE_THREAD
 from .shadowing import check_packages
+from .terminal.completion import VARIABLE, complete
 from .terminal.exit_codes import INTERRUPTED, REFUSED, UNFINISHED
 from .terminal.options import make_parser
 from .terminal.signals import SignalHandler
@@ -28,8 +29,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         signals.take()
         return _ended(arguments)
-    except KeyboardInterrupt:
-        print("retune: interrupted; what was recorded so far is in the run folder", file=sys.stderr)
+    except KeyboardInterrupt as e:
+        print(f"retune: interrupted{'; ' if str(e) else ''}{e}", file=sys.stderr)
         return INTERRUPTED
     finally:
         signals.give_back()
@@ -40,7 +41,10 @@ def _ended(arguments: Sequence[str] | None) -> int:
     for name, value in ONE_THREAD.items():
         os.environ.setdefault(name, value)
     ready_streams()
-    options = make_parser().parse_args(arguments)
+    parser = make_parser()
+    if VARIABLE in os.environ:
+        complete(parser)
+    options = parser.parse_args(arguments)
     from .errors import CosimError, is_refusal  # here and below: --help must not wait for NumPy and GPy
 
     try:

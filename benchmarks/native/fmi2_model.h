@@ -1,4 +1,4 @@
-/* The functions of FMI 2.0 over a Model: see fmi_model.h. FMU state and derivatives of inputs are not offered. */
+/* The functions of FMI 2.0 over a Model: see fmi_model.h. Derivatives of inputs are not offered. */
 
 #include "fmi2Functions.h"
 
@@ -20,7 +20,7 @@ fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const 
 }
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance, fmi2Real tolerance, fmi2Real from,
                                fmi2Boolean has_stop, fmi2Real stop) {
-    ((Model *)c)->time = from;
+    begin(c, from, has_tolerance, tolerance);
     return fmi2OK;
 }
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) { return fmi2OK; }
@@ -104,18 +104,47 @@ fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real nominal[]
 }
 fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real z[], size_t n) { return ANSWER(n == 0); }
 
+/* A state is a copy of the model: it has no pointers. */
+
+fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state) {
+    if (!*state) *state = malloc(sizeof(Model));
+    if (!*state) return fmi2Error;
+    memcpy(*state, c, sizeof(Model));
+    return fmi2OK;
+}
+
+fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) {
+    memcpy(c, state, sizeof(Model));
+    return fmi2OK;
+}
+
+fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state) {
+    free(*state);
+    *state = NULL;
+    return fmi2OK;
+}
+
+fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_t *size) {
+    *size = sizeof(Model);
+    return fmi2OK;
+}
+
+fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size) {
+    if (size < sizeof(Model)) return fmi2Error;
+    memcpy(bytes, state, sizeof(Model));
+    return fmi2OK;
+}
+
+fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state) {
+    if (size != sizeof(Model)) return fmi2Error;
+    if (!*state) *state = malloc(sizeof(Model));
+    if (!*state) return fmi2Error;
+    memcpy(*state, bytes, size);
+    return fmi2OK;
+}
+
 /* What is not offered */
 
-fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state) { return fmi2Error; }
-fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) { return fmi2Error; }
-fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state) { return fmi2Error; }
-fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_t *size) { return fmi2Error; }
-fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size) {
-    return fmi2Error;
-}
-fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state) {
-    return fmi2Error;
-}
 fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference unknown[], size_t n_unknown,
                                         const fmi2ValueReference known[], size_t n_known, const fmi2Real known_seed[],
                                         fmi2Real unknown_seed[]) {

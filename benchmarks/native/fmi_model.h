@@ -12,7 +12,9 @@
      static const unsigned states[N_STATES], rates[N_STATES];
 
    In FMI 3.0 the value reference N_VARIABLES is the time. -DONCE: one instance a process, as some tools export.
-   -DONLY_EXCHANGE: no co-simulation.
+   -DONLY_EXCHANGE: no co-simulation. -DTOLERANCE=PLACE: the tolerance that it is given is put there, -1 without one.
+   -DEARLY: each step of FMI 3.0 returns in its middle. -DOVER: each asks to end the simulation.
+   -DNEEDS_EVENT_MODE: no co-simulation in FMI 3.0 without it.
    The headers of the standard are FMPy's (fmpy/c-code). */
 
 #include <stdlib.h>
@@ -39,6 +41,13 @@ static Model *new_model(int is_exchange) {
     if (m) memcpy(m->v, start, sizeof start);
     if (m) m->is_exchange = is_exchange;
     return m;
+}
+
+static void begin(Model *m, double from, int has_tolerance, double tolerance) {
+    m->time = from;
+#ifdef TOLERANCE
+    m->v[TOLERANCE] = has_tolerance ? tolerance : -1.0;
+#endif
 }
 
 static int read_values(Model *m, const unsigned place[], size_t n, double value[]) {

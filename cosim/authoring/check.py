@@ -1,7 +1,8 @@
 """Errors and risks in a scenario, found before any of its components runs.
 
 An error is something that `run` would refuse or that gives meaningless results; a warning may be intended. The only
-code that is called is the estimator's model, where that is the user's own: see `check_model`.
+code that is called is the estimator's model and the functions in `writes`, where they are the user's own: see
+`check_model`. A dry run, where it is asked for, runs the FMUs too.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -26,6 +27,7 @@ from .check_fmu import check_fmu
 from .check_model import check_model, plain, split
 from .check_noise import check_noise
 from .check_wiring import check_connections, check_inputs, check_loops, check_starts, check_steps
+from .dry_run import dry_run
 
 _CHECKS: tuple[Callable[[Scenario, Mapping[str, Component]], Iterator[Finding]], ...] = (
     check_starts, check_connections, check_inputs, check_changes, check_tracking, check_sampling, check_filter,
@@ -33,10 +35,15 @@ _CHECKS: tuple[Callable[[Scenario, Mapping[str, Component]], Iterator[Finding]],
 )  # fmt: skip
 
 
-def check(source: str | Path, overrides: Mapping[str, str] | None = None) -> list[Finding]:
-    """Return all findings about a scenario, errors and warnings. Raises ScenarioError if the file is not TOML."""
+def check(
+    source: str | Path, overrides: Mapping[str, str] | None = None, is_run: bool = False, trust: bool = False
+) -> list[Finding]:
+    """Return all findings about a scenario, errors and warnings. Raises ScenarioError if the file is not TOML.
+
+    is_run: where there is no error, run the FMUs for two macro steps, see `dry_run`; trust: also those of a package.
+    """
     try:
-        scenario = load_scenario(source, overrides)
+        scenario = load_scenario(source, overrides, trust=trust)
     except ScenarioError as e:
         if not isinstance(e.__cause__, ValidationError):
             raise
@@ -61,6 +68,8 @@ def check(source: str | Path, overrides: Mapping[str, str] | None = None) -> lis
     findings += [warning("scenario", f"it would {what}, which only --trust allows") for what in distrusted(scenario)]
     if not any(f.is_error for f in findings):
         findings += [*check_model(scenario, components), *check_noise(scenario)]
+    if is_run and not any(f.is_error for f in findings):
+        findings += dry_run(scenario)
     return findings
 
 

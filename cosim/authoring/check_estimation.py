@@ -1,6 +1,7 @@
 """Checks of the variables that a scenario changes, tracks, samples and estimates against its FMUs' declarations."""
 
 from collections.abc import Iterator
+from math import isclose
 from typing import Final
 
 from ..errors import ScenarioError, seconds
@@ -9,11 +10,13 @@ from ..fmi.ports import Catalogue, Ports, attribute
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
 from ..scenarios.schema.estimation import EstimatedParameter
-from ..system.parameters import parameter_problem, value_of_change
+from ..system.parameters import parameter_problem, unit_problem, value_of_change
 from ..system.plant import connected_as_well
 from ..variable_name import VariableName
 from .check_wiring import Components, output_refusal, output_refusals, parts, refusal, unit_finding
 
+_SAME: Final = 1e-6
+"""Relative difference of start values that is none."""
 _MOST_POINTS: Final = 1_000_000
 """Most communication points at which a change is evaluated: of a longer run every second, third, ..."""
 
@@ -68,16 +71,19 @@ def check_sampling(scenario: Scenario, components: Components) -> Iterator[Findi
     if plant is None:
         return
     derivatives = plant.derivatives
-    measured = [reference for reference, d in scenario.sampling.derivatives.items() if d.of is None]
-    for reference in measured:
+    is_filtered = scenario.sampling.filter is not None  # `check_filter` looks at its states
+    states = {*derivatives} or {name.variable for name in scenario.sampling.states}
+    for reference, d in () if is_filtered else scenario.sampling.derivatives.items():
         where, name = f'sampling.derivatives."{reference}"', reference.variable
         problem = output_refusal(plant, name)
         if problem:
             yield Finding(where, problem)
-        elif name not in derivatives.values():
-            hint = did_you_mean(name, derivatives.values())
+        elif d.of is None and name not in derivatives.values():
+            hint = did_you_mean(name, derivatives.values()) or f'; say of which: of = "{scenario.plant}.STATE"'
             yield Finding(where, f"'{name}' is not declared as a state's derivative{hint}")
-    is_filtered = scenario.sampling.filter is not None  # `check_filter` looks at its states
+        elif d.of is not None and d.of.variable not in states:
+            hint = did_you_mean(d.of.variable, states) or "; name the states in sampling.states"
+            yield Finding(where, f"'{d.of}' is no state{hint}")
     for reference in () if is_filtered else scenario.sampling.states:
         component, name = reference.parts
         if component == scenario.plant and not derivatives:
@@ -112,25 +118,59 @@ def _problems(scenario: Scenario, parameter: EstimatedParameter, components: Com
         yield True, f"no variable '{name}' in {plant.fmu.name}{hint or '; give the one it stands for with true = ...'}"
     elif plant is not None and true not in scenario.changes and _start(scenario, true, components) is None:
         yield True, f"'{true}' has no start value; give it one under components.{scenario.plant}.start"
-    yield from ((f.is_error, f.what) for f in unit_finding("", true, parameter.writes, components) if f.is_error)
-    controller, name = parts(parameter.writes, components)
+    if plant is not None and name in plant.variables:
+        yield from _beginnings(scenario, parameter, true, components)
+    for reference in parameter.written:
+        yield from _written(scenario, parameter, reference, components)
+    if plant is None or name not in plant.variables:
+        return
+    if problem := unit_problem(parameter, true, plant.variables[name]):
+        yield not parameter.is_written_as_it_is, problem.rstrip(".")
+
+
+def _beginnings(
+    scenario: Scenario, parameter: EstimatedParameter, true: VariableName, components: Components
+) -> Iterator[tuple[bool, str]]:
+    """Yield a plant that begins with another value of the parameter than its controller."""
+    if true in scenario.changes:  # its author has said what it begins with
+        return
+    begins = _start(scenario, true, components)
+    own = next(iter(parameter.written), None)
+    if parameter.start is not None or own is None:
+        holds, whose = parameter.start, f"'{parameter.name}' of the controller"
+    elif own.component in components and own.variable in components[own.component].variables:
+        holds, whose = _start(scenario, own, components), f"'{own}'"
+    else:
+        return
+    if begins is not None and holds is not None and not isclose(begins, holds, rel_tol=_SAME):
+        yield False, f"'{true}' starts at {begins:.6g}, and {whose} at {holds:.6g}"
+
+
+def _written(
+    scenario: Scenario, parameter: EstimatedParameter, reference: VariableName, components: Components
+) -> Iterator[tuple[bool, str]]:
+    """Yield problems with a parameter of the controller that is written; those of a formula's value: `check_rule`."""
+    controller, name = parts(reference, components)
     if controller is None:
         return
     problem = refusal(controller, "tunable parameter", name)
     if problem:
         yield True, problem
         return
+    if not parameter.is_written_as_it_is:
+        return
+    true = scenario.true_reference(parameter)
+    yield from ((f.is_error, f.what) for f in unit_finding("", true, reference, components) if f.is_error)
     variable = controller.variables[name]
     if problem := parameter_problem(parameter, variable):
         yield True, problem.rstrip(".")
     if attribute(variable, "min") is None and attribute(variable, "max") is None:
         yield False, f"{controller.fmu.name} declares neither min nor max: only lower and upper limit what is written"
-    start = _start(scenario, parameter.writes, components)
+    start = _start(scenario, reference, components)
     if start is None:
-        place = f"components.{parameter.writes.component}.start"
-        yield True, f"'{parameter.writes}' has no start value; give it one under {place}"
+        yield True, f"'{reference}' has no start value; give it one under components.{reference.component}.start"
     elif not parameter.to_parameter().contains(start):
-        yield False, f"'{parameter.writes}' starts at {start:g}, outside [{parameter.lower:g}, {parameter.upper:g}]"
+        yield False, f"'{reference}' starts at {start:g}, outside [{parameter.lower:g}, {parameter.upper:g}]"
 
 
 def _start(scenario: Scenario, reference: VariableName, components: Components) -> float | None:

@@ -18,12 +18,14 @@ from ..objectives.choice import check_objective, chosen
 from ..objectives.model import check_model_fmu, model_fmu
 from ..retuning.assembly import try_model
 from ..scenarios.scenario import Scenario
-from ..system.parameters import check_parameters, start_values, true_parameters
+from ..system.parameters import check_parameters, first_states, true_parameters
 from ..system.plant import Plant, plant_of
+from ..system.tuning import first_parameters
 from ..system.wiring import wire
 from ..user_code import is_built_in, is_trusted
 from .check_filter import check_filtered_model
 from .check_fmu import check_fmu
+from .check_rule import check_rule
 
 
 def check_model(scenario: Scenario, components: Mapping[str, Component]) -> Iterator[Finding]:
@@ -37,9 +39,11 @@ def check_model(scenario: Scenario, components: Mapping[str, Component]) -> Iter
         check_parameters(scenario, files)
         wire(scenario, files)
         true_parameters(scenario, files)
+        theta = np.array(first_parameters(scenario, files))
     except CosimError as e:
         yield Finding("scenario", plain(e))
         return
+    yield from check_rule(scenario, files, theta)
     try:
         kind = chosen(scenario).kind
         if kind == "derivative":
@@ -56,8 +60,8 @@ def check_model(scenario: Scenario, components: Mapping[str, Component]) -> Iter
 def _derivative(scenario: Scenario, plant: Plant, files: Mapping[str, FmuFile]) -> Iterator[Finding]:
     """Yield problems with a model for derivatives; it is called once, at the start values, if it may run."""
     reference = scenario.estimation.model or ""
-    x = tuple(start_values(scenario, files, [f"{plant.name}.{name}" for name in plant.states]))
-    theta = np.array(start_values(scenario, files, [p.writes for p in scenario.estimation.parameters]))
+    x, hidden = first_states(scenario, files, plant)
+    theta = np.array(first_parameters(scenario, files))
     if (fmu := model_fmu(scenario)) is not None:
         check_model_fmu(scenario, plant)
         errors = [f"{fmu}: {f.where}: {f.what}" for f in check_fmu(fmu) if f.is_error]
@@ -68,11 +72,12 @@ def _derivative(scenario: Scenario, plant: Plant, files: Mapping[str, FmuFile]) 
     may_run = is_ours or is_trusted(reference, scenario.origin)
     if may_run:
         zeros = (0.0,) * len(scenario.sampling.derivatives)
-        sample = Sample(scenario.scenario.start_time, x, tuple(plant.inputs.values()), zeros)
+        sample = Sample(scenario.scenario.start_time, tuple(x), tuple(plant.inputs.values()), zeros)
         try_model(scenario, "target", plant, theta, sample)
         yield from check_filtered_model(scenario, plant, np.array(x), theta)
     if not is_ours:
         how = "was called, at the start values" if may_run else "was not called"
+        how += f" and zero for {', '.join(hidden)}, which the FMU starts itself" if may_run and hidden else ""
         yield _note("estimation.model", f"{_named(reference, scenario)} {how}")
 
 

@@ -6,7 +6,7 @@ from typing import Final
 from ..errors import WiringError
 from ..findings import Finding, warning
 from ..fmi.archive import co_simulation
-from ..fmi.component import Component
+from ..fmi.component import Component, is_disturbance
 from ..fmi.feedthrough import algebraic_loops
 from ..fmi.table import is_table
 from ..fmi.types import is_real
@@ -15,7 +15,6 @@ from ..scenarios.scenario import Scenario
 from ..system.unit_conversions import different
 from ..units import IDENTITY, conversion
 from ..variable_name import VariableName
-from .guess import is_disturbance
 
 MOST_LISTED: Final = 20
 """Variables that are listed one by one."""

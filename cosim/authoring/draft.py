@@ -13,9 +13,20 @@ from typing import Final
 from ..errors import WiringError, one_line
 from ..fmi.component import Component, ModelVariable, read_component
 from ..fmi.table import is_table
+from ..scenarios.json_schema import URL
 from ..variable_name import VariableName
-from .draft_estimation import described, estimation, model_states, parameter_pairs, parameters, sampling, unit_name
-from .guess import CONTROLLER, PLANT, REFERENCE, alike, best, guess_connections, have_one_unit, is_likely
+from .draft_estimation import (
+    described,
+    estimation,
+    is_settable,
+    model_states,
+    parameter_pairs,
+    parameters,
+    sampling,
+    unit_name,
+)
+from .draft_gains import gain_parameter, gains
+from .guess import CONTROLLER, PLANT, REFERENCE, guess_connections, guess_tracking, have_one_unit
 from .toml_lines import key, quoted, said
 
 MOST_PAIRS: Final = 1_000_000
@@ -50,6 +61,7 @@ def draft(fmus: Mapping[str, Path], folder: Path, model: str | None = None) -> D
         raise WiringError(f"{fmus[PLANT]} has no outputs: nothing of it can be tracked or measured.")
     _check_size(components)
     pairs = parameter_pairs(components)
+    gained = None if pairs else gain_parameter(components)
     description = components[PLANT].description
     if model is None and description.modelExchange is not None:
         model = str(fmus[PLANT])
@@ -61,11 +73,11 @@ def draft(fmus: Mapping[str, Path], folder: Path, model: str | None = None) -> D
         _settings(components),
         _components(components, folder),
         _connections(components),
-        _changes(components, pairs),
+        _changes(components, [its for _, its in pairs] if gained is None else [gained]),
         _tracking(components),
-        sampling(components[PLANT]),
-        estimation(components[PLANT], model, pairs),
-        *parameters(components, pairs, is_fmu),
+        sampling(components[PLANT], model),
+        estimation(components[PLANT], model, pairs, gained),
+        *(parameters(components, pairs, is_fmu) if gained is None else gains(components, gained, is_fmu)),
     ]
     return Draft("\n\n".join("\n".join(block) for block in blocks) + "\n")
 
@@ -89,6 +101,7 @@ def _check_size(components: Mapping[str, Component]) -> None:
 
 
 _LEGEND: Final = [
+    f"#:schema {URL}",
     "# Written by `retune new` from what the FMUs declare. Look it over, then: retune check, retune run.",
     "# guess: name and unit agree.  GUESS: look at it.  FILL: yours to say.",
 ]
@@ -128,14 +141,10 @@ def _components(components: Mapping[str, Component], folder: Path) -> list[str]:
         path = quoted(_relative(component.fmu, folder))
         kind = "table" if is_table(component.fmu) else "fmu"
         starts = [component.variables[state] for state in model_states(component)] if name == PLANT else []
-        given = [f"{key(v.name)} = {float(v.start)!r}" for v in starts if v.start is not None and _is_settable(v)]
+        given = [f"{key(v.name)} = {float(v.start or 0.0)!r}" for v in starts if is_settable(v)]
         start = f", start = {{ {', '.join(given)} }}" if given else ""
         lines.append(f"{name} = {{ {kind} = {path}{start} }}")
     return lines
-
-
-def _is_settable(v: ModelVariable) -> bool:
-    return v.initial in ("exact", "approx")
 
 
 def _connections(components: Mapping[str, Component]) -> list[str]:
@@ -156,12 +165,12 @@ def _connections(components: Mapping[str, Component]) -> list[str]:
     return lines
 
 
-def _changes(components: Mapping[str, Component], pairs: list[tuple[ModelVariable, ModelVariable]]) -> list[str]:
+def _changes(components: Mapping[str, Component], parameters: list[ModelVariable]) -> list[str]:
     lines = [said("[changes]", "FILL what happens to the plant: rows [time, value], or a formula in t")]
     plant = components[PLANT]
     stop = plant.experiment.get("stop_time", _STOP_TIME)
     tunable = {v.name for v in plant.having("parameter", "tunable")}
-    for _, v in pairs:
+    for v in parameters:
         if v.name in tunable and v.start is not None:
             start = float(v.start)
             other = 1.5 * start if start else 1.0
@@ -174,31 +183,20 @@ def _changes(components: Mapping[str, Component], pairs: list[tuple[ModelVariabl
 
 def _tracking(components: Mapping[str, Component]) -> list[str]:
     lines = ["[tracking]              # tracked output = its reference"]
-    plant, found = components[PLANT], []
-    reference = components.get(REFERENCE, plant)
-    if REFERENCE in components:
-        rates = set(plant.derivatives.values())
-        outputs = [(plant, v) for v in plant.having("output") if v.name not in rates]
-        for r in reference.having("output"):
-            tracked = best(r.name, reference, outputs)
-            if tracked is not None:
-                found.append((tracked, r))
-    for i, (tracked, r) in enumerate(found):
-        is_one = i == 0 or have_one_unit(plant, tracked.name, plant, found[0][0].name) is not False
-        text = f"{quoted(f'{PLANT}.{tracked.name}')} = {quoted(f'{REFERENCE}.{r.name}')}"
-        note = _told(reference, r, plant, tracked) if is_one else "possible too, in another unit"
-        lines.append(said(text if is_one else f"# {text}", f"[{unit_name(plant, tracked.name)}] {note}"))
+    plant = components[PLANT]
+    found = guess_tracking(components)
+    first = found[0].target if found else ""
+    for guess in found:
+        name, variable = VariableName(guess.target).variable, quoted(guess.target)
+        is_one = have_one_unit(plant, name, plant, VariableName(first).variable) is not False
+        text = f"{variable} = {quoted(str(guess.source))}"
+        mark = "guess" if guess.is_likely else "GUESS"
+        note = f"{mark}: {guess.reason}" if is_one else "possible too, in another unit"
+        lines.append(said(text if is_one else f"# {text}", f"[{unit_name(plant, name)}] {note}"))
     if not found:
         offered = ", ".join(one_line(v.name) for v in plant.having("output"))
         lines.append(said('"plant.FILL" = "reference.FILL"', f"FILL; the plant's outputs are {offered}"))
     return lines
-
-
-def _told(owner: Component, v: ModelVariable, other: Component, o: ModelVariable) -> str:
-    """Return a comment on how two variables were matched."""
-    how = alike(v.name, o.name)
-    mark = "guess" if is_likely(how, have_one_unit(owner, v.name, other, o.name)) else "GUESS"
-    return f"{mark}: {how}"
 
 
 def _relative(path: Path, folder: Path) -> str:

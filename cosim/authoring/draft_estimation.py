@@ -6,16 +6,20 @@ from collections.abc import Iterator, Mapping
 from typing import Final
 
 from ..errors import one_line
+from ..fmi.archive import co_simulation
 from ..fmi.component import Component, ModelVariable
 from ..fmi.feedthrough import declared
 from ..fmi.ports import attribute
 from ..fmi.types import is_real
+from ..scenarios.formula import identifier
 from ..units import BASE_UNITS
 from .guess import CONTROLLER, PLANT, alike, best
 from .toml_lines import quoted, said
 
 _NOISE: Final = 1e-3  # of the nominal value
 _GUESS: Final = "GUESS of the noise: a run measures it"
+_SAVED: Final = 20  # samples of a roll-out that begins in the plant's saved state
+_REPLAYED: Final = 100  # of one that begins where earlier, wrong parameters have led: its end must say enough
 _WIDE: Final = 10.0  # a guessed bound is this many times the start value
 
 
@@ -25,7 +29,7 @@ def parameter_pairs(components: Mapping[str, Component]) -> list[tuple[ModelVari
         return []
     plant, controller = components[PLANT], components[CONTROLLER]
     there = [(plant, v) for v in plant.having("parameter") if _is_real(v)]
-    own = [v for v in controller.having("parameter", "tunable") if _is_real(v) and not _is_gravity(controller, v)]
+    own = [v for v in controller.having("parameter", "tunable") if _is_real(v) and not is_gravity(controller, v)]
     return [(v, its) for v in own if (its := best(v.name, controller, there)) is not None]
 
 
@@ -33,11 +37,13 @@ def _is_real(v: ModelVariable) -> bool:
     return is_real(v.type)
 
 
-def sampling(plant: Component) -> list[str]:
+def sampling(plant: Component, model: str | None) -> list[str]:
     """Return the lines for derivatives that depend on parameters or inputs; kinematic ones do not inform a parameter.
 
-    If the plant has no derivatives among its outputs, a filter is proposed.
+    If the plant has no derivatives among its outputs, a filter is proposed; roll-outs, where it hides its states.
     """
+    if is_rolled_out(plant, model):
+        return _outputs(plant)
     outputs = {v.name for v in plant.having("output")}
     rates = {rate: state for state, rate in plant.derivatives.items() if rate in outputs}
     telling = {rate for rate, depends in _dependencies(plant).items() if rate in rates and depends}
@@ -49,6 +55,35 @@ def sampling(plant: Component) -> list[str]:
         note = f"[{unit_name(plant, rate)}] " + (_GUESS if is_used else "depends on states only")
         lines.append(said(text if is_used else f"# {text}", note))
     return lines if rates else _filtered(plant)
+
+
+def is_rolled_out(plant: Component, model: str | None) -> bool:
+    """Return whether candidates must be simulated: there is no model, and outputs without a start hide the states."""
+    if model is not None or _has_rates(plant):
+        return False
+    return not all(is_settable(plant.variables[name]) for name in model_states(plant))
+
+
+def is_settable(v: ModelVariable) -> bool:
+    """Return whether a state or output takes a start value, and declares one."""
+    return v.initial in ("exact", "approx") and v.start is not None
+
+
+def _saves_its_state(plant: Component) -> bool:
+    """Return whether its states can be given to another instance, in another process."""
+    interface = co_simulation(plant.description)
+    return bool(interface.canGetAndSetFMUstate and interface.canSerializeFMUstate)
+
+
+def _outputs(plant: Component) -> list[str]:
+    """Return the lines for outputs that roll-outs are compared with."""
+    lines = ["[sampling.outputs]      # what is measured, with the standard deviation of its noise"]
+    for v in plant.having("output"):
+        nominal = float(attribute(v, "nominal") or 1.0)
+        text = f"{quoted(f'{PLANT}.{v.name}')} = {{ noise = {_NOISE * abs(nominal):g} }}"
+        if _is_real(v):
+            lines.append(said(text, f"[{unit_name(plant, v.name)}] {_GUESS}"))
+    return lines
 
 
 def model_states(plant: Component) -> list[str]:
@@ -126,10 +161,25 @@ def _dependencies(plant: Component) -> dict[str, bool]:
     return found
 
 
-def estimation(plant: Component, model: str | None, pairs: list[tuple[ModelVariable, ModelVariable]]) -> list[str]:
+def estimation(
+    plant: Component,
+    model: str | None,
+    pairs: list[tuple[ModelVariable, ModelVariable]],
+    gained: ModelVariable | None,
+) -> list[str]:
+    """Return the lines for objective, trigger and budget; gained: the parameter that gains depend on."""
+    if is_rolled_out(plant, model):
+        return [
+            "[estimation]",
+            said('objective = "rollout"', "candidates are simulated: the plant's outputs hide its states"),
+            'trigger = { kind = "innovation" }',
+            said("budget = 30", "roll-outs an episode"),
+            said(f"window = {_SAVED if _saves_its_state(plant) else _REPLAYED}", "samples: the length of a roll-out"),
+            said("evaluations_per_step = 3", "roll-outs at the same time"),
+        ]
     return [
         "[estimation]",
-        *_model(plant, model, pairs),
+        *_model(plant, model, [own.name for own, _ in pairs] if gained is None else [last_name(gained)]),
         said('trigger = { kind = "innovation" }', 'or { kind = "tracking", threshold = ... }: of the tracking error'),
         said("budget = 30", "evaluations an episode")
         if _has_rates(plant)
@@ -138,11 +188,11 @@ def estimation(plant: Component, model: str | None, pairs: list[tuple[ModelVaria
     ]
 
 
-def _model(plant: Component, model: str | None, pairs: list[tuple[ModelVariable, ModelVariable]]) -> list[str]:
+def _model(plant: Component, model: str | None, parameters: list[str]) -> list[str]:
     if model is not None:
         return [f"model = {quoted(model)}"]
     states, inputs = model_states(plant), [v.name for v in plant.having("input")]
-    arguments = ", ".join(["x", "u", *(identifier(v.name) for v, _ in pairs)])
+    arguments = ", ".join(["x", "u", *map(identifier, parameters)])
     return [
         "# The plant's equations, a function in a Python file beside this one, plant_model.py:",
         f"#   def derivative({arguments}):",
@@ -179,19 +229,20 @@ def parameters(
     shared = {v.name for v, _ in pairs}
     others = [v.name for v in controller.having("parameter", "tunable")] if controller else []
     if names := ", ".join(one_line(name) for name in others if name not in shared):
-        yield [f"# Tunable in the controller too, but not estimated: {names}"]
+        about = "# Formulas can give those that follow from estimated ones: docs/scenario.md, Controllers with gains."
+        yield [f"# Tunable in the controller too, but not estimated: {names}", about]
 
 
 def _parameter(controller: Component, own: ModelVariable, its: ModelVariable, is_fmu: bool) -> list[str]:
-    low, high, notes = _bounds(own, its)
+    low, high, notes = bounds(own, its)
+    unit = attribute(own, "unit") or attribute(its, "unit")
     name = its.name if is_fmu else identifier(own.name)
     lines = [
-        said("[[estimation.parameters]]", described(controller, own)),
+        said("[[estimation.parameters]]", f"[{unit or '1'}] {one_line(own.description or '')}".rstrip()),
         f"name = {quoted(name)}",
         said(f"lower = {low!r}", notes[0]),
         said(f"upper = {high!r}", notes[1]),
-        f"unit = {quoted(attribute(own, 'unit') or '1')}",
-        f'scale = "{"log" if low > 0.0 and high >= 10.0 * low else "linear"}"',
+        *unit_and_scale(unit, low, high),
         f"writes = {quoted(f'{CONTROLLER}.{own.name}')}",
     ]
     if its.name != name:
@@ -199,11 +250,11 @@ def _parameter(controller: Component, own: ModelVariable, its: ModelVariable, is
     return lines
 
 
-def _is_gravity(component: Component, v: ModelVariable) -> bool:
+def is_gravity(component: Component, v: ModelVariable) -> bool:
     return v.start is not None and 9.7 < abs(float(v.start)) < 9.9 and unit_name(component, v.name) in ("m/s2", "m/s^2")
 
 
-def _bounds(own: ModelVariable, its: ModelVariable) -> tuple[float, float, tuple[str, str]]:
+def bounds(own: ModelVariable, its: ModelVariable) -> tuple[float, float, tuple[str, str]]:
     """Return lower and upper bound, each with its source: the limits of both FMUs, or a guess from the start value."""
     lows = [float(x) for v in (own, its) if (x := attribute(v, "min")) is not None and math.isfinite(float(x))]
     highs = [float(x) for v in (own, its) if (x := attribute(v, "max")) is not None and math.isfinite(float(x))]
@@ -220,6 +271,14 @@ def _bounds(own: ModelVariable, its: ModelVariable) -> tuple[float, float, tuple
     return low, high, notes
 
 
+def unit_and_scale(unit: str | None, low: float, high: float) -> list[str]:
+    """Return the lines for a parameter's unit and scale; low, high: its bounds."""
+    return [
+        f"unit = {quoted(unit or '1')}",
+        f'scale = "{"log" if low > 0.0 and high >= 10.0 * low else "linear"}"',
+    ]
+
+
 def described(component: Component, v: ModelVariable) -> str:
     return f"[{unit_name(component, v.name)}] {one_line(v.description or '')}".rstrip()
 
@@ -229,7 +288,6 @@ def unit_name(component: Component, name: str) -> str:
     return unit.name if unit else "1"
 
 
-def identifier(name: str) -> str:
-    """Return the name as one that a function's argument can have."""
-    plain = re.sub(r"\W+", "_", name).strip("_")
-    return plain if plain.isidentifier() else f"p_{plain}"
+def last_name(v: ModelVariable) -> str:
+    """Return the last part of a structured name, as an argument of a function: `J` of `inertia.J`."""
+    return identifier(re.split(r"\.(?![^\[(]*[\])])", v.name)[-1])

@@ -11,7 +11,7 @@ from difflib import SequenceMatcher
 from functools import lru_cache
 from typing import Final
 
-from ..fmi.component import Component, ModelVariable
+from ..fmi.component import Component, ModelVariable, is_disturbance
 from ..units import IDENTITY, conversion
 from ..variable_name import VariableName
 
@@ -63,6 +63,39 @@ def guess_connections(components: Mapping[str, Component]) -> list[Guess]:
     return list(guesses.values())
 
 
+def guess_tracking(components: Mapping[str, Component]) -> list[Guess]:
+    """Return the plant's output that each output of the reference is for, by name and unit; none without a reference.
+
+    Derivatives are left out; where no name fits, the only output in the unit is taken.
+    """
+    plant, found = components[PLANT], []
+    rates = set(plant.derivatives.values())
+    outputs = [v for v in plant.having("output") if v.name not in rates]
+    for r in components[REFERENCE].having("output") if REFERENCE in components else ():
+        guess = _tracked(components[REFERENCE], r, plant, outputs)
+        found += [] if guess is None or guess.target in {g.target for g in found} else [guess]
+    return found
+
+
+def _tracked(owner: Component, r: ModelVariable, plant: Component, outputs: list[ModelVariable]) -> Guess | None:
+    """Return the guess of the output that a reference is for, or None."""
+    source = f"{REFERENCE}.{r.name}"
+    ranked: list[tuple[int, float, str, bool]] = []
+    for o in outputs:
+        how, unit = alike(r.name, o.name), have_one_unit(owner, r.name, plant, o.name)
+        if how is None or unit is False:
+            continue
+        ratio = SequenceMatcher(None, r.name, o.name).ratio()
+        ranked.append((_ORDER.index(how), -ratio, o.name, is_likely(how, unit)))
+    if ranked:
+        order, _, name, likely = min(ranked)
+        return Guess(f"{PLANT}.{name}", source, _ORDER[order], likely)
+    same = [o.name for o in outputs if have_one_unit(owner, r.name, plant, o.name)]
+    if len(same) == 1:
+        return Guess(f"{PLANT}.{same[0]}", source, "the only output in this unit, by another name", False)
+    return None
+
+
 def alike(name: str, other: str) -> str | None:
     """Return the similarity of two names: one of the constants above, or None."""
     if name == other:
@@ -104,11 +137,6 @@ def is_likely(how: str | None, has_one_unit: bool | None) -> bool:
     return how in (SAME, SAME_WORDS) and bool(has_one_unit)
 
 
-def is_disturbance(v: ModelVariable) -> bool:
-    """Return whether an input acts only where somebody connects or changes it, by its description."""
-    return "disturbance" in (v.description or "").lower()
-
-
 def is_desired(name: str) -> bool:
     """Return whether a name is that of a set point: phi_ref, r_d_x."""
     words = _words(name)
@@ -145,17 +173,23 @@ def _sources(name: str, variable: str) -> tuple[str, ...]:
 
 
 def _by_unit(guess: Guess, used: Iterable[str | None], components: Mapping[str, Component]) -> Guess:
-    """Return a guess with the only output left in the input's unit; the guess as it is if there is not exactly one."""
+    """Return a guess with the only output left in the input's unit, or the only one left where a unit is not known.
+
+    The guess as it is if there is not exactly one. Derivatives are left out where the unit is not known.
+    """
     name, variable = VariableName(guess.target).parts
     other = _sources(name, variable)[0]
-    free = [
-        f"{other}.{o.name}"
-        for o in (components[other].having("output") if other in components else ())
-        if f"{other}.{o.name}" not in used and have_one_unit(components[name], variable, components[other], o.name)
-    ]
-    if len(free) != 1:
-        return guess
-    return Guess(guess.target, free[0], "the only output left in this unit, by another name", False)
+    owner = components.get(other)
+    free = [o.name for o in owner.having("output") if f"{other}.{o.name}" not in used] if owner else []
+    units = {o: have_one_unit(components[name], variable, components[other], o) for o in free}
+    same = [o for o in free if units[o]]
+    rates = set(owner.derivatives.values()) if owner else set[str]()
+    open_ones = [o for o in free if units[o] is not False and o not in rates]
+    if len(same) == 1:
+        return Guess(guess.target, f"{other}.{same[0]}", "the only output left in this unit, by another name", False)
+    if not same and len(open_ones) == 1:
+        return Guess(guess.target, f"{other}.{open_ones[0]}", "the only output left, no unit to compare", False)
+    return guess
 
 
 def _words(name: str) -> list[str]:

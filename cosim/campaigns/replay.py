@@ -3,12 +3,15 @@
 from collections.abc import Sequence
 from contextlib import ExitStack, nullcontext
 from dataclasses import replace
-from math import hypot
+from math import hypot, nan
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
+
+from estimator import Vector
 
 from ..errors import FolderError, ScenarioError
 from ..retuning.assembly import make_supervisor, try_model
@@ -19,8 +22,10 @@ from ..runs.lock import new_locked_folder
 from ..runs.record import recording
 from ..runs.result import Run, read_run
 from ..sampling.sampler import recorded_samples
+from ..scenarios.scenario import Scenario
 from ..scenarios.schema.guard import GuardSettings
 from ..scenarios.trust import check_trust, trusted, with_own
+from ..system.tuning import tuning_rule
 from .comparison import Comparison
 from .executor import record_of
 
@@ -65,12 +70,12 @@ def replayed(recorded: Run, estimator: str, seed: int) -> Run:
     Raises FolderError where the record lacks a column or a row; ScenarioError.
     """
     scenario = recorded.scenario
-    writes = [p.writes for p in scenario.estimation.parameters]
+    columns = [scenario.held_column(p) for p in scenario.estimation.parameters]
     try:
         errors = np.array(list(recorded.errors.values())).T
         _ = recorded.true_parameters
         samples = recorded_samples(scenario, recorded.plant, recorded.series, range(len(recorded.time)))
-        held = np.array([recorded.series[name] for name in writes]).T
+        held = np.array([recorded.series[name] for name in columns]).T
     except KeyError as e:
         raise FolderError(f"{recorded.folder} lacks the column {e}: it was recorded by another version.") from e
     if not samples:
@@ -92,10 +97,23 @@ def replayed(recorded: Run, estimator: str, seed: int) -> Run:
                 latencies.append(decision.latencies)
                 theta = theta if decision.write is None else decision.write
                 thetas.append(theta)
-    estimates = dict(zip(writes, np.array(thetas).T, strict=True))
+    estimates = dict(zip(columns, np.array(thetas).T, strict=True)) | _gains(scenario, thetas)
     return replace(
         recorded, estimator=estimator, seed=seed, series={**recorded.series, **estimates}, status="done", error=None,
         n_evaluations=supervisor.n_evaluations, n_episodes=supervisor.n_episodes,
         n_model_calls=supervisor.n_model_calls, latencies=latencies.by_step(), objective=supervisor.describe(),
         wall=perf_counter() - begun, folder=None, final_estimate=None,
     )  # fmt: skip
+
+
+def _gains(scenario: Scenario, thetas: Sequence[Vector]) -> dict[str, np.ndarray[Any, np.dtype[np.float64]]]:
+    """Return the controller's parameters by the tuning rule, by name; NaN where it has no values."""
+    rule = tuning_rule(scenario)
+
+    def values(theta: Vector) -> list[float]:
+        try:
+            return rule(theta)
+        except ValueError:
+            return [nan] * len(rule.names)
+
+    return {} if rule.is_plain else dict(zip(rule.names, np.array([values(theta) for theta in thetas]).T, strict=True))

@@ -13,6 +13,7 @@ from ..ssp.load import load_scenario
 from ..system.fmu_cache import build_into
 from ..terminal.consent import consented
 from ..terminal.exit_codes import DONE
+from ..terminal.next_step import tell_next
 
 
 def command(options: argparse.Namespace) -> int:
@@ -23,8 +24,11 @@ def command(options: argparse.Namespace) -> int:
     if not options.estimator and (options.method or options.overrides or options.trust):
         raise ScenarioError("--method, --set and --trust are of an estimator: give --estimator SCENARIO.")
     builder = _estimator_builder(options) if options.estimator else _builder(options)
+    built: list[Path] = []
     for path, verb in build_into(options.out, options.force, builder):
         print(f"{path}  {verb}")
+        built.append(path)
+    tell_next("info", built[-1])
     return DONE
 
 

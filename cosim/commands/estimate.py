@@ -13,6 +13,7 @@ from ..offline.profile_plot import draw_profiles
 from ..runs.record import recording
 from ..terminal.exit_codes import DONE, INTERRUPTED, UNFINISHED
 from ..terminal.folders import must_be_new, new_folder
+from ..terminal.next_step import tell_next
 from ..terminal.progress import progress_bar
 
 
@@ -49,6 +50,8 @@ def command(options: argparse.Namespace) -> int:
         with recording(options.ssv.parent):
             write_text(options.ssv, estimates_ssv(found))
     print(to_json(summary(found)) if options.json else f"{report(found)}\n\nwritten to {folder}")
+    if not options.json:
+        tell_next("run", "SCENARIO", "--start-values", f"plant={folder / 'estimates.ssv'}")
     return DONE
 
 

@@ -10,6 +10,7 @@ from ..offline.online_report import estimates_ssv, report, summary, write_files
 from ..runs.record import recording
 from ..terminal.exit_codes import DONE, INTERRUPTED, UNFINISHED
 from ..terminal.folders import new_folder
+from ..terminal.next_step import tell_next
 from ..terminal.progress import progress_bar
 
 
@@ -30,6 +31,8 @@ def estimate_online(options: argparse.Namespace, request: Request) -> int:
         with recording(options.ssv.parent):
             write_text(options.ssv, estimates_ssv(found))
     print(to_json(summary(found)) if options.json else f"{report(found)}\n\nwritten to {folder}")
+    if not options.json:
+        tell_next("run", "SCENARIO", "--start-values", f"plant={folder / 'estimates.ssv'}")
     if found.failure is not None:
         print(f"retune: {found.failure}; what was recorded so far is in {folder}", file=sys.stderr)
         return UNFINISHED

@@ -8,6 +8,7 @@ from ..ssp.load import load_scenario
 from ..ssp.start_values import with_start_values
 from ..ssp.write import to_ssp
 from ..terminal.exit_codes import DONE
+from ..terminal.next_step import tell_next
 
 
 def command(options: argparse.Namespace) -> int:
@@ -21,4 +22,5 @@ def command(options: argparse.Namespace) -> int:
     if verb != "unchanged":
         write_bytes(options.ssp, content)
     print(f"{options.ssp}  {verb}")
+    tell_next("run", options.ssp)
     return DONE

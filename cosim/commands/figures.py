@@ -6,6 +6,7 @@ from ..paper.figures import figures
 from ..runs.record import recording
 from ..terminal.exit_codes import DONE
 from ..terminal.folders import new_folder
+from ..terminal.next_step import tell_next
 from ..terminal.progress import bar_of_runs
 
 
@@ -15,4 +16,5 @@ def command(options: argparse.Namespace) -> int:
         paths = figures(folder, options.seed, options.jobs, progress)
     for path in paths:
         print(path)
+    tell_next("compare", "quadrotor")
     return DONE

@@ -6,6 +6,7 @@ from ..authoring.draft import draft
 from ..files import write_text
 from ..terminal.exit_codes import DONE
 from ..terminal.folders import must_be_new
+from ..terminal.next_step import tell_next
 
 
 def command(options: argparse.Namespace) -> int:
@@ -18,5 +19,5 @@ def command(options: argparse.Namespace) -> int:
     for mark, what in (("FILL", "to fill in"), ("GUESS", "to look at")):
         for number, line in written.lines(mark):
             print(f"{options.out}:{number}: {what}: {' '.join(line.split())}")
-    print(f"next: retune check {options.out}")
+    tell_next("check", options.out)
     return DONE

@@ -12,7 +12,7 @@ from ..runs.resumable import has_begun, has_ended
 from ..runs.simulation import resume, run
 from ..scenarios.trust import trusted
 from ..terminal.consent import is_consented
-from ..terminal.run_output import BASELINES, simulated, tell
+from ..terminal.run_output import BASELINES, simulated, tell, telling_how_to_resume
 
 
 def command(options: argparse.Namespace) -> int:
@@ -25,7 +25,7 @@ def command(options: argparse.Namespace) -> int:
     if all(map(has_ended, estimators)):
         raise FolderError(f"{folder} cannot be resumed: it is {begun.status}.")
     runs: dict[Path, Run] = {}
-    with locked(folder):
+    with locked(folder), telling_how_to_resume(folder):
         for path, name in estimators.items():
             if has_ended(path):
                 runs[path] = read_run(path)

@@ -15,7 +15,8 @@ from ..ssp.load import load_scenario
 from ..ssp.start_values import with_start_values
 from ..terminal.consent import consented
 from ..terminal.folders import must_be_new, new_folder
-from ..terminal.run_output import BASELINES, simulated, tell
+from ..terminal.run_output import BASELINES, simulated, tell, telling_how_to_resume
+from ..terminal.viewer import show_in_browser
 
 
 def command(options: argparse.Namespace) -> int:
@@ -34,10 +35,12 @@ def command(options: argparse.Namespace) -> int:
     check_estimator(options.estimator, scenario)
     must_be_new(options.ssv, "--ssv")
     is_alone = options.only or options.estimator in BASELINES
-    with new_folder(scenario.scenario.name, options.out) as folder:
+    with new_folder(scenario.scenario.name, options.out) as folder, telling_how_to_resume(folder):
         estimators = {folder: options.estimator} | ({} if is_alone else {folder / name: name for name in BASELINES})
         for path in estimators:
             path.mkdir(exist_ok=True)  # empty: a run that is still to be made, also by `resume`
+        if options.view:
+            show_in_browser(folder)
         runs = {
             path: simulated(scenario, name, partial(run, scenario, name, options.seed, path))
             for path, name in estimators.items()

@@ -18,13 +18,17 @@ from ..errors import ScenarioError
 from ..scenarios.scenario import Scenario
 from ..user_code import places_of
 from .settings import estimator_settings
-from .slave import variable_table
+from .slave import references, variable_table
 from .theory import ICON, THEORY
 
 _SHIPPED = (
     "estimator_fmu/__init__.py",
     "estimator_fmu/loop.py",
     "estimator_fmu/slave.py",
+    "names.py",
+    "scenarios/__init__.py",
+    "scenarios/formula.py",
+    "scenarios/tuning_rule.py",
 )
 """The modules of cosim that an estimator FMU imports: they need no more than `estimator` does."""
 _INIT = b'"""What an estimator FMU has of cosim."""\n'
@@ -68,7 +72,7 @@ def build_estimator(scenario: Scenario, out_dir: Path, method: str = "target") -
 def _user_sources(settings: Mapping[str, Any], scenario: Scenario) -> dict[str, bytes]:
     """Return the user's modules with the model and what it imports, as `run` finds them. Raises ScenarioError."""
     files: dict[str, bytes] = {}
-    for reference in (settings["model"], *(settings["linear"] or ())):
+    for reference in references(settings):
         module = reference.partition(":")[0]
         if module.partition(".")[0] in _OURS:
             continue

@@ -2,7 +2,8 @@
 
 import importlib
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
+from math import nan
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,8 @@ from estimator.diagnosis_settings import DiagnosisSettings
 from estimator.methods import method_named
 from estimator.retuner import Budget
 from estimator.triggers import TRIGGERS
+
+from ..scenarios.tuning_rule import TuningRule
 
 try:
     from threadpoolctl import ThreadpoolController
@@ -67,6 +70,8 @@ class EstimatorLoop:
             else None,
             diagnosis=diagnosis,
         )
+        self._rule = _rule(settings)
+        self._values = self._rule(start)
         self._theta, self._std = start, np.array([p.upper - p.lower for p in space])
         self._is_identifiable: Sequence[bool] = (False,) * len(space)
         self._is_updated = False
@@ -84,13 +89,29 @@ class EstimatorLoop:
             self._std, self._is_identifiable = proposal.estimate.std, proposal.estimate.is_identifiable
         theta = proposal.undo if proposal.theta is None else proposal.theta
         if theta is not None and proposal.possible_disturbance is None:  # else it waits: it cannot predict
-            self._theta, self._is_updated = theta, True
+            with suppress(ValueError):  # the gains have no value there
+                self._values = self._rule(theta)
+                self._theta, self._is_updated = theta, True
 
     @property
     def outputs(self) -> list[float]:
-        """Estimate in force, its standard deviations and flags, counts of evaluations and episodes, update flag."""
+        """Estimate in force, its standard deviations and flags, counts, update flag, and what the formulas give."""
         counts = (self._retuner.n_evaluations, self._retuner.n_episodes, self._is_updated)
-        return [*self._theta.tolist(), *self._std.tolist(), *self._is_identifiable, *counts]
+        return [*self._theta.tolist(), *self._std.tolist(), *self._is_identifiable, *counts, *self._values]
+
+
+def gains(settings: Mapping[str, Any], theta: Sequence[float]) -> list[float]:
+    """Return what the formulas give for parameters (d,); NaN where they have no values."""
+    try:
+        return _rule(settings)(theta)
+    except ValueError:
+        return [nan] * len(settings["rule"])
+
+
+def _rule(settings: Mapping[str, Any]) -> TuningRule:
+    formulas = {r["name"]: r["formula"] for r in settings["rule"]}
+    names = [p["name"] for p in settings["parameters"]]
+    return TuningRule(names, formulas, lambda reference: _load(reference, settings["ships"]))
 
 
 def _one_thread() -> AbstractContextManager[Any]:

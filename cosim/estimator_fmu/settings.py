@@ -22,8 +22,9 @@ from ..retuning.assembly import make_supervisor, try_model
 from ..retuning.estimators import find_method
 from ..scenarios.scenario import Scenario
 from ..system.fmu_cache import fmu_paths
-from ..system.parameters import check_parameters, start_value, start_values
+from ..system.parameters import check_parameters, first_states, start_value
 from ..system.plant import Plant, plant_of
+from ..system.tuning import check_first_values, first_parameters, tuning_rule, written_variables
 from ..system.wiring import wire
 from ..variable_name import VariableName
 
@@ -41,7 +42,8 @@ def estimator_settings(scenario: Scenario, method: str = "target") -> dict[str, 
     plant = plant_of(scenario, fmus[scenario.plant])
     check_parameters(scenario, fmus)
     wire(scenario, fmus)
-    theta = np.array(start_values(scenario, fmus, [p.writes for p in scenario.estimation.parameters]))
+    theta = np.array(first_parameters(scenario, fmus))
+    check_first_values(scenario, tuning_rule(scenario), theta)
     _try(scenario, method, plant, fmus, theta)
     loop, linear = scenario.estimation.loop(method), scenario.estimation.linear
     variables = _Variables(scenario, fmus, plant)
@@ -60,6 +62,7 @@ def estimator_settings(scenario: Scenario, method: str = "target") -> dict[str, 
             }
             for p, start in zip(scenario.estimation.parameters, theta.tolist(), strict=True)
         ],
+        "rule": _rule(scenario, fmus),
         "states": [variables.of(VariableName(f"{plant.name}.{name}")) for name in plant.states],
         "inputs": [variables.of(VariableName(f"{plant.name}.{name}")) for name in plant.inputs],
         "held": [_suffixed(name, "_held") for name in plant.inputs],
@@ -79,6 +82,19 @@ def estimator_settings(scenario: Scenario, method: str = "target") -> dict[str, 
             "budget": loop.budget, "evaluations_per_step": loop.evaluations_per_step, "window": loop.window, "seed": 0,
         },
     }  # fmt: skip
+
+
+def _rule(scenario: Scenario, fmus: Mapping[str, FmuFile]) -> list[dict[str, Any]]:
+    """Return name, formula and unit of the controllers' parameters that formulas give, which are outputs."""
+    variables = written_variables(scenario, fmus)
+    names = [name.variable for name in variables]
+    return [
+        {
+            "name": name.variable if names.count(name.variable) == 1 else str(name),
+            "formula": scenario.formulas[name], "unit": _fmi_unit(v.unit or "1"), "of": name.component,
+        }
+        for name, v in variables.items()
+    ]  # fmt: skip
 
 
 def _trigger_parameters(trigger: TriggerSettings, tracking_unit: str | None) -> list[dict[str, Any]]:
@@ -131,8 +147,8 @@ def _try(scenario: Scenario, method: str, plant: Plant, fmus: Mapping[str, FmuFi
     """Construct the FMU's loop, and call the model once. Raises ScenarioError."""
     with ExitStack() as stack:
         make_supervisor(scenario, method, plant, theta, np.random.default_rng(0), stack)
-    x = tuple(start_values(scenario, fmus, [f"{plant.name}.{name}" for name in plant.states]))
-    first = Sample(0.0, x, tuple(plant.inputs.values()), (0.0,) * len(plant.channels))
+    x, _ = first_states(scenario, fmus, plant)
+    first = Sample(0.0, tuple(x), tuple(plant.inputs.values()), (0.0,) * len(plant.channels))
     try_model(scenario, method, plant, theta, first)
 
 

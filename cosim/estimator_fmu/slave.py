@@ -26,6 +26,12 @@ def variable_table(settings: Mapping[str, Any]) -> tuple[VariableRow, ...]:
     return (*_parameters(settings), *_inputs(settings), *_outputs(settings)) if settings else ()
 
 
+def references(settings: Mapping[str, Any]) -> list[str]:
+    """Return the Python functions `module:name` that an estimator FMU calls."""
+    functions = dict.fromkeys(r["formula"] for r in settings["rule"] if ":" in r["formula"])
+    return [settings["model"], *(settings["linear"] or ()), *functions]
+
+
 class EstimatorSlave(Slave):
     """Estimates a plant's parameters from its sampled states, held inputs and derivatives."""
 
@@ -50,14 +56,13 @@ class EstimatorSlave(Slave):
         for package in self.settings["requires"]:
             self._require(package)
         loop = importlib.import_module(".loop", __package__)
-        for reference in (self.settings["model"], *(self.settings["linear"] or ())):
+        for reference in references(self.settings):
             self._require(loop.module_of(reference, self.settings["ships"]))
-        self._loop_type = loop.EstimatorLoop
+        self._loop_type, self._gains = loop.EstimatorLoop, loop.gains
 
     def _enter(self, is_initialized: bool) -> None:
         super()._enter(is_initialized)
         if is_initialized:
-            self._must_be_in_range()
             self._loop = self._loop_type(self.settings, lambda name: self._values[self._place[name]])
 
     def _refresh(self) -> None:
@@ -67,7 +72,9 @@ class EstimatorSlave(Slave):
                 self._values[self._place[f"{p['name']}_upper"]] - self._values[self._place[f"{p['name']}_lower"]]
                 for p in self.settings["parameters"]
             ]
-            self._values[self._outputs] = [*start, *widths, *(False for _ in start), 0, 0, False]
+            self._values[self._outputs] = [
+                *start, *widths, *(False for _ in start), 0, 0, False, *self._gains(self.settings, start),
+            ]  # fmt: skip
 
     def _advance(self, step_size: float) -> None:
         values = self._values
@@ -105,12 +112,6 @@ class EstimatorSlave(Slave):
                 f"{module} cannot be imported, {type(e).__name__}: {e}. "
                 f"Install them there: python -m pip install {' '.join(packages)}"
             ) from e
-
-    def _must_be_in_range(self) -> None:
-        for v, value in zip(self.variables, self._values[self._parameters], strict=False):
-            lower, upper = v.min, v.max
-            if (lower is not None and value < lower) or (upper is not None and value > upper):
-                raise ValueError(f"{self.modelName}: {v.name} must be in [{lower}, {upper}], got {value:g}.")
 
 
 def _parameters(settings: Mapping[str, Any]) -> list[VariableRow]:
@@ -168,6 +169,7 @@ def _inputs(settings: Mapping[str, Any]) -> list[VariableRow]:
 
 def _outputs(settings: Mapping[str, Any]) -> list[VariableRow]:
     parameters = [(p["name"], p["fmi_unit"]) for p in settings["parameters"]]
+    starts = [f"{name}_start" for name, _ in parameters]
 
     def real(name: str, unit: str, text: str, *depends: str) -> VariableRow:
         return output(name, unit, text, depends=depends, variability="discrete")
@@ -188,6 +190,7 @@ def _outputs(settings: Mapping[str, Any]) -> list[VariableRow]:
         counted("n_evaluations", "Evaluations"),
         counted("n_episodes", "Episodes of estimation"),
         flag("update_ready", "Whether the estimates have been updated since the start"),
+        *(real(r["name"], r["unit"], f"{r['of']}: {r['formula']}", *starts) for r in settings["rule"]),
     ]
 
 

@@ -1,5 +1,7 @@
 """An FMU as a file: the zip archive, the description in it, and a folder to unpack it into."""
 
+import math
+import re
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -19,7 +21,7 @@ from .binding import FmuToLoad
 from .elements import scalarized
 from .folder import PrivateFolder
 from .preflight.archive import archive_findings
-from .preflight.description import description_findings, index_findings
+from .preflight.description import description_findings, harmless_findings, index_findings
 from .preflight.library import library_problem, needed_functions
 from .preflight.xml import LARGEST, strict_root
 
@@ -31,7 +33,7 @@ DESCRIPTION: Final = "modelDescription.xml"
 _DAMAGED: Final = (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, ValueError)  # what zipfile raises
 _BUILD: Final = "sources/buildDescription.xml"
 _CHUNK: Final = 1 << 20
-_VERSIONS: Final[dict[str, tuple[str, ...]]] = {"co-simulation": ("2.0", "3.0"), "model-exchange": ("2.0", "3.0")}
+_VERSION: Final = re.compile(r"2\.0|3\.0(\.\d+)?")  # those of betas have other functions
 
 
 @dataclass(frozen=True)
@@ -58,10 +60,10 @@ def read_description(fmu: Path, interface: InterfaceName = "co-simulation") -> M
 def unusable(description: ModelDescription, interface: InterfaceName) -> str | None:
     """Return the reason why an FMU cannot be used, its version or kind being another than asked for; else None."""
     version, offered = str(description.fmiVersion), interfaces(description)
-    if version.startswith(_VERSIONS[interface]) and interface in offered:
+    if _VERSION.fullmatch(version) and interface in offered:
         return None
     kind = next(iter(offered), "scheduled-execution")
-    return f"is an FMI {version} {kind} FMU, not FMI {' or '.join(_VERSIONS[interface])} {interface}"
+    return f"is an FMI {one_line(version)} {kind} FMU, not FMI 2.0 or 3.0 {interface}"
 
 
 def read_any(fmu: Path) -> ModelDescription:
@@ -92,7 +94,7 @@ def look_into(fmu: Path, on_findings: FindingsListener | None = None) -> tuple[M
     try:
         with open(readable(fmu), "rb") as file:
             on_findings(index_findings(_description_in(file, on_findings)))
-            description = fmpy.read_model_description(file)
+            description = _validated(file, on_findings)
             on_findings(description_findings(description))
             platforms: list[str] = fmpy.supported_platforms(file)
     except ModelDescriptionError:
@@ -111,6 +113,18 @@ def look_into(fmu: Path, on_findings: FindingsListener | None = None) -> tuple[M
     return description, platforms
 
 
+def _validated(file: BinaryIO, on_findings: FindingsListener) -> ModelDescription:
+    """Return the description of a valid FMU, or of one whose faults are harmless. Raises what FMPy raises."""
+    try:
+        return fmpy.read_model_description(file)
+    except ValidationError as error:
+        harmless = harmless_findings(error.problems)
+        if harmless is None:
+            raise
+        on_findings(harmless)
+        return fmpy.read_model_description(file, validate=False)
+
+
 def library_finding(library: BinaryIO, description: ModelDescription, interface: str) -> Iterable[Finding]:
     """Yield problems with the library of an FMU."""
     problem = library_problem(library, needed_functions(description, interface))
@@ -126,9 +140,16 @@ def library_path(description: ModelDescription, interface: str) -> str:
 
 
 def fmu_to_load(
-    description: ModelDescription, folder: str, instance_name: str, interface: InterfaceName = "co-simulation"
+    description: ModelDescription,
+    folder: str,
+    instance_name: str,
+    interface: InterfaceName = "co-simulation",
+    tolerance: float | None = None,
 ) -> FmuToLoad:
-    """Return the argument of loading.load for an FMU that is unpacked into folder."""
+    """Return the argument of loading.load for an FMU that is unpacked into folder.
+
+    tolerance: by default that of its default experiment.
+    """
     return FmuToLoad(
         folder,
         str(interfaces(description)[interface].modelIdentifier),
@@ -137,7 +158,13 @@ def fmu_to_load(
         "pythonfmu" in (description.generationTool or "").lower(),
         str(description.fmiVersion),
         interface,
+        _declared_tolerance(description) if tolerance is None else tolerance,
     )
+
+
+def _declared_tolerance(description: ModelDescription) -> float | None:
+    declared = getattr(description.defaultExperiment, "tolerance", None)
+    return float(declared) if declared is not None and 0.0 < float(declared) < math.inf else None
 
 
 def interfaces(description: ModelDescription) -> Mapping[str, Any]:

@@ -30,6 +30,8 @@ class FmuToLoad(NamedTuple):
     fmi_version: str = "2.0"
     interface: str = "co-simulation"
     """'co-simulation' or 'model-exchange'."""
+    tolerance: float | None = None
+    """Relative tolerance for its own solver; None gives it none."""
 
 
 class Binding(Protocol):

@@ -67,6 +67,11 @@ class Component:
         return self.units.get(name, Unit(name)) if name else None
 
 
+def is_disturbance(v: ModelVariable) -> bool:
+    """Return whether an input acts only where somebody connects or changes it, by its description."""
+    return "disturbance" in (v.description or "").lower()
+
+
 def read_component(fmu: Path) -> Component:
     """Read an FMU, or a table, as an element of a system. Raises ModelDescriptionError, ScenarioError for a table."""
     return component_of(fmu, describe(fmu, read_table(fmu)) if is_table(fmu) else read_description(fmu))

@@ -27,6 +27,7 @@ class Fmi2CoSimulation:
         self.name = fmu.instance_name
         self._log = MessageLog(fmu.has_plain_log, on_log)
         self._time: float | None = None
+        self._tolerance = fmu.tolerance
         self._inputs: list[_BufferCall] = []
         self._tunables: list[_BufferCall] = []
         self._outputs: list[_BufferCall] = []
@@ -53,7 +54,7 @@ class Fmi2CoSimulation:
         """Set start values and enter initialization mode: the first half of initialize."""
         self._time = start_time
         fmu = self._fmu
-        self._checked("setup_experiment", fmu.setupExperiment, None, start_time, stop_time)
+        self._checked("setup_experiment", fmu.setupExperiment, self._tolerance, start_time, stop_time)
         for functions in _SETTERS:
             of_type = [(reference, value) for _, kind, reference, value in start if kind == functions]
             if of_type:

@@ -27,6 +27,7 @@ class Fmi2ModelExchange:
     def __init__(self, fmu: FmuToLoad, on_log: LogListener | None = None) -> None:
         self._name = fmu.instance_name
         self._time: float | None = None
+        self._tolerance = fmu.tolerance
         self._log = MessageLog(fmu.has_plain_log, on_log)
         self._places = self._places_of(fmu.folder)
         n = len(set(self._places.values()))
@@ -49,7 +50,7 @@ class Fmi2ModelExchange:
     def initialize(self, start: StartValues, start_time: float, stop_time: float | None) -> None:
         """Set start values (name, type, value reference, value), and go on to continuous-time mode; times in s."""
         self._time = start_time
-        self._call("setup_experiment", self._fmu.setupExperiment, None, start_time, stop_time)
+        self._call("setup_experiment", self._fmu.setupExperiment, self._tolerance, start_time, stop_time)
         for _, kind, reference, value in start:
             self._call(f"set_{kind.lower()}", getattr(self._fmu, f"set{kind}"), [reference], [value])
         self._call("enter_initialization_mode", self._fmu.enterInitializationMode)

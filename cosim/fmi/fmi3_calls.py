@@ -12,6 +12,7 @@ from fmpy import read_model_description
 from ..errors import SlaveError
 from .binding import WARNING, FmuToLoad, StartValues, failure
 from .fmu_log import LogListener, Messages
+from .preflight.description import clock_problem
 from .value_buffers import ScalarVariable
 from .value_buffers3 import ValueBuffer3, buffers3_of, overlaid, start_arrays
 
@@ -23,6 +24,7 @@ class Fmi3Calls:
         """make: FMPy's class for the interface; on_log: called with each message of the FMU. Raises SlaveError."""
         self.name = fmu.instance_name
         self.time: float | None = None
+        self._tolerance = fmu.tolerance
         self.log = Messages(on_log)
         self.description = read_model_description(fmu.folder, validate=False)
         self.start = start_arrays(self.description)
@@ -86,7 +88,8 @@ class Fmi3Calls:
         """Enter initialization mode; times in s."""
         enter = self.raw("fmi3EnterInitializationMode", c_bool, c_double, c_double, c_bool, c_double)
         end = 0.0 if stop_time is None else stop_time
-        self.call("enter_initialization_mode", enter, False, 0.0, start_time, stop_time is not None, end)
+        tolerance = (self._tolerance is not None, self._tolerance or 0.0)
+        self.call("enter_initialization_mode", enter, *tolerance, start_time, stop_time is not None, end)
 
     def exit_initialization(self) -> None:
         """Exit initialization mode."""
@@ -114,7 +117,10 @@ class Fmi3Calls:
             )
             fmu.instantiate(loggingOn=True, logMessage=lambda _, status, __, text: self.log.add(status, text or b""))
         except Exception as error:  # FMPy raises nothing more special
-            raise SlaveError(self.name, "instantiate", None, f"failed: {self.log.reason() or error}") from error
+            problem = clock_problem(self.description) if to_load.interface == "co-simulation" else None
+            reason = self.log.reason() or str(error)
+            reason = f"{reason.rstrip('.')}; {problem}" if problem else reason
+            raise SlaveError(self.name, "instantiate", None, f"failed: {reason}") from error
         finally:
             os.chdir(directory)  # FMPy stays in the FMU's folder when loading fails
         return fmu

@@ -1,6 +1,5 @@
 """Variables that may be set and got in an FMU: by name, role and limits of their values."""
 
-import difflib
 import math
 import sys
 from collections.abc import Iterable, Iterator, Sequence
@@ -9,6 +8,7 @@ from typing import Final, SupportsFloat
 from fmpy.model_description import ModelVariable
 
 from ..errors import WiringError
+from ..names import close_match
 from .types import TYPES, FmiType, Value
 from .value_buffers import ScalarVariable
 
@@ -112,7 +112,7 @@ class Catalogue:
         if variable is not None:
             return variable
         message = f"no variable {name!r} in {self._fmu_name}"
-        for match in difflib.get_close_matches(name, self._variables, n=1):
+        if (match := close_match(name, self._variables)) is not None:
             message += f"; did you mean {match!r} ({_with_article(kind_of(self._variables[match]))})?"
         raise WiringError(message)
 

@@ -74,7 +74,7 @@ def read_table(path: Path) -> TimeTable:
     units = _units(header, path)
     rows: list[tuple[float, ...]] = []
     for (line, _), cells in zip(numbered[1:], body, strict=True):
-        rows.append(_row(cells, len(header), f"{path}, line {line}"))
+        rows.append(_row(cells, header, f"{path}, line {line}"))
         if len(rows) > 1 and rows[-1][0] < rows[-2][0]:
             raise ScenarioError(f"{path}, line {line}: time must not go back, got {rows[-1][0]:g} s.")
     return TimeTable(tuple([row[0] for row in rows]), tuple([row[1:] for row in rows]), units)
@@ -93,16 +93,19 @@ def _units(header: Sequence[str], path: Path) -> dict[str, str | None]:
     return dict(parts[1:])
 
 
-def _row(cells: Sequence[str], n: int, place: str) -> tuple[float, ...]:
-    if len(cells) != n:
-        raise ScenarioError(f"{place}: must have {n} numbers, got {len(cells)}.")
-    try:
-        values = tuple([float(cell) for cell in cells])
-    except ValueError as e:
-        raise ScenarioError(f"{place}: {one_line(str(e))}.") from e
-    if not all(map(math.isfinite, values)):
-        raise ScenarioError(f"{place}: every number must be finite.")
-    return values
+def _row(cells: Sequence[str], header: Sequence[str], place: str) -> tuple[float, ...]:
+    if len(cells) != len(header):
+        raise ScenarioError(f"{place}: must have {len(header)} numbers, got {len(cells)}.")
+    values: list[float] = []
+    for cell, column in zip(cells, header, strict=True):
+        where = f"{place}, column '{one_line(column)}'"
+        try:
+            values.append(float(cell))
+        except ValueError as e:
+            raise ScenarioError(f"{where}: {one_line(str(e))}.") from e
+        if not math.isfinite(values[-1]):
+            raise ScenarioError(f"{where}: every number must be finite, got {one_line(cell)}.")
+    return tuple(values)
 
 
 def describe(path: Path, table: TimeTable) -> ModelDescription:

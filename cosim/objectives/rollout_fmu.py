@@ -59,10 +59,14 @@ class Shadow:
     """Longest time that a call may take [s]."""
     environment: tuple[str, ...] = ()
     """Environment variables that its process is given: see open_slave."""
+    tolerance: float | None = None
+    """Relative tolerance for its own solver: see open_slave."""
 
     def opened(self, tunables: tuple[str, ...] | None = None) -> Slave:
         """Start a process of it, variables bound; tunables: by default the parameters, if settable while it runs."""
-        slave = open_slave(self.fmu, "shadow", timeout=self.timeout, environment=self.environment)
+        slave = open_slave(
+            self.fmu, "shadow", timeout=self.timeout, environment=self.environment, tolerance=self.tolerance
+        )
         if tunables is None:
             tunables = () if "replay" in self.obstacles else self.parameters
         try:
@@ -99,7 +103,7 @@ def shadow_of(scenario: Scenario, plant: Plant, is_live: bool) -> Shadow:
             fmu, inputs, plant.states, outputs, tuple(n.noise for n in scenario.sampling.outputs.values()),
             tuple(names), {k: v for k, v in start.items() if k not in names}, scenario.scenario.start_time,
             not interface.canBeInstantiatedOnlyOncePerProcess, {}, scenario.scenario.timeout,
-            scenario.scenario.environment,
+            scenario.scenario.environment, scenario.components[plant.name].tolerance,
         )  # fmt: skip
     except CosimError as e:
         raise ScenarioError(f"{where}: {str(e).rstrip('.')}.") from e

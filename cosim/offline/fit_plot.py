@@ -6,19 +6,9 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.axes import Axes
 
-from ..plots.canvas import (
-    BLACK,
-    BLUE,
-    VERMILION,
-    label,
-    new_figure,
-    save_png,
-    set_linear,
-    tame,
-    tidy,
-    top_legend,
-    value_range,
-)
+from ..plots.canvas import label, new_figure, save_png, set_linear, tidy, top_legend
+from ..plots.palette import BLACK, BLUE, VERMILION
+from ..plots.ranges import tame, value_range
 from .estimate import Estimation
 
 _MOST: Final = 8

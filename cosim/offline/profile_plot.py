@@ -7,7 +7,8 @@ import numpy as np
 
 from estimator.profile_likelihood import LIMIT
 
-from ..plots.canvas import BLACK, BLUE, VERMILION, label, new_figure, save_png, set_linear, tidy, top_legend
+from ..plots.canvas import label, new_figure, save_png, set_linear, tidy, top_legend
+from ..plots.palette import BLACK, BLUE, VERMILION
 from .estimate import Estimation
 
 _COLUMNS: Final = 3

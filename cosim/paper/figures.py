@@ -15,10 +15,9 @@ from ..campaigns.compare import usable
 from ..campaigns.executor import Executor, RunsProgress, Task
 from ..files import write_json, write_text
 from ..plots.canvas import save_png, save_svg
-from ..plots.panels import RecordedEvent
 from ..plots.response import draw_response
-from ..plots.runs import read_events
 from ..runs.lock import new_locked_folder
+from ..runs.recorded_events import RecordedEvent, read_events
 from ..runs.result import Run, read_run
 from ..scenarios.scenario import Scenario
 from ..system.fmu_cache import fmu_paths

@@ -16,20 +16,8 @@ from estimator.acquisition import expected_improvement
 from estimator.space import Vector
 from estimator.surrogate import MaternBounds, ScalarSurrogate
 
-from ..plots.canvas import (
-    BLACK,
-    BLUE,
-    GREEN,
-    GREY,
-    PURPLE,
-    SKY,
-    VERMILION,
-    YELLOW,
-    new_figure,
-    save_png,
-    tidy,
-    top_legend,
-)
+from ..plots.canvas import new_figure, save_png, tidy, top_legend
+from ..plots.palette import BLACK, BLUE, GREEN, GREY, PURPLE, SKY, VERMILION, YELLOW
 
 NOISE: Final = 0.02
 """Standard deviation of the noise on each observation."""

@@ -8,25 +8,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter
 
-from ..plots.canvas import (
-    BLACK,
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    SKY,
-    VERMILION,
-    label,
-    new_figure,
-    set_linear,
-    set_log,
-    tame,
-    tidy,
-    top_legend,
-    value_range,
-)
-from ..plots.panels import Curve, RecordedEvent, finish, line, panels
-from ..plots.runs import short_names, tracking_limits
+from ..plots.canvas import label, new_figure, set_linear, set_log, tidy, top_legend
+from ..plots.palette import BLACK, BLUE, GREEN, GREY, ORANGE, SKY, VERMILION, Dashed
+from ..plots.panels import Curve, finish, line, panels
+from ..plots.ranges import tame, tracking_limits, value_range
+from ..runs.quantities import short_names
+from ..runs.recorded_events import RecordedEvent
 from ..runs.result import Run
 
 
@@ -78,7 +65,7 @@ def draw_pendulum(runs: Mapping[str, Run], events: Sequence[RecordedEvent]) -> F
     output, reference = next(iter(run.scenario.tracking.items()))
     figure, (above, below) = panels(run, events, 2)
     curves = [
-        Curve(runs[s.name], s.text, s.colour, 2.0 if s.name == "target" else 1.2)
+        Curve(runs[s.name], s.text, Dashed(s.colour), 2.0 if s.name == "target" else 1.2)
         for s in SHOWN
         if s.name in runs and s.name != "true" and len(runs[s.name].time)
     ]

@@ -1,4 +1,4 @@
-"""Elements shared by all figures: colours, labels, axes that accept any data, PNG and SVG files written atomically."""
+"""Elements shared by all figures: labels, axes that accept any data, PNG and SVG files written atomically."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -12,23 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
-from numpy.typing import ArrayLike
 
 from ..files import write_bytes
-from ..runs.result import Series
-
-AxisLimits = tuple[float, float]
-
-# Okabe and Ito (2008): told apart by every kind of colour vision.
-BLACK: Final = "#000000"
-GREY: Final = "#8c8c8c"
-ORANGE: Final = "#E69F00"
-SKY: Final = "#56B4E9"
-GREEN: Final = "#009E73"
-YELLOW: Final = "#F0E442"
-BLUE: Final = "#0072B2"
-VERMILION: Final = "#D55E00"
-PURPLE: Final = "#CC79A7"
+from .ranges import AxisLimits
 
 _DPI: Final = 120
 _STEPS: Final = (1, 2, 2.5, 5, 10)
@@ -100,11 +86,11 @@ def tidy(axes: Axes) -> None:
     axes.tick_params(labelsize=9)
 
 
-def top_legend(figure: Figure, handles: Mapping[str, Any], n_columns: int) -> None:
+def top_legend(figure: Figure, handles: Mapping[str, Any], n_columns: int, title: str | None = None) -> None:
     """Draw a legend above all axes, where it covers no data; handles: by text."""
     figure.legend(
         handles.values(), handles.keys(), loc="outside upper center", ncols=n_columns, frameon=False, fontsize=9,
-        columnspacing=1.3, handlelength=1.6, handletextpad=0.5,
+        columnspacing=1.3, handlelength=2.2, handletextpad=0.5, title=title, title_fontsize=10,
     )  # fmt: skip
 
 
@@ -132,25 +118,6 @@ def symbol(name: str) -> str | None:
 def _unit_text(unit: str) -> str:
     raised = re.sub(r"(?<=[A-Za-z])-?\d+", lambda m: m[0].translate(_SUPERSCRIPTS), unit)
     return raised.replace(".", " ").replace("$", r"\$")
-
-
-def value_range(series: Sequence[ArrayLike], percentile: float = 0.0) -> AxisLimits | None:
-    """Return the extreme values, or the percentiles that far from both ends; None if no value is below 1e100."""
-    flat = np.concatenate([np.ravel(np.asarray(s, dtype=float)) for s in series]) if series else np.empty(0)
-    finite = flat[np.abs(flat) < 1e100]  # NaN is not
-    if not len(finite):
-        return None
-    low, high = np.percentile(finite, [percentile, 100.0 - percentile])
-    return float(low), float(high)
-
-
-def tame(values: ArrayLike, limits: AxisLimits, is_log: bool = False) -> Series:
-    """Return values (n,) fit to draw: NaN if not finite (or not positive, on a log axis), else not far outside."""
-    y = np.asarray(values, dtype=float)
-    usable = np.isfinite(y) & ((y > 0.0) | (not is_log))
-    low, high = limits
-    far = (low / 10.0, high * 10.0) if is_log else (low - 2.0 * (high - low), high + 2.0 * (high - low))
-    return np.where(usable, np.clip(np.where(usable, y, low), *far), np.nan)
 
 
 def set_linear(axes: Axes, limits: AxisLimits, margin: float = 0.06) -> AxisLimits:

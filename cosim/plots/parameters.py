@@ -8,23 +8,32 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from ..runs.result import Run
+from ..errors import CosimError
+from ..runs.quantities import event_column, uncertainty_band
+from ..runs.recorded_events import RecordedEvent
+from ..runs.result import Run, Series
 from ..scenarios.schema.estimation import EstimatedParameter
-from .canvas import BLACK, BLUE, ORANGE, AxisLimits, Series, label, set_linear, set_log, tame, value_range
-from .panels import RecordedEvent, finish, mark, panels
+from ..system.tuning import tuning_rule
+from ..variable_name import VariableName
+from .canvas import label, set_linear, set_log
+from .palette import BLACK, BLUE, ORANGE
+from .panels import finish, mark, panels, title_of
+from .ranges import AxisLimits, tame, value_range
 
 
 def draw_parameters(run: Run, events: Sequence[RecordedEvent]) -> Figure:
-    """Draw the parameters over time: true values, the controller's with their uncertainty, and candidates."""
-    parameters = run.scenario.estimation.parameters
-    figure, rows = panels(run, events, len(parameters))
+    """Draw the parameters over time: true values, the controller's with their uncertainty, and candidates.
+
+    Below them are the parameters of the controller that formulas give.
+    """
+    parameters, gains = run.scenario.estimation.parameters, run.gains
+    figure, rows = panels(run, events, len(parameters) + len(gains))
     truth, held = run.true_parameters, run.estimates
     tried = [e for e in events if e.get("kind") == "candidate"]
-    writes = [e for e in events if e.get("kind") == "write"]
-    for i, (axes, p) in enumerate(zip(rows, parameters, strict=True)):
-        limits, is_log = _parameter_axis(axes, p, [truth[p.name], held[p.name]])
-        _draw_band(axes, run, p, writes, i)
-        places = tame(_column(tried, "theta", i), limits, is_log)
+    for i, (axes, p) in enumerate(zip(rows, parameters, strict=False)):
+        limits, is_log = parameter_axis(axes, p, [truth[p.name], held[p.name]])
+        draw_band(axes, run, p, events, i, BLUE)
+        places = tame(event_column(tried, "theta", i), limits, is_log)
         dots: dict[str, Any] = {"markersize": 5, "alpha": 0.55, "markeredgewidth": 0}
         if tried:
             axes.plot([e["t"] for e in tried], places, ".", color=ORANGE, label="candidates", **dots)
@@ -36,10 +45,42 @@ def draw_parameters(run: Run, events: Sequence[RecordedEvent]) -> Figure:
             if np.any(np.isfinite(values)):
                 axes.step(run.time, tame(values, limits, is_log), where="post", label=text, **style)
         axes.set_ylabel(label(p.name, p.unit))
-    return finish(figure, rows)
+    for axes, (name, values) in zip(rows[len(parameters) :], gains.items(), strict=True):
+        _draw_gain(axes, run, name, values)
+    return finish(figure, rows, title_of(run))
 
 
-def _parameter_axis(axes: Axes, p: EstimatedParameter, curves: Sequence[ArrayLike]) -> tuple[AxisLimits, bool]:
+def _draw_gain(axes: Axes, run: Run, name: str, values: Series) -> None:
+    """Draw a parameter of the controller that a formula gives, and what it gives for the true parameters."""
+    truth = _true_gain(run, name)
+    limits = set_linear(axes, value_range([values, truth]) or (0.0, 1.0), margin=0.1)
+    style: dict[str, Any] = {"color": BLUE, "linewidth": _width(values)} | mark(run)
+    axes.step(run.time, tame(values, limits, False), where="post", label="controller", **style)
+    if np.any(np.isfinite(truth)):
+        dashed: dict[str, Any] = {"color": BLACK, "linewidth": 1.0, "linestyle": "--"}
+        axes.step(run.time, tame(truth, limits, False), where="post", label="truth", **dashed)
+    axes.set_ylabel(VariableName(name).variable)
+
+
+def _true_gain(run: Run, name: str) -> Series:
+    """Return what the tuning rule gives for the true parameters (n,); NaN where that is not known."""
+    found = np.full(len(run.time), np.nan)
+    try:
+        rule = tuning_rule(run.scenario)
+    except CosimError:  # a function of somebody else's, or one that has gone
+        return found
+    place = rule.names.index(VariableName(name))
+    truth = np.array(list(run.true_parameters.values())).T
+    changed = [k for k in range(len(truth)) if k == 0 or np.any(truth[k] != truth[k - 1])]
+    for k in changed:
+        try:
+            found[k:] = rule(truth[k])[place]
+        except ValueError:
+            found[k:] = np.nan
+    return found
+
+
+def parameter_axis(axes: Axes, p: EstimatedParameter, curves: Sequence[ArrayLike]) -> tuple[AxisLimits, bool]:
     """Set the axis over true and held values, with room for candidates, on the scale of the search.
 
     Returns its limits, and whether it is logarithmic.
@@ -59,23 +100,12 @@ def _width(values: Series) -> float:
     return 0.5 if n_jumps > 150 else 1.8
 
 
-def _draw_band(axes: Axes, run: Run, p: EstimatedParameter, writes: Sequence[RecordedEvent], i: int) -> None:
+def draw_band(
+    axes: Axes, run: Run, p: EstimatedParameter, events: Sequence[RecordedEvent], i: int, colour: str
+) -> None:
     """Draw a band of two standard deviations about each value written, until the next; on a log scale a factor."""
-    theta, std = _column(writes, "theta", i), _column(writes, "std", i)
-    if not np.any(np.isfinite(theta + std)):
-        return
-    if p.scale == "log":
-        factor = np.exp(np.minimum(2.0 * std / np.maximum(theta, p.lower), 50.0))
-        low, high = theta / factor, theta * factor
-    else:
-        low, high = theta - 2.0 * std, theta + 2.0 * std
-    times = np.array([*(e["t"] for e in writes), float(run.time[-1])])
-    below, above = (np.clip(np.append(edge, edge[-1]), p.lower, p.upper) for edge in (low, high))
-    axes.fill_between(times, below, above, step="post", color=BLUE, alpha=0.2, linewidth=0, label="± 2 std")
-
-
-def _column(events: Sequence[RecordedEvent], key: str, i: int) -> Series:
-    """Return entry i of a list in each event (n,), NaN where it is absent or null."""
-    lists: list[list[float | None]] = [e.get(key) or [] for e in events]
-    entries = (values[i] if i < len(values) else None for values in lists)
-    return np.array([np.nan if v is None else v for v in entries], dtype=float)
+    band = uncertainty_band(run, p, events, i)
+    if band is not None:
+        axes.fill_between(
+            band.t, band.low, band.high, step="post", color=colour, alpha=0.2, linewidth=0, label="± 2 std"
+        )

@@ -14,11 +14,13 @@ from estimator import DerivativeResidual, Sample, Vector
 from ..errors import CosimError
 from ..objectives.choice import chosen
 from ..objectives.model import opened_model
+from ..runs.recorded_events import RecordedEvent
 from ..runs.result import Run
 from ..sampling.derivative_filter import derivative_noise
 from ..sampling.sampler import recorded_samples
-from .canvas import BLUE, GREEN, VERMILION, label, new_figure, set_log, top_legend
-from .panels import RecordedEvent
+from .canvas import label, new_figure, set_log, top_legend
+from .palette import BLUE, GREEN, VERMILION
+from .panels import title_of
 
 _N_GRID: Final = 60
 """Number of grid points for each parameter."""
@@ -104,7 +106,7 @@ def _draw(run: Run, samples: Sequence[Sample], episode: Sequence[RecordedEvent])
     for text, theta, style in _marks(run, episode):
         axes.plot(*theta, linestyle="", label=text, clip_on=False, **style)
     top_legend(figure, {text: h for h, text in zip(*axes.get_legend_handles_labels(), strict=True)}, n_columns=4)
-    axes.set_title(f"samples of t = {samples[0].t:.4g} to {samples[-1].t:.4g} s", fontsize=9)
+    axes.set_title(f"{title_of(run)}; samples of t = {samples[0].t:.4g} to {samples[-1].t:.4g} s", fontsize=9)
     return figure
 
 

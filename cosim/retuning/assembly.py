@@ -18,11 +18,14 @@ from estimator.samples import RememberingModel
 from ..errors import CosimError, ScenarioError
 from ..objectives.choice import ENDLESS, chosen, open_objective
 from ..objectives.model import opened_model
+from ..objectives.model_trial import try_derivatives
 from ..objectives.rollout_fmu import RunningPlant
 from ..sampling.derivative_filter import derivative_noise
 from ..sampling.screen import OutputScreen, SampleScreen, Sensors
 from ..scenarios.scenario import Scenario
+from ..scenarios.tuning_rule import TuningRule
 from ..system.plant import Plant
+from ..system.tuning import WriteCheck, tuning_rule, written_variables
 from ..user_code import USERS, load
 from ..variable_name import VariableName
 from .data_support import DataSupport, NoDataSupport
@@ -57,9 +60,12 @@ def make_supervisor(
     if whitened is not None:
         residual = whitened if diagnosis is None else diagnosis.residual
         support = DataSupport(residual, space, len(whitened.noise), max(scenario.estimation.window, _FEWEST))
-    guard = Guard(settings, space, held, scenario.limits.divergence, support) if settings.enabled else None
-    read_back = None if running is None else _read_back(scenario, running)
-    lookahead = _lookahead(scenario, plant, whitened, running, stack)
+    rule = tuning_rule(scenario)
+    variables = {} if running is None else written_variables(scenario, running.slaves)
+    refusal = WriteCheck(rule, variables)
+    guard = Guard(settings, space, held, scenario.limits.divergence, support, refusal) if settings.enabled else None
+    read_back = None if running is None else _read_back(rule, running)
+    lookahead = _lookahead(scenario, plant, whitened, running, rule, stack)
     model = None if whitened is None or not isinstance(whitened.model, RememberingModel) else whitened.model
     screen = _screen(scenario, plant, whitened)
     return Supervisor(estimator, retuner, support, screen, guard, read_back, lookahead, model)
@@ -72,7 +78,8 @@ def try_model(scenario: Scenario, estimator: str, plant: Plant, theta: Vector, f
     settings = scenario.estimation
     try:
         with ExitStack() as stack:
-            _residual(scenario, plant, stack)(theta, first)
+            model = _residual(scenario, plant, stack).model
+            try_derivatives(model, plant, settings.space, theta, first, settings.model or "")
     except CosimError:
         raise
     except USERS as e:
@@ -149,10 +156,9 @@ def _linear_form(method: Method, scenario: Scenario) -> LinearForm | None:
     )
 
 
-def _read_back(scenario: Scenario, running: RunningSystem) -> ReadBack:
+def _read_back(rule: TuningRule, running: RunningSystem) -> ReadBack:
     """Return the places of the controller's parameters among the outputs of the system."""
-    names = tuple(p.writes for p in scenario.estimation.parameters)
-    return ReadBack(names, tuple(running.names.index(name) for name in names))
+    return ReadBack(rule.names, tuple(running.names.index(name) for name in rule.names), rule)
 
 
 def _lookahead(
@@ -160,6 +166,7 @@ def _lookahead(
     plant: Plant,
     whitened: DerivativeResidual | None,
     running: RunningSystem | None,
+    rule: TuningRule,
     stack: ExitStack,
 ) -> Lookahead | str:
     """Return the loop that is simulated ahead, or the reason why there is none."""
@@ -168,7 +175,7 @@ def _lookahead(
     if not (scenario.guard.enabled and scenario.guard.lookahead):
         return "guard.lookahead is false"
     try:
-        return Lookahead(scenario, running, plant, None if whitened is None else whitened.model, stack)
+        return Lookahead(scenario, running, plant, None if whitened is None else whitened.model, stack, rule)
     except CosimError as e:
         return str(e).rstrip(".")
 

@@ -95,8 +95,11 @@ class Guard:
         start: Vector,
         divergence: float,
         support: DataSupport | NoDataSupport,
+        refusal: Callable[[Vector], str | None] = lambda theta: None,
     ) -> None:
-        """start (d,): the controller's first parameters, for the last revert; divergence: limits.divergence."""
+        """start (d,): the controller's first parameters, for the last revert; divergence: limits.divergence; refusal:
+        the reason why the controller does not take parameters (d,), or None."""
+        self._refusal = refusal
         self._settings, self._space, self._start, self._support = settings, space, start, support
         self._tolerance = settings.tolerance or 0.01 * divergence
         self._good = self._anchor = start
@@ -130,12 +133,12 @@ class Guard:
         self._anchor = theta
         self.counts["undone"] += 1
 
-    def not_taken(self, t: float, read: Sequence[float], held: Vector, names: Sequence[str]) -> Event | None:
+    def not_taken(self, t: float, read: Sequence[float], held: Sequence[float], names: Sequence[str]) -> Event | None:
         """Stop re-tuning where the read-back differs from the parameters written; return the event, or None.
 
-        read, held (d,): values read back and written; names: of the variables.
+        read, held: values read back and written; names: of the variables.
         """
-        for name, value, written in zip(names, read, held.tolist(), strict=True):
+        for name, value, written in zip(names, read, held, strict=True):
             if not isclose(value, written, rel_tol=_READ_BACK, abs_tol=_READ_BACK):
                 self.stopped_at = t
                 reason = f"{name} reads back as {value:.9g}, but {written:.9g} was written: re-tuning stops"
@@ -239,12 +242,15 @@ class Guard:
         """
         if refusal := outside(theta, self._space):
             return _Verdict(None, (("veto", refusal),))
-        allowed, limited = within_rate(theta, held, self._space, self._settings.rate)
-        if not self._is_material(allowed):
-            return _Verdict(allowed, limited)
-        unseen = self._settings.unseen
-        allowed, left_out = self._support.identifiable_part(allowed, held, estimate.theta, unseen, _LITTLE)
-        reasons = (*limited, *left_out)
+        allowed, reasons = within_rate(theta, held, self._space, self._settings.rate)
+        if is_material := self._is_material(allowed):
+            unseen = self._settings.unseen
+            allowed, left_out = self._support.identifiable_part(allowed, held, estimate.theta, unseen, _LITTLE)
+            reasons = (*reasons, *left_out)
+        if refusal := self._refusal(allowed):
+            return _Verdict(None, (*reasons, ("veto", refusal)))
+        if not is_material:
+            return _Verdict(allowed, reasons)
         if refusal := self._contradicted(allowed, held):
             return _Verdict(None, (*reasons, ("veto", refusal)))
         if peak is None:

@@ -20,9 +20,10 @@ from ..errors import CosimError, ScenarioError, SlaveError, WiringError
 from ..fmi.archive import co_simulation
 from ..fmi.table import TableSlave
 from ..scenarios.scenario import Scenario
+from ..scenarios.tuning_rule import TuningRule
 from ..slaves.slave import Slave, open_slave
 from ..system.master import Master, Steppable, Wiring
-from ..system.plant import Plant, derivatives_of
+from ..system.plant import Plant
 from ..variable_name import VariableName
 from .model_plant import ModelPlant, not_given
 
@@ -54,8 +55,9 @@ class Lookahead:
         plant: Plant,
         model: Callable[..., Sequence[float]] | None,
         stack: ExitStack,
+        rule: TuningRule,
     ) -> None:
-        """running: the run's FMUs; model: the plant's, if any; stack closes the shadows.
+        """running: the run's FMUs; model: the plant's, if any; stack closes the shadows; rule: of the controllers.
 
         Raises CosimError with the reason where the loop cannot be simulated ahead.
         """
@@ -64,7 +66,7 @@ class Lookahead:
         self._plant, self._model = plant, model
         true = [scenario.true_reference(p) for p in scenario.estimation.parameters]
         self._places = {name: [i for i, r in enumerate(true) if r.component == name] for name in slaves}
-        writes = [p.writes for p in scenario.estimation.parameters]
+        writes, self._rule = list(scenario.written), rule
         self._written = {name: [i for i, r in enumerate(writes) if r.component == name] for name in slaves}
         self._wiring = {
             name: replace(
@@ -193,8 +195,9 @@ class Lookahead:
     def _simulate(self, master: Master, k: int, controller: Vector, plant: Vector) -> float:
         settings = self._scenario.scenario
         h, horizon = settings.macro_step, min(self._scenario.guard.horizon, settings.n_steps - k)
+        values = self._rule(controller)
         tunables = {
-            name: [*(float(plant[i]) for i in self._places[name]), *(float(controller[i]) for i in written)]
+            name: [*(float(plant[i]) for i in self._places[name]), *(values[i] for i in written)]
             for name, written in self._written.items()
         }
         tunables = {name: v for name, v in tunables.items() if v}
@@ -232,7 +235,7 @@ class Lookahead:
         for name, slave in self._slaves.items():
             if name == self._modelled and self._model is not None:
                 space = self._scenario.estimation.space
-                self._shadows[name] = ModelPlant(self._plant, self._model, space.names, derivatives_of(slave))
+                self._shadows[name] = ModelPlant(self._plant, self._model, space.names, self._plant.rates)
                 continue
             path, label = self._running.paths[name], f"{name} (simulated ahead)"
             if _file(path) != self._files[name]:
@@ -242,6 +245,7 @@ class Lookahead:
                 continue
             once = bool(co_simulation(slave.description).canBeInstantiatedOnlyOncePerProcess)
             own: dict[str, Any] = options | ({"isolation": "process"} if once else {})
+            own["tolerance"] = self._scenario.components[name].tolerance
             try:
                 self._shadows[name] = self._stack.enter_context(open_slave(path, label, **own))
             except CosimError as e:  # it could be opened before: the disk is full, or the file has gone
@@ -311,6 +315,6 @@ def _modelled(
     if model is None:
         raise CosimError(f"{plant.name} cannot save its state, and no model stands for it")
     read = {s for w in wiring.values() for s in w.sources.values()} | {*scenario.tracking, *scenario.tracking.values()}
-    if missing := not_given(plant, derivatives_of(slaves[plant.name]), read):
+    if missing := not_given(plant, plant.rates, read):
         raise CosimError(f"{plant.name} cannot save its state, and the model does not give '{missing}'")
     return plant.name

@@ -7,7 +7,7 @@ guard rules on them                      with the loop simulated ahead
 write
 """
 
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from time import perf_counter
@@ -53,9 +53,11 @@ class ReadBack:
     """Places at which the controller's parameters are read back."""
 
     names: tuple[str, ...]
-    """Names of the parameters, `component.variable` (d,)."""
+    """Names of the parameters, `component.variable` (n,)."""
     places: tuple[int, ...]
-    """Indices among the outputs of all FMUs (d,)."""
+    """Indices among the outputs of all FMUs (n,)."""
+    written: Callable[[Vector], list[float]]
+    """Values of the parameters (n,), by the estimated ones (d,)."""
 
 
 class Supervisor:
@@ -157,7 +159,7 @@ class Supervisor:
         if self._guard is None or self._read_back is None:
             return None
         read = [point.values[i] for i in self._read_back.places]
-        return self._guard.not_taken(point.t, read, held, self._read_back.names)
+        return self._guard.not_taken(point.t, read, self._read_back.written(held), self._read_back.names)
 
     def _screened(self, point: Point, held: Vector) -> tuple[Screened, Vector | None]:
         """Return the screened sample and, after an outlier, the parameters held before it (d,)."""

@@ -21,7 +21,7 @@ def locked(folder: Path) -> Generator[None]:
     Raises FolderError where another process holds it.
     """
     path, me = folder / LOCK, f"process {os.getpid()} on {platform.node()}"
-    lock = FileLock(path, timeout=0)
+    lock = FileLock(path, timeout=0.2, poll_interval=0.02)  # whoever only looks, `is_locked`, has it for a moment
     try:
         owner = me if _is_taken(lock, path) else _owner(path)
     except OSError as e:

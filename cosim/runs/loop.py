@@ -18,7 +18,7 @@ import numpy as np
 
 from estimator import Vector
 
-from ..errors import NotResumableError, ScenarioError, SlaveError, WiringError
+from ..errors import NotResumableError, ScenarioError, SlaveError, WiringError, seconds
 from ..fmi.table import TableSlave
 from ..objectives.rollout_fmu import RunningPlant
 from ..retuning.assembly import try_model
@@ -27,11 +27,13 @@ from ..retuning.lookahead import RunningSystem
 from ..retuning.policies import Policy, make_policy
 from ..sampling.sampler import Sampler
 from ..scenarios.scenario import Scenario
+from ..scenarios.tuning_rule import TuningRule
 from ..slaves.slave import Slave
 from ..system.master import Master, Wiring
-from ..system.parameters import check_parameters, start_values, true_parameters
+from ..system.parameters import check_parameters, true_parameters
 from ..system.plant import Plant, plant_of
 from ..system.tunables import ReadBackCheck, TunableWriter
+from ..system.tuning import check_first_values, first_parameters, tuning_rule
 from ..system.wiring import wire, with_read_back
 from .checkpoint import Checkpoint, Checkpoints, restore
 from .final_estimate import EstimateTracker
@@ -60,13 +62,13 @@ def open_loop(
     """
     plant = plant_of(scenario, slaves[scenario.plant])
     check_parameters(scenario, slaves)
-    writes = [p.writes for p in scenario.estimation.parameters]
     wiring, groups = wire(scenario, slaves)
     wiring = with_read_back(wiring)
     noise, search, faults = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3))
     master = Master(slaves, wiring, groups)
     sampler = Sampler(scenario, plant, master.names, noise, faults)
-    held = np.array(start_values(scenario, slaves, writes))
+    held, rule = np.array(first_parameters(scenario, slaves)), tuning_rule(scenario)
+    check_first_values(scenario, rule, held)
     truth = true_parameters(scenario, slaves)
     running = RunningSystem(slaves, wiring, groups, paths, master.names)
     live = _running_plant(scenario, slaves[scenario.plant], wiring[scenario.plant], truth)
@@ -75,7 +77,7 @@ def open_loop(
         scenario, estimator, plant, held, _TrueParameters(scenario, truth), search, stack, running, live
     )
     disturbances = {name: [f"{name}.{own}" for own in w.disturbances] for name, w in wiring.items() if w.disturbances}
-    return Loop(scenario, estimator, plant, master, sampler, policy, held, truth, disturbances, begun)
+    return Loop(scenario, estimator, plant, master, sampler, policy, held, rule, truth, disturbances, begun)
 
 
 class Loop:
@@ -98,13 +100,14 @@ class Loop:
         sampler: Sampler,
         policy: Policy,
         held: Vector,
+        rule: TuningRule,
         truth: Mapping[str, Callable[[float], float]],
         disturbances: Mapping[str, Sequence[str]],
         begun: float,
     ) -> None:
-        """held (d,): the controller's first parameters; truth: all that is changed or estimated, as functions of time
-        [s]; disturbances: those of it that are inputs, by component."""
-        writes = [p.writes for p in scenario.estimation.parameters]
+        """held (d,): the first parameters; rule: what the controllers hold by them; truth: all that is changed or
+        estimated, as functions of time [s]; disturbances: those of it that are inputs, by component."""
+        writes = list(scenario.written)
         self.plant, self.policy, self.begun = plant, policy, begun
         self.estimates, self.latencies = EstimateTracker(scenario, estimator), Latencies()
         self._scenario, self._estimator, self._truth = scenario, estimator, truth
@@ -119,7 +122,11 @@ class Loop:
         self._tracked = [(place[a], place[b]) for a, b in scenario.tracking.items()]
         self._recorded = [i for name, i in place.items() if name not in (*self._changed, *writes)]
         recorded = [master.names[i] for i in self._recorded]
-        self.columns = ("time", *recorded, *truth, *writes, *sampler.columns)
+        held_columns = [scenario.held_column(p) for p in scenario.estimation.parameters]
+        self._rule, self._values = rule, rule(held)  # the controllers' parameters
+        self._further = [i for i, name in enumerate(writes) if name not in held_columns]
+        further = [writes[i] for i in self._further]
+        self.columns = ("time", *recorded, *truth, *held_columns, *further, *sampler.columns)
         """Names of the columns recorded at each communication point."""
 
     def initialize(self) -> str | None:
@@ -181,14 +188,15 @@ class Loop:
         self._take(t, self.policy.step(point, self._held), recorder)
         truth = {reference: value(t) for reference, value in self._truth.items()}
         is_stepping = k < settings.n_steps and not has_diverged
-        changed = self._tunables.changed([*(truth[name] for name in self._changed), *self._held.tolist()])
+        changed = self._tunables.changed([*(truth[name] for name in self._changed), *self._values])
         if self._disturbances:
             master.disturb({name: [truth[own] for own in names] for name, names in self._disturbances.items()})
         if is_stepping:
             master.begin(t, settings.macro_step, changed)
         outputs = [master.values[i] for i in self._recorded]
         row = self._sampler.row(measured, point.sample)
-        recorder.row([t, *outputs, *truth.values(), *self._held.tolist(), *row])
+        written = [*self._held.tolist(), *(self._values[i] for i in self._further)]
+        recorder.row([t, *outputs, *truth.values(), *written, *row])
         if is_stepping:
             master.finish(t, settings.macro_step, changed)
             self._read_back.check(changed, master.values)
@@ -202,6 +210,10 @@ class Loop:
         self.estimates.take(t, decision)
         if decision.write is not None:
             self._held = decision.write
+            try:
+                self._values = self._rule(decision.write)
+            except ValueError as e:  # not with a guard, which vetoes it
+                raise ScenarioError(f"estimation.parameters at t = {seconds(t)} s: {e}") from e
 
 
 class _TrueParameters:

@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
+import numpy as np
+
 from ..text_table import aligned, counted, with_std
 from .result import Run
 
@@ -16,12 +18,12 @@ def report(run: Run, baselines: Mapping[str, Run]) -> str:
     scenario = run.scenario.scenario
     title = f"{scenario.name}: {scenario.description}" if scenario.description else scenario.name
     duration = float(run.time[-1]) - scenario.start_time if len(run.time) else 0.0
-    pace = f", {duration / run.wall:.1f} times real time" if duration else ""
+    pace = f" in {run.wall:.1f} s, {duration / run.wall:.1f} times real time" if run.wall > 0.0 else " so far"
     judged = [f"candidates judged by {run.objective}"] if run.objective else []
     blocks = [
         [
             title,
-            f"estimator {run.estimator}, seed {run.seed}; {duration:g} s simulated in {run.wall:.1f} s{pace}",
+            f"estimator {run.estimator}, seed {run.seed}; {duration:g} s simulated{pace}",
             *judged,
         ],
         _errors([*baselines.values(), run]),
@@ -57,6 +59,8 @@ def _parameters(run: Run) -> list[str]:
     for i, parameter in enumerate(columns[0]):
         values = [f"{c[i]['true']:.4g} / {c[i]['estimated']:.4g}" for c in columns]
         rows.append([f"{parameter['name']} [{parameter['unit']}]", *values])
+    places = [min(int(np.searchsorted(run.time, t - 1e-9)), len(run.time) - 1) for t in times]
+    rows += [[name, *(f"{values[k]:.4g}" for k in places)] for name, values in run.gains.items()]
     return aligned(rows)
 
 

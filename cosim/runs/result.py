@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -96,7 +97,12 @@ class Run:
     @property
     def estimates(self) -> dict[str, Series]:
         """Values of each estimated parameter in the controller (n,), by parameter name."""
-        return {p.name: self.series[p.writes] for p in self.scenario.estimation.parameters}
+        return {p.name: self.series[self.scenario.held_column(p)] for p in self.scenario.estimation.parameters}
+
+    @property
+    def gains(self) -> dict[str, Series]:
+        """Values of the controller's parameters that formulas give (n,), by name, `component.variable`."""
+        return {name: self.series[name] for name in self.scenario.formulas}
 
     @property
     def true_parameters(self) -> dict[str, Series]:
@@ -145,6 +151,7 @@ class Run:
             "mse": self.mse,
             "max_error": self.max_error,
             "parameters": self.parameters_at(float(self.time[-1])) if len(self.time) else [],
+            "gains": {name: float(values[-1]) for name, values in self.gains.items() if len(values)},
             "final_estimate": self.final_estimate and self.final_estimate.to_json(),
             "instants": [{"t": t, "parameters": p} for t in instants if (p := self.parameters_at(t))],
             "evaluations": self.n_evaluations,
@@ -171,6 +178,27 @@ class Run:
         except ImportError as e:
             raise ImportError("to_pandas needs pandas: pip install 'fmu-retune[pandas]'") from e
         return pd.DataFrame(dict(self.series)).set_index("time")
+
+    def to_xarray(self) -> Any:
+        """Return the series as an xarray Dataset, with units and attributes. Raises ImportError without xarray."""
+        return _built_on_runs("runs.dataset").to_dataset(self)
+
+    def plot(self, *names: str, axes: Any = None) -> Any:
+        """Draw columns, by default tracked outputs, inputs and parameters, a pair of Matplotlib axes each.
+
+        axes: one or several to draw on, by default those of a new figure. Returns them in the form in which they were
+        given. Raises KeyError for a column that there is not, ValueError for too few axes.
+        """
+        return _built_on_runs("plots.overlay").plot_run(self, names, axes)
+
+    def _repr_html_(self) -> str:
+        """Return the table that a notebook shows."""
+        return _built_on_runs("pages.notebook").html_of(self)
+
+
+def _built_on_runs(module: str) -> Any:
+    """Return a module that is built on runs, loaded when it is needed: this one cannot import it."""
+    return import_module(f"cosim.{module}")
 
 
 def begin_folder(
@@ -201,15 +229,17 @@ def remove_half_written(folder: Path) -> None:
             path.unlink(missing_ok=True)
 
 
-def end_folder(run: Run, folder: Path, units: Mapping[str, Unit]) -> None:
+def end_folder(run: Run, folder: Path, units: Mapping[str, Unit], unit_of: Mapping[str, str | None]) -> None:
     """Write result, estimates and CSV of a finished run, and close its manifest with the hashes.
 
-    units: unit definitions of the FMUs, by name.
+    units: unit definitions of the FMUs, by name; unit_of: the unit of each parameter that a formula gives.
     """
     write_json(folder / RESULT, run.summary())
     write_text(folder / LATENCIES, to_json(run.latencies) + "\n")
     if len(run.time):
-        held = [ParameterValue(p.writes, float(run[p.writes][-1]), p.unit) for p in run.scenario.estimation.parameters]
+        parameters = run.scenario.estimation.parameters
+        unit_of = {**unit_of, **{name: p.unit for p in parameters if p.is_written_as_it_is for name in p.written}}
+        held = [ParameterValue(name, float(run[name][-1]), unit_of.get(name)) for name in run.scenario.written]
         write_text(folder / ESTIMATES, to_ssv(run.scenario.scenario.name, held, units))
     write_csv(folder / CSV, run.series)
     begun, manifest = read_manifest(folder), json.loads((folder / MANIFEST).read_text(encoding="utf-8"))

@@ -7,6 +7,7 @@ from time import perf_counter
 from threadpoolctl import threadpool_limits
 
 from ..errors import FolderError, NotResumableError
+from ..fmi.ports import attribute
 from ..fmi.table import TableSlave, is_table
 from ..retuning.estimators import check_estimator
 from ..scenarios.scenario import Scenario
@@ -15,6 +16,7 @@ from ..slaves.slave import open_slave
 from ..system.aliases import as_the_fmus_have_it
 from ..system.fmu_cache import fmu_paths
 from ..system.package_cache import hold_those_of
+from ..system.tuning import written_variables
 from ..units import defined_units
 from .checkpoint import Checkpoints
 from .lock import locked
@@ -85,7 +87,9 @@ def _simulated(
         settings = scenario.scenario
         slaves = {
             name: stack.enter_context(
-                TableSlave(path, name) if is_table(path) else open_slave(path, name, **settings.slave_options)
+                TableSlave(path, name)
+                if is_table(path)
+                else open_slave(path, name, **settings.slave_options, tolerance=scenario.components[name].tolerance)
             )
             for name, path in paths.items()
         }
@@ -120,7 +124,9 @@ def _simulated(
             )  # fmt: skip
             if out is not None:
                 declared = [s.description.unitDefinitions for s in slaves.values()]
-                end_folder(result, out, {k: u for d in declared for k, u in defined_units(d).items()})
+                units = {k: u for d in declared for k, u in defined_units(d).items()}
+                of_formulas = written_variables(scenario, slaves)
+                end_folder(result, out, units, {k: attribute(v, "unit") for k, v in of_formulas.items()})
     if status == "interrupted":
         raise KeyboardInterrupt
     return result

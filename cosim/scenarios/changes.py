@@ -6,7 +6,7 @@ from keyword import iskeyword
 from math import nan
 from typing import Annotated, Final
 
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, Strict
 
 from ..variable_name import VariableName
 from .formula import CONSTANTS, FUNCTIONS, compile_formula
@@ -21,7 +21,8 @@ def _not_boolean(value: object) -> object:
     return value
 
 
-Change = Annotated[float | str | tuple[tuple[float, float | str], ...], BeforeValidator(_not_boolean)]
+Number = Annotated[float, Strict()]
+Change = Annotated[float | str | tuple[tuple[Number, Number | str], ...], BeforeValidator(_not_boolean)]
 """A value, a formula in t, or rows [time, value or formula]: each holds from its time on."""
 
 

@@ -41,7 +41,7 @@ def rendered(page: str) -> str:
 
 def scenario_tables() -> str:
     """Return a section for the file, and for each table in it, in the order of the schema."""
-    return "\n\n".join([_section("The file", Scenario), *(_section(*found) for found in _tables_in(Scenario, ""))])
+    return "\n\n".join([_section("The file", Scenario), *(_section(*found) for found in tables_in(Scenario, ""))])
 
 
 def estimator_tables() -> str:
@@ -54,7 +54,7 @@ def estimator_tables() -> str:
 
 def _section(title: str, table: type[Any]) -> str:
     schema = TypeAdapter(table).json_schema()
-    required, texts = schema.get("required", ()), _docstrings(table)
+    required, texts = schema.get("required", ()), docstrings(table)
     rows = [
         f"| `{key}` | {_kind(field)} | {'required' if key in required else _default(field)} | {texts[key]} |"
         for key, field in schema.get("properties", {}).items()
@@ -64,7 +64,7 @@ def _section(title: str, table: type[Any]) -> str:
     return "\n\n".join([f"### {title}", text, *([_HEAD + "\n".join(rows)] if rows else [])])
 
 
-def _tables_in(table: type[Any], place: str) -> Iterator[tuple[str, type[Any]]]:
+def tables_in(table: type[Any], place: str) -> Iterator[tuple[str, type[Any]]]:
     """Yield the tables below one in a file, with their headings."""
     for key, annotation in _types(table).items():
         if (table, key) in _HIDDEN:
@@ -79,7 +79,7 @@ def _tables_in(table: type[Any], place: str) -> Iterator[tuple[str, type[Any]]]:
         for inner in found:
             kind = f", kind = {json.dumps(*get_args(_types(inner)['kind']))}" if len(found) > 1 else ""
             yield f"`{mark.format(path)}`{kind}", inner
-            yield from _tables_in(inner, path)
+            yield from tables_in(inner, path)
 
 
 def _types(table: type[Any]) -> Mapping[str, Any]:
@@ -130,7 +130,7 @@ def _default(field: Mapping[str, Any]) -> str:
     return "" if value is None or isinstance(value, dict | list) else f"`{json.dumps(value)}`"
 
 
-def _docstrings(table: type[Any]) -> dict[str, str]:
+def docstrings(table: type[Any]) -> dict[str, str]:
     """Return the docstring of each field, those of its bases included, in one line."""
     texts: dict[str, str] = {}
     for cls in reversed(table.__mro__):

@@ -110,6 +110,22 @@ class Scenario(Table):
         """Return the plant's variable that an estimated parameter stands for."""
         return parameter.true or VariableName(f"{self.plant}.{parameter.name}")
 
+    @property
+    def formulas(self) -> dict[VariableName, str]:
+        """Formula, or `module:function`, of each parameter of the controllers that has one."""
+        parameters = self.estimation.parameters
+        return {name: text for p in parameters if not p.is_written_as_it_is for name, text in p.written.items()}
+
+    @property
+    def written(self) -> dict[VariableName, str]:
+        """Formulas, with the names of the estimates that are written as they are."""
+        return {name: text for p in self.estimation.parameters for name, text in p.written.items()}
+
+    def held_column(self, parameter: EstimatedParameter) -> str:
+        """Return the recorded column of an estimate: the controller's parameter, where it is written as it is."""
+        writes = parameter.writes
+        return writes if isinstance(writes, VariableName) else f"estimated.{parameter.name}"
+
     @model_validator(mode="after")
     def _names_fit(self) -> Self:
         named: dict[str, Iterable[VariableName]] = {
@@ -118,7 +134,7 @@ class Scenario(Table):
             "tracking": [*self.tracking, *self.tracking.values()],
             "sampling": [*self.sampling.derivatives, *self.sampling.outputs, *self.sampling.states],
             "sampling.faults": [f.sensor for f in self.sampling.faults if f.sensor is not None],
-            "estimation.parameters": [p.writes for p in self.estimation.parameters],
+            "estimation.parameters": self.written,
         }
         for table, references in named.items():
             for reference in references:
@@ -132,6 +148,9 @@ class Scenario(Table):
 
 def read_tables(path: Path, label: Path | None = None) -> dict[str, Any]:
     """Read the tables of a TOML file; label: names it in messages. Raises ScenarioError."""
+    if path.suffix.lower() == ".fmu":
+        about = f"retune info {path} lists what it has, retune new --plant {path} -o FILE.toml writes a scenario for it"
+        raise ScenarioError(f"{path} is an FMU, not a scenario: {about}.")
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as e:  # bytes or numbers that are too long, tables too deep
@@ -147,6 +166,9 @@ def find_scenario(source: str | Path) -> Path:
     try:
         if path.is_file():
             return path
+        if str(source) and path.is_dir():
+            about = f"a run's goes on with retune resume {path}, and again with retune replay {path} --estimator NAME"
+            raise ScenarioError(f"{path} is a folder, not a scenario: {about}.")
     except OSError:  # no file can have this name
         path = Path()
     names = named_scenarios()

@@ -27,6 +27,7 @@ def python_references(scenario: Scenario) -> dict[str, str]:
     if settings.linear is not None:
         named |= {"estimation.linear.rows": settings.linear.rows}
         named |= {"estimation.linear.coefficients": settings.linear.coefficients}
+    named |= {f'estimation.parameters: writes "{name}"': text for name, text in scenario.formulas.items()}
     return {key: name for key, name in named.items() if ":" in name and not name.endswith(".fmu")}
 
 

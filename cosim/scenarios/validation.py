@@ -1,20 +1,26 @@
 """Errors of a scenario file, in one line each. Known keys come from the schema's types."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from types import UnionType
-from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Final, Union, get_args, get_origin, get_type_hints
 
 from pydantic import ValidationError
 
 from ..names import did_you_mean
+from .schema.estimation import FORMULAS, NAME
 from .schema.table import Table, Value
+
+_UNKNOWN: Final = ("extra_forbidden", "unexpected_keyword_argument")
+"""Pydantic's types of an unknown key: of a table, of a dataclass."""
 
 
 def first_error(error: ValidationError, root: type[Table]) -> str:
     """Return key and rule of the first error, in one line; root: the table that was validated."""
     more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-    text = error_texts(error, root)[0]
+    details = sorted(error.errors(), key=lambda found: found["type"] not in _UNKNOWN)  # what is missing is misspelt
+    text = _text(details[0], root)
     end = "" if text.endswith("?") else "."
     return f"{text}{more}{end}"
 
@@ -27,7 +33,7 @@ def error_texts(error: ValidationError, root: type[Table]) -> list[str]:
 def _text(first: Mapping[str, Any], root: type[Table]) -> str:
     keys, _ = _place(first["loc"], root)
     key = ".".join(keys)
-    if first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):  # of a table, of a dataclass
+    if first["type"] in _UNKNOWN:
         _, table = _place(first["loc"][:-1], root)
         known = _known_keys(table) if table is not None else set[str]()
         return f"{key}: unknown key{did_you_mean(str(first['loc'][-1]), known)}"
@@ -36,6 +42,8 @@ def _text(first: Mapping[str, Any], root: type[Table]) -> str:
     got = f", got {value!r}" if isinstance(value, Value) and "got" not in message else ""
     if key and message.startswith(f"{key}."):  # the place is in the message already, and more closely
         key = ""
+    if key and (inner := re.match(r"[\w.]+(?=: must be )", message)):  # a key of that table
+        key, message = f"{key}.{inner[0]}", message[inner.end() + 2 :]
     return f"{key + ': ' if key else ''}{message[:1].lower()}{message[1:]}{got}"
 
 
@@ -47,7 +55,7 @@ def _place(path: Sequence[int | str], root: type[Table]) -> tuple[list[str], typ
         tagged = next((table for table in _tables(kind) if part in _tags(table)), None)
         if tagged is not None:
             kind = tagged
-        elif part != "[key]":
+        elif part not in ("[key]", NAME, FORMULAS):
             keys.append(str(part))
             kind = _item(kind, part)
     tables = _tables(kind)

@@ -46,6 +46,7 @@ def open_slave(
     out_of_range: OutOfRange = "fault",
     memory_limit: float = 0.0,
     environment: Sequence[str] = (),
+    tolerance: float | None = None,
 ) -> "Slave":
     """Unpack an FMU for co-simulation, FMI 2.0 or 3.0, into a private folder, and load it.
 
@@ -54,6 +55,7 @@ def open_slave(
     timeout is the time each call may take [s], memory_limit what its process may hold [MB] (0: half of the
     machine's memory; Linux); only a process of its own can be held to them.
     environment: names of environment variables that its process is given beside those which every FMU is given.
+    tolerance: relative tolerance for the FMU's own solver; by default that of its default experiment, if any.
     out_of_range: whether an input or output outside its declared min and max is a fault, or a warning, given once.
 
     Raises ModelDescriptionError for a bad file, SlaveError when loading fails (isolated: in the first call).
@@ -65,7 +67,7 @@ def open_slave(
     fmu = Path(fmu)
     description, folder = unpacked(fmu)
     try:
-        to_load = fmu_to_load(description, folder.path, instance_name)
+        to_load = fmu_to_load(description, folder.path, instance_name, tolerance=tolerance)
         isolated = isolation == "process"
         host = (
             FmuProcess(to_load, timeout, memory_limit=memory_limit, environment=environment)

@@ -42,12 +42,17 @@ class SystemRun:
     """Every output (n,), one value at each communication point."""
     status: Literal["done", "faulted", "interrupted"]
     """Outcome of the run."""
-    error: str | None
-    """Reason why it faulted, in one line."""
+    fault: SlaveError | None
+    """The FMU's failure that ended it."""
     wall: float
     """Wall time [s]."""
     folder: Path | None
     """Run folder, where there is one."""
+
+    @property
+    def error(self) -> str | None:
+        """Reason why it faulted, in one line."""
+        return None if self.fault is None else str(self.fault)
 
     @property
     def time(self) -> NDArray[np.float64]:
@@ -101,8 +106,8 @@ def _simulated(system: SystemStructure, settings: SimulationSettings, out: Path 
             write_json(out / MANIFEST, _manifest(system, settings, "running"))
         recorder = Recorder(out, ("time", *master.names))
         stack.callback(recorder.release)
-        status, error = ("faulted", fault) if fault else _execute(master, settings, recorder)
-        result = SystemRun(system, settings, recorder.close(), status, error, perf_counter() - begun, out)
+        status, fault = ("faulted", fault) if fault else _execute(master, settings, recorder)
+        result = SystemRun(system, settings, recorder.close(), status, fault, perf_counter() - begun, out)
     if out is not None:
         with recording(out):
             write_json(out / RESULT, result.summary())
@@ -131,20 +136,20 @@ def wiring_of(system: SystemStructure, slaves: Mapping[str, Slave]) -> dict[str,
     }
 
 
-def _initialize(master: Master, settings: SimulationSettings) -> str | None:
-    """Return the reason why an FMU failed, or None. Raises WiringError for a start value that is not passed on."""
+def _initialize(master: Master, settings: SimulationSettings) -> SlaveError | None:
+    """Return the failure of an FMU, or None. Raises WiringError for a start value that is not passed on."""
     try:
         master.initialize(settings.start_time, settings.stop_time, is_propagated=True)
     except SlaveError as fault:
         if fault.function == "set":
             raise WiringError(f"{fault}.") from fault
-        return str(fault)
+        return fault
     return None
 
 
 def _execute(
     master: Master, settings: SimulationSettings, recorder: Recorder
-) -> tuple[Literal["done", "faulted", "interrupted"], str | None]:
+) -> tuple[Literal["done", "faulted", "interrupted"], SlaveError | None]:
     t = settings.start_time
     try:
         for k in range(settings.n_steps + 1):
@@ -154,7 +159,7 @@ def _execute(
                 master.finish(t, settings.macro_step, {})
     except SlaveError as fault:
         recorder.event(t, "fault", {"reason": str(fault)})
-        return "faulted", str(fault)
+        return "faulted", fault
     except KeyboardInterrupt:
         return "interrupted", None
     return "done", None

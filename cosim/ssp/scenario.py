@@ -28,7 +28,8 @@ def with_system(tree: Mapping[str, Any], system: SystemStructure) -> dict[str, A
     """Return a scenario's tables with the components and connections of a system.
 
     A start value of the tables stays where it is of a parameter that the scenario changes; all others are the
-    package's. Raises SspError for what a scenario cannot express: nested systems, converted connections.
+    package's. A component's tolerance, which SSP does not know, is the tables'. Raises SspError for what a scenario
+    cannot express: nested systems, converted connections.
     """
     for name in system.components:
         if "." in name:
@@ -42,17 +43,18 @@ def with_system(tree: Mapping[str, Any], system: SystemStructure) -> dict[str, A
         name: {
             "fmu": str(component.fmu),
             "start": {k: v for k, v in system.start.get(name, {}).items() if f"{name}.{k}" not in changes}
-            | {k: v for k, v in _start(tree, name).items() if f"{name}.{k}" in changes},
+            | {k: v for k, v in _table(tree, "components", name, "start").items() if f"{name}.{k}" in changes},
         }
+        | {k: v for k, v in _table(tree, "components", name).items() if k == "tolerance"}
         for name, component in system.components.items()
     }
     connections = {str(c.target): str(c.source) for c in system.connections}
     return {**tree, "components": components, "connections": connections}
 
 
-def _start(tree: Mapping[str, Any], component: str) -> dict[str, Any]:
-    """Return a component's start values in the tables; the schema reports whatever is wrong there."""
+def _table(tree: Mapping[str, Any], *keys: str) -> dict[str, Any]:
+    """Return a table within the tables; the schema reports whatever is wrong there."""
     found: Any = tree
-    for key in ("components", component, "start"):
+    for key in keys:
         found = cast(dict[str, Any], found).get(key, {}) if isinstance(found, dict) else {}
     return cast(dict[str, Any], found) if isinstance(found, dict) else {}

@@ -18,7 +18,11 @@ class System(SystemStructure):
     ) -> SystemRun:
         """Step all FMUs in parallel, with no estimator, and record their outputs. Times in s.
 
-        Raises SspError where neither the package nor the arguments say how long and in what steps, WiringError.
+        Raises SspError where neither the package nor the arguments say how long and in what steps, WiringError,
+        SlaveError where an FMU cannot be loaded or initialised: there is no row then.
         """
         given = {"stop_time": stop_time, "macro_step": step_size}
-        return simulate(self, settings_of(self, {k: v for k, v in given.items() if v is not None}), out)
+        run = simulate(self, settings_of(self, {k: v for k, v in given.items() if v is not None}), out)
+        if run.fault is not None and not len(run.time):
+            raise run.fault
+        return run

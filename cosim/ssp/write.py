@@ -7,6 +7,7 @@ for the former, libcosim refuses the latter. Unconnected inputs are left out: FM
 import io
 import zipfile
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,9 @@ from xml.etree.ElementTree import Element, SubElement
 import tomli_w
 
 from ..errors import SspError, WiringError
+from ..fmi.archive import FmuFile, read_any
 from ..fmi.component import Component, ModelVariable, read_component
+from ..fmi.elements import element_names
 from ..fmi.ports import is_numeric
 from ..fmi.types import TYPES, Value, is_real
 from ..names import did_you_mean
@@ -23,6 +26,7 @@ from ..scenarios.scenario import Scenario
 from ..scenarios.trust import GRANTS, python_references
 from ..ssv.document import ParameterValue, add_units, document, ssv_element
 from ..ssv.xml import NAMESPACES
+from ..system.aliases import as_the_fmus_have_it
 from ..system.fmu_cache import fmu_paths
 from ..system.parameters import value_of_change
 from ..units import Unit, conversion
@@ -41,15 +45,16 @@ def to_ssp(scenario: Scenario) -> bytes:
     """Write a package of structure, FMUs, parameters and, for `retune run`, the scenario. Same input, same bytes.
 
     Parameters are the scenario's start values, those of its changes at the start, and those that it will estimate.
-    Raises ScenarioError, ModelDescriptionError, WiringError; SspError where units do not agree, and for FMI 3.0 FMUs.
+    Raises ScenarioError, ModelDescriptionError, WiringError; SspError where units do not agree, and for arrays that are
+    connected or set.
     """
     for name, c in scenario.components.items():
         if c.table:
             raise SspError(f"component '{name}' is a table, which SSP cannot express: use an FMU that plays it.")
     components = {name: read_component(path) for name, path in fmu_paths(scenario).items()}
-    newer = next((name for name, c in components.items() if c.description.fmiVersion != "2.0"), None)
-    if newer is not None:
-        raise SspError(f"{newer} is of FMI {components[newer].description.fmiVersion}: SSP 1.0 has no arrays.")
+    files_of = {name: FmuFile(name, component.description) for name, component in components.items()}
+    components = {name: _without_arrays(component) for name, component in components.items()}
+    given, scenario = scenario, as_the_fmus_have_it(scenario, files_of)
     places = _places(components)
     _check_connections(scenario, components)
     files: dict[str, bytes] = {STRUCTURE: document(_structure(scenario, components, places)).encode()}
@@ -60,10 +65,19 @@ def to_ssp(scenario: Scenario) -> bytes:
             units = {key: unit for key, unit in component.units.items() if key in used}
             element = ssv_element(START_VALUES, values, units, {"ssv", "ssc"})
             files[_ssv_of(name)] = document(element).encode()
-    files[f"{EXTRA}/{SCENARIO}"] = tomli_w.dumps(_tables(scenario, places)).encode()
-    for path, content in _modules(scenario):
+    files[f"{EXTRA}/{SCENARIO}"] = tomli_w.dumps(_tables(given, places)).encode()
+    for path, content in _modules(given):
         files[f"{EXTRA}/{path}"] = content
     return _zipped(files)
+
+
+def _without_arrays(component: Component) -> Component:
+    """Return a component whose arrays are no variables of it: SSP 1.0 has none."""
+    if component.description.fmiVersion == "2.0":
+        return component
+    arrays = [v for v in read_any(component.fmu).modelVariables if v.shape]
+    elements = {name for v in arrays for name in element_names(v.name, v.shape or ())}
+    return replace(component, variables={k: v for k, v in component.variables.items() if k not in elements})
 
 
 def _places(components: Mapping[str, Component]) -> dict[str, str]:
@@ -101,7 +115,7 @@ def _structure(scenario: Scenario, components: Mapping[str, Component], places: 
     for name, component in components.items():
         kind = {"type": "application/x-fmu-sharedlibrary", "implementation": "CoSimulation"}
         element = SubElement(elements, "ssd:Component", {"name": name, "source": places[name], **kind})
-        connectors = [v for v in component.description.modelVariables if _is_connector(scenario, name, v)]
+        connectors = [v for v in component.variables.values() if _is_connector(scenario, name, v)]
         if connectors:
             table = SubElement(element, "ssd:Connectors")
             for v in connectors:
@@ -133,7 +147,7 @@ def _add_connector(table: Element, v: ModelVariable, component: Component) -> di
     connector.attrib |= {"description": v.description} if v.description else {}
     unit = component.unit(v.name) if is_real(v.type) else None
     is_defined = unit is not None and unit.exponents is not None
-    kind = "Integer" if v.type == "Enumeration" else v.type  # libcosim knows no Enumeration
+    kind = "Integer" if v.type == "Enumeration" else TYPES[v.type].ssp  # libcosim knows no Enumeration
     SubElement(connector, f"ssc:{kind}", {"unit": unit.name} if unit is not None and is_defined else {})
     return {unit.name: unit} if unit is not None and is_defined else {}
 
@@ -155,8 +169,8 @@ def _parameters(scenario: Scenario, name: str, component: Component) -> list[Par
         owner, variable = reference.parts
         if owner == name:
             values[variable] = value_of_change(reference, change, scenario.scenario.start_time)
-    for parameter in scenario.estimation.parameters:
-        owner, variable = parameter.writes.parts
+    for reference in scenario.written:
+        owner, variable = reference.parts
         start = _variable(component, name, variable).start if owner == name else None
         if start is not None:
             values.setdefault(variable, float(start))
@@ -174,6 +188,8 @@ def _parameter(component: Component, name: str, variable: str, value: Value) -> 
 
 def _variable(component: Component, name: str, variable: str) -> ModelVariable:
     if variable not in component.variables:
+        if component.description.fmiVersion != "2.0" and "[" in variable:
+            raise SspError(f"'{name}.{variable}' is an element of an array: SSP 1.0 has none.")
         hint = did_you_mean(variable, component.variables) or "."
         raise WiringError(f"no variable '{variable}' in {name}{hint}")
     return component.variables[variable]

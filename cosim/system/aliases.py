@@ -10,6 +10,7 @@ from typing import Any
 from ..errors import WiringError
 from ..fmi.elements import element_names, resolved
 from ..scenarios.scenario import Scenario
+from ..scenarios.schema.estimation import EstimatedParameter
 from ..variable_name import VariableName
 from .plant import Described
 
@@ -25,9 +26,12 @@ def as_the_fmus_have_it(scenario: Scenario, slaves: Mapping[str, Described]) -> 
         component, name = reference.parts
         return VariableName(f"{component}.{resolved(name, known[component])}")
 
+    def writes(p: EstimatedParameter) -> VariableName | dict[VariableName, str]:
+        return own(p.writes) if isinstance(p.writes, VariableName) else {own(k): v for k, v in p.written.items()}
+
     estimation = scenario.estimation
     parameters = tuple(
-        p.model_copy(update={"writes": own(p.writes)} | ({} if own(true) == true else {"true": own(true)}))
+        p.model_copy(update={"writes": writes(p)} | ({} if own(true) == true else {"true": own(true)}))
         for p, true in ((p, scenario.true_reference(p)) for p in estimation.parameters)
     )
     changed: dict[str, Any] = {

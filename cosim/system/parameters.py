@@ -13,7 +13,7 @@ from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
 from ..scenarios.schema.estimation import EstimatedParameter
 from ..variable_name import VariableName
-from .plant import Described
+from .plant import Described, Plant
 
 
 def start_value(scenario: Scenario, slaves: Mapping[str, Described], reference: str) -> float:
@@ -41,28 +41,57 @@ def start_values(scenario: Scenario, slaves: Mapping[str, Described], references
     return found
 
 
+def first_states(scenario: Scenario, slaves: Mapping[str, Described], plant: Plant) -> tuple[list[float], list[str]]:
+    """Return the plant's states before the first step, zero where only its FMU knows them; and the names of those."""
+    description = slaves[plant.name].description
+    declared = {v.name for v in description.modelVariables if v.start is not None}
+    known = declared | scenario.components[plant.name].start.keys()
+    hidden = [name for name in plant.states if name not in known]
+    starts = start_values(scenario, slaves, [f"{plant.name}.{name}" for name in plant.states if name in known])
+    given = iter(starts)
+    return [0.0 if name in hidden else next(given) for name in plant.states], hidden
+
+
 def check_parameters(scenario: Scenario, slaves: Mapping[str, Described]) -> None:
     """Raise WiringError unless the controller takes every estimate within the bounds, and holds no true value."""
-    writes = {parameter.writes for parameter in scenario.estimation.parameters}
+    writes = scenario.written
     for parameter in scenario.estimation.parameters:
         if (true := scenario.true_reference(parameter)) in writes:
             raise WiringError(f"'{true}' is written: 'true' of '{parameter.name}' must name the plant's parameter.")
-        component, name = parameter.writes.parts
-        found = {v.name: v for v in slaves[component].description.modelVariables}
-        if name not in found:
-            raise WiringError(f"no variable '{name}' in {component}{did_you_mean(name, found) or '.'}")
-        if problem := parameter_problem(parameter, found[name]):
+        for reference in parameter.written:
+            found = _variable(slaves, reference)
+            problem = parameter_problem(parameter, found) if parameter.is_written_as_it_is else None
+            if problem is not None:
+                raise WiringError(problem)
+        if not parameter.is_written_as_it_is and (problem := unit_problem(parameter, true, _variable(slaves, true))):
             raise WiringError(problem)
 
 
+def _variable(slaves: Mapping[str, Described], reference: VariableName) -> ModelVariable:
+    """Return a variable's declaration. Raises WiringError."""
+    component, name = reference.parts
+    found = {v.name: v for v in slaves[component].description.modelVariables}
+    if name not in found:
+        raise WiringError(f"no variable '{name}' in {component}{did_you_mean(name, found) or '.'}")
+    return found[name]
+
+
+def unit_problem(parameter: EstimatedParameter, reference: VariableName, variable: ModelVariable) -> str | None:
+    """Return the reason why a variable is not in the parameter's unit, or None, as where it declares none."""
+    unit = attribute(variable, "unit")
+    if unit is None or unit == parameter.unit:
+        return None
+    return f"'{reference}' has the unit {unit}, but '{parameter.name}' {parameter.unit}."
+
+
 def parameter_problem(parameter: EstimatedParameter, variable: ModelVariable) -> str | None:
-    """Return the reason why a variable does not take every estimate of the parameter, or None."""
-    unit = attribute(variable, "unit") or "1"
-    if unit != parameter.unit:
-        return f"'{parameter.writes}' has the unit {unit}, but '{parameter.name}' {parameter.unit}."
+    """Return the reason why the variable that it is written to does not take every estimate of a parameter, or None."""
+    writes = next(iter(parameter.written))
+    if problem := unit_problem(parameter, writes, variable):
+        return problem
     if narrower := narrower_range(parameter.to_parameter(), variable):
-        bounds = f"[{parameter.lower:g}, {parameter.upper:g}] {unit}"
-        return f"'{parameter.writes}' takes {narrower} {unit}; '{parameter.name}' has {bounds}."
+        bounds = f"[{parameter.lower:g}, {parameter.upper:g}] {parameter.unit}"
+        return f"'{writes}' takes {narrower} {parameter.unit}; '{parameter.name}' has {bounds}."
     return None
 
 

@@ -1,7 +1,7 @@
 """The plant's states, inputs and sampled channels, in the order of the estimator's model."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from ..errors import WiringError
 from ..fmi.archive import FmuFile
@@ -9,6 +9,7 @@ from ..fmi.ports import is_numeric
 from ..fmi.table import TableSlave
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
+from ..scenarios.schema.sampling import Derivative
 from ..slaves.slave import Slave
 from ..variable_name import VariableName
 
@@ -29,6 +30,8 @@ class Plant:
     scenario changes are left out: nobody measures them."""
     channels: tuple[int, ...]
     """Places in x of the states whose derivatives are sampled."""
+    rates: Mapping[str, str] = field(default_factory=dict[str, str])
+    """State of each derivative, by the derivative's name: those that the FMU declares, and the scenario's `of`."""
 
 
 def plant_of(scenario: Scenario, slave: Described) -> Plant:
@@ -38,35 +41,46 @@ def plant_of(scenario: Scenario, slave: Described) -> Plant:
     and those that the scenario lists. Without one the scenario's list is all where the FMU declares none.
     """
     variables = slave.description.modelVariables
-    state_of = derivatives_of(slave)
+    declared = derivatives_of(slave)
     sampling = scenario.sampling
-    outputs, is_state = set(numeric_outputs(slave)), set(state_of.values())
+    state_of = declared | {name.variable: d.of.variable for name, d in sampling.derivatives.items() if d.of}
+    outputs, is_state = set(numeric_outputs(slave)), set(declared.values())
     own = {f"{slave.name}.{name}" for name in outputs}
     if sampling.filter is not None:
         is_state = (is_state & outputs) | {name.variable for name in sampling.states}
     elif not sampling.derivatives and not is_state <= outputs:
         is_state = set()  # no model takes them, so they need not be measured
     states = tuple(v.name for v in variables if v.name in is_state)
-    if sampling.filter is None and not state_of:
+    if sampling.filter is None and not declared:
         states = tuple(name.variable for name in sampling.states if name in own)
     known = {f"{slave.name}.{name}" for name in states}
     for reference in sampling.states:
         if reference not in known:
             raise WiringError(f"'{reference}' is no state of {slave.name}{did_you_mean(reference, states) or '.'}")
-    channels: list[int] = []
-    for reference, derivative in sampling.derivatives.items():
-        name = reference.variable
-        if derivative.of is None and name not in state_of:
-            raise WiringError(
-                f"'{reference}' is not declared as a state's derivative{did_you_mean(name, state_of) or '.'}"
-            )
-        channels.append(states.index(derivative.of.variable if derivative.of else state_of[name]))
+    channels = [_channel(reference, d, states, declared) for reference, d in sampling.derivatives.items()]
     inputs = {
         v.name: float(v.start or 0.0)
         for v in variables
         if v.causality == "input" and f"{slave.name}.{v.name}" not in scenario.changes
     }
-    return Plant(slave.name, states, inputs, tuple(channels))
+    return Plant(slave.name, states, inputs, tuple(channels), declared if sampling.filter else state_of)
+
+
+def _channel(
+    reference: VariableName, derivative: Derivative, states: tuple[str, ...], declared: Mapping[str, str]
+) -> int:
+    """Return the place in x of the state that a sampled derivative is of. Raises WiringError where there is none."""
+    name, of = reference.variable, derivative.of and derivative.of.variable
+    if of is None and name not in declared:
+        hint = did_you_mean(name, declared) or f'; say of which state it is: of = "{reference.component}.STATE".'
+        raise WiringError(f"'{reference}' is not declared as a state's derivative{hint}")
+    if of is not None and declared.get(name, of) != of:
+        raise WiringError(f"'{reference}' is declared as the derivative of '{declared[name]}', not of '{of}'.")
+    state = of or declared[name]
+    if state not in states:
+        hint = did_you_mean(state, states) or "; name the states in sampling.states."
+        raise WiringError(f"'{state}', of which '{reference}' is the derivative, is no state{hint}")
+    return states.index(state)
 
 
 def derivatives_of(slave: Described) -> dict[str, str]:

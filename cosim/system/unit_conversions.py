@@ -28,7 +28,8 @@ def unit_conversions(scenario: Scenario, descriptions: Mapping[str, ModelDescrip
             found[component][variable] = convert
     compared = [(f'tracking."{tracked}"', reference, tracked) for tracked, reference in scenario.tracking.items()]
     for p in scenario.estimation.parameters:
-        compared.append((f"estimation.parameters '{p.name}'", scenario.true_reference(p), p.writes))
+        if p.is_written_as_it_is:
+            compared += [(f"estimation.parameters '{p.name}'", scenario.true_reference(p), name) for name in p.written]
     for where, one, other in compared:
         if _conversion(where, one, other, components) != IDENTITY:
             raise WiringError(f"{where}: {different(one, other, components)}, and both must be in one unit.")

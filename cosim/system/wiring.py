@@ -23,7 +23,7 @@ def wire(scenario: Scenario, slaves: Mapping[str, Described]) -> tuple[dict[str,
     disturbed = disturbances_of(scenario, slaves)
     tunables: dict[str, list[str]] = {name: [] for name in slaves}
     disturbances: dict[str, list[str]] = {name: [] for name in slaves}
-    for reference in [*scenario.changes, *(p.writes for p in scenario.estimation.parameters)]:
+    for reference in [*scenario.changes, *scenario.written]:
         component, variable = reference.parts
         if variable in tunables[component]:
             raise WiringError(f"'{reference}' is set twice: a parameter is either changed, or written by one estimate.")
@@ -32,7 +32,7 @@ def wire(scenario: Scenario, slaves: Mapping[str, Described]) -> tuple[dict[str,
     known = {name: set(own) for name, own in outputs.items()}
     read = [*scenario.connections.values(), *scenario.tracking, *scenario.tracking.values()]
     sampling = scenario.sampling
-    measured = [name for name, d in sampling.derivatives.items() if not d.of]
+    measured = [] if sampling.filter else sampling.derivatives
     for reference in [*read, *measured, *sampling.outputs, *sampling.states]:
         component, variable = reference.parts
         if variable not in known[component]:
@@ -59,7 +59,7 @@ def with_read_back(wiring: Mapping[str, Wiring]) -> dict[str, Wiring]:
 
 
 def _groups(scenario: Scenario, names: Sequence[str]) -> list[list[str]]:
-    controllers = {p.writes.component for p in scenario.estimation.parameters}
+    controllers = {reference.component for reference in scenario.written}
     if scenario.scenario.coupling == "parallel" or len(controllers) == len(names):
         return [list(names)]
     return [[n for n in names if n in controllers], [n for n in names if n not in controllers]]

@@ -1,14 +1,18 @@
 """Command-line options of `retune`. Imports nothing heavy, so that --help is fast."""
 
 import argparse
+import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Final, NoReturn
+from typing import Any, Final, NoReturn
 
 from .. import __version__
+from ..errors import one_line
+from ..names import did_you_mean
 from ..offline.estimate_options import add_options
 from ..scenarios.named import named_scenarios
+from .completion import SHELLS, estimators, scenarios
 from .exit_codes import REFUSED
 
 
@@ -17,8 +21,15 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Report an error in one line, without the usage, and exit."""
+        message = _with_hint(message)
         print(f"{self.prog}: {message}; see {self.prog} --help", file=sys.stderr)
         raise SystemExit(REFUSED)
+
+
+def _with_hint(message: str) -> str:
+    """Return argparse's message on an unknown command with the one that may be meant."""
+    choice = re.fullmatch(r"argument COMMAND: invalid choice: '(.*)' \(choose from .*\)", message, re.DOTALL)
+    return f"no command '{one_line(choice[1])}'{did_you_mean(choice[1], _OPTIONS)}" if choice else message
 
 
 def make_parser() -> Parser:
@@ -47,9 +58,8 @@ def _build(parser: Parser) -> None:
 
 def _run(parser: Parser) -> None:
     _add_scenario(parser, ", an SSP package")
-    parser.add_argument(
-        "--estimator", default="target", help="target (default), another estimator, none, true, or module:Class"
-    )
+    text = "target (default), another estimator, none, true, or module:Class"
+    _completed(parser.add_argument("--estimator", default="target", help=text), estimators)
     parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="seed of noise and search (default: 0)")
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="run folder, absent or empty (default: runs/SCENARIO-n)"
@@ -60,6 +70,7 @@ def _run(parser: Parser) -> None:
     _add_start_values(parser)
     parser.add_argument("--ssv", type=Path, metavar="FILE", help="also write the estimates to this new SSV file")
     parser.add_argument("--only", action="store_true", help="leave out the runs with nominal and true parameters")
+    parser.add_argument("--view", action="store_true", help="show the run in a browser while it goes on")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -71,12 +82,8 @@ def _resume(parser: Parser) -> None:
 
 def _compare(parser: Parser) -> None:
     _add_scenario(parser)
-    parser.add_argument(
-        "--estimators",
-        type=_names,
-        metavar="A,B,C",
-        help="default: all that the scenario and the installed packages allow",
-    )
+    text = "default: all that the scenario and the installed packages allow"
+    _completed(parser.add_argument("--estimators", type=_names, metavar="A,B,C", help=text), estimators)
     parser.add_argument("--seeds", type=_count, default=10, metavar="N", help="seeds 0 to N - 1 (default: 10)")
     parser.add_argument("--jobs", type=_count, metavar="N", help="runs at a time (default: one per processor)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="absent or empty (default: runs/SCENARIO-compare-n)")
@@ -88,7 +95,8 @@ def _compare(parser: Parser) -> None:
 
 def _replay(parser: Parser) -> None:
     parser.add_argument("run", type=Path, metavar="RUN", help="run folder")
-    parser.add_argument("--estimator", type=_names, required=True, metavar="A,B,C", help="one estimator or several")
+    text = "one estimator or several"
+    _completed(parser.add_argument("--estimator", type=_names, required=True, metavar="A,B,C", help=text), estimators)
     parser.add_argument("--seed", type=_seed, metavar="N", help="seed of the search (default: the run's)")
     parser.add_argument("--out", type=Path, metavar="DIR", help="also write the tables there, absent or empty")
     _add_trust(parser, "a run folder that you did not make, or of code that has changed")
@@ -101,6 +109,31 @@ def _figures(parser: Parser) -> None:
     parser.add_argument("--jobs", type=_count, metavar="N", help="runs at a time (default: one per processor)")
 
 
+def _report(parser: Parser) -> None:
+    parser.add_argument("folders", type=Path, nargs="+", metavar="RUN", help="run folder, or a folder of runs; several")
+    parser.add_argument(
+        "-o",
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="HTML file (default: report.html, in the run folder; of several here)",
+    )
+    parser.add_argument("--force", action="store_true", help="replace a file")
+
+
+def _view(parser: Parser) -> None:
+    parser.add_argument("folders", type=Path, nargs="+", metavar="RUN", help="run folder, or a folder of runs; several")
+    parser.add_argument("--no-browser", action="store_true", help="print the address, and open no browser")
+    parser.add_argument("--until-end", action="store_true", help="end when the runs have ended and the page has it all")
+
+
+def _plot(parser: Parser) -> None:
+    parser.add_argument("runs", type=Path, nargs="+", metavar="RUN", help="run folder, one or several")
+    parser.add_argument(
+        "-o", "--out", type=Path, default=Path("plot.png"), metavar="FILE", help="PNG or SVG, new (default: plot.png)"
+    )
+
+
 def _new(parser: Parser) -> None:
     parser.add_argument("--plant", type=Path, required=True, metavar="FMU", help="the plant")
     parser.add_argument("--controller", type=Path, metavar="FMU", help="the controller that is to be re-tuned")
@@ -111,7 +144,12 @@ def _new(parser: Parser) -> None:
 
 def _check(parser: Parser) -> None:
     _add_scenario(parser, ", an FMU")
+    parser.add_argument(
+        "--dry-run", action="store_true",
+        help="also run the scenario's FMUs for two macro steps, and compare the model with the plant's derivatives",
+    )  # fmt: skip
     _add_set(parser)
+    _add_trust(parser, "an SSP package and, with --dry-run, its FMUs")
 
 
 def _info(parser: Parser) -> None:
@@ -131,13 +169,28 @@ def _export(parser: Parser) -> None:
     _add_start_values(parser)
 
 
+def _completed(action: argparse.Action, completer: Callable[..., Iterable[str]]) -> None:
+    """Set the completions of an argument's value; those of others are files."""
+    option: Any = action
+    option.completer = completer
+
+
+def _completion(parser: Parser) -> None:
+    parser.add_argument("shell", choices=SHELLS, help="the shell to switch completion on in")
+
+
+def _schema(parser: Parser) -> None:
+    parser.add_argument("-o", "--out", type=Path, metavar="FILE", help="JSON file to write, new (default: print it)")
+
+
 def _illustrate(parser: Parser) -> None:
     parser.add_argument("--out", type=Path, default=Path("illustration.png"), metavar="FILE", help="PNG, new")
     parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="seed of the noise (default: 0)")
 
 
 def _add_scenario(parser: argparse.ArgumentParser, also: str = "") -> None:
-    parser.add_argument("scenario", metavar="SCENARIO", help=f"{', '.join(named_scenarios())}{also}, or a TOML file")
+    text = f"{', '.join(named_scenarios())}{also}, or a TOML file"
+    _completed(parser.add_argument("scenario", metavar="SCENARIO", help=text), scenarios)
 
 
 def _add_set(parser: argparse.ArgumentParser) -> None:
@@ -195,6 +248,9 @@ _OPTIONS: Final[Mapping[str, tuple[str, Callable[[Parser], None]]]] = {
     "resume": ("go on with a run from its last checkpoint, to the same bits", _resume),
     "compare": ("run every estimator on the same plant, noise and seeds", _compare),
     "replay": ("give the recorded samples of a run to other estimators, open loop", _replay),
+    "report": ("write what a run did into one HTML file, to send and to look at", _report),
+    "view": ("show runs in a browser, on a page that grows with them", _view),
+    "plot": ("draw outputs, inputs and parameters of runs over one another", _plot),
     "figures": ("draw the paper's figures and table from runs made here", _figures),
     "new": ("write a scenario for your own FMUs, to look over", _new),
     "check": ("list what is wrong or risky in a scenario or an FMU, before it runs", _check),
@@ -202,5 +258,7 @@ _OPTIONS: Final[Mapping[str, tuple[str, Callable[[Parser], None]]]] = {
     "doctor": ("say what an FMU needs on this machine, and how to start an importer for it", _doctor),
     "export": ("write a scenario's system for other tools, as an SSP package", _export),
     "estimate": ("estimate a plant's parameters from logs", add_options),
+    "schema": ("print the JSON Schema of scenario files, for editors", _schema),
+    "completion": ("print what switches completion on in a shell", _completion),
     "illustrate": ("draw the one-dimensional illustration", _illustrate),
 }

@@ -1,16 +1,20 @@
 """Functions shared by `run` and `resume`: a run with its progress bar, and its report and figures."""
 
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 from ..files import to_json
+from ..objectives.choice import chosen
 from ..runs.record import recording
 from ..runs.report import ending, report
 from ..runs.result import Run
+from ..runs.resumable import has_begun
 from ..runs.simulation import StepProgress
 from ..scenarios.scenario import Scenario
 from .exit_codes import DONE, UNFINISHED
+from .next_step import line_of, tell_next
 from .progress import progress_bar
 
 BASELINES = ("none", "true")
@@ -26,10 +30,31 @@ def tell(folder: Path, runs: Mapping[Path, Run], is_json: bool, is_drawn: bool) 
         with recording(folder):
             draw_run(result, baselines)
     print(to_json(result.summary()) if is_json else report(result, baselines))
+    if not is_json:
+        tell_next(*_next_step(folder, result))
     if why := ending(result):
         print(f"retune: {why}", file=sys.stderr)
         return UNFINISHED
     return DONE
+
+
+def _next_step(folder: Path, result: Run) -> tuple[object, ...]:
+    """Return the command that follows on a run."""
+    if result.status == "faulted":
+        return "resume", folder
+    others = ("ukf", "target") if chosen(result.scenario).kind == "derivative" else ("least-squares", "target")
+    return "replay", folder, "--estimator", next(name for name in others if name != result.estimator)
+
+
+@contextmanager
+def telling_how_to_resume(folder: Path) -> Generator[None]:
+    """Add to an interrupt, where a run has begun in the folder, the folder and the command that goes on with it."""
+    try:
+        yield
+    except KeyboardInterrupt as e:
+        if not has_begun(folder):
+            raise
+        raise KeyboardInterrupt(f"what was recorded is in {folder}; {line_of('resume', folder)} goes on") from e
 
 
 def simulated(scenario: Scenario, estimator: str, simulate: Callable[[StepProgress], Run]) -> Run:

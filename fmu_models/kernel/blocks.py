@@ -193,6 +193,7 @@ class Adaptive(ControllerSlave):
         super()._advance(step_size)
 
     def _take_up(self) -> None:
+        self._must_be_within(self._latched_bounds)  # until then they are not used: some importers begin with zeros
         for told, held in zip(self._told, self._held):
             self._values[held] = self._values[told]
 

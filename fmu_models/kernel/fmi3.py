@@ -8,10 +8,10 @@ needs it for its own variables, which are not used.
 from collections.abc import Callable, Iterable
 from functools import wraps
 from math import nan
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, NamedTuple, NoReturn, TypeVar
 from xml.etree.ElementTree import Element
 
-from pythonfmu3 import CoSimulation, Fmi3SlaveBase, ModelExchange
+from pythonfmu3 import CoSimulation, Fmi3SlaveBase, Fmi3Status, Fmi3StepResult, ModelExchange
 from pythonfmu3 import __version__ as pythonfmu3_version
 
 from .blocks import PlantSlave
@@ -35,6 +35,32 @@ def _retaining(method: _Method) -> _Method:
             raise
 
     return call  # type: ignore[return-value]
+
+
+def _refusal(verb: str, kind: str) -> Callable[..., list[Any]]:
+    """Return a method that gets or sets variables of a type that no variable has."""
+
+    @_retaining
+    def call(self: "Fmi3Model", vrs: list[int], values: Iterable[Any] = ()) -> list[Any]:
+        if vrs:
+            raise ValueError(f"{self.modelName}: value reference {vrs[0]} must not be {verb} as {kind}.")
+        return []
+
+    return call
+
+
+class DiscreteStates(NamedTuple):
+    """Results of `update_discrete_states`, with the names that pythonfmu3's library looks for: its Python has others.
+
+    What the library does not find it leaves unwritten, and an importer that does not clear it first never ends.
+    """
+
+    discreteStatesNeedUpdate: bool = False
+    terminateSimulation: bool = False
+    nominalContinuousStatesChanged: bool = False
+    valuesOfContinuousStatesChanged: bool = False
+    nextEventTimeDefined: bool = False
+    nextEventTime: float = 0.0
 
 
 class Fmi3Model(Fmi3SlaveBase):
@@ -95,6 +121,11 @@ class Fmi3Model(Fmi3SlaveBase):
         """Set these Boolean parameters."""
         self._slave.set_boolean(self._expanded(vrs, len(values)), values)
 
+    get_int32, set_int32 = _refusal("read", "Int32"), _refusal("set", "Int32")
+    get_int64, set_int64 = _refusal("read", "Int64"), _refusal("set", "Int64")
+    get_uint64, set_uint64 = _refusal("read", "UInt64"), _refusal("set", "UInt64")
+    get_string, set_string = _refusal("read", "String"), _refusal("set", "String")
+
     @_retaining
     def _get_fmu_state(self) -> bytes:
         return self._slave._get_fmu_state()
@@ -152,12 +183,28 @@ class Fmi3CoSimulation(Fmi3Model, CoSimulation):
         super().__init_subclass__(**kwargs)
         cls.has_feedthrough = cls.model.has_feedthrough
 
-    @_retaining
-    def do_step(self, current_time: float, step_size: float) -> bool:
-        """Hold the inputs and go on to `current_time + step_size` [s]."""
-        done = self._slave.do_step(current_time, step_size)
+    def do_step(self, current_time: float, step_size: float) -> Fmi3StepResult:
+        """Hold the inputs and go on to `current_time + step_size` [s]; a step that cannot be taken changes nothing.
+
+        pythonfmu3 0.3.4 passes on only status and terminateSimulation, and leaves the two other results unwritten.
+        """
+        if not self._slave.do_step(current_time, step_size):
+            return Fmi3StepResult(Fmi3Status.error)
         self.time = current_time + step_size
-        return done
+        return Fmi3StepResult()
+
+    @_retaining
+    def _set_fmu_state(self, state: bytes) -> None:
+        super()._set_fmu_state(state)
+        self.time = self._slave._time
+
+    @_retaining
+    def update_discrete_states(self) -> NoReturn:
+        """Refuse: only model exchange, and co-simulation with hasEventMode, have an event mode."""
+        raise ValueError(
+            f"{self.modelName}: it has no event mode, as its model description says (no hasEventMode); "
+            "instantiate it with eventModeUsed = false, and do not enter event mode."
+        )
 
 
 class Fmi3ModelExchange(Fmi3Model, ModelExchange):
@@ -201,6 +248,10 @@ class Fmi3ModelExchange(Fmi3Model, ModelExchange):
     def set_time(self, time: float) -> None:
         """Set the time [s], on which no plant depends."""
         self.time = time
+
+    def update_discrete_states(self) -> DiscreteStates:
+        """Return that there are no discrete states, and no events."""
+        return DiscreteStates()
 
     def get_number_of_continuous_states(self) -> int:
         """Return the number n of states, every element counted."""

@@ -4,6 +4,9 @@ Life cycle:
 1. set parameters, inputs and states; `setup_experiment`, `exit_initialization_mode`;
 2. at each communication point: set inputs and tunable parameters, `do_step`, get outputs.
 A set marks the outputs stale, and the next get computes them all once.
+
+A step that cannot be taken is discarded, and the variables are as before. pythonfmu's library makes a fatal status of
+every exception, and drops its references to the instance; `retain` keeps it usable: reset, set state and free work.
 """
 
 import json
@@ -12,7 +15,6 @@ import traceback
 from collections.abc import Callable
 from ctypes import py_object, pythonapi
 from functools import wraps
-from math import isfinite
 from typing import Any, ClassVar, TypeVar
 from uuid import NAMESPACE_DNS, uuid5
 from xml.etree.ElementTree import Element
@@ -21,6 +23,7 @@ from pythonfmu import DefaultExperiment, Fmi2Slave
 from pythonfmu import __version__ as pythonfmu_version
 from pythonfmu.enums import Fmi2Status
 
+from . import refusals
 from .description import VariableRow, model_description
 
 NAMESPACE = uuid5(NAMESPACE_DNS, "fmu-retune")
@@ -75,9 +78,10 @@ class Slave(Fmi2Slave):
         is_later = [v.causality == "input" or v.variability == "tunable" for v in cls.variables]
         cls._of_type = {
             kind: frozenset(i for i, v in enumerate(cls.variables) if v.type == kind)
-            for kind in ("Real", "Integer", "Boolean")
+            for kind in ("Real", "Integer", "Boolean", "String")
         }
-        cls._is_mixed = len(cls._of_type["Real"]) < len(cls.variables)
+        given = cls.variables[:n_exact]
+        cls._bounds, cls._latched_bounds = (refusals.bounds_of(given, is_latched) for is_latched in (False, True))
         cls._settable = {False: frozenset(range(n_exact)), True: frozenset(i for i, b in enumerate(is_later) if b)}
 
     @classmethod
@@ -92,6 +96,7 @@ class Slave(Fmi2Slave):
         self._values: list[float] = [0.0 if v.start is None else v.start for v in self.variables]
         self._hidden: list[float] = []  # states that are no variables
         self._time = 0.0
+        self._next: float | None = None  # where the next step must begin, once that is known
         self._is_stale = self._is_unchecked = True
         self._enter(is_initialized=False)
         self._is_hosted = "logger" in kwargs
@@ -122,7 +127,7 @@ class Slave(Fmi2Slave):
         self, start_time: float, stop_time: float | None = None, tolerance: float | None = None
     ) -> None:
         """Start at `start_time` [s]."""
-        self._time, self._is_stale = start_time, True
+        self._time, self._next, self._is_stale = start_time, start_time, True
 
     @_logged
     def exit_initialization_mode(self) -> None:
@@ -130,22 +135,22 @@ class Slave(Fmi2Slave):
         self._update()
         self._enter(is_initialized=True)
 
-    @_logged
     def do_step(self, current_time: float, step_size: float) -> bool:
-        """Hold the inputs and go on to `current_time + step_size` [s]."""
-        if not step_size > 0.0:
-            raise ValueError(f"{self.modelName}: step_size must be positive, got {step_size} s.")
-        if self._is_unchecked:
-            self._check()
-        self._time = current_time + step_size
-        self._advance(step_size)
+        """Hold the inputs and go on to `current_time + step_size` [s]; False, with a log entry, discards the step."""
+        before = self._values.copy(), self._hidden, self._time, self._next
+        try:
+            self._step(current_time, step_size)
+        except Exception as error:
+            self._values, self._hidden, self._time, self._next = before
+            self._is_stale = self._is_unchecked = True
+            self._log_error(error)
+            return False
         return True
 
     @_logged
     def get_real(self, vrs: list[int]) -> list[float]:
         """Return the values of these variables."""
-        if self._is_mixed:
-            self._must_be(vrs, "Real")
+        self._must_be(vrs, "Real")
         if self._is_stale:
             self._update()
         values = self._values
@@ -188,17 +193,30 @@ class Slave(Fmi2Slave):
         self._set(vrs, [bool(value) for value in values], "Boolean")
 
     @_logged
+    def get_string(self, vrs: list[int]) -> list[str]:
+        """Refuse: no variable is a String."""
+        self._must_be(vrs, "String")
+        return []
+
+    @_logged
+    def set_string(self, vrs: list[int], values: list[str]) -> None:
+        """Refuse: no variable is a String."""
+        self._set(vrs, [], "String")
+
+    @_logged
     def _get_fmu_state(self) -> bytes:
         """Return the complete state as JSON, which keeps numbers exactly."""
-        state = {"model": self.modelName, "time": self._time, "is_initialized": self._is_initialized}
-        return json.dumps(state | {"values": self._values, "hidden": self._hidden}).encode()
+        state = {"model": self.modelName, "time": self._time, "next": self._next}
+        state |= {"is_initialized": self._is_initialized, "values": self._values, "hidden": self._hidden}
+        return json.dumps(state).encode()
 
     @_logged
     def _set_fmu_state(self, state: bytes) -> None:
         saved = json.loads(state)
         if saved["model"] != self.modelName or len(saved["values"]) != len(self._values):
             raise ValueError(f"{self.modelName}: the FMU state must be one of its own, got one of {saved['model']}.")
-        self._values, self._hidden, self._time = saved["values"], saved["hidden"], saved["time"]
+        self._values, self._hidden = saved["values"], saved["hidden"]
+        self._time, self._next = saved["time"], saved["next"]
         self._enter(saved["is_initialized"])
         self._is_stale = self._is_unchecked = True
 
@@ -252,10 +270,17 @@ class Slave(Fmi2Slave):
         self._is_initialized = is_initialized
         self._settable_reals = self._settable[is_initialized] & self._of_type["Real"]
 
+    def _step(self, current_time: float, step_size: float) -> None:
+        self._demand_none(refusals.of_step(self._next, current_time, step_size))
+        if self._is_unchecked:
+            self._check()
+        self._time = self._next = current_time + step_size
+        self._advance(step_size)
+
     def _must_be(self, vrs: list[int], kind: str) -> None:
         if not self._of_type[kind].issuperset(vrs):
-            wrong = next(self.variables[vr] for vr in vrs if vr not in self._of_type[kind])
-            raise ValueError(f"{self.modelName}: {wrong.name}, of type {wrong.type}, must not be read as {kind}.")
+            wrong = next(vr for vr in vrs if vr not in self._of_type[kind])
+            self._demand_none(refusals.of_read(self.variables, wrong, kind))
 
     def _set(self, vrs: list[int], values: list[float], kind: str) -> None:
         settable = self._settable[self._is_initialized] & self._of_type[kind]
@@ -272,21 +297,28 @@ class Slave(Fmi2Slave):
         self._is_stale = False
 
     def _check(self) -> None:
-        if not isfinite(sum(self._values[self._given])):
-            for v, value in zip(self.variables, self._values[self._given]):
-                if not isfinite(value):
-                    raise ValueError(f"{self.modelName}: {v.name} must be finite, got {value}.")
+        self._demand_none(refusals.of_values(self.variables, self._values[self._given]))
+        self._must_be_within(self._bounds)
         self._is_unchecked = False
 
+    def _must_be_within(self, bounds: list[refusals.Bounds]) -> None:
+        self._demand_none(refusals.of_bounds(self.variables, self._values, bounds))
+
     def _refuse(self, vrs: list[int], settable: frozenset[int], kind: str) -> None:
-        for vr in vrs:
-            if vr not in settable:
-                name = self.variables[vr].name if 0 <= vr < len(self.variables) else f"value reference {vr}"
-                when = "after" if self._is_initialized else "before the end of"
-                raise ValueError(f"{self.modelName}: {name} must not be set as {kind} {when} initialisation.")
+        wrong = next(vr for vr in vrs if vr not in settable)
+        when = "after" if self._is_initialized else "before the end of"
+        name = refusals.named(self.variables, wrong)
+        self._demand_none(f"{name} must not be set as {kind} {when} initialisation.")
+
+    def _demand_none(self, problem: str | None) -> None:
+        if problem is not None:
+            raise ValueError(f"{self.modelName}: {problem}")
+
+    def _log_error(self, error: BaseException) -> None:
+        self.log("".join(traceback.format_exception(error)), Fmi2Status.error)
 
     def _report(self, error: BaseException) -> None:
-        self.log("".join(traceback.format_exception(error)), Fmi2Status.error)
+        self._log_error(error)
         if self._is_hosted:
             # The loader drops its references at every exception, and again at the end. It also logs repr(error).
             retain(self, type(self), self.log_queue)

@@ -15,7 +15,7 @@ import cosim
 PUBLIC = [
     "Comparison", "CosimError", "Estimation", "FolderError", "ModelDescriptionError", "Run", "Scenario",
     "ScenarioError", "Slave", "SlaveError", "SspError", "System", "UnfinishedError", "WiringError", "compare",
-    "estimate", "load_scenario", "open_slave", "read_run", "resume", "run",
+    "estimate", "load_scenario", "open_slave", "plot_belief", "plot_surrogate", "read_run", "resume", "run",
 ]  # fmt: skip
 WORKSHOP = {"cosim", "estimator", "fmu_models"}
 
@@ -117,8 +117,9 @@ def test_every_third_party_import_is_a_declared_dependency(package):
         "pandas",
         "cyipopt",
         "asammdf",
+        "xarray",
         "elftools",  # pyelftools
-    }  # the first three are optional
+    }  # the first four are optional
     for name, modules in imports_of(package).items():
         assert modules <= {*sys.stdlib_module_names, *declared, *WORKSHOP}, name
 

@@ -36,7 +36,7 @@ def test_a_page_is_left_as_it_is_but_for_its_tables():
 
 def test_the_example_on_the_page_is_a_scenario():
     page = (ROOT / "docs" / "scenario.md").read_text(encoding="utf-8")
-    (example,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    example, *_ = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
     scenario = Scenario.from_tables(tomllib.loads(example), None, ROOT, Path("example.toml"))
     assert (scenario.plant, scenario.estimation.space.names) == ("plant", ("m",))
 

@@ -18,7 +18,7 @@ from cosim.fmi.archive import fmu_to_load, unpacked
 from cosim.fmi.binding import LARGEST_STATE
 from cosim.fmi.value_buffers import ScalarVariable
 from cosim.runs.series import read_series
-from cosim.scenarios.schema.simulation import SimulationSettings
+from cosim.scenarios.schema.simulation import ComponentSettings, SimulationSettings
 from cosim.slaves.channel import CALL, LARGEST_MESSAGE, RESULT, encode
 from cosim.slaves.host import InProcessFmu
 from cosim.slaves.slave import open_slave
@@ -92,6 +92,7 @@ def test_what_is_not_finite_is_a_fault_even_so(native, how):
 
 def test_a_scenario_can_set_what_a_slave_can_be_told():
     options = SimulationSettings(name="x", stop_time=1.0, macro_step=0.1).slave_options
+    options["tolerance"] = ComponentSettings(fmu="x").tolerance
     parameters = inspect.signature(open_slave).parameters
     assert options == {name: p.default for name, p in parameters.items() if p.kind is p.KEYWORD_ONLY}
 

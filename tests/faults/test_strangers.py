@@ -289,6 +289,21 @@ def test_pictures_of_a_run_load_nothing_of_a_strangers(made, trace):
 
 
 @pytest.mark.full
+@pytest.mark.parametrize("name", ["report", "plot"])
+def test_a_report_runs_nothing_of_a_strangers_and_opens_no_file_that_it_names(made, trace, command, tmp_path, name):
+    folder = made("left")
+    content = json.loads((folder / MANIFEST).read_text())
+    fifo = tmp_path / "Plant.fmu"
+    os.mkfifo(fifo)  # whoever opens it waits for ever
+    content["scenario"]["components"]["plant"]["fmu"] = str(fifo)
+    write_manifest(folder, content | {"estimator": "evil:Estimator"}, is_own=False)
+    out = tmp_path / "out.png" if name == "plot" else tmp_path / "out.html"
+    assert command(name, folder, "-o", out)[::2] == (0, "")
+    assert out.stat().st_size > 10_000
+    assert not trace.exists()
+
+
+@pytest.mark.full
 def test_what_was_not_trusted_once_is_not_signed(package, trace, command, tmp_path):
     """A model of the user's own on a stranger's system does not make the stranger's linear form the user's."""
     out = tmp_path / "out"

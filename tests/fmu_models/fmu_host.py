@@ -40,9 +40,11 @@ class Instance:
         self.dll = c.CDLL(str(Path(directory) / "binaries" / self.platform / f"{identifier}.so"))
         self.instance = c.c_void_p(self.instantiate(root, Path(directory) / "resources"))
         assert self.instance.value, self.messages
+        assert self.initialize(start_time, start) == 0, self.messages
+
+    def initialize(self, start_time: float, start: dict | None = None) -> int:
         self.enter_initialization(start_time)
-        assert self.set(start) == 0, self.messages
-        self.call("ExitInitializationMode")
+        return self.set(start or {}) or self.call("ExitInitializationMode")
 
     def describe(self, root) -> None:
         variables = list(root.iter("ScalarVariable"))
@@ -163,12 +165,12 @@ def flattened(value) -> list:
     return [x for part in value for x in flattened(part)] if isinstance(value, list) else [value]
 
 
-def run(instance: Instance, first: int, last: int, macro_step: float = 0.01, script: dict | None = None) -> list:
-    """Rows of all outputs after the macro steps first .. last - 1; `script` has the values to set before each."""
+def run(instance: Instance, first: int, last: int, start_time: float = 0.0, script: dict | None = None) -> list:
+    """Rows of all outputs after the steps first .. last - 1 of 10 ms; `script` has the values to set before each."""
     rows = []
     for k in range(first, last):
         assert instance.set((script or {}).get(str(k), {})) == 0, instance.messages
-        assert instance.step(k * macro_step, macro_step) == 0, instance.messages
+        assert instance.step(start_time + k * 0.01, 0.01) == 0, instance.messages
         rows.append(instance.get(instance.outputs))
     return rows
 
@@ -176,7 +178,7 @@ def run(instance: Instance, first: int, last: int, macro_step: float = 0.01, scr
 def simulate(new, fmu: str, n_steps: int, start: dict, script: dict | None = None, start_time: float = 0.0) -> dict:
     instance = new(fmu, start=start, start_time=start_time)
     initial = instance.get(instance.outputs)
-    return {"names": instance.outputs, "rows": [initial, *run(instance, 0, n_steps, script=script)]}
+    return {"names": instance.outputs, "rows": [initial, *run(instance, 0, n_steps, start_time, script)]}
 
 
 def rollback(new, fmu: str, script: dict, junk: dict) -> dict:
@@ -213,6 +215,31 @@ def fault(new, fmu: str, values: dict, n_times: int, start: dict | None = None) 
         instance.call("FreeInstance")
         gc.collect()
     return {"statuses": statuses, "messages": messages}
+
+
+def refusals(new, fmu: str) -> dict:
+    """Statuses of calls that are refused, then of reset, of going back to a state, of a step, each time; and a free."""
+    instance = new(fmu)
+    assert instance.step(0.0, 0.01) == 0
+    serialized, expected = instance.serialized_state(), instance.get(instance.outputs)
+    texts, whole = (c.c_char_p * 1)(b"text"), (c.c_longlong * 1)(1)
+    is_3, real = instance.prefix == "fmi3", c.c_uint(instance.references[instance.outputs[0]])
+    n, sizes = c.c_size_t(1), (c.c_size_t(1),) if instance.prefix == "fmi3" else ()
+    number, integer = ("Float64", "Int32") if is_3 else ("Real", "Integer")
+    calls = {f"Set{kind}": (c.byref(real), n, cells) for kind, cells in (("String", texts), (integer, whole))}
+    calls |= {f"Get{kind}": (c.byref(real), n, cells) for kind, cells in (("String", texts), (integer, whole))}
+    unknown = [
+        (f"{verb}{number}", (c.byref(c.c_uint(r)), n, whole)) for verb in ("Get", "Set") for r in (999, 2**32 - 1)
+    ]
+    event_mode = [("UpdateDiscreteStates", (None,) * 6)] if is_3 else []
+    statuses = {}
+    for function, arguments in [*calls.items(), *unknown, *event_mode]:
+        refused = instance.call(function, *arguments, *(() if len(arguments) == 6 else sizes))
+        after = [instance.call("Reset"), instance.initialize(0.0), instance.step(0.0, 0.01)]
+        after += [instance.restore(serialized), instance.get(instance.outputs) == expected, instance.step(0.01, 0.01)]
+        statuses[f"{function} {len(statuses)}"] = [refused, after]
+    instance.call("FreeInstance")
+    return {"statuses": statuses, "messages": instance.messages}
 
 
 def modules(new, fmu: str) -> dict:

@@ -9,6 +9,7 @@ import sys
 import fmpy
 import numpy as np
 import pytest
+from pythonfmu3 import Fmi3Status
 from scipy.integrate import solve_ivp
 
 from fmu_models import build
@@ -132,7 +133,10 @@ def test_derivatives_depend_on_exactly_what_a_perturbation_shows(name):
     parameters = [n for n, v in variables.items() if v.get("causality") == "parameter"]
     for _ in range(60):
         for known in parameters:  # a start of zero hides a dependency
-            values = [x + rng.uniform(0.01, 0.1) for x in map(float, variables[known].get("start").split())]
+            starts = map(float, variables[known].get("start").split())
+            values = [
+                x + min(rng.uniform(0.01, 0.1), 0.5 * (float(variables[known].get("max", "inf")) - x)) for x in starts
+            ]
             model.set_float64([reference[known]], values)
         for known in (*states, *inputs):
             model.set_float64([reference[known]], [rng.uniform(-1.0, 1.0) for _ in range(size[known])])
@@ -223,6 +227,19 @@ def test_time_is_the_communication_point():
     model.exit_initialization_mode()
     model.do_step(0.5, 0.25)
     assert model.get_float64([0, vr]) == [1.25, 0.75]
+    saved = model._get_fmu_state()
+    model.do_step(0.75, 0.25)
+    model._set_fmu_state(saved)
+    assert model.get_float64([vr]) == [0.75]
+
+
+def test_a_step_that_cannot_be_taken_is_an_error_and_the_time_stays():
+    model = co_simulation("Quadrotor")
+    model.exit_initialization_mode()
+    assert model.do_step(0.0, 0.25).status == Fmi3Status.ok
+    assert model.do_step(0.0, 0.25).status == Fmi3Status.error
+    assert model.time == 0.25
+    assert model.do_step(0.25, 0.25).status == Fmi3Status.ok
 
 
 # -- FMPy -----------------------------------------------------------------------------------------------------------

@@ -131,11 +131,11 @@ def new_slave(model, values, time):
 
 
 def random_values(model, rng):
-    return [
-        rng.random() < 0.5 if v.type == "Boolean" else (v.start or 0.0) * rng.uniform(0.7, 1.3) + rng.uniform(0.05, 0.4)
-        for v in model.variables
-        if v.start is not None
-    ]
+    def value(v):
+        real = (v.start or 0.0) * rng.uniform(0.7, 1.3) + rng.uniform(0.05, 0.4)
+        return real if v.max is None else min(real, v.max)
+
+    return [rng.random() < 0.5 if v.type == "Boolean" else value(v) for v in model.variables if v.start is not None]
 
 
 def observed(model, outputs_of, among, n_points=60):
@@ -148,11 +148,19 @@ def observed(model, outputs_of, among, n_points=60):
         for i, v in enumerate(model.variables[: len(values)]):
             if v.name not in among:
                 continue
-            new = not values[i] if v.type == "Boolean" else values[i] + rng.uniform(0.1, 0.5) + 8.0 * (v.unit == "s")
+            new = not values[i] if v.type == "Boolean" else moved(v, values[i], rng)
             see(changed, v.name, base, outputs_of(values, [*values[:i], new, *values[i + 1 :]], time))
         if "time" in among:
             see(changed, "time", base, outputs_of(values, values, time + rng.uniform(-1.0, 1.0)))
     return changed
+
+
+def moved(variable, value, rng):
+    """Another value of a Real, within its bounds."""
+    value += rng.uniform(0.1, 0.5) + 8.0 * (variable.unit == "s")
+    if variable.max is None or value <= variable.max:
+        return value
+    return rng.uniform(variable.min, variable.max)
 
 
 def see(changed, cause, base, perturbed):
@@ -341,8 +349,8 @@ def test_a_rollback_repeats_every_bit_here_and_in_another_instance(built, host, 
 )
 def test_a_fault_is_logged_and_harms_no_later_instance(built, host, fmi, name, values, message):
     result = host("fault", fmu=built[fmi][name], values=values_of(fmi, name, values), n_times=20)
-    # 4 is fmi2Fatal and fmi3Fatal, what the loaders make of every exception; 3 is the level of our own message.
-    assert result["statuses"] == [[0, 4]] * 20
+    # fmi2Discard, all that pythonfmu can say of a step beside fatal, and fmi3Error; 3 is the level of our own message.
+    assert result["statuses"] == [[0, {2: 2, 3: 3}[fmi]]] * 20
     for messages in result["messages"]:
         status, text = messages[0]
         assert status == 3
@@ -355,6 +363,18 @@ def test_a_value_set_at_the_wrong_time_is_refused(fmus, host):
     result = host("fault", fmu=fmus["Pendulum"], start={}, values={"phi": 1.0}, n_times=1)
     assert result["statuses"][0][0] == 4
     assert "phi must not be set as Real after initialisation" in result["messages"][0][0][1]
+
+
+@fmu
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_after_a_refused_call_an_instance_can_be_reset_restored_and_freed(built, host, fmi):
+    """FMI 2.0.4, section 2.1.3, and 3.0.2, section 2.2.4, ask for `error`; pythonfmu's libraries have only `fatal`."""
+    result = host("refusals", fmu=built[fmi]["Pendulum"])
+    assert len(result["statuses"]) == {2: 8, 3: 9}[fmi]
+    for function, (refused, after) in result["statuses"].items():
+        assert (function, refused, after) == (function, 4, [0, 0, 0, 0, True, 0])
+    if fmi == 3:
+        assert any("has no event mode" in text and "eventModeUsed = false" in text for _, text in result["messages"])
 
 
 @fmu
@@ -373,7 +393,7 @@ def test_a_per_cent_sign_in_an_error_reaches_the_logger_doubled(host, tmp_path):
     path = build.assemble("Faulty", "faulty_fmu", files, {}, tmp_path)
     result = host("fault", fmu=str(path), start={}, values={}, n_times=1)
     (status, text), *others = result["messages"][0]
-    assert (result["statuses"][0], status) == ([0, 4], 3)
+    assert (result["statuses"][0], status) == ([0, 2], 3)
     assert "in outputs" in text
     assert text.rstrip().endswith("ValueError: 100 %% wrong: %%s %%n")
     assert all("%" not in other.replace("%%", "") for _, other in others)

@@ -109,6 +109,14 @@ def put(slave, **values):
     slave.set_real([reference_of(slave, name) for name in values], list(values.values()))
 
 
+def discarded(slave, *step):
+    """What is logged of a step that is discarded."""
+    assert slave.do_step(*step) is False
+    message = slave._get_log_queue()[-1]
+    assert message.status == Fmi2Status.error
+    return message.msg
+
+
 def initialized(model, start_time=0.0, **values):
     slave = model(instance_name="one")
     slave.setup_experiment(start_time)
@@ -265,8 +273,7 @@ def test_a_calculated_output_is_never_set():
 def test_a_value_that_is_not_finite_is_named(name, value):
     slave = initialized(Tank)
     put(slave, **{name: value})
-    with pytest.raises(ValueError, match=f"Tank: {name} must be finite, got {value}"):
-        slave.do_step(0.0, 0.01)
+    assert discarded(slave, 0.0, 0.01).endswith(f"Tank: {name} must be finite, got {value}.\n")
 
 
 def test_finite_values_whose_sum_overflows_are_accepted():
@@ -277,15 +284,59 @@ def test_finite_values_whose_sum_overflows_are_accepted():
 
 @pytest.mark.parametrize("step_size", [0.0, -0.01, math.nan], ids=str)
 def test_a_step_must_be_positive(step_size):
-    with pytest.raises(ValueError, match="step_size must be positive"):
-        initialized(Tank).do_step(0.0, step_size)
+    assert "step_size must be positive" in discarded(initialized(Tank), 0.0, step_size)
+
+
+@pytest.mark.parametrize("time", [0.0, 0.02, -0.01, math.nan], ids=str)
+def test_a_step_must_begin_where_the_last_one_ended(time):
+    slave = initialized(Tank)
+    assert slave.do_step(0.0, 0.01)
+    before = get(slave, "h")
+    assert f"must begin where the last ended, 0.01 s, not {time} s" in discarded(slave, time, 0.01)
+    assert get(slave, "h") == before
+    assert slave.do_step(0.01 + 1e-9, 0.01)  # a sum of steps is never exact
+
+
+def test_a_first_step_begins_anywhere_without_a_start_time():
+    slave = Tank(instance_name="one")  # as pythonfmu3 makes it
+    slave.exit_initialization_mode()
+    assert slave.do_step(7.0, 0.01)
+    assert slave.do_step(7.01, 0.01)
+
+
+@pytest.mark.parametrize(("name", "value"), [("area", 0.05), ("tau_u", -1.0)])
+def test_a_step_with_a_value_outside_its_bounds_is_discarded(name, value):
+    slave = initialized(Tank)
+    before = get(slave, "h", "q_held")
+    put(slave, **{name: value})
+    assert f"Tank: {name} must be in [" in discarded(slave, 0.0, 0.01)
+    put(slave, area=2.0, tau_u=0.0)
+    assert get(slave, "h", "q_held") == before
+    assert slave.do_step(0.0, 0.01)
+
+
+@pytest.mark.parametrize("reference", [-1, 99])
+def test_a_reference_that_no_variable_has_is_refused(reference):
+    slave = initialized(Tank)
+    for kind in ("real", "integer", "boolean", "string"):
+        with pytest.raises(ValueError, match=f"Tank: value reference {reference}, which no variable has, must not be"):
+            getattr(slave, f"get_{kind}")([0, reference] if kind == "real" else [reference])
+        with pytest.raises(ValueError, match=f"Tank: value reference {reference} must not be set as"):
+            getattr(slave, f"set_{kind}")([reference], [1])
+
+
+def test_a_string_is_refused():
+    slave = Tank(instance_name="one")
+    with pytest.raises(ValueError, match="area, of type Real, must not be read as String"):
+        slave.get_string([0])
+    with pytest.raises(ValueError, match="area must not be set as String"):
+        slave.set_string([0], ["wide"])
 
 
 def test_an_error_is_logged_with_its_traceback_and_escaped_per_cent_signs():
     slave = initialized(Product)
     put(slave, e=-1.0)
-    with pytest.raises(ValueError, match=r"100 % wrong: %s %n$"):
-        slave.do_step(0.0, 0.1)
+    assert slave.do_step(0.0, 0.1) is False
     (message,) = slave._get_log_queue()
     assert message.status == Fmi2Status.error
     assert message.category == "logStatusError"
@@ -357,6 +408,19 @@ def test_an_adaptive_controller_starts_with_its_initial_inputs_and_keeps_them_un
     put(slave, k=5.0, e=1.0)
     slave.do_step(0.2, 0.1)
     assert get(slave, "y", "k_held") == [4.5, 4.0]
+
+
+def test_an_adaptive_controller_s_inputs_must_be_within_bounds_where_they_are_used():
+    slave = adaptive()
+    put(slave, k=0.0)  # less than its min
+    assert slave.do_step(0.0, 0.1)
+    assert get(slave, "k_held") == [3.0]
+    set_ready(slave, True)
+    assert "LeverAdaptive: k must be in [0.5, inf], got 0." in discarded(slave, 0.1, 0.1)
+    assert get(slave, "k_held") == [3.0]
+    put(slave, k=4.0)
+    assert slave.do_step(0.1, 0.1)
+    assert get(slave, "k_held") == [4.0]
 
 
 def test_the_state_of_an_adaptive_controller_has_what_it_keeps():

@@ -3,6 +3,7 @@
    The parameter is set before the step with the number CHANGE_AT; variables go by value reference. Prints the outputs
    after each step. Exit codes: 0 done, 2 no library, 3 no instance, 4 a call that did not return OK. */
 #include <dlfcn.h>
+#include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -56,7 +57,7 @@ int main(int n, char **argument) {
         if (step(component, k * step_size, step_size, 1)) return 4;
         for (int i = 9; i < n; i++) {
             const unsigned reference = atoi(argument[i]);
-            double output;
+            double output = NAN;  // what is not written shows
             if (get(component, &reference, 1, &output)) return 4;
             printf("%.17g%c", output, i + 1 < n ? ' ' : '\n');
         }

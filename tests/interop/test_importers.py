@@ -94,6 +94,7 @@ CASES = (
 )  # fmt: skip
 IMPORTERS = tuple(dict.fromkeys(case.importer for case in CASES))
 REALS_ONLY = ("pathsim", "cofmupy")
+READS_FMI_3 = ("ecos", "pathsim")
 LOOPS = ("pendulum", "quadrotor")
 TRACKED = {"pendulum": ["plant.phi"], "quadrotor": ["plant.r_x", "plant.r_y", "plant.r_z"]}
 CHANGES = {
@@ -215,6 +216,10 @@ def jobs_of(importer):
     for case in CASES:
         for loop in LOOPS if case.importer == importer else ():
             mine[f"{case.order} {loop}"] = replace(closed_loop(loop, case.start), options=case.options)
+    if importer in READS_FMI_3:
+        case = next(case for case in CASES if case.importer == importer)
+        fmus = {name: str(find_fmu(c.fmu, Path(), 3)) for name, c in Scenario.load("pendulum").components.items()}
+        mine["FMI 3"] = replace(closed_loop("pendulum", case.start), fmus=fmus, options=case.options)
     if importer == "gemseo":
         mine["time series"] = replace(alone("Pendulum"), options={"lag": 0.0})
     return mine
@@ -262,6 +267,13 @@ def test_the_closed_loop_gives_our_trajectory_in_the_importer_s_order(simulated,
     """States of the plant and the inputs that it held; plant and controller change at t_50."""
     rows = simulated(case.importer)[f"{case.order} {loop}"]
     np.testing.assert_allclose(rows, expected(loop, case.start, json.dumps(case.groups)), rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("importer", READS_FMI_3)
+def test_the_closed_loop_of_fmi_3_fmus_gives_the_same(simulated, importer):
+    case = next(case for case in CASES if case.importer == importer)
+    ours = expected("pendulum", case.start, json.dumps(case.groups))  # of FMI 2.0 FMUs
+    np.testing.assert_allclose(simulated(importer)["FMI 3"], ours, rtol=0.0, atol=1e-9)
 
 
 def test_a_time_series_of_gemseo_acts_one_macro_step_early(simulated):

@@ -127,6 +127,16 @@ def test_ecos_steps_as_we_do(exported):
     assert np.max(np.abs(found[:-1] - ours[2:])[:, ahead]) < 1e-9
 
 
+def test_ecos_steps_a_package_of_fmi_3_fmus_as_we_do(tmp_path):
+    """FMPy's simulate_ssp and libcosim 0.0.6 read FMI 2.0 FMUs only."""
+    of_fmi_3 = {f"components.{name}.fmi": "3" for name in ("plant", "controller", "reference")}
+    path, names = tmp_path / "newer.ssp", ["plant.phi", "plant.phi_dot", "plant.u_held"]
+    path.write_bytes(to_ssp(Scenario.load("pendulum", SETTINGS["pendulum"] | of_fmi_3)))
+    ours = System.from_ssp(path).simulate(stop_time=STEPS * STEP)
+    found = simulated("ecospy", ECOS, path, names)
+    np.testing.assert_allclose(found, np.stack([ours[name][1:] for name in names], axis=1), rtol=0.0, atol=1e-9)
+
+
 def test_fmpy_differs_by_its_first_inputs_of_zero_alone(exported):
     name, path, system, ours = exported
     found = simulated("fmpy", FMPY, path, NAMES[name])

@@ -35,7 +35,7 @@ def archive_findings(entries: Sequence[ZipInfo]) -> Iterator[Finding]:
         yield Finding(_PLACE, f"unpacks to {unpacked / max(packed, 1):.0f} times its size, as only a zip bomb does")
     for entry in entries:
         yield from _entry_findings(entry)
-    yield from _name_findings([e.filename for e in entries if len(e.filename) <= LONGEST_NAME])
+    yield from _name_findings([e for e in entries if len(e.filename) <= LONGEST_NAME])
     yield from _overlaps(entries)
 
 
@@ -63,12 +63,17 @@ def leads_out(name: str) -> bool:
     return is_odd or not name or name.startswith("/") or ".." in name.split("/")
 
 
-def _name_findings(names: Sequence[str]) -> Iterator[Finding]:
+def _name_findings(entries: Sequence[ZipInfo]) -> Iterator[Finding]:
     """Yield names that denote the same file: in the archive, once it is unpacked, or on systems that ignore case."""
-    counts, folded = Counter(map(_unpacked, names)), dict[str, str]()
+    counts, folded = Counter(_unpacked(e.filename) for e in entries), dict[str, str]()
+    contents: dict[str, set[tuple[str, int, int]]] = {}
+    for e in entries:
+        contents.setdefault(_unpacked(e.filename), set()).add((e.filename, e.CRC, e.file_size))
     for name, count in counts.items():
-        if count > 1:
+        if len(contents[name]) > 1:
             yield Finding(repr(name), f"is in the archive {count} times; it is not known which is meant")
+        elif count > 1:  # whichever is read, it is the same
+            yield warning(repr(name), f"is in the archive {count} times, with the same content; once is enough")
         if (other := folded.setdefault(name.casefold(), name)) != name:
             yield warning(repr(name), f"differs from {other!r} in case only: they are one file on Windows")
     for name in counts:

@@ -13,6 +13,7 @@ from xml.etree.ElementTree import Element
 
 from fmpy.model_description import ModelDescription, ModelVariable
 
+from ...errors import one_line
 from ...findings import Finding, warning
 from ..types import TYPES, is_real
 
@@ -21,6 +22,8 @@ MOST_ELEMENTS: Final = 1_000_000
 
 _PLACE: Final = "modelDescription.xml"
 _IDENTIFIER: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_FILE_NAME: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]*")
+_ONLY_A_REAL: Final = re.compile(r'The variable ".*" .* is of type \w+ and must have variability != "continuous"\.')
 
 
 def description_findings(description: ModelDescription) -> Iterator[Finding]:
@@ -68,8 +71,28 @@ def _unknown(indices: Iterable[str], n: int, where: str) -> Iterator[Finding]:
 def _identifiers(description: ModelDescription) -> Iterator[Finding]:
     parts: tuple[Any, ...] = (description.coSimulation, description.modelExchange, description.scheduledExecution)
     for identifier in dict.fromkeys(str(part.modelIdentifier) for part in parts if part is not None):
-        if not _IDENTIFIER.fullmatch(identifier):  # it becomes a file name
-            yield Finding(_PLACE, f"modelIdentifier {identifier!r} is no C identifier, of letters, digits and '_'")
+        if not _IDENTIFIER.fullmatch(identifier):
+            what = f"modelIdentifier {identifier!r} is no C identifier, of letters, digits and '_'"
+            if _FILE_NAME.fullmatch(identifier):  # no more than the library's name is made of it here
+                yield warning(_PLACE, f"{what} (FMI 2.0.4, section 4.3.1)")
+            else:
+                yield Finding(_PLACE, what)
+
+
+def harmless_findings(problems: Sequence[str]) -> list[Finding] | None:
+    """Return what FMPy's validation has found as warnings, where it does no harm; else None."""
+    if not all(_ONLY_A_REAL.fullmatch(problem) for problem in problems):
+        return None
+    return [warning(_PLACE, f"{problem.rstrip('.')} (FMI 2.0.4, section 2.2.7)") for problem in problems]
+
+
+def clock_problem(description: ModelDescription) -> str | None:
+    """Return why the clocks of a co-simulation FMU cannot be served, or None: what sets a clock needs event mode."""
+    part = description.coSimulation
+    clocks = [v.name for v in description.modelVariables if v.type == "Clock" and v.causality == "input"]
+    if not clocks or part is None or part.hasEventMode not in ("true", "1", True):
+        return None
+    return f"it has input clocks, {one_line(clocks[0])!r} for one, which tick in event mode only; that is not supported"
 
 
 def _units(units: Iterable[Any]) -> Iterator[Finding]:

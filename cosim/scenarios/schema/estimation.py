@@ -1,13 +1,9 @@
 """Tables of a scenario file on the estimation: parameters, objective, loop and estimators."""
 
-from typing import Any, Literal, Self, cast
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self, cast, get_type_hints
 
-from pydantic import (
-    Field,
-    TypeAdapter,
-    ValidationError,
-    model_validator,
-)
+from pydantic import Discriminator, Field, Strict, Tag, TypeAdapter, ValidationError, model_validator
 
 from estimator import METHODS, Method, Parameter, ParameterSpace
 from estimator.methods import FORMER_METHODS, method_named
@@ -15,7 +11,23 @@ from estimator.triggers import TriggerSettings
 
 from ...former_names import tell_new_name
 from ...names import did_you_mean
-from .table import MOST, Reference, Table
+from ...variable_name import VariableName
+from ..formula import compile_expression, identifier
+from .table import FUNCTION, MOST, Reference, Table
+from .toml_types import check_types
+
+NAME, FORMULAS = "[name]", "[formulas]"
+"""Pydantic's places of the two forms of `writes`, which are no keys."""
+
+
+def _form(given: object) -> str:
+    return FORMULAS if isinstance(given, Mapping) else NAME
+
+
+Writes = Annotated[
+    Annotated[Reference, Tag(NAME)] | Annotated[dict[Reference, str], Tag(FORMULAS)], Discriminator(_form)
+]
+"""The controller's parameter that an estimate is written to, or formulas for several."""
 
 
 class LoopSettings(Table):
@@ -34,7 +46,7 @@ class LoopSettings(Table):
 
 
 class EstimatedParameter(Table):
-    """A parameter to estimate, and the controller's parameter that it is written to."""
+    """A parameter to estimate, and the controller's parameters that depend on it."""
 
     name: str = Field(min_length=1)
     """The model's keyword argument and, unless `true` says otherwise, the plant's variable."""
@@ -43,18 +55,46 @@ class EstimatedParameter(Table):
     upper: float
     """Upper bound."""
     unit: str = "1"
-    """FMI unit string; must be the controller variable's."""
+    """FMI unit string; must be that of the controller's parameter, where it is written as it is, else the plant's."""
     scale: Literal["linear", "log"] = "linear"
     """Scale of the search."""
-    writes: Reference
-    """The controller's tunable parameter."""
+    writes: Writes = {}
+    """The controller's tunable parameter that the estimate is written to; or formulas for several, in all estimated
+    parameters by name (`inertia_J` for `inertia.J`): `{ "controller.PI.k" = "20*J", "controller.PI.Ti" = "J/d" }`. In
+    place of a formula `module:function`, called as f(**parameters) for a number or, where it is named for several, as
+    many in their order. May be left out where the formulas of others use the estimate."""
+    start: float | None = None
+    """Value that the controller begins with, where `writes` has formulas or is left out; otherwise it is the start
+    value of the controller's parameter."""
     true: Reference | None = None
     """The plant's parameter that the estimate is compared with in the report; not used in the estimation."""
 
     @model_validator(mode="after")
     def _is_sound(self) -> Self:
-        self.to_parameter()
+        parameter = self.to_parameter()
+        if self.is_written_as_it_is:
+            if self.start is not None:
+                raise ValueError(f"'{self.name}' starts as '{self.writes}' does: leave out start")
+        elif self.start is None:
+            if not self.writes:
+                text = "needs writes, a parameter of the controller; or start, where formulas of others use it"
+                raise ValueError(f"'{self.name}' {text}")
+            raise ValueError(
+                f"'{self.name}', written by formulas, needs start, the value that the controller begins with"
+            )
+        elif not parameter.contains(self.start):
+            raise ValueError(f"'{self.name}' starts at {self.start:g}, outside [{self.lower:g}, {self.upper:g}]")
         return self
+
+    @property
+    def is_written_as_it_is(self) -> bool:
+        """True where one of the controller's parameters is the estimate itself."""
+        return not isinstance(self.writes, dict)
+
+    @property
+    def written(self) -> dict[VariableName, str]:
+        """Formula of each of the controller's parameters in `writes`, or function of the user's; else its own name."""
+        return {self.writes: self.name} if isinstance(self.writes, VariableName) else cast(Any, self.writes)
 
     def to_parameter(self) -> Parameter:
         """Return it as a parameter of the estimator. Raises ValueError for reversed bounds."""
@@ -96,7 +136,7 @@ class EstimationSettings(LoopSettings):
     """Simulation of candidates, with the objective `rollout`."""
     parameters: tuple[EstimatedParameter, ...] = Field(min_length=1)
     """The parameters to estimate, in the order of theta."""
-    instants: tuple[float, ...] = ()
+    instants: tuple[Annotated[float, Strict()], ...] = ()
     """Times [s] at which the report compares estimated and true parameters."""
     linear: LinearModel | None = None
     """The model's linear form, for recursive least squares."""
@@ -145,6 +185,25 @@ class EstimationSettings(LoopSettings):
         return rest | {"methods": {**rest.get("methods", {}), **named}} if named else rest
 
     @model_validator(mode="after")
+    def _formulas_have_their_names(self) -> Self:
+        written: set[VariableName] = set()
+        names = [identifier(p.name) for p in self.parameters]
+        for parameter in self.parameters:
+            for reference, text in parameter.written.items():
+                if reference in written:
+                    raise ValueError(f"estimation.parameters: '{reference}' is written twice; once is enough")
+                written.add(reference)
+                if parameter.is_written_as_it_is or FUNCTION.fullmatch(text):
+                    continue
+                try:
+                    compile_expression(text, names)
+                except ValueError as e:
+                    raise ValueError(f'estimation.parameters: writes "{reference}": {e}') from e
+        if not written:
+            raise ValueError("estimation.parameters: nothing is written: give one of them writes")
+        return self
+
+    @model_validator(mode="after")
     def _methods_know_their_settings(self) -> Self:
         _ = self.space
         for name in (*METHODS, *FORMER_METHODS):
@@ -157,6 +216,10 @@ class EstimationSettings(LoopSettings):
         for key in self.methods.get(name, {}):
             if key not in known:
                 raise ValueError(f"estimation.{name} has no setting '{key}'{did_you_mean(key, known)}")
+        try:
+            check_types(get_type_hints((method or method_named(name)).settings), self.methods.get(name, {}))
+        except ValueError as e:
+            raise ValueError(f"estimation.{name}.{e}") from e
         try:
             self.loop(name, method)
             self.settings(name, method)

@@ -18,7 +18,8 @@ class Derivative(Noise):
     """A state's derivative, measured or computed by the filter."""
 
     of: Reference | None = None
-    """The state that the filter differentiates; its noise gives the derivative's, unless `noise` does."""
+    """The state that it is the derivative of. With a filter, the state that this differentiates; its noise gives the
+    derivative's, unless `noise` does. Without one, an output that the FMU does not declare as a derivative."""
 
 
 class SavitzkyGolay(Table):
@@ -78,7 +79,8 @@ class SensorFault(Table):
     def _is_sound(self) -> Self:
         if self.kind == "late" and self.sensor is not None:
             raise ValueError("a whole sample is late: leave out 'sensor'")
-        if (self.kind in ("bias", "noise", "spikes", "scale")) != ("size" in self.model_fields_set):
+        needs_size = self.kind in ("bias", "noise", "spikes", "scale")
+        if needs_size != ("size" in self.model_fields_set and (needs_size or self.size != 0.0)):  # a manifest has all
             raise ValueError(f"'size' belongs to bias, noise, spikes and scale, which need it, got kind '{self.kind}'")
         return self
 
@@ -125,18 +127,19 @@ class Sampling(Table):
 
     @model_validator(mode="after")
     def _is_filtered_or_not(self) -> Self:
+        for name, d in self.derivatives.items():
+            if d.of is not None and d.of.component != name.component:
+                raise ValueError(f"'{name}' and '{d.of}' must be of one component")
         if self.filter is None:
-            loose = next((name for name, d in self.derivatives.items() if d.of), None)
-            if loose:
-                raise ValueError(f"'{loose}' of a state needs sampling.filter, which makes it")
+            for name, d in self.derivatives.items():
+                if d.of and not d.noise:
+                    raise ValueError(f"'{name}' must have noise > 0, or sampling.filter, which makes it of '{d.of}'")
             return self
         if self.outputs:
             raise ValueError("filter makes derivatives, outputs are for roll-outs, which need every point: have one")
         for name, d in self.derivatives.items():
             if d.of is None:
                 raise ValueError(f"'{name}' must say of which state the filter makes it: of = \"plant.x\"")
-            if d.of.component != name.component:
-                raise ValueError(f"'{name}' and '{d.of}' must be of one component")
             if d.of not in self.states or not self.states[d.of].noise:
                 raise ValueError(f"'{d.of}' must have noise > 0 in sampling.states: it weighs the residual")
         return self

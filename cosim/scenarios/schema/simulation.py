@@ -78,17 +78,19 @@ class ComponentSettings(Table):
     """Name of a built-in FMU, or a path to a file, relative to the scenario's."""
     fmi: Literal[2, 3] = 2
     """FMI version of a built-in FMU; a file says its own."""
-    table: str | None = Field(default=None, pattern=r"(?i)\.csv$")
+    table: str | None = Field(default=None, pattern=r"\.[cC][sS][vV]$")
     """Instead of an FMU: path of a CSV file whose columns are played back over time."""
     start: dict[str, Value] = {}
     """Start values set before initialisation."""
+    tolerance: float | None = Field(default=None, gt=0.0, allow_inf_nan=False)
+    """Relative tolerance for the FMU's own solver; without it that of the FMU's default experiment, if any."""
 
     @model_validator(mode="after")
     def _is_one_of_them(self) -> Self:
         if (self.fmu is None) == (self.table is None):
             raise ValueError("must have either 'fmu' or 'table'")
-        if self.table and self.start:
-            raise ValueError("a table takes no start values")
+        if self.table and (self.start or self.tolerance):
+            raise ValueError("a table takes no start values, and no tolerance")
         return self
 
 

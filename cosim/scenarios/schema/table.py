@@ -1,13 +1,17 @@
 """Base class of a scenario file's tables, and the types that they share."""
 
+import re
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, cast
+from typing import Annotated, Any, ClassVar, Final, cast
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, GetPydanticSchema, model_validator
 
 from ...former_names import tell_new_name
 from ...variable_name import VariableName
+from .toml_types import check_types
 
+FUNCTION: Final = re.compile(r"[\w.]+:\w+")
+"""A function of the user's, `module:function`."""
 MOST = 1_000_000_000
 """Largest count, or waiting time [s]: more is a mistake, or more than a machine can hold."""
 
@@ -45,4 +49,5 @@ class Table(BaseModel):
                     raise ValueError(f"'{old}' is now '{new}': leave out '{old}'")
                 given[new] = given.pop(old)
                 tell_new_name(former, now)
+        check_types({key: field.annotation for key, field in cls.model_fields.items()}, given)
         return given

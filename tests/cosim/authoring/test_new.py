@@ -158,8 +158,8 @@ def test_what_is_not_given_is_to_be_filled_in(theirs, tmp_path, capsys):
 
 
 def test_a_name_of_several_lines_is_drafted_on_one(described, tmp_path):
-    variables = """<ScalarVariable name="a b&#10;c" valueReference="0" causality="output" description="two&#10;lines">
-    <Real/></ScalarVariable>
+    variables = """<ScalarVariable name="a b&#10;c" valueReference="0" causality="output" description="two&#10;lines"
+    initial="exact"><Real start="0"/></ScalarVariable>
     <ScalarVariable name="u" valueReference="1" causality="input"><Real start="0"/></ScalarVariable>"""
     text = draft({"plant": described(variables, name="Plain")}, tmp_path).text
     assert tomllib.loads(text)["sampling"]["derivatives"] == {"plant.der(a b\nc)": {"of": "plant.a b\nc"}}

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
 
+import cosim
 from cosim import Scenario, ScenarioError
 from cosim.authoring.doctor import diagnose
 from cosim.cli import main
@@ -69,6 +70,51 @@ def feed(slave, n_steps: int, truth=TRUTH, first: int = 0, error: float = 0.5, n
         put(slave, phi=phi, phi_dot=phi_dot, u_held=u, phi_ref=phi + error)
         slave.set_real(places_of(slave, "der(phi_dot)"), [xdot])
         slave.do_step(0.01 * k, 0.01)
+
+
+# -- gains --------------------------------------------------------------------------------------------------------
+
+
+def gains_scenario(tmp_path, formula: str, code: str = "") -> Scenario:
+    """The pendulum's scenario, whose controller's Kp follows from the mass."""
+    text = (Path(cosim.__file__).parent / "scenarios" / "pendulum.toml").read_text(encoding="utf-8")
+    path = tmp_path / "gains.toml"
+    path.write_text(
+        text.replace('writes = "controller.m"', f'start = 1.75\nwrites = {{ "controller.Kp" = "{formula}" }}')
+    )
+    (tmp_path / "gain_functions.py").write_text(code)
+    return Scenario.load(path)
+
+
+def test_gains_are_outputs_that_follow_the_estimates(tmp_path):
+    slave = slave_of(gains_scenario(tmp_path, "10*m/1.75"), m_start=3.5)
+    unit = next(v.unit for v in slave.variables if v.name == "Kp")
+    assert (get(slave, "Kp"), unit) == ([pytest.approx(20.0)], "1/s2")
+    feed(slave, 60)
+    assert get(slave, "Kp")[0] == pytest.approx(10.0 * 4.271 / 1.75, rel=0.01)
+    assert get(slave, "Kp")[0] == 10.0 * get(slave, "m")[0] / 1.75
+
+
+def test_an_estimate_without_gains_is_not_taken(tmp_path):
+    slave = slave_of(gains_scenario(tmp_path, "10*sqrt((3 - m)/1.25)"))
+    feed(slave, 60)
+    assert get(slave, "m")[0] <= 3.0
+    assert get(slave, "Kp")[0] == 10.0 * ((3.0 - get(slave, "m")[0]) / 1.25) ** 0.5
+
+
+@fmu
+@pytest.mark.full
+def test_a_function_that_gives_gains_is_shipped(tmp_path):
+    scenario = gains_scenario(tmp_path, "gain_functions:place", "def place(m, l):\n    return 10.0 * m / 1.75\n")
+    path = build_estimator(scenario, tmp_path / "out")
+    with zipfile.ZipFile(path) as archive:
+        assert any(re.fullmatch(r"resources/gain_functions\w*\.py", name) for name in archive.namelist())
+    names = ["phi", "phi_dot", "u_held", "phi_ref"]
+    inputs = np.array(
+        [(0.0, 0.3, 0.1, 5.0, 0.0), (0.1, 0.3, 0.1, 5.0, 0.0)], dtype=[(n, float) for n in ("time", *names)]
+    )
+    found = fmpy.simulate_fmu(str(path), stop_time=0.05, output_interval=0.01, input=inputs, output=["Kp", "m"])
+    assert np.allclose(found["Kp"], 10.0 * found["m"] / 1.75, rtol=1e-12)
 
 
 # -- what it declares ---------------------------------------------------------------------------------------------
@@ -132,19 +178,23 @@ def test_initial_dependencies_are_exactly_what_a_perturbation_shows():
     kind = type("Estimator", (EstimatorSlave,), {"settings": settings, "__doc__": "Estimates."})
     outputs = [v.name for v in kind.variables if v.causality == "output"]
 
-    def initial(name=None):
+    def another(v, value):
+        if isinstance(value, bool):
+            return not value
+        return value / 2 if v.max is not None and value + 1 > v.max else value + 1 if value else 0.5
+
+    def initial(v=None):
         slave = kind(instance_name="one")
         slave.setup_experiment(0.0)
-        if name is not None:
-            (value,) = get(slave, name)
-            put(slave, **{name: not value if isinstance(value, bool) else value + 1 if value else 0.5})
+        if v is not None:
+            put(slave, **{v.name: another(v, *get(slave, v.name))})
         return get(slave, *outputs)
 
     before = initial()
     seen = {name: set() for name in outputs}
     for v in kind.variables:
         if v.causality != "output":
-            for name, a, b in zip(outputs, before, initial(v.name), strict=True):
+            for name, a, b in zip(outputs, before, initial(v), strict=True):
                 if a != b:
                     seen[name].add(v.name)
     assert seen == {v.name: set(v.dependencies) for v in kind.variables if v.causality == "output"}
@@ -434,7 +484,7 @@ def test_it_needs_no_more_than_it_says(tmp_path):
 def test_the_archive_holds_no_more_of_the_co_simulation_than_is_loaded(tmp_path):
     with zipfile.ZipFile(build_estimator(Scenario.load("quadrotor"), tmp_path)) as archive:
         names = {Path(name).name for name in archive.namelist() if name.startswith("resources/cosim_")}
-    assert names == {"__init__.py", "loop.py", "slave.py"}
+    assert names == {"__init__.py", "loop.py", "slave.py", "names.py", "formula.py", "tuning_rule.py"}
 
 
 @pytest.mark.full
@@ -506,13 +556,14 @@ def test_the_command_builds_it_and_replaces_nothing_unasked(capsys, tmp_path, mo
     monkeypatch.chdir(tmp_path)
     command = ["build", "--estimator", "quadrotor", "--out", "fmus"]
     assert main(command) == 0
-    assert capsys.readouterr().out == "fmus/QuadrotorEstimator.fmu  built\n"
+    following = "next: retune info fmus/QuadrotorEstimator.fmu\n"
+    assert capsys.readouterr().out == f"fmus/QuadrotorEstimator.fmu  built\n{following}"
     assert main(command) == 0
-    assert capsys.readouterr().out == "fmus/QuadrotorEstimator.fmu  unchanged\n"
+    assert capsys.readouterr().out == f"fmus/QuadrotorEstimator.fmu  unchanged\n{following}"
     assert main([*command, "--set", "estimation.budget=5"]) == 2
     assert "exists and differs; give --force" in capsys.readouterr().err
     assert main([*command, "--set", "estimation.budget=5", "--force"]) == 0
-    assert capsys.readouterr().out == "fmus/QuadrotorEstimator.fmu  replaced\n"
+    assert capsys.readouterr().out == f"fmus/QuadrotorEstimator.fmu  replaced\n{following}"
 
 
 @pytest.mark.parametrize(

@@ -86,7 +86,7 @@ def test_a_fault_names_function_and_reason_and_harms_nothing_else(tmp_path, isol
         with open_slave(controller, "controller", isolation=isolation) as slave:
             slave.bind(["a_d[3]"], [], ["F"])
             slave.initialize({})
-            reason = "controller: do_step at t = 0.000 s returned fatal: ValueError: desired attitude undefined"
+            reason = "controller: do_step at t = 0.000 s returned error: ValueError: desired attitude undefined"
             with pytest.raises(SlaveError, match=re.escape(reason)):
                 slave.step([9.81], 0.0, 0.01)
 

@@ -29,6 +29,7 @@ def entries(*names, **attributes):
     for name in names:
         entry = ZipInfo(name)
         entry.file_size = entry.compress_size = 100
+        entry.CRC = 1
         for key, value in attributes.items():
             setattr(entry, key, value)
         entry.header_offset = place
@@ -117,10 +118,22 @@ def test_kinds_of_entries(attributes, n):
         (["./a", "b/./a", "b//c", "./"], []),
         (["a/b", "a//b"], ["'a/b': error: is in the archive 2 times; it is not known which is meant"]),
         (["a", "./a"], ["'a': error: is in the archive 2 times; it is not known which is meant"]),
+        (["a", "a"], ["'a': warning: is in the archive 2 times, with the same content; once is enough"]),
     ],
 )
 def test_names_that_are_one_file(names, expected):
     assert told(archive_findings(entries(*names))) == expected
+
+
+@pytest.mark.parametrize("other", [{"CRC": 2}, {"file_size": 101}], ids=str)
+def test_one_name_of_two_contents(other):
+    for changed in (0, 1):
+        twice = entries("a", "a")
+        for key, value in other.items():
+            setattr(twice[changed], key, value)
+        assert told(archive_findings(twice)) == [
+            "'a': error: is in the archive 2 times; it is not known which is meant"
+        ]
 
 
 @pytest.mark.parametrize(("place", "overlaps"), [(100, True), (129, True), (130, False), (131, False)])
@@ -302,16 +315,21 @@ def test_indices(kind, index, is_there):
 
 
 @pytest.mark.parametrize(
-    ("identifier", "is_one"),
-    [("M", True), ("_m_2", True), ("2M", False), ("M-2", False), ("M\u00e4", False), ("", False)],
-)
+    ("identifier", "kind"),
+    [
+        ("M", None), ("_m_2", None), ("2M", "warning"), ("M-2", "warning"), ("M.2+b", "warning"),
+        ("M\u00e4", "error"), ("", "error"), ("-M", "error"), ("..", "error"), ("a/b", "error"),
+    ],
+)  # fmt: skip
 @pytest.mark.parametrize("interface", ["CoSimulation", "ModelExchange", "ScheduledExecution"])
-def test_identifiers(described, identifier, is_one, interface):
+def test_identifiers(described, identifier, kind, interface):
+    """What can only be a file's name is a warning: here nothing else is made of it."""
     names = {"ModelExchange": "M", "CoSimulation": "M", "ScheduledExecution": "M"} | {interface: identifier}
     parts = "".join(f'<{part} modelIdentifier="{name}"/>' for part, name in names.items())
     text = FMI3.replace('<CoSimulation modelIdentifier="M"/>', parts)
-    told_ = f"error: modelIdentifier {identifier!r} is no C identifier, of letters, digits and '_'"
-    assert described(text.format("", "")) == ([] if is_one else [told_])
+    told_ = f"{kind}: modelIdentifier {identifier!r} is no C identifier, of letters, digits and '_'"
+    told_ += " (FMI 2.0.4, section 4.3.1)" * (kind == "warning")
+    assert described(text.format("", "")) == ([told_] if kind else [])
 
 
 @pytest.mark.parametrize(

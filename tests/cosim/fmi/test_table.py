@@ -67,8 +67,8 @@ def test_a_time_that_comes_twice_is_a_jump_at_its_communication_point(tmp_path):
         ("t, x, x\n0, 1, 2\n", "must have a name of its own, got x, x"),
         ("t\n0\n", "must have a name of its own"),
         ("t, x\n0, 1\n1\n", "line 3: must have 2 numbers, got 1"),
-        ("t, x\n0, 1\n1, one\n", "line 3: could not convert string to float: 'one'"),
-        ("t, x\n# a gap\n0, nan\n", "line 3: every number must be finite"),
+        ("t, x\n0, 1\n1, one\n", "line 3, column 'x': could not convert string to float: 'one'"),
+        ("t, x\n# a gap\n0, nan\n", "line 3, column 'x': every number must be finite, got nan"),
         ("t, x\n0, 1\n2, 1\n1, 1\n", "line 4: time must not go back, got 1 s"),
         ('t, "x\n0, 1\n', None),
     ],
@@ -137,6 +137,7 @@ def test_a_system_with_a_table_is_no_ssp_package(with_table):
         ('{ fmu = "A.fmu", table = "a.csv" }', "either 'fmu' or 'table'"),
         ("{ }", "either 'fmu' or 'table'"),
         ('{ table = "a.csv", start = { x = 1.0 } }', "a table takes no start values"),
+        ('{ table = "a.csv", tolerance = 1e-6 }', "a table takes no start values, and no tolerance"),
         ('{ table = "a.xlsx" }', "components.reference.table: string should match"),
     ],
 )

@@ -1,5 +1,6 @@
 """Figures: drawn for what a run can be at its worst, and the numbers behind them are right."""
 
+import dataclasses
 import json
 from itertools import pairwise
 from math import sin
@@ -7,40 +8,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from PIL import Image
 from scipy.optimize import minimize_scalar
 
 from cosim import Run, Scenario, run
 from cosim.errors import FolderError
 from cosim.paper.illustration import global_minimum, illustrate, optimise, unknown
-from cosim.plots.canvas import label, set_log, tame, value_range
-from cosim.plots.panels import panels
+from cosim.plots.canvas import label, set_log
+from cosim.plots.overlay import columns_of, draw_overlay, plot_run
+from cosim.plots.palette import BASELINES, RUNS
+from cosim.plots.panels import Curve, panels
+from cosim.plots.ranges import tame, value_range
 from cosim.plots.response import response_surface
-from cosim.plots.runs import draw_run
-from cosim.system.plant import Plant
+from cosim.plots.runs import draw_run, draw_tracking
 from cosim.variable_name import VariableName
 from estimator import Sample
+from tests.cosim.plots.made_up import GONE, made_up_run
 
 OVER_TIME = {"tracking.png", "error.png", "parameters.png"}
-GONE = {f"components.{name}.fmu": "gone.fmu" for name in ("plant", "controller", "reference")}
-COLUMNS = (
-    "plant.phi", "plant.phi_dot", "plant.der(phi)", "plant.der(phi_dot)", "held.plant.u", "controller.u",
-    "reference.phi_ref", "plant.m", "plant.l", "controller.m", "controller.l", "sampled.plant.der(phi_dot)",
-)  # fmt: skip
-
-PLANT = Plant("plant", ("phi", "phi_dot"), {"u": 0.0}, (1,))
-
-
-def made_up_run(folder: Path | None, n: int = 50, scenario: Scenario | None = None, **columns: object) -> Run:
-    """A run of the pendulum scenario whose series are random but for the columns given by `component_variable`."""
-    rng = np.random.default_rng(0)
-    series = {"time": 0.01 * np.arange(n)} | {name: rng.uniform(0.5, 2.0, n) for name in COLUMNS}
-    given = {name: columns.get(name.replace(".", "_"), values) for name, values in series.items()}
-    return Run(
-        scenario=scenario or Scenario.load("pendulum", GONE), plant=PLANT, estimator="target", seed=0,
-        series={name: np.broadcast_to(np.asarray(v, dtype=float), (n,)) for name, v in given.items()},
-        status="done", error=None, n_evaluations=0, n_episodes=0, latencies=(), wall=0.0, folder=folder,
-    )  # fmt: skip
 
 
 def write_events(folder: Path, *events: object) -> None:
@@ -131,6 +117,48 @@ def test_seven_outputs_with_long_and_odd_names_are_drawn(tmp_path: Path) -> None
     series = dict(base.series) | dict.fromkeys(names, base["plant.phi"])
     run_ = Run(**{f: getattr(base, f) for f in Run.__dataclass_fields__} | {"series": series})
     assert check_pictures(draw_run(run_, {"none": run_})) == OVER_TIME
+
+
+def test_the_picture_of_the_tracking_has_the_input_the_title_and_what_the_guard_refused() -> None:
+    made_up = made_up_run(None)
+    events = [{"t": 0.1, "kind": "veto"}, {"t": 0.3, "kind": "veto"}, {"t": 0.2, "kind": "revert"}]
+    figure = draw_tracking(made_up, [Curve(made_up, "mine", RUNS[0], 2.0)], events)
+    above, below = figure.axes
+    assert (above.get_ylabel(), below.get_ylabel()) == (r"$\phi$", "$u$")
+    drawn = next(line for line in below.lines if line.get_label() == "mine")
+    np.testing.assert_array_equal(drawn.get_ydata(), made_up["held.plant.u"])
+    marks = {line.get_label(): list(line.get_xdata()) for line in below.lines if line.get_marker() in "xv"}
+    assert marks == {"refused by the guard": [0.1, 0.3], "reverted": [0.2]}
+    (legend,) = figure.legends
+    assert legend.get_title().get_text() == "pendulum, target, seed 0"
+
+
+def test_runs_laid_over_one_another_are_told_apart_without_colour() -> None:
+    runs = [made_up_run(None), dataclasses.replace(made_up_run(None), seed=1)]
+    figure = draw_overlay(runs)
+    assert [axes.get_ylabel() for axes in figure.axes] == [r"$\phi$", "$u$", "$m$ [kg]", "$l$ [m]"]
+    for axes in figure.axes:
+        styles = {line.get_label(): line.get_linestyle() for line in axes.lines if "seed" in str(line.get_label())}
+        assert set(styles) == {"seed 0", "seed 1"}
+        assert styles["seed 0"] != styles["seed 1"]
+    dashes = [style.dashes for style in (*RUNS, *(style for _, style in BASELINES.values()))]
+    assert len(set(dashes)) >= len(RUNS)
+
+
+def test_a_run_is_drawn_on_the_axes_that_are_given_and_on_new_ones() -> None:
+    made_up, figure = made_up_run(None), Figure()
+    axes = figure.subplots()
+    assert plot_run(made_up, ["plant.phi"], axes) is axes
+    np.testing.assert_array_equal(axes.lines[0].get_ydata(), made_up["plant.phi"])
+    assert len(plot_run(made_up, [], list(figure.subplots(4)))) == len(columns_of(made_up)) == 4
+    with pytest.raises(KeyError, match=r"no column 'plant\.phy'; did you mean 'plant.phi'"):
+        plot_run(made_up, ["plant.phy"], axes)
+    with pytest.raises(ValueError, match="2 columns need as many axes, got 1"):
+        plot_run(made_up, ["plant.phi", "plant.m"], axes)
+
+
+def test_a_run_of_the_users_own_estimator_is_drawn(tmp_path: Path) -> None:
+    assert check_pictures(draw_run(made_up_run(tmp_path, estimator="mine:Estimator"), {})) == OVER_TIME
 
 
 def test_a_run_without_a_folder_is_refused() -> None:

@@ -18,6 +18,7 @@ from cosim.slaves.slave import Slave, open_slave
 from cosim.system.fmu_cache import fmu_paths
 from cosim.system.master import Master
 from cosim.system.plant import plant_of
+from cosim.system.tuning import tuning_rule
 from cosim.system.wiring import wire
 from estimator import Sample
 from fmu_models import pendulum as physics
@@ -56,6 +57,7 @@ class Loop:
             self.plant,
             physics.derivative,
             stack,
+            tuning_rule(scenario),
         )
         self.n = n
         for k in range(n):

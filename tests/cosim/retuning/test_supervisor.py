@@ -79,7 +79,7 @@ class Loop:
         support = DataSupport(residual, SPACE, 1, 30)
         self.guard = Guard(GuardSettings(tolerance=0.5, rate=1.0), SPACE, START, 100.0, support)
         screen = ScriptedScreen(self.log, **script)
-        read_back = ReadBack(("controller.a",), (0,))
+        read_back = ReadBack(("controller.a",), (0,), np.ndarray.tolist)
         self.supervisor = Supervisor("mine", retuner, support, screen, self.guard, read_back, model=self.model)
         self.held = START
 

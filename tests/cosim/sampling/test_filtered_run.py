@@ -131,7 +131,7 @@ def test_states_that_cannot_be_sampled_are_refused_and_found(bare, overrides, me
 
 def test_without_a_filter_a_derivative_of_a_state_is_refused(bare):
     bare.write_text(bare.read_text().replace(FILTER, ""))
-    with pytest.raises(ScenarioError, match=r"needs sampling\.filter"):
+    with pytest.raises(ScenarioError, match=r"must have noise > 0, or sampling\.filter, which makes it"):
         Scenario.load(bare)
 
 

@@ -15,14 +15,17 @@ SCENARIOS = Path(cosim.__file__).parent / "scenarios"
 CHANGE = ["--set", 'changes."plant.m"=[[0.0, 1.75], [0.05, 4.271]]']
 
 
+NEXT = "next: retune run p.ssp\n"
+
+
 def test_an_export_is_not_overwritten(called, workplace):
-    assert called("export", "pendulum", "--ssp", "p.ssp") == (0, "p.ssp  written\n", "")
-    assert called("export", "pendulum", "--ssp", "p.ssp") == (0, "p.ssp  unchanged\n", "")
+    assert called("export", "pendulum", "--ssp", "p.ssp") == (0, f"p.ssp  written\n{NEXT}", "")
+    assert called("export", "pendulum", "--ssp", "p.ssp") == (0, f"p.ssp  unchanged\n{NEXT}", "")
     before = (workplace / "p.ssp").read_bytes()
     shorter = ["export", "pendulum", "--set", "scenario.stop_time=1.0", "--ssp", "p.ssp"]
     assert called(*shorter) == (2, "", "retune: p.ssp exists and differs; give --force or another --ssp.\n")
     assert (workplace / "p.ssp").read_bytes() == before
-    assert called(*shorter, "--force") == (0, "p.ssp  replaced\n", "")
+    assert called(*shorter, "--force") == (0, f"p.ssp  replaced\n{NEXT}", "")
 
 
 def test_an_export_runs_as_the_scenario_does(called, workplace):

@@ -1,0 +1,128 @@
+"""Events of a run as marks of a picture and rows of a table: their names, signs and reasons."""
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, NamedTuple
+
+from ..plots.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
+from ..runs.recorded_events import RecordedEvent
+from ..runs.result import Run
+from ..text_table import with_std
+
+
+class Sign(NamedTuple):
+    """Sign of a kind of event in a picture."""
+
+    text: str
+    """Name of the kind."""
+    marker: str
+    """Bokeh's name of the marker."""
+    colour: str
+
+
+SIGNS: Final[Mapping[str, Sign]] = {
+    "trigger": Sign("noticed", "triangle", ORANGE),
+    "write": Sign("written", "circle", BLUE),
+    "confirm": Sign("proven", "circle_dot", GREEN),
+    "end": Sign("search ended", "dash", GREY),
+    "veto": Sign("refused by the guard", "x", VERMILION),
+    "limit": Sign("limited by the guard", "asterisk", VERMILION),
+    "hold": Sign("held back in part", "cross", VERMILION),
+    "revert": Sign("reverted by the guard", "inverted_triangle", BLACK),
+    "undo": Sign("undone", "inverted_triangle", PURPLE),
+    "stop": Sign("re-tuning stopped", "square", BLACK),
+    "disturbance": Sign("disturbance", "diamond", PURPLE),
+    "unexplained": Sign("unexplained", "diamond_cross", PURPLE),
+    "rest": Sign("channels rest", "square_cross", PURPLE),
+    "observation": Sign("sample kept out", "square_x", SKY),
+    "sensor": Sign("sensor", "square_pin", SKY),
+    "guard": Sign("guard", "hex", GREY),
+    "fault": Sign("fault", "star", BLACK),
+    "interrupt": Sign("interrupted", "square_dot", GREY),
+}
+"""Kinds of events that are marks of their own, from top to bottom; candidates are in the picture of the evidence."""
+MOST_MARKS: Final = 5000
+"""Number of marks of one kind up to which all are drawn."""
+REFUSALS: Final = ("veto", "revert", "stop", "limit", "hold", "sensor", "observation", "undo", "rest")
+"""Kinds of events by which something was not done, or taken back; the most important first."""
+_CAUSES: Final = ("disturbance", "unexplained", "sensor")
+"""Kinds of events for which parameters are undone."""
+_NUMBER: Final = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?", re.IGNORECASE)
+
+
+def reason_of(event: RecordedEvent, run: Run) -> str:
+    """Return the reason and the content of an event in a line, as far as it has any."""
+    parts = [str(event["reason"])] if event.get("reason") else []
+    if event.get("kind") == "observation":
+        parts.append(f"{event.get('sensor')}: {event.get('fault')}")
+    if isinstance(size := event.get("size"), dict) and size:
+        parts.append(", ".join(f"{channel} {_number(value)}" for channel, value in size.items()))
+    if held := values_of(event, run):
+        parts.append(held)
+    if isinstance(event.get("cost"), int | float):
+        parts.append(f"sum of squares {event['cost']:.4g}")
+    return "; ".join(parts)
+
+
+def with_reasons(events: Sequence[RecordedEvent]) -> list[RecordedEvent]:
+    """Return the events, those that go back to earlier parameters with the reason that stands in another event."""
+    reasons = {e["t"]: e["reason"] for e in events if e.get("kind") in _CAUSES and e.get("reason")}
+    return [
+        {**e, "reason": ": ".join(["back to what was held before", *([reasons[e["t"]]] if e["t"] in reasons else [])])}
+        if e.get("kind") == "undo" and not e.get("reason")
+        else e
+        for e in events
+    ]
+
+
+def values_of(event: RecordedEvent, run: Run) -> str:
+    """Return the parameters of an event with their standard deviations; empty for one without."""
+    theta, std = event.get("theta"), event.get("std")
+    if not isinstance(theta, list):
+        return ""
+    stds = std if isinstance(std, list) and len(std) == len(theta) else [None] * len(theta)
+    texts = [
+        f"{p.name} {_value(value, s)} {p.unit}".rstrip()
+        for p, value, s in zip(run.scenario.estimation.parameters, theta, stds, strict=False)
+    ]
+    return ", ".join(texts)
+
+
+def _value(value: Any, std: Any) -> str:
+    if not isinstance(value, int | float):
+        return "?"
+    return with_std(float(value), float(std)) if isinstance(std, int | float) and std else _number(value)
+
+
+def _number(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, int | float) else "?"
+
+
+class Refusal(NamedTuple):
+    """Refusals of one kind and with one reason, but for the numbers in it."""
+
+    what: str
+    """Name of the kind."""
+    why: str
+    """Reason of the first one."""
+    times: str
+    """When, and how often."""
+
+
+def refusals(run: Run, events: Sequence[RecordedEvent]) -> list[Refusal]:
+    """Return what was refused, taken back or kept out, and why; the same reasons together, with their times."""
+    groups: dict[tuple[str, str], list[RecordedEvent]] = {}
+    for event in events:
+        if event.get("kind") in REFUSALS:
+            reason = _NUMBER.sub("#", str(event.get("reason") or f"{event.get('fault')} {event.get('sensor')}"))
+            groups.setdefault((str(event["kind"]), reason), []).append(event)
+    return [
+        Refusal(SIGNS[kind].text, reason_of(same[0], run), _times([float(e["t"]) for e in same]))
+        for (kind, _), same in sorted(groups.items(), key=lambda group: REFUSALS.index(group[0][0]))
+    ]
+
+
+def _times(times: Sequence[float]) -> str:
+    if len(times) == 1:
+        return f"{times[0]:.6g} s"
+    return f"{len(times)} times, {times[0]:.6g} to {times[-1]:.6g} s"

@@ -1,0 +1,16 @@
+/* A PI controller in Modelica's form, y = k (e + x), dx/dt = e/Ti, which takes its gains from outside where they are
+   connected: zero stands for the parameter. */
+
+#define N_VARIABLES 8
+enum { W_REF, W_MEAS, TAU, K, TI, X, K_IN, TI_IN };
+
+static const double start[N_VARIABLES] = {0.0, 0.0, 0.0, 0.59, 0.07375, 0.0, 0.0, 0.0};
+
+static void refresh(double *v) { v[TAU] = (v[K_IN] > 0.0 ? v[K_IN] : v[K]) * (v[W_REF] - v[W_MEAS] + v[X]); }
+
+static int step(double *v, double t, double h) {
+    v[X] += h * (v[W_REF] - v[W_MEAS]) / (v[TI_IN] > 0.0 ? v[TI_IN] : v[TI]);
+    return 1;
+}
+
+#include "fmi_model.h"

@@ -1,0 +1,198 @@
+"""`retune new` for FMUs as Dymola and 20-sim export them, and for controllers that have gains: what it writes runs."""
+
+import re
+import shutil
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from benchmarks.native_fmus import FOREIGN, SOURCES, build_c
+from cosim.authoring.check import check
+from cosim.authoring.draft import draft
+from cosim.authoring.guess import guess_tracking
+from cosim.cli import main
+from cosim.fmi.component import read_component
+from cosim.runs.simulation import run
+from cosim.scenarios.json_schema import URL
+from cosim.scenarios.scenario import Scenario
+
+pytestmark = [pytest.mark.fmu, pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")]
+DRIVE = Path(__file__).parents[3] / "examples" / "pi-speed-drive"
+
+
+def hidden(xml: str) -> str:
+    """Axis.xml with its states local, and calculated outputs that take no start value."""
+    for name in ("mass.s", "mass.v", "der(mass.s)", "der(mass.v)"):
+        xml, n = re.subn(rf'(name="{re.escape(name)}" valueReference="\d" causality=)"output"', r'\1"local"', xml)
+        assert n == 1
+    sensors = "".join(
+        f'<ScalarVariable name="{name}" valueReference="{place}" causality="output" initial="calculated">'
+        f'<Real unit="{unit}"/></ScalarVariable>'
+        for name, place, unit in (("s", 1, "m"), ("v", 2, "m/s"))
+    )
+    structure = "<Outputs>{}</Outputs><Derivatives>{}</Derivatives><InitialUnknowns>{}</InitialUnknowns>".format(
+        *("".join(f'<Unknown index="{i}"/>' for i in known) for known in ((10, 11), (4, 5), (4, 5, 10, 11)))
+    )
+    xml = xml.replace("</ModelVariables>", f"{sensors}</ModelVariables>")
+    return re.sub(
+        "<ModelStructure>.*</ModelStructure>", f"<ModelStructure>{structure}</ModelStructure>", xml, flags=re.S
+    )
+
+
+@pytest.fixture(scope="session")
+def built(made_once):
+    """A folder with HiddenAxis.fmu, UnitlessController.fmu, Drive.fmu and SpeedController.fmu."""
+
+    def make(folder):
+        build_c(FOREIGN / "Axis.c", hidden((FOREIGN / "Axis.xml").read_text()), folder / "HiddenAxis.fmu")
+        bare = re.sub(r' unit="[^"]*"', "", (FOREIGN / "AxisController.xml").read_text())
+        build_c(FOREIGN / "AxisController.c", bare, folder / "UnitlessController.fmu")
+        for name in ("Drive", "SpeedController"):
+            build_c(DRIVE / f"{name}.c", (DRIVE / f"{name}.xml").read_text(), folder / f"{name}.fmu")
+
+    return made_once(make, SOURCES, FOREIGN, DRIVE, Path(__file__))
+
+
+def new(path, plant, controller, reference):
+    return main(
+        ["new", "--plant", str(plant), "--controller", str(controller), "--reference", str(reference), "-o", str(path)]
+    )
+
+
+@pytest.fixture
+def axis_draft(built, foreign, tmp_path, capsys):
+    """The scenario that `new` writes for the hidden axis."""
+    path = tmp_path / "axis.toml"
+    assert new(path, built / "HiddenAxis.fmu", foreign / "AxisController.fmu", FOREIGN / "steps.csv") == 0
+    assert capsys.readouterr().out.count("to fill in") == 1  # what changes
+    return path
+
+
+def test_a_plant_that_hides_its_states_gets_roll_outs_that_check_and_run_take(axis_draft):
+    tree = tomllib.loads(axis_draft.read_text())
+    assert axis_draft.read_text().startswith(f"#:schema {URL}\n")
+    assert tree["estimation"]["objective"] == "rollout"
+    assert set(tree["sampling"]["outputs"]) == {"plant.s", "plant.v"}
+    assert "start" not in tree["components"]["plant"]
+    assert main(["check", str(axis_draft)]) == 0
+    assert run(Scenario.load(axis_draft, {"scenario.stop_time": "0.05"})).status == "done"
+
+
+@pytest.mark.full
+def test_its_mass_is_found_by_them(axis_draft):
+    axis_draft.write_text(axis_draft.read_text().replace('# "plant.mass.m"', '"plant.mass.m"'))
+    result = run(Scenario.load(axis_draft))
+    assert result["controller.m"][-1] == pytest.approx(3.0, rel=5e-3)
+    assert result["controller.c"][-1] == pytest.approx(8.0, rel=5e-3)
+
+
+def test_a_model_for_hidden_starts_is_checked_and_run_alike(axis_draft, tmp_path):
+    """The filter takes outputs for states; `check` asked for start values that the FMU refuses."""
+    text = axis_draft.read_text()
+    sampling = """[sampling]
+filter = { kind = "savitzky-golay" }
+derivatives = { "plant.der(v)" = { of = "plant.v", noise = 0.02 } }
+states = { "plant.s" = { noise = 1e-3 }, "plant.v" = { noise = 1e-3 } }
+
+"""
+    text = re.sub(r"\[sampling.outputs\].*?\n\n", sampling, text, flags=re.DOTALL)
+    text = re.sub(r'objective = "rollout".*', 'model = "hidden_model:derivative"', text)
+    axis_draft.write_text(text.replace("evaluations_per_step = 3", ""))
+    (tmp_path / "hidden_model.py").write_text(
+        "def derivative(x, u, m, c):\n    s, v = x\n    return v, (u[0] - c * s - v) / m\n"
+    )
+    found = check(axis_draft)
+    assert [str(f) for f in found if f.is_error] == []
+    assert any("zero for s, v, which the FMU starts itself" in f.what for f in found)
+    assert run(Scenario.load(axis_draft, {"scenario.stop_time": "0.05"})).status == "done"
+
+
+def test_units_are_the_plant_s_where_the_controller_declares_none(built, foreign, tmp_path):
+    path = tmp_path / "axis.toml"
+    assert new(path, foreign / "Axis.fmu", built / "UnitlessController.fmu", FOREIGN / "steps.csv") == 0
+    mass, stiffness = tomllib.loads(path.read_text())["estimation"]["parameters"]
+    assert (mass["unit"], stiffness["unit"]) == ("kg", "N/m")
+    shutil.copy(FOREIGN / "axis_model.py", tmp_path / "plant_model.py")
+    assert [str(f) for f in check(path) if f.is_error] == []
+    path.write_text(path.read_text().replace('unit = "kg"', 'unit = "1"'))
+    assert any("has the unit kg, but 'm' 1" in f.what and not f.is_error for f in check(path))
+    assert run(Scenario.load(path, {"scenario.stop_time": "0.05"})).status == "done"
+
+
+def test_a_controller_without_the_plant_s_parameters_gets_formulas(built, tmp_path, capsys):
+    path = tmp_path / "drive.toml"
+    assert new(path, built / "Drive.fmu", built / "SpeedController.fmu", DRIVE / "steps.csv") == 0
+    assert capsys.readouterr().out.count("to fill in") == 2  # the model, and what changes
+    (parameter,) = tomllib.loads(path.read_text())["estimation"]["parameters"]
+    assert parameter["writes"] == {"controller.PI.k": "0.59 * J / 0.02"}
+    assert (parameter["name"], parameter["unit"], parameter["start"]) == ("J", "kg.m2", 0.02)
+    assert parameter["true"] == "plant.inertia.J"
+    (tmp_path / "plant_model.py").write_text("def derivative(x, u, J):\n    return ((u[0] - 0.05 * x[0]) / J,)\n")
+    text = path.read_text()
+    assert '# "plant.inertia.J" = [[0.0, 0.02]' in text
+    path.write_text(text.replace('# "plant.inertia.J" = ', '"plant.inertia.J" = '))
+    assert [str(f) for f in check(path) if f.is_error] == []
+    result = run(Scenario.load(path, {"scenario.stop_time": "5.0"}))  # from 0.02 to 0.03 kg m2
+    assert result["controller.PI.k"][-1] == pytest.approx(0.59 * 1.5, rel=0.01)
+
+
+def variable(name, unit, place):
+    return (
+        f'<ScalarVariable name="{name}" valueReference="{place}" causality="output" initial="exact">'
+        f'<Real start="0" unit="{unit}"/></ScalarVariable>'
+    )
+
+
+@pytest.mark.parametrize(
+    ("outputs", "reference", "tracked"),
+    [
+        ([("force1", "N"), ("temperature", "K")], ("force", "N"), "plant.force1"),  # a similar name
+        ([("y1", "N"), ("y2", "K")], ("T_set", "K"), "plant.y2"),  # the only one in the unit
+        ([("speed", "m/s"), ("way", "m")], ("speed", "m"), "plant.way"),  # a name in another unit is none
+        ([("y1", "K"), ("y2", "K")], ("T_set", "K"), None),
+    ],
+    ids=["a similar name", "only the unit", "another unit", "ambiguous"],
+)
+def test_what_is_tracked_is_matched_by_name_and_unit(described, outputs, reference, tracked):
+    plant = described("".join(variable(*o, i) for i, o in enumerate(outputs)), name="P")
+    wanted = described(variable(*reference, 0), name="R")
+    components = {"plant": read_component(plant), "reference": read_component(wanted)}
+    assert [g.target for g in guess_tracking(components)] == ([tracked] if tracked else [])
+    text = draft({"plant": plant, "reference": wanted}, plant.parent).text
+    assert tomllib.loads(text)["tracking"] == (
+        {tracked: f"reference.{reference[0]}"} if tracked else {"plant.FILL": "reference.FILL"}
+    )
+
+
+def pin(name, causality, place, unit="", start=' start="0"'):
+    attribute = f' unit="{unit}"' if unit else ""
+    return (
+        f'<ScalarVariable name="{name}" valueReference="{place}" causality="{causality}">'
+        f"<Real{start if causality == 'input' else ''}{attribute}/></ScalarVariable>"
+    )
+
+
+def test_the_words_of_process_control_are_joined_where_one_output_is_left(described):
+    """SP, PV and OUT without units: no name is like another, and there is no choice."""
+    plant = described(pin("pump", "input", 0, "W") + pin("level", "output", 1, "m"), name="P")
+    controller = described(pin("SP", "input", 0) + pin("PV", "input", 1) + pin("OUT", "output", 2), name="C")
+    reference = described(pin("wanted", "output", 0, "m"), name="R")
+    text = draft({"plant": plant, "controller": controller, "reference": reference}, plant.parent).text
+    assert tomllib.loads(text)["connections"] == {
+        "controller.SP": "reference.wanted", "controller.PV": "plant.level", "plant.pump": "controller.OUT",
+    }  # fmt: skip
+    assert text.count("GUESS: the only output left, no unit to compare") == 2
+    two = described(pin("pump", "input", 0, "W") + pin("y1", "output", 1, "m") + pin("y2", "output", 2, "m"), name="Q")
+    text = draft({"plant": two, "controller": controller, "reference": reference}, plant.parent).text
+    assert "controller.PV" not in tomllib.loads(text)["connections"]  # either of two
+
+
+@pytest.mark.parametrize(
+    ("offered", "window"),
+    [("", 100), ('canGetAndSetFMUstate="true"', 100), ('canGetAndSetFMUstate="true" canSerializeFMUstate="true"', 20)],
+    ids=["none", "not as bytes", "saved"],
+)
+def test_roll_outs_from_the_start_are_longer_than_from_a_saved_state(described, offered, window):
+    plant = described(pin("u", "input", 0) + pin("y", "output", 1), name="P", interface=offered)
+    assert tomllib.loads(draft({"plant": plant}, plant.parent).text)["estimation"]["window"] == window

@@ -1,0 +1,163 @@
+"""`retune report`: one file that asks for nothing, whatever is in the run."""
+
+import base64
+import json
+import re
+
+import numpy as np
+import pytest
+
+from cosim import run
+from cosim.errors import FolderError
+from cosim.files import to_json
+from cosim.pages.list_page import listed, run_folders
+from cosim.pages.marks import SIGNS, with_reasons
+from cosim.pages.pictures import draw_pictures
+from cosim.pages.runs_page import read_page
+from cosim.runs.manifest import read_manifest
+from cosim.runs.recorded_events import read_events
+
+HOSTILE = "</script><img src=http://evil.example/x onerror=alert(1)>$$x$$"
+
+
+def without_bokeh(html):
+    """The page without the script of Bokeh, which is the longest."""
+    scripts = re.findall(r"<script nonce=.*?</script>", html, re.DOTALL)
+    return html.replace(max(scripts, key=len), "")
+
+
+def data_of(html):
+    return json.loads(re.search(r'<script type="application/json" id="page">(.*?)</script>', html, re.DOTALL)[1])
+
+
+@pytest.mark.full
+@pytest.mark.fmu
+def test_a_report_tells_what_the_run_was_and_asks_for_nothing(recorded):
+    html = read_page([recorded]).html()
+    text = without_bokeh(html)
+    assert "http:" not in text
+    assert "https:" not in text
+    assert "default-src 'none'" in text
+    assert "connect-src" not in text
+    manifest = read_manifest(recorded)
+    for digest in (*manifest.sha256.values(), *(fmu["sha256"] for fmu in manifest.fmus.values())):
+        assert digest in text
+    assert manifest.versions["numpy"] in text
+    assert "nominal controller" in text  # the table of the terminal
+    assert {*data_of(html)["renderers"]} == {"r0", "r0-none"}
+
+
+def test_a_page_asks_for_nothing_and_has_versions_hashes_and_the_table_of_the_terminal(made_up, page_of):
+    text = without_bokeh(page_of(made_up()).html())
+    assert re.findall(r"https?:", text) == []
+    assert "default-src 'none'" in text
+    assert "connect-src" not in text
+    for part in ("9.9", "ab12", "mean squared tracking error", "2 standard deviations"):
+        assert part in text
+
+
+@pytest.mark.full
+@pytest.mark.fmu
+def test_the_data_of_the_curves_are_the_record_bit_for_bit(recorded):
+    page = read_page([recorded])
+    columns = draw_pictures(page.shown).columns.to_json()
+    drawn = {name: base64.b64decode(packed["f8"]) for name, packed in columns["r0"].items()}
+    run = page.main[0].run
+    assert drawn["t"] == run.time.tobytes()
+    assert drawn["held.plant.u 0"] == run["held.plant.u"].tobytes()
+    assert drawn["m 0"] == run["controller.m"].tobytes()
+    events = [json.loads(line) for line in (recorded / "events.jsonl").read_text().splitlines()]
+    for kind in {e["kind"] for e in events} - {"candidate"}:
+        times = np.frombuffer(base64.b64decode(columns[f"r0 {kind}"]["x"]["f8"]))
+        assert times.tolist() == [e["t"] for e in events if e["kind"] == kind]
+        assert all(columns[f"r0 {kind}"]["text"])
+
+
+@pytest.mark.full
+@pytest.mark.fmu
+def test_a_run_that_goes_on_or_was_killed_has_its_page(recorded, tmp_path):
+    for name in ("series.arrow", "events.jsonl"):
+        content = (recorded / name).read_bytes()
+        (tmp_path / name).write_bytes(content[: len(content) * 2 // 3])
+    manifest = json.loads((recorded / "manifest.json").read_text())
+    kept = {k: v for k, v in manifest.items() if k not in ("seal", "signature", "sha256")}
+    (tmp_path / "manifest.json").write_text(to_json(kept | {"status": "running"}))
+    page = read_page([tmp_path])
+    assert not page.is_final
+    assert "The run was stopped at t = " in page.html()
+
+
+def test_hostile_names_stay_text(made_up, page_of):
+    shown = made_up(about=HOSTILE, events=[{"t": 0.1, "kind": "veto", "reason": HOSTILE}])
+    html = page_of(shown).html()
+    assert HOSTILE not in html
+    assert "<img" not in html
+    assert HOSTILE in str(data_of(html))
+
+
+@pytest.mark.full_but("nan")
+@pytest.mark.parametrize(
+    "columns",
+    [
+        {"plant_phi": [np.nan] * 100, "controller_m": [np.nan] * 100, "plant_m": [np.nan] * 100},
+        {"plant_phi": [1e300] * 50 + [-1e300] * 50, "controller_m": [1e300] * 100, "held_plant.u": [np.inf] * 100},
+        {"plant_phi": [0.0] * 100, "reference_phi_ref": [0.0] * 100, "controller_m": [-1.0] * 100},
+    ],
+    ids=["nan", "huge", "constant"],
+)
+def test_whatever_the_values_there_is_a_page(made_up, page_of, columns):
+    page = page_of(made_up(**columns))
+    assert "</html>" in page.html()
+    to_json(page.news())
+
+
+def test_events_that_make_no_sense_are_survived(made_up, page_of, tmp_path):
+    odd = ["text", [1], {"a": 1}, None, 1e999, True, -1]
+    keys = ("kind", "reason", "theta", "std", "cost", "size", "fault", "sensor")
+    events = [{"t": 0.1 * k, key: value} for key in keys for k, value in enumerate(odd)]
+    events += [event | {"kind": kind} for kind in ("trigger", "candidate", *SIGNS) for event in events]
+    events += [{"t": 0.5, "kind": "disturbance", "size": {"plant.phi": value}} for value in odd]
+    (tmp_path / "events.jsonl").write_text("".join(json.dumps(event) + "\n" for event in events))
+    page = page_of(made_up(events=with_reasons(read_events(tmp_path))))
+    assert "</html>" in page.html()
+    to_json(page.news())
+
+
+@pytest.mark.full
+def test_a_million_rows_make_a_small_page_that_has_the_peak(made_up, page_of):
+    phi = np.sin(np.arange(1_000_000) / 1e5)
+    phi[765_432] = 3.0
+    page = page_of(made_up(1_000_000, plant_phi=phi))
+    html = page.html()
+    assert len(html) < 3_000_000
+    packed = page.news()["columns"]["r0 plant.phi"]["plant.phi 0"]["f8"]
+    assert np.frombuffer(base64.b64decode(packed)).max() == 3.0
+
+
+@pytest.mark.full
+@pytest.mark.fmu
+def test_the_report_of_the_quadrotor_is_small_enough_to_send(tmp_path):
+    for name in ("target", "none", "true"):
+        run("quadrotor", name, 0, tmp_path / ("run" if name == "target" else f"run/{name}"))
+    assert len(read_page([tmp_path / "run"]).html()) < 3_000_000
+
+
+def test_a_folder_without_a_run_is_named(tmp_path):
+    with pytest.raises(FolderError, match="holds no run"):
+        run_folders(tmp_path)
+    with pytest.raises(FolderError, match="No such file"):
+        run_folders(tmp_path / "gone")
+
+
+@pytest.mark.full
+@pytest.mark.fmu
+def test_a_list_of_runs_has_a_row_for_each_a_damaged_one_too(recorded, tmp_path):
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        for path in recorded.glob("*.json"):
+            (tmp_path / name / path.name).write_bytes(path.read_bytes())
+    (tmp_path / "b" / "manifest.json").write_text("{}")
+    whole, damaged = (listed(folder) for folder in run_folders(tmp_path))
+    result = json.loads((recorded / "result.json").read_text())
+    assert whole.cells[:6] == ("a", "pendulum", "target", 0, "done", sum(result["mse"]))
+    assert "holds no readable run" in str(damaged.cells[4])

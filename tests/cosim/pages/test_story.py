@@ -1,0 +1,90 @@
+"""What a reader is told of a run: each sentence and row against a record whose content is known."""
+
+from typing import get_args, get_type_hints
+
+import numpy as np
+
+from cosim.pages.marks import REFUSALS, SIGNS, refusals, with_reasons
+from cosim.pages.story import chapters, plant_changes, verdict
+from estimator.events import Event
+
+NOTICED = {"t": 0.52, "kind": "trigger", "reason": "normalised innovation squared 50 exceeds 24"}
+WRITTEN = {"t": 0.55, "kind": "write", "theta": [2.01, 0.75], "std": [0.02, 0.01], "reason": "incumbent"}
+
+
+def test_a_change_is_told_with_the_time_until_it_was_noticed_written_and_found(made_up):
+    shown = made_up(events=[NOTICED, WRITTEN])
+    (row,) = plant_changes(shown.run, shown.events)
+    assert row == ("0.5 s", "m: 1 → 2", "after 20 ms", "after 50 ms", "after 70 ms")
+
+
+def test_parameters_that_are_wrong_at_first_and_those_that_drift_are_told(made_up):
+    drift = 1.0 + 0.001 * np.arange(100)
+    shown = made_up(plant_m=drift, controller_m=np.full(100, 3.0))
+    (row,) = plant_changes(shown.run, ())
+    assert row[:3] == ("at the start", "m is 1, the controller has 3; m drifts between 1 and 1.099", "-")
+
+
+def test_nothing_is_told_of_a_plant_that_does_not_change(made_up):
+    shown = made_up(plant_m=[1.0] * 100, controller_m=[1.0] * 100)
+    assert plant_changes(shown.run, ()) == []
+
+
+def test_the_verdict_compares_with_nominal_and_true_parameters_and_counts(made_up, changed):
+    shown = made_up(
+        plant_phi=np.cos(0.01 * np.arange(100)) + 0.1, events=[NOTICED, WRITTEN, {"t": 0.6, "kind": "veto"}]
+    )
+    worse = made_up(plant_phi=np.cos(0.01 * np.arange(100)) + 1.0).run
+    better = made_up(plant_phi=np.cos(0.01 * np.arange(100)) + 0.05).run
+    told = verdict(shown.run, {"none": worse, "true": better}, shown.events)
+    assert told == [
+        "Re-tuning by target kept the loop to its end at t = 0.99 s.",
+        "Its mean squared tracking error is 1/100 of the nominal controller's and 4 times that of a controller with "
+        "the true parameters.",
+        "It was triggered once and wrote parameters once; the guard refused 1 write and reverted 0; 0 disturbances "
+        "were named.",
+    ]
+    lost = changed(shown, status="diverged").run
+    assert verdict(lost, {"none": worse}, ())[:1] == [
+        "The loop was lost with re-tuning by target: at t = 0.99 s a tracked error passed the limit of divergence."
+    ]
+
+
+def test_what_was_refused_is_told_with_its_reason_the_same_ones_together(made_up):
+    veto = "predicted peak of the tracking error {}, without the write {} (estimate)"
+    events = [
+        {"t": 0.4, "kind": "undo", "theta": [1.0, 0.75]},
+        {"t": 0.4, "kind": "disturbance", "size": {"plant.der(phi_dot)": 2.0}, "reason": "a constant disturbance"},
+        {"t": 0.5, "kind": "veto", "reason": veto.format("0.2", "1e-05")},
+        {"t": 0.6, "kind": "veto", "reason": veto.format("0.3", "0.1")},
+        {"t": 0.7, "kind": "observation", "fault": "stuck", "sensor": "plant.phi"},
+    ]
+    shown = made_up(events=with_reasons(events))
+    assert refusals(shown.run, shown.events) == [
+        ("refused by the guard", veto.format("0.2", "1e-05"), "2 times, 0.5 to 0.6 s"),
+        ("sample kept out", "plant.phi: stuck", "0.7 s"),
+        ("undone", "back to what was held before: a constant disturbance; m 1 kg, l 0.75 m", "0.4 s"),
+    ]
+
+
+def test_a_search_is_told_from_its_trigger_to_the_next(made_up):
+    events = [NOTICED, {"t": 0.53, "kind": "candidate"}, WRITTEN, {"t": 0.6, "kind": "veto"}, NOTICED | {"t": 0.8}]
+    shown = made_up(events=events)
+    first, second = chapters(shown.run, shown.events)
+    assert first == (
+        0.52,
+        NOTICED["reason"],
+        1,
+        "1 write, the last: m 2.010 ± 0.020 kg, l 0.750 ± 0.010 m",
+        "refused once",
+    )
+    assert second == (0.8, NOTICED["reason"], 0, "nothing", "")
+
+
+def test_every_kind_of_event_has_a_sign():
+    kinds = {*get_args(get_type_hints(Event)["kind"]), "fault", "interrupt"}
+    assert kinds - {"candidate"} == {*SIGNS}
+    assert {*REFUSALS} <= kinds
+    assert (
+        len({sign.text for sign in SIGNS.values()}) == len({sign.marker for sign in SIGNS.values()} | {"again"}) == 18
+    )

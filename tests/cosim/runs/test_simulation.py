@@ -136,7 +136,7 @@ def test_the_controller_is_retuned_to_the_changed_plant(pendulum, tmp_path):
     events = events_of(tmp_path / "run")
     assert sum(e["kind"] == "candidate" for e in events) == result.n_evaluations
     assert sum(e["kind"] == "trigger" for e in events) == result.n_episodes
-    assert sum(len(step) for step in result.latencies) == result.n_evaluations
+    assert sum(len(step) for step in result.latencies) > result.n_evaluations  # and those of the filter after it
     assert all(step for step in result.latencies)
     # each write is what the controller holds from that row on
     held = {round(t / H): (m, l) for t, m, l in zip(result.time, *result.estimates.values(), strict=True)}

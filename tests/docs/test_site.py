@@ -81,6 +81,6 @@ def test_snippets_are_programs_tables_and_commands_that_there_are(page):
     for text in snippets(page, "sh", ""):
         for line in text.replace("\\\n", " ").splitlines():
             if line.startswith("retune ") and "..." not in line and not re.search(r"\b[A-Z]{3,}\b", line):
-                words = shlex.split(line.partition("|")[0], comments=True)[1:]
+                words = shlex.split(re.split(r"[|>]", line)[0], comments=True)[1:]
                 if words not in (["--version"],):
                     parser.parse_args(words)

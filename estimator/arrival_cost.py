@@ -165,8 +165,7 @@ def _measured(residual: Callable[[Vector], Vector], z: Vector) -> _Measured | No
 def _normalised(P: Vector, measured: _Measured) -> Vector:
     """Return the innovation (c,) in its own standard deviations, from the covariance (d, d) before it."""
     value, H = measured
-    innovation: Vector = np.linalg.solve(np.linalg.cholesky(H @ P @ H.T + np.eye(len(value))), value)
-    return innovation
+    return np.linalg.solve(np.linalg.cholesky(H @ P @ H.T + np.eye(len(value))), value).astype(np.float64)
 
 
 def _corrected(P: Vector, measured: _Measured) -> tuple[Vector, Vector]:

@@ -61,7 +61,7 @@ class Run:
     n_episodes: int
     """Episodes begun."""
     latencies: tuple[tuple[float, ...], ...]
-    """Wall time of each evaluation [s], a tuple for each macro step that had any."""
+    """Wall time of each evaluation [s], and of each sample taken between searches, a tuple for each such macro step."""
     wall: float
     """Wall time of the simulation, from starting the FMUs to the last step [s]."""
     folder: Path | None

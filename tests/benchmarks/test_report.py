@@ -51,6 +51,6 @@ def test_a_comparison_is_kept_without_its_runs_but_for_what_those_of_the_first_s
 
 
 def test_the_kept_files_are_small():
-    kept = [*(ROOT / "docs").rglob("*.json"), *report.RESULTS.glob("*.json")]
+    kept = [*(ROOT / "docs" / "evaluation").rglob("*.json"), *report.RESULTS.glob("*.json")]
     assert kept
     assert sum(path.stat().st_size for path in kept) <= 200_000

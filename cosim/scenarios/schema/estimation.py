@@ -36,7 +36,7 @@ class LoopSettings(Table):
     trigger: TriggerSettings = Field(discriminator="kind")
     """The condition that begins an episode."""
     budget: int = Field(default=30, ge=1, le=MOST)
-    """Number of evaluations in an episode."""
+    """Number of evaluations in an episode, at most: one that has found what there is to find ends earlier."""
     evaluations_per_step: int = Field(default=1, ge=1, le=MOST)
     """Number of evaluations in a macro step."""
     commit: Literal["incumbent", "candidate"] = "incumbent"

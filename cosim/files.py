@@ -7,7 +7,7 @@ import math
 import os
 import tempfile
 from collections.abc import Generator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -52,7 +52,8 @@ def replaced(path: Path) -> Generator[IO[bytes]]:
             os.chmod(name, 0o644)
             os.replace(name, path)
         except BaseException:
-            os.unlink(name)
+            with suppress(FileNotFoundError):  # an interrupt may come when it has been renamed
+                os.unlink(name)
             raise
     except OSError as e:
         raise FolderError(f"cannot write {path}: {e.strerror or e}.") from e

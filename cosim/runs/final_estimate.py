@@ -14,7 +14,7 @@ from ..scenarios.scenario import Scenario
 
 @dataclass(frozen=True)
 class FinalEstimate:
-    """The estimate at the end of the last completed episode; where none was completed, the last estimate."""
+    """The last estimate that a completed episode, or a sample after it, gave; where there is none, the last of all."""
 
     t: float
     """Communication point [s]."""
@@ -43,7 +43,7 @@ class FinalEstimate:
 
 
 class EstimateTracker:
-    """Memory of the estimate of the last completed episode; until one is completed, of the newest estimate."""
+    """Memory of the last estimate outside an unfinished episode; until one is completed, of the newest estimate."""
 
     def __init__(self, scenario: Scenario, estimator: str) -> None:
         """estimator: name of the estimator that re-tunes."""
@@ -57,9 +57,10 @@ class EstimateTracker:
 
     def take(self, t: float, decision: Decision) -> None:
         """Take the decision made at t [s]."""
-        is_end = any(event.kind == "end" for event in decision.events)
-        if decision.estimate is not None and (is_end or not self._has_ended):
-            self._newest, self._has_ended = (t, decision.estimate), is_end
+        kinds = {event.kind for event in decision.events}
+        is_complete = "end" in kinds or "candidate" not in kinds
+        if decision.estimate is not None and (is_complete or not self._has_ended):
+            self._newest, self._has_ended = (t, decision.estimate), is_complete
 
     def final(self) -> FinalEstimate | None:
         """Return the estimate that is kept; None where nothing was estimated."""

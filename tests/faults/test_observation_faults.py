@@ -190,7 +190,8 @@ def test_for_an_outlier_that_may_be_a_disturbance_nothing_is_written_without_a_g
     result, _ = ran(tmp_path / "run", spike, more={"guard.enabled": "false"}.items())
     for name in ("m", "l"):
         assert result.estimates[name][48] != result.estimates[name][0]
-        assert len(set(result.estimates[name][48:60])) == 1
+        after = result.estimates[name][48:60]
+        assert np.ptp(after) < 1e-3 * after[0]  # the other samples still refine it
 
 
 @pytest.mark.parametrize(("diagnosis", "n_doubtful"), [("true", 1), ("false", 2)])

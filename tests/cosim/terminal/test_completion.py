@@ -26,7 +26,7 @@ def offered(line, folder, shell="bash"):
 
 @pytest.mark.parametrize("shell", SHELLS)
 def test_commands_and_options_are_offered(tmp_path, shell):
-    assert offered("retune re", tmp_path, shell) == {"resume", "replay"}
+    assert offered("retune re", tmp_path, shell) == {"resume", "replay", "report"}
 
 
 @pytest.mark.full

@@ -51,6 +51,7 @@ def new(fmus, path, *more):
     )
 
 
+@pytest.mark.full
 def test_our_pendulum_runs_once_model_and_change_are_filled_in(ours, tmp_path, capsys):
     path = tmp_path / "my.toml"
     assert new(ours, path) == 0
@@ -88,6 +89,7 @@ def test_foreign_fmus_run_once_model_and_change_are_filled_in(theirs, tmp_path, 
     assert result["controller.c"][-1] == pytest.approx(12.0, rel=5e-3)
 
 
+@pytest.mark.full
 def test_a_plant_without_derivatives_is_drafted_with_a_filter_and_runs(theirs, bare_axis, tmp_path, capsys):
     path = tmp_path / "axis.toml"
     assert new(theirs | {"plant": bare_axis}, path) == 0
@@ -189,6 +191,7 @@ def test_paths_are_those_from_the_files_folder(theirs, tmp_path):
     assert (folder / components["plant"]["fmu"]).resolve() == theirs["plant"].resolve()
 
 
+@pytest.mark.full
 def test_a_model_exchange_fmu_as_the_model_leaves_only_the_change_to_fill_in(tmp_path, capsys):
     names = {"plant": "Quadrotor", "controller": "QuadrotorController", "reference": "QuadrotorReference"}
     fmus = {role: find_fmu(name, tmp_path, 3) for role, name in names.items()}

@@ -120,6 +120,7 @@ def test_units_are_the_plant_s_where_the_controller_declares_none(built, foreign
     assert run(Scenario.load(path, {"scenario.stop_time": "0.05"})).status == "done"
 
 
+@pytest.mark.full
 def test_a_controller_without_the_plant_s_parameters_gets_formulas(built, tmp_path, capsys):
     path = tmp_path / "drive.toml"
     assert new(path, built / "Drive.fmu", built / "SpeedController.fmu", DRIVE / "steps.csv") == 0

@@ -111,6 +111,7 @@ def test_whatever_the_values_there_is_a_page(made_up, page_of, columns):
     to_json(page.news())
 
 
+@pytest.mark.full
 def test_events_that_make_no_sense_are_survived(made_up, page_of, tmp_path):
     odd = ["text", [1], {"a": 1}, None, 1e999, True, -1]
     keys = ("kind", "reason", "theta", "std", "cost", "size", "fault", "sensor")

@@ -56,6 +56,7 @@ def test_a_surrogate_is_what_gpy_predicts_along_each_parameter(told):
     np.testing.assert_allclose(drawn, told.model.predict(places)[0][:, 0], rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.full
 def test_a_run_is_a_dataset_with_units():
     pytest.importorskip("xarray")
     made_up = made_up_run(None)

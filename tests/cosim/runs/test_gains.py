@@ -43,6 +43,7 @@ def gains(tmp_path):
     return load
 
 
+@pytest.mark.full
 def test_formulas_that_give_the_parameters_themselves_make_the_same_run(gains, tmp_path):
     plain = run(Scenario.load("pendulum", SHORT), seed=3, out=tmp_path / "plain")
     formulas = gains('"controller.m" = "1*m"', '"controller.l" = "l + 0*m"')

@@ -81,6 +81,7 @@ def test_json_is_followed_by_nothing(workplace, called):
         assert "next:" not in called(*arguments, "--json")[1]
 
 
+@pytest.mark.full
 @pytest.mark.fmu
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 def test_an_interrupt_names_the_folder_and_the_line_that_resumes(workplace, becomes_true):

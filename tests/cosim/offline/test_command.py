@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib.image
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 from cosim.cli import main
+from cosim.offline.estimate import Request, Sought, understand
 from cosim.ssv.document import read_ssv
 
 pytestmark = pytest.mark.fmu
@@ -291,3 +293,46 @@ def test_what_cannot_be_computed_with_is_told_and_no_warning_of_numpys(plant, or
     assert re.fullmatch(
         r"retune: .*log\.csv: column 'x' for x has values up to [\d.]+e\+29\d: too large\.\n", done.stderr
     )
+
+
+def test_nanoseconds_since_1970_are_told_and_counted_exactly(plant, oracles, tmp_path, monkeypatch, capsys):
+    """A float holds them to 256 ns only. This FMU declares no experiment to compare with."""
+    monkeypatch.chdir(tmp_path)
+    rows = np.column_stack(list(oracles.measure(0, end=3.0).values())[1:]).tolist()
+    lines = [f"{1_700_000_000_000_000_001 + 10_000_000 * k},{f!r},{x!r},{v!r}\n" for k, (f, x, v) in enumerate(rows)]
+    Path("log.csv").write_text("stamp,force,x,v\n" + "".join(lines))
+    arguments = ["estimate", str(plant), "log.csv", *SOUGHT, *ROLES, "--time", "stamp"]
+    assert main(arguments) == 2
+    assert capsys.readouterr().err == (
+        "retune: log.csv: time begins at 1.7e+18: is it in ns since 1970, its rows 0.01 s apart? "
+        "Give --time-unit ns, or --time-unit s where it is in seconds.\n"
+    )
+    request = Request(
+        plant, (Path("log.csv"),), (Sought("m", 0.5, 4.0),), {"x": "x"}, {"F": "force"}, time="stamp", time_unit="ns"
+    )
+    (window,) = understand(replace(request, holdout=0.0)).windows
+    assert window.time == pytest.approx(0.01 * np.arange(301), abs=1e-12)
+
+
+def test_an_input_without_a_column_is_told(plant, log):
+    request = Request(plant, (log,), (Sought("m", 0.5, 4.0),), {"x": "x"})
+    (told,) = understand(request).warnings
+    assert told == (
+        "input 'F' of Plant.fmu has no column and stays 0 N: give --input F=COLUMN, or --start F=VALUE "
+        "(columns not used: 'force', 'v')."
+    )
+    for said in ({"inputs": {"F": "force"}}, {"start": {"F": 0.0}}):
+        assert understand(replace(request, **said)).warnings == []
+
+
+@pytest.mark.full
+def test_sensors_that_are_swapped_are_told(plant, oracles, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    columns = {name.split(" ")[0]: values for name, values in oracles.measure(0, end=4.0).items()}
+    log = oracles.write_log(tmp_path / "log.csv", columns)
+    common = ["estimate", str(plant), str(log), *SOUGHT, "--input", "F=force", "--evaluations", "20", "--json"]
+    assert main([*common, "--measured", "x=v", "--measured", "v=x"]) == 0
+    (told,) = json.loads(capsys.readouterr().out)["warnings"]
+    assert told == "x and v would fit better with their columns exchanged: is it --measured x=x --measured v=v?"
+    assert main([*common, "--measured", "x=x", "--measured", "v=v"]) == 0
+    assert json.loads(capsys.readouterr().out)["warnings"] == []

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from time import perf_counter
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from ..errors import ScenarioError, WiringError
 from ..fmi.archive import co_simulation
 from ..fmi.ports import Catalogue
 from ..objectives.rollout import RolloutObjective
+from ..objectives.rollout_check import PROOF_STEPS
 from ..objectives.rollout_fmu import START_METHODS, Shadow, StartMethod, obstacles_in_words
 from ..objectives.rollout_start import NoisyStartObjective
 from ..retuning.data_support import NoDataSupport
@@ -35,6 +36,8 @@ from .estimate import EstimateError, Request, Understood, understand
 from .log_windows import LogWindow
 from .rollout import grid_of, noise_of
 
+_MOVING: Final = ("output", "local")
+"""Causalities of variables that change while the FMU runs: with a start value, they are states."""
 SampleProgress = Callable[[int, int], None]
 """Function called with the number of samples taken so far, and the number of all."""
 
@@ -126,7 +129,7 @@ def _watched(
         request.fmu, tuple(request.inputs), states, tuple(request.measured), tuple(understood.noise.tolist()),
         space.names, {name: value for name, value in start.items() if name not in names}, samples[0].t,
         not interface.canBeInstantiatedOnlyOncePerProcess, obstacles, request.timeout,
-        request.environment,
+        request.environment, told_by=_told_by(request, understood),
     )  # fmt: skip
     noise = noise_of([replace(w, measured=w.states) for w in understood.windows]).tolist()
     events: list[Event] = []
@@ -147,9 +150,19 @@ def _watched(
             events += [event for event in decision.events if event.kind != "candidate"]
             theta = theta if decision.write is None else decision.write
             progress(k + 1)
-        failure = objective.why_lost if objective.is_ready else f"{len(samples)} rows are too few to begin"
+        failure = objective.why_lost if objective.is_ready else _not_begun(len(samples))
         found = supervisor.summary()
         return Watched(window, tuple(events), retuner.n_evaluations, theta, objective.describe(), failure, found)
+
+
+def _not_begun(n_rows: int) -> str:
+    """Return the reason why no roll-out was made."""
+    if n_rows <= PROOF_STEPS:
+        return f"{n_rows} rows are too few to begin"
+    return (
+        f"the FMU hardly moves in these {n_rows} rows: nothing shows whether all states are measured; without --start "
+        "COLUMN it is simulated from the first row"
+    )
 
 
 def _search(request: Request, space: ParameterSpace, theta: Vector, rng: np.random.Generator) -> Any:
@@ -179,14 +192,28 @@ def _states(request: Request) -> tuple[str, ...]:
     return tuple(name for name, value in request.start.items() if isinstance(value, str))
 
 
+def _told_by(request: Request, understood: Understood) -> dict[str, str]:
+    """Return the output with the column, and the unit, of each parameter that a state starts as."""
+    variables, unit = understood.component.variables, understood.component.unit
+    outputs = [(column, unit(name), name) for name, column in request.measured.items()]
+    found: dict[str, str] = {}
+    for name in _states(request):
+        same = [output for column, of, output in outputs if (column, of) == (request.start[name], unit(name))]
+        if same and variables[name].causality == "parameter":
+            found[name] = same[0]
+    return found
+
+
 def _obstacles(request: Request, understood: Understood) -> dict[StartMethod, str]:
     """Return the ways of beginning a roll-out that do not work, with reasons. Raises EstimateError if none is left."""
+    component = understood.component
     obstacles: dict[StartMethod, str] = {"state": "there is only the log"}
     if not _states(request):
         obstacles["measured"] = "no --start names the columns of the states"
+    elif numbers := [name for name in request.constants if component.variables[name].causality in _MOVING]:
+        obstacles["measured"] = f"--start gives {numbers[0]} a number, which is no measurement"
     elif any(np.isnan(w.states).any() for w in understood.windows):
         obstacles["measured"] = "values are missing in the columns of the states"
-    component = understood.component
     if unknown := [p.name for p in understood.space if component.variables[p.name].causality != "parameter"]:
         raise EstimateError(f"--online estimates parameters, and '{unknown[0]}' is none: leave out --online.")
     try:

@@ -3,10 +3,12 @@
 import csv
 import json
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
+from pythonfmu import FmuBuilder
 from scipy.linalg import expm
 
 from cosim.cli import main
@@ -93,6 +95,50 @@ def test_without_states_it_is_simulated_from_the_start(ask, oracles):
     assert "simulated again from the start" in watched.how
     assert 4.0 < of(watched, "trigger")[0].t <= 4.1
     assert watched.theta == pytest.approx([2.6, 1.4], rel=0.05)
+
+
+def at_rest_first(oracles, rest=1.0, seed=0):
+    """A log of the plant that stands still until its force begins to move it."""
+    rng, t = np.random.default_rng(seed), 0.01 * np.arange(301)
+    force = np.where(t < rest, 0.0, oracles.pushes(t))
+    x, v = (column + 2e-3 * rng.standard_normal(len(t)) for column in oracles.response(t, force, start=(0.0, 0.0)))
+    return {"time [s]": t, "force [N]": force, "x [m]": x, "v [m/s]": v}
+
+
+@pytest.mark.parametrize("rest", [1.0, pytest.param(0.0, marks=pytest.mark.full)])
+def test_a_hidden_state_is_found_where_the_log_moves(ask, oracles, rest):
+    """At rest a roll-out begun without the velocity continues alike: it passed, and triggered again and again."""
+    (watched,) = ask(at_rest_first(oracles, rest), start=KNOWN | {"x": "x"}).watched
+    assert "simulated again from the start" in watched.how
+    assert "states are hidden" in watched.how
+    assert watched.events == ()
+
+
+@pytest.mark.full
+def test_states_are_proved_measured_where_the_log_moves(ask, oracles):
+    (watched,) = ask(at_rest_first(oracles)).watched
+    assert "from measured states" in watched.how
+    assert (watched.events, watched.failure) == ((), None)
+
+
+def test_a_number_is_no_measurement_of_a_state(ask, oracles):
+    (watched,) = ask(at_rest_first(oracles), start=KNOWN | {"x": "x", "v": 0.0}).watched
+    assert "measured: --start gives v a number, which is no measurement" in watched.how
+
+
+@pytest.mark.full
+def test_where_nothing_moves_nothing_is_proved(ask, oracles):
+    (watched,) = ask(at_rest_first(oracles, rest=9.0), noise={"x": 2e-3, "v": 2e-3}).watched
+    assert watched.failure.startswith("the FMU hardly moves in these 301 rows")
+
+
+@pytest.mark.full
+def test_a_column_for_a_start_parameter_measures_its_state(ask, oracles, made_once):
+    slave = Path(__file__).with_name("start_parameters_slave.py")
+    fmu = made_once(lambda folder: FmuBuilder.build_FMU(slave, dest=folder), slave) / "StartParameters.fmu"
+    (watched,) = ask(oracles.jump(0), fmu=fmu, parameters=(MASS,), start={"x_start": "x", "v_start": "v"}).watched
+    assert "from measured states" in watched.how
+    assert 4.0 < of(watched, "trigger")[0].t <= 4.1
 
 
 def spikes(column, scale, rng):

@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from estimator import METHODS, EpisodeWindow, ParameterSpace, Sample, Vector
+from estimator.contract import Rescoring
 from estimator.diagnosing import make_episodes
 from estimator.diagnosis_settings import DiagnosisSettings
 from estimator.episode_diagnosis import EpisodeDiagnosis
@@ -34,6 +35,7 @@ from ..sampling.screen import OutputScreen
 from ..scenarios.schema.sampling import ObservationSettings
 from .estimate import EstimateError, Request, Understood, understand
 from .log_windows import LogWindow
+from .one_by_one import OneByOne
 from .rollout import grid_of, noise_of
 
 _MOVING: Final = ("output", "local")
@@ -80,13 +82,15 @@ class Online:
         return next((f"{w.window.name}: {w.failure}" for w in self.watched if w.failure is not None), None)
 
 
-def run_online(request: Request, n_samples: int, progress: SampleProgress = lambda n, n_all: None) -> Online:
+def run_online(
+    request: Request, n_samples: int, progress: SampleProgress = lambda n, n_all: None, n_per_sample: int = 1
+) -> Online:
     """Replay algorithm 1 on each window of the logs, sample by sample, each from the start and independently.
 
     The parameters are at first the FMU's start values, or the request's. Candidates are evaluated on n_samples
     samples: begun in measured states, where the request names their columns, else simulated from the window's first
-    row with the parameters accepted on the way. The request's evaluations are those of an episode; nothing is held
-    out.
+    row with the parameters accepted on the way. The request's evaluations are those of an episode, n_per_sample of
+    them at each sample; nothing is held out.
 
     Raises CosimError in one line for what is refused.
     """
@@ -101,7 +105,8 @@ def run_online(request: Request, n_samples: int, progress: SampleProgress = lamb
     watched: list[Watched] = []
     for window, rng in zip(understood.windows, rngs, strict=True):
         report_progress = partial(_told, progress, n_before, n_all)
-        watched.append(_watched(request, understood, obstacles, window, n_samples, rng, report_progress))
+        counts = n_samples, n_per_sample
+        watched.append(_watched(request, understood, obstacles, window, counts, rng, report_progress))
         n_before += len(window.time)
     return Online(request, understood, n_samples, tuple(watched), perf_counter() - began)
 
@@ -115,11 +120,14 @@ def _watched(
     understood: Understood,
     obstacles: Mapping[StartMethod, str],
     window: LogWindow,
-    n_samples: int,
+    counts: tuple[int, int],
     rng: np.random.Generator,
     progress: Callable[[int], None],
 ) -> Watched:
-    """Replay one window, with a loop and an FMU of its own."""
+    """Replay one window, with a loop and an FMU of its own.
+
+    counts: samples that a candidate is evaluated on, candidates evaluated at each sample.
+    """
     theta, space = understood.nominal, understood.space
     interface: Any = co_simulation(understood.component.description)
     samples, u0 = _samples(window, request.step, not interface.canHandleVariableCommunicationStepSize)
@@ -134,10 +142,12 @@ def _watched(
     noise = noise_of([replace(w, measured=w.states) for w in understood.windows]).tolist()
     events: list[Event] = []
     with NoisyStartObjective(partial(RolloutObjective, shadow, theta, None, None, request.jobs), noise) as objective:
+        n_samples, n_per_sample = counts
         stretch = EpisodeWindow(objective, n_samples)
         diagnosis = EpisodeDiagnosis(stretch, outputs, tuple(request.inputs), DiagnosisSettings(), space)
+        budget = Budget(request.evaluations, n_per_sample)
         retuner = make_episodes(
-            _search(request, space, theta, rng), stretch, InnovationSettings(), Budget(request.evaluations),
+            _search(request, space, theta, rng), stretch, InnovationSettings(), budget,
             objective.describe, diagnosis=diagnosis,
         )  # fmt: skip
         screen = OutputScreen(ObservationSettings(), outputs, (True,) * len(outputs), samples[1].t - samples[0].t)
@@ -168,7 +178,8 @@ def _not_begun(n_rows: int) -> str:
 def _search(request: Request, space: ParameterSpace, theta: Vector, rng: np.random.Generator) -> Any:
     method = METHODS[request.method]
     of_method = {k: v for k, v in method.defaults.items() if k in method.setting_names}
-    return method.estimator(space, theta, rng, method.settings(**of_method))
+    search = method.estimator(space, theta, rng, method.settings(**of_method))
+    return OneByOne(search) if isinstance(search, Rescoring) else search
 
 
 def _samples(window: LogWindow, step: float | None, is_even: bool) -> tuple[list[Sample], list[float]]:

@@ -103,7 +103,7 @@ def test_an_input_that_the_command_forgets_is_told(carried_out, capfd):
     (command,) = examples.commands("thermal-zone")
     words = shlex.split(command.replace("--input heater.Q_flow=heat", ""))[1:]
     assert examples.retune([*words, "--evaluations", "5"]) == 0
-    assert "input 'heater.Q_flow' of Room.fmu has no column and stays 0" in capfd.readouterr().out
+    assert "input 'heater.Q_flow' of Zone.fmu has no column and stays 0" in capfd.readouterr().out
 
 
 def test_the_estimator_re_tunes_in_another_tools_ssp(carried_out):

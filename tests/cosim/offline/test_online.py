@@ -31,13 +31,13 @@ STATES = {"x": "x", "v": "v"}
 def ask(plant, tmp_path, oracles):
     """ask(columns, n_samples, **changes): what happens over a log of these columns, states measured."""
 
-    def asked(columns, n_samples=50, **changes):
+    def asked(columns, n_samples=50, per_sample=1, **changes):
         path = oracles.write_log(tmp_path / f"{len(list(tmp_path.iterdir()))}.csv", columns)
         settings = {
             "fmu": plant, "logs": (path,), "parameters": (MASS, DAMPER), "measured": {"x": "x", "v": "v"},
             "inputs": {"F": "force"}, "start": KNOWN | STATES, "evaluations": 30,
         }  # fmt: skip
-        return run_online(Request(**settings | changes), n_samples)
+        return run_online(Request(**settings | changes), n_samples, n_per_sample=per_sample)
 
     return asked
 
@@ -59,6 +59,21 @@ def test_a_jump_is_seen_within_samples_and_the_new_values_are_written(ask, oracl
     assert watched.theta.tolist() == last.detail["theta"]
     full = trigger.t + 0.01 * int(trigger.detail["samples"].split()[-1])  # "... and the next 49"
     assert full < of(watched, "end")[0].t <= full + 0.29 + 1e-9  # an evaluation a sample, thirty at most
+
+
+@pytest.mark.full
+def test_an_episode_may_take_all_its_evaluations_at_one_sample(ask, oracles, command, capsys):
+    """An event shorter than thirty samples is over before thirty evaluations at one each."""
+    (watched,) = ask(oracles.jump(0, end=6.0), per_sample=30).watched
+    (trigger,) = of(watched, "trigger")
+    full = trigger.t + 0.01 * int(trigger.detail["samples"].split()[-1])  # "... and the next 49"
+    assert of(watched, "end")[0].t == pytest.approx(full)
+    assert watched.n_candidates == 30
+    assert watched.theta == pytest.approx([2.6, 1.4], rel=0.05)
+    assert command("--start", "x=x", "--start", "v=v", "--evaluations-per-sample", "30", "--json") == 0
+    (window,) = json.loads(capsys.readouterr().out)["windows"]
+    times = {kind: {e["time"] for e in window["events"] if e["event"] == kind} for kind in ("write", "end")}
+    assert set() < times["write"] <= times["end"]
 
 
 @pytest.mark.full
@@ -275,6 +290,7 @@ def test_what_it_prints_and_writes(command, capsys, tmp_path):
         (["--validate", "other.csv"], "leave out --holdout and --validate"),
         (["--parameter", "g=1:20"], "'g' of Plant.fmu takes no start value"),
         (["--evaluations", "0"], "must be 1 or more"),
+        (["--evaluations-per-sample", "0"], "--evaluations-per-sample must be 1 or more"),
     ],
 )
 def test_a_bad_command_is_refused_in_one_line(command, capsys, tmp_path, options, told):

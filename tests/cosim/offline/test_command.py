@@ -14,7 +14,10 @@ import pytest
 
 from cosim.cli import main
 from cosim.offline.estimate import Request, Sought, understand
+from cosim.offline.estimate_file import with_file
+from cosim.offline.estimate_options import request_of
 from cosim.ssv.document import read_ssv
+from cosim.terminal.options import make_parser
 
 pytestmark = pytest.mark.fmu
 SOUGHT = ["--parameter", "m=0.5:4", "--parameter", "c=0.05:5:log", "--parameter", "k=5:60:log"]
@@ -336,3 +339,51 @@ def test_sensors_that_are_swapped_are_told(plant, oracles, tmp_path, monkeypatch
     assert told == "x and v would fit better with their columns exchanged: is it --measured x=x --measured v=v?"
     assert main([*common, "--measured", "x=x", "--measured", "v=v"]) == 0
     assert json.loads(capsys.readouterr().out)["warnings"] == []
+
+
+TOML = """
+fmu = "{plant}"
+logs = "log.csv"
+evaluations = 10
+[parameters]
+m = [0.5, 4]
+k = [5, 60.0, "log"]
+[measured]
+x = "x"
+v = "v"
+[inputs]
+F = "force"
+[start]
+c = 0.9
+"""
+
+
+def test_a_file_says_what_the_command_line_would(plant, log, monkeypatch, tmp_path):
+    """The log is beside the file, not in the working directory."""
+    (tmp_path / "estimate.toml").write_text(TOML.format(plant=plant))
+    common = ["--parameter", "m=0.5:4", "--parameter", "k=5:60:log", *ROLES, "--start", "c=0.9", "--evaluations", "10"]
+    requests = [
+        request_of(make_parser().parse_args(with_file(["estimate", *words, "--seed", "2"])))
+        for words in ([str(plant), str(log), *common], [str(tmp_path / "estimate.toml")])
+    ]
+    assert requests[0] == requests[1]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("logs =", "log =", "must have fmu ="),
+        ("evaluations", "evaluation", "'evaluation' is no key; did you mean 'evaluations'"),
+        ("= 10", "= true", "'evaluations' is of the wrong type"),
+        ("= 10", "= ", "not a readable TOML file"),
+        ("[0.5, 4]", "true", "parameters.m must be a number, a name or a list of them, got True"),
+        ("[0.5, 4]", "4", "must be NAME=LOW:HIGH or NAME=LOW:HIGH:log"),
+    ],
+)
+def test_a_bad_file_is_refused_in_one_line(plant, log, capsys, tmp_path, old, new, told):
+    (tmp_path / "estimate.toml").write_text(TOML.format(plant=plant).replace(old, new))
+    with pytest.raises(SystemExit, match="2"):
+        main(["estimate", str(tmp_path / "estimate.toml")])
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert told in error

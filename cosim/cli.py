@@ -10,6 +10,8 @@ from contextlib import contextmanager, nullcontext
 from importlib import import_module
 
 from .blas_threads import ONE_THREAD
+from .errors import ScenarioError
+from .offline.estimate_file import with_file
 from .shadowing import check_packages
 from .terminal.completion import VARIABLE, complete
 from .terminal.exit_codes import INTERRUPTED, REFUSED, UNFINISHED
@@ -44,7 +46,10 @@ def _ended(arguments: Sequence[str] | None) -> int:
     parser = make_parser()
     if VARIABLE in os.environ:
         complete(parser)
-    options = parser.parse_args(arguments)
+    try:
+        options = parser.parse_args(with_file(sys.argv[1:] if arguments is None else arguments))
+    except ScenarioError as e:
+        parser.error(str(e).rstrip("."))
     from .errors import CosimError, is_refusal  # here and below: --help must not wait for NumPy and GPy
 
     try:

@@ -21,7 +21,7 @@ def estimate_online(options: argparse.Namespace, request: Request) -> int:
             with progress_bar(
                 request.fmu.stem, "{n_fmt} of {total_fmt} samples", lambda n, n_all: (n, n_all, "")
             ) as progress:
-                found = run_online(request, options.samples or 50, progress)
+                found = run_online(request, options.samples or 50, progress, options.per_sample or 1)
             with recording(folder):
                 write_files(found, folder)
     except KeyboardInterrupt:

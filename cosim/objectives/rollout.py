@@ -10,7 +10,7 @@ from estimator import Evaluation, Sample, SampleSequence, Vector
 
 from ..errors import ScenarioError, StateTooLargeError
 from ..slaves.slave import Slave
-from .rollout_check import PROOF_STEPS, restarts_like_itself, steps_like_the_plant
+from .rollout_check import PROOF_STEPS, prove_restart, steps_like_the_plant
 from .rollout_fmu import START_METHODS, RunningPlant, Shadow, StartMethod, obstacles_in_words
 from .rollout_plan import History, Origin, plan_of
 from .rollout_pool import Outputs, Pool
@@ -20,6 +20,10 @@ LARGEST: Final = 1e9
 
 SMALL_STATE: Final = 65536
 """Size [bytes] up to which the plant's state is saved at every sample, so that a window may begin at any."""
+
+
+_LATER: Final = 1.25
+"""Ratio of the numbers of samples of two proofs, while nothing moves."""
 
 
 class _Followed(NamedTuple):
@@ -58,6 +62,7 @@ class RolloutObjective:
         self._proof_state: bytes | None = None
         self._n_bytes = 0
         self._first_samples: list[Sample] = []
+        self._n_for_proof = PROOF_STEPS
         self._pool = Pool(shadow.opened, jobs, shadow.is_restartable)
         self._follower = Pool(shadow.opened, 1, shadow.is_restartable)
         self._followed: _Followed | None = None
@@ -163,9 +168,12 @@ class RolloutObjective:
                     state = self._proof_state or b""
                     reason = steps_like_the_plant(self._shadow, self._live, state, self._first_samples[-2:])
             elif way == "measured" and not self._is_asked_for:
-                if n < PROOF_STEPS:
+                if n < self._n_for_proof:
                     return
-                reason = restarts_like_itself(self._shadow, self._history)
+                reason, has_moved = prove_restart(self._shadow, self._history)
+                if reason is None and not has_moved:
+                    self._n_for_proof = int(np.ceil(_LATER * n))
+                    return
             if reason is None:
                 self.way = way
                 self._first_samples.clear()
@@ -178,7 +186,7 @@ class RolloutObjective:
 
     def _decided(self) -> StartMethod:
         if self.way is None:
-            raise RuntimeError(f"roll-outs need {PROOF_STEPS} samples before the first.")
+            raise RuntimeError("roll-outs need samples before the first.")
         return self.way
 
     def _go_on(self, theta: Vector, stretch: SampleSequence, is_begun: bool, slave: Slave, is_new: bool) -> Outputs:

@@ -61,6 +61,8 @@ class Shadow:
     """Environment variables that its process is given: see open_slave."""
     tolerance: float | None = None
     """Relative tolerance for its own solver: see open_slave."""
+    told_by: Mapping[str, str] = field(default_factory=dict[str, str])
+    """Output that has the value of a state, by the parameter that the state starts as."""
 
     def opened(self, tunables: tuple[str, ...] | None = None) -> Slave:
         """Start a process of it, variables bound; tunables: by default the parameters, if settable while it runs."""

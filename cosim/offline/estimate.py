@@ -20,9 +20,11 @@ from ..fmi.component import Component, read_component
 from ..fmi.ports import Catalogue
 from ..fmi.types import is_real
 from .finer_step import FinerStep, finer_step
-from .log_windows import Cut, LogColumns, LogWindow, windows_of
+from .forgotten_inputs import forgotten_inputs
+from .log_windows import Cut, LogColumns, LogWindow, unused_columns, windows_of
 from .logs import LogError, read_log
 from .rollout import RolloutResidual, Rollouts, SimulatedPlant, noise_of
+from .swapped_columns import swapped_columns
 from .time_unit import check_time
 
 HOLDOUT = 0.25
@@ -218,6 +220,7 @@ def estimate(request: Request, progress: FitProgress = lambda n, cost: None) -> 
             raise FailedError(f"every roll-out failed, the first so: {residual.evaluations[0][2]}.") from e
         named = [space.named(nominal), space.named(found.theta)]
         before, after = ([r.outputs for r in row] for row in rollouts.simulate(named, is_whole=True))
+    warnings += swapped_columns(request.measured, residual.cross_misfits, residual.n_residuals)
     return Estimation(
         request,
         component,
@@ -312,7 +315,11 @@ def _windows(request: Request, signals: LogColumns, component: Component) -> tup
     warnings: list[str] = []
     for paths, cuts, share in ((request.logs, request.windows, holdout), (request.validation, (), 1.0)):
         for path in paths:
-            more, new_warnings = windows_of(read_log(path), signals, component, cuts, share)
+            log = read_log(path)
+            more, new_warnings = windows_of(log, signals, component, cuts, share)
+            if not windows:
+                started = (*request.start, *(p.name for p in request.parameters))
+                warnings += forgotten_inputs(component, request.inputs, started, unused_columns(log, signals))
             windows += more
             warnings += new_warnings
     if not any(w.n_fit for w in windows):

@@ -55,6 +55,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--online", action="store_true",
         help="sample by sample, as if the loop ran: when it triggers, what it writes")  # fmt: skip
     add("--samples", type=_count, metavar="N", help="with --online: samples a candidate is judged on (default: 50)")
+    add("--evaluations-per-sample", type=_count, metavar="N", dest="per_sample",
+        help="with --online: candidates evaluated at each sample, up to a whole episode's (default: 1)")  # fmt: skip
     add("--seed", type=_count, default=0, metavar="N", help="seed of the search (default: 0)")
     add("--jobs", type=_count, metavar="N", help="roll-outs at a time (default: one per processor)")
     add("--timeout", type=_number, default=10.0, metavar="S", help="for each call of the FMU (default: 10)")
@@ -71,6 +73,8 @@ def request_of(options: argparse.Namespace) -> "Request":
 
     if options.samples is not None and not (options.online and options.samples):
         raise EstimateError("--samples must be 1 or more, and goes with --online.")
+    if options.per_sample is not None and not (options.online and options.per_sample):
+        raise EstimateError("--evaluations-per-sample must be 1 or more, and goes with --online.")
     if options.profile and options.online:
         raise EstimateError("--profile is of a fit to the whole log, not --online.")
     evaluations = options.evaluations if options.evaluations is not None else 30 if options.online else 60

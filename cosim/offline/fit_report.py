@@ -10,7 +10,6 @@ import numpy as np
 from estimator.identifiability_report import findings
 
 from ..files import write_json, write_text
-from ..fmi.component import is_disturbance
 from ..runs.run_files import ESTIMATES
 from ..runs.series import write_csv
 from ..ssv.document import ParameterValue, to_ssv
@@ -185,7 +184,7 @@ def _of_fit(found: Estimation) -> list[str]:
             f"The residuals are correlated from row to row ({fit.autocorrelation:.2f}): they are more than noise. "
             f"± includes it: it is up to {fit.inflation.max():.2g} times what white noise would give."
         )
-    sentences += [*_of_inputs(found), *_of_step(found)]
+    sentences += _of_step(found)
     if told := worst_part(found):
         sentences.append(told)
     inside, outside = (found.rms(found.after, is_held_out) for is_held_out in (False, True))
@@ -202,16 +201,6 @@ def _of_fit(found: Estimation) -> list[str]:
             f"{n} of {len(found.evaluations)} roll-outs failed and count as bad candidates; one reason: {reason}."
         )
     return sentences
-
-
-def _of_inputs(found: Estimation) -> list[str]:
-    """Return a sentence on the FMU's inputs that no column drives: the plant's were hardly at rest."""
-    given = {*found.request.inputs, *found.request.start}
-    forgotten = [v for v in found.component.having("input") if v.name not in given and not is_disturbance(v)]
-    if not forgotten:
-        return []
-    names = ", ".join(f"{v.name} ({float(v.start or 0.0):g})" for v in forgotten)
-    return [f"No column was given for {names}: it stayed at its start. If the log has it, give --input NAME=COLUMN."]
 
 
 def _of_step(found: Estimation) -> list[str]:

@@ -23,6 +23,9 @@ LARGEST: Final = 1e100
 """Largest absolute value that is taken for a measurement, in the variable's unit: its square can be summed."""
 GAP: Final = 10.0
 """Distance of two rows that counts as a gap, in median distances of time stamps."""
+_IN_A_SECOND: Final = {"ms": 1e3, "us": 1e6, "ns": 1e9}
+_DATES: Final = (6e8, 5e9)
+"""Time since 1970 [s] that is taken for a date: 1989 to 2128."""
 Cut = tuple[float, float]
 """From, to: time of the log [s]."""
 
@@ -105,6 +108,14 @@ def windows_of(
     return _held_out(windows, holdout), warnings
 
 
+def unused_columns(log: Log, signals: LogColumns) -> list[str]:
+    """Return the columns of a log that have no role, nor are its time stamps."""
+    roles = (*signals.inputs.values(), *signals.measured.values(), *signals.start.values())
+    time = log.time_name(signals.time)
+    used = {log.name_of(name) for name in (*roles, *([time] if time else []))}
+    return [name for name in log.columns if name not in used]
+
+
 def _table(log: Log, signals: LogColumns, component: Component) -> tuple[Vector, dict[str, Vector], list[str]]:
     """Return increasing time stamps (n,), columns (n, k) by role in the FMU's units, and warnings. Raises LogError."""
     if signals.time is None:
@@ -112,6 +123,8 @@ def _table(log: Log, signals: LogColumns, component: Component) -> tuple[Vector,
     stamps = log.time_column(signals.time)
     if signals.time_unit is not None:
         stamps = replace(stamps, unit=signals.time_unit)
+    elif stamps.unit is None:
+        _check_epoch(log, stamps)
     time = _converted(stamps, understood("s"), f"{log.path}: time", understood)
     roles = {"input": signals.inputs, "measured": signals.measured, "start": signals.start}
     table = {role: _columns(log, columns, component, len(time)) for role, columns in roles.items()}
@@ -134,6 +147,19 @@ def _table(log: Log, signals: LogColumns, component: Component) -> tuple[Vector,
         warnings.append(f"{log.path}: {n} repeated time stamps; of rows with the same one the last is used.")
         time, table = time[last], {role: values[last] for role, values in table.items()}
     return time, table, warnings
+
+
+def _check_epoch(log: Log, stamps: Column) -> None:
+    """Raise LogError where time stamps without a unit are too large for seconds, and a date in a smaller unit."""
+    known = stamps.values[np.isfinite(stamps.values)]
+    begin, distance = float(known[0]) + stamps.first if len(known) else 0.0, np.diff(known)
+    for unit, n in _IN_A_SECOND.items():
+        if _DATES[0] < begin / n < _DATES[1]:
+            apart = f", its rows {float(np.median(distance)) / n:g} s apart" if len(distance) else ""
+            raise LogError(
+                f"{log.path}: time begins at {begin:.6g}: is it in {unit} since 1970{apart}? "
+                f"Give --time-unit {unit}, or --time-unit s where it is in seconds."
+            )
 
 
 def _columns(log: Log, columns: Mapping[str, str], component: Component, n: int) -> Vector:

@@ -4,7 +4,7 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,6 +23,8 @@ from ..names import did_you_mean
 _HEADING: Final = re.compile(r"(?P<name>.*\S)\s*\[(?P<unit>[^\[\]]*)\]")
 _TIMES: Final = ("time", "t", "timestamp", "time_s")
 _NEVER: Final = -(2**63)
+_EXACT: Final = 2**53
+"""Largest whole number up to which a float holds each."""
 _MISSING: Final = ["", "nan", "NaN", "NAN", "-nan", "null", "NULL", "NA", "N/A", "#N/A", "None", "-"]
 
 
@@ -42,6 +44,8 @@ class Column:
     """The first cell that is no number; the column has no values then."""
     time: Vector | None = None
     """Its own time stamps (n,) [s], in a log of several rasters."""
+    first: int = 0
+    """Whole number that the values are counted from: nanoseconds since 1970 are too large for a float."""
 
 
 @dataclass(frozen=True)
@@ -52,16 +56,24 @@ class Log:
     columns: Mapping[str, Column]
     """Columns by name, without the unit."""
 
-    def column(self, name: str) -> Column:
-        """Return the column of that name, with or without its unit. Raises LogError where there is none of numbers."""
-        found = self.columns.get(name)
-        if found is None and (heading := _HEADING.fullmatch(name)):
-            found = self.columns.get(heading["name"])
-        if found is None:
+    def name_of(self, name: str) -> str:
+        """Return the name of the column called so, with or without its unit. Raises LogError where there is none."""
+        heading = None if name in self.columns else _HEADING.fullmatch(name)
+        found = heading["name"] if heading else name
+        if found not in self.columns:
             known = ", ".join(self.columns) if len(self.columns) <= 12 else f"{len(self.columns)} others"
             raise LogError(
                 f"{self.path} has no column '{name}'{did_you_mean(name, self.columns) or f', only {known}.'}"
             )
+        return found
+
+    def column(self, name: str) -> Column:
+        """Return the column of that name, with or without its unit. Raises LogError where there is none of numbers."""
+        found = self._numbers(name)
+        return replace(found, values=found.values + found.first, first=0) if found.first else found
+
+    def _numbers(self, name: str) -> Column:
+        found = self.columns[self.name_of(name)]
         if found.text is not None:
             raise LogError(f"{self.path}: column '{name}' must hold numbers, got '{one_line(found.text)}'.")
         return found
@@ -84,13 +96,18 @@ class Log:
             table[name] = Column(np.where(known, np.append(column.values, np.nan)[last], np.nan), column.unit)
         return Log(self.path, table)
 
+    def time_name(self, name: str | None) -> str | None:
+        """Return the name of the column of time stamps: the one asked for, or else the one called time or t, if any."""
+        return next((c for c in self.columns if c.strip().casefold() in _TIMES), None) if name is None else name
+
     def time_column(self, name: str | None) -> Column:
-        """Return the column of time stamps: the one named, or else the one called time or t. Raises LogError."""
-        if name is None:
-            name = next((c for c in self.columns if c.strip().casefold() in _TIMES), None)
-        if name is None:
+        """Return the column of time stamps, the one named, or else the one called time or t. Raises LogError.
+
+        Whole numbers beyond 2^53 are counted from `Column.first`.
+        """
+        if (found := self.time_name(name)) is None:
             raise LogError(f"{self.path} has no column 'time' or 't'; give --time COLUMN.")
-        return self.column(name)
+        return self._numbers(found)
 
 
 def read_log(path: Path) -> Log:
@@ -170,7 +187,17 @@ def _column(column: Any, unit: str | None) -> Column:
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)):
         cells = (str(cell) for cell in column.to_pylist() if cell is not None)
         return Column(np.empty(0), unit, next((cell for cell in cells if not _is_number(cell)), str(kind)))
-    return Column(_array(pc.fill_null(pc.cast(column, pa.float64(), safe=False), float("nan"))), unit)
+    first = _first(column) if kind in (pa.int64(), pa.uint64()) else 0
+    if first:
+        counts = [pc.cast(column, pa.int64(), safe=False), pa.scalar(first, pa.int64())]
+        column = pc.call_function("subtract", counts)  # pc.subtract has no type
+    return Column(_array(pc.fill_null(pc.cast(column, pa.float64(), safe=False), float("nan"))), unit, first=first)
+
+
+def _first(column: Any) -> int:
+    """Return the first whole number of a column if a float cannot hold it exactly, else 0."""
+    first = next((cell.as_py() for chunk in column.chunks for cell in chunk if cell.is_valid), 0)
+    return first if _EXACT < abs(first) < 2**63 else 0
 
 
 def _array(column: Any) -> Any:

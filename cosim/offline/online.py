@@ -8,11 +8,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from time import perf_counter
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from estimator import METHODS, EpisodeWindow, ParameterSpace, Sample, Vector
+from estimator.contract import Rescoring
 from estimator.diagnosing import make_episodes
 from estimator.diagnosis_settings import DiagnosisSettings
 from estimator.episode_diagnosis import EpisodeDiagnosis
@@ -24,6 +25,7 @@ from ..errors import ScenarioError, WiringError
 from ..fmi.archive import co_simulation
 from ..fmi.ports import Catalogue
 from ..objectives.rollout import RolloutObjective
+from ..objectives.rollout_check import PROOF_STEPS
 from ..objectives.rollout_fmu import START_METHODS, Shadow, StartMethod, obstacles_in_words
 from ..objectives.rollout_start import NoisyStartObjective
 from ..retuning.data_support import NoDataSupport
@@ -33,8 +35,11 @@ from ..sampling.screen import OutputScreen
 from ..scenarios.schema.sampling import ObservationSettings
 from .estimate import EstimateError, Request, Understood, understand
 from .log_windows import LogWindow
+from .one_by_one import OneByOne
 from .rollout import grid_of, noise_of
 
+_MOVING: Final = ("output", "local")
+"""Causalities of variables that change while the FMU runs: with a start value, they are states."""
 SampleProgress = Callable[[int, int], None]
 """Function called with the number of samples taken so far, and the number of all."""
 
@@ -77,13 +82,15 @@ class Online:
         return next((f"{w.window.name}: {w.failure}" for w in self.watched if w.failure is not None), None)
 
 
-def run_online(request: Request, n_samples: int, progress: SampleProgress = lambda n, n_all: None) -> Online:
+def run_online(
+    request: Request, n_samples: int, progress: SampleProgress = lambda n, n_all: None, n_per_sample: int = 1
+) -> Online:
     """Replay algorithm 1 on each window of the logs, sample by sample, each from the start and independently.
 
     The parameters are at first the FMU's start values, or the request's. Candidates are evaluated on n_samples
     samples: begun in measured states, where the request names their columns, else simulated from the window's first
-    row with the parameters accepted on the way. The request's evaluations are those of an episode; nothing is held
-    out.
+    row with the parameters accepted on the way. The request's evaluations are those of an episode, n_per_sample of
+    them at each sample; nothing is held out.
 
     Raises CosimError in one line for what is refused.
     """
@@ -98,7 +105,8 @@ def run_online(request: Request, n_samples: int, progress: SampleProgress = lamb
     watched: list[Watched] = []
     for window, rng in zip(understood.windows, rngs, strict=True):
         report_progress = partial(_told, progress, n_before, n_all)
-        watched.append(_watched(request, understood, obstacles, window, n_samples, rng, report_progress))
+        counts = n_samples, n_per_sample
+        watched.append(_watched(request, understood, obstacles, window, counts, rng, report_progress))
         n_before += len(window.time)
     return Online(request, understood, n_samples, tuple(watched), perf_counter() - began)
 
@@ -112,11 +120,14 @@ def _watched(
     understood: Understood,
     obstacles: Mapping[StartMethod, str],
     window: LogWindow,
-    n_samples: int,
+    counts: tuple[int, int],
     rng: np.random.Generator,
     progress: Callable[[int], None],
 ) -> Watched:
-    """Replay one window, with a loop and an FMU of its own."""
+    """Replay one window, with a loop and an FMU of its own.
+
+    counts: samples that a candidate is evaluated on, candidates evaluated at each sample.
+    """
     theta, space = understood.nominal, understood.space
     interface: Any = co_simulation(understood.component.description)
     samples, u0 = _samples(window, request.step, not interface.canHandleVariableCommunicationStepSize)
@@ -126,15 +137,17 @@ def _watched(
         request.fmu, tuple(request.inputs), states, tuple(request.measured), tuple(understood.noise.tolist()),
         space.names, {name: value for name, value in start.items() if name not in names}, samples[0].t,
         not interface.canBeInstantiatedOnlyOncePerProcess, obstacles, request.timeout,
-        request.environment,
+        request.environment, told_by=_told_by(request, understood),
     )  # fmt: skip
     noise = noise_of([replace(w, measured=w.states) for w in understood.windows]).tolist()
     events: list[Event] = []
     with NoisyStartObjective(partial(RolloutObjective, shadow, theta, None, None, request.jobs), noise) as objective:
+        n_samples, n_per_sample = counts
         stretch = EpisodeWindow(objective, n_samples)
         diagnosis = EpisodeDiagnosis(stretch, outputs, tuple(request.inputs), DiagnosisSettings(), space)
+        budget = Budget(request.evaluations, n_per_sample)
         retuner = make_episodes(
-            _search(request, space, theta, rng), stretch, InnovationSettings(), Budget(request.evaluations),
+            _search(request, space, theta, rng), stretch, InnovationSettings(), budget,
             objective.describe, diagnosis=diagnosis,
         )  # fmt: skip
         screen = OutputScreen(ObservationSettings(), outputs, (True,) * len(outputs), samples[1].t - samples[0].t)
@@ -147,15 +160,26 @@ def _watched(
             events += [event for event in decision.events if event.kind != "candidate"]
             theta = theta if decision.write is None else decision.write
             progress(k + 1)
-        failure = objective.why_lost if objective.is_ready else f"{len(samples)} rows are too few to begin"
+        failure = objective.why_lost if objective.is_ready else _not_begun(len(samples))
         found = supervisor.summary()
         return Watched(window, tuple(events), retuner.n_evaluations, theta, objective.describe(), failure, found)
+
+
+def _not_begun(n_rows: int) -> str:
+    """Return the reason why no roll-out was made."""
+    if n_rows <= PROOF_STEPS:
+        return f"{n_rows} rows are too few to begin"
+    return (
+        f"the FMU hardly moves in these {n_rows} rows: nothing shows whether all states are measured; without --start "
+        "COLUMN it is simulated from the first row"
+    )
 
 
 def _search(request: Request, space: ParameterSpace, theta: Vector, rng: np.random.Generator) -> Any:
     method = METHODS[request.method]
     of_method = {k: v for k, v in method.defaults.items() if k in method.setting_names}
-    return method.estimator(space, theta, rng, method.settings(**of_method))
+    search = method.estimator(space, theta, rng, method.settings(**of_method))
+    return OneByOne(search) if isinstance(search, Rescoring) else search
 
 
 def _samples(window: LogWindow, step: float | None, is_even: bool) -> tuple[list[Sample], list[float]]:
@@ -179,14 +203,28 @@ def _states(request: Request) -> tuple[str, ...]:
     return tuple(name for name, value in request.start.items() if isinstance(value, str))
 
 
+def _told_by(request: Request, understood: Understood) -> dict[str, str]:
+    """Return the output with the column, and the unit, of each parameter that a state starts as."""
+    variables, unit = understood.component.variables, understood.component.unit
+    outputs = [(column, unit(name), name) for name, column in request.measured.items()]
+    found: dict[str, str] = {}
+    for name in _states(request):
+        same = [output for column, of, output in outputs if (column, of) == (request.start[name], unit(name))]
+        if same and variables[name].causality == "parameter":
+            found[name] = same[0]
+    return found
+
+
 def _obstacles(request: Request, understood: Understood) -> dict[StartMethod, str]:
     """Return the ways of beginning a roll-out that do not work, with reasons. Raises EstimateError if none is left."""
+    component = understood.component
     obstacles: dict[StartMethod, str] = {"state": "there is only the log"}
     if not _states(request):
         obstacles["measured"] = "no --start names the columns of the states"
+    elif numbers := [name for name in request.constants if component.variables[name].causality in _MOVING]:
+        obstacles["measured"] = f"--start gives {numbers[0]} a number, which is no measurement"
     elif any(np.isnan(w.states).any() for w in understood.windows):
         obstacles["measured"] = "values are missing in the columns of the states"
-    component = understood.component
     if unknown := [p.name for p in understood.space if component.variables[p.name].causality != "parameter"]:
         raise EstimateError(f"--online estimates parameters, and '{unknown[0]}' is none: leave out --online.")
     try:

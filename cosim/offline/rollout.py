@@ -20,6 +20,7 @@ from ..objectives.rollout_pool import Pool
 from ..slaves.slave import Slave, open_slave
 from .log_windows import LogWindow
 from .logs import LogError
+from .swapped_columns import cross_misfit
 
 LARGEST: Final = 1e9
 """Residual [standard deviations] beyond which a simulation has diverged, however far."""
@@ -143,6 +144,8 @@ class RolloutResidual:
         """Numbers of residuals of one output in one window, in order."""
         self.evaluations: list[tuple[Vector, float, str | None]] = []
         """Candidates in order: theta (d,), sum of squares and, where it failed, the reason."""
+        self.cross_misfits: list[Vector] = []
+        """Sums of squares (c, c) of each output compared with each column, of each candidate that did not fail."""
 
     @property
     def n_evaluations(self) -> int:
@@ -166,11 +169,12 @@ class RolloutResidual:
         return found
 
     def _whitened(self, rollouts: Sequence[Rollout]) -> Vector:
+        simulated = [r.outputs for r in rollouts if r.outputs is not None]
+        self.cross_misfits.append(cross_misfit(simulated, self._measured, self._noise))
         with np.errstate(over="ignore"):
             parts = [
-                np.clip((r.outputs - measured) / self._noise, -LARGEST, LARGEST).T.reshape(-1)
-                for r, measured in zip(rollouts, self._measured, strict=True)
-                if r.outputs is not None
+                np.clip((y - measured) / self._noise, -LARGEST, LARGEST).T.reshape(-1)
+                for y, measured in zip(simulated, self._measured, strict=True)
             ]
         residual = np.concatenate(parts)
         return residual[~np.isnan(residual)]

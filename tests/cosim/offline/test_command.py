@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib.image
@@ -12,7 +13,11 @@ import numpy as np
 import pytest
 
 from cosim.cli import main
+from cosim.offline.estimate import Request, Sought, understand
+from cosim.offline.estimate_file import with_file
+from cosim.offline.estimate_options import request_of
 from cosim.ssv.document import read_ssv
+from cosim.terminal.options import make_parser
 
 pytestmark = pytest.mark.fmu
 SOUGHT = ["--parameter", "m=0.5:4", "--parameter", "c=0.05:5:log", "--parameter", "k=5:60:log"]
@@ -291,3 +296,94 @@ def test_what_cannot_be_computed_with_is_told_and_no_warning_of_numpys(plant, or
     assert re.fullmatch(
         r"retune: .*log\.csv: column 'x' for x has values up to [\d.]+e\+29\d: too large\.\n", done.stderr
     )
+
+
+def test_nanoseconds_since_1970_are_told_and_counted_exactly(plant, oracles, tmp_path, monkeypatch, capsys):
+    """A float holds them to 256 ns only. This FMU declares no experiment to compare with."""
+    monkeypatch.chdir(tmp_path)
+    rows = np.column_stack(list(oracles.measure(0, end=3.0).values())[1:]).tolist()
+    lines = [f"{1_700_000_000_000_000_001 + 10_000_000 * k},{f!r},{x!r},{v!r}\n" for k, (f, x, v) in enumerate(rows)]
+    Path("log.csv").write_text("stamp,force,x,v\n" + "".join(lines))
+    arguments = ["estimate", str(plant), "log.csv", *SOUGHT, *ROLES, "--time", "stamp"]
+    assert main(arguments) == 2
+    assert capsys.readouterr().err == (
+        "retune: log.csv: time begins at 1.7e+18: is it in ns since 1970, its rows 0.01 s apart? "
+        "Give --time-unit ns, or --time-unit s where it is in seconds.\n"
+    )
+    request = Request(
+        plant, (Path("log.csv"),), (Sought("m", 0.5, 4.0),), {"x": "x"}, {"F": "force"}, time="stamp", time_unit="ns"
+    )
+    (window,) = understand(replace(request, holdout=0.0)).windows
+    assert window.time == pytest.approx(0.01 * np.arange(301), abs=1e-12)
+
+
+def test_an_input_without_a_column_is_told(plant, log):
+    request = Request(plant, (log,), (Sought("m", 0.5, 4.0),), {"x": "x"})
+    (told,) = understand(request).warnings
+    assert told == (
+        "input 'F' of Plant.fmu has no column and stays 0 N: give --input F=COLUMN, or --start F=VALUE "
+        "(columns not used: 'force', 'v')."
+    )
+    for said in ({"inputs": {"F": "force"}}, {"start": {"F": 0.0}}):
+        assert understand(replace(request, **said)).warnings == []
+
+
+@pytest.mark.full
+def test_sensors_that_are_swapped_are_told(plant, oracles, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    columns = {name.split(" ")[0]: values for name, values in oracles.measure(0, end=4.0).items()}
+    log = oracles.write_log(tmp_path / "log.csv", columns)
+    common = ["estimate", str(plant), str(log), *SOUGHT, "--input", "F=force", "--evaluations", "20", "--json"]
+    assert main([*common, "--measured", "x=v", "--measured", "v=x"]) == 0
+    (told,) = json.loads(capsys.readouterr().out)["warnings"]
+    assert told == "x and v would fit better with their columns exchanged: is it --measured x=x --measured v=v?"
+    assert main([*common, "--measured", "x=x", "--measured", "v=v"]) == 0
+    assert json.loads(capsys.readouterr().out)["warnings"] == []
+
+
+TOML = """
+fmu = "{plant}"
+logs = "log.csv"
+evaluations = 10
+[parameters]
+m = [0.5, 4]
+k = [5, 60.0, "log"]
+[measured]
+x = "x"
+v = "v"
+[inputs]
+F = "force"
+[start]
+c = 0.9
+"""
+
+
+def test_a_file_says_what_the_command_line_would(plant, log, monkeypatch, tmp_path):
+    """The log is beside the file, not in the working directory."""
+    (tmp_path / "estimate.toml").write_text(TOML.format(plant=plant))
+    common = ["--parameter", "m=0.5:4", "--parameter", "k=5:60:log", *ROLES, "--start", "c=0.9", "--evaluations", "10"]
+    requests = [
+        request_of(make_parser().parse_args(with_file(["estimate", *words, "--seed", "2"])))
+        for words in ([str(plant), str(log), *common], [str(tmp_path / "estimate.toml")])
+    ]
+    assert requests[0] == requests[1]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("logs =", "log =", "must have fmu ="),
+        ("evaluations", "evaluation", "'evaluation' is no key; did you mean 'evaluations'"),
+        ("= 10", "= true", "'evaluations' is of the wrong type"),
+        ("= 10", "= ", "not a readable TOML file"),
+        ("[0.5, 4]", "true", "parameters.m must be a number, a name or a list of them, got True"),
+        ("[0.5, 4]", "4", "must be NAME=LOW:HIGH or NAME=LOW:HIGH:log"),
+    ],
+)
+def test_a_bad_file_is_refused_in_one_line(plant, log, capsys, tmp_path, old, new, told):
+    (tmp_path / "estimate.toml").write_text(TOML.format(plant=plant).replace(old, new))
+    with pytest.raises(SystemExit, match="2"):
+        main(["estimate", str(tmp_path / "estimate.toml")])
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert told in error

@@ -3,10 +3,12 @@
 import csv
 import json
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
+from pythonfmu import FmuBuilder
 from scipy.linalg import expm
 
 from cosim.cli import main
@@ -29,13 +31,13 @@ STATES = {"x": "x", "v": "v"}
 def ask(plant, tmp_path, oracles):
     """ask(columns, n_samples, **changes): what happens over a log of these columns, states measured."""
 
-    def asked(columns, n_samples=50, **changes):
+    def asked(columns, n_samples=50, per_sample=1, **changes):
         path = oracles.write_log(tmp_path / f"{len(list(tmp_path.iterdir()))}.csv", columns)
         settings = {
             "fmu": plant, "logs": (path,), "parameters": (MASS, DAMPER), "measured": {"x": "x", "v": "v"},
             "inputs": {"F": "force"}, "start": KNOWN | STATES, "evaluations": 30,
         }  # fmt: skip
-        return run_online(Request(**settings | changes), n_samples)
+        return run_online(Request(**settings | changes), n_samples, n_per_sample=per_sample)
 
     return asked
 
@@ -57,6 +59,21 @@ def test_a_jump_is_seen_within_samples_and_the_new_values_are_written(ask, oracl
     assert watched.theta.tolist() == last.detail["theta"]
     full = trigger.t + 0.01 * int(trigger.detail["samples"].split()[-1])  # "... and the next 49"
     assert full < of(watched, "end")[0].t <= full + 0.29 + 1e-9  # an evaluation a sample, thirty at most
+
+
+@pytest.mark.full
+def test_an_episode_may_take_all_its_evaluations_at_one_sample(ask, oracles, command, capsys):
+    """An event shorter than thirty samples is over before thirty evaluations at one each."""
+    (watched,) = ask(oracles.jump(0, end=6.0), per_sample=30).watched
+    (trigger,) = of(watched, "trigger")
+    full = trigger.t + 0.01 * int(trigger.detail["samples"].split()[-1])  # "... and the next 49"
+    assert of(watched, "end")[0].t == pytest.approx(full)
+    assert watched.n_candidates == 30
+    assert watched.theta == pytest.approx([2.6, 1.4], rel=0.05)
+    assert command("--start", "x=x", "--start", "v=v", "--evaluations-per-sample", "30", "--json") == 0
+    (window,) = json.loads(capsys.readouterr().out)["windows"]
+    times = {kind: {e["time"] for e in window["events"] if e["event"] == kind} for kind in ("write", "end")}
+    assert set() < times["write"] <= times["end"]
 
 
 @pytest.mark.full
@@ -93,6 +110,50 @@ def test_without_states_it_is_simulated_from_the_start(ask, oracles):
     assert "simulated again from the start" in watched.how
     assert 4.0 < of(watched, "trigger")[0].t <= 4.1
     assert watched.theta == pytest.approx([2.6, 1.4], rel=0.05)
+
+
+def at_rest_first(oracles, rest=1.0, seed=0):
+    """A log of the plant that stands still until its force begins to move it."""
+    rng, t = np.random.default_rng(seed), 0.01 * np.arange(301)
+    force = np.where(t < rest, 0.0, oracles.pushes(t))
+    x, v = (column + 2e-3 * rng.standard_normal(len(t)) for column in oracles.response(t, force, start=(0.0, 0.0)))
+    return {"time [s]": t, "force [N]": force, "x [m]": x, "v [m/s]": v}
+
+
+@pytest.mark.parametrize("rest", [1.0, pytest.param(0.0, marks=pytest.mark.full)])
+def test_a_hidden_state_is_found_where_the_log_moves(ask, oracles, rest):
+    """At rest a roll-out begun without the velocity continues alike: it passed, and triggered again and again."""
+    (watched,) = ask(at_rest_first(oracles, rest), start=KNOWN | {"x": "x"}).watched
+    assert "simulated again from the start" in watched.how
+    assert "states are hidden" in watched.how
+    assert watched.events == ()
+
+
+@pytest.mark.full
+def test_states_are_proved_measured_where_the_log_moves(ask, oracles):
+    (watched,) = ask(at_rest_first(oracles)).watched
+    assert "from measured states" in watched.how
+    assert (watched.events, watched.failure) == ((), None)
+
+
+def test_a_number_is_no_measurement_of_a_state(ask, oracles):
+    (watched,) = ask(at_rest_first(oracles), start=KNOWN | {"x": "x", "v": 0.0}).watched
+    assert "measured: --start gives v a number, which is no measurement" in watched.how
+
+
+@pytest.mark.full
+def test_where_nothing_moves_nothing_is_proved(ask, oracles):
+    (watched,) = ask(at_rest_first(oracles, rest=9.0), noise={"x": 2e-3, "v": 2e-3}).watched
+    assert watched.failure.startswith("the FMU hardly moves in these 301 rows")
+
+
+@pytest.mark.full
+def test_a_column_for_a_start_parameter_measures_its_state(ask, oracles, made_once):
+    slave = Path(__file__).with_name("start_parameters_slave.py")
+    fmu = made_once(lambda folder: FmuBuilder.build_FMU(slave, dest=folder), slave) / "StartParameters.fmu"
+    (watched,) = ask(oracles.jump(0), fmu=fmu, parameters=(MASS,), start={"x_start": "x", "v_start": "v"}).watched
+    assert "from measured states" in watched.how
+    assert 4.0 < of(watched, "trigger")[0].t <= 4.1
 
 
 def spikes(column, scale, rng):
@@ -229,6 +290,7 @@ def test_what_it_prints_and_writes(command, capsys, tmp_path):
         (["--validate", "other.csv"], "leave out --holdout and --validate"),
         (["--parameter", "g=1:20"], "'g' of Plant.fmu takes no start value"),
         (["--evaluations", "0"], "must be 1 or more"),
+        (["--evaluations-per-sample", "0"], "--evaluations-per-sample must be 1 or more"),
     ],
 )
 def test_a_bad_command_is_refused_in_one_line(command, capsys, tmp_path, options, told):

@@ -55,23 +55,21 @@ class ArrivalCost:
     """Sum (d,) of the corrections of the present block of samples."""
     expected: Vector
     """Variance (d,) of that sum, if the walk is right."""
-    innovation: Vector
-    """Innovation (c,) of the newest sample, in its own standard deviations; empty before the first."""
-    power: float = 0.0
-    """Sum of the innovations' squares, fading."""
-    product: float = 0.0
-    """Sum of the products of each innovation with the one before, fading."""
+    rate: float
+    """Standard deviation of a drifting parameter's change from sample to sample, at most."""
+    whiteness: "Whiteness"
+    """Correlation of the innovations since the parameters walk as they do."""
     n_samples: int = 0
     """Number of samples in the present block."""
     cost: float = 0.0
     """Sum of squared residuals of the newest sample, at the mean before it."""
 
     @classmethod
-    def of_estimate(cls, z: Vector, known: Information) -> Self:
-        """Return the arrival cost of an estimate z (d,) with its information."""
+    def of_estimate(cls, z: Vector, known: Information, rate: float) -> Self:
+        """Return the arrival cost of an estimate z (d,) with its information; rate: of a drift, at most."""
         s = np.maximum(known.singular_values, 1.0 / _WIDEST)
         zero = np.zeros(len(z))
-        return cls(z, (known.directions.T / s**2) @ known.directions, zero, zero, zero, np.empty(0))
+        return cls(z, (known.directions.T / s**2) @ known.directions, zero, zero, zero, rate, Whiteness(np.empty(0)))
 
     @property
     def information(self) -> Information:
@@ -86,8 +84,8 @@ class ArrivalCost:
     @property
     def is_refuted(self) -> bool:
         """True where drifting parameters do not explain the samples: their innovations are not white (Mehra, 1970)."""
-        limit = max(_CORRELATED, _N_STD * sqrt((1.0 - _MEMORY) / max(len(self.innovation), 1)))
-        return bool(np.any(self.walk)) and self.product > limit * self.power
+        walking = self.walk[self.walk > 0.0]
+        return len(walking) > 0 and bool(np.all(walking >= self.rate**2)) and self.whiteness.is_refuted
 
     def updated(self, residual: Callable[[Vector], Vector]) -> Self:
         """Return the arrival cost with one more sample; residual: (c,) in standard deviations at a place (d,).
@@ -99,8 +97,6 @@ class ArrivalCost:
             return self
         before = self.covariance + np.diag(self.walk)
         moved, after = _corrected(before, measured)
-        innovation = _normalised(before, measured)
-        last = self.innovation if len(self.innovation) else np.zeros(len(innovation))
         block = replace(
             self,
             mean=np.minimum(np.maximum(self.mean + moved, 0.0), 1.0),
@@ -108,29 +104,34 @@ class ArrivalCost:
             correction=self.correction + moved,
             expected=self.expected + (before - after).diagonal(),
             n_samples=self.n_samples + 1,
-            innovation=innovation,
-            power=_MEMORY * self.power + float(innovation @ innovation),
-            product=_MEMORY * self.product + float(innovation @ last),
+            whiteness=self.whiteness.updated(_normalised(before, measured)),
             cost=float(measured.value @ measured.value),
         )
+        if block.whiteness.is_refuted and np.any(block.walk) and not block.is_refuted:
+            block = block._walking(np.where(block.walk > 0.0, self.rate**2, 0.0))
         return block if block.n_samples < _BLOCK else block._learnt()
 
-    def drifted(self, residual: Callable[[Vector], Vector], rate: float) -> Self | None:
+    def drifted(self, residual: Callable[[Vector], Vector]) -> Self | None:
         """Return the arrival cost with a sample that may contradict it; None where a drift does not explain it.
 
-        rate: standard deviation of a drifting parameter's change from sample to sample. The one parameter that explains
-        the sample best drifts from now on, all of them where one is not enough.
+        The one parameter that explains the sample best drifts from now on, all of them where one is not enough.
         """
         measured = _measured(residual, self.mean)
         if measured is None:
             return None
         limit, d = chi2_limit(_FALSE_ALARM, len(measured.value)), len(self.mean)
-        one = [rate**2 * row for row in np.eye(d)]
+        one = [self.rate**2 * row for row in np.eye(d)]
         best = min(one, key=lambda walk: self._squared(walk, measured))
-        for walk in (np.zeros(d), best, np.full(d, rate**2)):
+        for walk in (np.zeros(d), best, np.full(d, self.rate**2)):
             if self._squared(walk, measured) <= limit:
-                return replace(self, walk=np.maximum(self.walk, walk)).updated(residual)
+                return self._walking(walk).updated(residual)
         return None
+
+    def _walking(self, walk: Vector) -> Self:
+        """Return the arrival cost with a walk of these variances (d,) at least."""
+        if np.all(walk <= self.walk):
+            return self
+        return replace(self, walk=np.maximum(self.walk, walk), whiteness=Whiteness(self.whiteness.newest))
 
     def _squared(self, walk: Vector, measured: "_Measured") -> float:
         """Return the normalised innovation squared of a sample where the parameters walk by these variances (d,)."""
@@ -146,6 +147,34 @@ class ArrivalCost:
         zero = np.zeros(len(walk))
         walk = np.where(walk < 1e-6 * known, 0.0, walk)
         return replace(self, walk=walk, correction=zero, expected=zero, n_samples=0)
+
+
+@dataclass(frozen=True)
+class Whiteness:
+    """Correlation of each innovation with the one before, of the newest samples: white ones have none."""
+
+    newest: Vector
+    """Innovation (c,) of the newest sample, in its own standard deviations; empty before the first."""
+    power: float = 0.0
+    """Sum of the innovations' squares, fading."""
+    product: float = 0.0
+    """Sum of the products of each innovation with the one before, fading."""
+    n_samples: int = 0
+    """Number of samples in them."""
+
+    def updated(self, innovation: Vector) -> "Whiteness":
+        """Return the correlation with one more innovation (c,)."""
+        product = float(innovation @ self.newest) if len(self.newest) == len(innovation) else 0.0
+        power = _MEMORY * self.power + float(innovation @ innovation)
+        return Whiteness(innovation, power, _MEMORY * self.product + product, self.n_samples + 1)
+
+    @property
+    def is_refuted(self) -> bool:
+        """True where the innovations are correlated, by more than chance and by more than a filter's lag."""
+        if self.n_samples < _BLOCK:
+            return False
+        limit = max(_CORRELATED, _N_STD * sqrt((1.0 - _MEMORY) / max(len(self.newest), 1)))
+        return self.product > limit * self.power
 
 
 class _Measured(NamedTuple):

@@ -195,7 +195,7 @@ class Diagnosis:
         if is_changed and is_explained and parameters.is_explained:
             return self._changed(t, held) if disturbance.fit.score >= parameters.score + MARGIN else None
         is_named = disturbance.fit.is_explained and disturbance.fit.score + MARGIN <= plain_fit(there, 0).score
-        if is_named and n % 2 == 0 and not self._best(held, n, may_drift=False).fit.is_explained:
+        if is_named and n % 2 == 0 and not self._is_changing(held, n):
             return Settled(reference, self._name(t, disturbance), True)
         return None
 

@@ -266,7 +266,9 @@ class TargetVector:
         """Begin a new arrival cost with the present estimate."""
         estimate = self.estimate()
         assert estimate.information is not None
-        self.arrival_cost = ArrivalCost.of_estimate(self._space.to_unit(estimate.theta), estimate.information)
+        self.arrival_cost = ArrivalCost.of_estimate(
+            self._space.to_unit(estimate.theta), estimate.information, self._settings.drift
+        )
 
     def recall(self, arrival_cost: ArrivalCost | None, held: Vector) -> None:
         """Go back to an earlier arrival cost, where it agrees with the parameters held (d,); else to none."""
@@ -286,7 +288,7 @@ class TargetVector:
         def at(z: Vector) -> Vector:
             return residual(space.beyond(z))
 
-        known = known.drifted(at, self._settings.drift) if is_triggered else known.updated(at)
+        known = known.drifted(at) if is_triggered else known.updated(at)
         if known is None:
             return None
         self.arrival_cost = known

@@ -23,7 +23,7 @@ def linear(rng, truth, n_channels=4, error=0.0):
 
 
 def begun(J, z=START):
-    return ArrivalCost.of_estimate(z, information(J))
+    return ArrivalCost.of_estimate(z, information(J), RATE)
 
 
 def test_it_is_the_kalman_filter_on_a_linear_model():
@@ -75,7 +75,7 @@ def followed(seed, n, moves, errors, n_channels=4):
         residual = linear(rng, TRUTH + moves(i), n_channels, errors(i))[2]
         r = residual(known.mean)
         is_triggered = float(r @ r) > chi2_limit(1e-6, n_channels)
-        known = known.drifted(residual, RATE) if is_triggered else known.updated(residual)
+        known = known.drifted(residual) if is_triggered else known.updated(residual)
         if known is None:
             return None
     return known
@@ -115,7 +115,7 @@ def test_a_jump_is_no_drift():
 def test_what_no_parameter_explains_is_no_drift(seed):
     """A slow sine in every channel, in which parameters enter by factors that change from sample to sample."""
     rng = np.random.default_rng(seed)
-    known = replace(begun(300.0 * np.eye(3), TRUTH), walk=np.full(3, 1e-9))
+    known = replace(begun(300.0 * np.eye(3), TRUTH), walk=np.full(3, RATE**2))
     for i in range(60):
         H = rng.standard_normal((4, 3))
         known = known.updated(lambda z, H=H, i=i: H @ (z - TRUTH) + 3.0 * np.sin(0.05 * i))
@@ -128,4 +128,4 @@ def test_a_sample_that_depends_on_no_parameter_says_nothing():
     known = replace(begun(np.eye(3)), walk=np.full(3, 1e-4))
     assert known.updated(lambda z: np.zeros(2)) is known
     assert known.updated(lambda z: np.full(2, np.nan)) is known
-    assert known.drifted(lambda z: np.full(2, np.nan), RATE) is None
+    assert known.drifted(lambda z: np.full(2, np.nan)) is None

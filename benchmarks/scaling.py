@@ -114,7 +114,8 @@ def _row(name: str, what: str, size: Size, n_seeds: int) -> dict[str, object]:
         for k, sample in enumerate(samples):
             begun = thread_time()
             proposal = retuner.step(sample.t, sample, 0.0, held)
-            estimate, held = proposal.estimate, held if proposal.theta is None else proposal.theta
+            estimate = proposal.estimate or estimate  # between searches there is one where it is worth a write
+            held = held if proposal.theta is None else proposal.theta
             if k >= len(samples) - last:
                 milliseconds.append(1e3 * (thread_time() - begun))
         assert estimate is not None

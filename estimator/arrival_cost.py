@@ -31,6 +31,8 @@ _CORRELATED: Final = 0.5
 """Correlation of an innovation with the one before that shows what no parameter explains."""
 _N_STD: Final = 3.5
 """Standard deviations that it must exceed, where there are few channels."""
+_FEW: Final = 2
+"""Number of parameters that may drift faster before their drift is refuted; more of them follow whatever they are given."""
 _STEP: Final = 1e-4
 """Step of the differences, in the unit cube."""
 _WIDEST: Final = 0.5
@@ -85,7 +87,8 @@ class ArrivalCost:
     def is_refuted(self) -> bool:
         """True where drifting parameters do not explain the samples: their innovations are not white (Mehra, 1970)."""
         walking = self.walk[self.walk > 0.0]
-        return len(walking) > 0 and bool(np.all(walking >= self.rate**2)) and self.whiteness.is_refuted
+        is_too_slow = len(walking) <= _FEW and bool(np.any(walking < self.rate**2))
+        return len(walking) > 0 and self.whiteness.is_refuted and not is_too_slow
 
     def updated(self, residual: Callable[[Vector], Vector]) -> Self:
         """Return the arrival cost with one more sample; residual: (c,) in standard deviations at a place (d,).

@@ -58,7 +58,7 @@ def test_the_example_prints_what_the_document_shows(tmp_path, monkeypatch, capsy
 
 
 def test_the_log_taken_as_if_online_prints_what_the_document_shows(tmp_path, monkeypatch, capsys):
-    changed, command, shown = BLOCKS[4:7]
+    changed, command, shown = BLOCKS[5:8]
     monkeypatch.chdir(tmp_path)
     (tmp_path / "make_log.py").write_text(BLOCKS[0] + changed)
     runpy.run_path("make_log.py")

@@ -20,7 +20,13 @@ class _BoundedFile:
 
     def __init__(self, file: BinaryIO) -> None:
         self._file, self._n_reads = file, 0
-        self.seek, self.tell = file.seek, file.tell
+        self.tell = file.tell
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        try:
+            return self._file.seek(offset, whence)
+        except (OSError, OverflowError, ValueError) as e:  # offsets of a damaged file
+            raise ELFError("it points outside the file") from e
 
     def read(self, size: int = -1) -> bytes:
         self._n_reads += 1

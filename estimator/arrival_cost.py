@@ -32,7 +32,7 @@ _CORRELATED: Final = 0.5
 _N_STD: Final = 3.5
 """Standard deviations that it must exceed, where there are few channels."""
 _FEW: Final = 2
-"""Number of parameters that may drift faster before their drift is refuted; more of them follow whatever they are given."""
+"""Number of parameters that may drift faster before their drift is refuted: more of them follow whatever happens."""
 _STEP: Final = 1e-4
 """Step of the differences, in the unit cube."""
 _WIDEST: Final = 0.5

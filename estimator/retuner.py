@@ -293,7 +293,8 @@ class Retuner:
                 now = perf_counter()
                 yield theta, float(residual @ residual), now - begun
                 begun = now
-            if self._converging is not None and self._converging.is_done:
+            is_growing = isinstance(self._window, ResidualWindow) and not self._window.is_full
+            if self._converging is not None and self._converging.is_done and not is_growing:
                 self._remaining = n = 0
 
 

@@ -96,8 +96,9 @@ class ArrivalCost:
         A sample at which the model has no value, or that depends on no parameter, is left out.
         """
         measured = _measured(residual, self.mean)
-        if measured is None:
-            return self
+        return self if measured is None else self._with(measured)
+
+    def _with(self, measured: "_Measured") -> Self:
         before = self.covariance + np.diag(self.walk)
         moved, after = _corrected(before, measured)
         block = replace(
@@ -127,7 +128,7 @@ class ArrivalCost:
         best = min(one, key=lambda walk: self._squared(walk, measured))
         for walk in (np.zeros(d), best, np.full(d, self.rate**2)):
             if self._squared(walk, measured) <= limit:
-                return self._walking(walk).updated(residual)
+                return self._walking(walk)._with(measured)
         return None
 
     def _walking(self, walk: Vector) -> Self:

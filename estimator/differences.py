@@ -28,10 +28,10 @@ def central_differences(
 
 
 def forward_differences(function: Callable[[Vector], Vector], z: Vector, value: Vector, step: float) -> Vector:
-    """Return df/dz (D, d) at z (d,) of the unit cube, where f is value (D,), by steps towards the cube's middle."""
+    """Return df/dz (D, d) at z (d,) of the unit cube by steps towards the cube's middle; value: f(z), of any shape."""
     columns: list[Vector] = []
     for i, z_i in enumerate(z.tolist()):
         aside = z.copy()
         aside[i] += step if z_i < 0.5 else -step
-        columns.append((function(aside) - value) / (aside[i] - z_i))
+        columns.append((function(aside) - value).reshape(-1) / (aside[i] - z_i))
     return np.column_stack(columns)

@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 
+from .differences import forward_differences
 from .significance import chi2_limit
 from .space import Vector
 
@@ -158,7 +159,7 @@ def changed_parameters(
     rows = rows_at(z)
     jacobian = np.zeros((rows.size, len(z)))
     for _ in range(0 if plain_fit(rows, len(z)).is_explained else iterations):
-        jacobian = _slopes(rows_at, z, rows, step)
+        jacobian = forward_differences(rows_at, z, rows, step)
         if not np.all(np.isfinite(jacobian)):
             break
         move = -np.linalg.lstsq(jacobian, rows.reshape(-1), rcond=1e-7)[0]
@@ -190,13 +191,3 @@ def changed_parameters(
     if line.score >= constant.score:
         return ChangedParameters(z, rows, constant)
     return ChangedParameters(z, rows, line, float(np.abs(moves[d:]).max()) * 2.0 / (n - 1))
-
-
-def _slopes(rows_at: Callable[[Vector], Vector], z: Vector, rows: Vector, step: float) -> Vector:
-    """Return the derivatives (n c, d) of the residuals by forward differences, towards the middle of the bounds."""
-    columns: list[Vector] = []
-    for i in range(len(z)):
-        beside = z.copy()
-        beside[i] += step if z[i] < 0.5 else -step
-        columns.append((rows_at(beside) - rows).reshape(-1) / (beside[i] - z[i]))
-    return np.column_stack(columns)

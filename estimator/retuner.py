@@ -65,6 +65,9 @@ class RetunerSnapshot:
     believed: Vector | None
     solver: Solver | None
     arrival_cost: ArrivalCost | None
+    before: ArrivalCost | None
+    searched: Vector | None
+    is_waiting: bool
 
 
 class Retuner:
@@ -188,7 +191,10 @@ class Retuner:
         if not isinstance(self._window, ResidualWindow):
             return None
         known = None if self._following is None else self._following.arrival_cost
-        return RetunerSnapshot(self._window.copy(), self._remaining, self._believed, deepcopy(self._solver), known)
+        return RetunerSnapshot(
+            self._window.copy(), self._remaining, self._believed, deepcopy(self._solver),
+            known, self._before, self._searched, self._is_waiting,
+        )  # fmt: skip
 
     def restore(self, snapshot: RetunerSnapshot, held: Vector) -> None:
         """Go back to a snapshot, which is used up; held (d,): the controller's parameters then.
@@ -197,6 +203,7 @@ class Retuner:
         """
         snapshot.window.n_model_calls = self._window.n_model_calls
         self._window, self._remaining, self._believed = snapshot.window, snapshot.remaining, snapshot.believed
+        self._before, self._searched, self._is_waiting = snapshot.before, snapshot.searched, snapshot.is_waiting
         if self._following is not None:
             self._following.arrival_cost = snapshot.arrival_cost
         if snapshot.solver is not None:

@@ -39,7 +39,7 @@ class ResidualWindow:
 
     @property
     def is_full(self) -> bool:
-        """True where no channel could have more samples."""
+        """True where a channel has as many samples as it may have."""
         return max(self._lengths) == self._max_length
 
     @property

@@ -115,13 +115,12 @@ def test_a_jump_is_no_drift():
 def test_what_no_parameter_explains_is_no_drift(seed):
     """A slow sine in every channel, in which parameters enter by factors that change from sample to sample."""
     rng = np.random.default_rng(seed)
-    known = replace(begun(300.0 * np.eye(3), TRUTH), walk=np.full(3, RATE**2))
+    known, refuted = replace(begun(300.0 * np.eye(3), TRUTH), walk=np.full(3, RATE**2)), []
     for i in range(60):
         H = rng.standard_normal((4, 3))
         known = known.updated(lambda z, H=H, i=i: H @ (z - TRUTH) + 3.0 * np.sin(0.05 * i))
-        if known.is_refuted:
-            return
-    pytest.fail("a sine was taken for drifting parameters")
+        refuted.append(known.is_refuted)
+    assert any(refuted)
 
 
 def test_a_sample_that_depends_on_no_parameter_says_nothing():

@@ -263,7 +263,10 @@ class TargetVector:
         )  # fmt: skip
 
     def remember(self) -> None:
-        """Begin a new arrival cost with the present estimate."""
+        """Begin a new arrival cost with the present estimate; with none where any parameters explain so few samples."""
+        if self._told().shape[1] <= len(self._space):
+            self.arrival_cost = None
+            return
         estimate = self.estimate()
         assert estimate.information is not None
         self.arrival_cost = ArrivalCost.of_estimate(

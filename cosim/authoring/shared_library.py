@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from elftools.common.exceptions import ELFError
 from elftools.elf.dynamic import Dynamic
 
-from ..fmi.preflight.elf import opened_elf
+from ..fmi.preflight.elf import DAMAGED, opened_elf
 
 _LARGEST_TABLE: Final = 64 << 20  # bytes: a million symbols take 24 MB
 _WEAK: Final = 0x2  # VER_FLG_WEAK: a version that may be absent
@@ -64,17 +63,8 @@ def read_shared_library(path: Path) -> SharedLibrary | None:
                 _versions(elf),
                 _uses_python(elf),
             )
-        except (
-            ELFError,
-            ValueError,
-            LookupError,
-            AttributeError,
-            TypeError,
-            struct.error,
-            ArithmeticError,
-            MemoryError,
-        ):
-            return None  # a damaged file surprises the parser
+        except DAMAGED:
+            return None
 
 
 def _dynamic_tags(elf: Any) -> dict[str, tuple[str, ...]]:

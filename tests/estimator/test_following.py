@@ -152,3 +152,15 @@ def test_an_outlier_takes_the_filter_back():
     loop.retuner.restore(before, held)
     loop.held, loop.k = held, other.k
     assert_array_equal(loop.go(50, constant(CHANGED)).held, other.go(50, constant(CHANGED)).held)
+
+
+def test_an_estimate_from_fewer_values_than_parameters_is_not_followed():
+    """One value is explained by a whole line of parameters: a filter that starts somewhere on it would be too sure."""
+    search = TargetVector(SPACE, TRUE, np.random.default_rng(0))
+    for _ in range(30):
+        theta = search.ask()
+        search.tell(theta, np.array([theta[0] - theta[1] - 5.0]) / SIGMA)
+    assert search.estimate().cost < 1.0
+    search.remember()
+    assert search.arrival_cost is None
+    assert search.follow(lambda theta: np.zeros(1), TRUE, False) is None

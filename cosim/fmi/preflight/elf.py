@@ -1,5 +1,6 @@
 """ELF files with an end to their reading: a made-up table may refer to itself, or have 2^64 entries of no bytes."""
 
+import struct
 from typing import Any, BinaryIO, Final
 
 from elftools.common.exceptions import ELFError
@@ -7,6 +8,20 @@ from elftools.elf.elffile import ELFFile
 
 MOST_READS: Final = 500_000
 """Reads of one file: a large library takes some thousands, one that would be read for ever as many as it is given."""
+
+DAMAGED: Final = (
+    ELFError,
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    LookupError,
+    MemoryError,
+    RecursionError,
+    TypeError,
+    ValueError,
+    struct.error,
+)
+"""Errors that pyelftools raises while it reads a damaged file."""
 
 
 def opened_elf(file: BinaryIO) -> ELFFile:

@@ -7,12 +7,11 @@ import sys
 from collections.abc import Iterator, Set
 from typing import Any, BinaryIO, Final
 
-from elftools.common.exceptions import ELFError
 from fmpy import fmi2
 from fmpy.model_description import ModelDescription
 
 from ..types import TYPES
-from .elf import opened_elf
+from .elf import DAMAGED, opened_elf
 
 _ELF_MACHINES: Final = {"x86_64": "EM_X86_64", "aarch64": "EM_AARCH64"}  # as Linux names them
 _PE_MACHINES: Final = {"amd64": 0x8664, "x86_64": 0x8664, "arm64": 0xAA64, "x86": 0x014C}
@@ -82,8 +81,8 @@ def elf_problems(file: BinaryIO, size: int, machine: str, needed: Set[str] = fro
             lacking = sorted(name for name in needed if not _is_defined(table.get_symbol(name)))
             if lacking:
                 yield f"lacks the function {', '.join(lacking)}"
-    except (ELFError, ValueError, KeyError, AttributeError, TypeError, IndexError, struct.error, ArithmeticError):
-        yield "is not a valid shared library for Linux (ELF)"  # a damaged file surprises the parser
+    except DAMAGED:
+        yield "is not a valid shared library for Linux (ELF)"
 
 
 def _is_defined(symbol: Any) -> bool:

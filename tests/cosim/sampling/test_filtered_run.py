@@ -77,7 +77,7 @@ def test_compare_runs_on_filtered_derivatives(bare):
 
 @pytest.mark.full
 def test_the_pendulum_is_re_tuned_from_sampled_states():
-    """Its mean squared error is 0.32 rad^2 as it is; with measured derivatives 0.0005, here 0.0015 to 0.0027."""
+    """Its mean squared error is 0.32 rad^2 as it is; with measured derivatives 0.0005, here 0.0018 to 0.0035."""
     overrides = {
         "sampling.derivatives": '{ "plant.der(phi_dot)" = { of = "plant.phi_dot" } }',
         "sampling.states": '{ "plant.phi" = { noise = 1e-4 }, "plant.phi_dot" = { noise = 1e-4 } }',

@@ -133,7 +133,7 @@ class DiagnosingRetuner(_Counting):
             sample = diagnosis.corrected(sample)
         proposal = self._retuner.step(t, sample, tracking_error, held)
         if proposal.undo is not None:  # a drift that explains nothing
-            settled = diagnosis.refute_drift(t)
+            settled = diagnosis.give_up(t)
             return self._ended(t, replace(proposal, undo=None), settled.undo, held, settled.events)
         return self._judged(t, proposal, held)
 

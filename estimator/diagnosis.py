@@ -159,11 +159,12 @@ class Diagnosis:
         self._keep(sample)
         if state.n_since or is_contradictory:
             if not state.n_since:
-                state.reference, state.verdict, state.changed = held, "refuted", None
+                state.reference, state.verdict, state.changed, state.has_moved = held, "refuted", None, False
                 if state.lasting is None or state.n_samples >= state.suspected_at + FORGOTTEN:
                     state.lasting = held
             state.n_since, state.n_quiet = min(state.n_since + 1, len(state.samples)), 0
             state.suspected_at = state.n_samples
+            state.has_moved |= state.reference is None or not np.array_equal(held, state.reference)
             return has_woken
         state.n_quiet += not state.is_resting.any()
         if state.n_quiet >= FORGOTTEN:
@@ -181,13 +182,10 @@ class Diagnosis:
         here = self._rows(held, n)
         is_explained = n >= _QUIET and plain_fit(here[-_QUIET:], 0).is_explained
         if is_explained and not is_changed:
-            state.n_since = 0
-            return Settled(None)
+            return self._explained(t, held, n)
         there = self._rows(reference, n) if is_changed else here
         if self._is_over(here, there, is_changed, is_explained) and not (is_explained and self._is_changing(held, n)):
-            events = self._passed(t, there, is_changed)
-            state.offset, state.n_since = np.zeros(len(here[0])), 0
-            return Settled(reference if is_changed else None, events, True)
+            return self._passed(t, reference, there, is_changed)
         if n < _LONG:
             return None
         disturbance = disturbance_of(there, may_drift=False)
@@ -196,8 +194,22 @@ class Diagnosis:
             return self._changed(t, held) if disturbance.fit.score >= parameters.score + MARGIN else None
         is_named = disturbance.fit.is_explained and disturbance.fit.score + MARGIN <= plain_fit(there, 0).score
         if is_named and n % 2 == 0 and not self._is_changing(held, n):
-            return Settled(reference, self._name(t, disturbance), True)
+            events = self._name(t, disturbance)
+            return Settled(self._undone(reference), events, True)
         return None
+
+    def _explained(self, t: float, held: Vector, n: int) -> Settled:
+        """End a suspicion, n samples long, as the parameters in force explain the samples again.
+
+        Where searches have gone from those that lasted and have come back to them, a disturbance has passed.
+        """
+        state, lasting = self._state, self._state.lasting
+        if state.has_moved and lasting is not None and self._agree(lasting, held):
+            there = self._rows(lasting, n)
+            if plain_fit(there[-_QUIET:], 0).is_explained:
+                return self._passed(t, lasting, there, True)
+        state.n_since = 0
+        return Settled(None)
 
     def _is_over(self, here: Vector, there: Vector, is_changed: bool, is_explained: bool) -> bool:
         """Return whether the reference explains the newest samples again, and those in force do not explain all.
@@ -217,18 +229,15 @@ class Diagnosis:
     def _changed(self, t: float, held: Vector) -> Settled:
         """End a suspicion that changed parameters, those in force, have won."""
         if self._is_restless(held):
-            return self._give_up(t)
+            return self.give_up(t, rests=True)
         self._state.n_since, self._state.reference = 0, held
         return Settled(None)
 
-    def refute_drift(self, t: float) -> Settled:
-        """Take parameters that drift and explain nothing: those that lasted return; the third time, all rests."""
-        state = self._state
-        state.moves = (*state.moves, True)[-_REMEMBERED:]
-        return self._give_up(t, rests=sum(state.moves) >= PATIENCE)
+    def give_up(self, t: float, *, rests: bool = False) -> Settled:
+        """Return to the parameters that lasted, as others explain the samples for a while only.
 
-    def _give_up(self, t: float, *, rests: bool = True) -> Settled:
-        """Return to the parameters that lasted; all channels rest, as parameters explain each of them for a while."""
+        The third time, or where it rests at once, all channels rest.
+        """
         state = self._state
         state.n_since, state.verdict = 0, "refuted"
         every = ~state.is_resting
@@ -236,9 +245,10 @@ class Diagnosis:
         reason = f"parameters explain {', '.join(names)} for a few samples only"
         state.counts["unexplained"] += 1
         event = Event(t, "unexplained", {"channels": names, "reason": reason})
-        if not rests:
+        state.n_failures = max(state.n_failures + 1, PATIENCE if rests else 0)
+        if state.n_failures < PATIENCE:
             return Settled(state.lasting, (event,), True)
-        state.moves, state.n_failures = (), max(state.n_failures + 1, PATIENCE)
+        state.moves = ()
         return Settled(state.lasting, (event, self._rest(t, every)), True)
 
     def judge(self, theta: Vector, held: Vector) -> Judgement:
@@ -304,7 +314,8 @@ class Diagnosis:
         if weighing.are_parameters_possible:
             self._state.n_explained = len(before)
             self._state.n_spare = parameters.n_values - parameters.n_free
-            self._state.verdict = "warranted" if weighing.are_parameters_proven else "possible"
+            unproven: Judgement = "refuted" if self._state.is_resting.any() else "possible"
+            self._state.verdict = "warranted" if weighing.are_parameters_proven else unproven
         return weighing.are_parameters_possible
 
     def _best(self, held: Vector, n: int, *, may_drift: bool) -> ChangedParameters:
@@ -385,7 +396,8 @@ class Diagnosis:
         if plain_fit(rows, 0).score <= found.fit.score:  # a false alarm
             state.n_since, state.verdict = 0, "refuted"
             return None
-        if self._is_changing(held, n) or self._is_noise(held):  # which the search has not found
+        is_doubtful = bool(state.is_resting.any())  # parameters need proof then
+        if (not is_doubtful and self._is_changing(held, n)) or self._is_noise(held):  # which the search has not found
             return None
         explaining = [d for d in (found, self._both(held, n)) if d is not None and d.fit.is_explained]
         if n >= _QUIET and explaining:
@@ -419,20 +431,28 @@ class Diagnosis:
         event = self._named(t, offset, acts, f"a {how} disturbance explains the samples, changed parameters do not")
         return (event,) if state.n_failures < PATIENCE else (event, self._rest(t, acts))
 
-    def _passed(self, t: float, rows: Vector, is_changed: bool) -> tuple[Event, ...]:
-        """Return the event of a disturbance that is over, from the residuals (n, c) of the parameters before it.
+    def _passed(self, t: float, before: Vector, rows: Vector, is_changed: bool) -> Settled:
+        """End a suspicion as the parameters before it (d,), whose residuals are rows (n, c), explain the samples again.
 
-        One that was not known is named where parameters were written for it, which it does not explain any more.
+        is_changed: true where others are in force. They are undone, and a disturbance that was not known is named.
         """
         state = self._state
-        if np.any(state.offset):
-            return (Event(t, "disturbance", {"size": {}, "reason": "the disturbance is over"}),)
-        n_unusual = sum(not self._is_usual(row, n_channels_of(rows)) for row in rows)
-        if not is_changed or n_unusual < _FEWEST:
-            return ()
         largest = rows[np.abs(rows).argmax(axis=0), np.arange(rows.shape[1])]
-        reason = "a disturbance has passed: the parameters before it explain the samples again"
-        return (self._named(t, largest * state.scale.effective, _acting(np.abs(largest)), reason),)
+        acts, was_known = _acting(np.abs(largest)), bool(np.any(state.offset))
+        n_unusual = sum(not self._is_usual(row, n_channels_of(rows)) for row in rows)
+        events: tuple[Event, ...] = ()
+        if was_known:
+            events = (Event(t, "disturbance", {"size": {}, "reason": "the disturbance is over"}),)
+        elif is_changed and n_unusual >= _FEWEST:
+            reason = "a disturbance has passed: the parameters before it explain the samples again"
+            events = (self._named(t, largest * state.scale.effective, acts, reason),)
+        state.offset, state.n_since = np.zeros(len(acts)), 0
+        if not is_changed:
+            return Settled(None, events, True)
+        state.n_failures += 1
+        if state.n_failures >= PATIENCE:
+            events = (*events, self._rest(t, acts & ~state.is_resting))
+        return Settled(self._undone(before), events, True)
 
     def _named(self, t: float, offset: Vector, acts: NDArray[np.bool_], reason: str) -> Event:
         """Count a disturbance (c,), in standard deviations of the declared noise; return its event."""
@@ -450,10 +470,13 @@ class Diagnosis:
         """
         state = self._state
         if self._is_restless(theta):
-            return self._give_up(t)
+            return self.give_up(t, rests=True)
         if state.n_spare >= _SPARE and not any(state.moves[-1:]):
             state.n_failures = max(state.n_failures - 1, 0)
         return None
+
+    def _agree(self, theta: Vector, other: Vector) -> bool:
+        return bool(np.all(np.abs(self._space.to_unit(theta) - self._space.to_unit(other)) <= _AGREE))
 
     def _is_restless(self, theta: Vector) -> bool:
         """Take parameters (d,) that were found; return whether three of five such, soon one after the other, differ."""
@@ -471,8 +494,9 @@ class Diagnosis:
         return [self._names[i] for i in np.flatnonzero(channels)]
 
     def _rest(self, t: float, channels: NDArray[np.bool_]) -> Event:
-        """Let the channels rest, longer each time; return the event."""
+        """Let the channels rest, all of them where some do already, longer each time; return the event."""
         state = self._state
+        channels = ~state.is_resting if state.is_resting.any() else channels
         if len(state.rested) > 1:
             usual = np.where(channels, np.array(state.rested), 0.0)
             state.scale.admit(usual[np.isfinite(usual).all(axis=1)])

@@ -51,6 +51,8 @@ class DiagnosisState:
     """Number of samples since the onset of the suspicion; 0 while quiet."""
     reference: Vector | None = None
     """Parameters (d,) in force at the onset, or accepted since."""
+    has_moved: bool = False
+    """True where other parameters have been in force since the onset."""
     changed: Vector | None = None
     """Place (d,) of the parameters that explained the samples last."""
     verdict: Judgement = "refuted"

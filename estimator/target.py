@@ -264,7 +264,7 @@ class TargetVector:
 
     def remember(self) -> None:
         """Begin a new arrival cost with the present estimate; with none where any parameters explain so few samples."""
-        if self._told().shape[1] <= len(self._space):
+        if self._told().shape[1] < len(self._space):
             self.arrival_cost = None
             return
         estimate = self.estimate()

@@ -410,6 +410,29 @@ def test_only_the_channel_that_nothing_explains_rests():
     assert near(run.held, CHANGED)
 
 
+def pulses(i):
+    """Half a sine of 12 samples, every 40 samples."""
+    return 0.3 * np.sin(np.pi * (i % 40) / 12) if i % 40 < 12 else 0.0
+
+
+@pytest.mark.full_but("0")
+@pytest.mark.parametrize("seed", range(3))
+def test_the_third_gust_that_parameters_were_written_for_makes_re_tuning_rest(seed):
+    run = Run("target", 1, seed=seed, is_trusting=True).go(100).go(200, TRUE, pulses)
+    assert len(run.of("rest")) == 1
+    assert len(run.of("trigger")) <= 2 * len(run.of("disturbance", "unexplained"))
+    assert_array_equal(run.held, TRUE)
+
+
+def test_where_a_channel_rests_already_the_next_search_in_vain_makes_all_rest():
+    run = Run("least-squares", 3).go(100).go(80, TRUE, lambda i: np.array([0.0, 0.0, 1.0]) * sine(i))
+    assert [event.detail["channels"] for _, event in run.of("rest")] == [["der2"]]
+    run.go(80, TRUE, lambda i: np.array([0.0, 1.0, 1.0]) * sine(i))
+    assert [event.detail["channels"] for _, event in run.of("rest")] == [["der2"], ["der0", "der1"]]
+    assert run.diagnosis.is_resting
+    assert_array_equal(run.held, TRUE)
+
+
 def test_the_usual_error_of_a_lacking_model_is_learnt_while_it_rests():
     settings = DiagnosisSettings(rest=200, longest_rest=200)
     run = Run("least-squares", 3, settings=settings).go(100).go(1200, TRUE, sine)

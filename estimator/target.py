@@ -176,6 +176,7 @@ class TargetVector:
     def restart(self, start: Vector) -> None:
         """Begin an episode at theta (d,): keep the first candidates, the best ones, and the GPs' lengthscales."""
         self._start = self._space.to_unit(start)
+        self._known: Vector | None = None  # where the episode's samples were last explained and determined everything
         self._n_evaluations = 0
         self._gain = np.inf
         self._queue = [self._start]
@@ -231,6 +232,8 @@ class TargetVector:
         """Replace the residuals of the stored candidates by residuals (n, D); failed candidates are dropped."""
         if not len(self._theta):
             return
+        if self._known is not None:
+            self._start, self._known = self._known, None
         was_near = self._residuals is not None and _is_near(self._residuals[int(np.argmin(self._costs()))])
         finite = np.all(np.isfinite(residuals), axis=1)
         self._theta, self._residuals = self._theta[finite], residuals[finite]
@@ -245,8 +248,9 @@ class TargetVector:
             self._forget()
 
     def estimate(self) -> Estimate:
-        """Return the best candidate, with the directions that the data do not determine held at the episode's start.
+        """Return the best candidate, with the directions that the data do not determine held.
 
+        They are held at the episode's start, or where the samples were last explained and determined all of them.
         std is the root mean square error: the data's standard deviation, and the distance of the estimate from the
         least squares of the linearised mean, because candidates are finite or because directions are held.
         """
@@ -257,10 +261,14 @@ class TargetVector:
             z, cost = (hold.place, hold.expected) if hold.is_sure else self._nearest_that_fits(hold)
             reason = f"incumbent, {hold.n_held} of {len(z)} directions held"
         std = np.minimum(np.hypot(hold.information.std(), hold.least_squares - z), 1.0)
-        return scaled_estimate(
+        estimate = scaled_estimate(
             self._space, z, std, self._settings.identifiable_below, hold.information,
             cost=cost, n_evaluations=self._n_evaluations, reason=reason,
         )  # fmt: skip
+        n_spare = self._told().shape[1] - len(z)
+        if all(estimate.is_identifiable) and n_spare > 0 and cost <= chi2_limit(_FALSE_ALARM, n_spare):
+            self._known = z
+        return estimate
 
     def remember(self) -> None:
         """Begin a new arrival cost with the present estimate; with none where any parameters explain so few samples."""

@@ -95,12 +95,12 @@ class ArrivalCost:
 
         A sample at which the model has no value, or that depends on no parameter, is left out.
         """
-        measured = _measured(residual, self.mean)
+        measured = measurement(residual, self.mean)
         return self if measured is None else self._with(measured)
 
-    def _with(self, measured: "_Measured") -> Self:
+    def _with(self, measured: "Measurement") -> Self:
         before = self.covariance + np.diag(self.walk)
-        moved, after = _corrected(before, measured)
+        moved, after = corrected(before, measured)
         block = replace(
             self,
             mean=np.minimum(np.maximum(self.mean + moved, 0.0), 1.0),
@@ -120,7 +120,7 @@ class ArrivalCost:
 
         The one parameter that explains the sample best drifts from now on, all of them where one is not enough.
         """
-        measured = _measured(residual, self.mean)
+        measured = measurement(residual, self.mean)
         if measured is None:
             return None
         limit, d = chi2_limit(_FALSE_ALARM, len(measured.value)), len(self.mean)
@@ -137,7 +137,7 @@ class ArrivalCost:
             return self
         return replace(self, walk=np.maximum(self.walk, walk), whiteness=Whiteness(self.whiteness.newest))
 
-    def _squared(self, walk: Vector, measured: "_Measured") -> float:
+    def _squared(self, walk: Vector, measured: "Measurement") -> float:
         """Return the normalised innovation squared of a sample where the parameters walk by these variances (d,)."""
         innovation = _normalised(self.covariance + np.diag(walk), measured)
         return float(innovation @ innovation)
@@ -181,27 +181,28 @@ class Whiteness:
         return self.product > limit * self.power
 
 
-class _Measured(NamedTuple):
-    """A sample's residual (c,) at the mean, and its slope (c, d)."""
+class Measurement(NamedTuple):
+    """Residual (c,) of a sample at a place, in standard deviations, and its slope (c, d)."""
 
     value: Vector
     slope: Vector
 
 
-def _measured(residual: Callable[[Vector], Vector], z: Vector) -> _Measured | None:
+def measurement(residual: Callable[[Vector], Vector], z: Vector) -> Measurement | None:
+    """Return a sample's residual and slope at z (d,); None without a value, or where it depends on no parameter."""
     value = residual(z)
     slope = forward_differences(residual, z, value, _STEP)
     has_value = np.all(np.isfinite(value)) and np.all(np.isfinite(slope))
-    return _Measured(value, slope) if has_value and np.any(slope) else None
+    return Measurement(value, slope) if has_value and np.any(slope) else None
 
 
-def _normalised(P: Vector, measured: _Measured) -> Vector:
+def _normalised(P: Vector, measured: Measurement) -> Vector:
     """Return the innovation (c,) in its own standard deviations, from the covariance (d, d) before it."""
     value, H = measured
     return np.linalg.solve(np.linalg.cholesky(H @ P @ H.T + np.eye(len(value))), value).astype(np.float64)
 
 
-def _corrected(P: Vector, measured: _Measured) -> tuple[Vector, Vector]:
+def corrected(P: Vector, measured: Measurement) -> tuple[Vector, Vector]:
     """Return the correction (d,) of the mean and the covariance (d, d) after a measurement, from that before it."""
     value, H = measured
     gain = np.linalg.solve(H @ P @ H.T + np.eye(len(value)), H @ P).T

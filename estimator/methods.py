@@ -6,6 +6,7 @@ from typing import Any
 
 from .baselines import LeastSquares, LeastSquaresSettings, NoisyNorm, NormSettings
 from .filters import RecursiveLeastSquares, RecursiveSettings, UnscentedKalman, UnscentedSettings
+from .moving_horizon import MovingHorizon, MovingHorizonSettings
 from .paper import PaperBO, PaperSettings
 from .target import TargetSettings, TargetVector
 
@@ -55,6 +56,7 @@ METHODS: dict[str, Method] = {
     "multi-start": Method(LeastSquares, LeastSquaresSettings, "least-squares", {"n_starts": 8}),
     "rls": Method(RecursiveLeastSquares, RecursiveSettings, None, _RECURSIVE, True, True, "filterpy"),
     "ukf": Method(UnscentedKalman, UnscentedSettings, None, _RECURSIVE, False, True, "filterpy"),
+    "mhe": Method(MovingHorizon, MovingHorizonSettings, None, _RECURSIVE, False, True),
 }
 FORMER_METHODS: dict[str, Method] = {
     f"{name}-wide-step": replace(METHODS[name], like=name, defaults={"difference_step": 0.05})

@@ -122,11 +122,15 @@ class Objective:
         return list(self._window.residuals(thetas))
 
     def newest_residual(self, theta: Vector) -> Vector:
-        """Return the residual (c,) at the newest sample; NaN where the model has no value.
+        """Return the residual (c,) at the newest sample, as `residual_at`."""
+        return self.residual_at(theta, self.newest)
+
+    def residual_at(self, theta: Vector, sample: Sample) -> Vector:
+        """Return the residual (c,) at one sample; NaN where the model has no value.
 
         Raises ValueError where the window has no residual of a single sample.
         """
         if not isinstance(self._window, ResidualWindow):
             raise ValueError("only derivatives give a residual at one sample.")
         self.n_evaluations += 1
-        return self._window.newest_residual(theta)
+        return self._window.residual_at(theta, sample)

@@ -85,8 +85,12 @@ class ResidualWindow:
 
     def newest_residual(self, theta: Vector) -> Vector:
         """Return the residual (c,) of one candidate at the newest sample."""
+        return self.residual_at(theta, self._samples[-1])
+
+    def residual_at(self, theta: Vector, sample: Sample) -> Vector:
+        """Return the residual (c,) of one candidate at a sample, in the window or not."""
         self.n_model_calls += 1
-        return self._residual(theta, self._samples[-1])
+        return self._residual(theta, sample)
 
     def residuals(self, candidates: Iterable[Vector]) -> Vector:
         """Return the residuals of many candidates (n, D); rows kept for others are dropped."""

@@ -494,7 +494,7 @@ def test_what_cannot_be_rolled_out_is_refused_in_one_line_by_run_and_check(tmp_p
     assert told in capfd.readouterr().out.replace(": error", "")
 
 
-@pytest.mark.parametrize("name", ["ukf", "rls"])
+@pytest.mark.parametrize("name", ["ukf", "mhe", "rls"])
 def test_recursive_estimators_are_refused(pendulum, name):
     with pytest.raises(ScenarioError, match=f"estimator '{name}' takes derivatives sample by sample"):
         run(pendulum(ROLLOUT), name)

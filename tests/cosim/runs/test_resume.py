@@ -81,7 +81,8 @@ def check_resume(scenario: Scenario, estimator: str, tmp_path: Path, *until: flo
 
 @pytest.mark.full_but("target")
 @pytest.mark.parametrize(
-    "estimator", ["none", "true", "target", "paper", "bo-scalar", "least-squares", "multi-start", "sqp", "rls", "ukf"]
+    "estimator",
+    ["none", "true", "target", "paper", "bo-scalar", "least-squares", "multi-start", "sqp", "rls", "ukf", "mhe"],
 )
 def test_every_estimator_goes_on_to_the_same_bits(tmp_path, estimator):
     whole = check_resume(Scenario.load("pendulum", EARLY_CHANGE | IN_PROCESS), estimator, tmp_path)

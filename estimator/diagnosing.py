@@ -122,7 +122,7 @@ class DiagnosingRetuner(_Counting):
                 self._solver = self._retuner.snapshot() if self._is_endless else None
             elif held.tobytes() == self._warranted:
                 diagnosis.accept(held)
-            settled = diagnosis.settle(t, held)
+            settled = diagnosis.give_up(t) if diagnosis.is_wandering(held) else diagnosis.settle(t, held)
             if settled is not None:
                 if settled.ends_search:
                     return self._ended(t, Proposal(), settled.undo, held, settled.events)
@@ -161,6 +161,8 @@ class DiagnosingRetuner(_Counting):
                 return self._ended(t, proposal, settled.undo, held, settled.events)
         if verdict == "refuted":
             return replace(proposal, theta=None)
+        if proposal.estimate is not None and theta is not None:
+            diagnosis.expect(proposal.estimate.is_identifiable)
         rival = diagnosis.disturbance(held) if verdict == "possible" and theta is not None else None
         return replace(proposal, possible_disturbance=rival)
 

@@ -64,6 +64,10 @@ _SPARE: Final = 10
 """Least number of explained values in excess of the fitted ones that makes good for a search in vain."""
 _RENEWED: Final = 5
 """Number of samples after which a comparison that changed parameters have won is repeated."""
+_TO_AND_FRO: Final = 0.5
+"""Distance, as a share of the scaled bounds, by which parameters may be moved in excess of the way there."""
+_FAR: Final = 0.1
+"""Share of the scaled bounds that counts as a move: noise that is larger than declared makes many small ones."""
 _REMEMBERED: Final = 5
 """Number of searches, one soon after the other, that are compared with each other."""
 _AGREE: Final = 0.02
@@ -150,6 +154,7 @@ class Diagnosis:
         """Take a sample, with the parameters in force (d,); return whether residuals are to be computed anew."""
         state = self._state
         state.n_samples += 1
+        self._travel(held)
         has_woken = self._wake()
         declared = self._declared(held, self.corrected(sample))
         if state.is_resting.any():
@@ -162,6 +167,8 @@ class Diagnosis:
                 state.reference, state.verdict, state.changed, state.has_moved = held, "refuted", None, False
                 if state.lasting is None or state.n_samples >= state.suspected_at + FORGOTTEN:
                     state.lasting = held
+                if state.n_samples >= state.suspected_at + _WINDOW:
+                    state.travelled, state.settled = 0.0, held
             state.n_since, state.n_quiet = min(state.n_since + 1, len(state.samples)), 0
             state.suspected_at = state.n_samples
             state.has_moved |= state.reference is None or not np.array_equal(held, state.reference)
@@ -194,8 +201,9 @@ class Diagnosis:
             return self._changed(t, held) if disturbance.fit.score >= parameters.score + MARGIN else None
         is_named = disturbance.fit.is_explained and disturbance.fit.score + MARGIN <= plain_fit(there, 0).score
         if is_named and n % 2 == 0 and not self._is_changing(held, n):
-            events = self._name(t, disturbance)
-            return Settled(self._undone(reference), events, True)
+            before = self._before(reference, n)
+            events = self._name(t, disturbance_of(self._rows(before, n), may_drift=False))
+            return Settled(self._undone(before), events, True)
         return None
 
     def _explained(self, t: float, held: Vector, n: int) -> Settled:
@@ -240,6 +248,7 @@ class Diagnosis:
         """
         state = self._state
         state.n_since, state.verdict = 0, "refuted"
+        state.travelled, state.settled = 0.0, state.lasting
         every = ~state.is_resting
         names = self._of(every)
         reason = f"parameters explain {', '.join(names)} for a few samples only"
@@ -250,6 +259,27 @@ class Diagnosis:
             return Settled(state.lasting, (event,), True)
         state.moves = ()
         return Settled(state.lasting, (event, self._rest(t, every)), True)
+
+    def _travel(self, held: Vector) -> None:
+        """Take the parameters in force (d,), which a proposal may have moved."""
+        state = self._state
+        if state.awaited is not None and state.held is not None:
+            moved = np.abs(self._space.to_unit(held) - self._space.to_unit(state.held))
+            state.travelled = state.travelled + np.where(state.awaited & (moved > _FAR), moved, 0.0)
+        state.held, state.awaited = held, None
+
+    def expect(self, is_identifiable: Sequence[bool]) -> None:
+        """Take a proposal that is passed on, with which of its parameters (d,) the samples determine."""
+        self._state.awaited = np.array(is_identifiable) if self._state.n_since else None
+
+    def is_wandering(self, held: Vector) -> bool:
+        """Return whether parameters were moved to and fro, each time determined by the samples, by much more than it
+        is from where they began to those in force (d,): no change of the plant's does that."""
+        state = self._state
+        if not state.n_since or state.settled is None:
+            return False
+        net = np.abs(self._space.to_unit(held) - self._space.to_unit(state.settled))
+        return bool(np.any(state.travelled - net > _TO_AND_FRO))
 
     def judge(self, theta: Vector, held: Vector) -> Judgement:
         """Return whether parameters theta (d,) in place of those in force are warranted by the newest samples."""
@@ -286,6 +316,17 @@ class Diagnosis:
         """Take parameters (d,) that are warranted and in force for those that the next ones are compared with."""
         if self._state.n_since:
             self._state.reference = theta
+
+    def _before(self, reference: Vector, n: int) -> Vector:
+        """Return the parameters (d,) from before the newest n samples: those that lasted, or the reference.
+
+        The reference, which a search has found since, only where it explains them, with a disturbance, much better.
+        """
+        lasting = self._state.lasting
+        if lasting is None or np.array_equal(lasting, reference):
+            return reference
+        found, other = (disturbance_of(self._rows(theta, n)).fit for theta in (reference, lasting))
+        return reference if found.is_explained and found.score + MARGIN <= other.score else lasting
 
     def _undone(self, reference: Vector) -> Vector:
         """Return the parameters (d,) to go back to: the reference, or the lasting ones where everything rests."""
@@ -400,10 +441,13 @@ class Diagnosis:
         if (not is_doubtful and self._is_changing(held, n)) or self._is_noise(held):  # which the search has not found
             return None
         explaining = [d for d in (found, self._both(held, n)) if d is not None and d.fit.is_explained]
+        before = self._before(reference, n)
         if n >= _QUIET and explaining:
             best = min(explaining, key=lambda d: d.fit.score)
+            if best is found:
+                best = disturbance_of(self._rows(before, n))
             events = self._name(t, best)
-            return Settled(self._undone(reference), events, True)
+            return Settled(self._undone(before), events, True)
         state.n_since, state.verdict = 0, "refuted"
         state.n_failures += 1
         best = rows if theta is None else self._rows(theta, n)
@@ -416,7 +460,7 @@ class Diagnosis:
         event = Event(t, "unexplained", {"channels": names, "reason": reason})
         state.counts["unexplained"] += 1
         events = (event,) if state.n_failures < PATIENCE else (event, self._rest(t, lacks))
-        return Settled(self._undone(reference), events, True)
+        return Settled(self._undone(before), events, True)
 
     def _name(self, t: float, found: Disturbance) -> tuple[Event, ...]:
         """Take a disturbance for the explanation; return the events."""
@@ -440,6 +484,9 @@ class Diagnosis:
         largest = rows[np.abs(rows).argmax(axis=0), np.arange(rows.shape[1])]
         acts, was_known = _acting(np.abs(largest)), bool(np.any(state.offset))
         n_unusual = sum(not self._is_usual(row, n_channels_of(rows)) for row in rows)
+        lasting, n_newest = state.lasting, min(len(rows), _QUIET)
+        if lasting is not None and plain_fit(self._rows(lasting, n_newest), 0).is_explained:
+            before = lasting
         events: tuple[Event, ...] = ()
         if was_known:
             events = (Event(t, "disturbance", {"size": {}, "reason": "the disturbance is over"}),)

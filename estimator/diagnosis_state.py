@@ -38,6 +38,14 @@ class DiagnosisState:
     moves: tuple[bool, ...] = ()
     """True for each of the last searches, one soon after the other, that has found other parameters than the one before
     although a disturbance explains the samples as well."""
+    held: Vector | None = None
+    """Parameters (d,) in force at the newest sample."""
+    awaited: NDArray[np.bool_] | None = None
+    """True for each parameter that the last proposal has determined; None where nothing was proposed."""
+    travelled: Vector | float = 0.0
+    """Distance (d,) by which parameters that the samples determined were moved, one soon after the other."""
+    settled: Vector | None = None
+    """Parameters (d,) that were in force before these moves."""
     lasting: Vector | None = None
     """Parameters (d,) that the samples have not contradicted for long; None before the first onset."""
     counts: Counter[str] = field(default_factory=Counter[str])

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+import scipy  # its parts, 0.3 s, are loaded when they are used
 from fmpy.model_description import Unknown
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 
 from ..variable_name import VariableName
 from .component import Component
@@ -70,8 +69,8 @@ def algebraic_loops(components: Mapping[str, Component], connections: Mapping[st
     if not edges:
         return []
     rows, columns = np.array(edges).T
-    graph = csr_array((np.ones(len(edges)), (rows, columns)), shape=(len(nodes), len(nodes)))
-    labels = connected_components(graph, directed=True, connection="strong")[1].tolist()
+    graph = scipy.sparse.csr_array((np.ones(len(edges)), (rows, columns)), shape=(len(nodes), len(nodes)))
+    labels = scipy.sparse.csgraph.connected_components(graph, directed=True, connection="strong")[1].tolist()
     members: dict[int, list[str]] = {}
     for node, label in zip(nodes, labels, strict=True):
         members.setdefault(label, []).append(node)

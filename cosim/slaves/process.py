@@ -29,6 +29,8 @@ import sys
 root, channel, *path = sys.argv[1:]
 sys.path += [folder for folder in path if folder not in sys.path]
 sys.path.insert(0, root)
+from cosim.fmi.lazy_fmpy import load_fmpy_lazily
+load_fmpy_lazily()
 from cosim.slaves.child import main
 sys.path.remove(root)
 main(channel)

@@ -4,6 +4,7 @@ Neither fmu_models nor pythonfmu is imported here: an FMU ships its own. Supervi
 """
 
 import contextlib
+from collections.abc import Callable
 from typing import Final, NoReturn
 
 from ..errors import COLON, SlaveError
@@ -23,13 +24,16 @@ _CALLS: Final = frozenset(
 
 def main(channel_argument: str) -> NoReturn:
     """Serve one FMU to the process that started this one."""
+    run(channel_argument, _serve)
+
+
+def run(channel_argument: str, serve: Callable[[Channel, SupervisedChild], None]) -> NoReturn:
+    """Call serve with the channel to the process that started this one, report what it raises, and end."""
     process = SupervisedChild()
     channel = UnforkedChannel(open_channel(channel_argument))
     try:
         channel.send(encode(RESULT, None))
-        fmu = FmuToLoad(*decode(channel.receive(None))[0])
-        process.end_with_parent(fmu.folder)
-        _serve(channel, fmu)
+        serve(channel, process)
     except (EOFError, BrokenPipeError, ConnectionResetError):
         process.leave(is_orphaned=True)
     except SlaveError as error:
@@ -39,8 +43,10 @@ def main(channel_argument: str) -> NoReturn:
     process.leave()
 
 
-def _serve(channel: Channel, fmu: FmuToLoad) -> None:
-    """Answer requests until the FMU is closed."""
+def _serve(channel: Channel, process: SupervisedChild) -> None:
+    """Load the FMU that the first message names, and answer requests until it is closed."""
+    fmu = FmuToLoad(*decode(channel.receive(None))[0])
+    process.end_with_parent(fmu.folder)
     log = LogSender(channel)
     binding = load(fmu, log)
     channel.send(encode(RESULT, None))

@@ -1,6 +1,6 @@
 """Hosts of an FMU's code: a process of its own (`FmuProcess`), or this one, where it is trusted."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, Protocol
 
@@ -26,7 +26,9 @@ class Host(Protocol):
 class InProcessFmu:
     """An FMU that runs in this process: a call that hangs blocks it, and a crash ends it."""
 
-    def __init__(self, fmu: FmuToLoad) -> None:
+    def __init__(self, fmu: FmuToLoad, after_call: Callable[[], None] | None = None) -> None:
+        """after_call: called after each call of the FMU."""
+        self._after_call = after_call or (lambda: None)
         self._load = partial(load, fmu, partial(log_message, fmu.instance_name))
         self._binding = self._load()
 
@@ -34,6 +36,7 @@ class InProcessFmu:
         self, inputs: Sequence[ScalarVariable], tunables: Sequence[ScalarVariable], outputs: Sequence[ScalarVariable]
     ) -> None:
         self._binding.bind(inputs, tunables, outputs)
+        self._after_call()
 
     def call(self, function: str, t: float | None, *arguments: Any) -> Any:
         if function == "restart":
@@ -42,13 +45,17 @@ class InProcessFmu:
             return None
         if function == "many_steps":
             return take_steps(self._binding.step, *arguments)
-        return getattr(self._binding, function)(*arguments)
+        result = getattr(self._binding, function)(*arguments)
+        self._after_call()
+        return result
 
     def begin_step(self, t: float, h: float, inputs: Sequence[float], tunables: Sequence[float] | None) -> None:
         self._step = (t, h, tuple(inputs), None if tunables is None else tuple(tunables))
 
     def end_step(self, t: float) -> tuple[float, ...]:
-        return self._binding.step(*self._step)
+        values = self._binding.step(*self._step)
+        self._after_call()
+        return values
 
     def close(self, t: float | None, is_polite: bool) -> None:
         if is_polite:  # one that has failed is not called again: a PythonFMU one that raised has damaged its memory

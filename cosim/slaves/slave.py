@@ -13,7 +13,7 @@ import logging
 import math
 import os
 import weakref
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal, Self
 
@@ -47,6 +47,7 @@ def open_slave(
     memory_limit: float = 0.0,
     environment: Sequence[str] = (),
     tolerance: float | None = None,
+    after_call: Callable[[], None] | None = None,
 ) -> "Slave":
     """Unpack an FMU for co-simulation, FMI 2.0 or 3.0, into a private folder, and load it.
 
@@ -57,6 +58,7 @@ def open_slave(
     environment: names of environment variables that its process is given beside those which every FMU is given.
     tolerance: relative tolerance for the FMU's own solver; by default that of its default experiment, if any.
     out_of_range: whether an input or output outside its declared min and max is a fault, or a warning, given once.
+    after_call: called after each call of an FMU in this process.
 
     Raises ModelDescriptionError for a bad file, SlaveError when loading fails (isolated: in the first call).
     """
@@ -72,7 +74,7 @@ def open_slave(
         host = (
             FmuProcess(to_load, timeout, memory_limit=memory_limit, environment=environment)
             if isolated
-            else InProcessFmu(to_load)
+            else InProcessFmu(to_load, after_call)
         )
     except BaseException:
         folder.remove()

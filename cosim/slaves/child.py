@@ -5,12 +5,13 @@ Neither fmu_models nor pythonfmu is imported here: an FMU ships its own. Supervi
 
 import contextlib
 from collections.abc import Callable
-from typing import Final, NoReturn
+from typing import Any, Final, NoReturn
 
 from ..errors import COLON, SlaveError
-from ..fmi.binding import FmuToLoad
+from ..fmi.binding import Binding, FmuToLoad
 from ..fmi.loading import load
 from ..fmi.step_batch import take_steps
+from ..fmi.trial_batch import take_trials
 from .channel import CALL, FAULT, RESULT, Channel, StepCodec, decode, encode, open_channel
 from .log_lines import LogSender
 from .supervision.forks import UnforkedChannel
@@ -51,6 +52,15 @@ def _serve(channel: Channel, process: SupervisedChild) -> None:
     binding = load(fmu, log)
     channel.send(encode(RESULT, None))
     codec = StepCodec(0, 0, 0)
+    bound: Any = [(), (), ()]
+
+    def renewed() -> Binding:
+        nonlocal binding
+        binding.close()
+        binding = load(fmu, log)
+        binding.bind(*bound)
+        return binding
+
     while True:
         message = channel.receive(None)
         log.call_begins()
@@ -66,11 +76,14 @@ def _serve(channel: Channel, process: SupervisedChild) -> None:
         if function == "many_steps":
             channel.send(encode(RESULT, None, take_steps(binding.step, blob or b"")))
             continue
+        if function == "trials":
+            channel.send(encode(RESULT, None, take_trials(binding, renewed, blob or b"")))
+            continue
         if function not in _CALLS:
             raise ValueError(f"no such call: {function!r}")
         result = getattr(binding, function)(*([blob] if blob is not None else arguments))
         if function == "bind":
-            codec = StepCodec(*map(len, arguments))
+            codec, bound = StepCodec(*map(len, arguments)), arguments
         channel.send(encode(RESULT, None, result) if isinstance(result, bytes) else encode(RESULT, result))
         if function == "close":
             return

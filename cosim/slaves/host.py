@@ -4,10 +4,11 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, Protocol
 
-from ..fmi.binding import FmuToLoad
+from ..fmi.binding import Binding, FmuToLoad
 from ..fmi.fmu_log import log_message
 from ..fmi.loading import load
 from ..fmi.step_batch import take_steps
+from ..fmi.trial_batch import take_trials
 from ..fmi.value_buffers import ScalarVariable
 
 
@@ -35,7 +36,8 @@ class InProcessFmu:
     def bind(
         self, inputs: Sequence[ScalarVariable], tunables: Sequence[ScalarVariable], outputs: Sequence[ScalarVariable]
     ) -> None:
-        self._binding.bind(inputs, tunables, outputs)
+        self._bound = (inputs, tunables, outputs)
+        self._binding.bind(*self._bound)
         self._after_call()
 
     def call(self, function: str, t: float | None, *arguments: Any) -> Any:
@@ -45,9 +47,17 @@ class InProcessFmu:
             return None
         if function == "many_steps":
             return take_steps(self._binding.step, *arguments)
+        if function == "trials":
+            return take_trials(self._binding, self._renewed, *arguments)
         result = getattr(self._binding, function)(*arguments)
         self._after_call()
         return result
+
+    def _renewed(self) -> Binding:
+        self._binding.close()
+        self._binding = self._load()
+        self._binding.bind(*self._bound)
+        return self._binding
 
     def begin_step(self, t: float, h: float, inputs: Sequence[float], tunables: Sequence[float] | None) -> None:
         self._step = (t, h, tuple(inputs), None if tunables is None else tuple(tunables))

@@ -24,7 +24,7 @@ class TrialLeg(NamedTuple):
     """Inputs (n, p), held from each time to the next."""
 
 
-class Trial(NamedTuple):
+class BatchTrial(NamedTuple):
     """One simulation."""
 
     start: StartValues
@@ -44,7 +44,7 @@ class TrialBatch(NamedTuple):
     """True where the instance has not been initialised."""
     legs: Sequence[TrialLeg]
     """Legs, each once."""
-    trials: Sequence[Trial]
+    trials: Sequence[BatchTrial]
     """Simulations."""
 
 

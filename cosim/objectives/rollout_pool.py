@@ -10,7 +10,7 @@ from time import perf_counter
 from typing import Any, Final, Generic, NamedTuple, Protocol, Self, TypeVar
 
 from ..errors import SlaveError
-from ..fmi.trial_batch import Trial, TrialBatch, TrialLeg, TrialOutputs
+from ..fmi.trial_batch import BatchTrial, TrialBatch, TrialLeg, TrialOutputs
 from ..slaves.slave import Slave
 
 _TOGETHER_S: Final = 0.1
@@ -143,7 +143,7 @@ class Pool:
         first = rollouts[0]
         batch = TrialBatch(
             first.start_time, first.state, is_new, [leg for leg, _ in first.legs],
-            [Trial((), [(i, tunables) for i, (_, tunables) in enumerate(r.legs)]) for r in rollouts],
+            [BatchTrial((), [(i, tunables) for i, (_, tunables) in enumerate(r.legs)]) for r in rollouts],
         )  # fmt: skip
         with self._fitted(sum(r.n_steps for r in rollouts)):
             found = slave.trials(batch, [r.start for r in rollouts])

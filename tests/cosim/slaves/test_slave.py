@@ -21,7 +21,7 @@ import cosim.slaves.slave
 from cosim.errors import ModelDescriptionError, SlaveError, WiringError
 from cosim.fmi.archive import read_description
 from cosim.fmi.fmu_log import MessageLog
-from cosim.fmi.trial_batch import Trial, TrialBatch, TrialLeg
+from cosim.fmi.trial_batch import BatchTrial, TrialBatch, TrialLeg
 from cosim.fmi.value_buffers import ScalarVariable, buffers_of
 from cosim.slaves.process import FmuProcess
 from cosim.slaves.slave import open_slave
@@ -152,7 +152,7 @@ LEGS = [TrialLeg([0.0, 0.5], [[1.0]]), TrialLeg([0.5, 0.75, 1.0], [[2.0], [3.0]]
 
 
 def trials(gains, **more):
-    each = [Trial((), [(0, None), (1, [gain])]) for gain in gains]
+    each = [BatchTrial((), [(0, None), (1, [gain])]) for gain in gains]
     return TrialBatch(0.0, more.get("state"), more.get("is_new", True), LEGS, each)
 
 
@@ -179,7 +179,9 @@ def test_trials_end_with_the_first_that_fails_and_tell_of_those_before_it(mixer)
     with open_slave(mixer, "plant") as slave:
         slave.bind(inputs=["u"], outputs=["y"])
         with pytest.raises(SlaveError, match="input 'u' must be within"):
-            slave.trials(TrialBatch(0.0, None, True, [TrialLeg([0.0, 1.0], [[11.0]])], [Trial((), [(0, None)])]), [{}])
+            slave.trials(
+                TrialBatch(0.0, None, True, [TrialLeg([0.0, 1.0], [[11.0]])], [BatchTrial((), [(0, None)])]), [{}]
+            )
 
 
 def test_a_restart_makes_the_fmu_new_and_keeps_what_is_bound(mixer, isolation):

@@ -7,8 +7,6 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-import numpy as np
-import scipy  # its parts, 0.3 s, are loaded when they are used
 from fmpy.model_description import Unknown
 
 from ..variable_name import VariableName
@@ -68,9 +66,10 @@ def algebraic_loops(components: Mapping[str, Component], connections: Mapping[st
     edges = [(place[a], place[b]) for a, sources in depends.items() for b in sources]
     if not edges:
         return []
-    rows, columns = np.array(edges).T
-    graph = scipy.sparse.csr_array((np.ones(len(edges)), (rows, columns)), shape=(len(nodes), len(nodes)))
-    labels = scipy.sparse.csgraph.connected_components(graph, directed=True, connection="strong")[1].tolist()
+    from scipy.sparse import csgraph, csr_array  # for some connected FMUs, not for the process of each
+
+    graph = csr_array(([1.0] * len(edges), tuple(zip(*edges, strict=True))), shape=(len(nodes), len(nodes)))
+    labels = csgraph.connected_components(graph, directed=True, connection="strong")[1].tolist()
     members: dict[int, list[str]] = {}
     for node, label in zip(nodes, labels, strict=True):
         members.setdefault(label, []).append(node)

@@ -91,6 +91,12 @@ def test_a_run_loads_scipy_while_its_fmus_start_and_an_fmu_is_described_without_
         assert parts.isdisjoint(loaded), program
 
 
+def test_the_process_of_a_loop_and_the_description_of_an_fmu_do_without_numpy():
+    begin = "from cosim.fmi.lazy_fmpy import load_fmpy_lazily; load_fmpy_lazily()"
+    loaded = loaded_by(f"{begin}; import cosim.system.loop_child, cosim.authoring.info, cosim.commands.info")
+    assert loaded.isdisjoint({"numpy", "scipy", "pydantic", "estimator"})
+
+
 def test_help_waits_for_nothing_heavy():
     program = "from cosim.cli import main\ntry: main(['--help'])\nexcept SystemExit: pass\nimport sys"
     command = [sys.executable, "-c", program + "\nprint('MODULES', *sys.modules)"]

@@ -21,11 +21,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from benchmarks import report
 from benchmarks.frozen import estimated, noisy_samples, truth_at
 from benchmarks.report import Row
+from cosim.blas_threads import one_thread
 from cosim.runs.result import Run
 from cosim.runs.run_files import EVENTS
 from cosim.runs.simulation import run
@@ -72,7 +72,7 @@ def main() -> None:
         if key[2] in ESTIMATORS[key[1]] and _is_possible(key[0], key[2])
     ]
     rows = [row for row in report.stored(report.RAW, "coverage") if not (options.fresh and _key(row) in asked)]
-    with threadpool_limits(1):
+    with one_thread():
         for key in asked:
             rows = measure(rows, key, options.seeds or SEEDS[key[1]])
     report.write("coverage", report.updated("coverage", summary(rows), "scenario", "how", "estimator"))

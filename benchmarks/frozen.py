@@ -17,9 +17,9 @@ from time import perf_counter
 
 import numpy as np
 from scipy.optimize import least_squares
-from threadpoolctl import threadpool_limits
 
 from benchmarks.report import Row, table, to_lines
+from cosim.blas_threads import one_thread
 from cosim.files import write_text
 from cosim.retuning.estimators import find_method
 from cosim.runs.result import Run
@@ -57,7 +57,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--out", type=Path, help="JSON file")
     options = parser.parse_args()
-    with threadpool_limits(1):
+    with one_thread():
         recorded = run(Scenario.load(options.scenario), "none")
         rows = [
             row(recorded, name, n, options)

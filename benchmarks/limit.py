@@ -19,10 +19,10 @@ from math import sqrt
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from benchmarks import report
 from benchmarks.report import Row
+from cosim.blas_threads import one_thread
 from cosim.runs.result import Run
 from cosim.runs.simulation import run
 from cosim.sampling.sampler import recorded_samples
@@ -93,7 +93,7 @@ def _pooled(rows: list[Row], scenario: str, name: str, t: float | None) -> Itera
 def _measured(task: tuple[str, str, int]) -> list[Row]:
     """Return the errors of a run over their bounds, a row an instant; one without instant where there is none."""
     scenario, estimator, seed = task
-    with threadpool_limits(1):
+    with one_thread():
         result = run(Scenario.load(scenario, {"scenario.isolation": "none"}), estimator, seed)
         found = [{"t": t, "ratios": ratios.tolist()} for t, ratios in error_ratios(result)]
     labels: dict[str, Any] = {"scenario": scenario, "estimator": estimator, "seed": seed}

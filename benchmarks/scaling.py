@@ -23,9 +23,9 @@ from time import perf_counter, thread_time
 from typing import Any, NamedTuple
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from benchmarks.report import spread, write
+from cosim.blas_threads import one_thread
 from cosim.runs.simulation import run
 from cosim.scenarios.scenario import Scenario
 from estimator import METHODS, DerivativeResidual, Parameter, ParameterSpace, ResidualWindow, Sample
@@ -84,7 +84,7 @@ def growth(estimators: Sequence[str], n_seeds: int, sizes: Mapping[str, Sequence
     """Vary each size alone, for each estimator; print and keep the costs."""
     rows: list[dict[str, object]] = []
     fits: list[str] = []
-    with threadpool_limits(1):
+    with one_thread():
         for name in estimators:
             for what, values in sizes.items():
                 if what == "observations" and name != "target":

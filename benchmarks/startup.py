@@ -20,7 +20,7 @@ from pathlib import Path
 
 from benchmarks.report import spread, write
 
-HELP_REACH, STEP_REACH = 0.3, 2.5
+HELP_REACH, STEP_REACH = 0.3, 1.0
 """Times that should be reached [s]."""
 _RETUNE = (sys.executable, "-c", "import sys; from cosim.cli import main; sys.exit(main())")
 _RUN = ("run", "quadrotor", "--only", "--set", "scenario.stop_time=0.01", "--set", "estimation.instants=[]")

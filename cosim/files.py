@@ -11,8 +11,6 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
-import numpy as np
-
 from .errors import FolderError
 
 
@@ -80,6 +78,6 @@ def _jsonable(value: object) -> object:
         return {str(k): _jsonable(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
         return [_jsonable(v) for v in value]
-    if isinstance(value, np.generic | np.ndarray):
-        return _jsonable(value.tolist())
+    if callable(to_list := getattr(value, "tolist", None)):  # NumPy's
+        return _jsonable(to_list())
     return value

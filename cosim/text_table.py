@@ -3,8 +3,6 @@
 from collections.abc import Sequence
 from math import floor, isfinite, log10
 
-import numpy as np
-
 
 def with_std(value: float, std: float) -> str:
     """Return `1.3000 ± 0.0012`, with digits enough for two significant ones of the standard deviation."""
@@ -18,7 +16,7 @@ def with_std(value: float, std: float) -> str:
 
 def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
     """Return the lines of a table, the first column aligned left and the others right."""
-    widths = np.max([[len(cell) for cell in row] for row in rows], axis=0)
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return [
         "  ".join(
             [row[0].ljust(widths[0]), *(cell.rjust(w) for cell, w in zip(row[1:], widths[1:], strict=True))]

@@ -3,8 +3,8 @@
 from typing import Literal
 
 import numpy as np
+import scipy  # its parts, 0.3 s, are loaded when they are used
 from numpy.typing import ArrayLike
-from scipy.special import erfcx, ndtr
 
 from .space import Vector
 
@@ -22,12 +22,12 @@ def expected_improvement(mean: ArrayLike, variance: ArrayLike, incumbent: float)
     """
     mu, sigma = np.asarray(mean, dtype=float), np.sqrt(np.asarray(variance, dtype=float))
     d = (incumbent - mu) / sigma
-    return (incumbent - mu) * ndtr(d) + sigma * np.exp(-0.5 * d * d) / np.sqrt(2.0 * np.pi)
+    return (incumbent - mu) * scipy.special.ndtr(d) + sigma * np.exp(-0.5 * d * d) / np.sqrt(2.0 * np.pi)
 
 
 def probability_of_improvement(mean: ArrayLike, variance: ArrayLike, incumbent: float) -> Vector:
     """Return P(h < b) for h ~ N(mean, variance), shapes as in `expected_improvement`. Kushner (1964)."""
-    return ndtr((incumbent - np.asarray(mean, dtype=float)) / np.sqrt(np.asarray(variance, dtype=float)))
+    return scipy.special.ndtr((incumbent - np.asarray(mean, dtype=float)) / np.sqrt(np.asarray(variance, dtype=float)))
 
 
 def lower_confidence_bound(mean: ArrayLike, variance: ArrayLike, kappa: float = 2.0) -> Vector:
@@ -53,8 +53,8 @@ def log_target_vector_improvement(mean: ArrayLike, variance: ArrayLike, incumben
     s = np.maximum(np.sqrt(np.log1p(V / M / M)), 1e-8)
     d = (np.log(incumbent) - np.log(M)) / s + 0.5 * s
     likely = np.maximum(d, 0.0)
-    body = incumbent * ndtr(likely) - M * ndtr(likely - s)
+    body = incumbent * scipy.special.ndtr(likely) - M * scipy.special.ndtr(likely - s)
     unlikely = np.minimum(d, 0.0)
-    mills = erfcx(-unlikely / SQRT2) - erfcx((s - unlikely) / SQRT2)
+    mills = scipy.special.erfcx(-unlikely / SQRT2) - scipy.special.erfcx((s - unlikely) / SQRT2)
     tail = np.log(incumbent) - 0.5 * unlikely * unlikely + np.log(0.5 * np.maximum(mills, np.finfo(float).tiny))
     return np.where(d > 0.0, np.log(np.maximum(body, np.finfo(float).tiny)), tail)

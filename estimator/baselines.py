@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from scipy import optimize
+import scipy  # its parts, 0.3 s, are loaded when they are used
 
 from .contract import Estimate, scaled_estimate
 from .identifiability import IDENTIFIABLE_BELOW, information
@@ -99,7 +99,7 @@ def _minimize(function: Any, x0: Vector, bounds: list[tuple[float, float]], sett
     step = settings.difference_step * (upper - lower)
 
     def slope(theta: Vector) -> Any:
-        return optimize.approx_fprime(theta, function, np.where(theta + step > upper, -step, step))
+        return scipy.optimize.approx_fprime(theta, function, np.where(theta + step > upper, -step, step))
 
     gradient = slope if settings.difference_step else None
     if settings.minimizer == "ipopt":
@@ -109,7 +109,9 @@ def _minimize(function: Any, x0: Vector, bounds: list[tuple[float, float]], sett
         return minimize_ipopt(function, x0, jac=gradient, bounds=bounds, options=options)
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # trust-constr, of a gradient that does not change
-        return optimize.minimize(function, x0, jac=gradient, bounds=bounds, method=settings.minimizer, options=options)
+        return scipy.optimize.minimize(
+            function, x0, jac=gradient, bounds=bounds, method=settings.minimizer, options=options
+        )
 
 
 @dataclass(frozen=True)
@@ -161,7 +163,9 @@ class LeastSquares:
         jacobian: Any = search.jacobian or "2-point"
         for z in starts:
             try:
-                result = optimize.least_squares(search.residual, np.clip(z, 0.0, 1.0), jac=jacobian, bounds=(0.0, 1.0))
+                result = scipy.optimize.least_squares(
+                    search.residual, np.clip(z, 0.0, 1.0), jac=jacobian, bounds=(0.0, 1.0)
+                )
             except _SpentError:
                 break
             if 2.0 * result.cost <= search.cost * (1.0 + 1e-9):

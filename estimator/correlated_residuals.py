@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
-from scipy.linalg import matmul_toeplitz
+import scipy  # its parts, 0.3 s, are loaded when they are used
 
 from .identifiability import Information, information
 from .space import Vector
@@ -27,7 +27,7 @@ def information_of_correlated(jacobian: Vector, r: Vector, misfit: float, series
     for n in series:
         rows = slice(start, start + n)
         start += n
-        toeplitz: Any = matmul_toeplitz(share * autocovariances(r[rows]) / misfit**2, Q[rows])
+        toeplitz: Any = scipy.linalg.matmul_toeplitz(share * autocovariances(r[rows]) / misfit**2, Q[rows])
         ratio += Q[rows].T @ toeplitz
     widening, axes = np.linalg.eigh(0.5 * (ratio + ratio.T))
     return information((axes / np.sqrt(np.maximum(widening, 1.0))).T @ R / misfit)

@@ -4,8 +4,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy  # its stats, which takes 0.3 s, is loaded when it is used
-from scipy import optimize
+import scipy  # its parts, 0.3 s, are loaded when they are used
 
 from .contract import Estimate, scaled_estimate
 from .identifiability import IDENTIFIABLE_BELOW, information, information_of_covariance
@@ -108,7 +107,7 @@ class RecursiveLeastSquares:
         def misfit(z: Vector) -> Vector:
             return weight @ (linear.coefficients(self._space.from_unit(z)) - psi)
 
-        result = optimize.least_squares(misfit, self._z, bounds=(0.0, 1.0))
+        result = scipy.optimize.least_squares(misfit, self._z, bounds=(0.0, 1.0))
         self._z = result.x
         self._information = information(np.vstack([result.jac, np.eye(len(self._z))]))  # bounds: one row
 

@@ -7,8 +7,7 @@ hold likelihoods, gradients, means and variances to GPy's figures. Rasmussen, Wi
 from typing import Final
 
 import numpy as np
-from scipy.linalg import get_lapack_funcs
-from scipy.spatial.distance import cdist
+import scipy  # its parts, 0.3 s, are loaded when they are used
 
 from .space import Vector
 
@@ -19,8 +18,6 @@ JITTER: Final = 1e-8
 _LOG_2PI: Final = float(np.log(2.0 * np.pi))
 _IMPOSSIBLE: Final = 1e10
 """Value returned to a minimiser where the covariance has no Cholesky factor."""
-
-_potrf, _potrs, _potri, _trtrs = get_lapack_funcs(("potrf", "potrs", "potri", "trtrs"), dtype=np.float64)
 
 
 def squared_differences(Z: Vector) -> Vector:
@@ -38,7 +35,7 @@ def _scaled_squares(squares: Vector, inverse_squares: Vector) -> Vector:
 def _factor(K: Vector, noise: float) -> tuple[Vector, int]:
     """Return the lower Cholesky factor of K + noise I, written over K, and LAPACK's info: 0 where there is one."""
     K.reshape(-1)[:: len(K) + 1] += noise
-    return _potrf(K.T, lower=1, overwrite_a=1)
+    return scipy.linalg.lapack.dpotrf(K.T, lower=1, overwrite_a=1)
 
 
 # --- several outputs with common lengthscales, squared exponential --------------------------------------------------
@@ -58,10 +55,10 @@ def negative_log_posterior(
     L, failed = _factor(C.copy(), NOISE)
     if failed:
         return _IMPOSSIBLE, np.zeros_like(log_lengthscales)
-    alpha, _ = _potrs(L, Y, lower=1)
+    alpha, _ = scipy.linalg.lapack.dpotrs(L, Y, lower=1)
     q = np.maximum(np.einsum("ij,ij->j", Y, alpha) / n, np.finfo(float).tiny)
     value = 0.5 * n * np.log(q).sum() + k * np.log(L.diagonal()).sum() + 0.5 * n * k * (1.0 + _LOG_2PI)
-    lower, _ = _potri(L, lower=1)
+    lower, _ = scipy.linalg.lapack.dpotri(L, lower=1)
     # d value / d C, times dC/d(log l) but for its factor; one triangle of the inverse, twice: squares have no diagonal
     G = 0.5 * (2.0 * k * lower - (alpha / q) @ alpha.T) * C
     gradient = squares.reshape(len(squares), n * n) @ G.reshape(-1) * inverse_squares
@@ -72,7 +69,7 @@ def negative_log_posterior(
 
 def correlation(A: Vector, B: Vector, lengthscales: Vector) -> Vector:
     """Return the squared-exponential correlation (n, m) of places A (n, d) and B (m, d)."""
-    return np.exp(-0.5 * cdist(A / lengthscales, B / lengthscales, "sqeuclidean"))
+    return np.exp(-0.5 * scipy.spatial.distance.cdist(A / lengthscales, B / lengthscales, "sqeuclidean"))
 
 
 class Posterior:
@@ -86,14 +83,14 @@ class Posterior:
         while failed:
             noise *= 10.0
             self._cholesky, failed = _factor(C.copy(), noise)
-        self._alpha, _ = _potrs(self._cholesky, Y, lower=1)
+        self._alpha, _ = scipy.linalg.lapack.dpotrs(self._cholesky, Y, lower=1)
         self.variances = np.maximum(np.einsum("ij,ij->j", Y, self._alpha) / len(Z), np.finfo(float).tiny)
         """Signal variance q (k,) of each output."""
 
     def predict(self, Q: Vector) -> tuple[Vector, Vector]:
         """Return the noiseless mean (m, k) and variance (m, k) at places Q (m, d)."""
         C = correlation(Q, self._places, self._lengthscales)
-        w, _ = _trtrs(self._cholesky, C.T, lower=1)
+        w, _ = scipy.linalg.lapack.dtrtrs(self._cholesky, C.T, lower=1)
         unit = np.maximum(1.0 - np.einsum("ij,ij->j", w, w), 1e-12)
         return C @ self._alpha, unit[:, None] * self.variances
 
@@ -112,7 +109,7 @@ def matern52(A: Vector, B: Vector, lengthscales: Vector) -> Vector:
 
     Rasmussen and Williams (2006), eq. 4.17.
     """
-    s = np.sqrt(5.0) * cdist(A / lengthscales, B / lengthscales)
+    s = np.sqrt(5.0) * scipy.spatial.distance.cdist(A / lengthscales, B / lengthscales)
     return (1.0 + s + s * s / 3.0) * np.exp(-s)
 
 
@@ -130,9 +127,9 @@ def negative_log_likelihood(log_parameters: Vector, y: Vector, squares: Vector) 
     L, failed = _factor((1.0 + s + s * s / 3.0) * decay, noise + JITTER)
     if failed:
         return _IMPOSSIBLE, np.zeros_like(log_parameters)
-    alpha, _ = _potrs(L, y, lower=1)
+    alpha, _ = scipy.linalg.lapack.dpotrs(L, y, lower=1)
     value = 0.5 * (y @ alpha) + np.log(L.diagonal()).sum() + 0.5 * n * _LOG_2PI
-    lower, _ = _potri(L, lower=1)
+    lower, _ = scipy.linalg.lapack.dpotri(L, lower=1)
     trace = lower.trace() - alpha @ alpha  # of d value / d K, twice: the inverse minus alpha alpha^T
     G = (2.0 * lower - alpha[:, None] * alpha) * (1.0 + s) * decay  # one triangle, twice: squares have no diagonal
     gradient = np.empty_like(log_parameters)
@@ -150,10 +147,10 @@ class MaternPosterior:
         self._cholesky, failed = _factor(variance * matern52(Z, Z, lengthscales), noise + JITTER)
         if failed:
             raise np.linalg.LinAlgError(f"a covariance of {len(Z)} places has no Cholesky factor.")
-        self._alpha, _ = _potrs(self._cholesky, y, lower=1)
+        self._alpha, _ = scipy.linalg.lapack.dpotrs(self._cholesky, y, lower=1)
 
     def predict(self, Q: Vector) -> tuple[Vector, Vector]:
         """Return the noiseless mean (m,) and variance (m,) at places Q (m, d)."""
         K = self._variance * matern52(Q, self._places, self._lengthscales)
-        w, _ = _trtrs(self._cholesky, K.T, lower=1)
+        w, _ = scipy.linalg.lapack.dtrtrs(self._cholesky, K.T, lower=1)
         return K @ self._alpha, np.maximum(self._variance - np.einsum("ij,ij->j", w, w), 1e-16)

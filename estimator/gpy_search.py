@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any, Final, Self
 
 import numpy as np
+import scipy  # its parts, 0.3 s, are loaded when they are used
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from .space import Vector
 from .surrogate import ENOUGH
@@ -77,7 +77,7 @@ def maximise(model: Any, log_likelihood: Callable[[], float], max_iterations: in
             gradient[where] -= prior.lnpdf_grad(model.param_array[where])
         return value, gradient[free.places] * np.where(free.is_log, free.parameters(x), 1.0)
 
-    found = minimize(
+    found = scipy.optimize.minimize(
         negative_log_posterior,
         free.coordinates(model),
         jac=True,

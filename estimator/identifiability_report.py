@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
 import numpy as np
-from scipy.linalg import qr
+import scipy  # its parts, 0.3 s, are loaded when they are used
 
 from .identifiability import IDENTIFIABLE_BELOW, Information
 from .space import Parameter, ParameterSpace, Vector
@@ -55,7 +55,7 @@ def _sparse(directions: Vector) -> list[Vector]:
     m = len(directions)
     if not m:
         return []
-    factors: Any = qr(directions, pivoting=True, mode="economic")
+    factors: Any = scipy.linalg.qr(directions, pivoting=True, mode="economic")
     _, R, order = factors
     reduced = np.empty_like(directions)
     reduced[:, order] = np.hstack([np.eye(m), np.linalg.solve(R[:, :m], R[:, m:])])

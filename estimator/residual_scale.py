@@ -35,22 +35,19 @@ class ResidualScale:
         """s (c,), in standard deviations of the declared noise."""
         self.correlations = np.zeros(n_channels)
         """Correlation rho (c,) of the residual with that of the sample before, at least 0."""
+        self.effective = np.ones(n_channels)
+        """Scale (c,) that counts samples as if they were independent: s sqrt((1 + rho) / (1 - rho))."""
         self._admitted = np.zeros(n_channels)  # what the model lacks, noise apart
         self.observed: Vector | None = None
         """Spread (c,) of the residuals at the last estimate, which may be below one; None before the first."""
         self._rows: deque[Vector] = deque(maxlen=_MEMORY)
         self._since_update = 0
 
-    @property
-    def effective(self) -> Vector:
-        """Scale (c,) that counts samples as if they were independent: s sqrt((1 + rho) / (1 - rho))."""
-        return self.values * np.sqrt((1.0 + self.correlations) / (1.0 - self.correlations))
-
     def copy(self) -> "ResidualScale":
         """Return an independent copy."""
         other = ResidualScale(len(self.values))
         other.values, other.correlations, other.observed = self.values, self.correlations, self.observed
-        other._admitted = self._admitted
+        other.effective, other._admitted = self.effective, self._admitted
         other._rows, other._since_update = deque(self._rows, maxlen=_MEMORY), self._since_update
         return other
 
@@ -71,6 +68,7 @@ class ResidualScale:
     def enlarge(self, factors: Vector) -> None:
         """Multiply the scale by factors (c,)."""
         self.values = self.values * factors
+        self._count_correlations()
         self._rows.clear()
 
     def admit(self, rows: Vector) -> bool:
@@ -96,7 +94,11 @@ class ResidualScale:
         self.values = np.where(ratio < _STEP, self.values, found)
         found = np.where(np.any(rows != 0.0, axis=0), _lag_one(rows), self.correlations)
         self.correlations = np.where(self.values > 1.0, found, 0.0)
+        self._count_correlations()
         return True
+
+    def _count_correlations(self) -> None:
+        self.effective = self.values * np.sqrt((1.0 + self.correlations) / (1.0 - self.correlations))
 
 
 def spread_of(rows: Vector) -> Vector:

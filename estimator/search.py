@@ -3,14 +3,13 @@
 from typing import Protocol
 
 import numpy as np
-from scipy.linalg import get_lapack_funcs
+import scipy  # its parts, 0.3 s, are loaded when they are used
 
 from .identifiability import information
 from .space import Vector
 
 _ENOUGH = 1e-4
 """Change of the sum of squares, in variances of the noise, at which a minimisation ends."""
-(_posv,) = get_lapack_funcs(("posv",), dtype=np.float64)
 
 
 class VectorPosterior(Protocol):
@@ -65,7 +64,7 @@ def least_squares_of_mean(posterior: VectorPosterior, z: Vector, n_iterations: i
         H = slope.T @ slope
         scale = H.diagonal() + 1e-9 * H.trace() + 1e-12
         H.reshape(-1)[:: len(z) + 1] += damping * scale
-        _, step, failed = _posv(H, slope.T @ r)
+        _, step, failed = scipy.linalg.lapack.dposv(H, slope.T @ r)
         if failed:  # too flat for so little damping
             damping *= 10.0
             continue

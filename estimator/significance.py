@@ -2,7 +2,7 @@
 
 from functools import cache
 
-from scipy.special import chdtri
+import scipy  # its parts, 0.3 s, are loaded when they are used
 
 from .space import Vector
 
@@ -13,7 +13,7 @@ def chi2_limit(false_alarm: float, degrees: int) -> float:
 
     Equal to scipy.stats.chi2.isf, which takes 0.5 s to import and 100 us a call.
     """
-    return float(chdtri(degrees, false_alarm))
+    return float(scipy.special.chdtri(degrees, false_alarm))
 
 
 def is_explained(residual: Vector, false_alarm: float) -> bool:

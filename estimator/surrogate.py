@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
 import numpy as np
-from scipy.optimize import minimize
+import scipy  # its parts, 0.3 s, are loaded when they are used
 
 from .gaussian_process import (
     MaternPosterior,
@@ -41,16 +41,14 @@ class VectorSurrogate:
     """Attributes that are in no checkpoint."""
 
     def __init__(self, n_dimensions: int) -> None:
-        import GPy  # takes 0.4 s: not before it is needed, while the FMUs of a run start
-
-        self._kernel = GPy.kern.RBF(n_dimensions, variance=1.0, lengthscale=np.ones(n_dimensions), ARD=True)
-        self._kernel.lengthscale.set_prior(GPy.priors.LogGaussian(*LENGTHSCALE_PRIOR), warning=False)
-        self._kernel.lengthscale.constrain_bounded(*LENGTHSCALE_BOUNDS, warning=False)
+        self._kernel: Any = None
         self._lengthscales = np.ones(n_dimensions)
 
     @property
     def kernel(self) -> Any:
-        """GPy's kernel with its prior and bounds, at the present lengthscales."""
+        """GPy's kernel with its prior and bounds, at the present lengthscales; made when first asked for."""
+        if self._kernel is None:
+            self._kernel = _squared_exponential(len(self._lengthscales))
         self._kernel.lengthscale[:] = self._lengthscales
         return self._kernel
 
@@ -61,11 +59,10 @@ class VectorSurrogate:
 
     def fit(self, Z: Vector, Y: Vector, max_iterations: int = 8) -> None:
         """Refit the lengthscales to Y (n, k) at Z (n, d), from where they are."""
-        prior = self._kernel.lengthscale.priors.properties()[0]
-        found = minimize(
+        found = scipy.optimize.minimize(
             negative_log_posterior,
             np.log(self._lengthscales),
-            (Y, squared_differences(Z), prior.mu, prior.sigma),
+            (Y, squared_differences(Z), *self._prior()),
             jac=True,
             method="L-BFGS-B",
             bounds=[tuple(np.log(LENGTHSCALE_BOUNDS))] * Z.shape[1],
@@ -80,6 +77,13 @@ class VectorSurrogate:
     def model(self, Z: Vector, Y: Vector) -> Any:
         """Return GPy's regression of the outputs Y (n, k), each divided by the root of its q_j."""
         return regression_of_outputs(Z, Y, self.kernel.copy(), np.sqrt(self.condition(Z, Y).variances))
+
+    def _prior(self) -> tuple[Any, Any]:
+        """Return mean and deviation of a lengthscale's logarithm: those of GPy's kernel, which a user may have set."""
+        if self._kernel is None:
+            return LENGTHSCALE_PRIOR
+        prior = self._kernel.lengthscale.priors.properties()[0]
+        return prior.mu, prior.sigma
 
 
 @dataclass(frozen=True)
@@ -135,7 +139,7 @@ class ScalarSurrogate:
 
     def fit(self, Z: Vector, y: Vector, max_iterations: int = 12) -> None:
         """Refit the hyperparameters to y (n,) at Z (n, d), from where they are."""
-        found = minimize(
+        found = scipy.optimize.minimize(
             negative_log_likelihood,
             self._log_parameters,
             (_normalised(y)[0], squared_differences(Z)),
@@ -168,6 +172,16 @@ class ScalarPosterior:
         """Return the noiseless mean (m,) and variance (m,) at places Q (m, d)."""
         mean, variance = self._posterior.predict(Q)
         return self._mean + self._deviation * mean, self._deviation**2 * variance
+
+
+def _squared_exponential(n_dimensions: int) -> Any:
+    """Return GPy's kernel with the prior and the bounds of `VectorSurrogate`."""
+    import GPy  # takes 0.4 s: not before somebody looks at it
+
+    kernel = GPy.kern.RBF(n_dimensions, variance=1.0, lengthscale=np.ones(n_dimensions), ARD=True)
+    kernel.lengthscale.set_prior(GPy.priors.LogGaussian(*LENGTHSCALE_PRIOR), warning=False)
+    kernel.lengthscale.constrain_bounded(*LENGTHSCALE_BOUNDS, warning=False)
+    return kernel
 
 
 def regression_of_outputs(Z: Vector, Y: Vector, kernel: Any, deviations: Vector) -> Any:

@@ -5,9 +5,8 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy  # its stats, which takes 0.3 s, is loaded when it is used
+import scipy  # its parts, 0.3 s, are loaded when they are used
 from numpy.typing import NDArray
-from scipy.spatial.distance import cdist
 
 from .acquisition import log_target_vector_improvement
 from .arrival_cost import ArrivalCost
@@ -25,6 +24,7 @@ from .search import (
     principal_components,
 )
 from .significance import chi2_limit
+from .sobol import sobol_points
 from .space import ParameterSpace, Vector
 
 _FAR = 50.0
@@ -141,7 +141,7 @@ class TargetVector:
         d = len(space)
         self._step = self._settings.initial_step / max(d, 2)
         self._n_modelled = self._settings.n_modelled or 3 * d + 2
-        self._global = scipy.stats.qmc.Sobol(d, rng=rng).random(128)
+        self._global = sobol_points(128, d, rng)
         self._surrogate = vector_surrogate(d, self._settings.surrogate, self._settings.kernel, kernel)
         self._theta = np.empty((0, d))
         self._residuals: Vector | None = None
@@ -384,7 +384,7 @@ class TargetVector:
         best = int(np.argmin(costs))
         pool = self._hopeful(self._pool(model.posterior, model.Z[best]), model.Z)
         if others:
-            apart = pool[cdist(pool, np.array(others)).min(axis=1) > _APART]
+            apart = pool[scipy.spatial.distance.cdist(pool, np.array(others)).min(axis=1) > _APART]
             pool = apart if len(apart) else pool
         gain = log_target_vector_improvement(*model.posterior.predict(pool), max(float(costs[best]), 1e-12))
         self._gain = float(gain.max())
@@ -404,7 +404,10 @@ class TargetVector:
         """Return those of the pool that are nearer to a candidate in Z (n, d) than to a failed one; all, if none is."""
         if not len(self._failed):
             return pool
-        hopeful = pool[cdist(pool, Z).min(axis=1) <= cdist(pool, self._failed).min(axis=1)]
+        hopeful = pool[
+            scipy.spatial.distance.cdist(pool, Z).min(axis=1)
+            <= scipy.spatial.distance.cdist(pool, self._failed).min(axis=1)
+        ]
         return hopeful if len(hopeful) else pool
 
     def _pool(self, posterior: VectorPosterior, best: Vector) -> Vector:

@@ -9,10 +9,10 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from estimator import Vector
 
+from ..blas_threads import one_thread
 from ..errors import FolderError, ScenarioError
 from ..retuning.assembly import make_supervisor, try_model
 from ..retuning.decision import Point
@@ -63,7 +63,7 @@ def replay(
     return comparison
 
 
-@threadpool_limits.wrap(limits=1)  # the number of BLAS threads changes bits
+@one_thread()  # the number of BLAS threads changes bits
 def replayed(recorded: Run, estimator: str, seed: int) -> Run:
     """Return the recorded run with this estimator's estimates from its samples; its tracking errors stay.
 

@@ -7,10 +7,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-import numpy as np
 from fmpy.model_description import Unknown
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 
 from ..variable_name import VariableName
 from .component import Component
@@ -69,9 +66,10 @@ def algebraic_loops(components: Mapping[str, Component], connections: Mapping[st
     edges = [(place[a], place[b]) for a, sources in depends.items() for b in sources]
     if not edges:
         return []
-    rows, columns = np.array(edges).T
-    graph = csr_array((np.ones(len(edges)), (rows, columns)), shape=(len(nodes), len(nodes)))
-    labels = connected_components(graph, directed=True, connection="strong")[1].tolist()
+    from scipy.sparse import csgraph, csr_array  # for some connected FMUs, not for the process of each
+
+    graph = csr_array(([1.0] * len(edges), tuple(zip(*edges, strict=True))), shape=(len(nodes), len(nodes)))
+    labels = csgraph.connected_components(graph, directed=True, connection="strong")[1].tolist()
     members: dict[int, list[str]] = {}
     for node, label in zip(nodes, labels, strict=True):
         members.setdefault(label, []).append(node)

@@ -119,7 +119,7 @@ class RolloutObjective:
         """Evaluate the candidates over the stretch, several at a time."""
         way = self._decided()
         plans = [plan_of(way, self._shadow, self._history, theta.tolist(), stretch) for theta in thetas]
-        outcomes = self._pool.map([partial(plan.run, self._pool) for plan in plans], is_renewed=way != "state")
+        outcomes = self._pool.simulate(plans)
         return [
             Evaluation(np.array([np.nan]), outcome.reason)
             if outcome.result is None

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 from estimator import Sample, SampleSequence
 
+from ..fmi.trial_batch import TrialLeg
 from ..slaves.slave import Slave
 from .rollout_fmu import Shadow, StartMethod
 from .rollout_pool import Outputs, Pool
@@ -40,6 +41,16 @@ class Plan:
     state: bytes | None
     before: tuple[Leg, ...]
     last: Leg
+
+    @property
+    def legs(self) -> list[tuple[TrialLeg, Sequence[float] | None]]:
+        """All legs, each with the tunables set before it."""
+        return [(TrialLeg(leg.times, leg.inputs), leg.tunables) for leg in (*self.before, self.last)]
+
+    @property
+    def n_steps(self) -> int:
+        """Number of steps."""
+        return sum(len(leg.inputs) for leg in (*self.before, self.last))
 
     def begin(self, pool: Pool, slave: Slave, is_new: bool) -> None:
         """Bring a slave, which must be new unless there is a state, to the last leg. Raises SlaveError."""

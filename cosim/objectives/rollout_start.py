@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.linalg import solve_triangular
+import scipy  # its parts, 0.3 s, are loaded when they are used
 
 from estimator import Evaluation, Sample, SampleSequence, Vector
 
@@ -102,7 +102,7 @@ def _factor(residual: Vector, moved: Sequence[Vector], n_steps: int) -> Vector:
 
 
 def _whitened(factor: Vector, residual: Vector, n_steps: int) -> Evaluation:
-    white: Vector = solve_triangular(factor, _by_time(residual, n_steps), lower=True)
+    white: Vector = scipy.linalg.solve_triangular(factor, _by_time(residual, n_steps), lower=True)
     steps = white.reshape(n_steps, -1)
     return Evaluation(steps.T.reshape(-1), None, np.sum(steps**2, axis=1))
 

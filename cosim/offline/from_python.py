@@ -4,11 +4,10 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from threadpoolctl import threadpool_limits
-
 from estimator.evaluated import FitProgress
 from estimator.space import Scale
 
+from ..blas_threads import one_thread
 from ..runs.lock import new_locked_folder
 from ..runs.record import recording
 from .estimate import Estimation, Request, Sought, with_profiles
@@ -89,7 +88,7 @@ def estimate(
         timeout=timeout,
         environment=tuple(environment),
     )
-    with threadpool_limits(1):  # as the command runs: the number of BLAS threads changes bits
+    with one_thread():  # as the command runs: the number of BLAS threads changes bits
         if out is None:
             found = estimate_from(request, progress)
             return with_profiles(found) if profile else found

@@ -7,7 +7,7 @@ parameters are overwritten by those to be tried. A plant that cannot save its st
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from math import hypot, inf, isclose
+from math import inf
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -18,16 +18,19 @@ from estimator.differences import central_differences
 
 from ..errors import CosimError, ScenarioError, SlaveError, WiringError
 from ..fmi.archive import co_simulation
+from ..fmi.folder import PrivateFolder
 from ..fmi.table import TableSlave
 from ..scenarios.scenario import Scenario
 from ..scenarios.tuning_rule import TuningRule
 from ..slaves.slave import Slave, open_slave
-from ..system.master import Master, Steppable, Wiring
+from ..system.loop_plan import LoopPlan, fit_together, listed
+from ..system.loop_process import LoopProcess
+from ..system.master import Steppable, Wiring
 from ..system.plant import Plant
-from ..variable_name import VariableName
+from ..system.shadow_loop import Course, ShadowLoop, Shadows
 from .model_plant import ModelPlant, not_given
 
-_ROUNDING: Final = 1e-9
+_AHEAD: Final = "simulated ahead"
 _INPUT_STEP: Final = 1e-4
 """Step of differences in an input, as a share of its size."""
 
@@ -81,10 +84,8 @@ class Lookahead:
                 slave.check_tunables(w.tunables)
         self._files = {name: _file(path) for name, path in running.paths.items()}
         self._stack = stack.enter_context(ExitStack())
-        self._shadows: dict[str, Steppable] = {}
-        self._proved: set[str] = set()  # FMUs whose states have been saved and restored
-        self._master: Master | None = None
-        self._tracked: list[tuple[int, int]] = []
+        self._shadows: Shadows | None = None
+        self._is_proved = False  # the states have been saved and restored
         self.n_rolled = 0
         """Number of times that the loop was simulated ahead."""
         self.failure: str | None = None
@@ -111,11 +112,10 @@ class Lookahead:
         if self.failure is not None:
             return None
         try:
-            self._master = self._master or self._opened()
-            for name, shadow in self._shadows.items():
-                if isinstance(shadow, Slave) and name not in self._proved:
-                    shadow.set_state(shadow.get_state())
-                    self._proved.add(name)
+            self._shadows = self._shadows or self._opened()
+            if not self._is_proved:
+                self._shadows.prove()
+                self._is_proved = True
         except (SlaveError, WiringError) as fault:
             self._give_up(str(fault))
             return None
@@ -147,17 +147,17 @@ class Lookahead:
         if self.failure is not None:
             return None
         try:
-            master = self._at(snapshot, values)
+            shadows = self._shadows = self._shadows or self._opened()
+            shadows.restore(snapshot, values)
         except (SlaveError, WiringError) as fault:
             self._give_up(str(fault))
             return None
         self.n_rolled += 1
-        master.offsets = {} if offsets is None else {self._plant.name: offsets}
         try:
-            return self._simulate(master, k, controller, plant)
+            return shadows.peak(self._course(k, controller, plant, offsets))
         except SlaveError as fault:
             self._stack.close()
-            self._master = None  # loaded anew for the next
+            self._shadows = None  # loaded anew for the next
             return None if fault.function == "set" else inf  # a value that was refused before it reached the FMU
 
     def equivalent_inputs(self, sample: Sample, disturbance: Vector, theta: Vector) -> list[float] | None:
@@ -192,69 +192,74 @@ class Lookahead:
             return None
         return np.linalg.lstsq(slopes, disturbance, rcond=1e-9)[0].tolist()
 
-    def _simulate(self, master: Master, k: int, controller: Vector, plant: Vector) -> float:
+    def _course(self, k: int, controller: Vector, plant: Vector, offsets: Sequence[float] | None) -> Course:
+        """Return the steps from communication point k; as for `predicted_peak`."""
         settings = self._scenario.scenario
-        h, horizon = settings.macro_step, min(self._scenario.guard.horizon, settings.n_steps - k)
-        values = self._rule(controller)
+        horizon, values = min(self._scenario.guard.horizon, settings.n_steps - k), self._rule(controller)
         tunables = {
             name: [*(float(plant[i]) for i in self._places[name]), *(values[i] for i in written)]
             for name, written in self._written.items()
         }
-        tunables = {name: v for name, v in tunables.items() if v}
-        peak, limit = 0.0, self._scenario.limits.divergence
-        for j in range(k, k + horizon):
-            master.begin(settings.time(j), h, tunables if j == k else {})
-            master.finish(settings.time(j), h, tunables if j == k else {})
-            errors = [master.values[a] - master.values[b] for a, b in self._tracked]
-            if not all(abs(e) <= limit for e in errors):
-                return inf
-            peak = max(peak, hypot(*errors))
-        return peak
-
-    def _at(self, snapshot: Mapping[str, Any], values: Sequence[float]) -> Master:
-        master = self._master = self._master or self._opened()
-        for name, state in snapshot.items():
-            shadow = self._shadows[name]
-            assert isinstance(shadow, Slave | ModelPlant)
-            shadow.set_state(state)
-            if isinstance(shadow, Slave) and not _same(shadow.get(), self._outputs(master, values, name)):
-                raise SlaveError(shadow.name, "set_state", None, "leads to other outputs than those of the run")
-        master.values[:] = values
-        return master
-
-    def _outputs(self, master: Master, values: Sequence[float], name: str) -> list[float]:
-        return [v for v, n in zip(values, master.names, strict=True) if VariableName(n).component == name]
+        return Course(
+            [settings.time(j) for j in range(k, k + horizon)],
+            settings.macro_step,
+            {name: v for name, v in tunables.items() if v},
+            {} if offsets is None else {self._plant.name: offsets},
+            self._scenario.limits.divergence,
+        )
 
     def _give_up(self, reason: str) -> None:
-        self.failure, self._master = reason, None
+        self.failure, self._shadows = reason, None
         self._stack.close()
 
-    def _opened(self) -> Master:
-        settings = self._scenario.scenario
-        options = settings.slave_options
+    def _opened(self) -> Shadows:
+        """Return the shadows: in one process where they fit into one. Raises WiringError, SlaveError, ScenarioError."""
+        paths = self._running.paths
+        for name, path in paths.items():
+            if name != self._modelled and _file(path) != self._files[name]:
+                raise WiringError(f"{path} has changed since the run began")
+        return self._loop_process() if self._fits_one_process() else self._loop_here()
+
+    def _fits_one_process(self) -> bool:
+        paths = [self._running.paths[name] for name, slave in self._slaves.items() if isinstance(slave, Slave)]
+        is_isolated = self._scenario.scenario.isolation == "process" and self._modelled is None
+        return is_isolated and len(set(paths)) == len(paths) and fit_together(paths)
+
+    def _loop_process(self) -> Shadows:
+        settings, components = self._scenario.scenario, self._scenario.components
+        plan = LoopPlan(
+            _AHEAD,
+            self._stack.enter_context(_folder()),
+            {name: str(self._running.paths[name].absolute()) for name in self._slaves},
+            {name: components[name].tolerance for name in self._slaves},
+            {name: listed(w) for name, w in self._wiring.items()},
+            self._running.groups,
+            list(self._scenario.tracking.items()),
+            (settings.start_time, settings.stop_time),
+            settings.timeout,
+            settings.out_of_range,
+        )
+        process = LoopProcess(plan, settings.memory_limit * len(self._slaves), settings.environment)
+        self._stack.callback(process.close)
+        return process
+
+    def _loop_here(self) -> Shadows:
+        settings, shadows = self._scenario.scenario, dict[str, Steppable]()
         for name, slave in self._slaves.items():
+            path, label = self._running.paths[name], f"{name} ({_AHEAD})"
             if name == self._modelled and self._model is not None:
                 space = self._scenario.estimation.space
-                self._shadows[name] = ModelPlant(self._plant, self._model, space.names, self._plant.rates)
-                continue
-            path, label = self._running.paths[name], f"{name} (simulated ahead)"
-            if _file(path) != self._files[name]:
-                raise WiringError(f"{path} has changed since the run began")
-            if isinstance(slave, TableSlave):
-                self._shadows[name] = TableSlave(path, label)
-                continue
-            once = bool(co_simulation(slave.description).canBeInstantiatedOnlyOncePerProcess)
-            own: dict[str, Any] = options | ({"isolation": "process"} if once else {})
-            own["tolerance"] = self._scenario.components[name].tolerance
-            try:
-                self._shadows[name] = self._stack.enter_context(open_slave(path, label, **own))
-            except CosimError as e:  # it could be opened before: the disk is full, or the file has gone
-                raise ScenarioError(f"the loop cannot be simulated ahead: {e}") from e
-        master = Master(self._shadows, self._wiring, self._running.groups)
-        place = {name: i for i, name in enumerate(master.names)}
-        self._tracked = [(place[a], place[b]) for a, b in self._scenario.tracking.items()]
-        master.initialize(settings.start_time, settings.stop_time)
-        return master
+                shadows[name] = ModelPlant(self._plant, self._model, space.names, self._plant.rates)
+            elif isinstance(slave, TableSlave):
+                shadows[name] = TableSlave(path, label)
+            else:
+                once = bool(co_simulation(slave.description).canBeInstantiatedOnlyOncePerProcess)
+                own: dict[str, Any] = settings.slave_options | ({"isolation": "process"} if once else {})
+                own["tolerance"] = self._scenario.components[name].tolerance
+                shadows[name] = self._stack.enter_context(_open(path, label, own))
+        tracked = list(self._scenario.tracking.items())
+        span = (settings.start_time, settings.stop_time)
+        return ShadowLoop(shadows, self._wiring, self._running.groups, tracked, span)
 
 
 class Prediction:
@@ -283,10 +288,20 @@ class Prediction:
         return self._lookahead.predicted_peak(snapshot, self._values, self._k, controller, plant, offsets)
 
 
-def _same(found: Sequence[float], expected: Sequence[float]) -> bool:
-    """Return whether outputs agree, up to rounding where an FMU computes them again."""
-    pairs = zip(found, expected, strict=True)
-    return all(isclose(a, b, rel_tol=_ROUNDING, abs_tol=_ROUNDING) for a, b in pairs)
+def _folder() -> PrivateFolder:
+    """Return a folder to unpack the FMUs into. Raises ScenarioError."""
+    try:
+        return PrivateFolder()
+    except CosimError as e:
+        raise ScenarioError(f"the loop cannot be simulated ahead: {e}") from e
+
+
+def _open(path: Path, label: str, options: Mapping[str, Any]) -> Slave:
+    """Open a shadow. Raises ScenarioError: it could be opened before, so the disk is full, or the file has gone."""
+    try:
+        return open_slave(path, label, **options)
+    except CosimError as e:
+        raise ScenarioError(f"the loop cannot be simulated ahead: {e}") from e
 
 
 def _file(path: Path) -> tuple[int, int, int] | None:

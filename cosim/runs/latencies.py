@@ -3,6 +3,9 @@
 from array import array
 from collections.abc import Sequence
 from itertools import islice
+from typing import Final
+
+_DIGITS: Final = 7
 
 
 class Latencies:
@@ -18,6 +21,6 @@ class Latencies:
             self._counts.append(len(seconds))
 
     def by_step(self) -> tuple[tuple[float, ...], ...]:
-        """Return the wall time of each evaluation [s], a tuple for each macro step that had any."""
-        seconds = iter(self._seconds)
+        """Return the wall time of each evaluation [s], to 0.1 us, a tuple for each macro step that had any."""
+        seconds = (round(s, _DIGITS) for s in self._seconds)
         return tuple(tuple(islice(seconds, n)) for n in self._counts)

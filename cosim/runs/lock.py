@@ -6,11 +6,15 @@ import platform
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Final
 
 from filelock import FileLock, Timeout
 
 from ..errors import FolderError, one_line
 from .run_files import LOCK, new_run_folder
+
+_held: Final[set[Path]] = set()
+"""Folders that this process has locked: to ask the operating system once more would be to wait for ourselves."""
 
 
 @contextmanager
@@ -20,17 +24,18 @@ def locked(folder: Path) -> Generator[None]:
     The file is removed at the end; where its owner was killed it stays, and locks nothing.
     Raises FolderError where another process holds it.
     """
-    path, me = folder / LOCK, f"process {os.getpid()} on {platform.node()}"
-    lock = FileLock(path, timeout=0.2, poll_interval=0.02)  # whoever only looks, `is_locked`, has it for a moment
-    try:
-        owner = me if _is_taken(lock, path) else _owner(path)
-    except OSError as e:
-        raise FolderError(f"cannot write in {folder}: {e.strerror or e}.") from e
-    if owner != me:
-        raise FolderError(f"{folder} is in use by {owner or 'another command'}; wait for it, or end it first.")
-    if not lock.is_locked:
+    path, me, key = folder / LOCK, f"process {os.getpid()} on {platform.node()}", folder.resolve()
+    if key in _held:
         yield
         return
+    lock = FileLock(path, timeout=0.2, poll_interval=0.02)  # whoever only looks, `is_locked`, has it for a moment
+    try:
+        owner = None if _is_taken(lock, path) else _owner(path)
+    except OSError as e:
+        raise FolderError(f"cannot write in {folder}: {e.strerror or e}.") from e
+    if owner is not None:
+        raise FolderError(f"{folder} is in use by {owner or 'another command'}; wait for it, or end it first.")
+    _held.add(key)
     try:
         try:
             path.write_text(me, encoding="utf-8")
@@ -38,6 +43,7 @@ def locked(folder: Path) -> Generator[None]:
             raise FolderError(f"cannot write {path}: {e.strerror or e}.") from e
         yield
     finally:
+        _held.discard(key)
         path.unlink(missing_ok=True)  # first: nobody shall take a file that is going to vanish
         lock.release()
 

@@ -25,7 +25,7 @@ from ..retuning.assembly import try_model
 from ..retuning.decision import Decision, Point
 from ..retuning.lookahead import RunningSystem
 from ..retuning.policies import Policy, make_policy
-from ..sampling.sampler import Sampler
+from ..sampling.sampler import Sampler, measured_columns
 from ..scenarios.scenario import Scenario
 from ..scenarios.tuning_rule import TuningRule
 from ..slaves.slave import Slave
@@ -120,7 +120,8 @@ class Loop:
         self._read_back = ReadBackCheck(self._changed, master.names)  # the guard's are the others
         place = {name: i for i, name in enumerate(master.names)}
         self._tracked = [(place[a], place[b]) for a, b in scenario.tracking.items()]
-        self._recorded = [i for name, i in place.items() if name not in (*self._changed, *writes)]
+        chosen = _recorded(scenario, plant, master.names)
+        self._recorded = [i for name, i in place.items() if name in chosen - {*self._changed, *writes}]
         recorded = [master.names[i] for i in self._recorded]
         held_columns = [scenario.held_column(p) for p in scenario.estimation.parameters]
         self._rule, self._values = rule, rule(held)  # the controllers' parameters
@@ -224,6 +225,15 @@ class _TrueParameters:
 
     def __call__(self, t: float) -> Vector:
         return np.array([value(t) for value in self._values])
+
+
+def _recorded(scenario: Scenario, plant: Plant, names: Sequence[str]) -> set[str]:
+    """Return the outputs that are recorded. Raises ScenarioError."""
+    sampled = (name for columns in measured_columns(scenario, plant) for name in columns)
+    try:
+        return scenario.record.chosen(names, [*scenario.tracking, *scenario.tracking.values(), *sampled])
+    except ValueError as e:
+        raise ScenarioError(str(e)) from e
 
 
 def _running_plant(

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 import platform
 import sys
 from collections.abc import Mapping
@@ -105,12 +106,12 @@ def versions() -> dict[str, str]:
 
 def modules(folder: Path) -> dict[str, str]:
     """Return the SHA-256, by file, of loaded modules from where a scenario's model and estimator may be."""
-    loaded = {Path(file) for module in list(sys.modules.values()) if (file := getattr(module, "__file__", None))}
-    places = {folder.resolve(), Path.cwd()}
+    loaded = {file for module in list(sys.modules.values()) if (file := getattr(module, "__file__", None))}
+    places = tuple(os.path.normcase(place / "_")[:-1] for place in (folder.resolve(), Path.cwd()))
     return {
         str(file): sha256(file)
-        for file in sorted(loaded)
-        if file.suffix == ".py" and file.is_file() and places.intersection(file.parents)
+        for file in sorted(Path(file) for file in loaded if os.path.normcase(file).startswith(places))
+        if file.suffix == ".py" and file.is_file()
         if not {"site-packages", "dist-packages"}.intersection(file.parts) and Path(sys.prefix) not in file.parents
     }
 

@@ -230,7 +230,7 @@ def remove_half_written(folder: Path) -> None:
 
 
 def end_folder(run: Run, folder: Path, units: Mapping[str, Unit], unit_of: Mapping[str, str | None]) -> None:
-    """Write result, estimates and CSV of a finished run, and close its manifest with the hashes.
+    """Write result, estimates and, of a short one, CSV of a finished run, and close its manifest with the hashes.
 
     units: unit definitions of the FMUs, by name; unit_of: the unit of each parameter that a formula gives.
     """
@@ -241,7 +241,8 @@ def end_folder(run: Run, folder: Path, units: Mapping[str, Unit], unit_of: Mappi
         unit_of = {**unit_of, **{name: p.unit for p in parameters if p.is_written_as_it_is for name in p.written}}
         held = [ParameterValue(name, float(run[name][-1]), unit_of.get(name)) for name in run.scenario.written]
         write_text(folder / ESTIMATES, to_ssv(run.scenario.scenario.name, held, units))
-    write_csv(folder / CSV, run.series)
+    if run.scenario.record.is_small(len(run.time) * len(run.series)):
+        write_csv(folder / CSV, run.series)
     begun, manifest = read_manifest(folder), json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
     hashes = {name: sha256(folder / name) for name in sorted(SEALED) if (folder / name).is_file()}
     content = manifest | {"status": run.status, "sha256": hashes}

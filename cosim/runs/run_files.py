@@ -30,7 +30,7 @@ class RunFile:
 
 RUN_FILES: Final = (
     RunFile(MANIFEST, "scenario, seed, versions, hashes of FMUs, modules and of the files here", is_sealed=False),
-    RunFile(SERIES, "every variable at every communication point, an Arrow IPC stream", is_required=True),
+    RunFile(SERIES, "variables at every communication point, a compressed Arrow IPC stream", is_required=True),
     RunFile(EVENTS, "what re-tuning did and why, an event a line"),
     RunFile(RESULT, "the run's figures", is_made_at_end=True, is_required=True),
     RunFile(
@@ -38,7 +38,7 @@ RUN_FILES: Final = (
         is_made_at_end=True, is_required=True,
     ),
     RunFile(ESTIMATES, "what the controller holds in the end, for SSP tools", is_made_at_end=True),
-    RunFile(CSV, "the series once more, as text", is_made_at_end=True),
+    RunFile(CSV, "the series of a short run once more, as text", is_made_at_end=True),
     RunFile(CHECKPOINT, "where a run that was left goes on", is_sealed=False),
     RunFile(LOCK, "which command is at work here", is_sealed=False),
 )  # fmt: skip

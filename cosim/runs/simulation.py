@@ -4,8 +4,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from time import perf_counter
 
-from threadpoolctl import threadpool_limits
-
+from ..blas_threads import one_thread
 from ..errors import FolderError, NotResumableError
 from ..fmi.ports import attribute
 from ..fmi.table import TableSlave, is_table
@@ -82,7 +81,7 @@ def _simulated(
     check_estimator(estimator, scenario)
     paths = fmu_paths(scenario)
     hold_those_of(paths.values())
-    with threadpool_limits(1), ExitStack() as stack:  # the number of BLAS threads changes bits
+    with one_thread(), ExitStack() as stack:  # the number of BLAS threads changes bits
         begun = perf_counter()
         settings = scenario.scenario
         slaves = {

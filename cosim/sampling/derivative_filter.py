@@ -20,7 +20,7 @@ from math import isfinite
 from typing import Final
 
 import numpy as np
-from scipy.special import gammainc
+import scipy  # its parts, 0.3 s, are loaded when they are used
 
 from estimator import Sample, Vector
 
@@ -94,9 +94,9 @@ def state_variable(cutoff: float, order: int, macro_step: float) -> Kernel:
     step: F's step response is that of a gamma distribution. The response is cut where 0.1 % is left.
     """
     n = 1
-    while gammainc(order, cutoff * n * macro_step) < 1.0 - _TAIL:
+    while scipy.special.gammainc(order, cutoff * n * macro_step) < 1.0 - _TAIL:
         n += 1
-    weights = np.diff(gammainc(order, cutoff * macro_step * np.arange(n + 1)))
+    weights = np.diff(scipy.special.gammainc(order, cutoff * macro_step * np.arange(n + 1)))
     return Kernel(weights / weights.sum(), macro_step)
 
 

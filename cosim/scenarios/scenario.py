@@ -19,6 +19,7 @@ from .named import named_scenarios
 from .overrides import override
 from .schema.estimation import EstimatedParameter, EstimationSettings
 from .schema.guard import GuardSettings
+from .schema.record import RecordSettings
 from .schema.sampling import ObservationSettings, Sampling
 from .schema.simulation import ComponentSettings, RunLimits, SimulationSettings
 from .schema.table import Reference, Table
@@ -53,6 +54,8 @@ class Scenario(Table):
     """Rules for what is taken for changed parameters."""
     guard: GuardSettings = GuardSettings()
     """Limits on what is written into the controller, and rules for reverting it."""
+    record: RecordSettings = RecordSettings()
+    """Variables that a run folder holds, and in which form."""
     folder: Path = Field(default=Path(), exclude=True)
     """Folder that relative paths of FMUs begin at."""
     origin: CodeOrigin = Field(default=OWN, exclude=True)

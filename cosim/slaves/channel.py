@@ -197,6 +197,7 @@ def open_channel(argument: str) -> Channel:
 STEP, STEP_TUNED, CALL = 1, 2, 3  # requests
 VALUES, RESULT, FAULT = 16, 17, 18  # replies
 LOG = 32  # a line that the FMU logs, before the reply
+ALIVE = 33  # before the reply to many calls: the one just ended was in time
 
 _HEAD = struct.Struct("<BI")
 

@@ -4,12 +4,14 @@ Neither fmu_models nor pythonfmu is imported here: an FMU ships its own. Supervi
 """
 
 import contextlib
-from typing import Final, NoReturn
+from collections.abc import Callable
+from typing import Any, Final, NoReturn
 
 from ..errors import COLON, SlaveError
-from ..fmi.binding import FmuToLoad
+from ..fmi.binding import Binding, FmuToLoad
 from ..fmi.loading import load
 from ..fmi.step_batch import take_steps
+from ..fmi.trial_batch import take_trials
 from .channel import CALL, FAULT, RESULT, Channel, StepCodec, decode, encode, open_channel
 from .log_lines import LogSender
 from .supervision.forks import UnforkedChannel
@@ -23,13 +25,16 @@ _CALLS: Final = frozenset(
 
 def main(channel_argument: str) -> NoReturn:
     """Serve one FMU to the process that started this one."""
+    run(channel_argument, _serve)
+
+
+def run(channel_argument: str, serve: Callable[[Channel, SupervisedChild], None]) -> NoReturn:
+    """Call serve with the channel to the process that started this one, report what it raises, and end."""
     process = SupervisedChild()
     channel = UnforkedChannel(open_channel(channel_argument))
     try:
         channel.send(encode(RESULT, None))
-        fmu = FmuToLoad(*decode(channel.receive(None))[0])
-        process.end_with_parent(fmu.folder)
-        _serve(channel, fmu)
+        serve(channel, process)
     except (EOFError, BrokenPipeError, ConnectionResetError):
         process.leave(is_orphaned=True)
     except SlaveError as error:
@@ -39,12 +44,23 @@ def main(channel_argument: str) -> NoReturn:
     process.leave()
 
 
-def _serve(channel: Channel, fmu: FmuToLoad) -> None:
-    """Answer requests until the FMU is closed."""
+def _serve(channel: Channel, process: SupervisedChild) -> None:
+    """Load the FMU that the first message names, and answer requests until it is closed."""
+    fmu = FmuToLoad(*decode(channel.receive(None))[0])
+    process.end_with_parent(fmu.folder)
     log = LogSender(channel)
     binding = load(fmu, log)
     channel.send(encode(RESULT, None))
     codec = StepCodec(0, 0, 0)
+    bound: Any = [(), (), ()]
+
+    def renewed() -> Binding:
+        nonlocal binding
+        binding.close()
+        binding = load(fmu, log)
+        binding.bind(*bound)
+        return binding
+
     while True:
         message = channel.receive(None)
         log.call_begins()
@@ -60,11 +76,14 @@ def _serve(channel: Channel, fmu: FmuToLoad) -> None:
         if function == "many_steps":
             channel.send(encode(RESULT, None, take_steps(binding.step, blob or b"")))
             continue
+        if function == "trials":
+            channel.send(encode(RESULT, None, take_trials(binding, renewed, blob or b"")))
+            continue
         if function not in _CALLS:
             raise ValueError(f"no such call: {function!r}")
         result = getattr(binding, function)(*([blob] if blob is not None else arguments))
         if function == "bind":
-            codec = StepCodec(*map(len, arguments))
+            codec, bound = StepCodec(*map(len, arguments)), arguments
         channel.send(encode(RESULT, None, result) if isinstance(result, bytes) else encode(RESULT, result))
         if function == "close":
             return

@@ -6,15 +6,14 @@ about it is in supervision/.
 
 import struct
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from time import monotonic
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 from ..errors import COLON, IN_THE_CALL, SlaveError
-from ..fmi.binding import FmuToLoad
 from ..fmi.value_buffers import ScalarVariable
-from .channel import CALL, FAULT, KIND, LOG, RESULT, VALUES, StepCodec, channel_pair, decode, encode
+from .channel import ALIVE, CALL, FAULT, KIND, LOG, RESULT, VALUES, StepCodec, channel_pair, decode, encode
 from .log_lines import LogReceiver
 from .supervision.supervised_process import SupervisedProcess
 
@@ -25,18 +24,28 @@ CLOSE_TIMEOUT_S: Final = 2.0
 
 # cosim may be importable only because of this process's sys.path; -P keeps the working directory out of it.
 _BOOT: Final = """
-import sys
-root, channel, *path = sys.argv[1:]
+import importlib, sys
+root, program, channel, *path = sys.argv[1:]
 sys.path += [folder for folder in path if folder not in sys.path]
 sys.path.insert(0, root)
-from cosim.slaves.child import main
+from cosim.fmi.lazy_fmpy import load_fmpy_lazily
+load_fmpy_lazily()
+main = importlib.import_module(program).main
 sys.path.remove(root)
 main(channel)
 """
 
 
+class ToLoad(Protocol):
+    """Content of the first message to a program: JSON values, such as those of FmuToLoad."""
+
+    @property
+    def instance_name(self) -> str: ...
+    def __iter__(self) -> Iterator[Any]: ...
+
+
 class FmuProcess:
-    """An FMU that runs in a process of its own.
+    """An FMU, or what else a program loads, that runs in a process of its own.
 
     1. FmuProcess           starts the process, which loads the FMU; several load at the same time
     2. bind, call           one request and its answer
@@ -48,16 +57,18 @@ class FmuProcess:
 
     def __init__(
         self,
-        fmu: FmuToLoad,
+        fmu: "ToLoad",
         timeout_s: float,
         kind: str = KIND,
         memory_limit: float = 0.0,
         environment: Sequence[str] = (),
+        program: str = "cosim.slaves.child",
     ) -> None:
         """timeout_s is the time each call may take [s]; kind is that of channel_pair.
 
         memory_limit: resident memory that the process may have [MB], 0 for half of the machine's (Linux).
         environment: names of variables that it is given beside those which every FMU is given, `*` for any text.
+        program: module whose main serves it.
         """
         self._name = fmu.instance_name
         self._timeout_s = timeout_s
@@ -68,8 +79,8 @@ class FmuProcess:
         self._channel, theirs = channel_pair(kind)
         try:
             self._process = SupervisedProcess(
-                self._name, _command(theirs.argument), theirs.popen_arguments(), memory_limit, self._channel.hang_up,
-                environment,
+                self._name, _command(program, theirs.argument), theirs.popen_arguments(), memory_limit,
+                self._channel.hang_up, environment,
             )  # fmt: skip
         except BaseException:
             self._channel.close()
@@ -144,8 +155,8 @@ class FmuProcess:
     def _receive(self, function: str, t: float | None, kind: int, timeout_s: float) -> bytes:
         try:
             message = self._channel.receive(timeout_s)
-            if message[0] == LOG:
-                message = self._answer_after_log(message, timeout_s)
+            if message[0] in (LOG, ALIVE):
+                message = self._answer_after(message, timeout_s)
         except TimeoutError as error:
             self._end_after_fault()
             raise SlaveError(self._name, function, t, f"did not return within {timeout_s:g} s") from error
@@ -159,11 +170,17 @@ class FmuProcess:
         self._log.report()
         return message
 
-    def _answer_after_log(self, message: bytes, timeout_s: float) -> bytes:
-        """Return the first message that is not a line of the FMU's log. Raises as Channel.receive, and ValueError."""
+    def _answer_after(self, message: bytes, timeout_s: float) -> bytes:
+        """Return the first message that is no line of a log, nor a sign that one of many calls has ended in time.
+
+        Raises as Channel.receive, and ValueError.
+        """
         deadline = monotonic() + timeout_s  # an FMU that logs without end does not put it off
-        while message[0] == LOG:
-            self._log.add(message)
+        while message[0] in (LOG, ALIVE):
+            if message[0] == ALIVE:
+                deadline = monotonic() + timeout_s
+            else:
+                self._log.add(message)
             message = self._channel.receive(timeout_s)
             if monotonic() > deadline:
                 raise TimeoutError(f"no answer within {timeout_s} s")
@@ -199,7 +216,7 @@ class FmuProcess:
             self._log.report()
 
 
-def _command(channel: str) -> list[str]:
-    """Return the command of a fresh interpreter that runs child.py; not a fork: this process has threads."""
+def _command(program: str, channel: str) -> list[str]:
+    """Return the command of a fresh interpreter that runs child.py, or such; not a fork: this process has threads."""
     root = str(Path(__file__).resolve().parents[2])
-    return [sys.executable, "-u", "-P", "-c", _BOOT, root, channel, *filter(None, sys.path)]
+    return [sys.executable, "-u", "-P", "-c", _BOOT, root, program, channel, *filter(None, sys.path)]

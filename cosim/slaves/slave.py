@@ -13,7 +13,7 @@ import logging
 import math
 import os
 import weakref
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal, Self
 
@@ -25,6 +25,7 @@ from ..fmi.binding import LARGEST_STATE
 from ..fmi.folder import PrivateFolder
 from ..fmi.ports import Catalogue
 from ..fmi.step_batch import decode_outputs, encode_steps
+from ..fmi.trial_batch import TrialBatch, TrialOutputs, decode_trials, encode_trials
 from ..fmi.types import Value
 from .bound_variables import BoundVariables
 from .host import Host, InProcessFmu
@@ -47,6 +48,7 @@ def open_slave(
     memory_limit: float = 0.0,
     environment: Sequence[str] = (),
     tolerance: float | None = None,
+    after_call: Callable[[], None] | None = None,
 ) -> "Slave":
     """Unpack an FMU for co-simulation, FMI 2.0 or 3.0, into a private folder, and load it.
 
@@ -57,6 +59,7 @@ def open_slave(
     environment: names of environment variables that its process is given beside those which every FMU is given.
     tolerance: relative tolerance for the FMU's own solver; by default that of its default experiment, if any.
     out_of_range: whether an input or output outside its declared min and max is a fault, or a warning, given once.
+    after_call: called after each call of an FMU in this process.
 
     Raises ModelDescriptionError for a bad file, SlaveError when loading fails (isolated: in the first call).
     """
@@ -72,7 +75,7 @@ def open_slave(
         host = (
             FmuProcess(to_load, timeout, memory_limit=memory_limit, environment=environment)
             if isolated
-            else InProcessFmu(to_load)
+            else InProcessFmu(to_load, after_call)
         )
     except BaseException:
         folder.remove()
@@ -225,6 +228,38 @@ class Slave:
             self._values = self._checked_outputs(row)
         return rows
 
+    def trials(self, batch: TrialBatch, start: Sequence[Mapping[str, Value]]) -> TrialOutputs:
+        """Simulate each trial of a batch, in one call of the FMU's process, which has the timeout for all of them.
+
+        start: start values of each by name, in the place of the batch's. As initialize, set_state and many_steps,
+        with restart between them where there is no state. Raises SlaveError where nothing is known of any of them:
+        the FMU's process has died, or a value is refused; WiringError. After a fault only close may be called.
+        """
+        life, bound = self._life, self._bound
+        if batch.is_new:
+            life.check("trials", Phase.INSTANTIATED)
+        values = [[bound.start_value(n, v, batch.start_time) for n, v in named.items()] for named in start]
+        for times, inputs in batch.legs:
+            for t, row in zip(times, inputs, strict=False):
+                bound.check_set(bound.inputs, row, t)
+        trials = [trial._replace(start=own) for trial, own in zip(batch.trials, values, strict=True)]
+        for place, tunables in (leg for trial in trials for leg in trial.legs):
+            if tunables is not None:
+                bound.check_set(bound.tunables, tunables, batch.legs[place].times[0])
+        answer = life.call(self._host.call, "trials", life.time, encode_trials(batch._replace(trials=trials)))
+        ends = [batch.legs[trial.legs[-1][0]] for trial in trials]
+        rows, fault = decode_trials(answer, [len(leg.inputs) for leg in ends])
+        life.phase, self._values = Phase.RUNNING, None
+        for i, leg in enumerate(ends[: len(rows)]):
+            try:
+                for life.time, row in zip(leg.times[1:], rows[i], strict=True):
+                    self._values = self._checked_outputs(row)
+            except SlaveError as error:
+                rows, fault = rows[:i], error
+                break
+        life.fault = fault
+        return TrialOutputs(rows, fault)
+
     @property
     def has_states(self) -> bool:
         """True where the FMU can save and restore its state, serialised."""
@@ -283,6 +318,11 @@ class Slave:
         finally:
             self._life.close()
             self._finalizer()
+
+    @property
+    def is_closed(self) -> bool:
+        """True after close."""
+        return not self._finalizer.alive
 
     def __enter__(self) -> Self:
         return self

@@ -22,6 +22,7 @@ from ..runs.lock import locked
 from ..runs.record import Recorder, recording
 from ..runs.run_files import CSV, MANIFEST, RESULT, new_run_folder
 from ..runs.series import write_csv
+from ..scenarios.schema.record import RecordSettings
 from ..scenarios.schema.simulation import SimulationSettings
 from ..slaves.slave import Slave, open_slave
 from ..system.master import Master, Wiring
@@ -111,7 +112,8 @@ def _simulated(system: SystemStructure, settings: SimulationSettings, out: Path 
     if out is not None:
         with recording(out):
             write_json(out / RESULT, result.summary())
-            write_csv(out / CSV, result.series)
+            if RecordSettings().is_small(len(result.time) * len(result.series)):
+                write_csv(out / CSV, result.series)
             write_json(out / MANIFEST, _manifest(system, settings, status))
     if status == "interrupted":
         raise KeyboardInterrupt

@@ -22,6 +22,8 @@ def with_start_values(scenario: Scenario, files: Sequence[StartValues]) -> Scena
 
     Raises SspError, one line with the file and the parameter, for one that no component has: none is ignored.
     """
+    if not files:
+        return scenario
     found = {
         name: read_component(component_path(c, scenario.folder)) for name, c in scenario.components.items() if c.fmu
     }

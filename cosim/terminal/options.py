@@ -121,6 +121,11 @@ def _report(parser: Parser) -> None:
     parser.add_argument("--force", action="store_true", help="replace a file")
 
 
+def _csv(parser: Parser) -> None:
+    parser.add_argument("run", type=Path, metavar="RUN", help="run folder")
+    parser.add_argument("-o", "--out", type=Path, metavar="FILE", help="new CSV file (default: series.csv in RUN)")
+
+
 def _view(parser: Parser) -> None:
     parser.add_argument("folders", type=Path, nargs="+", metavar="RUN", help="run folder, or a folder of runs; several")
     parser.add_argument("--no-browser", action="store_true", help="print the address, and open no browser")
@@ -250,6 +255,7 @@ _OPTIONS: Final[Mapping[str, tuple[str, Callable[[Parser], None]]]] = {
     "replay": ("give the recorded samples of a run to other estimators, open loop", _replay),
     "report": ("write what a run did into one HTML file, to send and to look at", _report),
     "view": ("show runs in a browser, on a page that grows with them", _view),
+    "csv": ("write the series of a run as CSV", _csv),
     "plot": ("draw outputs, inputs and parameters of runs over one another", _plot),
     "figures": ("draw the paper's figures and table from runs made here", _figures),
     "new": ("write a scenario for your own FMUs, to look over", _new),

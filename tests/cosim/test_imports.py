@@ -56,6 +56,47 @@ def test_the_process_of_an_fmu_loads_neither_estimators_nor_scenarios():
     assert loaded.isdisjoint({"GPy", "pydantic", "pyarrow", "matplotlib", "tqdm", "estimator", "fmu_models"})
 
 
+def test_the_process_of_an_fmu_loads_of_fmpy_what_calls_it_only():
+    program = """
+import sys
+from cosim.fmi.lazy_fmpy import load_fmpy_lazily
+load_fmpy_lazily()
+import cosim.slaves.child, cosim.fmi.fmi2_co_simulation, cosim.fmi.fmi3_co_simulation
+heavy = {"numpy", "lxml", "fmpy.simulation", "fmpy.util"} & set(sys.modules)
+assert not heavy, heavy
+"""
+    assert "fmpy" in loaded_by(program + "pass")
+
+
+def test_what_fmpy_left_out_is_there_for_whoever_asks():
+    program = """
+from cosim.fmi.lazy_fmpy import load_fmpy_lazily
+load_fmpy_lazily()
+import fmpy
+from fmpy import read_model_description, simulate_fmu
+import fmpy.model_description, fmpy.simulation, fmpy.util
+assert simulate_fmu is fmpy.simulate_fmu is fmpy.simulation.simulate_fmu
+assert read_model_description is fmpy.model_description.read_model_description
+assert fmpy.plot_result is fmpy.util.plot_result
+assert not hasattr(fmpy, "no_such_name")
+pass"""
+    loaded_by(program)
+
+
+def test_a_run_loads_scipy_while_its_fmus_start_and_an_fmu_is_described_without_it():
+    parts = {"scipy.linalg", "scipy.optimize", "scipy.spatial", "scipy.special", "scipy.sparse", "scipy.stats"}
+    for program in ("import cosim.commands.run", "import cosim.commands.info"):
+        command = [sys.executable, "-c", program + "; import sys; print(*sys.modules)"]
+        loaded = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60).stdout.split()
+        assert parts.isdisjoint(loaded), program
+
+
+def test_the_process_of_a_loop_and_the_description_of_an_fmu_do_without_numpy():
+    begin = "from cosim.fmi.lazy_fmpy import load_fmpy_lazily; load_fmpy_lazily()"
+    loaded = loaded_by(f"{begin}; import cosim.system.loop_child, cosim.authoring.info, cosim.commands.info")
+    assert loaded.isdisjoint({"numpy", "scipy", "pydantic", "estimator"})
+
+
 def test_help_waits_for_nothing_heavy():
     program = "from cosim.cli import main\ntry: main(['--help'])\nexcept SystemExit: pass\nimport sys"
     command = [sys.executable, "-c", program + "\nprint('MODULES', *sys.modules)"]

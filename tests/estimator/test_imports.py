@@ -63,6 +63,21 @@ def test_importing_the_estimators_brings_in_no_fmu_and_no_co_simulation():
 def test_importing_the_estimators_waits_for_neither_gpy_nor_statistics_nor_plots():
     program = "import sys, estimator; print(*sys.modules)"
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
+    heavy = {"GPy", "scipy.stats", "scipy.special", "scipy.optimize", "scipy.linalg", "matplotlib", "pandas"}
+    assert set(run.stdout.split()).isdisjoint(heavy)
+
+
+def test_a_search_of_target_needs_neither_gpy_nor_statistics_nor_plots():
+    program = """
+import sys, numpy as np
+from estimator import Parameter, ParameterSpace, TargetVector
+space = ParameterSpace((Parameter("m", 0.1, 5.0, "kg"), Parameter("l", 0.1, 3.0, "m")))
+target = TargetVector(space, np.ones(2), np.random.default_rng(0))
+for m, l in (target.ask() for _ in range(8)):
+    target.tell(np.array([m, l]), np.array([m * l - 1.3125, 1.0 / l - 1.0 / 0.75]) / 0.01)
+target.estimate()
+print(*sys.modules)"""
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
     assert set(run.stdout.split()).isdisjoint({"GPy", "scipy.stats", "matplotlib", "pandas"})
 
 

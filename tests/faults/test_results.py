@@ -423,7 +423,8 @@ def test_what_does_no_harm_is_passed_over(runs, copied, capfd, inject, how):
         assert {p.name for p in folder.iterdir()} == {p.name for p in runs.done.iterdir()}
 
 
-def test_a_run_recorded_without_checkpoints_says_so(runs, tmp_path, capfd):
+def test_a_run_recorded_without_checkpoints_says_so(runs, tmp_path, capfd, monkeypatch):
+    monkeypatch.setattr("cosim.runs.record.ROWS_PER_BATCH", 50)
     scenario = Scenario.load(runs.scenario / "mine.toml", SETTINGS | {"scenario.checkpoint": "0"})
 
     def stop(t, _):

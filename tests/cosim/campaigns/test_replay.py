@@ -46,7 +46,9 @@ OWN = {
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """A recorded run of `target` with innovation trigger and noise on the states."""
     folder = tmp_path_factory.mktemp("recorded")
-    return run(Scenario.load("pendulum", EARLY_CHANGE | INNOVATION | NOISY_STATES), "target", 5, folder)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("cosim.runs.record.ROWS_PER_BATCH", 25)
+        return run(Scenario.load("pendulum", EARLY_CHANGE | INNOVATION | NOISY_STATES), "target", 5, folder)
 
 
 @pytest.fixture

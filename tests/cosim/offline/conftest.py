@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 import scipy.linalg  # noqa: F401 -- its BLAS must be loaded to be limited
-from threadpoolctl import threadpool_limits
 
 from benchmarks.native_fmus import SOURCES, build_c
+from cosim.blas_threads import one_thread
 
 HERE = Path(__file__).parent
 
@@ -52,5 +52,5 @@ def oracles():
 @pytest.fixture(scope="session", autouse=True)
 def one_blas_thread():
     """As the command runs."""
-    with threadpool_limits(1):
+    with one_thread():
         yield

@@ -106,6 +106,17 @@ def test_the_peak_is_that_of_an_independent_integration(loop, controller, lackin
     assert made.predicted_peak(controller, CHANGED) == pytest.approx(expected, abs=1e-8)
 
 
+def test_in_a_process_of_its_own_it_is_the_same_bits(loop):
+    """One process for all three FMUs, which goes back as often as it is asked to."""
+    here, isolated = loop(), loop(**{"scenario.isolation": '"process"'})
+    places = [(NOMINAL, NOMINAL), (CHANGED, NOMINAL), (np.array([0.2, 0.3]), CHANGED), (NOMINAL, NOMINAL)]
+    expected = [here.predicted_peak(*place) for place in places]
+    assert len({*expected}) == 3
+    assert [isolated.predicted_peak(*place) for place in places] == expected
+    assert isolated.predicted_peak(np.array([1.75, 1e-3]), NOMINAL) is None  # refused; then it is opened once more
+    assert isolated.predicted_peak(*places[1]) == expected[1]
+
+
 def test_with_the_truth_in_the_plant_it_is_what_then_happens(loop, pendulum):
     # the nominal run, which the shadow joins after 20 of its 100 steps
     result = run(pendulum(SWING | {"changes": "{}"}, stop_time=0.7), "none")

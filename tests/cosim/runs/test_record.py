@@ -119,6 +119,19 @@ def test_the_series_is_a_plain_arrow_stream_for_other_tools(tmp_path):
     assert table.num_rows == N_ROWS
 
 
+def test_a_series_is_compressed_and_one_that_is_not_is_read_too(tmp_path):
+    recorder = Recorder(tmp_path, COLUMNS)
+    for k in range(N_ROWS):
+        recorder.row((0.01 * k, 1.0, 2.0))  # two of three columns are constant
+    series = recorder.close()
+    assert (tmp_path / SERIES).stat().st_size < N_ROWS * 8 * 2
+    table = pa.table({name: pa.array(column) for name, column in series.items()})
+    with pa.ipc.new_stream(tmp_path / SERIES, table.schema) as writer:
+        writer.write_table(table)
+    assert (tmp_path / SERIES).stat().st_size > N_ROWS * 8 * 3
+    np.testing.assert_equal(read_series(tmp_path), series)
+
+
 def test_events_are_json_lines_with_time_and_kind_first(tmp_path):
     recorder = Recorder(tmp_path, ["time"])
     recorder.event(0.5, "write", {"theta": [1.0, float("nan")], "reason": "two\nlines"})

@@ -21,6 +21,7 @@ import cosim.slaves.slave
 from cosim.errors import ModelDescriptionError, SlaveError, WiringError
 from cosim.fmi.archive import read_description
 from cosim.fmi.fmu_log import MessageLog
+from cosim.fmi.trial_batch import BatchTrial, TrialBatch, TrialLeg
 from cosim.fmi.value_buffers import ScalarVariable, buffers_of
 from cosim.slaves.process import FmuProcess
 from cosim.slaves.slave import open_slave
@@ -145,6 +146,42 @@ def test_many_steps_keep_to_the_rules_of_one(mixer):
         ):
             slave.many_steps([0.0, 0.5, 1.0], [[1.0], [11.0]])
         assert slave.many_steps([0.0, 0.5], [[1.0]]) == [(0.5,)]  # nothing had happened
+
+
+LEGS = [TrialLeg([0.0, 0.5], [[1.0]]), TrialLeg([0.5, 0.75, 1.0], [[2.0], [3.0]])]
+
+
+def trials(gains, **more):
+    each = [BatchTrial((), [(0, None), (1, [gain])]) for gain in gains]
+    return TrialBatch(0.0, more.get("state"), more.get("is_new", True), LEGS, each)
+
+
+def test_trials_begin_in_start_values_of_their_own_or_all_in_one_state(mixer, isolation):
+    with open_slave(mixer, "plant", isolation=isolation) as slave:
+        slave.bind(inputs=["u"], tunables=["gain"], outputs=["y", "steps"])
+        found = slave.trials(trials([2.0, 4.0]), [{"y": 0.0}, {"y": 1.0, "gain": 3.0}])
+        # y + 0.5 gain 1, with the first gain; then + 0.25 gain 2 and + 0.25 gain 3, with the second.
+        assert found == ([[(1.5, 2.0), (3.0, 3.0)], [(4.5, 2.0), (7.5, 3.0)]], None)
+        assert slave.get() == (7.5, 3.0)
+        state = slave.get_state()
+        found = slave.trials(trials([1.0, 2.0], state=state, is_new=False), [{}, {}])
+        assert found == ([[(10.0, 5.0), (10.75, 6.0)], [(10.5, 5.0), (12.0, 6.0)]], None)
+
+
+def test_trials_end_with_the_first_that_fails_and_tell_of_those_before_it(mixer):
+    with open_slave(mixer, "plant") as slave:
+        slave.bind(inputs=["u"], tunables=["gain"], outputs=["y"])
+        rows, fault = slave.trials(trials([2.0, 1e308, 3.0]), [{}, {"y": 1e308}, {}])
+        assert rows == [[(1.5,), (3.0,)]]
+        assert re.match(r"plant: get at t = \S+ s: output 'y' is inf", str(fault))
+        with pytest.raises(RuntimeError, match="must not be called after"):
+            slave.get()
+    with open_slave(mixer, "plant") as slave:
+        slave.bind(inputs=["u"], outputs=["y"])
+        with pytest.raises(SlaveError, match="input 'u' must be within"):
+            slave.trials(
+                TrialBatch(0.0, None, True, [TrialLeg([0.0, 1.0], [[11.0]])], [BatchTrial((), [(0, None)])]), [{}]
+            )
 
 
 def test_a_restart_makes_the_fmu_new_and_keeps_what_is_bound(mixer, isolation):

@@ -1,0 +1,24 @@
+"""`retune csv`."""
+
+import argparse
+from pathlib import Path
+
+from ..runs.record import recording
+from ..runs.run_files import CSV
+from ..runs.series import read_series, write_csv
+from ..terminal.exit_codes import DONE
+from ..terminal.folders import must_be_new
+
+
+def command(options: argparse.Namespace) -> int:
+    """Run the command; return the exit code."""
+    out: Path = options.out or options.run / CSV
+    if options.out is None and out.is_file():
+        print(f"{out}  is there already")
+        return DONE
+    series = read_series(options.run)
+    must_be_new(out, "--out")
+    with recording(out.parent):
+        write_csv(out, series)
+    print(f"{out}  {len(series['time'])} rows of {len(series)} columns")
+    return DONE

@@ -3,14 +3,14 @@
 import ctypes
 import os
 from collections.abc import Callable, Sequence
-from ctypes import c_bool, c_double, c_size_t, c_uint, c_void_p
+from ctypes import byref, c_bool, c_double, c_size_t, c_uint, c_void_p
 from types import SimpleNamespace
 from typing import Any
 
 from fmpy import read_model_description
 
 from ..errors import SlaveError
-from .binding import WARNING, FmuToLoad, StartValues, failure
+from .binding import LARGEST_STATE, WARNING, FmuToLoad, StartValues, failure
 from .fmu_log import LogListener, Messages
 from .preflight.description import clock_problem
 from .value_buffers import ScalarVariable
@@ -34,7 +34,10 @@ class Fmi3Calls:
 
     def call(self, name: str, function: Any, *arguments: object) -> None:
         """Call a C function with the instance. Raises SlaveError unless it returns OK or Warning."""
-        status = function(self.instance, *arguments)
+        self.check(name, function(self.instance, *arguments))
+
+    def check(self, name: str, status: int) -> None:
+        """Raise SlaveError for a status other than OK and Warning."""
         if status > WARNING:
             raise self.fault(name, status)
 
@@ -95,11 +98,34 @@ class Fmi3Calls:
         """Exit initialization mode."""
         self.call("exit_initialization_mode", self.raw("fmi3ExitInitializationMode"))
 
+    def get_state(self) -> bytes | int:
+        """Return the FMU's state, serialised; only its size where that is above LARGEST_STATE."""
+        state, size = c_void_p(), c_size_t()
+        self.call("get_state", self.raw("fmi3GetFMUState", c_void_p), byref(state))
+        self.call("serialise_state", self.raw("fmi3SerializedFMUStateSize", c_void_p, c_void_p), state, byref(size))
+        saved = self._serialised(state, size) if size.value <= LARGEST_STATE else size.value
+        self.call("free_state", self.raw("fmi3FreeFMUState", c_void_p), byref(state))
+        return saved
+
+    def set_state(self, serialised: bytes) -> None:
+        """Go back to a state that get_state returned."""
+        state = c_void_p()
+        deserialise = self.raw("fmi3DeserializeFMUState", c_void_p, c_size_t, c_void_p)
+        self.call("deserialise_state", deserialise, serialised, len(serialised), byref(state))
+        self.call("set_state", self.raw("fmi3SetFMUState", c_void_p), state)
+        self.call("free_state", self.raw("fmi3FreeFMUState", c_void_p), byref(state))
+
     def close(self) -> None:
         """Terminate, if it was initialized, and free."""
         if self.time is not None:
             self.call("terminate", self.raw("fmi3Terminate"))
         self.fmu.freeInstance()
+
+    def _serialised(self, state: c_void_p, size: c_size_t) -> bytes:
+        buffer = ctypes.create_string_buffer(size.value)
+        serialise = self.raw("fmi3SerializeFMUState", c_void_p, c_void_p, c_size_t)
+        self.call("serialise_state", serialise, state, buffer, size)
+        return buffer.raw
 
     def _accessor(self, name: str) -> Any:
         if name not in self._accessors:

@@ -1,13 +1,12 @@
 """An FMI 3.0 co-simulation FMU loaded into this process."""
 
-import ctypes
 from collections.abc import Sequence
-from ctypes import byref, c_bool, c_double, c_size_t, c_void_p
+from ctypes import byref, c_bool, c_double, c_void_p
 
 from fmpy import fmi3
 
 from ..errors import SlaveError
-from .binding import LARGEST_STATE, FmuToLoad, StartValues
+from .binding import FmuToLoad, StartValues
 from .fmi3_calls import Fmi3Calls
 from .fmu_log import LogListener
 from .value_buffers import ScalarVariable
@@ -80,28 +79,13 @@ class Fmi3CoSimulation:
 
     def get_state(self) -> bytes | int:
         """Return the FMU's state, serialised; only its size where that is above LARGEST_STATE."""
-        fmi, state, size = self._fmi, c_void_p(), c_size_t()
         self._no_state_before = False
-        fmi.call("get_state", fmi.raw("fmi3GetFMUState", c_void_p), byref(state))
-        fmi.call("serialise_state", fmi.raw("fmi3SerializedFMUStateSize", c_void_p, c_void_p), state, byref(size))
-        saved = self._serialised(state, size) if size.value <= LARGEST_STATE else size.value
-        fmi.call("free_state", fmi.raw("fmi3FreeFMUState", c_void_p), byref(state))
-        return saved
-
-    def _serialised(self, state: c_void_p, size: c_size_t) -> bytes:
-        buffer = ctypes.create_string_buffer(size.value)
-        serialise = self._fmi.raw("fmi3SerializeFMUState", c_void_p, c_void_p, c_size_t)
-        self._fmi.call("serialise_state", serialise, state, buffer, size)
-        return buffer.raw
+        return self._fmi.get_state()
 
     def set_state(self, serialised: bytes) -> None:
         """Go back to a state that get_state returned."""
-        fmi, state = self._fmi, c_void_p()
         self._no_state_before = False
-        deserialise = fmi.raw("fmi3DeserializeFMUState", c_void_p, c_size_t, c_void_p)
-        fmi.call("deserialise_state", deserialise, serialised, len(serialised), byref(state))
-        fmi.call("set_state", fmi.raw("fmi3SetFMUState", c_void_p), state)
-        fmi.call("free_state", fmi.raw("fmi3FreeFMUState", c_void_p), byref(state))
+        self._fmi.set_state(serialised)
 
     def close(self) -> None:
         """Terminate, if it was initialized, and free."""

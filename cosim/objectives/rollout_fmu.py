@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from ..errors import CosimError, ScenarioError
-from ..fmi.archive import co_simulation, read_description
+from ..fmi.archive import capabilities, read_description
 from ..fmi.ports import Catalogue
 from ..scenarios.scenario import Scenario
 from ..slaves.slave import Slave, open_slave
@@ -99,7 +99,7 @@ def shadow_of(scenario: Scenario, plant: Plant, is_live: bool) -> Shadow:
             port = catalogue.start_port(names[-1], p.lower)
             if problem := port.problem([p.lower]) or port.problem([p.upper]):
                 raise ScenarioError(f"bounds of '{p.name}': {problem}")
-        interface: Any = co_simulation(description)
+        interface: Any = capabilities(description)
         start = {k: v for k, v in scenario.components[plant.name].start.items() if k in variables}
         shadow = Shadow(
             fmu, inputs, plant.states, outputs, tuple(n.noise for n in scenario.sampling.outputs.values()),

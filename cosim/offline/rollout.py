@@ -14,7 +14,7 @@ import numpy as np
 
 from estimator.space import ParameterSpace, Vector
 
-from ..fmi.archive import co_simulation
+from ..fmi.archive import capabilities, has_fixed_step
 from ..fmi.component import Component
 from ..objectives.rollout_pool import Pool
 from ..slaves.slave import Slave, open_slave
@@ -70,8 +70,8 @@ class Rollouts:
 
     def __init__(self, plant: SimulatedPlant, component: Component, windows: Sequence[LogWindow], jobs: int) -> None:
         """jobs: number of processes. Raises LogError where the FMU cannot step as the log's rows ask."""
-        interface: Any = co_simulation(component.description)
-        is_even = not interface.canHandleVariableCommunicationStepSize
+        interface: Any = capabilities(component.description)
+        is_even = has_fixed_step(component.description)
         self._plant, self._grids = plant, [grid_of(w, plant.step, is_even) for w in windows]
         self._windows = tuple(windows)
         self._pool = Pool(self._opened, jobs, not interface.canBeInstantiatedOnlyOncePerProcess)

@@ -17,7 +17,7 @@ from estimator import Sample, Vector
 from estimator.differences import central_differences
 
 from ..errors import CosimError, ScenarioError, SlaveError, WiringError
-from ..fmi.archive import co_simulation
+from ..fmi.archive import capabilities
 from ..fmi.table import TableSlave
 from ..scenarios.scenario import Scenario
 from ..scenarios.tuning_rule import TuningRule
@@ -243,7 +243,7 @@ class Lookahead:
             if isinstance(slave, TableSlave):
                 self._shadows[name] = TableSlave(path, label)
                 continue
-            once = bool(co_simulation(slave.description).canBeInstantiatedOnlyOncePerProcess)
+            once = bool(capabilities(slave.description).canBeInstantiatedOnlyOncePerProcess)
             own: dict[str, Any] = options | ({"isolation": "process"} if once else {})
             own["tolerance"] = self._scenario.components[name].tolerance
             try:

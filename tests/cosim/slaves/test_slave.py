@@ -460,7 +460,6 @@ def damaged(folder: Path, fmu: Path, how: str) -> Path:
             "schema": lambda text: text.replace('causality="input"', 'causality="in\nput"'),
             "FMI 3": lambda text: text.replace('fmiVersion="2.0"', 'fmiVersion="3.0"'),
             "no version": lambda text: text.replace('fmiVersion="2.0"', ""),
-            "model exchange": lambda text: re.sub("<CoSimulation[^>]*>", '<ModelExchange modelIdentifier="M"/>', text),
             "identifier": lambda text: text.replace('modelIdentifier="Mixer"', 'modelIdentifier="../../x"'),
         }
         with_description(fmu, file, edits[how])
@@ -479,7 +478,6 @@ def damaged(folder: Path, fmu: Path, how: str) -> Path:
         ("schema", r"bad\.fmu is not a usable FMU: .*causality"),
         ("FMI 3", r"bad\.fmu is not a usable FMU|not FMI 2\.0 co-simulation"),
         ("no version", r"bad\.fmu is not a usable FMU"),
-        ("model exchange", r"bad\.fmu is an FMI 2\.0 model-exchange FMU, not FMI 2\.0 or 3\.0 co-simulation"),
         ("identifier", r"bad\.fmu (is not a usable FMU|has the model identifier)"),
     ],
     ids=lambda value: value if " " not in value or (value.isascii() and "\\" not in value) else "",

@@ -22,7 +22,9 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
         return NULL;
     }
 #endif
-    return new_model(0);
+    Model *m = new_model(0);
+    if (m) m->is_in_event_mode = has_event_mode;
+    return m;
 }
 void fmi3FreeInstance(fmi3Instance c) { free(c); }
 fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n, const fmi3String categories[]) {
@@ -35,6 +37,7 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean has_tolerance
 }
 fmi3Status fmi3ExitInitializationMode(fmi3Instance c) {
     refresh(((Model *)c)->v);
+    ((Model *)c)->is_initialized = 1;
     return fmi3OK;
 }
 fmi3Status fmi3EnterEventMode(fmi3Instance c) {
@@ -58,15 +61,25 @@ fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t 
 }
 fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t n, const fmi3Float64 value[],
                           size_t size) {
+#ifdef LOCKED
+    const Model *m = c;
+    for (size_t i = 0; i < n; i++)
+        if (vr[i] >= LOCKED && m->is_initialized && !m->is_in_event_mode) return fmi3Error;
+#endif
     return ANSWER(size == n && write_values(c, vr, n, value));
 }
 
 /* Co-simulation */
 
-fmi3Status fmi3EnterStepMode(fmi3Instance c) { return fmi3OK; }
+fmi3Status fmi3EnterStepMode(fmi3Instance c) {
+    ((Model *)c)->is_in_event_mode = 0;
+    return fmi3OK;
+}
 fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean keeps_no_state, fmi3Boolean *has_event,
                       fmi3Boolean *is_over, fmi3Boolean *is_early, fmi3Float64 *last) {
-    *has_event = *is_over = *is_early = fmi3False;
+    *has_event = is_step_event(((Model *)c)->v);
+    *is_over = *is_early = fmi3False;
+    if (((Model *)c)->is_in_event_mode) return fmi3Error;
     *last = t + h;
 #ifdef EARLY
     *is_early = fmi3True;

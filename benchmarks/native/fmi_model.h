@@ -20,7 +20,8 @@
    In FMI 3.0 the value reference N_VARIABLES is the time. -DONCE: one instance a process, as some tools export.
    -DONLY_EXCHANGE: no co-simulation. -DTOLERANCE=PLACE: the tolerance that it is given is put there, -1 without one.
    -DEARLY: each step of FMI 3.0 returns in its middle. -DOVER: each asks to end the simulation.
-   -DNEEDS_EVENT_MODE: no co-simulation in FMI 3.0 without it.
+   -DNEEDS_EVENT_MODE: no co-simulation in FMI 3.0 without it. -DLOCKED=PLACE: from that place on, values are set before
+   initialization and in event mode only.
    The headers of the standard are FMPy's (fmpy/c-code). */
 
 #include <math.h>
@@ -44,6 +45,7 @@ typedef struct {
     double time;
     int is_exchange;
     int is_in_event_mode;
+    int is_initialized;
 } Model;
 
 static Model *new_model(int is_exchange) {

@@ -21,7 +21,7 @@ from .binding import FmuToLoad
 from .elements import scalarized
 from .folder import PrivateFolder
 from .preflight.archive import archive_findings
-from .preflight.description import description_findings, harmless_findings, index_findings
+from .preflight.description import clock_problem, description_findings, harmless_findings, index_findings, is_true
 from .preflight.library import library_problem, needed_functions
 from .preflight.xml import LARGEST, strict_root
 
@@ -54,6 +54,8 @@ def read_description(fmu: Path, interface: InterfaceName | None = None) -> Model
     description = read_any(fmu)
     if problem := unusable(description, interface):
         raise ModelDescriptionError(f"{fmu} {problem}.")
+    if interface is None and (problem := clock_problem(description)):
+        raise ModelDescriptionError(f"{fmu} cannot be a component: {problem}.")
     return description if description.fmiVersion == "2.0" else scalarized(description)
 
 
@@ -160,6 +162,7 @@ def fmu_to_load(
         "pythonfmu" in (description.generationTool or "").lower(),
         str(description.fmiVersion),
         interface,
+        is_true(getattr(interfaces(description)[interface], "hasEventMode", False)),
         _declared_tolerance(description) if tolerance is None else tolerance,
     )
 

@@ -30,6 +30,8 @@ class FmuToLoad(NamedTuple):
     fmi_version: str = "2.0"
     interface: str = "co-simulation"
     """'co-simulation', 'model-exchange', as a component that is integrated, or 'derivatives', as a function."""
+    has_event_mode: bool = False
+    """True for an FMI 3.0 co-simulation FMU that is used with its event mode."""
     tolerance: float | None = None
     """Relative tolerance for its own solver; None gives it none."""
 

@@ -2,7 +2,7 @@
 
 import ctypes
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from ctypes import byref, c_bool, c_double, c_size_t, c_uint, c_void_p
 from types import SimpleNamespace
 from typing import Any
@@ -12,7 +12,6 @@ from fmpy import read_model_description
 from ..errors import SlaveError
 from .binding import LARGEST_STATE, WARNING, FmuToLoad, StartValues, failure
 from .fmu_log import LogListener, Messages
-from .preflight.description import clock_problem
 from .value_buffers import ScalarVariable
 from .value_buffers3 import ValueBuffer3, buffers3_of, overlaid, start_arrays
 
@@ -20,15 +19,20 @@ from .value_buffers3 import ValueBuffer3, buffers3_of, overlaid, start_arrays
 class Fmi3Calls:
     """Base class of both interfaces of FMI 3.0: loading, and calls whose status is checked."""
 
-    def __init__(self, fmu: FmuToLoad, make: Callable[..., Any], on_log: LogListener | None = None) -> None:
-        """make: FMPy's class for the interface; on_log: called with each message of the FMU. Raises SlaveError."""
+    def __init__(
+        self, fmu: FmuToLoad, make: Callable[..., Any], on_log: LogListener | None = None, **options: bool
+    ) -> None:
+        """make: FMPy's class for the interface; on_log: called with each message of the FMU; options: of instantiation.
+
+        Raises SlaveError.
+        """
         self.name = fmu.instance_name
         self.time: float | None = None
         self._tolerance = fmu.tolerance
         self.log = Messages(on_log)
         self.description = read_model_description(fmu.folder, validate=False)
         self.start = start_arrays(self.description)
-        self.fmu = self._load(fmu, make)
+        self.fmu = self._load(fmu, make, options)
         self.instance = ctypes.cast(self.fmu.component, c_void_p)
         self._accessors: dict[str, Any] = {}
 
@@ -132,7 +136,7 @@ class Fmi3Calls:
             self._accessors[name] = self.raw(name, c_void_p, c_size_t, c_void_p, c_size_t)
         return self._accessors[name]
 
-    def _load(self, to_load: FmuToLoad, make: Callable[..., Any]) -> Any:
+    def _load(self, to_load: FmuToLoad, make: Callable[..., Any], options: Mapping[str, bool]) -> Any:
         directory = os.getcwd()
         try:
             fmu = _lenient(make)(
@@ -141,11 +145,11 @@ class Fmi3Calls:
                 unzipDirectory=to_load.folder,
                 instanceName=to_load.instance_name,
             )
-            fmu.instantiate(loggingOn=True, logMessage=lambda _, status, __, text: self.log.add(status, text or b""))
+            fmu.instantiate(
+                loggingOn=True, logMessage=lambda _, status, __, text: self.log.add(status, text or b""), **options
+            )
         except Exception as error:  # FMPy raises nothing more special
-            problem = clock_problem(self.description) if to_load.interface == "co-simulation" else None
             reason = self.log.reason() or str(error)
-            reason = f"{reason.rstrip('.')}; {problem}" if problem else reason
             raise SlaveError(self.name, "instantiate", None, f"failed: {reason}") from error
         finally:
             os.chdir(directory)  # FMPy stays in the FMU's folder when loading fails

@@ -7,7 +7,6 @@ few values kept here is all that has to be saved.
 """
 
 import math
-import struct
 from collections.abc import Sequence
 from typing import Any, Final
 
@@ -16,17 +15,13 @@ from .binding import FmuToLoad, StartValues
 from .fmi2_equations import Fmi2Equations
 from .fmi3_equations import Fmi3Equations
 from .fmu_log import LogListener
+from .held_values import MOST_EVENTS, SLACK, HeldValues
 from .value_buffers import ScalarVariable
 
 TOLERANCE: Final = 1e-6
 """Relative tolerance where neither the FMU nor the scenario has one."""
 _SHARE: Final = 0.01
 """Tolerance of a step of CVODE as a share of that: begun anew at each communication point, it makes errors at each."""
-_MOST_EVENTS: Final = 100
-"""Events at one time, and updates of the discrete states in one of them: a model that has more never ends."""
-_SLACK: Final = 1e-9
-"""Share of a step by which an event may miss a communication point, from rounding, and still be at it."""
-_HEAD: Final = struct.Struct("<ddQ")
 
 
 class IntegratedModel:
@@ -86,7 +81,7 @@ class IntegratedModel:
             model.set_inputs(inputs)
             self._inputs = tuple(inputs)
             self._leave_event_mode()
-        self._integrate(t + h, _SLACK * h)
+        self._integrate(t + h, SLACK * h)
         return model.outputs()
 
     def get(self) -> tuple[float, ...]:
@@ -95,18 +90,16 @@ class IntegratedModel:
 
     def get_state(self) -> bytes | int:
         """Return the state of FMU and integration, serialised; the FMU's size where that is above LARGEST_STATE."""
-        state, inputs = self._model.get_state(), self._inputs
+        state = self._model.get_state()
         if isinstance(state, int):
             return state
-        n = 0 if inputs is None else len(inputs) + 1
-        return _HEAD.pack(self._time, self._next_event, n) + struct.pack(f"<{max(n - 1, 0)}d", *inputs or ()) + state
+        return HeldValues(self._time, self._next_event, self._inputs).joined(state)
 
     def set_state(self, serialised: bytes) -> None:
         """Go back to a state that get_state returned."""
-        self._time, self._next_event, n = _HEAD.unpack_from(serialised)
-        values = struct.Struct(f"<{max(n - 1, 0)}d")
-        self._inputs = values.unpack_from(serialised, _HEAD.size) if n else None
-        self._model.set_state(serialised[_HEAD.size + values.size :])
+        held, state = HeldValues.split(serialised)
+        self._time, self._next_event, self._inputs = held
+        self._model.set_state(state)
         self._model.set_time(self._time)
 
     def close(self) -> None:
@@ -127,8 +120,8 @@ class IntegratedModel:
             is_anew = is_event or (is_there and self._next_event <= self._time)
             if is_anew:
                 n_at_once = n_at_once + 1 if self._time - last <= slack else 1
-                if n_at_once > _MOST_EVENTS:
-                    raise self._fault("do_step", f"had more than {_MOST_EVENTS} events at one time")
+                if n_at_once > MOST_EVENTS:
+                    raise self._fault("do_step", f"had more than {MOST_EVENTS} events at one time")
                 last = self._time
                 self._model.enter_event_mode()
                 self._leave_event_mode()
@@ -167,14 +160,14 @@ class IntegratedModel:
 
     def _leave_event_mode(self) -> None:
         """Update the discrete states until they have settled, and enter continuous-time mode."""
-        for _ in range(_MOST_EVENTS):
+        for _ in range(MOST_EVENTS):
             is_unsettled, is_over, t = self._model.update_discrete_states()
             if is_over:
                 raise self._fault("update_discrete_states", "asked to end the simulation")
             if not is_unsettled:
                 break
         else:
-            raise self._fault("update_discrete_states", f"has not ended after {_MOST_EVENTS} calls")
+            raise self._fault("update_discrete_states", f"has not ended after {MOST_EVENTS} calls")
         self._next_event = math.inf if t is None else t
         self._model.enter_continuous_time_mode()
 

@@ -23,6 +23,10 @@ def load(fmu: FmuToLoad, on_log: LogListener | None = None) -> Binding:
         from .fmi3_model_exchange import Fmi3ModelExchange
 
         return Fmi3ModelExchange(fmu, on_log)
+    if fmu.has_event_mode:
+        from .fmi3_event_mode import Fmi3EventMode
+
+        return Fmi3EventMode(fmu, on_log)
     from .fmi3_co_simulation import Fmi3CoSimulation
 
     return Fmi3CoSimulation(fmu, on_log)

@@ -20,6 +20,9 @@ fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const 
 }
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance, fmi2Real tolerance, fmi2Real from,
                                fmi2Boolean has_stop, fmi2Real stop) {
+#ifdef NEEDS_STOP
+    if (!has_stop) return fmi2Error;
+#endif
     begin(c, from, has_tolerance, tolerance);
     return fmi2OK;
 }

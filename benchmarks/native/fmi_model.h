@@ -20,6 +20,7 @@
    In FMI 3.0 the value reference N_VARIABLES is the time. -DONCE: one instance a process, as some tools export.
    -DONLY_EXCHANGE: no co-simulation. -DTOLERANCE=PLACE: the tolerance that it is given is put there, -1 without one.
    -DEARLY: each step of FMI 3.0 returns in its middle. -DOVER: each asks to end the simulation.
+   -DNEEDS_STOP: no FMI 2.0 without a stop time.
    -DNEEDS_EVENT_MODE: no co-simulation in FMI 3.0 without it. -DLOCKED=PLACE: from that place on, values are set before
    initialization and in event mode only.
    The headers of the standard are FMPy's (fmpy/c-code). */

@@ -51,6 +51,8 @@ class Shadow:
     """Start values that are not estimated."""
     start_time: float
     """Start time of the co-simulation [s]."""
+    stop_time: float
+    """Its stop time [s], which no roll-out passes."""
     is_restartable: bool
     """True where it may be instantiated several times in a process."""
     obstacles: Mapping[StartMethod, str]
@@ -104,8 +106,8 @@ def shadow_of(scenario: Scenario, plant: Plant, is_live: bool) -> Shadow:
         shadow = Shadow(
             fmu, inputs, plant.states, outputs, tuple(n.noise for n in scenario.sampling.outputs.values()),
             tuple(names), {k: v for k, v in start.items() if k not in names}, scenario.scenario.start_time,
-            not interface.canBeInstantiatedOnlyOncePerProcess, {}, scenario.scenario.timeout,
-            scenario.scenario.environment, scenario.components[plant.name].tolerance,
+            scenario.scenario.stop_time, not interface.canBeInstantiatedOnlyOncePerProcess, {},
+            scenario.scenario.timeout, scenario.scenario.environment, scenario.components[plant.name].tolerance,
         )  # fmt: skip
     except CosimError as e:
         raise ScenarioError(f"{where}: {str(e).rstrip('.')}.") from e

@@ -37,6 +37,7 @@ class Plan:
 
     start: Mapping[str, Any]
     start_time: float
+    stop_time: float
     state: bytes | None
     before: tuple[Leg, ...]
     last: Leg
@@ -44,7 +45,7 @@ class Plan:
     def begin(self, pool: Pool, slave: Slave, is_new: bool) -> None:
         """Bring a slave, which must be new unless there is a state, to the last leg. Raises SlaveError."""
         if is_new or self.state is None:
-            slave.initialize(self.start, self.start_time)
+            slave.initialize(self.start, self.start_time, self.stop_time)
         if self.state is not None:
             slave.set_state(self.state)
         for leg in self.before:
@@ -99,7 +100,7 @@ def plan_of(
     samples, origin = stretch.samples, stretch.origin
     times, inputs = [s.t for s in samples], [s.u for s in samples[1:]]
     if way == "state":
-        return Plan(shadow.start, shadow.start_time, origin.state, (), Leg(times, inputs, theta))
+        return Plan(shadow.start, shadow.start_time, shadow.stop_time, origin.state, (), Leg(times, inputs, theta))
     if way == "measured":
         first = samples[0]
         start = {
@@ -108,6 +109,6 @@ def plan_of(
             **dict(zip(shadow.states, first.x, strict=True)),
             **dict(zip(shadow.parameters, theta, strict=True)),
         }
-        return Plan(start, times[0], None, (), Leg(times, inputs, None))
+        return Plan(start, times[0], shadow.stop_time, None, (), Leg(times, inputs, None))
     start = {**shadow.start, **dict(zip(shadow.parameters, history.theta, strict=True))}
-    return Plan(start, shadow.start_time, None, history.legs(origin.place), Leg(times, inputs, theta))
+    return Plan(start, shadow.start_time, shadow.stop_time, None, history.legs(origin.place), Leg(times, inputs, theta))

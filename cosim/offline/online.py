@@ -135,7 +135,7 @@ def _watched(
     start = dict(zip(request.inputs, u0, strict=True)) | request.constants | dict(window.start)
     shadow = Shadow(
         request.fmu, tuple(request.inputs), states, tuple(request.measured), tuple(understood.noise.tolist()),
-        space.names, {name: value for name, value in start.items() if name not in names}, samples[0].t,
+        space.names, {name: value for name, value in start.items() if name not in names}, samples[0].t, samples[-1].t,
         not interface.canBeInstantiatedOnlyOncePerProcess, obstacles, request.timeout,
         request.environment, told_by=_told_by(request, understood),
     )  # fmt: skip

@@ -103,7 +103,7 @@ class Rollouts:
         n_rows = len(window.time) if is_whole else window.n_fit
         end = times[n_rows - 1] if rows is None else float(rows[n_rows - 1])
         inputs_at_start = zip(self._plant.inputs, inputs[0], strict=True)
-        slave.initialize({**dict(inputs_at_start), **self._plant.start, **window.start, **values}, times[0])
+        slave.initialize({**dict(inputs_at_start), **self._plant.start, **window.start, **values}, times[0], times[-1])
         n = bisect_left(times, end)
         table = np.array([slave.get(), *self._pool.through(slave, times[: n + 1], inputs[:n])])
         if rows is None:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete
 
-from benchmarks.native_fmus import FOREIGN
+from benchmarks.native_fmus import FOREIGN, build_c
 
 pytestmark = pytest.mark.fmu
 STEP = 0.01  # s
@@ -72,6 +72,17 @@ def test_the_plant_as_model_exchange_fmu_leaves_only_the_change_to_fill_in(forei
         last = list(csv.DictReader(file))[-1]
     assert float(last["controller.m"]) == pytest.approx(3.0, rel=5e-3)
     assert float(last["controller.c"]) == pytest.approx(8.0, rel=5e-3)
+
+
+@pytest.mark.parametrize("how", [(), pytest.param(("--online",), marks=pytest.mark.full)], ids=["offline", "online"])
+def test_roll_outs_have_a_stop_time(foreign, workplace, called, how):
+    """An FMU that cannot be initialised without one."""
+    fmu = build_c(FOREIGN / "Axis.c", (FOREIGN / "Axis.xml").read_text(), workplace / "Axis.fmu", "-DNEEDS_STOP")
+    log = oscillation("log.csv", 2.0, 8.0, 1.0, 1e-4, end=1.0)
+    sought = ["--parameter", "mass.m=0.5:20", "--parameter", "spring.c=1:50", "--evaluations", 6, "--jobs", 1, *how]
+    code, out, err = called("estimate", fmu, log, *sought, "--input", "f=f", "--measured", "mass.s=s", "--json")
+    assert (code, "stop" in err) == (0, False), err
+    assert json.loads(out)
 
 
 @pytest.mark.full_but("FMI 2")

@@ -237,7 +237,17 @@ def test_residuals_begun_in_noisy_states_are_a_kalman_filter_s_innovations(plant
         for t, row, force in zip(columns["time [s]"].tolist(), y.tolist(), [u[0], *u.tolist()], strict=False)
     ]
     shadow = Shadow(
-        plant, ("F",), ("x", "v"), ("x", "v"), noise, ("m", "c"), {"k": k}, 0.0, True, {"state": "", "replay": ""}
+        plant,
+        ("F",),
+        ("x", "v"),
+        ("x", "v"),
+        noise,
+        ("m", "c"),
+        {"k": k},
+        0.0,
+        samples[-1].t,
+        True,
+        {"state": "", "replay": ""},
     )
     with NoisyStartObjective(
         partial(RolloutObjective, shadow, np.array([m, c]), "measured", None, 1), start_noise

@@ -16,7 +16,7 @@ _Pair = tuple[str, str]
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that `request_of` reads to the parser."""
     add = parser.add_argument
-    add("fmu", type=Path, metavar="FMU", help="the plant, for co-simulation")
+    add("fmu", type=Path, metavar="FMU", help="the plant")
     add("logs", type=Path, metavar="LOG", nargs="+", help=".csv, .parquet, .mat or .mf4; units in brackets")
     add("--parameter", action="append", type=_sought, required=True, metavar="NAME=LOW:HIGH[:log]", dest="parameters",
         help="parameter or start value of the FMU to estimate; may be repeated")  # fmt: skip

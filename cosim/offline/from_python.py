@@ -49,7 +49,7 @@ def estimate(
 ) -> Estimation:
     """Estimate parameters of a plant FMU from logs of measurements.
 
-    fmu: the plant, for co-simulation. logs: one file or several (.csv, .parquet, .mat, .mf4).
+    fmu: the plant. logs: one file or several (.csv, .parquet, .mat, .mf4).
     parameters: bounds by name, in the FMU's units, `{"m": (0.5, 4.0), "J": (0.1, 12.0, "log")}`.
     measured, inputs: the log's column for each output and input of the FMU.
     start: the start value of a state or of a known parameter, as a number or as a column of the log.
@@ -71,7 +71,7 @@ def estimate(
     request = Request(
         fmu=Path(fmu),
         logs=tuple(map(Path, paths)),
-        parameters=tuple(_sought(name, bounds) for name, bounds in parameters.items()),
+        parameters=tuple(sought(name, bounds) for name, bounds in parameters.items()),
         measured=measured,
         inputs=inputs or {},
         start=start or {},
@@ -106,5 +106,6 @@ def estimate(
     return found
 
 
-def _sought(name: str, bounds: Bounds) -> Sought:
+def sought(name: str, bounds: Bounds) -> Sought:
+    """Return a parameter to estimate, as its bounds say."""
     return Sought(name, bounds[0], bounds[1], "linear" if len(bounds) == 2 else bounds[2])

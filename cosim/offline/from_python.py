@@ -34,6 +34,7 @@ def estimate(
     time: str | None = None,
     time_unit: str | None = None,
     windows: Sequence[Cut] = (),
+    own: Sequence[str] = (),
     validation: Sequence[Path | str] = (),
     holdout: float | None = None,
     step: float | None = None,
@@ -56,6 +57,7 @@ def estimate(
     noise: standard deviation by output, in its unit; estimated from the logs by default.
     time: the column of time stamps; time_unit: their unit, by default the log's, or s.
     windows: parts of each log to use, (from, to) [s].
+    own: parameters that have a value of their own in each log; the others have one for all logs.
     validation: logs that are not fitted to. holdout: share of each log's rows that is not fitted to, 0.25 by default.
     step: communication step [s]; by default from row to row.
     method: "target", "least-squares" or "multi-start". evaluations: candidates that the search may simulate.
@@ -79,6 +81,7 @@ def estimate(
         time=time,
         time_unit=time_unit,
         windows=tuple(windows),
+        own=tuple(dict.fromkeys(own)),
         validation=tuple(map(Path, validation)),
         holdout=holdout,
         step=step,

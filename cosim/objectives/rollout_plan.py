@@ -82,9 +82,9 @@ class History:
         """Take theta (d,) for the parameters from that place on."""
         self.changes = [*(b for b in self.changes if b[0] < place), (place, theta)]
 
-    def legs(self, until: int) -> tuple[Leg, ...]:
-        """Return the legs from the start to a place, with the parameters accepted on the way."""
-        changes = [(0, None), *(b for b in self.changes if b[0] < until)]
+    def legs(self, until: int, since: int = 0) -> tuple[Leg, ...]:
+        """Return the legs from a place, by default the start, to another, with the parameters accepted on the way."""
+        changes = [(since, None), *(b for b in self.changes if since <= b[0] < until)]
         ends = [*(place for place, _ in changes[1:]), until]
         return tuple(
             Leg(self.times[a : b + 1], self.inputs[a:b], theta)

@@ -38,6 +38,7 @@ _set_stop_time: Final = _function(sundials_cvode, "CVodeSetStopTime", c_void_p, 
 _free_solver: Final = _function(sundials_cvode, "CVodeFree", c_void_p)
 _free_linear_solver: Final = _function(sundials_core, "SUNLinSolFree", c_void_p)
 _free_matrix: Final = _function(sundials_core, "SUNMatDestroy", c_void_p)
+_clear_error_handlers: Final = _function(sundials_core, "SUNContext_ClearErrHandlers", SUNContext)
 _free_context: Final = _function(sundials_core, "SUNContext_Free", c_void_p)
 
 
@@ -109,6 +110,7 @@ class Cvode:
 
     def _begin(self, t: float) -> None:
         f, z, take_words = self._callbacks
+        _clear_error_handlers(self._context)  # the one that is there prints
         sundials.SUNContext_PushErrHandler(self._context, take_words, None)
         self._check(sundials.CVodeInit(self._solver, f, t, self._vectors[0]))
         self._check(sundials.CVodeSVtolerances(self._solver, self._tolerance, self._vectors[1]))

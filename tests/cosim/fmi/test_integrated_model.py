@@ -2,6 +2,7 @@
 
 import re
 import shutil
+import zipfile
 
 import fmpy
 import numpy as np
@@ -10,7 +11,10 @@ from scipy.linalg import expm
 
 from benchmarks.native_fmus import FOREIGN, build_c
 from cosim import ModelDescriptionError, Scenario, SlaveError, open_slave, resume, run
+from cosim.fmi.component import read_component
 from cosim.runs.run_files import EVENTS, SERIES
+from cosim.ssp.write import to_ssp
+from cosim.system.fmu_cache import find_fmu
 
 pytestmark = pytest.mark.fmu
 H = 0.01  # s
@@ -118,6 +122,22 @@ def test_a_stiff_one_is_integrated(foreign, opened):
     np.testing.assert_allclose(found, expected, rtol=1e-6)
 
 
+def test_derivatives_of_outputs_are_read_as_outputs(balls):
+    """der(h) and der(v) are local variables of the ball; of an FMU for co-simulation such are not read."""
+    component = read_component(balls / "Ball.fmu")
+    assert list(component.outputs) == ["h", "v", "der(h)", "der(v)", "n_bounces", "n_stairs", "n_told"]
+
+
+def test_an_ssp_package_says_that_it_is_for_model_exchange(tmp_path):
+    plant = find_fmu("Pendulum", tmp_path, 3, "ModelExchange")
+    scenario = Scenario.load("pendulum", {"components.plant.fmu": str(plant), "scenario.stop_time": "0.1"})
+    (tmp_path / "loop.ssp").write_bytes(to_ssp(scenario))
+    with zipfile.ZipFile(tmp_path / "loop.ssp") as package:
+        structure = package.read("SystemStructure.ssd").decode()
+    kinds = re.findall('name="([a-z]+)" source="[^"]*" type="[^"]*" implementation="([A-Za-z]+)"', structure)
+    assert dict(kinds) == {"plant": "ModelExchange", "controller": "CoSimulation", "reference": "CoSimulation"}
+
+
 # -- what fails -------------------------------------------------------------------------------------------------------
 
 
@@ -152,11 +172,12 @@ FAULTS = {
 @pytest.mark.full_but("derivatives that are no numbers-Ball")
 @pytest.mark.parametrize("name", ["Ball", "Ball-3"])
 @pytest.mark.parametrize(("edit", "told"), FAULTS.values(), ids=FAULTS)
-def test_what_cannot_go_on_is_told_in_one_line(mutant, opened, name, edit, told):
+def test_what_cannot_go_on_is_told_in_one_line(mutant, opened, capfd, name, edit, told):
     slave = opened(mutant(name, edit))
     with pytest.raises(SlaveError, match=told) as caught:
         table(slave, 300)
     assert "\n" not in str(caught.value)
+    assert capfd.readouterr().err == ""  # CVODE's own words are in the error
 
 
 def test_scheduled_execution_is_refused_in_one_line(mutant):

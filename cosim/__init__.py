@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from .errors import WiringError as WiringError
     from .offline.estimate import Estimation as Estimation
     from .offline.from_python import estimate as estimate
+    from .offline.online import Online as Online
+    from .offline.online_from_python import estimate_online as estimate_online
     from .plots.beliefs import plot_belief as plot_belief
     from .plots.beliefs import plot_surrogate as plot_surrogate
     from .runs.result import Run as Run
@@ -36,6 +38,7 @@ _MODULES = {
     "Estimation": "offline.estimate",
     "FolderError": "errors",
     "ModelDescriptionError": "errors",
+    "Online": "offline.online",
     "Run": "runs.result",
     "Scenario": "scenarios.scenario",
     "ScenarioError": "errors",
@@ -47,6 +50,7 @@ _MODULES = {
     "WiringError": "errors",
     "compare": "campaigns.compare",
     "estimate": "offline.from_python",
+    "estimate_online": "offline.online_from_python",
     "load_scenario": "ssp.load",
     "open_slave": "slaves.slave",
     "plot_belief": "plots.beliefs",

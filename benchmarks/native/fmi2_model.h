@@ -20,6 +20,9 @@ fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const 
 }
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance, fmi2Real tolerance, fmi2Real from,
                                fmi2Boolean has_stop, fmi2Real stop) {
+#ifdef NEEDS_STOP
+    if (!has_stop) return fmi2Error;
+#endif
     begin(c, from, has_tolerance, tolerance);
     return fmi2OK;
 }
@@ -74,15 +77,26 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
 
 /* Model exchange */
 
-fmi2Status fmi2EnterEventMode(fmi2Component c) { return fmi2OK; }
-fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
-    memset(info, 0, sizeof *info);
+fmi2Status fmi2EnterEventMode(fmi2Component c) {
+    ((Model *)c)->is_in_event_mode = 1;
     return fmi2OK;
 }
-fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) { return fmi2OK; }
+fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info) {
+    memset(info, 0, sizeof *info);
+    if (!((Model *)c)->is_in_event_mode) return fmi2Error;
+    info->newDiscreteStatesNeeded = update_model(c, &info->nextEventTime);
+    info->nextEventTimeDefined = info->nextEventTime < HUGE_VAL;
+    info->valuesOfContinuousStatesChanged = fmi2True;
+    return fmi2OK;
+}
+fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) {
+    ((Model *)c)->is_in_event_mode = 0;
+    return fmi2OK;
+}
 fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean keeps_no_state, fmi2Boolean *has_event,
                                        fmi2Boolean *is_over) {
-    *has_event = *is_over = fmi2False;
+    *has_event = is_step_event(((Model *)c)->v);
+    *is_over = fmi2False;
     return fmi2OK;
 }
 fmi2Status fmi2SetTime(fmi2Component c, fmi2Real t) {
@@ -102,7 +116,10 @@ fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real nominal[]
     for (size_t i = 0; i < n; i++) nominal[i] = 1.0;
     return fmi2OK;
 }
-fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real z[], size_t n) { return ANSWER(n == 0); }
+fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real z[], size_t n) {
+    indicate(((Model *)c)->v, z);
+    return ANSWER(n == N_INDICATORS);
+}
 
 /* A state is a copy of the model: it has no pointers. */
 

@@ -1,4 +1,4 @@
-/* The functions of FMI 3.0 over a Model: see fmi_model.h. Of what is optional nothing is offered. */
+/* The functions of FMI 3.0 over a Model: see fmi_model.h. Derivatives of its functions are not offered. */
 
 #include "fmi3Functions.h"
 
@@ -22,7 +22,9 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
         return NULL;
     }
 #endif
-    return new_model(0);
+    Model *m = new_model(0);
+    if (m) m->is_in_event_mode = has_event_mode;
+    return m;
 }
 void fmi3FreeInstance(fmi3Instance c) { free(c); }
 fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n, const fmi3String categories[]) {
@@ -35,12 +37,20 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean has_tolerance
 }
 fmi3Status fmi3ExitInitializationMode(fmi3Instance c) {
     refresh(((Model *)c)->v);
+    ((Model *)c)->is_initialized = 1;
     return fmi3OK;
 }
-fmi3Status fmi3EnterEventMode(fmi3Instance c) { return fmi3OK; }
+fmi3Status fmi3EnterEventMode(fmi3Instance c) {
+    ((Model *)c)->is_in_event_mode = 1;
+    return fmi3OK;
+}
 fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *again, fmi3Boolean *is_over, fmi3Boolean *nominals,
                                     fmi3Boolean *states_changed, fmi3Boolean *has_next, fmi3Float64 *next) {
-    *again = *is_over = *nominals = *states_changed = *has_next = fmi3False;
+    *is_over = *nominals = fmi3False;
+    *states_changed = fmi3True;
+    if (!((Model *)c)->is_in_event_mode) return fmi3Error;
+    *again = update_model(c, next);
+    *has_next = *next < HUGE_VAL;
     return fmi3OK;
 }
 fmi3Status fmi3Terminate(fmi3Instance c) { return fmi3OK; }
@@ -51,15 +61,25 @@ fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t 
 }
 fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t n, const fmi3Float64 value[],
                           size_t size) {
+#ifdef LOCKED
+    const Model *m = c;
+    for (size_t i = 0; i < n; i++)
+        if (vr[i] >= LOCKED && m->is_initialized && !m->is_in_event_mode) return fmi3Error;
+#endif
     return ANSWER(size == n && write_values(c, vr, n, value));
 }
 
 /* Co-simulation */
 
-fmi3Status fmi3EnterStepMode(fmi3Instance c) { return fmi3OK; }
+fmi3Status fmi3EnterStepMode(fmi3Instance c) {
+    ((Model *)c)->is_in_event_mode = 0;
+    return fmi3OK;
+}
 fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean keeps_no_state, fmi3Boolean *has_event,
                       fmi3Boolean *is_over, fmi3Boolean *is_early, fmi3Float64 *last) {
-    *has_event = *is_over = *is_early = fmi3False;
+    *has_event = is_step_event(((Model *)c)->v);
+    *is_over = *is_early = fmi3False;
+    if (((Model *)c)->is_in_event_mode) return fmi3Error;
     *last = t + h;
 #ifdef EARLY
     *is_early = fmi3True;
@@ -73,10 +93,14 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean 
 
 /* Model exchange */
 
-fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance c) { return fmi3OK; }
+fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance c) {
+    ((Model *)c)->is_in_event_mode = 0;
+    return fmi3OK;
+}
 fmi3Status fmi3CompletedIntegratorStep(fmi3Instance c, fmi3Boolean keeps_no_state, fmi3Boolean *has_event,
                                        fmi3Boolean *is_over) {
-    *has_event = *is_over = fmi3False;
+    *has_event = is_step_event(((Model *)c)->v);
+    *is_over = fmi3False;
     return fmi3OK;
 }
 fmi3Status fmi3SetTime(fmi3Instance c, fmi3Float64 t) {
@@ -101,7 +125,44 @@ fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance c, size_t *n) {
     return fmi3OK;
 }
 fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance c, size_t *n) {
-    *n = 0;
+    *n = N_INDICATORS;
     return fmi3OK;
 }
-fmi3Status fmi3GetEventIndicators(fmi3Instance c, fmi3Float64 z[], size_t n) { return ANSWER(n == 0); }
+fmi3Status fmi3GetEventIndicators(fmi3Instance c, fmi3Float64 z[], size_t n) {
+    indicate(((Model *)c)->v, z);
+    return ANSWER(n == N_INDICATORS);
+}
+
+/* A state is a copy of the model: it has no pointers. */
+
+fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState *state) {
+    if (!*state) *state = malloc(sizeof(Model));
+    if (!*state) return fmi3Error;
+    memcpy(*state, c, sizeof(Model));
+    return fmi3OK;
+}
+fmi3Status fmi3SetFMUState(fmi3Instance c, fmi3FMUState state) {
+    memcpy(c, state, sizeof(Model));
+    return fmi3OK;
+}
+fmi3Status fmi3FreeFMUState(fmi3Instance c, fmi3FMUState *state) {
+    free(*state);
+    *state = NULL;
+    return fmi3OK;
+}
+fmi3Status fmi3SerializedFMUStateSize(fmi3Instance c, fmi3FMUState state, size_t *size) {
+    *size = sizeof(Model);
+    return fmi3OK;
+}
+fmi3Status fmi3SerializeFMUState(fmi3Instance c, fmi3FMUState state, fmi3Byte bytes[], size_t size) {
+    if (size < sizeof(Model)) return fmi3Error;
+    memcpy(bytes, state, sizeof(Model));
+    return fmi3OK;
+}
+fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte bytes[], size_t size, fmi3FMUState *state) {
+    if (size != sizeof(Model)) return fmi3Error;
+    if (!*state) *state = malloc(sizeof(Model));
+    if (!*state) return fmi3Error;
+    memcpy(*state, bytes, size);
+    return fmi3OK;
+}

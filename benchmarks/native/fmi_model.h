@@ -11,12 +11,21 @@
 
      static const unsigned states[N_STATES], rates[N_STATES];
 
+   and, for model exchange with events, N_INDICATORS, which may be 0:
+
+     static void indicate(const double *v, double *z);           z changes its sign where there is a state event
+     static int is_step_event(const double *v);                  after a step of the solver
+     static int event(double *v, double t, double *next);        update of the discrete states; whether another is needed
+
    In FMI 3.0 the value reference N_VARIABLES is the time. -DONCE: one instance a process, as some tools export.
    -DONLY_EXCHANGE: no co-simulation. -DTOLERANCE=PLACE: the tolerance that it is given is put there, -1 without one.
    -DEARLY: each step of FMI 3.0 returns in its middle. -DOVER: each asks to end the simulation.
-   -DNEEDS_EVENT_MODE: no co-simulation in FMI 3.0 without it.
+   -DNEEDS_STOP: no FMI 2.0 without a stop time.
+   -DNEEDS_EVENT_MODE: no co-simulation in FMI 3.0 without it. -DLOCKED=PLACE: from that place on, values are set before
+   initialization and in event mode only.
    The headers of the standard are FMPy's (fmpy/c-code). */
 
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -25,10 +34,19 @@
 static const unsigned states[1], rates[1];
 #endif
 
+#ifndef N_INDICATORS
+#define N_INDICATORS 0
+static void indicate(const double *v, double *z) {}
+static int is_step_event(const double *v) { return 0; }
+static int event(double *v, double t, double *next) { return 0; }
+#endif
+
 typedef struct {
     double v[N_VARIABLES];
     double time;
     int is_exchange;
+    int is_in_event_mode;
+    int is_initialized;
 } Model;
 
 static Model *new_model(int is_exchange) {
@@ -39,7 +57,7 @@ static Model *new_model(int is_exchange) {
 #endif
     m = calloc(1, sizeof *m);
     if (m) memcpy(m->v, start, sizeof start);
-    if (m) m->is_exchange = is_exchange;
+    if (m) m->is_exchange = m->is_in_event_mode = is_exchange;
     return m;
 }
 
@@ -65,6 +83,14 @@ static int write_values(Model *m, const unsigned place[], size_t n, const double
         m->v[place[i]] = value[i];
     }
     return 1;
+}
+
+static int update_model(Model *m, double *next) {
+    int again;
+    *next = HUGE_VAL;
+    again = event(m->v, m->time, next);
+    refresh(m->v);
+    return again;
 }
 
 static int step_model(Model *m, double t, double h) {

@@ -5,7 +5,7 @@ from typing import Final
 
 from ..errors import WiringError
 from ..findings import Finding, warning
-from ..fmi.archive import co_simulation
+from ..fmi.archive import capabilities, has_fixed_step
 from ..fmi.component import Component, is_disturbance
 from ..fmi.feedthrough import algebraic_loops
 from ..fmi.table import is_table
@@ -147,14 +147,14 @@ def check_steps(scenario: Scenario, components: Components) -> Iterator[Finding]
                 text = f"its rows cover {start:g} to {end:g} s: outside them the nearest is held"
                 yield warning(f"components.{name}", text)
             continue
-        interface = co_simulation(component.description)
+        interface = capabilities(component.description)
         if interface.needsExecutionTool is True:
             yield warning(
                 f"components.{name}",
                 f"{component.fmu.name} needs the tool that made it to be installed on this machine",
             )
         step = experiment.get("step_size")
-        is_fixed = interface.canHandleVariableCommunicationStepSize is False
+        is_fixed = has_fixed_step(component.description)
         if is_fixed and step is not None and abs(step - settings.macro_step) > 1e-9 * settings.macro_step:
             text = f"{component.fmu.name} supports no other steps than {step:g} s"
             yield warning("scenario.macro_step", text)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Final
 
 from ..errors import one_line
-from ..fmi.archive import co_simulation
+from ..fmi.archive import capabilities
 from ..fmi.component import Component, ModelVariable
 from ..fmi.feedthrough import declared
 from ..fmi.ports import attribute
@@ -71,7 +71,7 @@ def is_settable(v: ModelVariable) -> bool:
 
 def _saves_its_state(plant: Component) -> bool:
     """Return whether its states can be given to another instance, in another process."""
-    interface = co_simulation(plant.description)
+    interface = capabilities(plant.description)
     return bool(interface.canGetAndSetFMUstate and interface.canSerializeFMUstate)
 
 

@@ -8,7 +8,7 @@ from ..files import to_json, write_text
 from ..offline.estimate import Estimation, FailedError, estimate, with_profiles
 from ..offline.estimate_options import request_of
 from ..offline.fit_plot import draw_fit
-from ..offline.fit_report import estimates_ssv, report, summary, write_files
+from ..offline.fit_report import estimates_ssv, report, ssv_files, summary, write_files
 from ..offline.profile_plot import draw_profiles
 from ..runs.record import recording
 from ..terminal.exit_codes import DONE, INTERRUPTED, UNFINISHED
@@ -51,7 +51,8 @@ def command(options: argparse.Namespace) -> int:
             write_text(options.ssv, estimates_ssv(found))
     print(to_json(summary(found)) if options.json else f"{report(found)}\n\nwritten to {folder}")
     if not options.json:
-        tell_next("run", "SCENARIO", "--start-values", f"plant={folder / 'estimates.ssv'}")
+        written = next(iter(ssv_files(found)))
+        tell_next("run", "SCENARIO", "--start-values", f"plant={folder / written}")
     return DONE
 
 

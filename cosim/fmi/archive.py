@@ -12,7 +12,7 @@ from typing import Any, BinaryIO, Final, Literal
 from xml.etree.ElementTree import Element
 
 import fmpy
-from fmpy.model_description import CoSimulation, ModelDescription, ValidationError
+from fmpy.model_description import CoSimulation, ModelDescription, ModelExchange, ValidationError
 
 from ..errors import ModelDescriptionError, one_line
 from ..files import readable
@@ -21,7 +21,7 @@ from .binding import FmuToLoad
 from .elements import scalarized
 from .folder import PrivateFolder
 from .preflight.archive import archive_findings
-from .preflight.description import description_findings, harmless_findings, index_findings
+from .preflight.description import clock_problem, description_findings, harmless_findings, index_findings, is_true
 from .preflight.library import library_problem, needed_functions
 from .preflight.xml import LARGEST, strict_root
 
@@ -46,24 +46,27 @@ class FmuFile:
     """Its model description."""
 
 
-def read_description(fmu: Path, interface: InterfaceName = "co-simulation") -> ModelDescription:
+def read_description(fmu: Path, interface: InterfaceName | None = None) -> ModelDescription:
     """Return the model description of an FMU that this machine can load, arrays as their elements.
 
-    Raises ModelDescriptionError.
+    interface: one that it must offer; by default either will do. Raises ModelDescriptionError.
     """
     description = read_any(fmu)
     if problem := unusable(description, interface):
         raise ModelDescriptionError(f"{fmu} {problem}.")
+    if interface is None and (problem := clock_problem(description)):
+        raise ModelDescriptionError(f"{fmu} cannot be a component: {problem}.")
     return description if description.fmiVersion == "2.0" else scalarized(description)
 
 
-def unusable(description: ModelDescription, interface: InterfaceName) -> str | None:
+def unusable(description: ModelDescription, interface: InterfaceName | None = None) -> str | None:
     """Return the reason why an FMU cannot be used, its version or kind being another than asked for; else None."""
     version, offered = str(description.fmiVersion), interfaces(description)
-    if _VERSION.fullmatch(version) and interface in offered:
+    if _VERSION.fullmatch(version) and (interface in offered if interface else offered):
         return None
     kind = next(iter(offered), "scheduled-execution")
-    return f"is an FMI {one_line(version)} {kind} FMU, not FMI 2.0 or 3.0 {interface}"
+    wanted = interface or "co-simulation or model-exchange"
+    return f"is an FMI {one_line(version)} {kind} FMU, not FMI 2.0 or 3.0 {wanted}"
 
 
 def read_any(fmu: Path) -> ModelDescription:
@@ -143,13 +146,14 @@ def fmu_to_load(
     description: ModelDescription,
     folder: str,
     instance_name: str,
-    interface: InterfaceName = "co-simulation",
+    interface: InterfaceName | None = None,
     tolerance: float | None = None,
 ) -> FmuToLoad:
     """Return the argument of loading.load for an FMU that is unpacked into folder.
 
-    tolerance: by default that of its default experiment.
+    interface: by default that of a component; tolerance: by default that of its default experiment.
     """
+    interface = interface or component_interface(description)
     return FmuToLoad(
         folder,
         str(interfaces(description)[interface].modelIdentifier),
@@ -158,6 +162,7 @@ def fmu_to_load(
         "pythonfmu" in (description.generationTool or "").lower(),
         str(description.fmiVersion),
         interface,
+        is_true(getattr(interfaces(description)[interface], "hasEventMode", False)),
         _declared_tolerance(description) if tolerance is None else tolerance,
     )
 
@@ -173,13 +178,25 @@ def interfaces(description: ModelDescription) -> Mapping[str, Any]:
     return {name: part for name, part in offered.items() if part is not None}
 
 
-def co_simulation(description: ModelDescription) -> CoSimulation:
-    """Return the co-simulation part of a description that read_description has accepted."""
-    assert description.coSimulation is not None
-    return description.coSimulation
+def component_interface(description: ModelDescription) -> InterfaceName:
+    """Return the interface by which an FMU is a component: model exchange only where it has no solver of its own."""
+    return "co-simulation" if description.coSimulation is not None else "model-exchange"
 
 
-def unpacked(fmu: Path, interface: InterfaceName = "co-simulation") -> tuple[ModelDescription, PrivateFolder]:
+def capabilities(description: ModelDescription) -> CoSimulation | ModelExchange:
+    """Return the part of a description, which read_description has accepted, with the capabilities as a component."""
+    part = description.coSimulation or description.modelExchange
+    assert part is not None
+    return part
+
+
+def has_fixed_step(description: ModelDescription) -> bool:
+    """Return whether an FMU's communication steps must all be of one size."""
+    part = capabilities(description)
+    return isinstance(part, CoSimulation) and not part.canHandleVariableCommunicationStepSize
+
+
+def unpacked(fmu: Path, interface: InterfaceName | None = None) -> tuple[ModelDescription, PrivateFolder]:
     """Unpack an FMU into a folder of its own, after all of preflight, and return its description too.
 
     Raises ModelDescriptionError; nothing is left then.
@@ -188,6 +205,7 @@ def unpacked(fmu: Path, interface: InterfaceName = "co-simulation") -> tuple[Mod
     folder = PrivateFolder()
     try:
         unpack(fmu, folder.path)
+        interface = interface or component_interface(description)
         place = library_path(description, interface)
         try:
             with open(Path(folder.path, place), "rb") as library:

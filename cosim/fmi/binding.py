@@ -29,7 +29,9 @@ class FmuToLoad(NamedTuple):
     """True where log texts are plain text, not formats with arguments; see MessageLog."""
     fmi_version: str = "2.0"
     interface: str = "co-simulation"
-    """'co-simulation' or 'model-exchange'."""
+    """'co-simulation', 'model-exchange', as a component that is integrated, or 'derivatives', as a function."""
+    has_event_mode: bool = False
+    """True for an FMI 3.0 co-simulation FMU that is used with its event mode."""
     tolerance: float | None = None
     """Relative tolerance for its own solver; None gives it none."""
 

@@ -10,7 +10,7 @@ from fmpy.model_description import ModelVariable as ModelVariable
 
 from ..errors import ModelDescriptionError
 from ..units import Unit, defined_units
-from .archive import read_description
+from .archive import component_interface, read_description
 from .ports import Catalogue, is_numeric
 from .table import describe, is_table, read_table
 
@@ -57,14 +57,28 @@ class Component:
 
     @cached_property
     def outputs(self) -> Mapping[str, ModelVariable]:
-        """Its numeric outputs by name."""
-        return {v.name: v for v in self.having("output")}
+        """Its numeric outputs by name: see outputs_of."""
+        return {v.name: v for v in outputs_of(self.description)}
 
     def unit(self, variable: str) -> Unit | None:
         """Return the unit of a variable, where it has one."""
         v = self.variables[variable]
         name = v.unit or (v.declaredType.unit if v.declaredType is not None else None)
         return self.units.get(name, Unit(name)) if name else None
+
+
+def outputs_of(description: ModelDescription) -> tuple[ModelVariable, ...]:
+    """Return the numeric variables that are read at communication points: the outputs.
+
+    Of a component that is integrated from its equations also the derivatives of those, which it declares for a solver.
+    """
+    is_exchanged = component_interface(description) == "model-exchange"
+
+    def is_read(v: ModelVariable) -> bool:
+        is_rate = is_exchanged and v.derivative is not None and v.derivative.causality == "output"
+        return (v.causality == "output" or is_rate) and is_numeric(v)
+
+    return tuple(v for v in description.modelVariables if is_read(v))
 
 
 def is_disturbance(v: ModelVariable) -> bool:

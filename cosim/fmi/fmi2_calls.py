@@ -2,12 +2,13 @@
 
 import os
 from collections.abc import Callable
+from ctypes import byref, c_size_t
 from typing import Any, TypeVar
 
 from fmpy import fmi1, fmi2
 
 from ..errors import SlaveError
-from .binding import FmuToLoad, failure
+from .binding import LARGEST_STATE, FmuToLoad, failure
 from .fmu_log import MessageLog
 
 _Fmu = TypeVar("_Fmu", fmi2.FMU2Slave, fmi2.FMU2Model)
@@ -46,3 +47,21 @@ def checked(
     if status is not None:
         raise SlaveError(instance, name, t, failure(status, log.reason()))
     return result
+
+
+def saved_state(fmu: fmi2.FMU2Slave | fmi2.FMU2Model, call: Callable[..., Any]) -> bytes | int:
+    """Return an FMU's state, serialised; only its size where that is above LARGEST_STATE. call: see checked."""
+    state, size = call("get_state", fmu.getFMUstate), c_size_t()
+    call("serialise_state", fmu.fmi2SerializedFMUstateSize, fmu.component, state, byref(size))
+    saved: bytes | int = size.value
+    if size.value <= LARGEST_STATE:
+        saved = call("serialise_state", fmu.serializeFMUstate, state)
+    call("free_state", fmu.freeFMUstate, state)
+    return saved
+
+
+def restore_state(fmu: fmi2.FMU2Slave | fmi2.FMU2Model, call: Callable[..., Any], serialised: bytes) -> None:
+    """Bring an FMU back to a state that saved_state returned."""
+    state = call("deserialise_state", fmu.deSerializeFMUstate, serialised)
+    call("set_state", fmu.setFMUstate, state)
+    call("free_state", fmu.freeFMUstate, state)

@@ -1,15 +1,15 @@
 """An FMI 2.0 co-simulation FMU loaded into this process."""
 
 from collections.abc import Callable, Sequence
-from ctypes import byref, c_double, c_int, c_size_t, c_uint, c_void_p, cast
+from ctypes import c_double, c_int, c_uint, c_void_p, cast
 from functools import partial
 from typing import Any, Final, TypeAlias
 
 from fmpy import fmi2
 
 from ..errors import SlaveError
-from .binding import LARGEST_STATE, WARNING, FmuToLoad, StartValues, failure
-from .fmi2_calls import checked, loaded
+from .binding import WARNING, FmuToLoad, StartValues, failure
+from .fmi2_calls import checked, loaded, restore_state, saved_state
 from .fmu_log import LogListener, MessageLog
 from .types import TYPES
 from .value_buffers import ScalarVariable, ValueBuffer, buffers_of
@@ -101,20 +101,12 @@ class Fmi2CoSimulation:
     def get_state(self) -> bytes | int:
         """Return the FMU's state, serialised; only its size where that is above LARGEST_STATE."""
         self._forward_only.value = fmi2.fmi2False
-        state, size = self._checked("get_state", self._fmu.getFMUstate), c_size_t()
-        self._checked("serialise_state", self._fmu.fmi2SerializedFMUstateSize, self._fmu.component, state, byref(size))
-        saved: bytes | int = size.value
-        if size.value <= LARGEST_STATE:
-            saved = self._checked("serialise_state", self._fmu.serializeFMUstate, state)
-        self._checked("free_state", self._fmu.freeFMUstate, state)
-        return saved
+        return saved_state(self._fmu, self._checked)
 
     def set_state(self, serialised: bytes) -> None:
         """Go back to a state that get_state returned."""
         self._forward_only.value = fmi2.fmi2False
-        state = self._checked("deserialise_state", self._fmu.deSerializeFMUstate, serialised)
-        self._checked("set_state", self._fmu.setFMUstate, state)
-        self._checked("free_state", self._fmu.freeFMUstate, state)
+        restore_state(self._fmu, self._checked, serialised)
 
     def close(self) -> None:
         """Terminate, if it was initialized, and free."""

@@ -2,17 +2,16 @@
 
 import ctypes
 import os
-from collections.abc import Callable, Sequence
-from ctypes import c_bool, c_double, c_size_t, c_uint, c_void_p
+from collections.abc import Callable, Mapping, Sequence
+from ctypes import byref, c_bool, c_double, c_size_t, c_uint, c_void_p
 from types import SimpleNamespace
 from typing import Any
 
 from fmpy import read_model_description
 
 from ..errors import SlaveError
-from .binding import WARNING, FmuToLoad, StartValues, failure
+from .binding import LARGEST_STATE, WARNING, FmuToLoad, StartValues, failure
 from .fmu_log import LogListener, Messages
-from .preflight.description import clock_problem
 from .value_buffers import ScalarVariable
 from .value_buffers3 import ValueBuffer3, buffers3_of, overlaid, start_arrays
 
@@ -20,21 +19,29 @@ from .value_buffers3 import ValueBuffer3, buffers3_of, overlaid, start_arrays
 class Fmi3Calls:
     """Base class of both interfaces of FMI 3.0: loading, and calls whose status is checked."""
 
-    def __init__(self, fmu: FmuToLoad, make: Callable[..., Any], on_log: LogListener | None = None) -> None:
-        """make: FMPy's class for the interface; on_log: called with each message of the FMU. Raises SlaveError."""
+    def __init__(
+        self, fmu: FmuToLoad, make: Callable[..., Any], on_log: LogListener | None = None, **options: bool
+    ) -> None:
+        """make: FMPy's class for the interface; on_log: called with each message of the FMU; options: of instantiation.
+
+        Raises SlaveError.
+        """
         self.name = fmu.instance_name
         self.time: float | None = None
         self._tolerance = fmu.tolerance
         self.log = Messages(on_log)
         self.description = read_model_description(fmu.folder, validate=False)
         self.start = start_arrays(self.description)
-        self.fmu = self._load(fmu, make)
+        self.fmu = self._load(fmu, make, options)
         self.instance = ctypes.cast(self.fmu.component, c_void_p)
         self._accessors: dict[str, Any] = {}
 
     def call(self, name: str, function: Any, *arguments: object) -> None:
         """Call a C function with the instance. Raises SlaveError unless it returns OK or Warning."""
-        status = function(self.instance, *arguments)
+        self.check(name, function(self.instance, *arguments))
+
+    def check(self, name: str, status: int) -> None:
+        """Raise SlaveError for a status other than OK and Warning."""
         if status > WARNING:
             raise self.fault(name, status)
 
@@ -95,18 +102,41 @@ class Fmi3Calls:
         """Exit initialization mode."""
         self.call("exit_initialization_mode", self.raw("fmi3ExitInitializationMode"))
 
+    def get_state(self) -> bytes | int:
+        """Return the FMU's state, serialised; only its size where that is above LARGEST_STATE."""
+        state, size = c_void_p(), c_size_t()
+        self.call("get_state", self.raw("fmi3GetFMUState", c_void_p), byref(state))
+        self.call("serialise_state", self.raw("fmi3SerializedFMUStateSize", c_void_p, c_void_p), state, byref(size))
+        saved = self._serialised(state, size) if size.value <= LARGEST_STATE else size.value
+        self.call("free_state", self.raw("fmi3FreeFMUState", c_void_p), byref(state))
+        return saved
+
+    def set_state(self, serialised: bytes) -> None:
+        """Go back to a state that get_state returned."""
+        state = c_void_p()
+        deserialise = self.raw("fmi3DeserializeFMUState", c_void_p, c_size_t, c_void_p)
+        self.call("deserialise_state", deserialise, serialised, len(serialised), byref(state))
+        self.call("set_state", self.raw("fmi3SetFMUState", c_void_p), state)
+        self.call("free_state", self.raw("fmi3FreeFMUState", c_void_p), byref(state))
+
     def close(self) -> None:
         """Terminate, if it was initialized, and free."""
         if self.time is not None:
             self.call("terminate", self.raw("fmi3Terminate"))
         self.fmu.freeInstance()
 
+    def _serialised(self, state: c_void_p, size: c_size_t) -> bytes:
+        buffer = ctypes.create_string_buffer(size.value)
+        serialise = self.raw("fmi3SerializeFMUState", c_void_p, c_void_p, c_size_t)
+        self.call("serialise_state", serialise, state, buffer, size)
+        return buffer.raw
+
     def _accessor(self, name: str) -> Any:
         if name not in self._accessors:
             self._accessors[name] = self.raw(name, c_void_p, c_size_t, c_void_p, c_size_t)
         return self._accessors[name]
 
-    def _load(self, to_load: FmuToLoad, make: Callable[..., Any]) -> Any:
+    def _load(self, to_load: FmuToLoad, make: Callable[..., Any], options: Mapping[str, bool]) -> Any:
         directory = os.getcwd()
         try:
             fmu = _lenient(make)(
@@ -115,11 +145,11 @@ class Fmi3Calls:
                 unzipDirectory=to_load.folder,
                 instanceName=to_load.instance_name,
             )
-            fmu.instantiate(loggingOn=True, logMessage=lambda _, status, __, text: self.log.add(status, text or b""))
+            fmu.instantiate(
+                loggingOn=True, logMessage=lambda _, status, __, text: self.log.add(status, text or b""), **options
+            )
         except Exception as error:  # FMPy raises nothing more special
-            problem = clock_problem(self.description) if to_load.interface == "co-simulation" else None
             reason = self.log.reason() or str(error)
-            reason = f"{reason.rstrip('.')}; {problem}" if problem else reason
             raise SlaveError(self.name, "instantiate", None, f"failed: {reason}") from error
         finally:
             os.chdir(directory)  # FMPy stays in the FMU's folder when loading fails

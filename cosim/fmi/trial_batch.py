@@ -38,6 +38,8 @@ class TrialBatch(NamedTuple):
 
     start_time: float
     """Start time of each [s]."""
+    stop_time: float
+    """Stop time of each [s]."""
     state: bytes | None
     """FMU state that each begins in; None: in its start values."""
     is_new: bool
@@ -66,7 +68,8 @@ def encode_trials(batch: TrialBatch) -> bytes:
         for values in inputs:
             flat.extend(values)
     state = batch.state or b""
-    head = json.dumps([batch.start_time, batch.state is not None, batch.is_new, sizes, batch.trials]).encode()
+    begun = [batch.start_time, batch.stop_time, batch.state is not None, batch.is_new]
+    head = json.dumps([*begun, sizes, batch.trials]).encode()
     return _LENGTHS.pack(len(head), len(state)) + head + state + flat.tobytes()
 
 
@@ -77,7 +80,7 @@ def take_trials(binding: Binding, renewed: Callable[[], Binding], message: bytes
     """
     n_head, n_state = _LENGTHS.unpack_from(message)
     begin = _LENGTHS.size + n_head
-    start_time, has_state, is_new, sizes, trials = json.loads(message[_LENGTHS.size : begin])
+    start_time, stop_time, has_state, is_new, sizes, trials = json.loads(message[_LENGTHS.size : begin])
     state, legs = message[begin : begin + n_state], _legs(sizes, array("d", message[begin + n_state :]))
     outputs, n_done = array("d"), 0
     fault: list[object] | None = None
@@ -86,7 +89,7 @@ def take_trials(binding: Binding, renewed: Callable[[], Binding], message: bytes
             if not is_new and not has_state:
                 binding = renewed()
             if is_new or not has_state:
-                binding.initialize(start, start_time, None)
+                binding.initialize(start, start_time, stop_time)
             is_new = False
             if has_state:
                 binding.set_state(state)  # pyright: ignore

@@ -142,6 +142,7 @@ class FmuModel:
 
     def _started(self) -> FmuProcess:
         to_load = fmu_to_load(self._description, self._folder.path, self._fmu.stem, "model-exchange")
+        to_load = to_load._replace(interface="derivatives")
         process = FmuProcess(to_load, self._timeout, memory_limit=self._memory_limit, environment=self._environment)
         try:
             process.bind(*self._bound)

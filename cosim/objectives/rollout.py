@@ -10,9 +10,10 @@ from estimator import Evaluation, Sample, SampleSequence, Vector
 
 from ..errors import ScenarioError, StateTooLargeError
 from ..slaves.slave import Slave
+from .rollout_base import WindowStart
 from .rollout_check import PROOF_STEPS, prove_restart, steps_like_the_plant
 from .rollout_fmu import START_METHODS, RunningPlant, Shadow, StartMethod, obstacles_in_words
-from .rollout_plan import History, Origin, plan_of
+from .rollout_plan import History, Origin, Plan, plan_of
 from .rollout_pool import Outputs, Pool
 
 LARGEST: Final = 1e9
@@ -45,7 +46,7 @@ class RolloutObjective:
     How roll-outs begin is decided once, by the first samples. Leaving the context ends the processes.
     """
 
-    made_anew: ClassVar = ("_pool", "_follower", "_followed")
+    made_anew: ClassVar = ("_pool", "_follower", "_followed", "_window_start")
     """Attributes that are in no checkpoint: processes, and the roll-out that one of them is at, which begins again."""
 
     def __init__(
@@ -66,6 +67,7 @@ class RolloutObjective:
         self._pool = Pool(shadow.opened, jobs, shadow.is_restartable)
         self._follower = Pool(shadow.opened, 1, shadow.is_restartable)
         self._followed: _Followed | None = None
+        self._window_start = WindowStart(shadow) if live is None else None
         self._lost: Any = None
         self.why_lost: str | None = None
         """Reason why the roll-out with the present parameters failed when last tried; None: it did not."""
@@ -76,6 +78,8 @@ class RolloutObjective:
     def __exit__(self, *_: object) -> None:
         self._pool.__exit__()
         self._follower.__exit__()
+        if self._window_start is not None:
+            self._window_start.close()
 
     @property
     def is_ready(self) -> bool:
@@ -117,9 +121,7 @@ class RolloutObjective:
 
     def evaluate(self, thetas: Sequence[Vector], stretch: SampleSequence) -> list[Evaluation]:
         """Evaluate the candidates over the stretch, several at a time."""
-        way = self._decided()
-        plans = [plan_of(way, self._shadow, self._history, theta.tolist(), stretch) for theta in thetas]
-        outcomes = self._pool.simulate(plans)
+        outcomes = self._pool.simulate([self._plan(theta, stretch) for theta in thetas])
         return [
             Evaluation(np.array([np.nan]), outcome.reason)
             if outcome.result is None
@@ -149,6 +151,8 @@ class RolloutObjective:
         """Use theta from the stretch's beginning on in simulations from the start."""
         if self.way == "replay":
             self._history.accept(stretch.origin.place, theta.tolist())
+            if self._window_start is not None:
+                self._window_start.accept(stretch.origin.place)
             self._followed = None
 
     def _decide(self) -> None:
@@ -189,13 +193,24 @@ class RolloutObjective:
             raise RuntimeError("roll-outs need samples before the first.")
         return self.way
 
+    def _plan(self, theta: Vector, stretch: SampleSequence) -> Plan:
+        plan = plan_of(self._decided(), self._shadow, self._history, theta.tolist(), stretch)
+        if self.way != "replay" or self._window_start is None:
+            return plan
+        begun = self._window_start.shortened(plan, self._history, stretch.origin.place, self._simulated)
+        return begun or plan
+
+    def _simulated(self, plan: Plan) -> Outputs | None:
+        (outcome,) = self._pool.map([partial(plan.run, self._pool)])
+        return outcome.result
+
     def _go_on(self, theta: Vector, stretch: SampleSequence, is_begun: bool, slave: Slave, is_new: bool) -> Outputs:
         """Return outputs up to the newest sample, stepping on from the last sample reached."""
         samples, at, tunables = stretch.samples, self._followed, None
         times: Sequence[float]
         inputs: Sequence[Sequence[float]]
         if at is None or is_new or not is_begun:
-            plan = plan_of(self._decided(), self._shadow, self._history, theta.tolist(), stretch)
+            plan = self._plan(theta, stretch)
             plan.begin(self._follower, slave, is_new)
             at = _Followed(theta.tobytes(), stretch.origin, stretch.origin.place, [])
             tunables = plan.last.tunables

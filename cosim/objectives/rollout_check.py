@@ -33,7 +33,7 @@ def steps_like_the_plant(shadow: Shadow, live: RunningPlant, state: bytes, sampl
     disturbed = replace(shadow, inputs=(*shadow.inputs, *live.disturbances))
     try:
         with disturbed.opened(tunables) as slave:
-            slave.initialize(shadow.start, shadow.start_time)
+            slave.initialize(shadow.start, shadow.start_time, shadow.stop_time)
             slave.set_state(state)
             values = [live.changes[name](first.t) for name in tunables]
             inputs = [*second.u, *(value(first.t) for value in live.disturbances.values())]

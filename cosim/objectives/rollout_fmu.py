@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from ..errors import CosimError, ScenarioError
-from ..fmi.archive import co_simulation, read_description
+from ..fmi.archive import capabilities, read_description
 from ..fmi.ports import Catalogue
 from ..scenarios.scenario import Scenario
 from ..slaves.slave import Slave, open_slave
@@ -51,6 +51,8 @@ class Shadow:
     """Start values that are not estimated."""
     start_time: float
     """Start time of the co-simulation [s]."""
+    stop_time: float
+    """Its stop time [s], which no roll-out passes."""
     is_restartable: bool
     """True where it may be instantiated several times in a process."""
     obstacles: Mapping[StartMethod, str]
@@ -99,13 +101,13 @@ def shadow_of(scenario: Scenario, plant: Plant, is_live: bool) -> Shadow:
             port = catalogue.start_port(names[-1], p.lower)
             if problem := port.problem([p.lower]) or port.problem([p.upper]):
                 raise ScenarioError(f"bounds of '{p.name}': {problem}")
-        interface: Any = co_simulation(description)
+        interface: Any = capabilities(description)
         start = {k: v for k, v in scenario.components[plant.name].start.items() if k in variables}
         shadow = Shadow(
             fmu, inputs, plant.states, outputs, tuple(n.noise for n in scenario.sampling.outputs.values()),
             tuple(names), {k: v for k, v in start.items() if k not in names}, scenario.scenario.start_time,
-            not interface.canBeInstantiatedOnlyOncePerProcess, {}, scenario.scenario.timeout,
-            scenario.scenario.environment, scenario.components[plant.name].tolerance,
+            scenario.scenario.stop_time, not interface.canBeInstantiatedOnlyOncePerProcess, {},
+            scenario.scenario.timeout, scenario.scenario.environment, scenario.components[plant.name].tolerance,
         )  # fmt: skip
     except CosimError as e:
         raise ScenarioError(f"{where}: {str(e).rstrip('.')}.") from e

@@ -38,6 +38,7 @@ class Plan:
 
     start: Mapping[str, Any]
     start_time: float
+    stop_time: float
     state: bytes | None
     before: tuple[Leg, ...]
     last: Leg
@@ -55,7 +56,7 @@ class Plan:
     def begin(self, pool: Pool, slave: Slave, is_new: bool) -> None:
         """Bring a slave, which must be new unless there is a state, to the last leg. Raises SlaveError."""
         if is_new or self.state is None:
-            slave.initialize(self.start, self.start_time)
+            slave.initialize(self.start, self.start_time, self.stop_time)
         if self.state is not None:
             slave.set_state(self.state)
         for leg in self.before:
@@ -92,9 +93,9 @@ class History:
         """Take theta (d,) for the parameters from that place on."""
         self.changes = [*(b for b in self.changes if b[0] < place), (place, theta)]
 
-    def legs(self, until: int) -> tuple[Leg, ...]:
-        """Return the legs from the start to a place, with the parameters accepted on the way."""
-        changes = [(0, None), *(b for b in self.changes if b[0] < until)]
+    def legs(self, until: int, since: int = 0) -> tuple[Leg, ...]:
+        """Return the legs from a place, by default the start, to another, with the parameters accepted on the way."""
+        changes = [(since, None), *(b for b in self.changes if since <= b[0] < until)]
         ends = [*(place for place, _ in changes[1:]), until]
         return tuple(
             Leg(self.times[a : b + 1], self.inputs[a:b], theta)
@@ -110,7 +111,7 @@ def plan_of(
     samples, origin = stretch.samples, stretch.origin
     times, inputs = [s.t for s in samples], [s.u for s in samples[1:]]
     if way == "state":
-        return Plan(shadow.start, shadow.start_time, origin.state, (), Leg(times, inputs, theta))
+        return Plan(shadow.start, shadow.start_time, shadow.stop_time, origin.state, (), Leg(times, inputs, theta))
     if way == "measured":
         first = samples[0]
         start = {
@@ -119,6 +120,6 @@ def plan_of(
             **dict(zip(shadow.states, first.x, strict=True)),
             **dict(zip(shadow.parameters, theta, strict=True)),
         }
-        return Plan(start, times[0], None, (), Leg(times, inputs, None))
+        return Plan(start, times[0], shadow.stop_time, None, (), Leg(times, inputs, None))
     start = {**shadow.start, **dict(zip(shadow.parameters, history.theta, strict=True))}
-    return Plan(start, shadow.start_time, None, history.legs(origin.place), Leg(times, inputs, theta))
+    return Plan(start, shadow.start_time, shadow.stop_time, None, history.legs(origin.place), Leg(times, inputs, theta))

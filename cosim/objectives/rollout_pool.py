@@ -36,6 +36,8 @@ class Rollable(Protocol):
     @property
     def start_time(self) -> float: ...
     @property
+    def stop_time(self) -> float: ...
+    @property
     def state(self) -> bytes | None: ...
     @property
     def legs(self) -> Sequence[tuple[TrialLeg, Sequence[float] | None]]: ...
@@ -142,7 +144,7 @@ class Pool:
         """Simulate them in one message; end the process of one that has failed."""
         first = rollouts[0]
         batch = TrialBatch(
-            first.start_time, first.state, is_new, [leg for leg, _ in first.legs],
+            first.start_time, first.stop_time, first.state, is_new, [leg for leg, _ in first.legs],
             [BatchTrial((), [(i, tunables) for i, (_, tunables) in enumerate(r.legs)]) for r in rollouts],
         )  # fmt: skip
         with self._fitted(sum(r.n_steps for r in rollouts)):

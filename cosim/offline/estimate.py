@@ -86,6 +86,8 @@ class Request:
     """Time that each call of the FMU may take [s]."""
     environment: tuple[str, ...] = ()
     """Environment variables that the FMU's processes are given beside those which every FMU is given."""
+    own: tuple[str, ...] = ()
+    """Parameters that have a value of their own in each log; the others have one for all logs."""
 
     def __post_init__(self) -> None:
         if self.method not in OFFLINE:
@@ -100,11 +102,22 @@ class Request:
             raise EstimateError(f"--timeout must be positive, got {self.timeout:g} s.")
         if self.holdout is not None and not 0.0 <= self.holdout < 1.0:
             raise EstimateError(f"--holdout must be from 0 to below 1, got {self.holdout:g}.")
+        if other := next((name for name in self.own if name not in {p.name for p in self.parameters}), None):
+            raise EstimateError(f"--own {other} must be a --parameter too.")
+        if self.own and self.validation:
+            raise EstimateError("--own has no value for a log of --validate; hold rows out instead.")
         if low_high := next((w for w in self.windows if not w[0] < w[1]), None):
             raise EstimateError(f"--window must be FROM:TO with FROM < TO, got {low_high[0]:g}:{low_high[1]:g}.")
         bad = next((name for name, s in self.noise.items() if not (0.0 < s < np.inf and name in self.measured)), None)
         if bad is not None:
             raise EstimateError(f"--noise {bad} must be positive, and of a measured output.")
+
+    @property
+    def of_one_log(self) -> dict[str, tuple[str, Path]]:
+        """Variable and log of each parameter that has a value of its own in each log, by the parameter's name."""
+        names = Counter(path.name for path in self.logs)
+        labels = {path: path.name if names[path.name] == 1 else str(path) for path in self.logs}
+        return {f"{name} in {labels[path]}": (name, path) for name in self.own for path in self.logs}
 
     @property
     def constants(self) -> dict[str, float]:
@@ -261,6 +274,7 @@ def _plant(request: Request) -> SimulatedPlant:
         request.step,
         request.timeout,
         request.environment,
+        request.of_one_log,
     )
 
 
@@ -278,14 +292,16 @@ def _space(request: Request, component: Component) -> tuple[ParameterSpace, Vect
         if problem := port.problem([p.lower]) or port.problem([p.upper]):
             raise EstimateError(f"bounds of {request.fmu.name}: {problem}.")
         unit = component.unit(p.name)
+        names = [name for name, (of, _) in request.of_one_log.items() if of == p.name] or [p.name]
         try:
-            parameters.append(Parameter(p.name, p.lower, p.upper, unit.name if unit else "1", p.scale))
+            unit_name = unit.name if unit else "1"
+            parameters += [Parameter(name, p.lower, p.upper, unit_name, p.scale) for name in names]
         except ValueError as e:
             raise EstimateError(str(e).rstrip(".") + ".") from e
         given = request.start.get(p.name, component.variables[p.name].start)
         if isinstance(given, str) and p.name in request.start:
             raise EstimateError(f"'{p.name}' is to be estimated: --start may give it a value, not column '{given}'.")
-        nominal.append(float(given) if given is not None else (p.lower + p.upper) / 2.0)
+        nominal += [float(given) if given is not None else (p.lower + p.upper) / 2.0] * len(names)
     try:
         space = ParameterSpace(tuple(parameters))
     except ValueError as e:

@@ -10,7 +10,7 @@ from ..names import did_you_mean
 _TABLES: Final = {
     "parameters": "--parameter", "measured": "--measured", "inputs": "--input", "start": "--start", "noise": "--noise",
 }  # fmt: skip
-_LISTS: Final = {"windows": "--window", "validate": "--validate", "environment": "--environment"}
+_LISTS: Final = {"windows": "--window", "validate": "--validate", "environment": "--environment", "own": "--own"}
 _FLAGS: Final = ("profile", "online")
 _VALUES: Final = (
     "time", "time_unit", "holdout", "step", "method", "evaluations", "samples", "evaluations_per_sample", "seed",

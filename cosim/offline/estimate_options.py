@@ -16,10 +16,12 @@ _Pair = tuple[str, str]
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that `request_of` reads to the parser."""
     add = parser.add_argument
-    add("fmu", type=Path, metavar="FMU", help="the plant, for co-simulation")
+    add("fmu", type=Path, metavar="FMU", help="the plant")
     add("logs", type=Path, metavar="LOG", nargs="+", help=".csv, .parquet, .mat or .mf4; units in brackets")
     add("--parameter", action="append", type=_sought, required=True, metavar="NAME=LOW:HIGH[:log]", dest="parameters",
         help="parameter or start value of the FMU to estimate; may be repeated")  # fmt: skip
+    add("--own", action="append", default=[], metavar="NAME",
+        help="a --parameter with a value of its own in each log; may be repeated")  # fmt: skip
     add(
         "--measured",
         action="append",
@@ -77,6 +79,8 @@ def request_of(options: argparse.Namespace) -> "Request":
         raise EstimateError("--evaluations-per-sample must be 1 or more, and goes with --online.")
     if options.profile and options.online:
         raise EstimateError("--profile is of a fit to the whole log, not --online.")
+    if options.own and (options.online or options.ssv):
+        raise EstimateError("--own is of a fit to all logs, not --online; and --ssv has one value for a parameter.")
     evaluations = options.evaluations if options.evaluations is not None else 30 if options.online else 60
     return Request(
         fmu=options.fmu,
@@ -98,6 +102,7 @@ def request_of(options: argparse.Namespace) -> "Request":
         jobs=(os.cpu_count() or 1) if options.jobs is None else options.jobs,
         timeout=options.timeout,
         environment=tuple(options.environment),
+        own=tuple(dict.fromkeys(options.own)),
     )
 
 

@@ -114,9 +114,11 @@ def _profile_of(found: Estimation, name: str) -> dict[str, Any]:
 def write_files(found: Estimation, folder: Path) -> None:
     """Write estimates.ssv, estimate.json, candidates.csv, and fit.csv with measured and simulated outputs.
 
-    The numbers are on disk before the report is made of them. Raises FolderError.
+    With own values there is an SSV file for each log: see ssv_files. The numbers are on disk before the report is made
+    of them. Raises FolderError.
     """
-    write_text(folder / ESTIMATES, estimates_ssv(found))
+    for path, text in ssv_files(found).items():
+        write_text(folder / path, text)
     write_json(folder / "estimate.json", numbers(found))
     theta = np.array([candidate for candidate, _, _ in found.evaluations])
     costs = [cost for _, cost, _ in found.evaluations]
@@ -125,9 +127,22 @@ def write_files(found: Estimation, folder: Path) -> None:
     write_json(folder / "estimate.json", summary(found))
 
 
-def estimates_ssv(found: Estimation) -> str:
-    """Return the estimates as SSV, with their units."""
-    values = [ParameterValue(p.name, float(v), p.unit) for p, v in zip(found.space, found.fit.theta, strict=True)]
+def ssv_files(found: Estimation) -> dict[str, str]:
+    """Return the estimates as SSV by file name: one file, or one for each log where parameters have own values."""
+    if not found.request.own:
+        return {ESTIMATES: estimates_ssv(found)}
+    logs, stem = found.request.logs, Path(ESTIMATES)
+    return {f"{stem.stem}-{i}{stem.suffix}": estimates_ssv(found, log) for i, log in enumerate(logs, start=1)}
+
+
+def estimates_ssv(found: Estimation, log: Path | None = None) -> str:
+    """Return the estimates as SSV, with their units; log: the one whose own values are taken."""
+    own = found.request.of_one_log
+    values = [
+        ParameterValue(own[p.name][0] if p.name in own else p.name, float(v), p.unit)
+        for p, v in zip(found.space, found.fit.theta, strict=True)
+        if p.name not in own or own[p.name][1] == log
+    ]
     return to_ssv(f"{found.request.fmu.stem} estimates", values, found.component.units)
 
 

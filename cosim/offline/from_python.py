@@ -33,6 +33,7 @@ def estimate(
     time: str | None = None,
     time_unit: str | None = None,
     windows: Sequence[Cut] = (),
+    own: Sequence[str] = (),
     validation: Sequence[Path | str] = (),
     holdout: float | None = None,
     step: float | None = None,
@@ -48,13 +49,14 @@ def estimate(
 ) -> Estimation:
     """Estimate parameters of a plant FMU from logs of measurements.
 
-    fmu: the plant, for co-simulation. logs: one file or several (.csv, .parquet, .mat, .mf4).
+    fmu: the plant. logs: one file or several (.csv, .parquet, .mat, .mf4).
     parameters: bounds by name, in the FMU's units, `{"m": (0.5, 4.0), "J": (0.1, 12.0, "log")}`.
     measured, inputs: the log's column for each output and input of the FMU.
     start: the start value of a state or of a known parameter, as a number or as a column of the log.
     noise: standard deviation by output, in its unit; estimated from the logs by default.
     time: the column of time stamps; time_unit: their unit, by default the log's, or s.
     windows: parts of each log to use, (from, to) [s].
+    own: parameters that have a value of their own in each log; the others have one for all logs.
     validation: logs that are not fitted to. holdout: share of each log's rows that is not fitted to, 0.25 by default.
     step: communication step [s]; by default from row to row.
     method: "target", "least-squares" or "multi-start". evaluations: candidates that the search may simulate.
@@ -70,7 +72,7 @@ def estimate(
     request = Request(
         fmu=Path(fmu),
         logs=tuple(map(Path, paths)),
-        parameters=tuple(_sought(name, bounds) for name, bounds in parameters.items()),
+        parameters=tuple(sought(name, bounds) for name, bounds in parameters.items()),
         measured=measured,
         inputs=inputs or {},
         start=start or {},
@@ -78,6 +80,7 @@ def estimate(
         time=time,
         time_unit=time_unit,
         windows=tuple(windows),
+        own=tuple(dict.fromkeys(own)),
         validation=tuple(map(Path, validation)),
         holdout=holdout,
         step=step,
@@ -105,5 +108,6 @@ def estimate(
     return found
 
 
-def _sought(name: str, bounds: Bounds) -> Sought:
+def sought(name: str, bounds: Bounds) -> Sought:
+    """Return a parameter to estimate, as its bounds say."""
     return Sought(name, bounds[0], bounds[1], "linear" if len(bounds) == 2 else bounds[2])

@@ -6,6 +6,7 @@ An error in a log is refused in one line or, where harmless, passed over with a 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import ceil
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -66,6 +67,8 @@ class LogWindow:
     """The columns (n, s) of those start values, row by row; NaN where there is none."""
     n_fit: int
     """Number of first rows, which parameters are fitted to; the others are held out."""
+    log: Path = Path()
+    """The log's file."""
 
 
 def windows_of(
@@ -100,6 +103,7 @@ def windows_of(
                     dict(zip(signals.start, table["start"][part[0]].tolist(), strict=True)),
                     table["start"][part],
                     len(part),
+                    log.path,
                 )
             )
     for i, (variable, column) in enumerate(signals.measured.items()):

@@ -22,7 +22,7 @@ from estimator.retuner import Budget
 from estimator.triggers import InnovationSettings
 
 from ..errors import ScenarioError, WiringError
-from ..fmi.archive import co_simulation
+from ..fmi.archive import capabilities, has_fixed_step
 from ..fmi.ports import Catalogue
 from ..objectives.rollout import RolloutObjective
 from ..objectives.rollout_check import PROOF_STEPS
@@ -129,13 +129,13 @@ def _watched(
     counts: samples that a candidate is evaluated on, candidates evaluated at each sample.
     """
     theta, space = understood.nominal, understood.space
-    interface: Any = co_simulation(understood.component.description)
-    samples, u0 = _samples(window, request.step, not interface.canHandleVariableCommunicationStepSize)
+    interface: Any = capabilities(understood.component.description)
+    samples, u0 = _samples(window, request.step, has_fixed_step(understood.component.description))
     names, states, outputs = set(space.names), _states(request), tuple(request.measured)
     start = dict(zip(request.inputs, u0, strict=True)) | request.constants | dict(window.start)
     shadow = Shadow(
         request.fmu, tuple(request.inputs), states, tuple(request.measured), tuple(understood.noise.tolist()),
-        space.names, {name: value for name, value in start.items() if name not in names}, samples[0].t,
+        space.names, {name: value for name, value in start.items() if name not in names}, samples[0].t, samples[-1].t,
         not interface.canBeInstantiatedOnlyOncePerProcess, obstacles, request.timeout,
         request.environment, told_by=_told_by(request, understood),
     )  # fmt: skip

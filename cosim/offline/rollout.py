@@ -5,7 +5,7 @@ Each roll-out begins in a newly made instance, in a process of its own; several 
 
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Self
@@ -14,7 +14,7 @@ import numpy as np
 
 from estimator.space import ParameterSpace, Vector
 
-from ..fmi.archive import co_simulation
+from ..fmi.archive import capabilities, has_fixed_step
 from ..fmi.component import Component
 from ..objectives.rollout_pool import Pool
 from ..slaves.slave import Slave, open_slave
@@ -45,6 +45,14 @@ class SimulatedPlant:
     """Time that each call of the FMU may take [s]."""
     environment: tuple[str, ...] = ()
     """Environment variables that its process is given: see open_slave."""
+    own: Mapping[str, tuple[str, Path]] = field(default_factory=dict[str, tuple[str, Path]])
+    """Variable and log of each parameter that is sought for one log alone, by the parameter's name."""
+
+    def values_in(self, log: Path, values: Mapping[str, float]) -> dict[str, float]:
+        """Return start values by variable for a log, of values by parameter."""
+        shared = {name: value for name, value in values.items() if name not in self.own}
+        own = {self.own[name][0]: v for name, v in values.items() if name in self.own and self.own[name][1] == log}
+        return shared | own
 
 
 class Rollout(NamedTuple):
@@ -70,8 +78,8 @@ class Rollouts:
 
     def __init__(self, plant: SimulatedPlant, component: Component, windows: Sequence[LogWindow], jobs: int) -> None:
         """jobs: number of processes. Raises LogError where the FMU cannot step as the log's rows ask."""
-        interface: Any = co_simulation(component.description)
-        is_even = not interface.canHandleVariableCommunicationStepSize
+        interface: Any = capabilities(component.description)
+        is_even = has_fixed_step(component.description)
         self._plant, self._grids = plant, [grid_of(w, plant.step, is_even) for w in windows]
         self._windows = tuple(windows)
         self._pool = Pool(self._opened, jobs, not interface.canBeInstantiatedOnlyOncePerProcess)
@@ -85,7 +93,7 @@ class Rollouts:
     def simulate(self, candidates: Sequence[Mapping[str, float]], is_whole: bool = False) -> list[list[Rollout]]:
         """Simulate each candidate over each window, over its rows to fit or all of them; several at a time.
 
-        candidates: start values by name.
+        candidates: start values by the parameter's name.
         """
         numbers = [i for i, w in enumerate(self._windows) if is_whole or w.n_fit]
         tasks = [partial(self._rollout, i, is_whole, values) for values in candidates for i in numbers]
@@ -102,8 +110,11 @@ class Rollouts:
         window, (times, inputs, rows) = self._windows[number], self._grids[number]
         n_rows = len(window.time) if is_whole else window.n_fit
         end = times[n_rows - 1] if rows is None else float(rows[n_rows - 1])
+        values_here = self._plant.values_in(window.log, values)
         inputs_at_start = zip(self._plant.inputs, inputs[0], strict=True)
-        slave.initialize({**dict(inputs_at_start), **self._plant.start, **window.start, **values}, times[0])
+        slave.initialize(
+            {**dict(inputs_at_start), **self._plant.start, **window.start, **values_here}, times[0], times[-1]
+        )
         n = bisect_left(times, end)
         table = np.array([slave.get(), *self._pool.through(slave, times[: n + 1], inputs[:n])])
         if rows is None:

@@ -17,7 +17,7 @@ from estimator import Sample, Vector
 from estimator.differences import central_differences
 
 from ..errors import CosimError, ScenarioError, SlaveError, WiringError
-from ..fmi.archive import co_simulation
+from ..fmi.archive import capabilities
 from ..fmi.folder import PrivateFolder
 from ..fmi.table import TableSlave
 from ..scenarios.scenario import Scenario
@@ -253,7 +253,7 @@ class Lookahead:
             elif isinstance(slave, TableSlave):
                 shadows[name] = TableSlave(path, label)
             else:
-                once = bool(co_simulation(slave.description).canBeInstantiatedOnlyOncePerProcess)
+                once = bool(capabilities(slave.description).canBeInstantiatedOnlyOncePerProcess)
                 own: dict[str, Any] = settings.slave_options | ({"isolation": "process"} if once else {})
                 own["tolerance"] = self._scenario.components[name].tolerance
                 shadows[name] = self._stack.enter_context(_open(path, label, own))

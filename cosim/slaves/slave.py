@@ -20,7 +20,7 @@ from typing import Literal, Self
 from fmpy.model_description import ModelDescription
 
 from ..errors import COLON, NotResumableError, SlaveError, StateTooLargeError
-from ..fmi.archive import co_simulation, fmu_to_load, unpacked
+from ..fmi.archive import capabilities, fmu_to_load, unpacked
 from ..fmi.binding import LARGEST_STATE
 from ..fmi.folder import PrivateFolder
 from ..fmi.ports import Catalogue
@@ -263,7 +263,7 @@ class Slave:
     @property
     def has_states(self) -> bool:
         """True where the FMU can save and restore its state, serialised."""
-        interface = co_simulation(self.description)
+        interface = capabilities(self.description)
         return bool(interface.canGetAndSetFMUstate and interface.canSerializeFMUstate)
 
     def check_tunables(self, names: Sequence[str]) -> None:

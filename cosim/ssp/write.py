@@ -16,7 +16,7 @@ from xml.etree.ElementTree import Element, SubElement
 import tomli_w
 
 from ..errors import SspError, WiringError
-from ..fmi.archive import FmuFile, read_any
+from ..fmi.archive import FmuFile, InterfaceName, component_interface, read_any
 from ..fmi.component import Component, ModelVariable, read_component
 from ..fmi.elements import element_names
 from ..fmi.ports import is_numeric
@@ -37,6 +37,7 @@ from .scenario import EXTRA, SCENARIO
 START_VALUES = "initialValues"
 """Name of every component's parameter set: ecos sets those of the name that it is given."""
 
+_IMPLEMENTATIONS: dict[InterfaceName, str] = {"co-simulation": "CoSimulation", "model-exchange": "ModelExchange"}
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 _OWN_PACKAGES = ("cosim", "estimator", "fmu_models")
 
@@ -113,7 +114,8 @@ def _structure(scenario: Scenario, components: Mapping[str, Component], places: 
     elements = SubElement(system, "ssd:Elements")
     units: dict[str, Unit] = {}
     for name, component in components.items():
-        kind = {"type": "application/x-fmu-sharedlibrary", "implementation": "CoSimulation"}
+        implementation = _IMPLEMENTATIONS[component_interface(component.description)]
+        kind = {"type": "application/x-fmu-sharedlibrary", "implementation": implementation}
         element = SubElement(elements, "ssd:Component", {"name": name, "source": places[name], **kind})
         connectors = [v for v in component.variables.values() if _is_connector(scenario, name, v)]
         if connectors:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from ..errors import WiringError
 from ..fmi.archive import FmuFile
-from ..fmi.ports import is_numeric
+from ..fmi.component import outputs_of
 from ..fmi.table import TableSlave
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
@@ -108,4 +108,4 @@ def connected_as_well(scenario: Scenario, reference: VariableName) -> str:
 
 def numeric_outputs(slave: Described) -> tuple[str, ...]:
     """Return the names of the outputs that are numbers."""
-    return tuple(v.name for v in slave.description.modelVariables if v.causality == "output" and is_numeric(v))
+    return tuple(v.name for v in outputs_of(slave.description))

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete
 
-from benchmarks.native_fmus import FOREIGN
+from benchmarks.native_fmus import FOREIGN, build_c
 
 pytestmark = pytest.mark.fmu
 STEP = 0.01  # s
@@ -74,26 +74,29 @@ def test_the_plant_as_model_exchange_fmu_leaves_only_the_change_to_fill_in(forei
     assert float(last["controller.c"]) == pytest.approx(8.0, rel=5e-3)
 
 
+@pytest.mark.parametrize("how", [(), pytest.param(("--online",), marks=pytest.mark.full)], ids=["offline", "online"])
+def test_roll_outs_have_a_stop_time(foreign, workplace, called, how):
+    """An FMU that cannot be initialised without one."""
+    fmu = build_c(FOREIGN / "Axis.c", (FOREIGN / "Axis.xml").read_text(), workplace / "Axis.fmu", "-DNEEDS_STOP")
+    log = oscillation("log.csv", 2.0, 8.0, 1.0, 1e-4, end=1.0)
+    sought = ["--parameter", "mass.m=0.5:20", "--parameter", "spring.c=1:50", "--evaluations", 6, "--jobs", 1, *how]
+    code, out, err = called("estimate", fmu, log, *sought, "--input", "f=f", "--measured", "mass.s=s", "--json")
+    assert (code, "stop" in err) == (0, False), err
+    assert json.loads(out)
+
+
 @pytest.mark.full_but("FMI 2")
-@pytest.mark.parametrize("name", ["Axis", "Axis-3"], ids=["FMI 2", "FMI 3"])
+@pytest.mark.parametrize("name", ["Axis", "Axis-3", "Axis-ME"], ids=["FMI 2", "FMI 3", "model exchange"])
 def test_its_parameters_are_found_in_a_log(foreign, workplace, called, name):
-    """To the error of its own integration, semi-implicit Euler over half a millisecond."""
+    """To the error of its own integration, semi-implicit Euler over half a millisecond, where it has one."""
     log = oscillation("log.csv", 3.0, 11.0, 1.0, 1e-4)
     sought = ["--parameter", "mass.m=0.5:20", "--parameter", "spring.c=1:50"]
     found = estimated(called, foreign / f"{name}.fmu", log, *sought, "--input", "f=f", "--measured", "mass.s=s")
     assert found == pytest.approx({"mass.m": 3.0, "spring.c": 11.0}, rel=1e-3)
 
 
-def test_what_it_cannot_is_one_line(foreign, workplace, called):
-    log = oscillation("log.csv", 3.0, 11.0, 1.0, 1e-4)
-    roles = ["--parameter", "mass.m=0.5:20", "--measured", "mass.s=s"]
-    exchange = foreign / "Axis-ME.fmu"
-    assert "an FMI 2.0 model-exchange FMU, not FMI 2.0 or 3.0 co-simulation" in refused(
-        called, "estimate", exchange, log, *roles
-    )
-    assert "model-exchange FMU, not" in refused(called, "new", "--plant", exchange, "-o", "me.toml")
-    assert not Path("me.toml").exists()
-    code, out, _ = called("info", exchange)
+def test_what_it_is_for_is_told(foreign, called):
+    code, out, _ = called("info", foreign / "Axis-ME.fmu")
     assert code == 0
     assert "FMI 2.0 for model exchange, made by Somebody's tool" in out
 
@@ -124,6 +127,14 @@ def test_the_rate_of_pythonfmu3_s_dahlquist_equation_is_found(example, workplace
     assert found["k"] == pytest.approx((1.0 - np.exp(-0.7 * STEP)) / STEP, rel=1e-5)
 
 
+def test_the_same_for_model_exchange_only_has_the_equation_s_own(example, workplace, called):
+    t = np.arange(301) * STEP
+    np.savetxt("log.csv", np.column_stack([t, np.exp(-0.7 * t)]), "%.12g", ",", header="time,x", comments="")
+    fmu = example("pythonfmu3", "pythonslaveMX")
+    found = estimated(called, fmu, "log.csv", "--parameter", "k=0.1:5", "--measured", "x=x")
+    assert found["k"] == pytest.approx(0.7, rel=1e-5)
+
+
 def test_a_fixed_parameter_of_pythonfmu3_s_example_cannot_change_in_a_run(example, workplace, called):
     fmu = example("pythonfmu3", "pythonslaveMXCS")
     assert called("new", "--plant", fmu, "--model", fmu, "-o", "my.toml")[0] == 0
@@ -135,8 +146,6 @@ def test_a_fixed_parameter_of_pythonfmu3_s_example_cannot_change_in_a_run(exampl
 
 
 EXAMPLES = {
-    "for model exchange only": ("pythonfmu3", "pythonslaveMX", "k=0.1:5", "x=x", 2,
-        "Dahlquist.fmu is an FMI 3.0 model-exchange FMU, not FMI 2.0 or 3.0 co-simulation"),
     "a whole number": ("pythonfmu3", "pythonslave", "intParam=1:5", "realOut=x", 2,
         "'intParam' of PythonSlave.fmu is of type Int32; only real numbers can be estimated"),
     "a text": ("pythonfmu3", "pythonslave", "stringParameter=1:5", "realOut=x", 2, "'stringParameter'"),

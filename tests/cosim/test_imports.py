@@ -13,9 +13,10 @@ import pytest
 import cosim
 
 PUBLIC = [
-    "Comparison", "CosimError", "Estimation", "FolderError", "ModelDescriptionError", "Run", "Scenario",
+    "Comparison", "CosimError", "Estimation", "FolderError", "ModelDescriptionError", "Online", "Run", "Scenario",
     "ScenarioError", "Slave", "SlaveError", "SspError", "System", "UnfinishedError", "WiringError", "compare",
-    "estimate", "load_scenario", "open_slave", "plot_belief", "plot_surrogate", "read_run", "resume", "run",
+    "estimate", "estimate_online", "load_scenario", "open_slave", "plot_belief", "plot_surrogate", "read_run", "resume",
+    "run",
 ]  # fmt: skip
 WORKSHOP = {"cosim", "estimator", "fmu_models"}
 

@@ -86,13 +86,18 @@ def harmless_findings(problems: Sequence[str]) -> list[Finding] | None:
     return [warning(_PLACE, f"{problem.rstrip('.')} (FMI 2.0.4, section 2.2.7)") for problem in problems]
 
 
+def is_true(attribute: object) -> bool:
+    """Return whether an attribute of a model description, as FMPy has it, is true."""
+    return attribute in ("true", "1", True)
+
+
 def clock_problem(description: ModelDescription) -> str | None:
-    """Return why the clocks of a co-simulation FMU cannot be served, or None: what sets a clock needs event mode."""
+    """Return why the clocks of an FMU cannot be served, or None: they tick in event mode, where it has one."""
     part = description.coSimulation
     clocks = [v.name for v in description.modelVariables if v.type == "Clock" and v.causality == "input"]
-    if not clocks or part is None or part.hasEventMode not in ("true", "1", True):
+    if not clocks or (part is not None and not is_true(part.hasEventMode)):
         return None
-    return f"it has input clocks, {one_line(clocks[0])!r} for one, which tick in event mode only; that is not supported"
+    return f"it has input clocks, {one_line(clocks[0])!r} for one, and nothing here makes a clock tick"
 
 
 def _units(units: Iterable[Any]) -> Iterator[Finding]:

@@ -447,7 +447,7 @@ def test_the_first_way_that_is_seen_to_work_is_taken_and_why_is_said(tmp_path, l
 
 
 def test_a_state_that_is_too_large_is_an_obstacle_as_any_other(tmp_path, leaves_nothing, monkeypatch):
-    monkeypatch.setattr("cosim.fmi.fmi2_co_simulation.LARGEST_STATE", 10)
+    monkeypatch.setattr("cosim.fmi.fmi2_calls.LARGEST_STATE", 10)
     path, short = toml(tmp_path, spoilt(tmp_path, declared=STATES + RATE)), {"scenario.stop_time": "0.5"}
     result = run(Scenario.load(path, short | {"scenario.isolation": "none"}), "target")
     assert result.status == "done", result.error

@@ -369,6 +369,13 @@ def test_a_file_says_what_the_command_line_would(plant, log, monkeypatch, tmp_pa
     assert requests[0] == requests[1]
 
 
+def test_a_file_says_it_for_the_online_mode_too(plant, log, tmp_path):
+    online = "evaluations = 10\nonline = true\nsamples = 20\nevaluations_per_sample = 10"
+    (tmp_path / "estimate.toml").write_text(TOML.format(plant=plant).replace("evaluations = 10", online))
+    options = make_parser().parse_args(with_file(["estimate", str(tmp_path / "estimate.toml")]))
+    assert (options.online, options.samples, options.per_sample, options.evaluations) == (True, 20, 10, 10)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [

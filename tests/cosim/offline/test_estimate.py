@@ -12,9 +12,10 @@ from scipy.integrate import solve_ivp
 import cosim
 from cosim.errors import WiringError
 from cosim.offline.estimate import EstimateError, FailedError, Request, Sought, estimate
-from cosim.offline.fit_report import report, words
+from cosim.offline.fit_report import report, words, write_files
 from cosim.offline.logs import LogError
 from cosim.offline.misfit_over_log import misfit_over_log
+from cosim.ssv.document import read_ssv
 from cosim.system.fmu_cache import find_fmu
 
 pytestmark = pytest.mark.fmu
@@ -142,6 +143,44 @@ def test_several_logs_count_together(ask, oracles, tmp_path):
     four = estimate(ask(oracles.measure(0), logs=more, holdout=0.0))
     assert four.fit.std == pytest.approx(one.fit.std / 2.0, rel=0.1)
     assert np.abs(errors(four, oracles)).max() < 4.0
+
+
+@pytest.fixture
+def fleet(ask, oracles, tmp_path):
+    """fleet(**changes): an estimation from two logs of plants that differ in mass: 1.7 and 2.9 kg."""
+    columns = [oracles.measure(i, m=m, end=4.0) for i, m in enumerate((1.7, 2.9))]
+    logs = tuple(oracles.write_log(tmp_path / f"axis-{i}.csv", one) for i, one in enumerate(columns, start=1))
+
+    def estimated(**changes):
+        return estimate(ask(columns[0], **{"logs": logs, "holdout": 0.0, "own": ("m",), "seed": 1} | changes))
+
+    return estimated
+
+
+def test_a_parameter_has_a_value_of_its_own_in_each_log(fleet, tmp_path):
+    """The others have one for both."""
+    found = fleet()
+    assert found.space.names == ("m in axis-1.csv", "m in axis-2.csv", "c", "k")
+    assert np.abs((found.fit.theta - [1.7, 2.9, 0.9, 23.0]) / found.fit.std).max() < 4.0
+    assert found.fit.misfit == pytest.approx(1.0, rel=0.1)
+    write_files(found, tmp_path)
+    for i in (0, 1):
+        values = {v.name: v.value for v in read_ssv(tmp_path / f"estimates-{i + 1}.ssv").values}
+        assert values == {"m": found.fit.theta[i], "c": found.fit.theta[2], "k": found.fit.theta[3]}
+    assert not (tmp_path / "estimates.ssv").exists()
+
+
+@pytest.mark.full
+def test_one_value_for_both_does_not_fit(fleet):
+    assert fleet(own=()).fit.misfit > 3.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"), [({"own": ("x0",)}, "--own x0 must be"), ({"validation": ("a.csv",)}, "--own has no value")]
+)
+def test_own_parameters_that_cannot_be_are_told(fleet, changes, told):
+    with pytest.raises(EstimateError, match=told):
+        fleet(**changes)
 
 
 def test_a_validation_log_is_held_out_as_a_whole(ask, oracles, tmp_path):

@@ -11,6 +11,7 @@ from filterpy.kalman import KalmanFilter
 from pythonfmu import FmuBuilder
 from scipy.linalg import expm
 
+import cosim
 from cosim.cli import main
 from cosim.objectives.rollout import RolloutObjective
 from cosim.objectives.rollout_fmu import Shadow
@@ -44,6 +45,21 @@ def ask(plant, tmp_path, oracles):
 
 def of(watched, kind):
     return [event for event in watched.events if event.kind == kind]
+
+
+@pytest.mark.full
+def test_the_function_of_the_library_is_the_command_with_keywords(ask, plant, oracles, tmp_path):
+    columns = {name: values[:120] for name, values in oracles.measure(0).items()}
+    expected = ask(columns, 20, per_sample=2, evaluations=10)
+    found = cosim.estimate_online(
+        plant, expected.request.logs, {"m": (0.5, 4.0), "c": (0.05, 5.0, "log")}, {"x": "x", "v": "v"}, {"F": "force"},
+        samples=20, evaluations_per_sample=2, start=KNOWN | STATES, evaluations=10, out=tmp_path / "out",
+    )  # fmt: skip
+    assert found.watched[0].theta.tolist() == expected.watched[0].theta.tolist()
+    assert [(e.t, e.kind) for e in found.watched[0].events] == [(e.t, e.kind) for e in expected.watched[0].events]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["estimates.ssv", "online.csv", "online.json"]
+    with pytest.raises(EstimateError, match="must be 1 or more"):
+        cosim.estimate_online(plant, expected.request.logs, {"m": (0.5, 4.0)}, {"x": "x"}, samples=0)
 
 
 @pytest.mark.full_but("0")
@@ -237,7 +253,17 @@ def test_residuals_begun_in_noisy_states_are_a_kalman_filter_s_innovations(plant
         for t, row, force in zip(columns["time [s]"].tolist(), y.tolist(), [u[0], *u.tolist()], strict=False)
     ]
     shadow = Shadow(
-        plant, ("F",), ("x", "v"), ("x", "v"), noise, ("m", "c"), {"k": k}, 0.0, True, {"state": "", "replay": ""}
+        plant,
+        ("F",),
+        ("x", "v"),
+        ("x", "v"),
+        noise,
+        ("m", "c"),
+        {"k": k},
+        0.0,
+        samples[-1].t,
+        True,
+        {"state": "", "replay": ""},
     )
     with NoisyStartObjective(
         partial(RolloutObjective, shadow, np.array([m, c]), "measured", None, 1), start_noise

@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from cosim.errors import CosimError, SlaveError
-from cosim.fmi.archive import co_simulation
+from cosim.fmi.archive import capabilities
 from cosim.retuning.lookahead import Lookahead, RunningSystem
 from cosim.runs.simulation import run
 from cosim.scenarios.scenario import Scenario
@@ -45,7 +45,7 @@ class Loop:
         paths = fmu_paths(scenario)
         self.slaves = {name: stack.enter_context(open_slave(p, name, isolation="none")) for name, p in paths.items()}
         for name in lacking:
-            co_simulation(self.slaves[name].description).canGetAndSetFMUstate = False
+            capabilities(self.slaves[name].description).canGetAndSetFMUstate = False
         wiring, groups = wire(scenario, self.slaves)
         self.plant = plant_of(scenario, self.slaves["plant"])
         self.master = Master(self.slaves, wiring, groups)

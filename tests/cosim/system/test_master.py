@@ -284,7 +284,8 @@ def variable(name, causality="output", start=None, derivative=None, unit="1"):
 
 
 def described(stub, *variables):
-    stub.description = SimpleNamespace(modelVariables=list(variables), unitDefinitions=[])
+    described = {"modelVariables": list(variables), "unitDefinitions": [], "coSimulation": SimpleNamespace()}
+    stub.description = SimpleNamespace(**described)
     return stub
 
 

@@ -123,14 +123,9 @@ CASES = {
             "run": (RUN, 2, "'damper.d' of Axis.fmu is a fixed parameter, not a tunable parameter")}),
     ],
     "a capability that is missing": [
-        ("axis.toml", [('"Axis.fmu"', '"Axis-ME.fmu"')], {
-            "check": (CHECK, 2, "Axis-ME.fmu is an FMI 2.0 model-exchange FMU, not FMI 2.0 or 3.0 co-simulation"),
-            "run": (RUN, 2, "Axis-ME.fmu is an FMI 2.0 model-exchange FMU, not FMI 2.0 or 3.0 co-simulation")}),
         ("axis.toml", [("plant_model:derivative", "AxisController.fmu")], {
             "check": (CHECK, 2, "not FMI 2.0 or 3.0 model-exchange"),
             "run": (RUN, 2, "not FMI 2.0 or 3.0 model-exchange")}),
-        (None, [], {"new": (["new", "--plant", "Axis-ME.fmu", "-o", "new.toml"], 2, "model-exchange FMU, not"),
-            "estimate": (["estimate", "Axis-ME.fmu", *ESTIMATE[2:]], 2, "model-exchange FMU, not")}),
         ("axis.toml", [(r"plant.der\(mass.v\)", "plant.mass.v")], {
             "check": (CHECK, 2, "'mass.v' is not declared as a state's derivative"),
             "run": (RUN, 2, "mass.v")}),

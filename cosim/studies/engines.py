@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import logging
 import os
 import warnings
 from collections.abc import Callable, Generator
@@ -14,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 from urllib.parse import urlsplit
 
-from ..errors import ScenarioError, UnfinishedError, one_line
+from ..errors import ScenarioError, one_line
 from .processes import LocalProcesses
 
 MPI: Final = "mpi"
@@ -68,6 +69,8 @@ def _dask(on: str, is_plain: bool) -> Generator[Engine]:
     """Yield an engine on a Dask cluster, whose own retries are off."""
     _check_address(on, is_plain)
     distributed = _imported("distributed", "--on", "dask")
+    for log in ("distributed", "tornado", "asyncio"):  # which print tracebacks of what ends in one line here
+        logging.getLogger(log).setLevel(logging.CRITICAL)
     try:
         client: Any = distributed.Client(
             **({"scheduler_file": on} if Path(on).is_file() else {"address": on}),
@@ -146,4 +149,7 @@ def _imported(module: str, option: str, extra: str) -> Any:
 
 def reason_of(error: BaseException) -> str:
     """Return in one line why a call has no result."""
-    return one_line(f"{error}" if isinstance(error, UnfinishedError) else f"{type(error).__name__}: {error}")
+    if (worker := getattr(error, "last_worker", None)) is not None:  # Dask's KilledWorker, which takes a paragraph
+        return f"its worker {worker.address} has died"
+    name, text = type(error).__name__, one_line(str(error))
+    return text if isinstance(error, BrokenExecutor) else f"{name}: {text}" if text else name

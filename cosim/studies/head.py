@@ -128,7 +128,7 @@ class Head:
             raise UnfinishedStudyError(f"{self._engine.name} has gone: {reason_of(e)}.") from e
         except Exception as e:  # what a worker that lacks this package raises, for one
             self._ledger.give_back(key, lease)
-            raise UnfinishedStudyError(f"{self._engine.name}: a worker cannot make the run: {reason_of(e)}.") from e
+            raise UnfinishedStudyError(f"{self._engine.name}: a worker cannot make a run: {reason_of(e)}.") from e
         match answer.kind:
             case "result":
                 return self._commit(leased, answer)

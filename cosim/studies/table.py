@@ -1,7 +1,8 @@
 """The table of a study's results: a row a run, in a Parquet file."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,11 +20,16 @@ _ROWS_AT_A_TIME: Final = 20_000
 
 def write_results(folder: Path, ledger: Ledger) -> Path:
     """Write the table of all runs, those without a result included; return its file. Raises FolderError."""
-    path, schema = folder / RESULTS, _schema(ledger)
+    path, kinds = folder / RESULTS, dict[str, set[type]]()
+    batches = [_batch(rows, kinds) for rows in _rows(ledger)]
+    schema = pa.schema([(name, _type_of(name, found)) for name, found in kinds.items()])
     with replaced(path) as file, pq.ParquetWriter(file, schema) as writer:
-        for rows in _batches(ledger):
-            columns = [pa.array([_as(field.type, row.get(field.name)) for row in rows], field.type) for field in schema]
-            writer.write_table(pa.table(columns, schema=schema))
+        for n, columns in batches:
+            arrays = [
+                columns[field.name].cast(field.type) if field.name in columns else pa.nulls(n, field.type)
+                for field in schema
+            ]
+            writer.write_table(pa.table(arrays, schema=schema))
     return path
 
 
@@ -41,26 +47,24 @@ def _row(entry: LedgerEntry) -> dict[str, Any]:
             "key": entry.key}  # fmt: skip
 
 
-def _batches(ledger: Ledger) -> Iterator[list[dict[str, Any]]]:
-    rows: list[dict[str, Any]] = []
-    for entry in ledger.entries():
-        rows.append(_row(entry))
-        if len(rows) == _ROWS_AT_A_TIME:
-            yield rows
-            rows = []
-    if rows:
+def _rows(ledger: Ledger) -> Iterator[list[dict[str, Any]]]:
+    entries = ledger.entries()
+    while rows := [_row(entry) for entry in islice(entries, _ROWS_AT_A_TIME)]:
         yield rows
 
 
-def _schema(ledger: Ledger) -> Any:
-    """Return the columns that any row has, and the type that fits all of their values."""
-    found: dict[str, set[type]] = {}
-    for entry in ledger.entries():
-        for name, value in _row(entry).items():
-            kinds = found.setdefault(name, set())
-            if value is not None:
-                kinds.add(type(value))
-    return pa.schema([(name, _type_of(name, kinds)) for name, kinds in found.items()])
+def _batch(rows: Sequence[Mapping[str, Any]], all_kinds: dict[str, set[type]]) -> tuple[int, dict[str, Any]]:
+    """Return the number of rows and their columns as Arrow has them; add the types of their values to all_kinds."""
+    columns: dict[str, Any] = {}
+    for name in dict.fromkeys(name for row in rows for name in row):
+        values = [row.get(name) for row in rows]
+        kinds = {type(value) for value in values if value is not None}
+        all_kinds.setdefault(name, set()).update(kinds)
+        kind = _type_of(name, kinds)
+        if pa.types.is_string(kind) and kinds != {str}:
+            values = [value if value is None or isinstance(value, str) else json.dumps(value) for value in values]
+        columns[name] = pa.array(values, kind)
+    return len(rows), columns
 
 
 def _type_of(name: str, kinds: set[type]) -> Any:
@@ -71,14 +75,3 @@ def _type_of(name: str, kinds: set[type]) -> Any:
     if (kinds and kinds <= {int, float}) or (not kinds and name != "error"):
         return pa.float64()
     return pa.string()
-
-
-def _as(kind: Any, value: Any) -> Any:
-    if value is None or not pa.types.is_string(kind) or isinstance(value, str):
-        return value
-    return json.dumps(value)
-
-
-def columns_of(table: Any, names: Sequence[str]) -> dict[str, Any]:
-    """Return columns of a table as NumPy arrays, missing numbers as NaN."""
-    return {name: table[name].to_numpy(zero_copy_only=False) for name in names}

@@ -10,6 +10,7 @@ import numpy as np
 from ..text_table import aligned, counted
 from .design import StudyPoint
 from .plan import Study
+from .sensitivity import allows_sensitivity, has_salib, sensitivities
 from .summary import ALIKE, StudySummary
 
 WIDTH: Final = 120
@@ -26,7 +27,7 @@ def to_terminal(study: Study, summary: StudySummary) -> str:
     for scenario, rows in _tables(summary):
         parts.append("\n".join([scenario, *aligned((_HEADER, *rows))]))
     notes = "\n".join(textwrap.fill(note, WIDTH, subsequent_indent="  ") for note in _notes(summary))
-    return "\n\n".join([*parts, notes, *_worst(study, summary)])
+    return "\n\n".join([*parts, notes, *map("\n".join, _sensitivity_texts(study, summary)), *_worst(study, summary)])
 
 
 def to_markdown(study: Study, summary: StudySummary, pictures: Sequence[str] = ()) -> str:
@@ -36,6 +37,8 @@ def to_markdown(study: Study, summary: StudySummary, pictures: Sequence[str] = (
         rule = ("---", *["---:"] * (len(_HEADER) - 1))
         parts += [f"## {scenario}", "\n".join("| " + " | ".join(row) + " |" for row in (_HEADER, rule, *rows))]
     parts += ["\n".join(f"- {note}" for note in _notes(summary))]
+    for title, *lines in _sensitivity_texts(study, summary):
+        parts += [f"## {title}", "```\n" + "\n".join(lines) + "\n```"] if lines else [title]
     parts += [f"![{name.removesuffix('.png')}]({name})" for name in pictures]
     if worst := _worst(study, summary):
         heading, *lines = worst[0].splitlines()
@@ -84,6 +87,18 @@ def _notes(summary: StudySummary) -> list[str]:
         if n := int((summary.columns["status"] == status).sum()):
             notes.append(f"{counted(n, 'run')} {text}; the column error of results.parquet says why.")
     return notes
+
+
+def _sensitivity_texts(study: Study, summary: StudySummary) -> list[list[str]]:
+    """Return a title and lines on the sensitivity to the factors; nothing where the design does not allow it."""
+    if not allows_sensitivity(study.definition):
+        return []
+    if not has_salib():
+        return [["Sensitivities to the factors: pip install 'fmu-retune[sensitivity]'."]]
+    found = sensitivities(study.definition, summary)
+    rows = [(f"{s.scenario}, {s.estimator}", s.factor, f"{s.first_order:.2f} ± {s.half_width:.2f}") for s in found]
+    title = "part of the variance of log(times nominal) that a factor explains alone"
+    return [[title, *aligned(rows)]] if rows else []
 
 
 def _worst(study: Study, summary: StudySummary) -> list[str]:

@@ -46,7 +46,10 @@ def tell_study(study: Study, ledger: Ledger, folder: Path, is_json: bool) -> int
     with recording(folder):
         write_results(folder, ledger)
         summary = summarised(read_results(folder), tuple(study.definition.factors))
-        write_text(folder / "summary.md", to_markdown(study, summary))
+        from ..plots.study import draw_study  # after the runs: what draws takes half a second to load
+
+        pictures = draw_study(folder, summary, tuple(study.definition.factors))
+        write_text(folder / "summary.md", to_markdown(study, summary, [path.name for path in pictures]))
     counts = ledger.counts()
     if is_json:
         print(to_json(_figures(study, summary, folder) | {"runs": counts}))

@@ -54,6 +54,10 @@ class Study:
         default_factory=dict[tuple[Path | str, ...], dict[str, str]], compare=False
     )
     """SHA-256 of the user's modules, by folder and references."""
+    digests_known: dict[tuple[object, ...], list[str]] = field(
+        default_factory=dict[tuple[object, ...], list[str]], compare=False
+    )
+    """SHA-256 of FMUs and tables, by folder and names."""
 
     def runs(self) -> Iterator[PlannedRun]:
         """Yield the runs in the order of the table: by scenario, point and seed, the estimators next to each other.
@@ -121,8 +125,17 @@ class Study:
 
     def _digests(self, scenario: Scenario) -> list[str]:
         """Return the SHA-256 of all FMUs and tables of a scenario. Raises ScenarioError."""
-        paths = [component_path(c, scenario.folder) for c in scenario.components.values()]
-        return [self.digest(path) for path in [*paths, *files_of(scenario)]]
+        components, estimation = scenario.components.values(), scenario.estimation
+        named = (
+            scenario.folder,
+            estimation.model,
+            estimation.rollout.fmu,
+            *((c.fmu, c.fmi, c.table) for c in components),
+        )
+        if named not in self.digests_known:
+            paths = [component_path(c, scenario.folder) for c in components]
+            self.digests_known[named] = [self.digest(path) for path in [*paths, *files_of(scenario)]]
+        return self.digests_known[named]
 
     def _checked(self, source: int, point: StudyPoint, scenario: Scenario, estimator: str) -> dict[str, str]:
         """Return the modules of the user's that a run loads. Raises ScenarioError for what cannot be run."""

@@ -5,9 +5,13 @@ import pyarrow as pa
 import pytest
 from PIL import Image
 
+from cosim.cli import main
 from cosim.plots.study import draw_study
+from cosim.runs.lock import new_locked_folder
 from cosim.scenarios.scenario import Scenario
+from cosim.studies.conduct import enter
 from cosim.studies.definition import checked_definition
+from cosim.studies.folder import open_study
 from cosim.studies.ledger import open_ledger
 from cosim.studies.plan import Study
 from cosim.studies.sensitivity import sensitivities
@@ -149,3 +153,21 @@ def test_pictures_can_be_drawn_whatever_there_is(tmp_path):
     assert [path.name for path in draw_study(tmp_path, summarised(nothing, ("m",)), ("m",))] == ["errors.png"]
     alone = table((0, "target", "done", 1.0))
     assert [path.name for path in draw_study(tmp_path, summarised(alone, ("m",)), ("m",))] == ["errors.png"]
+
+
+def test_a_study_becomes_a_page_with_pictures_and_links_to_the_runs_that_are_kept(tmp_path, capsys):
+    made = study(keep=True)
+    out = tmp_path / "out"
+    with new_locked_folder("s", out), open_study(out, made, "study") as ledger:
+        runs = {run.key: run for run in made.runs()}
+        enter(made, runs, ledger)
+        for k, (key, run) in enumerate(runs.items()):
+            result = {"status": "done", "mse": 1.0 + k, "run": f"{run.estimator}-{k}"}
+            ledger.finish(key, ledger.lease(key), result, None, is_done=True)
+        write_results(out, ledger)
+    assert main(["report", str(out)]) == 0
+    page = (out / "report.html").read_text()
+    assert page.count("<img ") == page.count("data:image/png;base64") == 2
+    assert 'href="runs/target-1"' in page
+    assert main(["report", str(out)]) == 2  # it is there already
+    assert "exists" in capsys.readouterr().err

@@ -1,16 +1,15 @@
 """Points of a study: the values of its factors, crossed or paired, and the settings that they stand for."""
 
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import norm, qmc
 
 from ..errors import ScenarioError
-from .definition import Factor, StudyDefinition, StudySettings
+from .definition import Factor, StudyDefinition, StudySettings, toml_text
 
 Values = dict[str, Any]
 """Value of each factor, by name."""
@@ -36,14 +35,14 @@ def points(definition: StudyDefinition) -> Iterator[StudyPoint]:
     for values in combined:
         settings = dict(fixed)
         for name, factor in factors.items():
-            settings |= factor.texts(toml_text(values[name]))
+            settings |= factor.settings_of(values[name])
         yield StudyPoint({name: values[name] for name in factors}, settings)
 
 
 def given_values(factor: Factor) -> list[Any]:
     """Return the values of a factor that has no distribution."""
-    if factor.values is not None:
-        return list(factor.values)
+    if factor.values is not None or factor.choices is not None:
+        return list(factor.values or factor.choices or ())
     if factor.grid is not None:
         first, last, n = factor.grid
         return np.linspace(first, last, n).tolist()
@@ -93,13 +92,3 @@ def _paired(columns: Mapping[str, Sequence[Any]], samples: Sequence[Values]) -> 
         raise ScenarioError(f"factors that are paired must have equally many values, got {counts}.")
     for k in range(next(iter(lengths.values()), 1)):
         yield {name: values[k] for name, values in columns.items()} | (samples[k] if samples[0] else {})
-
-
-def toml_text(value: Any) -> str:
-    """Return a value in TOML, in one line."""
-    if isinstance(value, Mapping):
-        items = cast(Mapping[str, Any], value).items()
-        return "{" + ", ".join(f"{json.dumps(k)} = {toml_text(v)}" for k, v in items) + "}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(toml_text, cast(Sequence[Any], value))) + "]"
-    return json.dumps(value, ensure_ascii=False, default=str)

@@ -13,7 +13,8 @@ WALL_TIMES: Final = ("latency p50 [ms]", "latency p99 [ms]", "latency max [ms]",
 def row_of(run: Run) -> dict[str, Any]:
     """Return the figures of a run: tracking, parameters at the end, what re-tuning did, wall times."""
     summary = run.summary()
-    guard, latency = summary["guard"] or {}, summary["latency_ms"]
+    guard, diagnosis, latency = summary["guard"] or {}, summary["diagnosis"] or {}, summary["latency_ms"]
+    changes = _changes(run)
     known = [e for e in run.mse if np.isfinite(e)]
     return {
         "status": run.status,
@@ -25,18 +26,22 @@ def row_of(run: Run) -> dict[str, Any]:
         **{f"error {p['name']} [{p['unit']}]": p["estimated"] - p["true"] for p in summary["parameters"]},
         "evaluations": run.n_evaluations,
         "triggers": run.n_episodes,
-        "writes": guard.get("written", _n_changes(run)),
+        "first write [s]": float(run.time[changes[0]]) if len(changes) else None,
+        "writes": guard.get("written", len(changes)),
         "vetoes": guard.get("vetoed"),
         "reverts": guard.get("reverted"),
+        "disturbances": diagnosis.get("disturbance"),
+        "unexplained": diagnosis.get("unexplained"),
+        "rests": diagnosis.get("rest"),
         **dict(zip(WALL_TIMES, (*(latency[k] for k in ("p50", "p99", "max")), summary["missed_deadlines"], run.wall),
                    strict=True)),
     }  # fmt: skip
 
 
-def _n_changes(run: Run) -> int:
-    """Return the number of communication points at which the controller's parameters changed."""
+def _changes(run: Run) -> Any:
+    """Return the numbers of the communication points at which the controller's parameters changed."""
     held = np.array(list(run.estimates.values()))
-    return int(np.any(np.diff(held) != 0.0, axis=0).sum()) if held.size else 0
+    return 1 + np.flatnonzero(np.any(np.diff(held) != 0.0, axis=0)) if held.size else np.empty(0, dtype=int)
 
 
 def record_of(run: Run) -> dict[str, Any]:

@@ -30,6 +30,7 @@ samples = {samples}
 keep = {keep}
 [study.settings]
 "scenario.stop_time" = 0.05
+"scenario.isolation" = "{isolation}"
 "estimation.budget" = 10
 [factors.payload]
 set = 'changes."plant.m"'

@@ -87,15 +87,25 @@ def test_a_point_is_settings_as_set_takes_them():
     }  # fmt: skip
 
 
+def test_choices_are_settings_by_name():
+    gust = {'changes."plant.F_d"': [[0.0, 0.0], [0.5, 4.0]]}
+    made = list(points(study({"case": {"choices": {"quiet": {}, "gust": gust}}, "b": B | {"list": [5]}})))
+    assert [point.values for point in made] == [{"case": "quiet", "b": 5}, {"case": "gust", "b": 5}]
+    assert made[0].settings == {"estimation.budget": "5"}
+    assert made[1].settings == {'changes."plant.F_d"': "[[0.0, 0.0], [0.5, 4.0]]", "estimation.budget": "5"}
+
+
 @pytest.mark.parametrize(
     ("table", "told"),
     [
-        ({"factors": {"m": M}}, "factors.m: must have one of list, grid"),
+        ({"factors": {"m": M}}, "factors.m: must have one of list, choices, grid"),
         ({"factors": {"m": M | {"list": [1], "grid": [1, 2, 3]}}}, "got list and grid"),
         ({"factors": {"m": M | {"uniform": [2.0, 1.0]}}}, "uniform must have lower < upper"),
         ({"factors": {"m": M | {"log-uniform": [0.0, 1.0]}}}, "log-uniform must have 0 < lower < upper"),
         ({"factors": {"m": M | {"normal": [0.0, 0.0]}}}, "standard deviation above 0"),
         ({"factors": {"m": M | {"range": [1, 2, 0]}}}, "range has no values"),
+        ({"factors": {"m": {"list": [1]}}}, "must have 'set'"),
+        ({"factors": {"m": M | {"choices": {"a": {}}}}}, "and choices, which have their keys, none"),
         ({"factors": {"m": M | {"to": "2", "list": [1]}}}, "factors.m.to"),
         ({"factors": {"seed": M | {"list": [1]}}}, "'seed' is a column of the table already"),
         ({"factors": {"m": M | {"liste": [1]}}}, r"factors\.m\.liste: unknown key; did you mean 'list'"),

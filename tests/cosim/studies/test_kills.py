@@ -13,19 +13,19 @@ from tests.cosim.studies.chaos import STUDY, Cluster, bytes_of, survive
 pytestmark = [pytest.mark.fmu, pytest.mark.full]
 
 SIZES = [
-    pytest.param(6, 3, id="3 kills"),
-    pytest.param(100, 50, id="50 kills", marks=pytest.mark.slow),
+    pytest.param(6, 3, "process", id="3 kills"),
+    pytest.param(100, 50, "none", id="50 kills", marks=pytest.mark.slow),
 ]
-"""Points of the study, each with two runs, and kills."""
+"""Points of the study, each with two runs, kills, and whether FMUs have processes of their own."""
 
 
 @pytest.fixture
 def serial(tmp_path, leaves_nothing):
-    """serial(samples, keep): a study's file, and its table of runs made one after the other."""
+    """serial(samples, isolation, keep): a study's file, and its table of runs made one after the other."""
 
-    def made(samples, keep=False):
+    def made(samples, isolation, keep=False):
         path = tmp_path / "short.toml"
-        path.write_text(STUDY.format(samples=samples, keep=str(keep).lower()))
+        path.write_text(STUDY.format(samples=samples, keep=str(keep).lower(), isolation=isolation))
         assert main(["study", str(path), "--out", str(tmp_path / "serial"), "--jobs", "1"]) == 0
         return path, bytes_of(tmp_path / "serial")
 
@@ -57,18 +57,18 @@ def check(tmp_path, table, chaos, n_kills):
     assert not left
 
 
-@pytest.mark.parametrize(("samples", "n_kills"), SIZES)
-def test_on_processes_of_this_machine(serial, tmp_path, samples, n_kills):
-    path, table = serial(samples, keep=True)
+@pytest.mark.parametrize(("samples", "n_kills", "isolation"), SIZES)
+def test_on_processes_of_this_machine(serial, tmp_path, samples, n_kills, isolation):
+    path, table = serial(samples, isolation, keep=True)
     chaos = survive(path, tmp_path / "out", n_kills, seed=n_kills)
     print(chaos)
     check(tmp_path, table, chaos, n_kills)
     assert len(list((tmp_path / "out" / "runs").iterdir())) == 2 * samples
 
 
-@pytest.mark.parametrize(("samples", "n_kills"), SIZES)
-def test_on_a_dask_cluster_of_three_workers(serial, tmp_path, samples, n_kills):
-    path, table = serial(samples)
+@pytest.mark.parametrize(("samples", "n_kills", "isolation"), SIZES)
+def test_on_a_dask_cluster_of_three_workers(serial, tmp_path, samples, n_kills, isolation):
+    path, table = serial(samples, isolation)
     cluster = Cluster(tmp_path / "cluster")
     chaos = survive(path, tmp_path / "out", n_kills, n_kills, cluster)
     print(chaos)

@@ -17,6 +17,7 @@ from ..studies.plan import Study
 from ..terminal.consent import consented
 from ..terminal.exit_codes import DONE
 from ..terminal.folders import new_folder
+from ..terminal.next_step import line_of
 from ..terminal.study_output import carry_on, tell_study, telling_how_to_go_on
 from ..text_table import counted
 
@@ -26,9 +27,11 @@ def command(options: argparse.Namespace) -> int:
     first, *others = options.study
     if first == "status" and len(others) == 1:
         return _status(Path(others[0]), options.json)
-    if others:
-        raise ScenarioError(f"give one study, or `status` and one folder; got '{' '.join(options.study)}'.")
     path = Path(first)
+    if others or (first == "status" and not path.exists()):
+        raise ScenarioError(f"give one study, or `status` and one folder; got '{' '.join(options.study)}'.")
+    if first in named_scenarios() and not path.exists():
+        raise ScenarioError(f"{first} is a scenario; a study's file names it in its `scenarios`: see docs/studies.md.")
     study = loaded(read_definition(path), path.parent, options.trust)
     if options.dry_run:
         print(dry_run(study, planned(study), options.jobs))
@@ -74,7 +77,13 @@ def _status(folder: Path, is_json: bool) -> int:
         return DONE
     n = sum(counts.values())
     ended = n - counts["queued"] - counts["leased"]
-    state = "is running" if is_running else "has ended" if ended == n else "was stopped: retune resume goes on"
+    state = (
+        "is running"
+        if is_running
+        else "has ended"
+        if ended == n
+        else f"was stopped: {line_of('resume', folder)} goes on"
+    )
     print(f"{study.definition.study.name}: {ended} of {counted(n, 'run')} ended; it {state}")
     print(", ".join(f"{count} {name}" for name, count in counts.items() if count) or "no run is planned yet")
     for text, count in why:

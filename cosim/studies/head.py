@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from ..errors import CosimError, ScenarioError, UnfinishedError
-from ..runs.manifest import versions
 from .engines import Engine, reason_of
 from .ledger import MOST_LOSSES, Ledger
 from .plan import PlannedRun, Study
 from .recipe import Answer, Recipe
+from .versions import all_versions
 from .worker import make_run, make_run_far_away
 
 POLL_S: Final = 0.5
@@ -65,7 +65,7 @@ class Head:
         whole records, and ends with the first run that is refused."""
         self._study, self._ledger, self._engine = study, ledger, engine
         self._folder_of, self._is_compared = folder_of, is_compared
-        self._versions = versions()
+        self._versions = all_versions()
         self._waiting: deque[PlannedRun] = deque()
         self._running: dict[Future[Answer], _Leased] = {}
 

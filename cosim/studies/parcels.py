@@ -5,9 +5,6 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
-import estimator
-import fmu_models
-
 from ..errors import UnfinishedError
 from ..fmi.table import is_table
 from ..runs.manifest import modules
@@ -17,10 +14,10 @@ from ..system.fmu_cache import cache_folder, component_path, find_fmu
 from ..system.package_cache import filled, hold
 from ..user_code import is_built_in, load
 from .recipe import Parcel
+from .versions import OURS
 
 SCENARIO, WORKING = "scenario", "working"
 """Folders of a parcel: that of the scenario, and the head's working directory, where modules of the user's may be."""
-_OURS = [Path(__file__).parents[1], *(Path(m.__file__ or "").parent for m in (estimator, fmu_models))]
 
 
 def own_references(scenario: Scenario, estimator_name: str) -> dict[str, str]:
@@ -34,7 +31,7 @@ def own_modules(scenario: Scenario, references: Mapping[str, str]) -> dict[str, 
     for key, reference in references.items():
         load(reference, scenario.folder, key, scenario.origin)
     found = modules(scenario.folder) if references else {}
-    return {file: digest for file, digest in found.items() if not any(map(Path(file).is_relative_to, _OURS))}
+    return {file: digest for file, digest in found.items() if not any(map(Path(file).is_relative_to, OURS))}
 
 
 def packed(

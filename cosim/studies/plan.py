@@ -10,7 +10,6 @@ from typing import Any
 from ..errors import ScenarioError
 from ..files import sha256
 from ..retuning.estimators import check_estimator
-from ..runs.manifest import versions
 from ..scenarios.scenario import Scenario
 from ..scenarios.trust import check_trust, with_own
 from ..system.fmu_cache import component_path
@@ -18,6 +17,7 @@ from .definition import StudyDefinition
 from .design import StudyPoint, points
 from .parcels import files_of, is_built, own_modules, own_references, packed
 from .recipe import Parcel
+from .versions import all_versions
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Study:
 
         Raises ScenarioError, with the point, for one that cannot be run.
         """
-        study, our_versions = self.definition.study, versions()
+        study, our_versions = self.definition.study, all_versions()
         for place, (k, point) in enumerate(self.places()):
             scenario = self.scenario_at(k, point)
             digests = self._digests(scenario)

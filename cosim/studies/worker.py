@@ -10,12 +10,12 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from ..errors import CosimError, is_refusal, one_line
-from ..runs.manifest import versions
 from ..runs.simulation import run
 from .parcels import unpacked
 from .processes import LocalProcesses
 from .recipe import Answer, Recipe
 from .row import record_of, row_of
+from .versions import all_versions
 
 
 def make_run(recipe: Recipe) -> Answer:
@@ -82,6 +82,6 @@ def _made(recipe: Recipe, folder: str | None) -> Answer:
 
 def _difference(wanted: Mapping[str, str]) -> str:
     """Return in one line how this worker's versions differ from the head's; empty where they do not."""
-    here = versions()
+    here = all_versions()
     differ = [f"{name} {here.get(name)} instead of {v}" for name, v in wanted.items() if here.get(name) != v]
     return f"it has {', '.join(differ)}" if differ else ""

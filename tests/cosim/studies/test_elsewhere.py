@@ -5,7 +5,6 @@ from dataclasses import replace
 import pytest
 
 from cosim.cli import main
-from cosim.runs.manifest import versions
 from cosim.runs.result import read_run
 from cosim.scenarios.scenario import Scenario
 from cosim.studies.definition import checked_definition
@@ -14,6 +13,7 @@ from cosim.studies.parcels import unpacked
 from cosim.studies.plan import Study
 from cosim.studies.recipe import Parcel, Recipe
 from cosim.studies.row import WALL_TIMES
+from cosim.studies.versions import all_versions
 from cosim.studies.worker import make_run, make_run_far_away
 from tests.cosim.studies.chaos import Cluster, bytes_of
 
@@ -23,7 +23,7 @@ def recipe_of(scenario, path, estimator="target"):
     definition = checked_definition({"study": {"name": "s", "scenarios": [str(path)]}}, "s")
     study = Study(definition, (scenario,), (str(path),))
     moved, parcel, files = study.packed(scenario, estimator)
-    return Recipe(moved, estimator, 0, versions(), parcel=parcel), files
+    return Recipe(moved, estimator, 0, all_versions(), parcel=parcel), files
 
 
 def figures(answer):
@@ -38,7 +38,7 @@ def test_fmus_a_table_and_a_module_travel_once_and_nothing_else_is_looked_for(
 ):
     monkeypatch.chdir(tmp_path)
     scenario = Scenario.load(axis(("stop_time = 1.0", "stop_time = 0.4")))
-    here = make_run(Recipe(scenario, "target", 0, versions()))
+    here = make_run(Recipe(scenario, "target", 0, all_versions()))
     recipe, files = recipe_of(scenario, tmp_path / "axis.toml")
     names = sorted(name.rpartition("/")[2] for name in files)
     assert names == ["Axis.fmu", "AxisController.fmu", "axis_model.py", "steps.csv"]
@@ -57,9 +57,9 @@ def test_fmus_a_table_and_a_module_travel_once_and_nothing_else_is_looked_for(
 
 def test_a_worker_of_other_versions_is_refused_in_one_line(tmp_path):
     recipe, _ = recipe_of(Scenario.load("pendulum"), "pendulum")
-    answer = make_run_far_away(replace(recipe, versions=versions() | {"numpy": "1.0", "scipy": "2.0"}))
+    answer = make_run_far_away(replace(recipe, versions=all_versions() | {"numpy": "1.0", "scipy": "2.0"}))
     assert answer.kind == "unfit"
-    assert answer.why.startswith(f"it has numpy {versions()['numpy']} instead of 1.0, scipy ")
+    assert answer.why.startswith(f"it has numpy {all_versions()['numpy']} instead of 1.0, scipy ")
     assert len(answer.why.splitlines()) == 1
 
 

@@ -1,6 +1,9 @@
 """The head of a study against an executor that answers as it is told: what becomes of each answer."""
 
+import re
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
+from importlib.resources import files
+from pathlib import Path
 
 import pytest
 
@@ -97,6 +100,17 @@ def test_a_refused_run_ends_a_comparison_but_no_study(made):
     states, _, error = made({"none": [refused], "target": [DONE]}, is_compared=True)
     assert states == {"none": "queued", "target": "queued"}
     assert isinstance(error, StudyError)
+
+
+def test_no_clock_on_the_wall_is_looked_at():
+    found = [
+        path.name
+        for path in Path(str(files("cosim.studies"))).glob("*.py")
+        if re.search(
+            r"\btime\.time\b|from time import time\b|datetime|strftime|CURRENT_TIME|julianday", path.read_text()
+        )
+    ]
+    assert found == []
 
 
 def test_files_travel_to_a_worker_elsewhere_only_when_it_lacks_them(made):

@@ -171,6 +171,8 @@ def test_a_sweep_is_a_study_over_its_values(tmp_path, capsys):
         (["gone.toml"], "gone.toml: not a readable TOML file"),
         (["status", "."], "is no study's folder"),
         (["a.toml", "b.toml"], "give one study"),
+        (["status"], "give one study, or `status` and one folder"),
+        (["pendulum"], "pendulum is a scenario"),
         (["payloads.toml", "--on", "tcp://10.0.0.1:8786"], "without TLS runs code"),
         (["payloads.toml", "--on", "head"], "must be the address of a Dask scheduler"),
     ],

@@ -70,8 +70,7 @@ class Factor(Table):
             raise ValueError("set: each text must have {} where the value stands")
         if (self.grid and self.grid[2] < 1) or (self.span and not self._reaches_its_end()):
             raise ValueError(f"{given[0]} has no values, got {list(self.grid or self.span or ())}")
-        for name, least in (("uniform", -math.inf), ("log-uniform", 0.0)):
-            bounds = kinds[name]
+        for name, bounds, least in (("uniform", self.uniform, -math.inf), ("log-uniform", self.log_uniform, 0.0)):
             if bounds is not None and not least < bounds[0] < bounds[1]:
                 above = "0 < " if least == 0.0 else ""
                 raise ValueError(f"{name} must have {above}lower < upper, got {list(bounds)}")
@@ -137,7 +136,7 @@ class StudyDefinition(Table):
 
     @model_validator(mode="after")
     def _factors_fit(self) -> Self:
-        for name in sorted(RESERVED.intersection(self.factors)):
+        for name in (name for name in self.factors if name in RESERVED or name.startswith(("mse ", "error "))):
             raise ValueError(f"factors: '{name}' is a column of the table already: give it another name")
         n, is_drawn = self.study.samples, any(f.distribution for f in self.factors.values())
         if is_drawn and self.study.sampling == "sobol" and n & (n - 1):
@@ -145,8 +144,14 @@ class StudyDefinition(Table):
         return self
 
 
-RESERVED: Final = frozenset(("scenario", "estimator", "seed", "point", "status", "error", "mse", "key", "run"))
-"""Columns of the table of results that no factor can be named after."""
+RESERVED: Final = frozenset(
+    (
+        "scenario", "point", "estimator", "seed", "status", "error", "end [s]", "mse", "largest error", "evaluations",
+        "triggers", "first write [s]", "writes", "vetoes", "reverts", "disturbances", "unexplained", "rests",
+        "latency p50 [ms]", "latency p99 [ms]", "latency max [ms]", "missed deadlines", "wall time [s]", "run", "key",
+    )
+)  # fmt: skip
+"""Columns of the table of results, beside `mse OUTPUT` and `error PARAMETER`: no factor can be named after one."""
 
 
 def read_definition(path: Path) -> StudyDefinition:

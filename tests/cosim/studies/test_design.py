@@ -108,6 +108,7 @@ def test_choices_are_settings_by_name():
         ({"factors": {"m": M | {"choices": {"a": {}}}}}, "and choices, which have their keys, none"),
         ({"factors": {"m": M | {"to": "2", "list": [1]}}}, "factors.m.to"),
         ({"factors": {"seed": M | {"list": [1]}}}, "'seed' is a column of the table already"),
+        ({"factors": {"writes": M | {"list": [1]}}}, "'writes' is a column of the table already"),
         ({"factors": {"m": M | {"liste": [1]}}}, r"factors\.m\.liste: unknown key; did you mean 'list'"),
         ({"factors": {"m": M | {"uniform": [1, 2]}}, "study": {"samples": 100}}, "power of two for sobol, such as 128"),
         ({"study": {"seeds": [1, 1]}}, "seeds must be different ones"),

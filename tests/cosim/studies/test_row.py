@@ -5,6 +5,7 @@ import pytest
 
 from cosim.runs.simulation import run
 from cosim.scenarios.scenario import Scenario
+from cosim.studies.definition import RESERVED
 from cosim.studies.row import WALL_TIMES, record_of, row_of
 
 
@@ -28,6 +29,8 @@ def test_a_row_has_the_figures_of_its_run():
     assert row["triggers"] == made.n_episodes >= 1
     assert (row["vetoes"], row["reverts"], row["disturbances"]) == (0, 0, 0)
     assert set(WALL_TIMES) <= row.keys()
+    own = {name for name in row if not name.startswith(("mse ", "error "))}
+    assert own <= RESERVED  # no factor may be called so
     assert record_of(made)["end"] == row["end [s]"]
     still = row_of(run(Scenario.load("pendulum", changes), "none"))
     assert (still["writes"], still["first write [s]"], still["triggers"]) == (0, None, 0)

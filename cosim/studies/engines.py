@@ -17,6 +17,7 @@ from urllib.parse import urlsplit
 
 from ..errors import ScenarioError, one_line
 from .processes import LocalProcesses
+from .recipe import KilledFmuError
 
 MPI: Final = "mpi"
 """Name of the engine for programs that mpiexec has started."""
@@ -35,7 +36,7 @@ class Engine:
     """Number of calls that it makes at a time, now."""
     is_here: bool
     """True where its workers see the files of this machine."""
-    losses: tuple[type[BaseException], ...] = (BrokenExecutor, MemoryError)
+    losses: tuple[type[BaseException], ...] = (BrokenExecutor, MemoryError, KilledFmuError)
     """Exceptions of a call whose worker has died."""
     ends: tuple[type[BaseException], ...] = ()
     """Exceptions that say that the engine itself has gone."""
@@ -86,7 +87,7 @@ def _dask(on: str, is_plain: bool) -> Generator[Engine]:
 
         client.run_on_scheduler(without_retries)
         gone = (CancelledError, distributed.comm.CommClosedError, TimeoutError)
-        lost = (distributed.scheduler.KilledWorker, BrokenExecutor, MemoryError)
+        lost = (distributed.scheduler.KilledWorker, BrokenExecutor, MemoryError, KilledFmuError)
         executor = client.get_executor(pure=False, retries=0)
         try:
             yield Engine(
@@ -152,4 +153,4 @@ def reason_of(error: BaseException) -> str:
     if (worker := getattr(error, "last_worker", None)) is not None:  # Dask's KilledWorker, which takes a paragraph
         return f"its worker {worker.address} has died"
     name, text = type(error).__name__, one_line(str(error))
-    return text if isinstance(error, BrokenExecutor) else f"{name}: {text}" if text else name
+    return text if isinstance(error, BrokenExecutor | KilledFmuError) else f"{name}: {text}" if text else name

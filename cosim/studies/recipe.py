@@ -7,6 +7,10 @@ from typing import Any, Literal
 from ..scenarios.scenario import Scenario
 
 
+class KilledFmuError(Exception):
+    """Error for a run of which an FMU's process was killed from outside, as a machine without memory does: a loss."""
+
+
 @dataclass(frozen=True)
 class Parcel:
     """Files that a run needs, for a worker that does not share the head's: FMUs, tables, the user's modules."""

@@ -32,6 +32,7 @@ keep = {keep}
 "scenario.stop_time" = 0.05
 "scenario.isolation" = "{isolation}"
 "estimation.budget" = 10
+"estimation.trigger" = {{ kind = "innovation" }}
 [factors.payload]
 set = 'changes."plant.m"'
 to = "[[0.0, 1.75], [0.02, {{}}]]"

@@ -15,7 +15,7 @@ from cosim.studies.engines import Engine
 from cosim.studies.head import Head, StudyError
 from cosim.studies.ledger import open_ledger
 from cosim.studies.plan import Study
-from cosim.studies.recipe import Answer
+from cosim.studies.recipe import Answer, KilledFmuError
 
 DONE = Answer("result", row={"status": "done", "mse": 1.0})
 
@@ -70,6 +70,12 @@ def test_a_worker_that_dies_three_times_is_no_matter_the_fourth_time_is(made):
     states, executor, error = made({"none": [killed] * 3 + [DONE], "target": [killed]})
     assert (states, error) == ({"none": "done", "target": "lost"}, None)
     assert [estimator for _, estimator in executor.calls].count("target") == 4
+
+
+def test_a_run_of_which_an_fmu_was_killed_from_outside_is_made_again(made):
+    assert made({"none": [KilledFmuError("plant: the FMU's process was ended by SIGKILL"), DONE]})[0] == {
+        "none": "done"
+    }
 
 
 def test_a_worker_without_memory_is_lost_and_not_a_result(made):

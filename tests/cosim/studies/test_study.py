@@ -6,15 +6,22 @@ import shlex
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 
 import pyarrow.parquet as pq
 import pytest
 
 from cosim.cli import main
+from cosim.scenarios.scenario import Scenario
 from cosim.studies.folder import STUDY
 from cosim.studies.ledger import LEDGER, open_ledger
+from cosim.studies.processes import LocalProcesses
+from cosim.studies.recipe import KilledFmuError, Recipe
 from cosim.studies.row import WALL_TIMES
 from cosim.studies.table import RESULTS
+from cosim.studies.versions import all_versions
+from cosim.studies.worker import make_run
+from tests.cosim.studies.chaos import children_of
 
 pytestmark = pytest.mark.fmu
 
@@ -142,6 +149,24 @@ def test_runs_that_are_kept_have_their_folders_and_nothing_else_is_left(write, t
     names = sorted(p.name for p in (out / "runs").iterdir())
     assert [name.rpartition("-")[0] for name in names] == ["none-0", "target-0"]
     assert sorted(row["run"] for row in table_of(out).to_pylist()) == names
+
+
+@pytest.mark.full
+def test_an_fmu_that_is_killed_from_outside_is_no_result(children, becomes_true):
+    recipe = Recipe(Scenario.load("pendulum"), "none", 0, all_versions())
+    before = children()
+    with LocalProcesses(1) as processes:
+        future = processes.submit(make_run, recipe)
+        assert becomes_true(lambda: fmus_below(children() - before))
+        os.kill(fmus_below(children() - before)[0], signal.SIGKILL)
+        with pytest.raises(KilledFmuError, match="was ended by SIGKILL"):
+            future.result()
+        short = Scenario.load("pendulum", {"scenario.stop_time": "0.05"})
+        assert processes.submit(make_run, replace(recipe, scenario=short)).result().kind == "result"  # it goes on
+
+
+def fmus_below(workers):
+    return [fmu for worker in workers for fmu in children_of(worker)]
 
 
 @pytest.mark.full

@@ -5,6 +5,7 @@ leave a process that tracks resources until the program ends; the former also ru
 ends with the one that has started it, however that ends, and so do the FMUs that it runs.
 """
 
+import contextlib
 import os
 import pickle
 import shutil
@@ -20,7 +21,7 @@ from typing import Any, Final, NoReturn, ParamSpec, TypeVar
 from .. import former_names
 from ..blas_threads import ONE_THREAD
 from ..fmi.folder import PrivateFolder
-from ..slaves.channel import channel_pair, open_channel
+from ..slaves.channel import Channel, channel_pair, open_channel
 from ..warnings_log import warnings_logged
 
 CLOSE_TIMEOUT_S: Final = 10.0
@@ -158,14 +159,20 @@ def serve(channel_argument: str, temporary: str) -> NoReturn:
     null = os.open(os.devnull, os.O_RDONLY)
     os.dup2(null, 0)
     former_names.LOG.disabled = True  # the parent has logged them
-    try:
-        threading.Thread(target=_interrupt_at_end_of, args=(lifeline,), daemon=True).start()
-        with warnings_logged():
-            while True:
-                channel.send(_outcome(channel.receive(None)))
-    except (EOFError, OSError, KeyboardInterrupt):
-        shutil.rmtree(temporary, ignore_errors=True)
+    with contextlib.suppress(KeyboardInterrupt):  # it may come where the channel's end has been seen already
+        with contextlib.suppress(EOFError, OSError, KeyboardInterrupt):
+            threading.Thread(target=_interrupt_at_end_of, args=(lifeline,), daemon=True).start()
+            _make_calls(channel)
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    shutil.rmtree(temporary, ignore_errors=True)
     os._exit(0)
+
+
+def _make_calls(channel: Channel) -> NoReturn:
+    with warnings_logged():
+        while True:
+            channel.send(_outcome(channel.receive(None)))
 
 
 def _outcome(call: bytes) -> bytes:

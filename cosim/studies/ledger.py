@@ -24,7 +24,7 @@ _RESULTS: Final = "('done', 'failed')"
 _TABLES: Final = """
 CREATE TABLE IF NOT EXISTS runs (
     key TEXT PRIMARY KEY, position INTEGER, point TEXT NOT NULL, state TEXT NOT NULL DEFAULT 'queued',
-    lease INTEGER NOT NULL DEFAULT 0, losses INTEGER NOT NULL DEFAULT 0, worker TEXT, result TEXT, record TEXT, why TEXT
+    lease INTEGER NOT NULL DEFAULT 0, losses INTEGER NOT NULL DEFAULT 0, result TEXT, record TEXT, why TEXT
 ) WITHOUT ROWID;
 CREATE INDEX IF NOT EXISTS by_position ON runs (position);
 """
@@ -99,13 +99,13 @@ class Ledger:
         with self._reported():
             return {key for (key,) in self._database.execute("SELECT key FROM runs")}
 
-    def lease(self, key: str, worker: str = "") -> int:
+    def lease(self, key: str) -> int:
         """Lease a queued run; return the lease's number. Raises FolderError."""
         with self._transaction() as database:
             found = database.execute(
-                "UPDATE runs SET state = 'leased', lease = lease + 1, worker = ? WHERE key = ? AND state = 'queued' "
+                "UPDATE runs SET state = 'leased', lease = lease + 1 WHERE key = ? AND state = 'queued' "
                 "RETURNING lease",
-                (worker, key),
+                (key,),
             ).fetchone()
         if found is None:
             raise FolderError(f"{self._path}: run {key[:12]} is not queued.")

@@ -315,6 +315,7 @@ def test_a_disk_that_is_full_ends_a_comparison_which_can_go_on(pendulum, tmp_pat
     assert {p.name for p in (tmp_path / "out").iterdir()} == {STUDY, LEDGER, "none-0"}
 
 
+@pytest.mark.full
 @real
 def test_a_run_whose_process_was_killed_is_made_again(pendulum, children):
     others, seen = children(), []

@@ -9,6 +9,7 @@ from cosim.studies.definition import RESERVED
 from cosim.studies.row import WALL_TIMES, record_of, row_of
 
 
+@pytest.mark.full
 @pytest.mark.fmu
 def test_a_row_has_the_figures_of_its_run():
     changes = {

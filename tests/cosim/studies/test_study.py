@@ -13,8 +13,11 @@ import pytest
 
 from cosim.cli import main
 from cosim.scenarios.scenario import Scenario
-from cosim.studies.folder import STUDY
+from cosim.studies.conduct import enter
+from cosim.studies.definition import checked_definition
+from cosim.studies.folder import STUDY, open_study
 from cosim.studies.ledger import LEDGER, open_ledger
+from cosim.studies.plan import Study
 from cosim.studies.processes import LocalProcesses
 from cosim.studies.recipe import KilledFmuError, Recipe
 from cosim.studies.row import WALL_TIMES
@@ -224,3 +227,34 @@ def test_another_study_is_not_mixed_into_a_folder(write, tmp_path, capsys):
     assert main(["study", write(4.0), "--out", str(out)]) == 2
     assert "is not empty" in capsys.readouterr().err
     assert [p.name for p in out.iterdir()] == ["mine"]
+
+
+def test_a_study_that_somebody_else_has_made_runs_no_code_unasked(axis, tmp_path, capsys, monkeypatch):
+    path, out = axis(), tmp_path / "out"
+    out.mkdir()
+    tables = {"study": {"name": "s", "scenarios": [str(path)], "estimators": ["none"]}}
+    study = Study(checked_definition(tables, "s"), (Scenario.load(path),), (str(path),))
+    with open_study(out, study, "study") as ledger:
+        enter(study, {run.key: run for run in study.runs()}, ledger)
+    (tmp_path / "axis_model.py").write_text("raise SystemExit('it ran')")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "another user"))
+    assert main(["resume", str(out)]) == 2
+    assert f"{out} would run Python code (module axis_model), which only --trust allows" in capsys.readouterr().err
+    content = json.loads((out / STUDY).read_text())
+    content["definition"]["study"]["estimators"] = ["target"]
+    (out / STUDY).write_text(json.dumps(content))
+    assert main(["resume", str(out)]) == 2
+    assert "study.json is not as it was written" in capsys.readouterr().err
+
+
+def test_a_study_goes_on_only_as_it_was(axis, tmp_path, capsys):
+    path, out = axis(), tmp_path / "out"
+    out.mkdir()
+    tables = {"study": {"name": "s", "scenarios": [str(path)], "estimators": ["none"]}}
+    study = Study(checked_definition(tables, "s"), (Scenario.load(path),), (str(path),))
+    with open_study(out, study, "study") as ledger:
+        enter(study, {run.key: run for run in study.runs()}, ledger)
+    with open(tmp_path / "axis_model.py", "a") as file:
+        file.write("\n# changed\n")
+    assert main(["resume", str(out)]) == 2
+    assert "1 of 1 runs are not as they were planned" in capsys.readouterr().err

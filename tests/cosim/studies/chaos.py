@@ -141,7 +141,7 @@ def survive(
     study: Path, out: Path, n_kills: int, seed: int, cluster: Cluster | None = None, log: Callable = print
 ) -> Chaos:
     """Carry a study through, killing its processes n_kills times at random moments; out: its folder."""
-    rng, chaos, done = random.Random(seed), Chaos(), {}
+    rng, chaos, done, head = random.Random(seed), Chaos(), {}, None
     try:
         while True:
             if cluster is not None:
@@ -173,6 +173,8 @@ def survive(
                 return chaos
             assert head.returncode in (1, -signal.SIGKILL), told
     finally:
+        if is_alive(head):
+            head.kill()
         if cluster is not None:
             cluster.stop()
 

@@ -24,6 +24,7 @@ from PIL import Image
 
 from benchmarks import report
 from cosim.files import write_text
+from cosim.studies.folder import is_study
 
 DOCS = Path(__file__).parents[1] / "docs"
 DATA = DOCS / "evaluation"
@@ -77,6 +78,8 @@ def measure(names: Iterable[str]) -> None:
     RAW.mkdir(parents=True, exist_ok=True)
     for name in names:
         out = RAW / name
+        if name in COMPARISONS and is_study(out) and not _run(f"cosim.cli resume {shlex.quote(str(out))}").returncode:
+            continue  # what was interrupted has gone on; what is of other sources is refused, and measured anew
         shutil.rmtree(out, ignore_errors=True)
         if name in COMPARISONS:
             arguments = f"cosim.cli compare {COMPARISONS[name]}{_UNGUARDED}"
@@ -84,8 +87,11 @@ def measure(names: Iterable[str]) -> None:
             arguments, out = f"benchmarks.frozen {FROZEN[name]}", RAW / f"{name}.json"
         else:
             arguments = "cosim.cli figures --jobs 1"
-        command = [sys.executable, "-m", *shlex.split(arguments), "--out", str(out)]
-        subprocess.run(command, check=True, cwd=DOCS.parent)
+        _run(f"{arguments} --out {shlex.quote(str(out))}").check_returncode()
+
+
+def _run(arguments: str) -> "subprocess.CompletedProcess[bytes]":
+    return subprocess.run([sys.executable, "-m", *shlex.split(arguments)], cwd=DOCS.parent)
 
 
 def collect(names: Iterable[str]) -> None:

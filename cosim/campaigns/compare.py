@@ -1,25 +1,24 @@
-"""Comparison of estimators on the same plant, noise and seeds: many runs, in processes of their own, and one table."""
+"""Comparison of estimators on the same plant, noise and seeds: a study of one scenario, and one table."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any, Final
 
 from estimator import METHODS
 
-from ..errors import FolderError, ScenarioError
-from ..files import to_json
+from ..errors import ScenarioError
 from ..retuning.estimators import check_estimator
 from ..runs.lock import new_locked_folder
 from ..scenarios.scenario import Scenario
 from ..scenarios.trust import check_trust, with_own
-from ..system.fmu_cache import fmu_paths
+from ..studies.conduct import conduct, enter, planned
+from ..studies.definition import StudyDefinition, StudySettings
+from ..studies.folder import open_study
+from ..studies.head import StudyError, StudyProgress
+from ..studies.ledger import Ledger
+from ..studies.plan import Study
 from .comparison import Comparison
-from .executor import Executor, ExecutorError, RunsProgress, Task
-
-RUNS: Final = "runs.jsonl"
-"""File with a line for each finished run, in the order in which they ended."""
 
 
 def compare(
@@ -29,7 +28,9 @@ def compare(
     jobs: int | None = None,
     out: Path | str | None = None,
     keep: bool = False,
-    progress: RunsProgress | None = None,
+    progress: StudyProgress | None = None,
+    on: str | None = None,
+    is_plain: bool = False,
 ) -> Comparison:
     """Run each of `none`, `true` and the estimators with each seed; a count of seeds means 0, 1, ..., seeds - 1.
 
@@ -37,34 +38,58 @@ def compare(
     installed packages allow.
 
     Up to `jobs` runs (default: one per processor) are simulated at a time, each in a process of its own; their number
-    affects wall times only. With `out`, an absent or empty folder, each run is recorded in runs.jsonl as it ends, and
-    the tables are written at the end; with `keep` each run has its folder there, too. Diverged and faulted runs count.
+    affects wall times only. With `out`, an absent or empty folder, each run is in the ledger there as soon as it has
+    ended, and the tables are written at the end; with `keep` each run has its folder there, too. Diverged and faulted
+    runs count. A run whose process has died is made again. on: engine instead of processes here, as of `retune study
+    --on`; is_plain: a Dask scheduler elsewhere may be talked to without TLS.
     Raises ValueError for seeds or jobs that make no sense; CosimError for what `run` refuses.
     """
-    scenario = with_own(scenario if isinstance(scenario, Scenario) else Scenario.load(scenario), *(estimators or ()))
-    check_trust(scenario)
     out = None if out is None else Path(out)
-    names = tuple(dict.fromkeys(("none", "true", *(usable(scenario) if estimators is None else estimators))))
-    for name in names:
-        check_estimator(name, scenario)
-    numbers = _numbers(seeds)
+    study = comparison_study(scenario, estimators, seeds, keep)
     if jobs is not None and jobs < 1:
         raise ValueError(f"jobs must be at least 1, got {jobs}.")
     if keep and out is None:
         raise ValueError("keep needs a folder: give out.")
-    fmu_paths(scenario)  # built here once, not by several processes at the same time
-    tasks = [
-        Task(name, seed, str(out / f"{name.replace(':', '.')}-{seed}") if keep and out is not None else None)
-        for seed in numbers
-        for name in names
-    ]
-    jobs = min(jobs or os.cpu_count() or 1, len(tasks))
-    with new_locked_folder(scenario.scenario.name, out) if out is not None else nullcontext():
-        records = _all_records(scenario, tasks, jobs, out, progress)
-        ordered = tuple(records[name, seed] for name in names for seed in numbers)
-        comparison = Comparison(scenario, names, numbers, ordered, jobs, folder=out)
-        if out is not None:
-            comparison.write(out)
+    runs = planned(study)
+    jobs = min(jobs or os.cpu_count() or 1, len(runs))
+    with (
+        new_locked_folder(study.definition.study.name, out) if out is not None else nullcontext(),
+        open_study(out, study, "compare") as ledger,
+    ):
+        enter(study, runs, ledger)
+        try:
+            conduct(study, runs, ledger, out, "compare", jobs, on, is_plain, progress)
+        except StudyError as e:
+            n = sum(count for state, count in ledger.counts().items() if state not in ("queued", "leased"))
+            if out is None or not n:
+                raise
+            raise type(e)(f"{e} {n} of {len(runs)} runs have ended; retune resume {out} goes on.") from e
+        return compared(study, ledger, jobs, out)
+
+
+def comparison_study(
+    scenario: Scenario | Path | str, estimators: Sequence[str] | None, seeds: int | Sequence[int], keep: bool
+) -> Study:
+    """Return the study that a comparison is. Raises ValueError, CosimError."""
+    scenario = with_own(scenario if isinstance(scenario, Scenario) else Scenario.load(scenario), *(estimators or ()))
+    check_trust(scenario)
+    names = tuple(dict.fromkeys(("none", "true", *(usable(scenario) if estimators is None else estimators))))
+    for name in names:
+        check_estimator(name, scenario)
+    name = scenario.scenario.name
+    settings = StudySettings(name=name, scenarios=(name,), estimators=names, seeds=_numbers(seeds), keep=keep)
+    return Study(StudyDefinition(study=settings), (scenario,), (name,))
+
+
+def compared(study: Study, ledger: Ledger, jobs: int, out: Path | None) -> Comparison:
+    """Return the comparison of a study whose runs have all ended; write its tables. Raises FolderError."""
+    settings = study.definition.study
+    names, numbers = settings.estimators, settings.seed_numbers
+    records = {(record["estimator"], record["seed"]): record for record in ledger.records()}
+    ordered = tuple(records[name, seed] for name in names for seed in numbers)
+    comparison = Comparison(study.sources[0], names, numbers, ordered, jobs, folder=out)
+    if out is not None:
+        comparison.write(out)
     return comparison
 
 
@@ -86,34 +111,3 @@ def _numbers(seeds: int | Sequence[int]) -> tuple[int, ...]:
     if not numbers or min(numbers) < 0 or len(set(numbers)) < len(numbers):
         raise ValueError(f"seeds must be a count from 1 on, or different whole numbers from 0 on, got {seeds!r}.")
     return numbers
-
-
-def _all_records(
-    scenario: Scenario, tasks: Sequence[Task], jobs: int, out: Path | None, progress: RunsProgress | None
-) -> dict[tuple[str, int], dict[str, Any]]:
-    """Return the record of each task; each is appended to the file as its run ends."""
-    records: dict[tuple[str, int], dict[str, Any]] = {}
-    with Executor(scenario, tasks, jobs) as executor:
-        for _ in tasks:
-            try:
-                task, record = executor.next()
-            except ExecutorError as e:
-                if out is None or not records:
-                    raise
-                raise type(e)(
-                    f"{e} {len(records)} of {len(tasks)} runs have ended and are told in {out / RUNS}."
-                ) from e
-            records[task.estimator, task.seed] = record
-            if out is not None:
-                _append(out / RUNS, record)
-            if progress is not None:
-                progress(record, len(records), len(tasks))
-    return records
-
-
-def _append(path: Path, record: Mapping[str, Any]) -> None:
-    try:
-        with open(path, "a", encoding="utf-8") as file:
-            file.write(to_json(record) + "\n")
-    except OSError as e:
-        raise FolderError(f"cannot write {path}: {e.strerror or e}.") from e

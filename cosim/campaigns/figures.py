@@ -19,7 +19,7 @@ ROUNDING: Final = 1e-18
 """A floor's mean squared error below this part of the reference's mean square is rounding; nothing is divided by it."""
 
 Record = Mapping[str, Any]
-"""A run's summary with `end` [s], `reference_mean_square` and `latencies_ms`, as `executor.record_of` makes it."""
+"""A run's summary with `end` [s], `reference_mean_square` and `latencies_ms`, as `row.record_of` makes it."""
 
 
 @dataclass(frozen=True)

@@ -25,9 +25,9 @@ from ..sampling.sampler import recorded_samples
 from ..scenarios.scenario import Scenario
 from ..scenarios.schema.guard import GuardSettings
 from ..scenarios.trust import check_trust, trusted, with_own
+from ..studies.row import record_of
 from ..system.tuning import tuning_rule
 from .comparison import Comparison
-from .executor import record_of
 
 
 def replay(

@@ -16,6 +16,7 @@ from ..errors import FolderError
 from ..plots.palette import BLUE
 from ..runs.manifest import read_json
 from ..runs.run_files import MANIFEST, RESULT
+from ..studies.folder import RUNS, is_study
 from .frame import rendered, rendered_part, script_data
 
 COLUMNS: Final = (
@@ -36,9 +37,11 @@ class ListedRun:
 
 
 def run_folders(path: Path) -> list[Path]:
-    """Return the run folder, or those in a folder of runs, in the order of their names. Raises FolderError."""
+    """Return the run folder, or those in a folder of runs or of a study, by name. Raises FolderError."""
     if (path / MANIFEST).exists():
         return [path]
+    if is_study(path) and (path / RUNS).is_dir():
+        path = path / RUNS
     try:
         found = sorted(folder for folder in path.iterdir() if (folder / MANIFEST).is_file())
     except OSError as e:

@@ -5,6 +5,7 @@ Khan and Chatterjee (2020), figures 1 to 5 and table I.
 
 import os
 from collections.abc import Collection, Mapping, Sequence
+from concurrent.futures import BrokenExecutor, as_completed
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,14 +13,18 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..campaigns.compare import usable
-from ..campaigns.executor import Executor, RunsProgress, Task
 from ..files import write_json, write_text
 from ..plots.canvas import save_png, save_svg
 from ..plots.response import draw_response
 from ..runs.lock import new_locked_folder
+from ..runs.manifest import versions
 from ..runs.recorded_events import RecordedEvent, read_events
 from ..runs.result import Run, read_run
 from ..scenarios.scenario import Scenario
+from ..studies.head import StudyError, StudyProgress, UnfinishedStudyError
+from ..studies.processes import LocalProcesses
+from ..studies.recipe import Recipe
+from ..studies.worker import make_run
 from ..system.fmu_cache import fmu_paths
 from . import table as paper_table
 from .illustration import Stage, draw_illustration, global_minimum, optimise
@@ -37,7 +42,7 @@ def figures(
     out: Path,
     seed: int = 0,
     jobs: int | None = None,
-    progress: RunsProgress | None = None,
+    progress: StudyProgress | None = None,
     scenarios: tuple[Scenario, Scenario] | None = None,
 ) -> list[Path]:
     """Repeat the paper's experiments and draw them as PNG and SVG in `out`, absent or empty; return the files written.
@@ -45,7 +50,7 @@ def figures(
     Also writes `table.md`, `figures.json` with the numbers drawn, and the run folders in `out`/runs. jobs: number of
     concurrent runs, each in its own process, by default one per processor; times are fit to quote with 1 only.
     scenarios: those of the pendulum and of the quadrotor, by default the package's.
-    Raises ValueError for less than one job; FolderError, ScenarioError;     ExecutorError if a run was refused or its
+    Raises ValueError for less than one job; FolderError, ScenarioError; StudyError if a run was refused or its
     process has died; KeyboardInterrupt when interrupted, the finished runs kept.
     """
     if jobs is not None and jobs < 1:
@@ -65,25 +70,29 @@ def _runs(
     todo: Mapping[str, tuple[Scenario, Sequence[str]]],
     seed: int,
     jobs: int,
-    progress: RunsProgress | None,
+    progress: StudyProgress | None,
 ) -> dict[str, dict[str, Run]]:
-    """Return the runs of each scenario by estimator, in folders in `out`/runs. Raises ExecutorError, FolderError."""
+    """Return the runs of each scenario by estimator, in folders in `out`/runs. Raises StudyError, FolderError."""
     (out / "runs").mkdir()
-    n_runs = sum(len(names) for _, names in todo.values())
-    n_ended = 0
-    runs: dict[str, dict[str, Run]] = {}
-    for key, (scenario, names) in todo.items():
-        folders = {name: out / "runs" / f"{key}-{name}" for name in names}
-        with Executor(
-            scenario, [Task(name, seed, str(folders[name])) for name in names], min(jobs, len(names))
-        ) as executor:
-            for _ in names:
-                _, record = executor.next()
-                n_ended += 1
-                if progress is not None:
-                    progress(record, n_ended, n_runs)
-        runs[key] = {name: read_run(folder) for name, folder in folders.items()}
-    return runs
+    recipes = {
+        (key, name): Recipe(scenario, name, seed, versions(), folder=str(out / "runs" / f"{key}-{name}"))
+        for key, (scenario, names) in todo.items()
+        for name in names
+    }
+    with LocalProcesses(jobs) as processes:
+        futures = {processes.submit(make_run, recipe): key for key, recipe in recipes.items()}
+        for n_ended, future in enumerate(as_completed(futures), 1):
+            key, name = futures[future]
+            told = f"{key}, estimator {name}, seed {seed}"
+            try:
+                answer = future.result()
+            except BrokenExecutor as e:
+                raise UnfinishedStudyError(f"{told}: {e}.") from e
+            if answer.kind != "result":
+                raise (StudyError if answer.kind == "refused" else UnfinishedStudyError)(f"{told}: {answer.why}")
+            if progress is not None:
+                progress({"scenario": key, "estimator": name, "seed": seed, **answer.row}, n_ended, len(recipes))
+    return {key: {name: read_run(out / "runs" / f"{key}-{name}") for name in names} for key, (_, names) in todo.items()}
 
 
 def chosen(names: Collection[str]) -> list[str]:

@@ -79,14 +79,23 @@ def scenario_of(folder: Path, manifest: Manifest) -> Scenario:
         raise FolderError(f"{folder} holds a scenario of another version: {_first(e)}.") from e
 
 
-def write_manifest(folder: Path, content: Mapping[str, Any], is_own: bool) -> None:
+def read_sealed(folder: Path, name: str) -> tuple[dict[str, Any], bool]:
+    """Return what write_manifest has written under a name, and whether it is this user's. Raises FolderError."""
+    content = read_json(folder, name, dict[str, Any])
+    seal = _digest(content)
+    if content.get(_SEAL) != seal:
+        raise FolderError(f"{folder} is damaged: {name} is not as it was written.")
+    return content, is_signed(seal, str(content.get(_SIGNATURE, "")))
+
+
+def write_manifest(folder: Path, content: Mapping[str, Any], is_own: bool, name: str = MANIFEST) -> None:
     """Write the manifest, with the SHA-256 of its own content. Raises FolderError.
 
     is_own: whether the Python code that it names is the user's; it is signed then.
     """
     seal = _digest(json.loads(to_json(content)))
     signature = signature_of(seal) if is_own else ""
-    write_json(folder / MANIFEST, {**content, _SEAL: seal, _SIGNATURE: signature})
+    write_json(folder / name, {**content, _SEAL: seal, _SIGNATURE: signature})
 
 
 def check_file(folder: Path, name: str, digests: Mapping[str, str]) -> None:

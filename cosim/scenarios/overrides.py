@@ -14,7 +14,24 @@ def override(tree: dict[str, Any], key: str, text: str) -> None:
         if not isinstance(below, dict):
             raise ScenarioError(f"--set {key}={text}: '{name}' is not a table.")
         tree = cast(dict[str, Any], below)
-    tree[path[-1]] = _value(text)
+    tree[path[-1]] = toml_value(text)
+
+
+def sweep(text: str) -> list[str]:
+    """Return the values of a setting that are separated by commas outside brackets and quotes: `10,20,30`."""
+    parts, depth, quote = [""], 0, ""
+    for c in text:
+        if quote:
+            quote = "" if c == quote else quote
+        elif c in "\"'":
+            quote = c
+        elif c in "([{" or c in ")]}":
+            depth += 1 if c in "([{" else -1
+        if c == "," and not quote and depth == 0:
+            parts.append("")
+        else:
+            parts[-1] += c
+    return [part.strip() for part in parts] if all(part.strip() for part in parts) else [text]
 
 
 def _key_path(key: str) -> list[str]:
@@ -32,7 +49,8 @@ def _key_path(key: str) -> list[str]:
     return path
 
 
-def _value(text: str) -> Any:
+def toml_value(text: str) -> Any:
+    """Return the value of a setting's text, in TOML; bare text is a string."""
     try:
         tree = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):

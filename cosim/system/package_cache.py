@@ -10,7 +10,7 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
@@ -35,19 +35,27 @@ def unpacked_package(path: Path) -> Path:
     try:
         with open(readable(path), "rb") as file:
             folder = _packages() / hashlib.file_digest(file, "sha256").hexdigest()
-        if hold(folder):
-            return folder
-        _packages().mkdir(parents=True, exist_ok=True)
-        stage = Path(tempfile.mkdtemp(dir=_packages(), prefix=".unpacking-"))
+        return filled(folder, lambda stage: unpack(path, str(stage)))
     except OSError as e:
         raise SspError(f"{path} cannot be unpacked: {e.strerror or e}.") from e
+
+
+def filled(folder: Path, fill: Callable[[Path], None]) -> Path:
+    """Return a folder of the cache, filled at once or not at all where it is missing, and in use from then on.
+
+    Raises OSError, and what fill raises.
+    """
+    if hold(folder):
+        return folder
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    stage = Path(tempfile.mkdtemp(dir=folder.parent, prefix=".unpacking-"))
     lock = _lock(stage, is_shared=True)
     try:
-        unpack(path, str(stage))
+        fill(stage)
         os.rename(stage, folder)
-    except OSError as e:
+    except OSError:
         if not folder.is_dir():  # another process has been faster
-            raise SspError(f"{path} cannot be unpacked: {e.strerror or e}.") from e
+            raise
     finally:
         shutil.rmtree(stage, ignore_errors=True)
         _give_back(lock)

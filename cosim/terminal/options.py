@@ -75,7 +75,9 @@ def _run(parser: Parser) -> None:
 
 
 def _resume(parser: Parser) -> None:
-    parser.add_argument("run", type=Path, metavar="RUN", help="folder of a run that was killed, interrupted or faulted")
+    text = "folder of a run that was killed, interrupted or faulted; or of a study or a comparison"
+    parser.add_argument("run", type=Path, metavar="RUN", help=text)
+    _add_engine(parser)
     _add_trust(parser, "a run folder that you did not make")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
@@ -85,12 +87,32 @@ def _compare(parser: Parser) -> None:
     text = "default: all that the scenario and the installed packages allow"
     _completed(parser.add_argument("--estimators", type=_names, metavar="A,B,C", help=text), estimators)
     parser.add_argument("--seeds", type=_count, default=10, metavar="N", help="seeds 0 to N - 1 (default: 10)")
-    parser.add_argument("--jobs", type=_count, metavar="N", help="runs at a time (default: one per processor)")
+    _add_engine(parser)
     parser.add_argument("--out", type=Path, metavar="DIR", help="absent or empty (default: runs/SCENARIO-compare-n)")
     parser.add_argument("--keep", action="store_true", help="keep a run folder for each run")
-    _add_set(parser)
+    _add_set(parser, "; several values, KEY=A,B,C, are a study over them")
     _add_trust(parser, "an SSP package")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def _study(parser: Parser) -> None:
+    text = "TOML file of a study; or `status` and the folder of one, to see how far it is"
+    parser.add_argument("study", nargs="+", metavar="STUDY", help=text)
+    text = "absent, empty, or the folder of this study, of which only what is new is run (default: runs/STUDY-study-n)"
+    parser.add_argument("--out", type=Path, metavar="DIR", help=text)
+    _add_engine(parser)
+    text = "run one run of each scenario and estimator, and say how many runs there are, how long and how large"
+    parser.add_argument("--dry-run", action="store_true", help=text)
+    _add_trust(parser, "an SSP package")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def _add_engine(parser: Parser) -> None:
+    parser.add_argument("--jobs", type=_count, metavar="N", help="runs at a time here (default: one per processor)")
+    text = "make the runs elsewhere: tls://HEAD:8786 of a Dask scheduler, a file with its address, or mpi"
+    parser.add_argument("--on", metavar="ADDRESS", help=text)
+    text = "talk to a Dask scheduler elsewhere without TLS: whoever reaches its port runs code"
+    parser.add_argument("--plain", action="store_true", help=text)
 
 
 def _replay(parser: Parser) -> None:
@@ -198,10 +220,10 @@ def _add_scenario(parser: argparse.ArgumentParser, also: str = "") -> None:
     _completed(parser.add_argument("scenario", metavar="SCENARIO", help=text), scenarios)
 
 
-def _add_set(parser: argparse.ArgumentParser) -> None:
+def _add_set(parser: argparse.ArgumentParser, also: str = "") -> None:
     parser.add_argument(
         "--set", action="append", default=[], type=_assignment, metavar="KEY=VALUE", dest="overrides",
-        help="replace a scenario's setting, such as estimation.budget=60",
+        help=f"replace a scenario's setting, such as estimation.budget=60{also}",
     )  # fmt: skip
 
 
@@ -252,6 +274,7 @@ _OPTIONS: Final[Mapping[str, tuple[str, Callable[[Parser], None]]]] = {
     "run": ("simulate a scenario with its controller re-tuned", _run),
     "resume": ("go on with a run from its last checkpoint, to the same bits", _resume),
     "compare": ("run every estimator on the same plant, noise and seeds", _compare),
+    "study": ("make many runs over factors, estimators and seeds, and go on whatever happens", _study),
     "replay": ("give the recorded samples of a run to other estimators, open loop", _replay),
     "report": ("write what a run did into one HTML file, to send and to look at", _report),
     "view": ("show runs in a browser, on a page that grows with them", _view),

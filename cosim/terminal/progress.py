@@ -21,7 +21,10 @@ def progress_bar(
 
         def show(*report: Any) -> None:
             if not bar.disable:
-                done, bar.total, text = state(*report)
+                done, total, text = state(*report)
+                if not bar.total:
+                    bar.initial = bar.n = done  # of what goes on, the rate is that of the rest
+                bar.total = total
                 bar.set_postfix_str(text, refresh=False)
                 bar.update(done - bar.n)
 
@@ -34,4 +37,4 @@ def bar_of_runs(title: str) -> AbstractContextManager[Callable[..., None]]:
     def state(record: Any, n_ended: int, n_runs: int) -> tuple[int, int, str]:
         return n_ended, n_runs, "{scenario} {estimator} {seed} {status}".format_map(record)
 
-    return progress_bar(title, "{n_fmt} of {total_fmt} runs", state)
+    return progress_bar(title, "{n_fmt} of {total_fmt} runs, {rate_fmt}", state)

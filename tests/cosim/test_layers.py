@@ -5,8 +5,8 @@ from importlib.resources import files
 from pathlib import Path
 
 LAYERS = (
-    "scenarios", "fmi", "slaves", "ssv", "system", "sampling", "objectives", "retuning", "runs", "campaigns", "plots",
-    "pages", "paper", "offline", "ssp", "authoring", "estimator_fmu", "terminal", "commands",
+    "scenarios", "fmi", "slaves", "ssv", "system", "sampling", "objectives", "retuning", "runs", "studies", "campaigns",
+    "plots", "pages", "paper", "offline", "ssp", "authoring", "estimator_fmu", "terminal", "commands",
 )  # fmt: skip
 """Folders of cosim, from the ground up; loose modules are the ground below them, but for these two."""
 DOORS = {"__init__", "cli"}

@@ -6,7 +6,7 @@ from pathlib import Path
 
 UNSAFE = {"pickle", "_pickle", "cPickle", "marshal", "shelve", "dill", "cloudpickle", "joblib", "jsonpickle"}
 OWN_PROCESS = {
-    "cosim/campaigns/executor.py": "the scenario that a worker's parent has sent it",
+    "cosim/studies/processes.py": "the calls that a worker's parent has sent it, and their outcomes",
     "cosim/estimator_fmu/slave.py": "an FMU state that has not left the process",
 }
 ROOTS = [Path(str(files(package))) for package in ("cosim", "estimator")]

@@ -1,6 +1,7 @@
 """Tables of a scenario file on the estimation: parameters, objective, loop and estimators."""
 
 from collections.abc import Mapping
+from functools import cache
 from typing import Annotated, Any, Literal, Self, cast, get_type_hints
 
 from pydantic import Discriminator, Field, Strict, Tag, TypeAdapter, ValidationError, model_validator
@@ -162,7 +163,7 @@ class EstimationSettings(LoopSettings):
     def settings(self, name: str, method: Method | None = None) -> Any:
         """Return the estimator's own settings, an instance of its settings' class."""
         given = {k: v for k, v in self._own(name, method).items() if k not in LoopSettings.model_fields}
-        return TypeAdapter((method or method_named(name)).settings).validate_python(given)
+        return _adapter((method or method_named(name)).settings).validate_python(given)
 
     def _own(self, name: str, method: Method | None = None) -> dict[str, Any]:
         """Return the settings of one estimator: those of the one it is like, its own defaults, then the scenario's."""
@@ -240,3 +241,9 @@ def is_former_method(name: str) -> bool:
     settings = ", ".join(f"estimation.{now.like}.{key} = {value}" for key, value in now.defaults.items())
     tell_new_name(f"estimator '{name}'", f"'{now.like}' with {settings}")
     return True
+
+
+@cache
+def _adapter(kind: type[Any]) -> TypeAdapter[Any]:
+    """Return the checker of a class of settings; to make it takes longer than to load a scenario."""
+    return TypeAdapter(kind)

@@ -13,11 +13,13 @@ import pytest
 
 from cosim.campaigns.compare import compare
 from cosim.campaigns.comparison import Comparison
-from cosim.campaigns.executor import ExecutorError
 from cosim.campaigns.tables import WIDTH, estimator_columns, run_columns, to_csv, to_markdown
 from cosim.errors import FolderError, ScenarioError, UnfinishedError, is_refusal
 from cosim.runs.run_files import LOCK
 from cosim.scenarios.scenario import Scenario
+from cosim.studies.folder import STUDY
+from cosim.studies.head import StudyError
+from cosim.studies.ledger import LEDGER, open_ledger
 
 EARLY_CHANGE = {
     'changes."plant.m"': "[[0.0, 1.75], [0.1, 4.271]]",
@@ -256,12 +258,12 @@ def test_the_number_of_jobs_changes_no_bit_but_those_of_wall_times(pendulum, tmp
 
 def check_folder(out, comparison):
     files = {p.name for p in out.iterdir() if p.is_file()}
-    assert files == {"comparison.json", "comparison.md", "comparison.csv", "runs.csv", "runs.jsonl"}
+    assert files == {"comparison.json", "comparison.md", "comparison.csv", "runs.csv", STUDY, LEDGER}
     assert json.loads((out / "comparison.json").read_text()) == json.loads(comparison.to_json())
-    told = [json.loads(line) for line in (out / "runs.jsonl").read_text().splitlines()]
-    assert sorted((r["estimator"], r["seed"]) for r in told) == sorted(
-        (r["estimator"], r["seed"]) for r in comparison.runs
-    )
+    with open_ledger(out / LEDGER, is_read_only=True) as ledger:
+        assert {(r["estimator"], r["seed"]) for r in ledger.records()} == {
+            (r["estimator"], r["seed"]) for r in comparison.runs
+        }
     with open(out / "comparison.csv", newline="") as file:
         assert [row[0] for row in csv.reader(file)] == ["estimator", "none", "true", "target"]
 
@@ -290,7 +292,7 @@ def test_a_full_folder_is_refused_before_a_run(pendulum, tmp_path):
 @real
 def test_what_is_refused_in_a_process_is_one_line_here_and_leaves_nothing(pendulum, tmp_path):
     out = tmp_path / "out"
-    with pytest.raises(ExecutorError, match=r"seed 0: .*no output of controller") as caught:
+    with pytest.raises(StudyError, match=r"seed 0: .*no output of controller") as caught:
         compare(pendulum({'connections."plant.u"': "controller.v"}), [], 1, 2, out, keep=True)
     assert len(str(caught.value).splitlines()) == 1
     assert is_refusal(caught.value)
@@ -298,25 +300,34 @@ def test_what_is_refused_in_a_process_is_one_line_here_and_leaves_nothing(pendul
 
 
 @pytest.mark.full
-@pytest.mark.parametrize(
-    ("befalls", "told"),
-    [
-        (lambda process: os.kill(process, signal.SIGKILL), "its process has ended with exit code -9"),
-        (lambda process: resource.prlimit(process, resource.RLIMIT_FSIZE, (1000, 1000)), "File too large"),
-    ],
-    ids=["killed", "full disk"],
-)
 @real
-def test_what_cannot_be_finished_in_a_process_is_not_refused(pendulum, tmp_path, children, befalls, told):
+def test_a_disk_that_is_full_ends_a_comparison_which_can_go_on(pendulum, tmp_path, children):
     others = children()
 
     def _at_first_end(*_):
         (process,) = children() - others
-        befalls(process)
+        resource.prlimit(process, resource.RLIMIT_FSIZE, (1000, 1000))
 
-    with pytest.raises(ExecutorError, match=rf"seed 0: .*{told}.* 1 of 2 runs have ended") as caught:
+    told = r"seed 0: .*File too large.* 1 of 2 runs have ended; retune resume"
+    with pytest.raises(StudyError, match=told) as caught:
         compare(pendulum(), [], 1, 1, tmp_path / "out", keep=True, progress=_at_first_end)
     assert isinstance(caught.value, UnfinishedError)
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {STUDY, LEDGER, "none-0"}
+
+
+@pytest.mark.full
+@real
+def test_a_run_whose_process_was_killed_is_made_again(pendulum, children):
+    others, seen = children(), []
+
+    def at_end(record, n_ended, n_runs):
+        seen.append((record["estimator"], n_ended, n_runs))
+        for process in children() - others if n_ended == 1 else ():
+            os.kill(process, signal.SIGKILL)
+
+    comparison = compare(pendulum({"scenario.stop_time": "0.2"}), [], 1, 1, progress=at_end)
+    assert seen == [("none", 1, 2), ("true", 2, 2)]
+    assert [r["status"] for r in comparison.runs] == ["done", "done"]
 
 
 @real
@@ -352,19 +363,27 @@ def test_an_interrupted_comparison_keeps_what_is_done_and_leaves_no_process(
         [sys.executable, "-c", ENDLESS, str(out)], stderr=subprocess.PIPE, text=True, start_new_session=True
     )
     try:
-        runs = out / "runs.jsonl"
-        assert becomes_true(lambda: runs.exists() and runs.read_text().endswith("\n"))
+        assert becomes_true(lambda: (out / LEDGER).exists() and n_done(out) > 0)
         assert becomes_true(lambda: len(others_with(temporary, process.pid)) > 2)  # two that run, and FMUs
     finally:
         os.kill(process.pid, number)
         _, err = process.communicate(timeout=60)
     assert process.returncode == (130 if number == signal.SIGINT else -number), err
-    told = [json.loads(line) for line in (out / "runs.jsonl").read_text().splitlines()]
+    left = {p.name for p in out.iterdir()} - {f"{LEDGER}-wal", f"{LEDGER}-shm"}  # of a process that was killed
+    assert left == {STUDY, LEDGER} | ({LOCK} if number == signal.SIGKILL else set())
+    with open_ledger(out / LEDGER, is_read_only=True) as ledger:
+        told = list(ledger.records())
     assert told
     assert all(r["status"] == "done" for r in told)
-    left = {LOCK} if number == signal.SIGKILL else set()
-    assert {p.name for p in out.iterdir()} == {"runs.jsonl"} | left
     assert becomes_true(lambda: not others_with(temporary, process.pid))
+
+
+def n_done(out):
+    try:
+        with open_ledger(out / LEDGER, is_read_only=True) as ledger:
+            return ledger.counts()["done"]
+    except FolderError:  # it has only just begun
+        return 0
 
 
 ENDLESS = """

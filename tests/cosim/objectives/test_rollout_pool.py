@@ -59,7 +59,7 @@ def pool(log, jobs=1, is_warm=True):
 
 
 def plan(gain):
-    return Plan({}, 0.0, b"state", (), Leg(LEG.times, LEG.inputs, gain))
+    return Plan({}, 0.0, 10.0, b"state", (), Leg(LEG.times, LEG.inputs, gain))
 
 
 @pytest.mark.parametrize("jobs", [1, 2])

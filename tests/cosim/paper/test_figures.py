@@ -13,12 +13,12 @@ from matplotlib.colors import to_hex
 from PIL import Image
 
 from cosim import Run, Scenario
-from cosim.campaigns.executor import ExecutorError
 from cosim.errors import FolderError
 from cosim.paper.figures import chosen, draw_figures, figures
 from cosim.paper.pictures import LABELS, SHOWN, draw_altitude, draw_mse, draw_pendulum, ending_text
 from cosim.paper.table import PAPER_ROWS, PAPER_TRUTH, markdown, measured, prediction_time, rows
 from cosim.plots.canvas import new_figure, save_svg
+from cosim.studies.head import StudyError
 from cosim.system.plant import Plant
 
 GONE = {f"components.{name}.fmu": "gone.fmu" for name in ("plant", "controller", "reference")}
@@ -295,7 +295,7 @@ def test_the_runs_are_made_in_processes_of_their_own_and_drawn(tmp_path: Path, m
 @pytest.mark.usefixtures("leaves_nothing")
 def test_a_run_that_is_refused_is_one_line_and_leaves_no_process(tmp_path: Path) -> None:
     wrong = Scenario.load("quadrotor", {'connections."plant.f"': "controller.g"})
-    with pytest.raises(ExecutorError, match=r"quadrotor.*seed 0: .*no output of controller") as caught:
+    with pytest.raises(StudyError, match=r"quadrotor.*seed 0: .*no output of controller") as caught:
         figures(tmp_path / "out", jobs=2, scenarios=(Scenario.load("pendulum"), wrong))
     assert len(str(caught.value).splitlines()) == 1
 

@@ -131,7 +131,9 @@ def check_loops(scenario: Scenario, components: Components) -> Iterator[Finding]
         way = " <- ".join([*loop.nodes, loop.nodes[0]])
         if loop.undeclared:
             silent = ", ".join(components[name].fmu.name for name in loop.undeclared)
-            yield warning("connections", f"there may be an algebraic loop, as {silent} declares no dependencies: {way}")
+            verb = "declares" if len(loop.undeclared) == 1 else "declare"
+            what = f"there may be an algebraic loop, as {silent} {verb} no dependencies: {way}"
+            yield warning("connections", what)
         else:
             yield warning("connections", f"algebraic loop, closed with the value of the previous macro step: {way}")
 

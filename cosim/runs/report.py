@@ -10,6 +10,9 @@ from .result import Run
 
 _WORSE: Final = 1.5
 """Ratio of what the model leaves unexplained to the declared noise that is worth a line."""
+_SMOOTH: Final = 0.5
+"""Correlation of residuals from sample to sample that no sensor's noise has."""
+_LACKS: Final = "(friction, a lag, another parameter)"
 _ROLES = {"none": "nominal controller", "true": "true parameters (floor)"}
 
 
@@ -121,7 +124,8 @@ def diagnosed(found: Mapping[str, Any] | None) -> list[str]:
     if not found:
         return []
     lines = [
-        f"the model explains {name} to {ratio:.2g} times its declared noise: multiply that by as much"
+        f"the model explains {name} to {ratio:.2g} times its declared noise: "
+        + ("multiply that by as much" if channel["correlation"] < _SMOOTH else f"it lacks something smooth {_LACKS}")
         for name, channel in found["channels"].items()
         if (ratio := max(channel["scale"], channel["noise_ratio"] or 0.0)) >= _WORSE
     ]
@@ -135,15 +139,16 @@ def diagnosed(found: Mapping[str, Any] | None) -> list[str]:
         sizes = ", ".join(f"{name} {size:.3g}" for name, size in last["size"].items())
         lines.append(
             f"{counted(found['disturbance'], 'disturbance')} named, the last at t = {last['t']:g} s ({sizes}): "
-            "no parameters were written for them"
+            "what was written for them is undone"
         )
     if found["unexplained"]:
-        resting = [name for name, channel in found["channels"].items() if channel["is_resting"]]
-        asleep = f", {', '.join(resting)} left out at the end" if resting else ""
         lines.append(
-            f"searches in vain: {found['unexplained']}, no parameters explain the samples{asleep}; the model lacks "
-            "something (friction, a lag, another parameter), or a sensor is wrong"
+            f"searches in vain: {found['unexplained']}, no parameters explain the samples; the model lacks "
+            f"something {_LACKS}, or a sensor is wrong"
         )
+    resting = [name for name, channel in found["channels"].items() if channel["is_resting"]]
+    if resting:
+        lines.append(f"re-tuning rests at the end: {', '.join(resting)} left out")
     return lines
 
 

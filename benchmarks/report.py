@@ -100,8 +100,10 @@ def machine() -> Row:
 
 
 def _packages() -> dict[str, str]:
-    """Return the versions of this package and of those installed that it names among its dependencies."""
-    named = {_normal(re.split(r"[\s\[<>=!~;]", required, maxsplit=1)[0]) for required in requires("fmu-retune") or ()}
+    """Return the versions of this package, of those that it needs, and of the peers."""
+    named_all = requires("fmu-retune") or ()
+    needed = [line for line in named_all if "extra ==" not in line or re.search(r"extra == .(peers|ipopt)", line)]
+    named = {_normal(re.split(r"[\s\[<>=!~;]", required, maxsplit=1)[0]) for required in needed}
     found = {d.metadata["Name"]: d.version for d in distributions()}
     return {name: found[name] for name in sorted(found) if _normal(name) in named | {"fmu-retune"}}
 

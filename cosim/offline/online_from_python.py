@@ -4,8 +4,7 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from threadpoolctl import threadpool_limits
-
+from ..blas_threads import one_thread
 from ..runs.lock import new_locked_folder
 from ..runs.record import recording
 from .estimate import EstimateError, Request
@@ -71,7 +70,7 @@ def estimate_online(
         timeout=timeout,
         environment=tuple(environment),
     )
-    with threadpool_limits(1):  # as the command runs: the number of BLAS threads changes bits
+    with one_thread():  # as the command runs: the number of BLAS threads changes bits
         if out is None:
             return run_online(request, samples, progress, evaluations_per_sample)
         with new_locked_folder(f"{request.fmu.stem}-online", Path(out)) as folder:

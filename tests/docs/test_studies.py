@@ -14,6 +14,7 @@ TEXT = (Path(__file__).parents[2] / "docs" / "studies.md").read_text(encoding="u
 SHOWN = [tomllib.loads(block) for block in re.findall(r"```toml\n(.*?)```", TEXT, re.DOTALL)]
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(("tables", "n"), list(zip(SHOWN, (768, 945), strict=True)), ids=["payloads", "faults"])
 def test_a_study_that_is_shown_can_be_planned(tables, n):
     definition = checked_definition(tables, "docs/studies.md")

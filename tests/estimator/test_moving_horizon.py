@@ -67,6 +67,7 @@ def test_on_a_linear_plant_it_is_the_kalman_filter(horizon, n_rows):
         assert_allclose(estimate.std, WIDTH * np.sqrt(kalman.P.diagonal()), rtol=1e-6)
 
 
+@pytest.mark.full
 def test_errors_are_as_large_as_it_says_where_the_model_is_curved():
     """Normalised errors squared of 300 runs from drawn starts: chi-square of 300 degrees, within its limits of 1e-4."""
     squared = []

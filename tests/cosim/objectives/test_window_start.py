@@ -32,13 +32,22 @@ def log_of_a_jump(path, seconds, at):
     return path
 
 
+def n_steps(batch):
+    """Number of steps in a message of several simulations."""
+    return sum(len(batch.legs[place].inputs) for trial in batch.trials for place, _ in trial.legs)
+
+
 @pytest.fixture
 def watched(tmp_path, monkeypatch):
     """watched(attributes, seconds, edit): the replay of a log, and the number of steps that it took."""
     counts = []
-    many_steps = Slave.many_steps
+    many_steps, trials = Slave.many_steps, Slave.trials
     monkeypatch.setattr(
         Slave, "many_steps", lambda self, t, u, p=None: counts.append(len(u)) or many_steps(self, t, u, p)
+    )
+
+    monkeypatch.setattr(
+        Slave, "trials", lambda self, batch, starts: counts.append(n_steps(batch)) or trials(self, batch, starts)
     )
 
     def watch(attributes, seconds=6.0, at=3.0, source=FOREIGN / "Axis.c"):

@@ -76,9 +76,8 @@ def test_the_data_of_the_curves_are_the_record_bit_for_bit(recorded):
 @pytest.mark.full
 @pytest.mark.fmu
 def test_a_run_that_goes_on_or_was_killed_has_its_page(recorded, tmp_path):
-    for name in ("series.arrow", "events.jsonl"):
-        content = (recorded / name).read_bytes()
-        (tmp_path / name).write_bytes(content[: len(content) * 2 // 3])
+    for name, lost in (("series.arrow", 100), ("events.jsonl", 300)):  # bytes: of the last rows, of the last events
+        (tmp_path / name).write_bytes((recorded / name).read_bytes()[:-lost])
     manifest = json.loads((recorded / "manifest.json").read_text())
     kept = {k: v for k, v in manifest.items() if k not in ("seal", "signature", "sha256")}
     (tmp_path / "manifest.json").write_text(to_json(kept | {"status": "running"}))

@@ -16,6 +16,7 @@ def columns_of(pendulum, columns):
     return set(run(pendulum(SHORT | {"record.columns": columns}, stop_time=0.05), "none").series)
 
 
+@pytest.mark.full
 def test_columns_are_chosen_but_for_those_that_others_need(pendulum):
     everything, needed = columns_of(pendulum, '["*"]'), columns_of(pendulum, "[]")
     assert needed < everything
@@ -24,6 +25,7 @@ def test_columns_are_chosen_but_for_those_that_others_need(pendulum):
     assert columns_of(pendulum, '["controller.*", "plant.der(phi)"]') == needed | {"controller.u", "plant.der(phi)"}
 
 
+@pytest.mark.full
 def test_a_run_without_them_is_replayed_and_drawn(pendulum, tmp_path, capsys):
     scenario = pendulum(SHORT | {"record.columns": "[]"}, stop_time=0.1)
     run(scenario, "target", out=tmp_path / "run")
@@ -36,6 +38,7 @@ def test_a_column_that_there_is_not_is_refused(pendulum):
         columns_of(pendulum, '["plant.fi"]')
 
 
+@pytest.mark.full
 def test_a_long_run_has_its_csv_when_asked_for(pendulum, tmp_path, capsys):
     small, large = tmp_path / "small", tmp_path / "large"
     run(pendulum(SHORT, stop_time=0.05), "none", out=small)

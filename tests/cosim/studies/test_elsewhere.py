@@ -1,5 +1,6 @@
 """Runs on machines that share nothing with the head: what travels, once, and what is refused."""
 
+import sys
 from dataclasses import replace
 
 import pytest
@@ -16,6 +17,12 @@ from cosim.studies.row import WALL_TIMES
 from cosim.studies.versions import all_versions
 from cosim.studies.worker import make_run, make_run_far_away
 from tests.cosim.studies.chaos import Cluster, bytes_of
+
+
+@pytest.fixture(autouse=True)
+def _no_module_of_another_test(monkeypatch):
+    """Forget the axis_model of another test's folder, which stays loaded where that folder has stayed in the path."""
+    monkeypatch.delitem(sys.modules, "axis_model", raising=False)
 
 
 def recipe_of(scenario, path, estimator="target"):

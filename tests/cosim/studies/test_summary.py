@@ -135,6 +135,7 @@ def test_sensitivities_are_the_parts_of_the_variance():
     assert all(0.0 < s.half_width < 0.2 for s in found)
 
 
+@pytest.mark.full
 def test_pictures_and_markdown_name_each_other(tmp_path):
     made = study({"m": MASS | {"list": [1.5, 2.5]}, "b": {"set": "estimation.budget", "list": [10, 20]}})
     rows = table(*((p, e, "done", 1.0 + p) for p in range(4) for e in ("none", "target")))
@@ -155,6 +156,7 @@ def test_pictures_can_be_drawn_whatever_there_is(tmp_path):
     assert [path.name for path in draw_study(tmp_path, summarised(alone, ("m",)), ("m",))] == ["errors.png"]
 
 
+@pytest.mark.full
 def test_a_study_becomes_a_page_with_pictures_and_links_to_the_runs_that_are_kept(tmp_path, capsys):
     made = study(keep=True)
     out = tmp_path / "out"

@@ -127,6 +127,7 @@ def test_the_rate_of_pythonfmu3_s_dahlquist_equation_is_found(example, workplace
     assert found["k"] == pytest.approx((1.0 - np.exp(-0.7 * STEP)) / STEP, rel=1e-5)
 
 
+@pytest.mark.full
 def test_the_same_for_model_exchange_only_has_the_equation_s_own(example, workplace, called):
     t = np.arange(301) * STEP
     np.savetxt("log.csv", np.column_stack([t, np.exp(-0.7 * t)]), "%.12g", ",", header="time,x", comments="")

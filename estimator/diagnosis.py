@@ -273,8 +273,11 @@ class Diagnosis:
         self._state.awaited = np.array(is_identifiable) if self._state.n_since else None
 
     def is_wandering(self, held: Vector) -> bool:
-        """Return whether parameters were moved to and fro, each time determined by the samples, by much more than it
-        is from where they began to those in force (d,): no change of the plant's does that."""
+        """Return whether parameters have gone to and fro on the way to those in force (d,).
+
+        By half of their bounds in excess of that way, each time determined by the samples: no change of the plant's
+        does that.
+        """
         state = self._state
         if not state.n_since or state.settled is None:
             return False
@@ -498,7 +501,7 @@ class Diagnosis:
             return Settled(None, events, True)
         state.n_failures += 1
         if state.n_failures >= PATIENCE:
-            events = (*events, self._rest(t, acts & ~state.is_resting))
+            events = (*events, self._rest(t, acts))
         return Settled(self._undone(before), events, True)
 
     def _named(self, t: float, offset: Vector, acts: NDArray[np.bool_], reason: str) -> Event:

@@ -433,6 +433,46 @@ def test_where_a_channel_rests_already_the_next_search_in_vain_makes_all_rest():
     assert_array_equal(run.held, TRUE)
 
 
+def moved(places):
+    """A diagnosis in a suspicion, whose controller has taken these parameters one after the other, 3 samples each."""
+    run = Run("least-squares", 3).go(100)
+    diagnosis = run.diagnosis
+    for theta in places:
+        for _ in range(3):
+            diagnosis.observe(run.sample(CHANGED, PUSH[3]), np.array(theta))
+            diagnosis.expect([True, True])
+    return diagnosis
+
+
+def test_parameters_that_go_to_and_fro_are_wandering_and_those_that_go_on_are_not():
+    """The bounds of the first are 4.5 apart: there is 2.7 of them, and back again 5.4, of which 2.7 are in excess."""
+    onward = [TRUE, [3.0, -1.0], [4.0, -1.0], [4.7, -1.0]]
+    assert not moved(onward).is_wandering(np.array(onward[-1]))
+    back = [TRUE, [4.7, -1.0], TRUE, TRUE]
+    assert moved(back).is_wandering(TRUE)
+    settled = moved(back).give_up(5.0)
+    assert_array_equal(settled.undo, TRUE)
+
+
+def test_small_moves_to_and_fro_are_noise():
+    assert not moved([TRUE, [2.4, -1.0]] * 20).is_wandering(TRUE)
+
+
+@pytest.mark.parametrize(
+    ("rate", "size", "n_channels"), [(0.05, 0.2, 1), (0.1, 0.2, 3), (0.2, 1.0, 1)], ids=["slow", "on three", "large"]
+)
+def test_what_returns_is_not_what_was_written_a_moment_before(rate, size, n_channels):
+    """Parameters follow a sine that the model lacks, are found better for a while, and taken back."""
+    share = 1.0 if n_channels == 1 else np.array([1.0, -0.7, 0.4])
+    run = Run("target", n_channels, is_trusting=True).go(250)
+    for i in range(70):
+        n = len(run.undone)
+        run.go(1, TRUE, size * np.sin(rate * i) * share)
+        if len(run.undone) > n:
+            assert_array_equal(run.held, TRUE)
+    assert run.undone
+
+
 def test_the_usual_error_of_a_lacking_model_is_learnt_while_it_rests():
     settings = DiagnosisSettings(rest=200, longest_rest=200)
     run = Run("least-squares", 3, settings=settings).go(100).go(1200, TRUE, sine)

@@ -33,7 +33,7 @@ HOLDER = """
     folder = PrivateFolder()
     open(folder.path + "/x", "w").close()
     print("ready", flush=True)
-    time.sleep(1000)
+    while True: time.sleep(0.05)  # a long sleep overlooks a signal that comes just before it
 """
 
 BUILDER = """
@@ -45,7 +45,7 @@ BUILDER = """
     from fmu_models import build
     def wait(*_, **__):
         print("ready", flush=True)
-        time.sleep(1000)
+        while True: time.sleep(0.05)  # a long sleep overlooks a signal that comes just before it
     build.FmuBuilder.build_FMU = wait
     {call}
 """
@@ -132,7 +132,7 @@ UNPACKING = """
     def slowly(self, *arguments):
         extract(self, *arguments)
         print("ready", flush=True)
-        time.sleep(1000)
+        while True: time.sleep(0.05)  # a long sleep overlooks a signal that comes just before it
 
     from cosim.cli import main
     zipfile.ZipFile.extractall = slowly
@@ -145,7 +145,7 @@ CLOSING = """
 
     def told(self, *arguments):
         print("ready", flush=True)
-        time.sleep(1000)
+        while True: time.sleep(0.05)  # a long sleep overlooks a signal that comes just before it
 
     def slowly(*arguments, **options):
         time.sleep(0.5)
@@ -161,7 +161,7 @@ STARTING = """
 
     def slowly():
         print("ready", flush=True)
-        time.sleep(1000)
+        while True: time.sleep(0.05)  # a long sleep overlooks a signal that comes just before it
 
     cli.make_parser = slowly
     sys.exit(cli.main(["scenarios"]))

@@ -7,7 +7,7 @@ small as it was, or was predicted to be; else the guard reverts to the last good
 decision depends on the wall clock.
 """
 
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import isclose, isfinite
@@ -21,6 +21,7 @@ from estimator.retuner import Proposal
 
 from ..scenarios.schema.guard import GuardSettings
 from .data_support import DataSupport, NoDataSupport, Reason
+from .probation import Probation
 
 _FALSE_ALARM = 1e-6
 """Probability of a false alarm: that noise alone makes good parameters seem to contradict a sample."""
@@ -37,18 +38,6 @@ _LITTLE = 0.01
 PredictedPeak = Callable[[Vector, Vector, Vector | None], float | None]
 """Function of theta (d,) in controller and in plant, and of a disturbance of the sampled derivatives (c,) or None:
 largest norm of the tracking error, or None if unknown."""
-
-
-@dataclass(frozen=True)
-class Trial:
-    """A write on probation."""
-
-    theta: Vector
-    """Parameters written (d,)."""
-    since: int
-    """Communication point of the write."""
-    allowed: float
-    """Norm of the tracking error above which the write is reverted."""
 
 
 @dataclass(frozen=True)
@@ -101,9 +90,9 @@ class Guard:
         the reason why the controller does not take parameters (d,), or None."""
         self._refusal = refusal
         self._settings, self._space, self._start, self._support = settings, space, start, support
-        self._tolerance = settings.tolerance or 0.01 * divergence
+        tolerance = settings.tolerance or 0.01 * divergence
+        self._probation = Probation(tolerance, settings.growth, settings.probation, settings.horizon)
         self._good = self._anchor = start
-        self._trials: deque[Trial] = deque()
         self._rests_until = -1
         self._refused: tuple[bytes, bool, int] = (b"", False, 0)
         self.counts: Counter[str] = Counter()
@@ -118,18 +107,17 @@ class Guard:
 
     def snapshot(self) -> GuardSnapshot:
         """Return the present state, for `restore`."""
-        return GuardSnapshot(self._trials[-1].since if self._trials else -1, self._anchor)
+        return GuardSnapshot(self._probation.since, self._anchor)
 
     def restore(self, snapshot: GuardSnapshot) -> None:
         """Restore a snapshot: the writes since then are retracted."""
-        while self._trials and self._trials[-1].since > snapshot.newest:
-            self._trials.pop()
+        self._probation.retract(snapshot.newest)
         self._anchor = snapshot.anchor
         self.counts["retracted"] += 1
 
     def undo(self, theta: Vector) -> None:
         """Take the return to earlier parameters (d,): other writes are on probation no longer."""
-        self._trials = deque(trial for trial in self._trials if np.array_equal(trial.theta, theta))
+        self._probation.keep(theta)
         self._anchor = theta
         self.counts["undone"] += 1
 
@@ -153,6 +141,7 @@ class Guard:
         error: norm of the tracking error there; held (d,): the controller's parameters; peak: None where nothing is
         predicted.
         """
+        self._probation.watch(error, is_proposed=proposal.theta is not None)
         watched = self._watch(k, t, error, held)
         if watched is not None:
             return watched
@@ -161,6 +150,8 @@ class Guard:
         if theta is None or estimate is None:
             return Ruling(None, confirmed)
         rival = proposal.possible_disturbance
+        if rival is None:
+            self._probation.prove()
         this = (theta.tobytes(), rival is None)
         if k < self._rests_until or (self._refused[:2] == this and k < self._refused[2]):
             return Ruling(None, confirmed)
@@ -170,12 +161,13 @@ class Guard:
         if verdict.theta is None:
             self._refused = (*this, k + self._settings.horizon // 2)
             return Ruling(None, (*confirmed, *events))
-        self._put_on_probation(k, verdict.theta, max(error, verdict.expected))
+        self._put_on_probation(k, verdict.theta, max(error, verdict.expected), is_proven=rival is None)
         return Ruling(verdict.theta, (*confirmed, *events))
 
     def _watch(self, k: int, t: float, error: float, held: Vector) -> Ruling | None:
         """Return the revert, where a write on probation has raised the tracking error above its limit; or None."""
-        if not self._trials or error <= (allowed := self._trials[0].allowed):
+        allowed = self._probation.allowed
+        if allowed is None or error <= allowed:
             return None
         n = self.counts["reverted"] + 1
         is_last = n >= self._settings.reverts
@@ -187,14 +179,14 @@ class Guard:
         reason = f"tracking error {error:.4g} exceeded {allowed:.4g} while on probation"
         events = [Event(t, "revert", {"theta": back.tolist(), "reason": reason, "n": n})]
         self._anchor = self._good = back
-        self._trials.clear()
+        self._probation.clear()
         self._rests_until = k + self._settings.probation
         if is_last:
             self.stopped_at = t
             reason = f"{n} reverts: re-tuning stops, with the parameters of the start"
             events.append(Event(t, "stop", {"reason": reason}))
         elif not np.array_equal(back, self._start):
-            self._trials.append(Trial(back, k, self._settings.growth * error))
+            self._probation.begin(k, back, self._settings.growth * error, is_proven=True)
         return Ruling(back, tuple(events), is_revert=True)
 
     def _is_worse(self, back: Vector, held: Vector) -> bool:
@@ -210,18 +202,18 @@ class Guard:
     def _confirmed(self, k: int, t: float) -> tuple[Event, ...]:
         """Confirm the writes whose probation ends at point k; return the events."""
         events: list[Event] = []
-        while self._trials and k - self._trials[0].since >= self._settings.probation:
-            self._good = self._trials.popleft().theta
+        for theta in self._probation.end(k):
+            self._good = theta
             self.counts["confirmed"] += 1
             events.append(Event(t, "confirm", {"theta": self._good.tolist()}))
         return tuple(events)
 
-    def _put_on_probation(self, k: int, theta: Vector, error: float) -> None:
+    def _put_on_probation(self, k: int, theta: Vector, error: float, *, is_proven: bool) -> None:
         """Put a write on probation from point k on, if it is material; error: the larger of present and predicted."""
         self.counts["written"] += 1
         if self._is_material(theta):
             self._anchor = theta
-            self._trials.append(Trial(theta, k, max(self._tolerance, self._settings.growth * error)))
+            self._probation.begin(k, theta, self._settings.growth * error, is_proven=is_proven)
 
     def _is_material(self, theta: Vector) -> bool:
         moved = np.abs(self._space.to_unit(theta) - self._space.to_unit(self._anchor))
@@ -292,7 +284,9 @@ class Guard:
                 if disturbance is not None:
                     return "a disturbance explains the samples as well, and its effect cannot be predicted", expected
                 continue
-            harmless = growth * error if disturbance is None else max(growth * error, self._tolerance)
+            harmless = growth * error
+            if disturbance is not None:
+                harmless = max(harmless, self._probation.tolerated(is_proven=False))
             if found > harmless and found > growth * ((stay := peak(held, plant, disturbance)) or 0.0):
                 without = f"{stay:.4g}" if stay is not None else "unknown"
                 reason = f"predicted peak of the tracking error {found:.4g}, without the write {without} ({name})"

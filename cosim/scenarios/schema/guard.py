@@ -32,7 +32,8 @@ class GuardSettings(Table):
     the predicted one."""
     tolerance: float | None = Field(default=None, gt=0.0)
     """Tracking error below which no write is reverted, in the norm of the tracked outputs; by default a hundredth of
-    `limits.divergence`."""
+    `limits.divergence`. Where a disturbance explains the samples as well, `growth` times the largest error of late is
+    tolerated, if that is less."""
     probation: int = Field(default=100, ge=1, le=MOST)
     """Macro steps for which the tracking error is watched after a write."""
     reverts: int = Field(default=3, ge=1, le=MOST)

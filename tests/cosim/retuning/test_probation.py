@@ -1,0 +1,90 @@
+"""The probation by itself, and the guard of writes that a disturbance would explain as well."""
+
+from dataclasses import replace
+from math import nan
+
+import numpy as np
+import pytest
+
+from cosim.retuning.guard import Guard
+from cosim.retuning.probation import Probation
+from cosim.scenarios.schema.guard import GuardSettings
+from estimator import Estimate, Sample
+from estimator.retuner import Proposal
+from tests.cosim.retuning.linear_plant import GOOD, SPACE, START, Watched, seen
+
+N_APART = 10
+BOTH = ((1.0, 0.0), (0.0, 1.0))
+ESTIMATE = Estimate(GOOD, np.full(2, 0.1), (True, True), 0.0, 1, "incumbent")
+PROVEN = Proposal(GOOD, ESTIMATE)
+POSSIBLE = replace(PROVEN, possible_disturbance=np.array([0.3]))
+MUTE = Sample(9.0, (0.0, 0.0), (), (0.0,))
+
+
+def probation(errors=()):
+    made = Probation(0.5, 1.5, 100, N_APART)
+    for error in errors:
+        made.watch(error, is_proposed=False)
+    return made
+
+
+def test_what_is_usual_is_the_largest_error_but_for_the_newest():
+    assert probation([0.01] * N_APART).tolerated(is_proven=False) == 0.5  # too early to tell
+    assert probation([0.02, *[0.01] * N_APART]).tolerated(is_proven=False) == pytest.approx(0.03)
+    assert probation([*[0.01] * N_APART, *[0.2] * N_APART]).tolerated(is_proven=False) == pytest.approx(0.015)
+    assert probation([0.02, *[0.01] * (N_APART + 1000)]).tolerated(is_proven=False) == pytest.approx(0.015)
+
+
+def test_what_is_usual_is_never_tolerated_above_the_tolerance_and_leaves_proven_parameters_alone():
+    assert probation([0.4, *[0.01] * N_APART]).tolerated(is_proven=False) == 0.5
+    assert probation([0.01] * 100).tolerated(is_proven=True) == 0.5
+
+
+def test_errors_before_a_proposal_during_a_probation_and_of_no_number_are_not_usual():
+    made = probation([0.01] * 100)
+    for _ in range(N_APART):
+        made.watch(0.1, is_proposed=False)
+    made.watch(0.1, is_proposed=True)
+    made.begin(100 + N_APART, GOOD, 0.0, is_proven=False)
+    for _ in range(2 * N_APART):
+        made.watch(0.1, is_proposed=False)
+    made.clear()
+    for error in (nan, *[0.01] * N_APART, nan):
+        made.watch(error, is_proposed=False)
+    assert made.tolerated(is_proven=False) == pytest.approx(0.015)
+
+
+def guard(peak, support=None):
+    """A guard of a loop whose error is 0.01, with a prediction; the tolerance is 0.5."""
+    support = seen(*BOTH) if support is None else support
+    watched = Watched(Guard(GuardSettings(tolerance=0.5), SPACE, START, 100.0, support), START)
+    for k in range(1, 100):
+        watched.step(k, 0.01 * k, 0.01, Proposal(), peak)
+    return watched
+
+
+def kinds(watched, k, error, proposal, peak):
+    return [event.kind for event in watched.step(k, 0.01 * k, error, proposal, peak).events]
+
+
+def predicted(found):
+    """A prediction of `found` where the parameters of before are the right ones and others are written, else 0.01."""
+    return lambda controller, plant, disturbance: found if disturbance is not None and controller is not START else 0.01
+
+
+@pytest.mark.parametrize(("found", "told"), [(0.0149, []), (0.0151, ["veto"])])
+def test_parameters_that_may_be_the_old_ones_are_written_where_the_error_stays_usual(found, told):
+    peak = predicted(found)
+    assert kinds(guard(peak), 100, 0.001, POSSIBLE, peak) == told
+    assert kinds(guard(peak), 100, 0.001, PROVEN, peak) == []
+
+
+def test_an_unusual_error_takes_them_back_until_they_are_proven():
+    peak = predicted(0.01)
+    for proof, told in ((POSSIBLE, ["revert"]), (PROVEN, [])):
+        support = seen(*BOTH)
+        watched = guard(peak, support)
+        assert kinds(watched, 100, 0.001, POSSIBLE, peak) == []
+        assert kinds(watched, 101, 0.0149, proof, peak) == []
+        support.append(MUTE)  # which contradicts neither
+        assert kinds(watched, 102, 0.0151, Proposal(), peak) == told

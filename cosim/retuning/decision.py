@@ -23,6 +23,8 @@ class Point:
     """The plant as measured, where the FMUs run."""
     values: Sequence[float] = ()
     """Outputs of all FMUs, where they run, including the parameters read back."""
+    reference: Sequence[float] = ()
+    """Values that the tracked outputs are to follow, where the FMUs run."""
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from estimator.retuner import Proposal
 
 from ..scenarios.schema.guard import GuardSettings
 from .data_support import DataSupport, NoDataSupport, Reason
+from .decision import Point
 from .probation import Probation
 
 _FALSE_ALARM = 1e-6
@@ -133,15 +134,13 @@ class Guard:
                 return Event(t, "stop", {"reason": reason})
         return None
 
-    def step(
-        self, k: int, t: float, error: float, proposal: Proposal, held: Vector, peak: PredictedPeak | None
-    ) -> Ruling:
-        """Rule on a proposal at communication point k, t [s].
+    def step(self, point: Point, proposal: Proposal, held: Vector, peak: PredictedPeak | None) -> Ruling:
+        """Rule on a proposal at a communication point.
 
-        error: norm of the tracking error there; held (d,): the controller's parameters; peak: None where nothing is
-        predicted.
+        held (d,): the controller's parameters; peak: None where nothing is predicted.
         """
-        self._probation.watch(error, is_proposed=proposal.theta is not None)
+        k, t, error = point.k, point.t, point.error
+        self._probation.watch(error, point.reference, is_proposed=proposal.theta is not None)
         watched = self._watch(k, t, error, held)
         if watched is not None:
             return watched

@@ -1,8 +1,9 @@
 """Probation of what is written into a controller: the tracking error that each write may lead to, and for how long."""
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import isfinite
+from math import dist, isfinite
 from typing import Final
 
 import numpy as np
@@ -40,6 +41,7 @@ class Probation:
         have changed in them."""
         self._tolerance, self._growth, self._n_steps, self._n_apart = tolerance, growth, n_steps, n_apart
         self._trials: deque[Trial] = deque()
+        self._reference: tuple[float, ...] = ()
         self._newest: deque[float] = deque()
         self._usual: deque[float] = deque(maxlen=_MEMORY)
 
@@ -62,8 +64,16 @@ class Probation:
             return self._tolerance
         return min(self._tolerance, self._growth * max(self._usual))
 
-    def watch(self, error: float, *, is_proposed: bool) -> None:
-        """Take the norm of the tracking error at a communication point, and whether parameters are proposed there."""
+    def watch(self, error: float, reference: Sequence[float], *, is_proposed: bool) -> None:
+        """Take the norm of the tracking error at a communication point, and whether parameters are proposed there.
+
+        reference: values that the tracked outputs are to follow; a jump of theirs is no fault of a write.
+        """
+        jump = dist(reference, self._reference) if self._reference and self._trials else 0.0
+        self._reference = tuple(reference)
+        if self.allowed is not None and jump > self.allowed:
+            further = self._growth * jump
+            self._trials = deque(replace(trial, expected=trial.expected + further) for trial in self._trials)
         if is_proposed or self._trials or not isfinite(error):
             self._newest.clear()
             return

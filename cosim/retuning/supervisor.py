@@ -201,7 +201,7 @@ class Supervisor:
         lookahead, prediction = self._lookahead, None
         if not isinstance(lookahead, str) and point.measured is not None:
             prediction = Prediction(lookahead, point.k, point.measured, point.values)
-        ruling = self._guard.step(point.k, point.t, point.error, proposal, held, prediction)
+        ruling = self._guard.step(point, proposal, held, prediction)
         if ruling.is_revert:
             assert ruling.write is not None
             self._retuner.reverted(ruling.write)

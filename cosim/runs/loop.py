@@ -182,10 +182,11 @@ class Loop:
     def _step(self, k: int, t: float, recorder: Recorder) -> bool:
         """Take communication point k at t [s]; return whether the run has diverged there."""
         settings, master = self._scenario.scenario, self._master
-        errors = [master.values[a] - master.values[b] for a, b in self._tracked]
+        reference = [master.values[b] for _, b in self._tracked]
+        errors = [master.values[a] - r for (a, _), r in zip(self._tracked, reference, strict=True)]
         has_diverged = not all(abs(e) <= self._scenario.limits.divergence for e in errors)
         measured = self._sampler.take(t, master.values, master.inputs.get(self._scenario.plant, {}))
-        point = Point(k, t, self._sampler.filtered(measured), hypot(*errors), measured, master.values)
+        point = Point(k, t, self._sampler.filtered(measured), hypot(*errors), measured, master.values, reference)
         self._take(t, self.policy.step(point, self._held), recorder)
         truth = {reference: value(t) for reference, value in self._truth.items()}
         is_stepping = k < settings.n_steps and not has_diverged

@@ -3,6 +3,7 @@
 import numpy as np
 
 from cosim.retuning.data_support import DataSupport
+from cosim.retuning.decision import Point
 from estimator import Parameter, ParameterSpace, Sample
 
 SPACE = ParameterSpace((Parameter("a", 0.0, 10.0), Parameter("b", 0.0, 10.0)))
@@ -29,8 +30,8 @@ class Watched:
     def __init__(self, guard, held):
         self.guard, self.held = guard, held
 
-    def step(self, k, t, error, proposal, peak):
-        ruling = self.guard.step(k, t, error, proposal, self.held, peak)
+    def step(self, k, t, error, proposal, peak, reference=()):
+        ruling = self.guard.step(Point(k, t, None, error, reference=reference), proposal, self.held, peak)
         self.held = self.held if ruling.write is None else ruling.write
         return ruling
 

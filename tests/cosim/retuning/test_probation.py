@@ -24,7 +24,7 @@ MUTE = Sample(9.0, (0.0, 0.0), (), (0.0,))
 def probation(errors=()):
     made = Probation(0.5, 1.5, 100, N_APART)
     for error in errors:
-        made.watch(error, is_proposed=False)
+        made.watch(error, (), is_proposed=False)
     return made
 
 
@@ -43,14 +43,14 @@ def test_what_is_usual_is_never_tolerated_above_the_tolerance_and_leaves_proven_
 def test_errors_before_a_proposal_during_a_probation_and_of_no_number_are_not_usual():
     made = probation([0.01] * 100)
     for _ in range(N_APART):
-        made.watch(0.1, is_proposed=False)
-    made.watch(0.1, is_proposed=True)
+        made.watch(0.1, (), is_proposed=False)
+    made.watch(0.1, (), is_proposed=True)
     made.begin(100 + N_APART, GOOD, 0.0, is_proven=False)
     for _ in range(2 * N_APART):
-        made.watch(0.1, is_proposed=False)
+        made.watch(0.1, (), is_proposed=False)
     made.clear()
     for error in (nan, *[0.01] * N_APART, nan):
-        made.watch(error, is_proposed=False)
+        made.watch(error, (), is_proposed=False)
     assert made.tolerated(is_proven=False) == pytest.approx(0.015)
 
 
@@ -88,3 +88,16 @@ def test_an_unusual_error_takes_them_back_until_they_are_proven():
         assert kinds(watched, 101, 0.0149, proof, peak) == []
         support.append(MUTE)  # which contradicts neither
         assert kinds(watched, 102, 0.0151, Proposal(), peak) == told
+
+
+@pytest.mark.parametrize(("reference", "told"), [(1.0, []), (0.5, ["revert"])])
+def test_a_jump_of_the_reference_takes_no_write_back(reference, told):
+    """The limit is 0.5: what jumps by less than that is not seen, and a loop has to follow it."""
+    support = seen(*BOTH)
+    watched = guard(predicted(0.01), support)
+    watched.step(100, 1.0, 0.01, PROVEN, predicted(0.01), (0.0,))
+    support.append(MUTE)
+    events = watched.step(101, 1.01, 1.0, Proposal(), predicted(0.01), (reference,)).events
+    assert [event.kind for event in events] == told
+    later = watched.step(102, 1.02, 2.1, Proposal(), predicted(0.01), (reference,)).events
+    assert [event.kind for event in later] == ([] if told else ["revert"])

@@ -89,7 +89,7 @@ def _flat(parameters: Sequence[Parameter], space: ParameterSpace, theta: Vector,
         return f"{names} in {len(group)} ways: hold {len(group)} of them, or excite them more."
     slope = space.slope(theta) * group[0]  # d theta along the direction
     if all(parameters[j].scale == "log" for j in members):
-        exponents = (slope / theta)[members]
+        exponents = slope[members] / theta[members]  # others may be zero
         if len(members) == 2:
             return f"{names}: {_of_two(parameters, members, exponents)}; hold one, or excite them more."
         if exponents.max() / exponents.min() < _SAME and exponents.min() / exponents.max() > 0.0:

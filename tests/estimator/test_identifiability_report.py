@@ -11,7 +11,7 @@ LOG = {"scale": "log"}
 M, L = Parameter("m", 0.1, 5.0, "kg", **LOG), Parameter("l", 0.1, 3.0, "m", **LOG)
 C, K = Parameter("c", 0.01, 1.0, "kg/s", **LOG), Parameter("k", 1.0, 90.0, "N/m", **LOG)
 A, B = Parameter("a", -2.0, 2.0, "N"), Parameter("b", 0.0, 5.0)
-THETA = {"m": 1.2, "l": 0.5, "c": 0.2, "k": 7.0, "a": 0.5, "b": 3.0}
+THETA = {"m": 1.2, "l": 0.5, "c": 0.2, "k": 7.0, "a": 0.5, "b": 3.0, "e": 0.0}
 
 
 def told(parameters, *functions, noise=1e-3):
@@ -31,6 +31,11 @@ def test_of_a_product_the_ratio_is_not_seen():
     assert told((M, L), lambda m, l: m * l) == [
         "m and l trade off: their product is seen, their ratio is not; hold one, or excite them more."
     ]
+
+
+def test_a_seen_parameter_that_is_zero_changes_nothing():
+    (word,) = told((M, L, Parameter("e", -1.0, 1.0)), lambda m, l, e: m * l, lambda m, l, e: e)
+    assert word.startswith("m and l trade off: their product is seen,")
 
 
 def test_of_a_ratio_the_product_is_not_seen():

@@ -167,6 +167,7 @@ class Diagnosis:
                 state.reference, state.verdict, state.changed, state.has_moved = held, "refuted", None, False
                 if state.lasting is None or state.n_samples >= state.suspected_at + FORGOTTEN:
                     state.lasting = held
+                state.n_calm = state.n_samples - state.suspected_at - 1
                 if state.n_samples >= state.suspected_at + _WINDOW:
                     state.travelled, state.settled = 0.0, held
             state.n_since, state.n_quiet = min(state.n_since + 1, len(state.samples)), 0
@@ -318,18 +319,22 @@ class Diagnosis:
     def accept(self, theta: Vector) -> None:
         """Take parameters (d,) that are warranted and in force for those that the next ones are compared with."""
         if self._state.n_since:
-            self._state.reference = theta
+            self._state.reference, self._state.n_calm = theta, 0
 
     def _before(self, reference: Vector, n: int) -> Vector:
         """Return the parameters (d,) from before the newest n samples: those that lasted, or the reference.
 
-        The reference, which a search has found since, only where it explains them, with a disturbance, much better.
+        The reference, which a search has found since, only where it explains these, with a disturbance, and those since
+        the suspicion before much better.
         """
         lasting = self._state.lasting
         if lasting is None or np.array_equal(lasting, reference):
             return reference
+        if not disturbance_of(self._rows(reference, n)).fit.is_explained:
+            return lasting
+        n = min(n + self._state.n_calm, len(self._state.samples))
         found, other = (disturbance_of(self._rows(theta, n)).fit for theta in (reference, lasting))
-        return reference if found.is_explained and found.score + MARGIN <= other.score else lasting
+        return reference if found.score + MARGIN <= other.score else lasting
 
     def _undone(self, reference: Vector) -> Vector:
         """Return the parameters (d,) to go back to: the reference, or the lasting ones where everything rests."""

@@ -57,6 +57,8 @@ class DiagnosisState:
     n_samples: int = 0
     n_since: int = 0
     """Number of samples since the onset of the suspicion; 0 while quiet."""
+    n_calm: int = 0
+    """Number of samples before the onset that the reference has explained."""
     reference: Vector | None = None
     """Parameters (d,) in force at the onset, or accepted since."""
     has_moved: bool = False

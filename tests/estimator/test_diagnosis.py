@@ -473,6 +473,16 @@ def test_what_returns_is_not_what_was_written_a_moment_before(rate, size, n_chan
     assert run.undone
 
 
+@pytest.mark.parametrize("push", [0.2, 0.3])
+def test_parameters_that_explained_what_was_before_a_disturbance_stay(push):
+    """Where nothing moves much, those of long before explain the few newest samples with a disturbance as well."""
+    run = Run("target", is_trusting=True).go(250).go(100, CHANGED)
+    assert near(run.held, CHANGED)
+    run.go(25, CHANGED, push)
+    assert near(run.held, CHANGED, 0.15)
+    assert run.known()[0] == pytest.approx(push, rel=0.1)
+
+
 def test_the_usual_error_of_a_lacking_model_is_learnt_while_it_rests():
     settings = DiagnosisSettings(rest=200, longest_rest=200)
     run = Run("least-squares", 3, settings=settings).go(100).go(1200, TRUE, sine)

@@ -1,7 +1,8 @@
 """Samples of the plant, and the residuals of a model at one of them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from math import nan
 
 import numpy as np
 
@@ -74,11 +75,31 @@ class DerivativeResidual:
 
         Other exceptions of the model pass through.
         """
-        try:
-            modelled = self.model(sample.x, sample.u, **self.space.named(theta))
-        except (ArithmeticError, ValueError):  # math.sqrt(-1.0) raises the latter
+        modelled = self._modelled(self.space.named(theta), sample)
+        if modelled is None:
             return np.full(len(self.channels), np.nan)
         return np.array([
-            (y - modelled[i]) / s if y == y else 0.0  # a NaN differs from itself
-            for y, i, s in zip(sample.xdot, self.channels, self.noise, strict=True)
+            (y - f) / s if y == y else 0.0  # a NaN differs from itself
+            for y, f, s in zip(sample.xdot, modelled, self.noise, strict=True)
         ])  # fmt: skip
+
+    def rows(self, theta: Vector, samples: Sequence[Sample]) -> Vector:
+        """Return r (..., n, c) of candidates theta (..., d) at n samples, each as `__call__` does, but faster."""
+        thetas, c = theta.reshape(-1, len(self.space)), len(self.channels)
+        missing = [nan] * c
+        table = [self._modelled(named, s) or missing for named in map(self.space.named, thetas) for s in samples]
+        xdot = np.array([s.xdot for s in samples], dtype=float).reshape(len(samples), c)
+        with np.errstate(invalid="ignore", over="ignore"):
+            r = (xdot - np.array(table, dtype=float).reshape(len(thetas), len(samples), c)) / self.noise
+        if not (is_sampled := xdot == xdot).all():
+            r[:, ~is_sampled] = 0.0
+            r[np.reshape([row is missing for row in table], r.shape[:2])] = nan
+        return r.reshape(*theta.shape[:-1], len(samples), c)
+
+    def _modelled(self, named: Mapping[str, float], sample: Sample) -> Sequence[float] | None:
+        """Return the modelled derivatives (c,) of the channels; None where the model has no value."""
+        try:
+            modelled = self.model(sample.x, sample.u, **named)
+        except (ArithmeticError, ValueError):  # math.sqrt(-1.0) raises the latter
+            return None
+        return [modelled[i] for i in self.channels]

@@ -63,8 +63,8 @@ def make_supervisor(
     retuner = _retuner(scenario, estimator, plant, held, rng, stack, whitened, live, diagnosis)
     support: DataSupport | NoDataSupport = NoDataSupport()
     if whitened is not None:
-        residual = whitened if diagnosis is None else diagnosis.residual
-        support = DataSupport(residual, space, len(whitened.noise), max(scenario.estimation.window, _FEWEST))
+        rows = whitened.rows if diagnosis is None else diagnosis.rows
+        support = DataSupport(rows, space, len(whitened.noise), max(scenario.estimation.window, _FEWEST))
     rule = tuning_rule(scenario)
     variables = {} if running is None else written_variables(scenario, running.slaves)
     refusal = WriteCheck(rule, variables)

@@ -59,6 +59,20 @@ def test_a_model_without_a_value_gives_nan_in_each_channel():
     np.testing.assert_array_equal(overflows(np.array([0.5]), seen), [np.nan, np.nan])
 
 
+def test_a_table_of_residuals_is_that_of_one_call_after_the_other_to_the_bit():
+    """Of 3 x 4 residuals of two channels some have no value, since m is 0, and some samples lack a channel, or both."""
+    space = ParameterSpace((Parameter("m", 0.0, 1.0), Parameter("c", 0.0, 1.0)))
+    residual = DerivativeResidual(lambda x, u, m, c: (c * x[0], 0.3, x[0] / m), space, (2, 0), (0.3, 0.7))
+    nan = float("nan")
+    values = [(0.1, 0.2), (nan, 1.0 / 3.0), (0.7, nan), (nan, nan)]
+    seen = [Sample(float(t), (0.1 * t,), (), xdot) for t, xdot in enumerate(values)]
+    thetas = np.array([[[0.3, 0.1]], [[0.0, 0.1]], [[0.7, 1.0 / 7.0]]])
+    one_by_one = [[[residual(theta, sample) for sample in seen] for theta in row] for row in thetas]
+    np.testing.assert_array_equal(residual.rows(thetas, seen), one_by_one)
+    np.testing.assert_array_equal(residual.rows(thetas[2, 0], seen), one_by_one[2][0])
+    assert residual.rows(thetas, []).shape == (3, 1, 0, 2)
+
+
 @pytest.mark.parametrize("error", [KeyError, TypeError, RuntimeError])
 def test_a_models_own_mistakes_pass_through(error):
     def model(x, u, m):

@@ -94,15 +94,15 @@ class ResidualWindow:
 
     def newest_residual(self, theta: Vector) -> Vector:
         """Return the residual (..., c) of candidates theta (..., d) at the newest sample."""
-        if theta.ndim == 1:
-            return self.residual_at(theta, self._samples[-1])
-        self.n_model_calls += len(theta)
-        return self._rows_at(theta, self._samples[-1:])[..., 0, :]
+        return self.residual_at(theta, self._samples[-1])
 
     def residual_at(self, theta: Vector, sample: Sample) -> Vector:
-        """Return the residual (c,) of one candidate at a sample, in the window or not."""
-        self.n_model_calls += 1
-        return self._residual(theta, sample)
+        """Return the residual (..., c) of candidates theta (..., d) at a sample, in the window or not."""
+        if theta.ndim == 1:
+            self.n_model_calls += 1
+            return self._residual(theta, sample)
+        self.n_model_calls += theta.size // theta.shape[-1]
+        return self._rows_at(theta, [sample])[..., 0, :]
 
     def residuals(self, candidates: Iterable[Vector]) -> Vector:
         """Return the residuals of many candidates (n, D); rows kept for others are dropped."""

@@ -73,6 +73,31 @@ def test_a_table_of_residuals_is_that_of_one_call_after_the_other_to_the_bit():
     assert residual.rows(thetas, []).shape == (3, 1, 0, 2)
 
 
+def test_a_vectorised_model_is_called_once_with_arrays_and_gives_the_same_residuals():
+    """log(0) is no value; where arrays are refused because of one candidate, each is called by itself."""
+    calls = []
+
+    def model(x, u, m):
+        calls.append(np.shape(m))
+        if np.any(np.asarray(m) > 2.0):
+            raise ValueError("too heavy")
+        return x[0] + u[0] * m, 0.5, np.log(m) if np.ndim(m) else float(np.log(m)) if m else float("nan")
+
+    space = ParameterSpace((Parameter("m", 0.0, 3.0),))
+    alone = DerivativeResidual(model, space, (0, 2), (0.1, 0.2))
+    vectorised = DerivativeResidual(model, space, (0, 2), (0.1, 0.2), is_vectorised=True)
+    seen = [Sample(0.1 * k, (1.0 + k,), (2.0,), (0.3, 0.7 * k)) for k in range(3)]
+    for masses in ([0.5, 0.7, 0.0, 1.1], [0.5, 2.5]):
+        thetas = np.array(masses)[:, None]
+        expected = alone.rows(thetas, seen)
+        calls.clear()
+        np.testing.assert_allclose(
+            vectorised.rows(thetas, seen)[np.array(masses) > 0.0], expected[np.array(masses) > 0.0]
+        )
+        assert calls == [(12,)] if max(masses) <= 2.0 else [(6,), *[()] * 6]
+    assert not np.isfinite(vectorised.rows(np.zeros((2, 1)), seen)[..., 1]).any()
+
+
 @pytest.mark.parametrize("error", [KeyError, TypeError, RuntimeError])
 def test_a_models_own_mistakes_pass_through(error):
     def model(x, u, m):

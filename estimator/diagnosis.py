@@ -147,7 +147,7 @@ class Diagnosis:
 
     @property
     def _is_correcting(self) -> bool:
-        return bool(np.any(self._state.offset) or self._state.is_resting.any())
+        return bool(self._state.offset.any() or self._state.is_resting.any())
 
     def corrected(self, sample: Sample) -> Sample:
         """Return the sample less the known disturbance, and without the channels that rest."""

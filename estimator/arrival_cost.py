@@ -124,9 +124,10 @@ class ArrivalCost:
         if measured is None:
             return None
         limit, d = chi2_limit(_FALSE_ALARM, len(measured.value)), len(self.mean)
-        one = [self.rate**2 * row for row in np.eye(d)]
-        best = min(one, key=lambda walk: self._squared(walk, measured))
-        for walk in (np.zeros(d), best, np.full(d, self.rate**2)):
+        if self._squared(np.zeros(d), measured) <= limit:
+            return self._with(measured)
+        one = min(self.rate**2 * np.eye(d), key=lambda walk: self._squared(walk, measured))
+        for walk in (one, np.full(d, self.rate**2)):
             if self._squared(walk, measured) <= limit:
                 return self._walking(walk)._with(measured)
         return None

@@ -1,9 +1,8 @@
 """Common alternatives to Bayesian optimisation: adapters to SciPy and Ipopt."""
 
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 import scipy  # its parts, 0.3 s, are loaded when they are used
@@ -14,6 +13,8 @@ from .objective import Objective
 from .space import ParameterSpace, Vector
 
 Minimizer = Literal["ipopt", "trust-constr", "SLSQP"]
+_SMOOTH_STEP = float(np.finfo(float).eps ** 0.5)
+"""Step of differences in the unit cube, that of SciPy."""
 _FAILED = 1e12
 """Residual of a candidate at which the model has no value: optimisers need a number."""
 
@@ -160,11 +161,10 @@ class LeastSquares:
         unknown = information(np.zeros((0, len(self._space))))
         seen_by_data, converged = unknown, np.inf
         starts = [self._z, *self._rng.random((self._settings.n_starts - 1, len(self._space)))]
-        jacobian: Any = search.jacobian or "2-point"
         for z in starts:
             try:
                 result = scipy.optimize.least_squares(
-                    search.residual, np.clip(z, 0.0, 1.0), jac=jacobian, bounds=(0.0, 1.0)
+                    search.residual, np.clip(z, 0.0, 1.0), jac=cast(Any, search.differences), bounds=(0.0, 1.0)
                 )
             except _SpentError:
                 break
@@ -197,23 +197,25 @@ class _Counted:
         self._newest = np.empty(0)
         self.z, self.cost = start, np.inf
 
-    @property
-    def jacobian(self) -> Callable[[Vector], Vector] | None:
-        """Function for forward differences (D, d) at the place evaluated last, all at a time; None: SciPy's own."""
-        return self._differences if self._step else None
-
     def residual(self, z: Vector) -> Vector:
         """Return the residual (D,) at z (d,). Raises _SpentError when none are left."""
         (self._newest,) = self._residuals([z])
         return self._newest
 
-    def _differences(self, z: Vector) -> Vector:
-        steps = np.where(z < 0.5, 1.0, -1.0) * (self._step or 0.0)
-        beside = self._residuals(list(z + np.diag(steps)))
-        return np.column_stack([(r - self._newest) / h for r, h in zip(beside, steps, strict=True)])
+    def differences(self, z: Vector) -> Vector:
+        """Return slopes (D, d) at z (d,), the place evaluated last, from differences of which all are taken at once.
+
+        Forward ones where the residual is smooth, with SciPy's own step, and towards the cube's middle where not.
+        """
+        step = self._step or _SMOOTH_STEP
+        beside = z + np.diag(np.where(z < 0.5 if self._step else z + step <= 1.0, step, -step))
+        moved = beside.diagonal() - z
+        return np.array([(r - self._newest) / h for r, h in zip(self._residuals([*beside]), moved, strict=True)]).T
 
     def _residuals(self, places: list[Vector]) -> list[Vector]:
         if self._remaining < len(places):
+            if not self._step:  # roll-outs that lead to no slope are not worth it
+                self._residuals(places[: int(self._remaining)])
             raise _SpentError
         self._remaining -= len(places)
         return [

@@ -144,8 +144,8 @@ class Following(AskTell, Protocol):
     def follow(self, residual: Callable[[Vector], Vector], held: Vector, is_triggered: bool) -> Estimate | None:
         """Take one more sample; return the new estimate, or None where a search is needed.
 
-        residual: (c,) of theta (d,), in standard deviations; held (d,): in force, and the estimate where the samples
-        do not tell it from a better one; is_triggered: true where a search would begin.
+        residual: (..., c) of theta (..., d), in standard deviations; held (d,): in force, and the estimate where the
+        samples do not tell it from a better one; is_triggered: true where a search would begin.
         """
         ...
 

@@ -310,12 +310,16 @@ def make_retuner(
     text: description of the residual, for the report. diagnosis: None to write whatever is proposed.
     """
     n = len(whitened.noise)
-    scaled = whitened if diagnosis is None else diagnosis.scaled
-    residual = scaled if estimator.is_whitened else replace(whitened, noise=(1.0,) * n)
+    scaled, rows = (whitened, whitened.rows) if diagnosis is None else (diagnosis.scaled, diagnosis.scaled_rows)
+    residual = scaled
+    if not estimator.is_whitened:
+        residual = replace(whitened, noise=(1.0,) * n)
+        rows = residual.rows
     begins = trigger.trigger(scaled)
     if trigger.is_endless:
         budget = replace(budget, evaluations=math.inf)
     elif diagnosis is not None:
         begins = SuspicionTrigger(begins, diagnosis)
-    retuner = Retuner(estimator, ResidualWindow(residual, n, max_length), begins, budget, linear, partial(str, text))
+    window = ResidualWindow(residual, n, max_length, rows)
+    retuner = Retuner(estimator, window, begins, budget, linear, partial(str, text))
     return retuner if diagnosis is None else DiagnosingRetuner(retuner, diagnosis, trigger.is_endless)

@@ -8,7 +8,7 @@ parameters that has found none: then either a constant disturbance explains them
 nothing does, and the channels concerned rest. See `hypotheses` for the comparison.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -25,6 +25,7 @@ from .diagnosis_settings import (
     is_at_unseen_bound,
 )
 from .diagnosis_state import DiagnosisState
+from .differences import OfMany
 from .events import Event
 from .hypotheses import (
     FALSE_ALARM,
@@ -40,7 +41,7 @@ from .hypotheses import (
     plain_fit,
 )
 from .residual_scale import ResidualScale, spread_of
-from .samples import Sample
+from .samples import DerivativeResidual, Sample
 from .significance import chi2_limit
 from .space import ParameterSpace, Vector
 
@@ -90,7 +91,7 @@ class Diagnosis:
 
     def __init__(
         self,
-        declared: Callable[[Vector, Sample], Vector],
+        declared: DerivativeResidual,
         names: Sequence[str],
         sigma: Sequence[float],
         settings: DiagnosisSettings,
@@ -138,17 +139,31 @@ class Diagnosis:
         """
         return self.scaled(theta, self.corrected(sample))
 
+    def rows(self, theta: Vector, samples: Sequence[Sample]) -> Vector:
+        """Return the residuals (..., n, c) of candidates theta (..., d) at n samples, each as `residual` does."""
+        if self._is_correcting:
+            samples = [self.corrected(sample) for sample in samples]
+        return self.scaled_rows(theta, samples)
+
+    @property
+    def _is_correcting(self) -> bool:
+        return bool(self._state.offset.any() or self._state.is_resting.any())
+
     def corrected(self, sample: Sample) -> Sample:
         """Return the sample less the known disturbance, and without the channels that rest."""
-        state = self._state
-        if not (np.any(state.offset) or state.is_resting.any()):
+        if not self._is_correcting:
             return sample
+        state = self._state
         xdot = np.where(state.is_resting, np.nan, np.array(sample.xdot) - state.offset * self._sigma)
         return replace(sample, xdot=tuple(xdot.tolist()))
 
     def scaled(self, theta: Vector, sample: Sample) -> Vector:
         """Return the residual (c,) of a corrected sample in standard deviations of its true size."""
         return self._declared(theta, sample) / self._state.scale.effective
+
+    def scaled_rows(self, theta: Vector, samples: Sequence[Sample]) -> Vector:
+        """Return the residuals (..., n, c) of candidates theta (..., d) at n samples, each as `scaled` does."""
+        return self._declared.rows(theta, samples) / self._state.scale.effective
 
     def observe(self, sample: Sample, held: Vector) -> bool:
         """Take a sample, with the parameters in force (d,); return whether residuals are to be computed anew."""
@@ -352,7 +367,7 @@ class Diagnosis:
                 return
         z = space.to_unit(theta) if state.changed is None else state.changed
         for n in [n for n in _LENGTHS if n <= state.n_since]:
-            found = changed_parameters(lambda z, n=n: self._rows(space.beyond(z), n), z)
+            found = changed_parameters(self._rows_at(n), z)
             if found.rate <= _RATE and self._wins(found.fit, before[-n:]):
                 state.changed = found.z
                 return
@@ -369,9 +384,9 @@ class Diagnosis:
 
     def _best(self, held: Vector, n: int, *, may_drift: bool) -> ChangedParameters:
         """Return the parameters that explain the newest n samples best, whatever the search has found."""
-        space, changed = self._space, self._state.changed
-        z = space.to_unit(held) if changed is None else changed
-        return changed_parameters(lambda z: self._rows(space.beyond(z), n), z, may_drift=may_drift)
+        changed = self._state.changed
+        z = self._space.to_unit(held) if changed is None else changed
+        return changed_parameters(self._rows_at(n), z, may_drift=may_drift)
 
     def _is_changing(self, held: Vector, n: int) -> bool:
         """Return whether parameters, constant ones or slowly changing, explain the newest n samples."""
@@ -384,9 +399,9 @@ class Diagnosis:
 
         def left(z: Vector) -> Vector:
             rows = self._rows(space.beyond(z), n)
-            return rows - rows.mean(axis=0)
+            return rows - rows.mean(axis=-2, keepdims=True)
 
-        best = changed_parameters(left, space.to_unit(held), may_drift=False)
+        best = changed_parameters(OfMany(left), space.to_unit(held), may_drift=False)
         rows = self._rows(space.beyond(best.z), n)
         n_channels, mean = n_channels_of(rows), rows.mean(axis=0)
         fit = plain_fit(best.rows, self._n_free + n_channels, n * n_channels)
@@ -400,14 +415,15 @@ class Diagnosis:
         state = self._state
         if state.n_since < _NOISY:
             return False
-        n, space = min(state.n_since, _WINDOW // 2), self._space
+        n = min(state.n_since, _WINDOW // 2)
         best = self._best(held, n, may_drift=False)
         if not np.all(np.isfinite(best.rows)):
             return False
         larger = np.maximum(spread_of(best.rows), 1.0)
         if np.all(larger < _LARGER):
             return False
-        found = changed_parameters(lambda z: self._rows(space.beyond(z), n) / larger, best.z)
+        rows_at = self._rows_at(n)
+        found = changed_parameters(OfMany(lambda z: rows_at(z) / larger), best.z)
         if found.rate > _RATE or not found.fit.is_explained:
             return False
         state.scale.enlarge(larger)
@@ -591,9 +607,12 @@ class Diagnosis:
         return not n_sampled or float(row @ row) <= chi2_limit(self._settings.false_alarm, n_sampled)
 
     def _rows(self, theta: Vector, n: int) -> Vector:
-        """Return the residuals (n, c) of theta at the newest n samples, from old to new."""
-        samples = self._state.samples[-n:]
-        return np.array([self.residual(theta, sample) for sample in samples]).reshape(n, len(self._names))
+        """Return the residuals (..., n, c) of theta (..., d) at the newest n samples, from old to new."""
+        return self.rows(theta, self._state.samples[-n:])
+
+    def _rows_at(self, n: int) -> OfMany:
+        """Return the residuals (..., n, c) at the newest n samples as a function of places (..., d)."""
+        return OfMany(lambda z: self._rows(self._space.beyond(z), n))
 
 
 def _acting(largest: Vector) -> NDArray[np.bool_]:

@@ -1,11 +1,31 @@
 """Slopes of functions that have no derivative at hand."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from math import inf
 
 import numpy as np
 
 from .space import Vector
+
+
+@dataclass(frozen=True)
+class OfMany:
+    """Function of places (..., d) that returns the values (..., D) at all of them, faster than one after the other."""
+
+    function: Callable[[Vector], Vector]
+
+    def __call__(self, z: Vector) -> Vector:
+        """Return the values (..., D) at places z (..., d)."""
+        return self.function(z)
+
+
+def values_at(function: Callable[[Vector], Sequence[float] | Vector], places: Vector) -> Vector:
+    """Return the values (..., D) of a function of one place (d,), or `OfMany`, at places (..., d)."""
+    if isinstance(function, OfMany):
+        return function(places)
+    values = np.array([function(place) for place in places.reshape(-1, places.shape[-1])], dtype=float)
+    return values.reshape(*places.shape[:-1], *values.shape[1:])
 
 
 def central_differences(
@@ -19,19 +39,15 @@ def central_differences(
 
     function: f (D,) of a place (d,); steps (d,): to either side; lower, upper: of every coordinate of the places.
     """
-    columns: list[Vector] = []
-    for i, step in enumerate(steps.tolist()):
-        above, below = z.copy(), z.copy()
-        above[i], below[i] = min(z[i] + step, upper), max(z[i] - step, lower)
-        columns.append(np.subtract(function(above), function(below)) / (above[i] - below[i]))
-    return np.column_stack(columns)
+    above, below = np.tile(z, (len(z), 1)), np.tile(z, (len(z), 1))
+    np.fill_diagonal(above, np.minimum(z + steps, upper))
+    np.fill_diagonal(below, np.maximum(z - steps, lower))
+    values = values_at(function, np.stack([above, below], axis=1))
+    return np.ascontiguousarray(((values[:, 0] - values[:, 1]) / (above - below).diagonal()[:, None]).T)
 
 
 def forward_differences(function: Callable[[Vector], Vector], z: Vector, value: Vector, step: float) -> Vector:
     """Return df/dz (D, d) at z (d,) of the unit cube by steps towards the cube's middle; value: f(z), of any shape."""
-    columns: list[Vector] = []
-    for i, z_i in enumerate(z.tolist()):
-        aside = z.copy()
-        aside[i] += step if z_i < 0.5 else -step
-        columns.append((function(aside) - value).reshape(-1) / (aside[i] - z_i))
-    return np.column_stack(columns)
+    aside = z + np.diag(np.where(z < 0.5, step, -step))
+    moved = aside.diagonal() - z
+    return np.ascontiguousarray(((values_at(function, aside) - value).reshape(len(z), -1) / moved[:, None]).T)

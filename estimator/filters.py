@@ -167,7 +167,8 @@ class UnscentedKalman:
         kalman.predict()
         x, P = kalman.x.copy(), kalman.P.copy()
         with np.errstate(all="ignore"):  # where the model overflows at a sigma point
-            kalman.update(np.zeros(len(kalman.R)), hx=lambda z: objective.newest_residual(self._space.from_unit(z)))
+            at_points = iter(objective.newest_residual(self._space.from_unit(kalman.sigmas_f)))
+            kalman.update(np.zeros(len(kalman.R)), hx=lambda _: next(at_points))
         if not np.all(np.isfinite(kalman.x)):
             kalman.x, kalman.P = x, P
         kalman.P = 0.5 * (kalman.P + kalman.P.T) + 1e-12 * np.eye(len(kalman.x))

@@ -6,6 +6,7 @@ import numpy as np
 
 from .arrival_cost import Measurement, corrected, measurement
 from .contract import Estimate, scaled_estimate
+from .differences import OfMany
 from .identifiability import IDENTIFIABLE_BELOW, information_of_covariance
 from .objective import Objective
 from .samples import Sample
@@ -125,7 +126,8 @@ class MovingHorizon:
 
     def _measured(self, objective: Objective, step: _Step) -> Measurement | None:
         with np.errstate(all="ignore"):  # where the model overflows
-            return measurement(lambda z: objective.residual_at(self._space.from_unit(z), step.sample), step.place)
+            at = OfMany(lambda z: objective.residual_at(self._space.from_unit(z), step.sample))
+            return measurement(at, step.place)
 
     def _smoothed(self, steps: tuple[_Step, ...], measured: list[Measurement | None]) -> tuple[Vector, _Belief]:
         """Return the most likely places (n, d) of the linearised residuals, and the belief at the newest sample."""

@@ -116,21 +116,21 @@ class Objective:
 
     def residuals(self, thetas: Sequence[Vector]) -> Sequence[Vector]:
         """Return the residual (D,) of each theta, several evaluated at a time where that is faster."""
-        if self._window.is_rescoring_cheap or self.n_evaluations + len(thetas) > self.max_evaluations:
+        if len(thetas) == 1 or self.n_evaluations + len(thetas) > self.max_evaluations:
             return [self.residual(theta) for theta in thetas]
         self.n_evaluations += len(thetas)
         return list(self._window.residuals(thetas))
 
     def newest_residual(self, theta: Vector) -> Vector:
-        """Return the residual (c,) at the newest sample, as `residual_at`."""
+        """Return the residual (..., c) at the newest sample, as `residual_at`."""
         return self.residual_at(theta, self.newest)
 
     def residual_at(self, theta: Vector, sample: Sample) -> Vector:
-        """Return the residual (c,) at one sample; NaN where the model has no value.
+        """Return the residual (..., c) of candidates (..., d) at one sample; NaN where the model has no value.
 
         Raises ValueError where the window has no residual of a single sample.
         """
         if not isinstance(self._window, ResidualWindow):
             raise ValueError("only derivatives give a residual at one sample.")
-        self.n_evaluations += 1
+        self.n_evaluations += theta.size // theta.shape[-1]
         return self._window.residual_at(theta, sample)

@@ -1,7 +1,9 @@
 """Samples of the plant, and the residuals of a model at one of them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from math import nan
+from typing import Any
 
 import numpy as np
 
@@ -68,17 +70,53 @@ class DerivativeResidual:
     """Places in xdot of the sampled derivatives (c,)."""
     noise: tuple[float, ...]
     """sigma (c,), the standard deviation of each sampled derivative; ones leave the residual in physical units."""
+    is_vectorised: bool = False
+    """True where the model takes k points at once: x (n, k), u (p, k) and each parameter (k,)."""
 
     def __call__(self, theta: Vector, sample: Sample) -> Vector:
         """Return r (c,) of one sample; 0 for a channel that was not sampled, NaN where the model has no value.
 
         Other exceptions of the model pass through.
         """
-        try:
-            modelled = self.model(sample.x, sample.u, **self.space.named(theta))
-        except (ArithmeticError, ValueError):  # math.sqrt(-1.0) raises the latter
+        modelled = self._modelled(self.space.named(theta), sample)
+        if modelled is None:
             return np.full(len(self.channels), np.nan)
         return np.array([
-            (y - modelled[i]) / s if y == y else 0.0  # a NaN differs from itself
-            for y, i, s in zip(sample.xdot, self.channels, self.noise, strict=True)
+            (y - f) / s if y == y else 0.0  # a NaN differs from itself
+            for y, f, s in zip(sample.xdot, modelled, self.noise, strict=True)
         ])  # fmt: skip
+
+    def rows(self, theta: Vector, samples: Sequence[Sample]) -> Vector:
+        """Return r (..., n, c) of candidates theta (..., d) at n samples, each as `__call__` does, but faster."""
+        thetas, n, c = theta.reshape(-1, len(self.space)), len(samples), len(self.channels)
+        table = self._at_once(thetas, samples) if self.is_vectorised and len(thetas) * n > 1 else None
+        if table is None:
+            named, missing = map(self.space.named, thetas), [nan] * c
+            table = np.array([self._modelled(own, s) or missing for own in named for s in samples], dtype=float)
+        table = table.reshape(len(thetas), n, c)
+        xdot = np.array([s.xdot for s in samples], dtype=float).reshape(n, c)
+        with np.errstate(invalid="ignore", over="ignore"):
+            r = (xdot - table) / self.noise
+        if not (is_sampled := xdot == xdot).all():
+            r = np.where(is_sampled | np.isnan(table).all(axis=-1, keepdims=True), r, 0.0)
+        return r.reshape(*theta.shape[:-1], n, c)
+
+    def _at_once(self, thetas: Vector, samples: Sequence[Sample]) -> Vector | None:
+        """Return the modelled derivatives (k n, c) of candidates (k, d) at n samples; None where one has no value."""
+        k, n = len(thetas), len(samples)
+        x, u = (np.tile(np.array(values, dtype=float).T, k) for values in zip(*((s.x, s.u) for s in samples)))
+        named = dict(zip(self.space.names, np.repeat(thetas, n, axis=0).T, strict=True))
+        try:
+            with np.errstate(all="ignore"):
+                modelled: Any = self.model(x, u, **named)
+        except (ArithmeticError, ValueError):
+            return None
+        return np.stack([np.broadcast_to(modelled[i], k * n) for i in self.channels], axis=-1)
+
+    def _modelled(self, named: Mapping[str, float], sample: Sample) -> Sequence[float] | None:
+        """Return the modelled derivatives (c,) of the channels; None where the model has no value."""
+        try:
+            modelled = self.model(sample.x, sample.u, **named)
+        except (ArithmeticError, ValueError):  # math.sqrt(-1.0) raises the latter
+            return None
+        return [modelled[i] for i in self.channels]

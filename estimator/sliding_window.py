@@ -1,7 +1,8 @@
 """Residuals of a model on a sliding window of samples."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from copy import copy
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +21,18 @@ class ResidualWindow:
 
     is_rescoring_cheap = is_ready = True
 
-    def __init__(self, residual: Callable[[Vector, Sample], Vector], n_channels: int, max_length: int = 10) -> None:
+    def __init__(
+        self,
+        residual: Callable[[Vector, Sample], Vector],
+        n_channels: int,
+        max_length: int = 10,
+        rows: Callable[[Vector, Sequence[Sample]], Vector] | None = None,
+    ) -> None:
+        """residual: (c,) of a candidate at a sample; rows: (..., n, c) of candidates (..., d) at n samples, which is
+        faster; None for one after the other."""
         if max_length < 1:
             raise ValueError(f"max_length must be at least 1 sample, got {max_length}.")
-        self._residual = residual
+        self._residual, self._rows_at = residual, rows or partial(_one_by_one, residual)
         self._max_length = max_length
         self._samples: list[Sample] = []
         self._lengths = [0] * n_channels
@@ -84,28 +93,43 @@ class ResidualWindow:
         return np.array(self._rows_of(theta)).reshape(-1)[self._in_use()]
 
     def newest_residual(self, theta: Vector) -> Vector:
-        """Return the residual (c,) of one candidate at the newest sample."""
+        """Return the residual (..., c) of candidates theta (..., d) at the newest sample."""
         return self.residual_at(theta, self._samples[-1])
 
     def residual_at(self, theta: Vector, sample: Sample) -> Vector:
-        """Return the residual (c,) of one candidate at a sample, in the window or not."""
-        self.n_model_calls += 1
-        return self._residual(theta, sample)
+        """Return the residual (..., c) of candidates theta (..., d) at a sample, in the window or not."""
+        if theta.ndim == 1:
+            self.n_model_calls += 1
+            return self._residual(theta, sample)
+        self.n_model_calls += theta.size // theta.shape[-1]
+        return self._rows_at(theta, [sample])[..., 0, :]
 
     def residuals(self, candidates: Iterable[Vector]) -> Vector:
         """Return the residuals of many candidates (n, D); rows kept for others are dropped."""
         thetas = list(candidates)
         self.keep(thetas)
+        self._complete(thetas)
         table = np.array([self._rows_of(theta) for theta in thetas])
         return table.reshape(len(thetas), len(self._samples) * len(self._lengths))[:, self._in_use()]
 
     def _rows_of(self, theta: Vector) -> list[Vector]:
         """Return the residuals (c,) of one candidate at each sample."""
-        rows = self._rows.setdefault(theta.tobytes(), [])
-        missing = self._samples[len(rows) :]
-        self.n_model_calls += len(missing)
-        rows.extend(self._residual(theta, sample) for sample in missing)
-        return rows
+        self._complete([theta])
+        return self._rows[theta.tobytes()]
+
+    def _complete(self, candidates: Iterable[Vector]) -> None:
+        """Compute the residuals that candidates lack, those that lack as many at once."""
+        lacking: dict[int, dict[bytes, Vector]] = {}
+        for theta in candidates:
+            key = theta.tobytes()
+            n = len(self._samples) - len(self._rows.setdefault(key, []))
+            if n:
+                lacking.setdefault(n, {})[key] = theta
+        for n, thetas in lacking.items():
+            self.n_model_calls += n * len(thetas)
+            table = self._rows_at(np.array([*thetas.values()]), self._samples[-n:])
+            for key, rows in zip(thetas, table, strict=True):
+                self._rows[key].extend(rows)
 
     def _in_use(self) -> NDArray[np.intp]:
         """Return the indices (D,) of the residuals in use, channel by channel, in a flat (samples, channels) table."""
@@ -139,3 +163,8 @@ class ResidualWindow:
                 self._lengths[c] = 1
                 is_explained = float(mine[-1] ** 2) <= chi2_limit(false_alarm, 1)
             self._is_explained[c] = is_explained
+
+
+def _one_by_one(residual: Callable[[Vector, Sample], Vector], thetas: Vector, samples: Sequence[Sample]) -> Vector:
+    """Return the residuals (k, n, c) of candidates (k, d) at n samples."""
+    return np.array([[residual(theta, sample) for sample in samples] for theta in thetas])

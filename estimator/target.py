@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .acquisition import log_target_vector_improvement
 from .arrival_cost import ArrivalCost
 from .contract import Estimate, NoEstimateError, scaled_estimate
+from .differences import OfMany
 from .gpy_surrogate import Surrogate, vector_surrogate
 from .hypotheses import USUAL_RATE
 from .identifiability import IDENTIFIABLE_BELOW, Information, information
@@ -289,8 +290,8 @@ class TargetVector:
     def follow(self, residual: Callable[[Vector], Vector], held: Vector, is_triggered: bool) -> Estimate | None:
         """Take one more sample by an extended Kalman filter; return its estimate, or None where a search is needed.
 
-        residual: (c,) of theta (d,), in standard deviations; held (d,): in force, and the estimate where the samples
-        do not tell it from the filter's; is_triggered: true where a search would begin.
+        residual: (..., c) of theta (..., d), in standard deviations; held (d,): in force, and the estimate where the
+        samples do not tell it from the filter's; is_triggered: true where a search would begin.
         """
         known, space = self.arrival_cost, self._space
         if known is None:
@@ -299,7 +300,7 @@ class TargetVector:
         def at(z: Vector) -> Vector:
             return residual(space.beyond(z))
 
-        known = known.drifted(at) if is_triggered else known.updated(at)
+        known = known.drifted(OfMany(at)) if is_triggered else known.updated(OfMany(at))
         if known is None:
             return None
         self.arrival_cost = known

@@ -108,6 +108,11 @@ class Fmi2CoSimulation:
         self._forward_only.value = fmi2.fmi2False
         restore_state(self._fmu, self._checked, serialised)
 
+    def reset(self) -> None:
+        """Go back to the beginning of the FMU's life, before initialize. FMI 2.0.4, section 2.1.6."""
+        self._time = None
+        self._checked("reset", self._fmu.reset)
+
     def close(self) -> None:
         """Terminate, if it was initialized, and free."""
         if self._time is not None:

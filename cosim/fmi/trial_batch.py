@@ -7,10 +7,12 @@ import json
 import struct
 from array import array
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 from ..errors import SlaveError
 from .binding import Binding, StartValues
+from .renewal import Renewal
 
 _LENGTHS: Final = struct.Struct("<QQ")
 
@@ -73,29 +75,25 @@ def encode_trials(batch: TrialBatch) -> bytes:
     return _LENGTHS.pack(len(head), len(state)) + head + state + flat.tobytes()
 
 
-def take_trials(binding: Binding, renewed: Callable[[], Binding], message: bytes) -> bytes:
-    """Take the simulations of an encode_trials message; return their outputs, encoded.
-
-    renewed: frees the instance and returns another, with the same variables bound.
-    """
+def take_trials(binding: Binding, renewal: Renewal, message: bytes) -> bytes:
+    """Take the simulations of an encode_trials message; return their outputs, encoded."""
     n_head, n_state = _LENGTHS.unpack_from(message)
-    begin = _LENGTHS.size + n_head
-    start_time, stop_time, has_state, is_new, sizes, trials = json.loads(message[_LENGTHS.size : begin])
-    state, legs = message[begin : begin + n_state], _legs(sizes, array("d", message[begin + n_state :]))
+    first = _LENGTHS.size + n_head
+    start_time, stop_time, has_state, is_new, sizes, trials = json.loads(message[_LENGTHS.size : first])
+    state, legs = message[first : first + n_state], _legs(sizes, array("d", message[first + n_state :]))
     outputs, n_done = array("d"), 0
     fault: list[object] | None = None
     try:
         for start, own in trials:
-            if not is_new and not has_state:
-                binding = renewed()
-            if is_new or not has_state:
+            if is_new and has_state:
                 binding.initialize(start, start_time, stop_time)
+            begin = partial(_restored, state) if has_state else partial(_initialized, start, start_time, stop_time)
+            simulate = partial(_simulated, begin, [(legs[place], tunables) for place, tunables in own])
+            if is_new or has_state:
+                rows = simulate(binding)
+            else:
+                binding, rows = renewal.simulated(binding, simulate)
             is_new = False
-            if has_state:
-                binding.set_state(state)  # pyright: ignore
-            rows = array("d")
-            for place, tunables in own:
-                rows = _through(binding, legs[place], tunables)
             outputs.extend(rows)
             n_done += 1
     except SlaveError as e:
@@ -130,6 +128,23 @@ def _legs(sizes: Sequence[tuple[int, int]], flat: "array[float]") -> list[tuple[
         legs.append((flat[place:first], [flat[first + k * p : first + (k + 1) * p] for k in range(n)]))
         place = first + n * p
     return legs
+
+
+def _restored(state: bytes, binding: Any) -> None:
+    binding.set_state(state)
+
+
+def _initialized(start: StartValues, start_time: float, stop_time: float, binding: Any) -> None:
+    binding.initialize(start, start_time, stop_time)
+
+
+def _simulated(begin: Callable[[Any], None], legs: Sequence[tuple[Any, Any]], binding: Any) -> "array[float]":
+    """Return the outputs of an instance on the last of some legs, from its beginning on."""
+    begin(binding)
+    rows = array("d")
+    for leg, tunables in legs:
+        rows = _through(binding, leg, tunables)
+    return rows
 
 
 def _through(binding: Any, leg: tuple["array[float]", list["array[float]"]], tunables: Any) -> "array[float]":

@@ -1,4 +1,4 @@
-"""Trial of the model before a run: it must give a derivative for each state, and have a value somewhere."""
+"""Trials of the model before a run: it gives a derivative for each state, somewhere, and arrays where it says so."""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final
@@ -10,9 +10,12 @@ from estimator import ParameterSpace, Sample, Vector
 from ..errors import ScenarioError, one_line
 from ..system.plant import Plant
 from ..text_table import counted
+from ..user_code import USERS
 
 _POINTS: Final = 20
 """Points about the start at which a model is tried that has no value there."""
+_ROUNDING: Final = 1e-9
+"""Largest difference, relative to values above one, of a derivative computed with arrays and with numbers."""
 
 
 def try_derivatives(
@@ -40,6 +43,39 @@ def try_derivatives(
         reason = reason or f": it returns {values.tolist()}"
     where = "at the start, nor at any of 20 points about it, with parameters within the bounds"
     raise ScenarioError(f"estimation.model: '{name}' has no value {where}{reason}.")
+
+
+def try_arrays(
+    model: Callable[..., Sequence[float]], plant: Plant, space: ParameterSpace, theta: Vector, first: Sample, name: str
+) -> None:
+    """Call the model at several points at once, and compare with one call after the other; as `try_derivatives`.
+
+    Raises ScenarioError where it does not take arrays, or gives others for them.
+    """
+    points = [(at, sample) for at, sample in _points(space, theta, first) if _has_value(model, space, at, sample)]
+    points = points[:1] * 2 + points[1:]  # two at least: of one value an array behaves like a number
+    alone = np.array([model(sample.x, sample.u, **space.named(at)) for at, sample in points], dtype=float).T
+    x, u = np.array([sample.x for _, sample in points]).T, np.array([sample.u for _, sample in points]).T
+    named = dict(zip(space.names, np.array([at for at, _ in points]).T, strict=True))
+    where = f"estimation.vectorised: '{name}'"
+    try:
+        together = np.array([np.broadcast_to(row, len(points)) for row in model(x, u, **named)], dtype=float)
+    except USERS as e:
+        raise ScenarioError(f"{where} does not take arrays: {type(e).__name__}: {one_line(str(e))}.") from e
+    if together.shape != alone.shape:
+        raise ScenarioError(f"{where} returns {len(together)} derivatives for arrays, {len(alone)} for numbers.")
+    differ = np.abs(together - alone) > _ROUNDING * np.maximum(1.0, np.abs(alone))
+    if differ.any():
+        i, k = np.argwhere(differ)[0]
+        values = f"{together[i, k]:.9g} at {len(points)} points at once, {alone[i, k]:.9g} at that one alone"
+        raise ScenarioError(f"{where} gives der({plant.states[i]}) = {values}.")
+
+
+def _has_value(model: Callable[..., Sequence[float]], space: ParameterSpace, at: Vector, sample: Sample) -> bool:
+    try:
+        return bool(np.all(np.isfinite(model(sample.x, sample.u, **space.named(at)))))
+    except (ArithmeticError, ValueError):
+        return False
 
 
 def _points(space: ParameterSpace, theta: Vector, first: Sample) -> Iterator[tuple[Vector, Sample]]:

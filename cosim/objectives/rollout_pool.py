@@ -16,6 +16,8 @@ from ..slaves.slave import Slave
 _TOGETHER_S: Final = 0.1
 """Time [s] that a batch of steps may take, so that the timeout of a call is hardly more than that of a step.
 The results do not depend on it."""
+_MOST_LOST: Final = 3
+"""Messages without an answer after which roll-outs that renew an instance are sent one by one: its reset may crash."""
 
 Result = TypeVar("Result")
 Outputs = list[tuple[float, ...]]
@@ -57,6 +59,7 @@ class Pool:
         self._opened, self._is_restartable = opened, is_restartable
         self._jobs, self._executor = jobs, ThreadPoolExecutor(jobs)
         self._room = 1  # steps that one message may have
+        self._n_lost = 0  # messages that renew an instance, and have ended their process
         self._is_over = Event()
         self._idle: SimpleQueue[Slave | None] = SimpleQueue()
         for _ in range(jobs):
@@ -125,14 +128,16 @@ class Pool:
         alone = 0  # roll-outs that are sent one by one, since one of them ends the process
         while len(outcomes) < len(rollouts) and not self._is_over.is_set():
             rest = rollouts[len(outcomes) :]
-            n = min(self._room // max(rest[0].n_steps, 1), len(rest)) if self._is_restartable or rest[0].state else 0
+            may_share = rest[0].state or (self._is_restartable and self._n_lost < _MOST_LOST)
+            n = min(self._room // max(rest[0].n_steps, 1), len(rest)) if may_share else 0
             if n == 0 or alone:
                 outcomes.append(self._one(partial(rest[0].run, self), is_renewed=rest[0].state is None))
                 alone = max(alone - 1, 0)
                 continue
-            found = self._one(partial(self._sent, rest[:n]), is_renewed=rest[0].state is None)
+            found = self._one(partial(self._sent, rest[:n]), is_renewed=False)  # which is done there
             if found.result is None:
                 alone = n
+                self._n_lost += rest[0].state is None
                 continue
             rows, fault = found.result
             outcomes += [Outcome(row) for row in rows]

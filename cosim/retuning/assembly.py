@@ -19,7 +19,7 @@ from estimator.samples import RememberingModel
 from ..errors import CosimError, ScenarioError
 from ..objectives.choice import ENDLESS, chosen, open_objective
 from ..objectives.model import opened_model
-from ..objectives.model_trial import try_derivatives
+from ..objectives.model_trial import try_arrays, try_derivatives
 from ..objectives.rollout_fmu import RunningPlant
 from ..sampling.derivative_filter import derivative_noise
 from ..sampling.screen import OutputScreen, SampleScreen, Sensors
@@ -63,8 +63,8 @@ def make_supervisor(
     retuner = _retuner(scenario, estimator, plant, held, rng, stack, whitened, live, diagnosis)
     support: DataSupport | NoDataSupport = NoDataSupport()
     if whitened is not None:
-        residual = whitened if diagnosis is None else diagnosis.residual
-        support = DataSupport(residual, space, len(whitened.noise), max(scenario.estimation.window, _FEWEST))
+        rows = whitened.rows if diagnosis is None else diagnosis.rows
+        support = DataSupport(rows, space, len(whitened.noise), max(scenario.estimation.window, _FEWEST))
     rule = tuning_rule(scenario)
     variables = {} if running is None else written_variables(scenario, running.slaves)
     refusal = WriteCheck(rule, variables)
@@ -85,6 +85,8 @@ def try_model(scenario: Scenario, estimator: str, plant: Plant, theta: Vector, f
         with ExitStack() as stack:
             model = _residual(scenario, plant, stack).model
             try_derivatives(model, plant, settings.space, theta, first, settings.model or "")
+            if settings.vectorised:
+                try_arrays(model, plant, settings.space, theta, first, settings.model or "")
     except CosimError:
         raise
     except USERS as e:
@@ -146,7 +148,7 @@ def _residual(scenario: Scenario, plant: Plant, stack: ExitStack) -> DerivativeR
     settings = scenario.estimation
     model = RememberingModel(stack.enter_context(opened_model(scenario, plant)))
     sigma = derivative_noise(scenario.sampling, scenario.scenario.macro_step)
-    return DerivativeResidual(model, settings.space, plant.channels, sigma)
+    return DerivativeResidual(model, settings.space, plant.channels, sigma, settings.vectorised)
 
 
 def _linear_form(method: Method, scenario: Scenario) -> LinearForm | None:

@@ -1,13 +1,13 @@
 """Support of a write by the newest samples: identifiable directions and residuals of the scenario's model."""
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Literal
 
 import numpy as np
 
 from estimator import ParameterSpace, Sample, Vector
-from estimator.differences import central_differences
+from estimator.differences import OfMany, central_differences
 from estimator.identifiability import Information, information
 
 Reason = tuple[Literal["limit", "hold", "veto"], str]
@@ -52,10 +52,14 @@ class DataSupport:
     """Support of parameters by the newest samples: identifiability, and fit to the newest sample."""
 
     def __init__(
-        self, residual: Callable[[Vector, Sample], Vector], space: ParameterSpace, n_channels: int, length: int
+        self,
+        rows: Callable[[Vector, Sequence[Sample]], Vector],
+        space: ParameterSpace,
+        n_channels: int,
+        length: int,
     ) -> None:
-        """residual: whitened, (c,) of one sample; length: number of samples kept."""
-        self._residual, self._space, self.n_channels = residual, space, n_channels
+        """rows: whitened residuals (..., n, c) of candidates (..., d) at n samples; length: number of samples kept."""
+        self._rows, self._space, self.n_channels = rows, space, n_channels
         self._samples: deque[Sample] = deque(maxlen=length)
 
     def append(self, sample: Sample) -> None:
@@ -74,14 +78,15 @@ class DataSupport:
         """Return the sum of squared residuals of theta (d,) at the newest sample; 0 before there is one."""
         if not self._samples:
             return 0.0
-        r = self._residual(theta, self._samples[-1])
+        r = self._rows(theta, [self._samples[-1]])[0]
         return float(r @ r)
 
     def information(self, theta: Vector) -> Information:
         """Return the information that the samples have at theta (d,), by central differences in the unit cube."""
         z = self._space.to_unit(theta)
         steps = np.full(len(z), _STEP)
-        jacobian = central_differences(lambda z: self._over_window(self._space.from_unit(z)), z, steps, 0.0, 1.0)
+        over_window = OfMany(lambda z: self._over_window(self._space.from_unit(z)))
+        jacobian = central_differences(over_window, z, steps, 0.0, 1.0)
         return information(jacobian[np.isfinite(jacobian).all(axis=1)])
 
     def identifiable_part(
@@ -115,4 +120,6 @@ class DataSupport:
                 yield f"estimate {name} {n_std:g} std", self._space.from_unit(np.clip(z, 0.0, 1.0))
 
     def _over_window(self, theta: Vector) -> Vector:
-        return np.concatenate([np.empty(0), *(self._residual(theta, sample) for sample in self._samples)])
+        """Return the residuals (..., n c) of candidates (..., d) at all samples."""
+        rows = self._rows(theta, [*self._samples])
+        return rows.reshape(*theta.shape[:-1], -1)

@@ -104,6 +104,14 @@ class Lookahead:
         """True where the scenario's model replaces the plant."""
         return self._modelled is not None
 
+    def prepare(self) -> None:
+        """Begin to load the shadows, where they have a process of their own, while the run goes on.
+
+        Raises ScenarioError as `predicted_peak`.
+        """
+        if self.failure is None and self._shadows is None and self._fits_one_process():
+            self._opened_or_failed()
+
     def snapshot(self, sample: Sample) -> dict[str, Any] | None:
         """Return the states of the run's FMUs at this communication point, or None. Raises SlaveError.
 
@@ -111,10 +119,12 @@ class Lookahead:
         """
         if self.failure is not None:
             return None
+        shadows = self._opened_or_failed()
+        if shadows is None:
+            return None
         try:
-            self._shadows = self._shadows or self._opened()
             if not self._is_proved:
-                self._shadows.prove()
+                shadows.prove()
                 self._is_proved = True
         except (SlaveError, WiringError) as fault:
             self._give_up(str(fault))
@@ -146,8 +156,10 @@ class Lookahead:
         """
         if self.failure is not None:
             return None
+        shadows = self._opened_or_failed()
+        if shadows is None:
+            return None
         try:
-            shadows = self._shadows = self._shadows or self._opened()
             shadows.restore(snapshot, values)
         except (SlaveError, WiringError) as fault:
             self._give_up(str(fault))
@@ -211,6 +223,14 @@ class Lookahead:
     def _give_up(self, reason: str) -> None:
         self.failure, self._shadows = reason, None
         self._stack.close()
+
+    def _opened_or_failed(self) -> Shadows | None:
+        """Return the shadows, opened where they are not; None, with `failure` set, where that fails."""
+        try:
+            self._shadows = self._shadows or self._opened()
+        except (SlaveError, WiringError) as fault:
+            self._give_up(str(fault))
+        return self._shadows
 
     def _opened(self) -> Shadows:
         """Return the shadows: in one process where they fit into one. Raises WiringError, SlaveError, ScenarioError."""

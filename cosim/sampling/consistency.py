@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from estimator import Sample, Vector
 
+from .medians import column_medians
+
 _LENGTH: Final = 20
 """Samples over which derivatives are summed."""
 _FEWEST: Final = 5
@@ -67,6 +69,6 @@ class Consistency:
     def _limits(self, xdot: Vector, drift: Vector) -> Vector:
         n, h = len(drift), self._h
         changes = np.abs(np.diff(xdot, axis=0))
-        sigma = np.maximum(self._noise, 1.05 * np.median(changes, axis=0))  # of a difference: 0.954 sigma
+        sigma = np.maximum(self._noise, 1.05 * column_medians(changes))  # of a difference: 0.954 sigma
         noise = np.sqrt(n * h * h * sigma * sigma + 2.0 * self._state_variance)
         return self._limit * noise + h * np.abs(drift).sum(axis=0) + 0.5 * h * (changes.sum(axis=0) + changes[-1])

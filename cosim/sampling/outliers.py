@@ -9,6 +9,8 @@ import numpy as np
 
 from estimator import Sample, Vector
 
+from .medians import column_medians
+
 _MEMORY: Final = 31
 """Number of changes of the residual whose median is the usual change."""
 _MOST_SUSPECTS: Final = 5
@@ -66,7 +68,7 @@ class Outliers:
 
     def _limits(self, sample: Sample, now: Vector, last: Vector) -> Vector:
         """Return the largest usual changes of the residual (c,); a model error may change as much as the model does."""
-        usual = 1.4826 * np.median(self._changes, axis=0) if self._changes else np.zeros(len(now))
+        usual = 1.4826 * column_medians(np.array(self._changes)) if self._changes else np.zeros(len(now))
         assert self._last is not None
         measured = np.subtract(sample.xdot, self._last.xdot) / self._noise
         return self._limit * np.maximum(usual, sqrt(2.0)) + np.abs(measured - (now - last))

@@ -10,6 +10,7 @@ from typing import Any, Final, NoReturn
 from ..errors import COLON, SlaveError
 from ..fmi.binding import Binding, FmuToLoad
 from ..fmi.loading import load
+from ..fmi.renewal import Renewal
 from ..fmi.step_batch import take_steps
 from ..fmi.trial_batch import take_trials
 from .channel import CALL, FAULT, RESULT, Channel, StepCodec, decode, encode, open_channel
@@ -61,6 +62,7 @@ def _serve(channel: Channel, process: SupervisedChild) -> None:
         binding.bind(*bound)
         return binding
 
+    renewal = Renewal(renewed)
     while True:
         message = channel.receive(None)
         log.call_begins()
@@ -77,7 +79,7 @@ def _serve(channel: Channel, process: SupervisedChild) -> None:
             channel.send(encode(RESULT, None, take_steps(binding.step, blob or b"")))
             continue
         if function == "trials":
-            channel.send(encode(RESULT, None, take_trials(binding, renewed, blob or b"")))
+            channel.send(encode(RESULT, None, take_trials(binding, renewal, blob or b"")))
             continue
         if function not in _CALLS:
             raise ValueError(f"no such call: {function!r}")

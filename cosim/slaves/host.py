@@ -7,6 +7,7 @@ from typing import Any, Protocol
 from ..fmi.binding import Binding, FmuToLoad
 from ..fmi.fmu_log import log_message
 from ..fmi.loading import load
+from ..fmi.renewal import Renewal
 from ..fmi.step_batch import take_steps
 from ..fmi.trial_batch import take_trials
 from ..fmi.value_buffers import ScalarVariable
@@ -32,6 +33,7 @@ class InProcessFmu:
         self._after_call = after_call or (lambda: None)
         self._load = partial(load, fmu, partial(log_message, fmu.instance_name))
         self._binding = self._load()
+        self._renewal = Renewal(self._renewed)
 
     def bind(
         self, inputs: Sequence[ScalarVariable], tunables: Sequence[ScalarVariable], outputs: Sequence[ScalarVariable]
@@ -48,7 +50,7 @@ class InProcessFmu:
         if function == "many_steps":
             return take_steps(self._binding.step, *arguments)
         if function == "trials":
-            return take_trials(self._binding, self._renewed, *arguments)
+            return take_trials(self._binding, self._renewal, *arguments)
         result = getattr(self._binding, function)(*arguments)
         self._after_call()
         return result

@@ -49,6 +49,7 @@ def open_slave(
     environment: Sequence[str] = (),
     tolerance: float | None = None,
     after_call: Callable[[], None] | None = None,
+    is_checked: bool = False,
 ) -> "Slave":
     """Unpack an FMU for co-simulation, FMI 2.0 or 3.0, into a private folder, and load it.
 
@@ -60,6 +61,7 @@ def open_slave(
     tolerance: relative tolerance for the FMU's own solver; by default that of its default experiment, if any.
     out_of_range: whether an input or output outside its declared min and max is a fault, or a warning, given once.
     after_call: called after each call of an FMU in this process.
+    is_checked: true for a file that this has opened before, and that has not changed since.
 
     Raises ModelDescriptionError for a bad file, SlaveError when loading fails (isolated: in the first call).
     """
@@ -68,7 +70,7 @@ def open_slave(
     if isolation not in ("process", "none"):
         raise ValueError(f"isolation must be 'process' or 'none', got {isolation!r}.")
     fmu = Path(fmu)
-    description, folder = unpacked(fmu)
+    description, folder = unpacked(fmu, is_checked=is_checked)
     try:
         to_load = fmu_to_load(description, folder.path, instance_name, tolerance=tolerance)
         isolated = isolation == "process"

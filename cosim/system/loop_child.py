@@ -36,6 +36,7 @@ def _serve(channel: Channel, process: SupervisedChild) -> None:
     logging.getLogger("cosim").addHandler(log)
     with ExitStack() as stack:
         served = _Served(plan, _alive(channel, plan.timeout), stack)
+        opened = served.answer("open", (), None)  # now, while the other process goes on
         while True:
             (function, arguments), blob = decode(channel.receive(None))
             log.sender.call_begins()
@@ -43,7 +44,7 @@ def _serve(channel: Channel, process: SupervisedChild) -> None:
                 stack.close()
                 channel.send(encode(RESULT, [None, None]))
                 return
-            channel.send(encode(RESULT, served.answer(function, arguments, blob)))
+            channel.send(encode(RESULT, opened if function == "open" else served.answer(function, arguments, blob)))
 
 
 class _Served:
@@ -64,9 +65,11 @@ class _Served:
             return [None, [type(e).__name__, str(e)]]
 
     def _do(self, function: str, arguments: Sequence[Any], blob: bytes | None) -> float | None:
-        if self._loop is None:
+        if function == "open":
             self._loop = self._opened()
-        if function == "prove":
+        elif self._loop is None:
+            raise ValueError(f"{function} of a loop that is not open")
+        elif function == "prove":
             self._loop.prove()
         elif function == "state":
             name, self._states[name] = name_and_state(blob or b"")
@@ -74,7 +77,7 @@ class _Served:
             self._loop.restore(self._states, arguments[0])
         elif function == "peak":
             return self._loop.peak(Course(*arguments))
-        elif function != "open":
+        else:
             raise ValueError(f"no such call: {function!r}")
         return None
 
@@ -95,7 +98,7 @@ class _Served:
         try:
             slave = open_slave(
                 path, label, isolation="none", out_of_range=plan.out_of_range, tolerance=plan.tolerances[name],
-                after_call=self._alive,
+                after_call=self._alive, is_checked=True,
             )  # fmt: skip
         except SlaveError:
             raise

@@ -15,24 +15,18 @@ _log = logging.getLogger(__name__)
 class LoopProcess:
     """The shadows of `loop_child`, contained as an FMU in its own process is: what they do harms nothing here.
 
-    Each call of each FMU has its time limit, and a fault the name of its FMU.
+    Each call of each FMU has its time limit, and a fault the name of its FMU. They load while this process goes on; the
+    first call waits for that, and raises what became of it: SlaveError, WiringError; ScenarioError where an FMU cannot
+    be unpacked.
     """
 
     def __init__(self, plan: LoopPlan, memory_limit: float = 0.0, environment: Sequence[str] = ()) -> None:
-        """memory_limit: of the process [MB], 0 for half of the machine's; environment: as for FmuProcess.
-
-        Raises SlaveError, WiringError; ScenarioError where an FMU cannot be unpacked.
-        """
-        self._name = plan.instance_name
+        """memory_limit: of the process [MB], 0 for half of the machine's; environment: as for FmuProcess."""
+        self._name, self._is_open = plan.instance_name, False
         self._sent: Mapping[str, Any] | None = None
         self._process = FmuProcess(
             plan, plan.timeout, memory_limit=memory_limit, environment=environment, program="cosim.system.loop_child"
         )
-        try:
-            self._call("open")
-        except BaseException:
-            self.close()
-            raise
 
     def prove(self) -> None:
         """Save and restore the state of every FMU once."""
@@ -58,6 +52,9 @@ class LoopProcess:
             _log.warning("%s", error)
 
     def _call(self, function: str, *arguments: object) -> Any:
+        if not self._is_open:
+            self._is_open = True
+            self._call("open")
         try:
             value, raised = self._process.call(function, None, *arguments)
             if raised is None:

@@ -18,36 +18,40 @@ SIGMA = 0.05
 X = np.random.default_rng(7).normal(size=(12, 2))
 
 
-def objective(residual):
+def objective(residual, d=2):
     """The objective of a function of theta, on one sample."""
-    size = len(residual(np.full(2, 0.7)))
+    size = len(residual(np.full(d, 0.7)))
     window = ResidualWindow(lambda theta, sample: residual(theta), size, 1)
     window.append(Sample(0.0, (), (), ()))
     return Objective(window)
 
 
-def recorded(residual):
-    """The objective, and the list of what it is asked."""
-    made, asked = objective(residual), []
-    evaluate = made.residual
+def recorded(residual, d=2):
+    """The objective, and the list of what it is asked, one by one or several at once."""
+    made, asked = objective(residual, d), []
+    evaluate, evaluate_all = made.residual, made.residuals
 
     def record(theta):
         asked.append(np.array(theta))
         return evaluate(theta)
 
-    made.residual = record
+    def record_all(thetas):
+        asked.extend(map(np.array, thetas if len(thetas) > 1 else ()))
+        return evaluate_all(thetas)
+
+    made.residual, made.residuals = record, record_all
     return made, asked
 
 
 def least_squares(space, start, residual, seed=0, **settings):
     estimator = LeastSquares(space, np.array(start), np.random.default_rng(seed), LeastSquaresSettings(**settings))
-    estimator.solve(objective(residual))
+    estimator.solve(objective(residual, len(space)))
     return estimator.estimate()
 
 
 def noisy_norm(space, start, residual, seed=0, **settings):
     estimator = NoisyNorm(space, np.array(start), np.random.default_rng(seed), NormSettings(**settings))
-    asked_of, asked = recorded(residual)
+    asked_of, asked = recorded(residual, len(space))
     estimator.solve(asked_of)
     return estimator.estimate(), np.array(asked)
 

@@ -59,6 +59,45 @@ def test_a_model_without_a_value_gives_nan_in_each_channel():
     np.testing.assert_array_equal(overflows(np.array([0.5]), seen), [np.nan, np.nan])
 
 
+def test_a_table_of_residuals_is_that_of_one_call_after_the_other_to_the_bit():
+    """Of 3 x 4 residuals of two channels some have no value, since m is 0, and some samples lack a channel, or both."""
+    space = ParameterSpace((Parameter("m", 0.0, 1.0), Parameter("c", 0.0, 1.0)))
+    residual = DerivativeResidual(lambda x, u, m, c: (c * x[0], 0.3, x[0] / m), space, (2, 0), (0.3, 0.7))
+    nan = float("nan")
+    values = [(0.1, 0.2), (nan, 1.0 / 3.0), (0.7, nan), (nan, nan)]
+    seen = [Sample(float(t), (0.1 * t,), (), xdot) for t, xdot in enumerate(values)]
+    thetas = np.array([[[0.3, 0.1]], [[0.0, 0.1]], [[0.7, 1.0 / 7.0]]])
+    one_by_one = [[[residual(theta, sample) for sample in seen] for theta in row] for row in thetas]
+    np.testing.assert_array_equal(residual.rows(thetas, seen), one_by_one)
+    np.testing.assert_array_equal(residual.rows(thetas[2, 0], seen), one_by_one[2][0])
+    assert residual.rows(thetas, []).shape == (3, 1, 0, 2)
+
+
+def test_a_vectorised_model_is_called_once_with_arrays_and_gives_the_same_residuals():
+    """log(0) is no value; where arrays are refused because of one candidate, each is called by itself."""
+    calls = []
+
+    def model(x, u, m):
+        calls.append(np.shape(m))
+        if np.any(np.asarray(m) > 2.0):
+            raise ValueError("too heavy")
+        return x[0] + u[0] * m, 0.5, np.log(m) if np.ndim(m) else float(np.log(m)) if m else float("nan")
+
+    space = ParameterSpace((Parameter("m", 0.0, 3.0),))
+    alone = DerivativeResidual(model, space, (0, 2), (0.1, 0.2))
+    vectorised = DerivativeResidual(model, space, (0, 2), (0.1, 0.2), is_vectorised=True)
+    seen = [Sample(0.1 * k, (1.0 + k,), (2.0,), (0.3, 0.7 * k)) for k in range(3)]
+    for masses in ([0.5, 0.7, 0.0, 1.1], [0.5, 2.5]):
+        thetas = np.array(masses)[:, None]
+        expected = alone.rows(thetas, seen)
+        calls.clear()
+        np.testing.assert_allclose(
+            vectorised.rows(thetas, seen)[np.array(masses) > 0.0], expected[np.array(masses) > 0.0]
+        )
+        assert calls == [(12,)] if max(masses) <= 2.0 else [(6,), *[()] * 6]
+    assert not np.isfinite(vectorised.rows(np.zeros((2, 1)), seen)[..., 1]).any()
+
+
 @pytest.mark.parametrize("error", [KeyError, TypeError, RuntimeError])
 def test_a_models_own_mistakes_pass_through(error):
     def model(x, u, m):

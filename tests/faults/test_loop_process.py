@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from contextlib import closing
 
 import pytest
 
@@ -50,10 +51,12 @@ def test_a_fault_in_it_is_an_error_that_says_whose(native, how, where, timeout, 
 @pytest.mark.full
 def test_what_cannot_be_opened_says_why(native, tmp_path):
     with PrivateFolder() as folder:
-        with pytest.raises(ScenarioError, match=r"the loop cannot be simulated ahead: .*gone\.fmu"):
-            LoopProcess(plan_of(tmp_path / "gone.fmu", folder))
-        with pytest.raises(WiringError, match="no_such_output"):
-            LoopProcess(plan_of(native, folder, outputs=("y", "no_such_output")))
+        missing, unwired = plan_of(tmp_path / "gone.fmu", folder), plan_of(native, folder, outputs=("y", "no_such"))
+        told = r"the loop cannot be simulated ahead: .*gone\.fmu"
+        with closing(LoopProcess(missing)) as loop, pytest.raises(ScenarioError, match=told):
+            loop.prove()
+        with closing(LoopProcess(unwired)) as loop, pytest.raises(WiringError, match="no_such"):
+            loop.prove()
 
 
 SLOW = """

@@ -133,6 +133,10 @@ class EstimationSettings(LoopSettings):
     model: str | None = Field(default=None, pattern=r"^([\w.]+:\w+|.+\.fmu|[A-Za-z]\w*)$")
     """`module:function`, called as f(x, u, **parameters) for the plant's state derivatives; or a model-exchange FMU:
     a path relative to the scenario's, or the name of a built-in plant. Needed for derivatives only."""
+    vectorised: bool = False
+    """True where the model, a function, takes k points in a call, as those of SciPy's solvers do: x (n, k), u (p, k)
+    and each parameter (k,) as NumPy arrays, for n derivatives of k numbers each. At the start it is compared with one
+    call after the other."""
     rollout: RolloutSettings = RolloutSettings()
     """Simulation of candidates, with the objective `rollout`."""
     parameters: tuple[EstimatedParameter, ...] = Field(min_length=1)
@@ -202,6 +206,12 @@ class EstimationSettings(LoopSettings):
                     raise ValueError(f'estimation.parameters: writes "{reference}": {e}') from e
         if not written:
             raise ValueError("estimation.parameters: nothing is written: give one of them writes")
+        return self
+
+    @model_validator(mode="after")
+    def _only_a_function_is_vectorised(self) -> Self:
+        if self.vectorised and (":" not in (self.model or "") or str(self.model).endswith(".fmu")):
+            raise ValueError("estimation.vectorised: only a model that is a function, 'module:function', takes arrays")
         return self
 
     @model_validator(mode="after")

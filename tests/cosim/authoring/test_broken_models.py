@@ -1,5 +1,6 @@
 """Models that are wrong are found: by `check` and `run` where they cannot be used, by `check --dry-run` in numbers."""
 
+import numpy as np
 import pytest
 
 from cosim.authoring.check import check
@@ -54,6 +55,42 @@ def test_a_model_without_a_value_at_the_start_only_is_used(broken):
 
 
 RIGHT = "return (f - c * s - v) / m, v"
+
+
+NOT_VECTORISED = {
+    "a choice": (
+        "return (f - c * s - v) / m if v < 9.0 else 0.0, v",
+        "does not take arrays: ValueError: The truth val",
+    ),
+    "other values": (
+        "return (f - c * s - v) / (m if isinstance(m, float) else m.mean()), v",
+        r"gives der\(mass.v\) = -?[\d.e+-]+ at 22 points at once, -?[\d.e+-]+ at that one alone",
+    ),
+    "one derivative": ("return ((f - c * s - v) / m, v)[: 2 if isinstance(m, float) else 1]", "returns 1 derivative"),
+}
+
+
+@pytest.mark.parametrize(("line", "reason"), NOT_VECTORISED.values(), ids=NOT_VECTORISED)
+def test_a_model_that_does_not_take_arrays_is_refused_where_it_says_so(broken, line, reason):
+    path = broken(line, ("[estimation]", "[estimation]\nvectorised = true"))
+    found = [f for f in check(path) if f.is_error]
+    assert [f.where for f in found] == ["estimation.vectorised"]
+    with pytest.raises(ScenarioError, match=reason) as caught:
+        run(Scenario.load(path))
+    assert found[0].what in str(caught.value)
+
+
+def test_a_model_that_takes_arrays_gives_the_same_run(broken):
+    """To 1e-6 of the parameter: sums are rounded in another order where NumPy takes several at a time."""
+    path = broken(RIGHT)
+    alone, together = (run(Scenario.load(path, {"estimation.vectorised": flag})) for flag in ("false", "true"))
+    np.testing.assert_allclose(together.estimates["m"], alone.estimates["m"], rtol=1e-6)
+    assert len(set(alone.estimates["m"])) > 1
+
+
+def test_only_a_function_is_vectorised(axis):
+    with pytest.raises(ScenarioError, match="vectorised: only a model that is a function"):
+        Scenario.load(axis(), {"estimation.model": "Axis.fmu", "estimation.vectorised": "true"})
 
 
 def dry(path):

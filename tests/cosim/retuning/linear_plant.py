@@ -11,14 +11,14 @@ START, GOOD, BETTER = (np.array([v, v]) for v in (2.0, 4.0, 6.0))
 SIGMA = 0.1
 
 
-def linear_residual(theta, sample):
-    """The whitened residual of one sample."""
-    return np.array([(sample.xdot[0] - np.dot(sample.x, theta)) / SIGMA])
+def linear_rows(theta, samples):
+    """The whitened residuals (..., n, 1) of candidates (..., d) at n samples."""
+    return np.stack([(sample.xdot[0] - np.dot(theta, sample.x))[..., None] / SIGMA for sample in samples], axis=-2)
 
 
 def seen(*rows, truth=GOOD):
     """The support of samples with these regressors."""
-    support = DataSupport(linear_residual, SPACE, 1, 30)
+    support = DataSupport(linear_rows, SPACE, 1, 30)
     for k, row in enumerate(rows):
         support.append(Sample(float(k), tuple(row), (), (float(np.dot(row, truth)),)))
     return support

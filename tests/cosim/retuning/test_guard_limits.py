@@ -10,7 +10,7 @@ from cosim.retuning.guard import Guard, within_rate
 from cosim.scenarios.schema.guard import GuardSettings
 from estimator import Estimate, Sample
 from estimator.retuner import Proposal
-from tests.cosim.retuning.linear_plant import BETTER, GOOD, SPACE, START, Watched, linear_residual, seen
+from tests.cosim.retuning.linear_plant import BETTER, GOOD, SPACE, START, Watched, linear_rows, seen
 
 NOTHING = Proposal()
 
@@ -399,7 +399,7 @@ def test_an_estimate_is_widened_by_a_quarter_of_the_bounds_at_most_and_not_beyon
 
 
 def test_the_newest_sample_costs_until_it_is_taken_back():
-    support = DataSupport(linear_residual, SPACE, 1, 30)
+    support = DataSupport(linear_rows, SPACE, 1, 30)
     assert support.cost(GOOD) == 0.0
     support.append(Sample(0.0, (1.0, 0.0), (), (4.1,)))
     before = support.snapshot()

@@ -76,7 +76,7 @@ class Loop:
         self.model = RememberingModel(model)
         residual = DerivativeResidual(self.model, SPACE, (0,), (SIGMA,))
         retuner = make_retuner(Mean(self.log), residual, InnovationSettings(), Budget(3), 1)
-        support = DataSupport(residual, SPACE, 1, 30)
+        support = DataSupport(residual.rows, SPACE, 1, 30)
         self.guard = Guard(GuardSettings(tolerance=0.5, rate=1.0), SPACE, START, 100.0, support)
         screen = ScriptedScreen(self.log, **script)
         read_back = ReadBack(("controller.a",), (0,), np.ndarray.tolist)
@@ -218,7 +218,7 @@ def test_a_search_that_fails_does_not_return_to_what_the_guard_has_reverted():
     residual = DerivativeResidual(model, SPACE, (0,), (SIGMA,))
     diagnosis = Diagnosis(residual, ("plant.der(x)",), residual.noise, DiagnosisSettings(), SPACE)
     retuner = make_retuner(Slope([]), residual, InnovationSettings(), Budget(20), 5, diagnosis=diagnosis)
-    support = DataSupport(diagnosis.residual, SPACE, 1, 30)
+    support = DataSupport(diagnosis.rows, SPACE, 1, 30)
     guard = Guard(GuardSettings(tolerance=0.5, rate=1.0), SPACE, START, 100.0, support)
     supervisor = Supervisor("mine", retuner, support, None, guard, model=model)
     held, rng, told = START, np.random.default_rng(0), []
@@ -245,6 +245,6 @@ def test_an_estimator_that_raises_is_a_fault_with_its_name():
 
     residual = DerivativeResidual(lambda x, u, a: [a], SPACE, (0,), (SIGMA,))
     retuner = make_retuner(Broken([]), residual, InnovationSettings(), Budget(3), 1)
-    broken = Supervisor("mine", retuner, DataSupport(residual, SPACE, 1, 30))
+    broken = Supervisor("mine", retuner, DataSupport(residual.rows, SPACE, 1, 30))
     with pytest.raises(ScenarioError, match=r"estimator 'mine' failed at t = 0.010 s: SystemExit: 3."):
         broken.step(Point(1, 0.01, Sample(0.01, (1.0,), (), (9.0,)), 0.0), START)

@@ -14,7 +14,7 @@ from ..studies.summary import StudySummary, summarised
 from ..studies.table import read_results
 from ..studies.texts import to_terminal
 from .frame import rendered, rendered_part, script_data
-from .list_page import ListedRun
+from .list_page import ListedRun, cell_text
 
 MOST_ROWS: Final = 5000
 """Runs in the table of a page: of more, the worst."""
@@ -37,7 +37,7 @@ def study_html(folder: Path, link: Callable[[Path], str]) -> str:
         "study.html.j2", title=f"{study.definition.study.name}: a study", text=to_terminal(study, summary),
         pictures=pictures, columns=columns, n=len(rows), n_all=len(table), is_live=False, has_plots=False,
         data=script_data({"is_live": False, "renderers": {}, "ranges": {}, "structure": "", "version": ""}),
-        table=rendered_part("rows.html.j2", rows=rows, link=link, number=_cell_text),
+        table=rendered_part("rows.html.j2", rows=rows, link=link, number=cell_text),
     )  # fmt: skip
 
 
@@ -55,17 +55,13 @@ def _listed(folder: Path, summary: StudySummary, names: tuple[str, ...], k: int)
     run = summary.columns["run"][k]
     is_kept = isinstance(run, str)
     cells = [_cell(summary.columns[name][k]) for name in names]
-    place = folder / RUNS / run if is_kept else folder
+    place = folder / RUNS / run if is_kept else None
     return ListedRun(place, (run if is_kept else str(summary.columns["key"][k])[:8], *cells, _cell(summary.ratio[k])))
 
 
 def _cell(value: Any) -> str | float | None:
     plain = value.item() if isinstance(value, np.generic) else value
     return None if plain is None or plain != plain else plain
-
-
-def _cell_text(value: str | float | None) -> str:
-    return "" if value is None else f"{value:.4g}" if isinstance(value, float | int) else value
 
 
 def _picture(path: Path) -> dict[str, str]:

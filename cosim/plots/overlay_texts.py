@@ -17,6 +17,6 @@ def texts_of(runs: Sequence[Run]) -> list[str]:
 
 
 def shared_by(runs: Sequence[Run]) -> str:
-    """Return what runs have in common of scenario, estimator and seed, for a title; their number where it is nothing."""
+    """Return what runs have in common of scenario, estimator and seed, for a title; else their number."""
     parts = zip(*((r.scenario.scenario.name, r.estimator, f"seed {r.seed}") for r in runs), strict=True)
     return (", ".join(of[0] for of in parts if len(set(of)) == 1) or f"{len(runs)} runs").replace("$", r"\$")

@@ -113,6 +113,10 @@ class DiagnosingRetuner(_Counting):
 
     def step(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
         """Take one communication point's sample, where there is one; return what to write, and why."""
+        proposal = self._proposal(t, sample, tracking_error, held)
+        return replace(proposal, events=(*proposal.events, *self._diagnosis.evidence.events(t)))
+
+    def _proposal(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
         diagnosis = self._diagnosis
         if sample is not None:
             was_suspicious = diagnosis.is_suspicious
@@ -227,6 +231,10 @@ class DiagnosingEpisodes(_Counting):
 
     def step(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
         """Take one communication point's sample, where there is one; return what to write, and why."""
+        proposal = self._proposal(t, sample, tracking_error, held)
+        return replace(proposal, events=(*proposal.events, *self._diagnosis.evidence.events(t)))
+
+    def _proposal(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
         diagnosis = self._diagnosis
         self._close(held)
         if sample is not None:

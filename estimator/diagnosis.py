@@ -27,6 +27,7 @@ from .diagnosis_settings import (
 from .diagnosis_state import DiagnosisState
 from .differences import OfMany
 from .events import Event
+from .evidence import Evidence
 from .hypotheses import (
     FALSE_ALARM,
     MARGIN,
@@ -101,6 +102,7 @@ class Diagnosis:
         and that noise."""
         self._declared, self._names, self._settings = declared, tuple(names), settings
         self._sigma, self._space = np.array(sigma), space
+        self.evidence = Evidence()
         c = len(self._names)
         zero = np.zeros(c, dtype=np.intp)
         self._state = DiagnosisState([], ResidualScale(c), np.zeros(c), zero, np.zeros(c, dtype=bool))
@@ -213,7 +215,9 @@ class Diagnosis:
             return None
         disturbance = disturbance_of(there, may_drift=False)
         parameters = plain_fit(here, self._n_free)
+        self.evidence.note(n, nothing=plain_fit(there, 0), disturbance=disturbance.fit)
         if is_changed and is_explained and parameters.is_explained:
+            self.evidence.note(n, parameters=parameters)
             return self._changed(t, held) if disturbance.fit.score >= parameters.score + MARGIN else None
         is_named = disturbance.fit.is_explained and disturbance.fit.score + MARGIN <= plain_fit(there, 0).score
         if is_named and n % 2 == 0 and not self._is_changing(held, n):
@@ -375,6 +379,8 @@ class Diagnosis:
     def _wins(self, parameters: Fit, before: Vector) -> bool:
         """Set the verdict where changed parameters are possible; before (n, c): residuals of the reference."""
         weighing = Weighing(parameters, disturbance_of(before).fit, plain_fit(before, 0))
+        if weighing.are_parameters_possible or len(before) == min(self._state.n_since, _LENGTHS[0]):
+            self.evidence.note(len(before), **vars(weighing))
         if weighing.are_parameters_possible:
             self._state.n_explained = len(before)
             self._state.n_spare = parameters.n_values - parameters.n_free
@@ -391,6 +397,7 @@ class Diagnosis:
     def _is_changing(self, held: Vector, n: int) -> bool:
         """Return whether parameters, constant ones or slowly changing, explain the newest n samples."""
         found = self._best(held, n, may_drift=True)
+        self.evidence.note(n, parameters=found.fit)
         return found.fit.is_explained and found.rate <= _RATE
 
     def _both(self, held: Vector, n: int) -> Disturbance | None:
@@ -405,6 +412,7 @@ class Diagnosis:
         rows = self._rows(space.beyond(best.z), n)
         n_channels, mean = n_channels_of(rows), rows.mean(axis=0)
         fit = plain_fit(best.rows, self._n_free + n_channels, n * n_channels)
+        self.evidence.note(n, both=fit)
         return Disturbance(mean, np.abs(mean), fit, True) if fit.is_explained else None
 
     def _is_noise(self, held: Vector) -> bool:
@@ -458,6 +466,7 @@ class Diagnosis:
         reference = held if state.reference is None else state.reference
         rows = self._rows(reference, n)
         found = disturbance_of(rows)
+        self.evidence.note(n, nothing=plain_fit(rows, 0), disturbance=found.fit)
         if plain_fit(rows, 0).score <= found.fit.score:  # a false alarm
             state.n_since, state.verdict = 0, "refuted"
             return None

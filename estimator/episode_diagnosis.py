@@ -25,6 +25,7 @@ from .diagnosis_settings import (
 from .diagnosis_state import channel_summary
 from .episode_window import EpisodeWindow
 from .events import Event
+from .evidence import Evidence
 from .hypotheses import NEVER, Fit, Weighing, changed_parameters, plain_fit
 from .objective import DIFFERENCE_STEP
 from .residual_scale import ResidualScale
@@ -85,6 +86,7 @@ class EpisodeDiagnosis:
         self._driven = [i for i, name in enumerate(inputs) if driven is None or name in driven]
         self._window, self._outputs, self._inputs = window, outputs, inputs
         self._settings, self._space = settings, space
+        self.evidence = Evidence()
         self._state = _State(ResidualScale(len(outputs)), np.zeros(len(inputs)))
         self._known: tuple[object, bytes, _Disturbed] | None = None
         self._newest: Vector = np.empty(0)
@@ -152,6 +154,7 @@ class EpisodeDiagnosis:
             self._judged, self._verdict = window.sequence, "refuted"
         here = _fit(window.whitened(held), 0)
         there = _fit(window.whitened(theta), len(space))
+        self._note(nothing=here, parameters=there)
         if there.is_explained:
             self._compare(there, here, held)
         elif self._verdict == "refuted" and window.sequence is not self._searched:
@@ -160,6 +163,7 @@ class EpisodeDiagnosis:
             found = changed_parameters(
                 rows_at, space.to_unit(theta), iterations=8, step=DIFFERENCE_STEP, may_drift=False
             )
+            self._note(parameters=found.fit)
             if found.fit.is_explained:
                 self._compare(found.fit, here, held)
         is_better = there.is_explained or there.squares < BETTER * here.squares
@@ -167,8 +171,13 @@ class EpisodeDiagnosis:
 
     def _compare(self, parameters: Fit, nothing: Fit, held: Vector) -> None:
         weighing = Weighing(parameters, self._disturbed(held).fit, nothing)
+        self._note(**vars(weighing))
         if weighing.are_parameters_possible:
             self._verdict = "warranted" if weighing.are_parameters_proven else "possible"
+
+    def _note(self, **fits: Fit) -> None:
+        if self._window.sequence is not None:
+            self.evidence.note(self._window.sequence.n_steps, **fits)
 
     def is_at_unseen_bound(self, theta: Vector, std: Vector, held: Vector) -> bool:
         """Return whether a parameter would move to a bound although its standard deviation is as wide as the bounds."""
@@ -187,6 +196,7 @@ class EpisodeDiagnosis:
         """Take the end of a search that has found no parameters; return the events."""
         state = self._state
         disturbed = self._disturbed(held)
+        self._note(disturbance=disturbed.fit)
         state.n_failures += 1
         if disturbed.fit.is_explained:
             now = state.inputs + disturbed.inputs

@@ -94,14 +94,15 @@ def replayed(recorded: Run, estimator: str, seed: int) -> Run:
         for k, (t, sample, error) in enumerate(zip(recorded.time.tolist(), samples, errors, strict=True)):
             if k:
                 decision = supervisor.step(Point(k, t, sample, hypot(*error)), theta)
-                latencies.append(decision.latencies)
+                latencies.append(k, decision.latencies)
                 theta = theta if decision.write is None else decision.write
                 thetas.append(theta)
     estimates = dict(zip(columns, np.array(thetas).T, strict=True)) | _gains(scenario, thetas)
     return replace(
         recorded, estimator=estimator, seed=seed, series={**recorded.series, **estimates}, status="done", error=None,
         n_evaluations=supervisor.n_evaluations, n_episodes=supervisor.n_episodes,
-        n_model_calls=supervisor.n_model_calls, latencies=latencies.by_step(), objective=supervisor.describe(),
+        n_model_calls=supervisor.n_model_calls, latencies=latencies.by_step(),
+        latency_steps=latencies.stretches(), objective=supervisor.describe(),
         wall=perf_counter() - begun, folder=None, final_estimate=None,
     )  # fmt: skip
 

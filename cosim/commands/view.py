@@ -14,9 +14,12 @@ from ..fmi.folder import PrivateFolder
 from ..pages.list_page import run_folders
 from ..pages.runs_page import read_page
 from ..pages.server import PageServer
-from ..pages.watched import GrowingPage, WatchedList, WatchedRuns
+from ..pages.watched import GrowingPage, WatchedList, WatchedRuns, WatchedStudy
 from ..plots.palette import RUNS
 from ..runs.lock import is_locked
+from ..runs.run_files import MANIFEST
+from ..studies.folder import RUNS as RUNS_KEPT
+from ..studies.folder import is_study
 from ..terminal.exit_codes import DONE
 
 _PATIENCE = 30.0
@@ -27,8 +30,13 @@ def command(options: argparse.Namespace) -> int:
     """Run the command; return the exit code."""
     if options.until_end:
         _wait_for_rows(options.folders)
-    folders = list(dict.fromkeys(folder for path in options.folders for folder in run_folders(path)))
-    pages = _pages(options.folders, folders)
+    if len(options.folders) == 1 and is_study(options.folders[0]):
+        study = options.folders[0]
+        folders = sorted(path.parent for of in ("*", f"{RUNS_KEPT}/*") for path in study.glob(f"{of}/{MANIFEST}"))
+        pages = {"": WatchedStudy(study, folders)} | _own(folders)
+    else:
+        folders = list(dict.fromkeys(folder for path in options.folders for folder in run_folders(path)))
+        pages = _pages(options.folders, folders)
     pages[""].html()  # a folder that cannot be read is refused here, and not in the browser
     try:
         server = PageServer(pages)
@@ -62,8 +70,12 @@ def _pages(given: Sequence[Path], folders: Sequence[Path]) -> dict[str, GrowingP
     """Return the pages by path: the runs laid over one another, or of many a list and a page for each."""
     if len(folders) <= len(RUNS):
         return {"": WatchedRuns(folders)}
-    own: dict[str, GrowingPage] = {f"run/{k}": WatchedRuns([folder]) for k, folder in enumerate(folders)}
-    return {"": WatchedList(", ".join(path.resolve().name for path in given), folders)} | own
+    return {"": WatchedList(", ".join(path.resolve().name for path in given), folders)} | _own(folders)
+
+
+def _own(folders: Sequence[Path]) -> dict[str, GrowingPage]:
+    """Return a page for each run, by its path."""
+    return {f"run/{k}": WatchedRuns([folder]) for k, folder in enumerate(folders)}
 
 
 def _open(address: str, private: Path) -> None:

@@ -11,8 +11,9 @@ from ..runs.innovations import innovation_limit, innovations
 from ..runs.quantities import disturbance_sizes
 from ..runs.result import Series
 from ..variable_name import VariableName
-from .marks import MOST_MARKS, SIGNS, reason_of
+from .marks import MOST_MARKS, SIGNS, reason_of, thinned
 from .sketch import ShownRun, Sketch, axis_label
+from .thinning import kept_rows
 
 _RANGE: Final = 1e-12
 """Ratio of the smallest misfit that is drawn to the largest."""
@@ -26,7 +27,7 @@ def draw_events(sketch: Sketch) -> None:
     plot = sketch.add_rows([SIGNS[kind].text for kind in kinds])
     for s in sketch.main:
         for kind in kinds:
-            events = [e for e in s.events if e.get("kind") == kind][:MOST_MARKS]
+            events = thinned([e for e in s.events if e.get("kind") == kind])
             if events:
                 sign = SIGNS[kind]
                 colour = sign.colour if len(sketch.main) == 1 else s.style.colour
@@ -54,7 +55,8 @@ def draw_disturbances(sketch: Sketch) -> None:
         having = [(s, sizes[s.key][channel]) for s in sketch.main if channel in sizes[s.key]]
         limits = value_range([list(of.values()) for _, of in having]) or (0.0, 1.0)
         name = VariableName(channel).variable if "." in channel else channel
-        plot = sketch.add(f"disturbance of\n{axis_label(name, sketch.units.get(channel))}", limits, height=130)
+        label = axis_label(name, sketch.units.get(channel)).replace(" [", "\n[")
+        plot = sketch.add(f"disturbance of\n{label}", limits, height=130)
         for s, of in having:
             t, y = np.array([*of]), np.array([*of.values()])
             sketch.line(
@@ -96,7 +98,8 @@ def draw_evidence(sketch: Sketch) -> None:
     limits = (max(low, _RANGE * high), high)
     plot = sketch.add("evidence: misfit\nof the candidates", limits, is_log=True)
     for s in sketch.main:
-        events = found[s.key][:MOST_MARKS]
+        events = found[s.key]
+        events = [events[k] for k in kept_rows(np.array([float(e["cost"]) for e in events]), n=MOST_MARKS)]
         columns = {
             "x": np.array([float(e["t"]) for e in events]),
             "y": np.clip([float(e["cost"]) for e in events], *limits),
@@ -111,7 +114,8 @@ def _is_positive(value: Any) -> bool:
 
 def draw_latencies(sketch: Sketch) -> None:
     """Draw the wall time of each macro step's evaluations against the deadline."""
-    having = [s for s in sketch.main if s.run.latencies]
+    times_of = {s.key: times for s in sketch.main if (times := _evaluation_times(s)) is not None}
+    having = [s for s in sketch.main if s.key in times_of]
     if not having:
         return
     deadline = 1e3 * sketch.main[0].run.scenario.scenario.macro_step
@@ -119,17 +123,17 @@ def draw_latencies(sketch: Sketch) -> None:
     limits = value_range([*sums.values(), np.array([deadline])]) or (1.0, 10.0)
     plot = sketch.add("latency [ms]", (max(limits[0], 1e-3), limits[1]), is_log=True)
     for s in having:
-        times = _evaluation_times(s, len(sums[s.key]))
-        if times is None:
-            continue
-        rows = np.arange(len(times))[:MOST_MARKS]
+        times = times_of[s.key]
+        rows = kept_rows(sums[s.key], n=MOST_MARKS)
         texts = [f"{ms:.3g} ms, deadline {deadline:g} ms" for ms in sums[s.key][rows]]
         columns = {"x": times[rows], "y": sums[s.key][rows], "text": texts}
         sketch.points(plot, s, "latency", columns, size=4, color=s.style.colour, alpha=0.6)
     plot.add_layout(Span(location=deadline, dimension="width", line_dash="dashed", line_color=BLACK))
 
 
-def _evaluation_times(s: ShownRun, n: int) -> Series | None:
-    """Return the times [s] of the n macro steps with evaluations; None where the events do not tell them."""
-    times = np.unique([float(e["t"]) for e in s.events if e.get("kind") == "candidate"])
-    return times if len(times) == n else None
+def _evaluation_times(s: ShownRun) -> Series | None:
+    """Return the times [s] of the macro steps with evaluations; None where there are none, or they are not known."""
+    times = s.run.latency_times
+    if times is None:  # a record of an earlier version
+        times = np.unique([float(e["t"]) for e in s.events if e.get("kind") == "candidate"])
+    return times if len(times) == len(s.run.latencies) > 0 else None

@@ -30,8 +30,8 @@ COLUMNS: Final = (
 class ListedRun:
     """A row of the table."""
 
-    folder: Path
-    """Run folder."""
+    folder: Path | None
+    """Run folder; None where none is kept."""
     cells: tuple[str | float | None, ...]
     """Cells in the order of the columns; None where a figure is missing."""
 
@@ -95,7 +95,7 @@ def list_news(rows: Sequence[ListedRun], link: Callable[[Path], str]) -> dict[st
 
 
 def _table(rows: Sequence[ListedRun], link: Callable[[Path], str]) -> str:
-    return rendered_part("rows.html.j2", rows=rows, link=link, number=_number)
+    return rendered_part("rows.html.j2", rows=rows, link=link, number=cell_text)
 
 
 def link_from(page: Path) -> Callable[[Path], str]:
@@ -152,7 +152,8 @@ def _errors(points: _Points) -> Any:
     return plot
 
 
-def _number(value: str | float | None) -> str:
+def cell_text(value: str | float | None) -> str:
+    """Return the text of a cell."""
     if value is None:
         return ""
-    return f"{value:.4g}" if isinstance(value, int | float) else str(value)
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -64,6 +64,11 @@ def reason_of(event: RecordedEvent, run: Run) -> str:
     return "; ".join(parts)
 
 
+def thinned(events: Sequence[RecordedEvent]) -> Sequence[RecordedEvent]:
+    """Return the events, of many every nth: as many as are drawn at most."""
+    return events[:: -(-len(events) // MOST_MARKS) or 1]
+
+
 def with_reasons(events: Sequence[RecordedEvent]) -> list[RecordedEvent]:
     """Return the events, those that go back to earlier parameters with the reason that stands in another event."""
     reasons = {e["t"]: e["reason"] for e in events if e.get("kind") in _CAUSES and e.get("reason")}

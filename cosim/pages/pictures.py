@@ -11,6 +11,7 @@ from .columns import Columns
 from .evidence import draw_disturbances, draw_events, draw_evidence, draw_innovations, draw_latencies
 from .signals import draw_error, draw_inputs, draw_parameters, draw_tracking
 from .sketch import ShownRun, Sketch
+from .weighed import draw_hypotheses
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,7 @@ def draw_pictures(shown: Sequence[ShownRun]) -> Pictures:
     draw_parameters(sketch)
     draw_disturbances(sketch)
     draw_innovations(sketch)
+    draw_hypotheses(sketch)
     draw_evidence(sketch)
     draw_latencies(sketch)
     sketch.figures[-1].xaxis.axis_label = "time [s]"

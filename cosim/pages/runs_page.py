@@ -19,8 +19,9 @@ from ..runs.result import Run, read_run
 from .frame import rendered, rendered_part, script_data
 from .marks import refusals, with_reasons
 from .pictures import draw_pictures
+from .plant_changes import plant_changes
 from .sketch import ShownRun
-from .story import MOST_CHAPTERS, chapters, plant_changes, verdict
+from .story import MOST_CHAPTERS, chapters, verdict
 from .thinning import MOST_ROWS
 
 

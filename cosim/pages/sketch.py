@@ -62,7 +62,10 @@ class Sketch:
         shown = (low / 1.25, high * 1.25) if is_log else (low - margin, high + margin)
         y = Range1d(start=shown[0], end=shown[1], name=f"y{len(self.figures)}")
         self.ranges[str(y.name)] = shown
-        return self._framed(figure(y_range=y, y_axis_type="log" if is_log else "linear", **self._frame(height)), label)
+        plot = self._framed(figure(y_range=y, y_axis_type="log" if is_log else "linear", **self._frame(height)), label)
+        if is_log:  # there are too many of them where the range is short
+            plot.yaxis.minor_tick_line_color = None
+        return plot
 
     def add_rows(self, factors: Sequence[str]) -> Any:
         """Return a new picture with a row for each factor."""
@@ -97,10 +100,12 @@ class Sketch:
             "$name: $snap_y{0.[00000]} at $snap_x{0.[000]} s",
         )
 
-    def points(self, plot: Any, s: ShownRun, name: str, columns: Mapping[str, Any], **style: Any) -> None:
-        """Draw points x, y of a run, whose text shows on hover."""
+    def points(self, plot: Any, s: ShownRun, name: str, columns: Mapping[str, Any], **style: Any) -> Any:
+        """Draw points x, y of a run, whose text shows on hover; return their renderer."""
         source = self.columns.table(f"{s.key} {name}", columns)
-        self._hover(plot, s, plot.scatter("x", "y", source=source, **style), "@x{0.[000]} s: @text")
+        renderer = plot.scatter("x", "y", source=source, **style)
+        self._hover(plot, s, renderer, "@x{0.[000]} s: @text")
+        return renderer
 
     def _hover(self, plot: Any, s: ShownRun, renderer: Any, text: str) -> None:
         self.keep(s, renderer)

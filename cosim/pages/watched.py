@@ -10,8 +10,10 @@ from typing import Any, Final, Protocol
 from ..plots.palette import BASELINES
 from ..runs.lock import is_locked
 from ..runs.run_files import EVENTS, MANIFEST, RESULT, SERIES
+from ..studies.ledger import LEDGER
 from .list_page import ListedRun, list_html, list_news, listed
 from .runs_page import PageOfRuns, read_page
+from .study_page import study_html, study_news
 
 _SHORTEST_MS: Final = 1000
 """Shortest time between two looks of a page [ms]."""
@@ -97,6 +99,32 @@ class WatchedList:
 
     def _link(self, folder: Path) -> str:
         return f"run/{self._folders.index(folder)}/"
+
+
+class WatchedStudy:
+    """A study on a page that grows with it: its summary, its pictures, and its runs, with links to those kept."""
+
+    def __init__(self, folder: Path, kept: Sequence[Path]) -> None:
+        self._folder, self._lock = folder, threading.Lock()
+        self._places = {path.name: k for k, path in enumerate(kept)}
+
+    def html(self) -> str:
+        """Return the page. Raises FolderError where the study cannot be read."""
+        with self._lock:
+            return study_html(self._folder, self._link, is_live=True)
+
+    def news(self, since: str) -> dict[str, Any]:
+        """Return what is new since a version, as JSON values. Raises FolderError."""
+        with self._lock:
+            begun = perf_counter()
+            states = [_state(self._folder / name) for name in (LEDGER, f"{LEDGER}-wal")]
+            version = hashlib.sha256(repr(states).encode()).hexdigest()[:16]
+            found = {} if version == since else study_news(self._folder, self._link)
+            wait_ms = max(_SHORTEST_MS, round(_PAUSE * 1e3 * (perf_counter() - begun)))
+            return found | {"version": version, "wait_ms": wait_ms, "is_final": False, "state": ""}
+
+    def _link(self, folder: Path) -> str:
+        return f"run/{self._places[folder.name]}/" if folder.name in self._places else "."
 
 
 def _state(path: Path) -> tuple[int, int] | None:

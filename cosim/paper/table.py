@@ -106,7 +106,9 @@ def prediction_time(run: Run, events: Sequence[RecordedEvent], t: float) -> floa
     None before the first, or if the record is missing.
     """
     episode = _last_episode(events, t)
-    times = sorted({float(e["t"]) for e in events if e.get("kind") == "candidate"})
+    times = run.latency_times
+    if times is None:  # a record of an earlier version
+        times = sorted({float(e["t"]) for e in events if e.get("kind") == "candidate"})
     if episode is None or len(times) != len(run.latencies):
         return None
     spent = [sum(s) for at, s in zip(times, run.latencies, strict=True) if episode[0] <= at <= episode[1]]

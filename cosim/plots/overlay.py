@@ -14,7 +14,7 @@ from ..runs.recorded_events import RecordedEvent, read_events
 from ..runs.result import Run
 from ..variable_name import VariableName
 from .canvas import label, new_figure, set_linear, tidy, top_legend
-from .overlay_texts import texts_of
+from .overlay_texts import shared_by, texts_of
 from .palette import BLACK, RUNS
 from .panels import Curve, line, title_of
 from .parameters import draw_band, parameter_axis
@@ -47,7 +47,7 @@ def draw_overlay(runs: Sequence[Run]) -> Figure:
         axes.set_xlabel("time [s]")
         axes.tick_params(labelbottom=True)
     handles = {text: h for axes in grid.flat for h, text in zip(*axes.get_legend_handles_labels(), strict=True)}
-    top_legend(figure, handles, 3)
+    top_legend(figure, handles, 3, shared_by(runs))
     return figure
 
 

@@ -208,7 +208,7 @@ class Loop:
         """Record a decision, and store the parameters that it writes."""
         for event in decision.events:
             recorder.event(event.t, event.kind, event.detail)
-        self.latencies.append(decision.latencies)
+        self.latencies.append(self._k, decision.latencies)
         self.estimates.take(t, decision)
         if decision.write is not None:
             self._held = decision.write

@@ -16,7 +16,7 @@ RecordedEvent = Mapping[str, Any]
 
 _TYPES: Final[Mapping[str, Any]] = {
     "kind": str, "reason": str, "fault": str, "sensor": str, "cost": int | float, "theta": list, "std": list,
-    "size": dict,
+    "size": dict, "scores": dict, "explained": list, "n_samples": int,
 }  # fmt: skip
 """Types of the content that is drawn or told; anything else is left out."""
 
@@ -36,8 +36,9 @@ def _sound(event: dict[str, Any]) -> RecordedEvent:
     for key in ("theta", "std"):
         if key in known:
             known[key] = [value if _is_number(value) else None for value in known[key]]
-    if "size" in known:
-        known["size"] = {channel: value if _is_number(value) else None for channel, value in known["size"].items()}
+    for key in ("size", "scores"):
+        if key in known:
+            known[key] = {name: value if _is_number(value) else None for name, value in known[key].items()}
     return known
 
 

@@ -78,6 +78,8 @@ class Run:
     """Findings of the diagnosis: what the model leaves unexplained by channel, disturbances, searches in vain."""
     final_estimate: FinalEstimate | None = None
     """Final estimate; None where nothing was estimated."""
+    latency_steps: tuple[tuple[int, int], ...] = ()
+    """Macro steps of the latencies: first and last number of each stretch without a gap; empty where unknown."""
 
     def __repr__(self) -> str:
         """Return one line: the series would fill pages."""
@@ -125,6 +127,14 @@ class Run:
         return max((float(np.max(np.abs(e))) for e in self.errors.values() if len(e)), default=float("nan"))
 
     @property
+    def latency_times(self) -> Series | None:
+        """Time [s] of each macro step of the latencies (n,); None where the record does not tell."""
+        if sum(last + 1 - first for first, last in self.latency_steps) != len(self.latencies):
+            return None
+        time = self.scenario.scenario.time
+        return np.array([time(k) for first, last in self.latency_steps for k in range(first, last + 1)])
+
+    @property
     def diverged_at(self) -> float | None:
         """Time [s] at which a tracking error exceeded limits.divergence; None where none did."""
         return float(self.time[-1]) if self.status == "diverged" else None
@@ -162,6 +172,7 @@ class Run:
             "observations": self.observations,
             "diagnosis": self.diagnosis,
             "latency_ms": _quantiles(evaluations),
+            "latency_steps": [list(stretch) for stretch in self.latency_steps],
             "deadline_ms": 1e3 * deadline,
             "missed_deadlines": sum(sum(step) > deadline for step in self.latencies),
             "wall_s": self.wall,
@@ -276,7 +287,7 @@ def read_run(folder: Path | str) -> Run:
         scenario, manifest.plant, manifest.estimator, manifest.seed, series, status, result.error, result.evaluations,
         result.episodes, latencies, result.wall_s, folder, result.model_calls,
         result.objective or "", result.guard, result.observations, result.diagnosis,
-        final_estimate_from_json(result.final_estimate or result.belief),
+        final_estimate_from_json(result.final_estimate or result.belief), result.latency_steps,
     )  # fmt: skip
 
 
@@ -303,6 +314,7 @@ class _Result:
     observations: dict[str, Any] | None = None
     diagnosis: dict[str, Any] | None = None
     wall_s: float = float("nan")
+    latency_steps: tuple[tuple[int, int], ...] = ()
     final_estimate: dict[str, Any] | None = None
     belief: dict[str, Any] | None = None
     """Former name of final_estimate."""

@@ -119,7 +119,7 @@ def _simulated(
             result = Run(
                 scenario, loop.plant, estimator, seed, recorder.close(), status, error, policy.n_evaluations,
                 policy.n_episodes, loop.latencies.by_step(), wall, out, policy.n_model_calls, policy.describe(),
-                **policy.summary(), final_estimate=loop.estimates.final(),
+                **policy.summary(), final_estimate=loop.estimates.final(), latency_steps=loop.latencies.stretches(),
             )  # fmt: skip
             if out is not None:
                 declared = [s.description.unitDefinitions for s in slaves.values()]

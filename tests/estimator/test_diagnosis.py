@@ -136,6 +136,32 @@ def sine(i):
     return 0.3 * np.sin(0.2 * i)
 
 
+# --- evidence on record ---------------------------------------------------------------------------------------------
+
+
+@CHANNELS
+def test_the_evidence_on_record_is_for_what_has_happened(n_channels):
+    changed = Run(n_channels=n_channels).go(100).go(60, CHANGED)
+    pushed = Run(n_channels=n_channels).go(100).go(60, added=PUSH[n_channels])
+    for run, won in ((changed, "parameters"), (pushed, "disturbance")):
+        *_, (k, last) = run.of("evidence")
+        assert all(at >= 100 for at, _ in run.of("evidence"))
+        assert min(last.detail["scores"], key=last.detail["scores"].get) == won
+        assert won in last.detail["explained"]
+    assert [k] == [at for at, _ in pushed.of("disturbance")]  # and there it is named
+
+
+def test_the_evidence_of_no_change_is_the_sum_of_squares_of_the_samples():
+    run, squares = Run().go(100), []
+    for k in range(100, 103):
+        sample = run.sample(CHANGED, 0.0)
+        squares.append(((sample.xdot[0] - one_channel(sample.x, sample.u, *TRUE)[0]) / SIGMA) ** 2)
+        run.take(sample)
+        (found,) = [event.detail for at, event in run.of("evidence") if at == k]
+        assert found["n_samples"] == len(squares)
+        assert_allclose(found["scores"]["nothing"], sum(squares), rtol=1e-9)
+
+
 # --- quiet ---------------------------------------------------------------------------------------------------------
 
 

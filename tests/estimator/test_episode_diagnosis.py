@@ -134,6 +134,15 @@ def test_changed_parameters_are_written_once_a_window_is_full(estimator):
     assert run.retuner.n_episodes == 1
 
 
+def test_the_evidence_on_record_is_for_what_has_happened():
+    changed = Run("least-squares").go(100).go(60, CHANGED)
+    pushed = Run("least-squares").go(100).go(60, push=PUSH)
+    for run, won in ((changed, "parameters"), (pushed, "disturbance")):
+        *_, (_, last) = run.of("evidence")
+        assert min(last.detail["scores"], key=last.detail["scores"].get) == won
+        assert won in last.detail["explained"]
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_changed_parameters_are_found_whatever_the_noise(seed):
     run = Run("least-squares", seed=seed).go(60 + 7 * seed).go(60, CHANGED).go(60, TRUE)

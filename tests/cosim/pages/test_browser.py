@@ -111,6 +111,17 @@ def test_the_reason_of_an_event_shows_below_the_cursor(report, recorded):
     report.wait_for_selector(f"text={first['reason']}")
 
 
+def test_the_evidence_of_a_hypothesis_shows_below_the_cursor(report, recorded):
+    events = [json.loads(line) for line in (recorded / "events.jsonl").read_text().splitlines()]
+    first = next(e for e in events if e["kind"] == "evidence")
+    scores = [score for score in first["scores"].values() if score is not None]
+    worse = first["scores"]["nothing"] - min(scores)
+    x, y = place(report, "evidence: worse than\nthe best by", first["t"], worse)
+    report.mouse.move(x + 3, y + 3)
+    report.mouse.move(x, y)
+    report.wait_for_selector(f"text=nothing has changed: worse than the best by {worse:.3g}")
+
+
 def test_the_value_of_a_curve_shows_below_the_cursor(report, recorded):
     run = read_page([recorded]).main[0].run
     x, y = place(report, "phi [rad]", float(run.time[60]), float(run["plant.phi"][60]))

@@ -67,7 +67,7 @@ def test_the_data_of_the_curves_are_the_record_bit_for_bit(recorded):
     assert drawn["held.plant.u 0"] == run["held.plant.u"].tobytes()
     assert drawn["m 0"] == run["controller.m"].tobytes()
     events = [json.loads(line) for line in (recorded / "events.jsonl").read_text().splitlines()]
-    for kind in {e["kind"] for e in events} - {"candidate"}:
+    for kind in {e["kind"] for e in events} - {"candidate", "evidence"}:
         times = np.frombuffer(base64.b64decode(columns[f"r0 {kind}"]["x"]["f8"]))
         assert times.tolist() == [e["t"] for e in events if e["kind"] == kind]
         assert all(columns[f"r0 {kind}"]["text"])
@@ -84,6 +84,42 @@ def test_a_run_that_goes_on_or_was_killed_has_its_page(recorded, tmp_path):
     page = read_page([tmp_path])
     assert not page.is_final
     assert "The run was stopped at t = " in page.html()
+
+
+def test_the_evidence_of_the_hypotheses_is_drawn_and_told(made_up, page_of):
+    scores = {"parameters": 12.0, "disturbance": 15.0, "nothing": 1012.0, "both": None}
+    event = {"t": 0.5, "kind": "evidence", "n_samples": 5, "scores": scores, "explained": ["parameters"]}
+    odd = [event | {"scores": other} for other in ({}, {"nothing": None}, None)]
+    columns = page_of(made_up(events=[event, *odd])).news()["columns"]
+    drawn = {name: columns[f"r0 evidence {name}"] for name in ("parameters", "disturbance", "nothing")}
+    values = {name: np.frombuffer(base64.b64decode(drawn[name]["y"]["f8"])).tolist() for name in drawn}
+    assert values == {"parameters": [1.0], "disturbance": [3.0], "nothing": [1000.0]}
+    assert "r0 evidence both" not in columns
+    assert drawn["disturbance"]["text"] == [
+        'a disturbance acts: worse than the best by 3. "parameters have changed" explains the newest 5 samples; worse: '
+        "a disturbance acts (by 3), nothing has changed (by 1e+03)"
+    ]
+    assert "very strong evidence against it" in drawn["nothing"]["text"][0]
+
+
+def test_latencies_are_drawn_at_their_times_the_longest_of_many_too(made_up, page_of, changed):
+    n = 20_000
+    seconds = tuple((0.5,) if k == 12_345 else (0.001, 0.002) for k in range(1, n))
+    shown = changed(made_up(n), latencies=seconds, latency_steps=((1, n - 1),))
+    packed = page_of(shown).news()["columns"]["r0 latency"]
+    t, y = (np.frombuffer(base64.b64decode(packed[name]["f8"])) for name in "xy")
+    assert len(t) <= 5000
+    assert (t[np.argmax(y)], y.max()) == (pytest.approx(123.45), pytest.approx(500.0))
+    assert t[-1] == pytest.approx(199.99)
+    assert "r0 latency" not in page_of(changed(shown, latency_steps=((1, 7),))).news()["columns"]
+
+
+def test_of_very_many_marks_some_are_drawn_up_to_the_end(made_up, page_of):
+    events = [{"t": 1e-4 * k, "kind": "write", "theta": [1.0, 0.75]} for k in range(30_000)]
+    packed = page_of(made_up(events=events)).news()["columns"]["r0 write"]
+    t = np.frombuffer(base64.b64decode(packed["x"]["f8"]))
+    assert 4000 < len(t) <= 5000
+    assert t[-1] > 2.99
 
 
 def test_hostile_names_stay_text(made_up, page_of):
@@ -113,9 +149,12 @@ def test_whatever_the_values_there_is_a_page(made_up, page_of, columns):
 @pytest.mark.full
 def test_events_that_make_no_sense_are_survived(made_up, page_of, tmp_path):
     odd = ["text", [1], {"a": 1}, None, 1e999, True, -1]
-    keys = ("kind", "reason", "theta", "std", "cost", "size", "fault", "sensor")
+    keys = ("kind", "reason", "theta", "std", "cost", "size", "fault", "sensor", "scores", "explained", "n_samples")
     events = [{"t": 0.1 * k, key: value} for key in keys for k, value in enumerate(odd)]
-    events += [event | {"kind": kind} for kind in ("trigger", "candidate", *SIGNS) for event in events]
+    events += [event | {"kind": kind} for kind in ("trigger", "candidate", "evidence", *SIGNS) for event in events]
+    weighed = {"t": 0.5, "kind": "evidence", "scores": {"nothing": 2.0, "both": 1.0}}
+    events += [weighed | {key: value} for key in ("explained", "n_samples") for value in odd]
+    events += [weighed | {"scores": {"nothing": value, "both": 1.0}} for value in odd]
     events += [{"t": 0.5, "kind": "disturbance", "size": {"plant.phi": value}} for value in odd]
     (tmp_path / "events.jsonl").write_text("".join(json.dumps(event) + "\n" for event in events))
     page = page_of(made_up(events=with_reasons(read_events(tmp_path))))

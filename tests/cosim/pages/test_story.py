@@ -5,17 +5,34 @@ from typing import get_args, get_type_hints
 import numpy as np
 
 from cosim.pages.marks import REFUSALS, SIGNS, refusals, with_reasons
-from cosim.pages.story import chapters, plant_changes, verdict
+from cosim.pages.plant_changes import plant_changes
+from cosim.pages.story import chapters, verdict
 from estimator.events import Event
 
 NOTICED = {"t": 0.52, "kind": "trigger", "reason": "normalised innovation squared 50 exceeds 24"}
 WRITTEN = {"t": 0.55, "kind": "write", "theta": [2.01, 0.75], "std": [0.02, 0.01], "reason": "incumbent"}
 
+WEIGHED = {
+    "t": 0.61, "kind": "evidence", "n_samples": 5, "explained": ["disturbance"],
+    "scores": {"parameters": None, "disturbance": 20.0, "nothing": 60.0, "some other": 1.0},
+}  # fmt: skip
+
 
 def test_a_change_is_told_with_the_time_until_it_was_noticed_written_and_found(made_up):
     shown = made_up(events=[NOTICED, WRITTEN])
     (row,) = plant_changes(shown.run, shown.events)
-    assert row == ("0.5 s", "m: 1 → 2", "after 20 ms", "after 50 ms", "after 70 ms")
+    assert row == ("0.5 s", "m: 1 → 2", "after 20 ms", "changed parameters", "after 50 ms", "after 70 ms")
+    named = [NOTICED, {"t": 0.57, "kind": "disturbance", "size": {"plant.der(phi_dot)": 2.0}, "reason": "constant"}]
+    (row,) = plant_changes(shown.run, named)
+    assert row[2:5] == ("after 20 ms", "a disturbance after 70 ms", "-")
+
+
+def test_a_gust_is_told_from_where_it_begins_to_where_it_ends(made_up):
+    t = 0.01 * np.arange(100)
+    gust = np.where((t >= 0.3) & (t <= 0.6), 1.0 - np.cos(2.0 * np.pi * (t - 0.3) / 0.3), 0.0)
+    shown = made_up(plant_m=1.0 + gust, controller_m=[1.0] * 100, events=[NOTICED])
+    (row,) = plant_changes(shown.run, shown.events)
+    assert row[:3] == ("0.3 s", "m drifts between 1 and 3 until 0.6 s", "after 220 ms")
 
 
 def test_parameters_that_are_wrong_at_first_and_those_that_drift_are_told(made_up):
@@ -44,6 +61,12 @@ def test_the_verdict_compares_with_nominal_and_true_parameters_and_counts(made_u
         "It was triggered once and wrote parameters once; the guard refused 1 write and reverted 0; 0 disturbances "
         "were named.",
     ]
+    told = verdict(shown.run, {"none": shown.run}, ())
+    assert told[1:] == [
+        "Its mean squared tracking error is equal to the nominal controller's.",
+        "It was never triggered and wrote no parameters; the guard refused 0 writes and reverted 0; 0 disturbances "
+        "were named.",
+    ]
     lost = changed(shown, status="diverged").run
     assert verdict(lost, {"none": worse}, ())[:1] == [
         "The loop was lost with re-tuning by target: at t = 0.99 s a tracked error passed the limit of divergence."
@@ -68,22 +91,24 @@ def test_what_was_refused_is_told_with_its_reason_the_same_ones_together(made_up
 
 
 def test_a_search_is_told_from_its_trigger_to_the_next(made_up):
-    events = [NOTICED, {"t": 0.53, "kind": "candidate"}, WRITTEN, {"t": 0.6, "kind": "veto"}, NOTICED | {"t": 0.8}]
+    events = [NOTICED, {"t": 0.53, "kind": "candidate"}, WRITTEN, {"t": 0.6, "kind": "veto"}]
+    events += [WEIGHED, {"t": 0.7, "kind": "disturbance", "size": {}, "reason": "over"}, NOTICED | {"t": 0.8}]
     shown = made_up(events=events)
     first, second = chapters(shown.run, shown.events)
     assert first == (
         0.52,
         NOTICED["reason"],
         1,
+        '"a disturbance acts" explains the newest 5 samples; worse: nothing has changed (by 40)',
         "1 write, the last: m 2.010 ± 0.020 kg, l 0.750 ± 0.010 m",
-        "refused once",
+        "refused once, a disturbance over once",
     )
-    assert second == (0.8, NOTICED["reason"], 0, "nothing", "")
+    assert second == (0.8, NOTICED["reason"], 0, "", "nothing", "")
 
 
 def test_every_kind_of_event_has_a_sign():
     kinds = {*get_args(get_type_hints(Event)["kind"]), "fault", "interrupt"}
-    assert kinds - {"candidate"} == {*SIGNS}
+    assert kinds - {"candidate", "evidence"} == {*SIGNS}  # which have pictures of their own
     assert {*REFUSALS} <= kinds
     assert (
         len({sign.text for sign in SIGNS.values()}) == len({sign.marker for sign in SIGNS.values()} | {"again"}) == 18

@@ -136,6 +136,7 @@ def test_the_picture_of_the_tracking_has_the_input_the_title_and_what_the_guard_
 def test_runs_laid_over_one_another_are_told_apart_without_colour() -> None:
     runs = [made_up_run(None), dataclasses.replace(made_up_run(None), seed=1)]
     figure = draw_overlay(runs)
+    assert [legend.get_title().get_text() for legend in figure.legends] == ["pendulum, target"]
     assert [axes.get_ylabel() for axes in figure.axes] == [r"$\phi$", "$u$", "$m$ [kg]", "$l$ [m]"]
     for axes in figure.axes:
         styles = {line.get_label(): line.get_linestyle() for line in axes.lines if "seed" in str(line.get_label())}

@@ -6,6 +6,7 @@ import pytest
 from PIL import Image
 
 from cosim.cli import main
+from cosim.pages.watched import WatchedStudy
 from cosim.plots.study import draw_study
 from cosim.runs.lock import new_locked_folder
 from cosim.scenarios.scenario import Scenario
@@ -173,3 +174,23 @@ def test_a_study_becomes_a_page_with_pictures_and_links_to_the_runs_that_are_kep
     assert 'href="runs/target-1"' in page
     assert main(["report", str(out)]) == 2  # it is there already
     assert "exists" in capsys.readouterr().err
+
+
+@pytest.mark.full
+def test_a_study_that_goes_on_has_a_page_that_grows(tmp_path):
+    made, out = study(keep=True), tmp_path / "out"
+    with new_locked_folder("s", out), open_study(out, made, "study") as ledger:
+        runs = {run.key: run for run in made.runs()}
+        enter(made, runs, ledger)
+        page = WatchedStudy(out, [out / "runs" / "target-0"])
+        assert "queued" in page.html()
+        before = page.news("")
+        assert page.news(before["version"]).get("parts") is None  # nothing is new
+        ledger.finish(
+            next(iter(runs)), ledger.lease(next(iter(runs))), {"status": "done", "run": "target-0"}, None, True
+        )
+        after = page.news(before["version"])
+        assert after["parts"]["rows"].count("done") > before["parts"]["rows"].count("done") == 0
+        assert 'href="run/0/"' in after["parts"]["rows"]
+        assert "<img " in after["parts"]["summary"]
+    assert not (out / "results.parquet").exists()  # who looks writes nothing

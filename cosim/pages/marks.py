@@ -87,7 +87,7 @@ def values_of(event: RecordedEvent, run: Run) -> str:
         return ""
     stds = std if isinstance(std, list) and len(std) == len(theta) else [None] * len(theta)
     texts = [
-        f"{p.name} {_value(value, s)} {p.unit}".rstrip()
+        f"{p.name} {_value(value, s)} {'' if p.unit == '1' else p.unit}".rstrip()
         for p, value, s in zip(run.scenario.estimation.parameters, theta, stds, strict=False)
     ]
     return ", ".join(texts)

@@ -15,6 +15,7 @@ from ..scenarios.validation import first_error
 
 Number = float | int
 Span = tuple[Number, Number]
+SeedCount = Annotated[int, Field(ge=1, le=MOST)]
 DISTRIBUTIONS: Final = ("uniform", "log_uniform", "normal")
 
 
@@ -98,8 +99,8 @@ class StudySettings(Table):
     """Names of scenarios, or paths of TOML files and SSP packages, relative to this file."""
     estimators: tuple[str, ...] = Field(default=("none", "true", "target"), min_length=1)
     """Estimators that are run in each scenario, `none` (the nominal controller) among them to compare with."""
-    seeds: Annotated[int, Field(ge=1, le=MOST)] | tuple[Annotated[int, Field(ge=0)], ...] = 1
-    """Number of seeds, from 0 on, or the seeds themselves."""
+    seeds: SeedCount | tuple[Annotated[int, Field(ge=0)], ...] | dict[str, SeedCount] = 1
+    """Number of seeds, from 0 on, or the seeds themselves; or their number by estimator."""
     combine: Literal["crossed", "paired"] = "crossed"
     """Crossed: every value of a factor with every one of the others. Paired: the first with the first, and so on."""
     sampling: Literal["sobol", "latin-hypercube", "random"] = "sobol"
@@ -122,8 +123,28 @@ class StudySettings(Table):
 
     @property
     def seed_numbers(self) -> tuple[int, ...]:
-        """The seeds themselves."""
-        return tuple(range(self.seeds)) if isinstance(self.seeds, int) else self.seeds
+        """The seeds themselves, of all estimators."""
+        seeds = max(self.seeds.values()) if isinstance(self.seeds, dict) else self.seeds
+        return tuple(range(seeds)) if isinstance(seeds, int) else seeds
+
+    def estimators_at(self, seed: int) -> tuple[str, ...]:
+        """Return the estimators that are run with a seed."""
+        seeds = self.seeds
+        return self.estimators if not isinstance(seeds, dict) else tuple(e for e in self.estimators if seed < seeds[e])
+
+
+Factors = dict[Annotated[str, AfterValidator(_is_name)], Factor]
+
+
+class ScenarioPart(Table):
+    """What holds for one scenario of a study alone: that of `[scenarios.NAME]`."""
+
+    estimators: tuple[str, ...] | None = Field(default=None, min_length=1)
+    """Estimators of this scenario, in place of those of the study."""
+    settings: dict[str, Any] = {}
+    """Settings of its runs, beside those of the study."""
+    factors: Factors = {}
+    """Factors of this scenario, in place of those of the study; choices are added to those of the study."""
 
 
 class StudyDefinition(Table):
@@ -131,17 +152,60 @@ class StudyDefinition(Table):
 
     study: StudySettings
     """What is run."""
-    factors: dict[Annotated[str, AfterValidator(_is_name)], Factor] = {}
+    factors: Factors = {}
     """What is varied, by name."""
+    scenarios: dict[str, ScenarioPart] = {}
+    """What differs from scenario to scenario, by their names in `study.scenarios`."""
+
+    @property
+    def factor_names(self) -> tuple[str, ...]:
+        """Names of the factors of all scenarios."""
+        parts = self.scenarios.values()
+        return tuple(dict.fromkeys([*self.factors, *(name for part in parts for name in part.factors)]))
+
+    @property
+    def estimators(self) -> tuple[str, ...]:
+        """Estimators of all scenarios."""
+        parts = [self.at(name).study.estimators for name in self.study.scenarios]
+        return tuple(dict.fromkeys(name for part in parts for name in part))
+
+    def at(self, scenario: str) -> "StudyDefinition":
+        """Return the study as it is for one scenario."""
+        part = self.scenarios.get(scenario)
+        if part is None:
+            return self if not self.scenarios else self.model_copy(update={"scenarios": {}})
+        settings, estimators = self.study.settings | part.settings, part.estimators or self.study.estimators
+        study = self.study.model_copy(update={"settings": settings, "estimators": estimators})
+        factors = {name: _joined(self.factors.get(name), factor) for name, factor in part.factors.items()}
+        return self.model_copy(update={"study": study, "factors": self.factors | factors, "scenarios": {}})
+
+    @model_validator(mode="after")
+    def _parts_fit(self) -> Self:
+        for name in self.scenarios:
+            if name not in self.study.scenarios:
+                known = ", ".join(self.study.scenarios)
+                raise ValueError(f"scenarios: '{name}' is none of the study's scenarios, which are {known}")
+        seeds, estimators = self.study.seeds, self.estimators
+        if isinstance(seeds, dict) and set(seeds) != set(estimators):
+            raise ValueError(f"study: seeds must be of {', '.join(estimators)}, got those of {', '.join(seeds)}")
+        return self
 
     @model_validator(mode="after")
     def _factors_fit(self) -> Self:
-        for name in (name for name in self.factors if name in RESERVED or name.startswith(("mse ", "error "))):
+        for name in (n for n in self.factor_names if n in RESERVED or n.startswith(("mse ", "error "))):
             raise ValueError(f"factors: '{name}' is a column of the table already: give it another name")
-        n, is_drawn = self.study.samples, any(f.distribution for f in self.factors.values())
+        factors = [*self.factors.values(), *(f for part in self.scenarios.values() for f in part.factors.values())]
+        n, is_drawn = self.study.samples, any(f.distribution for f in factors)
         if is_drawn and self.study.sampling == "sobol" and n & (n - 1):
             raise ValueError(f"study: samples must be a power of two for sobol, such as {1 << n.bit_length()}, got {n}")
         return self
+
+
+def _joined(factor: Factor | None, own: Factor) -> Factor:
+    """Return a scenario's own factor, with the choices of the study's."""
+    if factor is None or factor.choices is None or own.choices is None:
+        return own
+    return own.model_copy(update={"choices": factor.choices | own.choices})
 
 
 RESERVED: Final = frozenset(

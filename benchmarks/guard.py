@@ -3,10 +3,10 @@
     retune study benchmarks/studies/guard.toml --out OUT/guard          # and guard-filtered, guard-roll-outs
     python -m benchmarks.guard OUT/guard ... --commit HASH
 
-A study may still be running, or have been stopped: what its ledger has is taken. Kept in results/guard.json is a row for
-each scenario, case, estimator and objective, in place of earlier ones; the tables of docs/safety.md are written, and the
-targets that are missed printed, each with the line that repeats the worst run. A run counts as lost when it is not done
-although the nominal controller's is. `--seeds 3` of `retune study` is quick, and a study goes on where it was stopped.
+A study may still be running, or have been stopped: what its ledger has is taken. Kept in results/guard.json is a row
+for each scenario, case, estimator and objective, in place of earlier ones; the tables of docs/safety.md are written,
+and the targets that are missed printed, each with the line that repeats the worst run. A run counts as lost when it is
+not done although the nominal controller's is. `retune study --seeds 3` is quick; a study goes on where it was stopped.
 """
 
 import argparse

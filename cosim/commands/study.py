@@ -49,17 +49,20 @@ def restricted(
     if unknown := [name for name in estimators or () if name not in definition.estimators]:
         raise ScenarioError(f"{label}: its estimators are {', '.join(definition.estimators)}, not {unknown[0]}.")
     tables: Any = definition.model_dump(mode="json", by_alias=True, exclude_none=True)
-    study, given = tables["study"], tables["study"]["seeds"]
-    if estimators is not None:
-        for table in (study, *tables["scenarios"].values()):
-            if "estimators" in table:
-                table["estimators"] = [name for name in table["estimators"] if name in estimators]
-    if isinstance(given, dict):
-        counts = {name: min(n, seeds or n) for name, n in cast(dict[str, int], given).items()}
-        study["seeds"] = {name: n for name, n in counts.items() if name in (estimators or counts)}
-    elif seeds is not None:
-        study["seeds"] = min(given, seeds) if isinstance(given, int) else given[:seeds]
+    for table in (tables["study"], *tables["scenarios"].values()):
+        if estimators is not None and "estimators" in table:
+            table["estimators"] = [name for name in table["estimators"] if name in estimators]
+        if "seeds" in table:
+            table["seeds"] = _first(table["seeds"], seeds, estimators)
     return checked_definition(tables, label)
+
+
+def _first(seeds: Any, n: int | None, estimators: Sequence[str] | None) -> Any:
+    """Return the first n seeds, or their numbers by estimator."""
+    if isinstance(seeds, dict):
+        counts = cast(dict[str, int], seeds).items()
+        return {name: min(own, n or own) for name, own in counts if estimators is None or name in estimators}
+    return seeds if n is None else min(seeds, n) if isinstance(seeds, int) else seeds[:n]
 
 
 def loaded(definition: StudyDefinition, folder: Path, trust: bool) -> Study:

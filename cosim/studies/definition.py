@@ -68,7 +68,7 @@ Factors = dict[Annotated[str, AfterValidator(_is_name)], Factor]
 
 
 class ScenarioPart(Table):
-    """What holds for one scenario of a study alone: that of `[scenarios.NAME]`."""
+    """Part of a study that holds for one scenario alone: the table `[scenarios.NAME]`."""
 
     estimators: tuple[str, ...] | None = Field(default=None, min_length=1)
     """Estimators of this scenario, in place of those of the study."""

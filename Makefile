@@ -3,6 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 INTEROP := .venv-interop
 BIN := $(VENV)/bin
+RAW := benchmarks/raw
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 
 .PHONY: run test docs test-full interop experiments evaluation lint docs-tables format clean
@@ -26,9 +27,22 @@ experiments: $(VENV)/.test
 	$(BIN)/python -m pytest -m slow -n 0 -s
 
 evaluation: $(VENV)/.test
-	$(BIN)/python -m benchmarks.evaluation measure
-	$(BIN)/python -m benchmarks.coverage
-	$(BIN)/python -m benchmarks.guard --jobs 2
+	mkdir -p $(RAW) && rm -rf $(RAW)/figures
+	$(BIN)/retune study benchmarks/studies/evaluation.toml --jobs 2 --out $(RAW)/evaluation
+	$(BIN)/python -m benchmarks.frozen quadrotor --at 5.0 --window 10 --stride 5 --evaluations 30 --seeds 20 \
+		--estimators target least-squares closed-form bo-scalar --out $(RAW)/frozen-quadrotor.json
+	$(BIN)/python -m benchmarks.frozen stiction --at 4.0 --window 100 --evaluations 30 45 60 120 --seeds 20 \
+		--estimators target least-squares multi-start bo-scalar --out $(RAW)/frozen-stiction.json
+	$(BIN)/python -m benchmarks.frozen rigid-body --at 2.6 --window 10 --stride 5 --evaluations 30 45 60 100 --seeds 20 \
+		--estimators target least-squares multi-start bo-scalar --out $(RAW)/frozen-rigid-body.json
+	$(BIN)/retune figures --jobs 1 --out $(RAW)/figures
+	$(BIN)/python -m benchmarks.evaluation $(RAW)/evaluation
+	$(BIN)/retune study benchmarks/studies/coverage.toml --out $(RAW)/coverage
+	$(BIN)/python -m benchmarks.coverage $(RAW)/coverage --frozen pendulum quadrotor stiction rigid-body
+	for name in guard guard-filtered guard-roll-outs; do \
+		$(BIN)/retune study benchmarks/studies/$$name.toml --out $(RAW)/$$name || exit 1; done
+	$(BIN)/python -m benchmarks.guard $(RAW)/guard $(RAW)/guard-filtered $(RAW)/guard-roll-outs \
+		--commit $$(git rev-parse --short HEAD)
 
 lint: $(VENV)/.test
 	$(BIN)/ruff check .

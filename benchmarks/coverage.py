@@ -1,22 +1,22 @@
 """Coverage of the truth by 95 % intervals: Monte Carlo on the named scenarios.
 
-    python -m benchmarks.coverage [--scenarios pendulum ...] [--how frozen runs] [--estimators target ...] [--seeds N]
+    retune study benchmarks/studies/coverage.toml --out OUT
+    python -m benchmarks.coverage OUT                                     # of the study's runs
+    python -m benchmarks.coverage --frozen pendulum ... [--estimators target ...] [--seeds N]
 
-`frozen`: one episode on a frozen window of the nominal controller's run, with fresh noise for each seed. `runs`: whole
-runs, FMUs and all; the estimate is compared with the truth at the end of each episode, and at the scenario's instants
-(whatever has happened since the episode). The truth is what the plant had when it came to the newest sample. The
-interval is estimate ± 1.96 std in the parameter's scale: where that is `log`, theta exp(± 1.96 std / theta). Parameters
-that the estimate calls not identifiable are only counted. Counts are kept in raw/coverage.json: an interrupted
-measurement goes on from there, as does one that is given more seeds; `--fresh` drops those asked for.
-results/coverage.json has a row for each scenario, way of measuring and estimator.
+In whole runs, FMUs and all, the estimate is compared with the truth at the end of each episode, and at the scenario's
+instants (whatever has happened since the episode). `--frozen` makes no runs: one episode on a frozen window of the
+nominal controller's run, with fresh noise for each seed. The truth is what the plant had when it came to the newest
+sample. The interval is estimate ± 1.96 std in the parameter's scale: where that is `log`, theta exp(± 1.96 std /
+theta). Parameters that the estimate calls not identifiable are only counted. results/coverage.json has a row for each
+scenario, way of measuring and estimator, each replaced when it is measured again.
 """
 
 import argparse
 import json
-import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from functools import cache, partial
-from itertools import product
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import cache
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,24 +26,23 @@ from benchmarks import report
 from benchmarks.frozen import estimated, noisy_samples, truth_at
 from benchmarks.report import Row
 from cosim.blas_threads import one_thread
-from cosim.runs.result import Run
+from cosim.errors import CosimError
+from cosim.runs.result import Run, read_run
 from cosim.runs.run_files import EVENTS
 from cosim.runs.simulation import run
 from cosim.scenarios.scenario import Scenario
+from cosim.studies.folder import RUNS
+from cosim.studies.ledger import LEDGER, open_ledger
 from estimator import ParameterSpace, Vector
 from estimator.baselines import LeastSquaresSettings
 
 FROZEN = {"pendulum": (3.35, 30, 1), "quadrotor": (5.0, 10, 5), "stiction": (4.0, 100, 1), "rigid-body": (2.6, 10, 5)}
 """Time of the newest sample [s], number of samples and macro steps between them, for each scenario."""
-SEEDS = {"frozen": 200, "runs": 40}
-ESTIMATORS = {"frozen": ("target", "least-squares"), "runs": ("target", "least-squares", "ukf", "rls")}
 QUANTILE = 1.96
 COUNTS = ("seeds", "identifiable", "not", "covered", "sum of squares", "free", "free covered")
 """Counts for one parameter: seeds; intervals where it was identifiable, or not; those that covered the truth; the sum
 of the squared errors in standard deviations; intervals of estimates that hold no direction at its old value, and how
 many of them covered the truth."""
-BATCH = 10
-"""Seeds between two writings of the file."""
 
 
 class Interval(NamedTuple):
@@ -58,42 +57,47 @@ class Interval(NamedTuple):
 
 
 def main() -> None:
-    """Measure what is missing, keep and print it."""
+    """Count what is asked for, keep and print it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--scenarios", nargs="+", default=list(FROZEN))
-    parser.add_argument("--how", nargs="+", choices=list(ESTIMATORS), default=list(ESTIMATORS))
-    parser.add_argument("--estimators", nargs="+", default=list(ESTIMATORS["runs"]))
-    parser.add_argument("--seeds", type=int, help="(default: 200 frozen windows, 40 runs)")
-    parser.add_argument("--fresh", action="store_true", help="measure again what there is")
+    parser.add_argument("folders", nargs="*", type=Path, metavar="OUT", help="folder of the study coverage.toml")
+    parser.add_argument("--frozen", nargs="+", default=[], choices=list(FROZEN), metavar="SCENARIO")
+    parser.add_argument("--estimators", nargs="+", default=["target", "least-squares"], help="for frozen windows")
+    parser.add_argument("--seeds", type=int, default=200, help="of frozen windows (default: 200)")
     options = parser.parse_args()
-    asked = [
-        key
-        for key in product(options.scenarios, options.how, options.estimators)
-        if key[2] in ESTIMATORS[key[1]] and _is_possible(key[0], key[2])
-    ]
-    rows = [row for row in report.stored(report.RAW, "coverage") if not (options.fresh and _key(row) in asked)]
+    try:
+        rows = [row for folder in options.folders for row in of_study(folder)]
+    except CosimError as e:
+        parser.error(str(e))
     with one_thread():
-        for key in asked:
-            rows = measure(rows, key, options.seeds or SEEDS[key[1]])
+        for scenario in options.frozen:
+            rows += [
+                row for name in options.estimators for row in tallied(
+                    (scenario, "frozen", name), (frozen(scenario, name, seed) for seed in range(options.seeds))
+                )
+            ]  # fmt: skip
     report.write("coverage", report.updated("coverage", summary(rows), "scenario", "how", "estimator"))
 
 
-def measure(rows: list[Row], key: tuple[str, str, str], n_seeds: int) -> list[Row]:
-    """Return the rows with the missing seeds added, keeping them on the way."""
-    scenario, how, estimator = key
-    mine = [row for row in rows if _key(row) == key]
-    others = [row for row in rows if _key(row) != key]
-    tally = {(row["when"], row["parameter"]): row for row in mine}
-    intervals = partial(frozen if how == "frozen" else whole, scenario, estimator)
-    space = Scenario.load(scenario).estimation.space
-    for seed in range(mine[0]["seeds"] if mine else 0, n_seeds):
-        for interval in intervals(seed):
-            count(tally, space, dict(zip(("scenario", "how", "estimator"), key, strict=True)), interval)
-        for row in tally.values():
-            row["seeds"] = seed + 1
-        if (seed + 1) % BATCH == 0 or seed + 1 == n_seeds:
-            report.keep(report.RAW, "coverage", [*others, *tally.values()])
-    return [*others, *tally.values()]
+def of_study(folder: Path) -> list[Row]:
+    """Return the counts of a study whose runs are kept: of those that have ended. Raises CosimError."""
+    runs: dict[tuple[str, str, str], list[Path]] = {}
+    with open_ledger(folder / LEDGER, is_read_only=True) as ledger:
+        for entry in ledger.entries():
+            if entry.result and entry.point["estimator"] != "none":
+                key = entry.point["scenario"], "runs", entry.point["estimator"]
+                runs.setdefault(key, []).append(folder / RUNS / entry.result["run"])
+    return [row for key, places in runs.items() for row in tallied(key, map(whole, places))]
+
+
+def tallied(key: tuple[str, str, str], seeds: Iterable[Iterator[Interval]]) -> list[Row]:
+    """Return the counts for each time and parameter over the seeds of a scenario, a way of measuring, an estimator."""
+    tally: dict[tuple[str, str], Row] = {}
+    labels = {"scenario": key[0], "how": key[1], "estimator": key[2]}
+    space = Scenario.load(key[0]).estimation.space
+    found = [list(intervals) for intervals in seeds]
+    for interval in chain.from_iterable(found):
+        count(tally, space, labels, interval)
+    return [row | {"seeds": len(found)} for row in tally.values()]
 
 
 def count(
@@ -134,11 +138,10 @@ def frozen(scenario: str, estimator: str, seed: int) -> Iterator[Interval]:
     yield Interval(f"{at:g} s", found.theta, found.std, found.is_identifiable, found.reason, truth_at(recorded, at))
 
 
-def whole(scenario: str, estimator: str, seed: int) -> Iterator[Interval]:
-    """Yield the estimates of one run, at the end of each episode and at the instants."""
-    with tempfile.TemporaryDirectory() as folder:
-        result = run(Scenario.load(scenario, {"scenario.isolation": "none"}), estimator, seed, Path(folder))
-        lines = (Path(folder) / EVENTS).read_text(encoding="utf-8").splitlines()
+def whole(folder: Path) -> Iterator[Interval]:
+    """Yield the estimates of the run in a folder, at the end of each episode and at the instants."""
+    result = read_run(folder)
+    lines = (folder / EVENTS).read_text(encoding="utf-8").splitlines()
     estimates = [event for event in map(json.loads, lines) if "std" in event]
     for event in estimates:
         if event["kind"] == "end":
@@ -200,17 +203,9 @@ def _interval(result: Run, when: str, event: Row, t: float) -> Interval:
     )
 
 
-def _is_possible(scenario: str, estimator: str) -> bool:
-    return estimator != "rls" or Scenario.load(scenario).estimation.linear is not None
-
-
 @cache
 def _nominal(scenario: str) -> Run:
     return run(Scenario.load(scenario), "none")
-
-
-def _key(row: Row) -> tuple[str, str, str]:
-    return row["scenario"], row["how"], row["estimator"]
 
 
 if __name__ == "__main__":

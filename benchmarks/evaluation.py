@@ -1,113 +1,94 @@
-"""The figures of docs/evaluation.md: measures them, keeps what the document shows, and puts that into the prose.
+"""The figures of docs/evaluation.md: keeps what the document shows of the runs, and puts that into the prose.
 
-    python -m benchmarks.evaluation measure     # 25 minutes on two cores: all below, and then the other two
-    python -m benchmarks.evaluation collect     # raw runs in benchmarks/raw/evaluation/ -> docs/evaluation/
-    python -m benchmarks.evaluation render      # docs/evaluation.in.md and docs/evaluation/ -> docs/evaluation.md
+    python -m benchmarks.evaluation FOLDER      # of studies/evaluation.toml -> docs/evaluation/, docs/evaluation.md
+    python -m benchmarks.evaluation             # docs/evaluation.in.md and docs/evaluation/ -> docs/evaluation.md
 
-In the prose, `{{include FILE}}` stands for a Markdown table of docs/evaluation/, `{{FILE KEY KEY ...}}` for one number
-of a JSON file there (a list is searched for the element whose `estimator` or `t` is the key; one at the end is
-counted), `{{frozen FILE}}` for the table of a frozen window, and `{{commands}}` for the commands.
+With a folder, the frozen windows and the pictures are taken from beside it. `make evaluation` makes all of them. In the
+prose, `{{include FILE}}` stands for a Markdown table of docs/evaluation/, `{{FILE KEY KEY ...}}` for one number of a
+JSON file there (a list is searched for the element whose `estimator` or `t` is the key; one at the end is counted), and
+`{{frozen FILE}}` for the table of a frozen window.
 """
 
 import argparse
 import json
 import re
-import shlex
 import shutil
-import subprocess
-import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from PIL import Image
 
 from benchmarks import report
+from cosim.campaigns.comparison import Comparison
+from cosim.campaigns.tables import to_markdown
+from cosim.errors import CosimError
 from cosim.files import write_text
-from cosim.studies.folder import is_study
+from cosim.runs.result import read_run
+from cosim.studies.folder import RUNS, read_study
+from cosim.studies.ledger import LEDGER, open_ledger
+from cosim.studies.row import record_of
 
-DOCS = Path(__file__).parents[1] / "docs"
-DATA = DOCS / "evaluation"
-RAW = report.RAW / "evaluation"
-UNGUARDED = {"guard.enabled": "false", "observations.enabled": "false", "diagnosis.enabled": "false"}
-"""Settings that leave the estimators by themselves; docs/safety.md has what guard and screen prevent and cost."""
-_UNGUARDED = "".join(f" --set {key}={value}" for key, value in UNGUARDED.items())
-COMPARISONS = {
-    "quadrotor": "quadrotor --estimators target,least-squares,ukf,rls --seeds 20 --jobs 2",
-    "quadrotor-scalar": "quadrotor --estimators paper,bo-scalar,sqp,sqp-wide-step --seeds 10 --jobs 2",
-    "quadrotor-ipm": "quadrotor --estimators ipm,ipm-wide-step,ipm-scipy,ipm-scipy-wide-step --seeds 2 --jobs 2",
-    "pendulum": "pendulum --estimators target,least-squares,ukf,rls,paper,bo-scalar,sqp,sqp-wide-step "
-    "--seeds 4 --jobs 2",
-    "stiction": "stiction --estimators target,least-squares,multi-start,ukf,paper,sqp-wide-step --seeds 4 --jobs 2",
-    "rigid-body": "rigid-body --estimators target,least-squares,ukf --seeds 10 --jobs 2",
+DOCS: Final = Path(__file__).parents[1] / "docs"
+DATA: Final = DOCS / "evaluation"
+JOBS: Final = 2
+"""Runs at a time, as `make evaluation` has them."""
+COMPARISONS: Final[Mapping[str, tuple[str, Sequence[str]]]] = {
+    "quadrotor": ("quadrotor", ("target", "least-squares", "ukf", "rls")),
+    "quadrotor-scalar": ("quadrotor", ("paper", "bo-scalar", "sqp", "sqp-wide-step")),
+    "quadrotor-ipm": ("quadrotor", ("ipm", "ipm-wide-step", "ipm-scipy", "ipm-scipy-wide-step")),
+    "pendulum": (
+        "pendulum",
+        ("target", "least-squares", "ukf", "rls", "paper", "bo-scalar", "sqp", "sqp-wide-step"),
+    ),
+    "stiction": ("stiction", ("target", "least-squares", "multi-start", "ukf", "paper", "sqp-wide-step")),
+    "rigid-body": ("rigid-body", ("target", "least-squares", "ukf")),
 }
-_SOLVERS = "--seeds 20 --estimators target least-squares multi-start bo-scalar"
-FROZEN = {
-    "frozen-quadrotor": "quadrotor --at 5.0 --window 10 --stride 5 --evaluations 30 --seeds 20 "
-    "--estimators target least-squares closed-form bo-scalar",
-    "frozen-stiction": f"stiction --at 4.0 --window 100 --evaluations 30 45 60 120 {_SOLVERS}",
-    "frozen-rigid-body": f"rigid-body --at 2.6 --window 10 --stride 5 --evaluations 30 45 60 100 {_SOLVERS}",
-}
+"""Scenario and estimators of each comparison of the document; `none` and `true` belong to all."""
+FROZEN: Final = ("frozen-quadrotor", "frozen-stiction", "frozen-rigid-body")
 
 
 def main() -> None:
-    """Measure, collect or render, including the steps that follow."""
+    """Keep what there is of the runs, and write the document."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    names = [*COMPARISONS, *FROZEN, "figures"]
-    parser.add_argument("what", choices=["measure", "collect", "render"])
-    parser.add_argument("--only", nargs="+", default=names, choices=names, metavar="NAME", help=", ".join(names))
-    options = parser.parse_args()
-    if options.what == "measure":
-        measure(options.only)
-    if options.what != "render":
-        collect(options.only)
+    parser.add_argument("folder", nargs="?", type=Path, help="of the study evaluation.toml")
+    folder: Path | None = parser.parse_args().folder
+    try:
+        if folder is not None:
+            collect(folder)
+    except CosimError as e:
+        parser.error(str(e))
     write_text(DOCS / "evaluation.md", render())
 
 
-def commands() -> list[str]:
-    """Return the commands that `measure` runs, as one types them."""
-    return [
-        *(f"retune compare {arguments}{_UNGUARDED} --out {name}" for name, arguments in COMPARISONS.items()),
-        *(f"python -m benchmarks.frozen {arguments} --out {name}.json" for name, arguments in FROZEN.items()),
-        "retune figures --jobs 1 --out figures",
-    ]
-
-
-def measure(names: Iterable[str]) -> None:
-    """Run the commands of these names, one after the other, into benchmarks/raw/evaluation/."""
-    RAW.mkdir(parents=True, exist_ok=True)
-    for name in names:
-        out = RAW / name
-        if name in COMPARISONS and is_study(out) and not _run(f"cosim.cli resume {shlex.quote(str(out))}").returncode:
-            continue  # what was interrupted has gone on; what is of other sources is refused, and measured anew
-        shutil.rmtree(out, ignore_errors=True)
-        if name in COMPARISONS:
-            arguments = f"cosim.cli compare {COMPARISONS[name]}{_UNGUARDED}"
-        elif name in FROZEN:
-            arguments, out = f"benchmarks.frozen {FROZEN[name]}", RAW / f"{name}.json"
-        else:
-            arguments = "cosim.cli figures --jobs 1"
-        _run(f"{arguments} --out {shlex.quote(str(out))}").check_returncode()
-
-
-def _run(arguments: str) -> "subprocess.CompletedProcess[bytes]":
-    return subprocess.run([sys.executable, "-m", *shlex.split(arguments)], cwd=DOCS.parent)
-
-
-def collect(names: Iterable[str]) -> None:
-    """Keep in docs/evaluation/ what the document shows of the raw runs; names without raw runs stay as they are."""
-    for name in names:
-        if (path := RAW / f"{name}.json").exists():
+def collect(folder: Path) -> None:
+    """Keep in docs/evaluation/ what the document shows; what has no runs stays as it is. Raises CosimError."""
+    for name, (scenario, estimators) in COMPARISONS.items():
+        if (made := comparison(folder, scenario, ("none", "true", *estimators))) is not None:
+            _write(name, compared(json.loads(made.to_json())))
+            write_text(DATA / f"{name}.md", to_markdown(made))
+    for name in FROZEN:
+        if (path := folder.parent / f"{name}.json").exists():
             _write(name, solved(json.loads(path.read_text(encoding="utf-8"))))
-        if (path := RAW / name / "comparison.json").exists():
-            _write(name, compared(json.loads(path.read_text(encoding="utf-8"))))
-            shutil.copy(path.with_suffix(".md"), DATA / f"{name}.md")
-        if name == "figures":
-            for path in (RAW / name).glob("*.png"):
-                picture = Image.open(path).convert("RGB").quantize(256, dither=Image.Dither.NONE)
-                picture.save(DATA / path.name, optimize=True)
-            for path in (RAW / name).glob("table.md"):
-                shutil.copy(path, DATA / path.name)
+    for path in (folder.parent / "figures").glob("*.png"):
+        picture = Image.open(path).convert("RGB").quantize(256, dither=Image.Dither.NONE)
+        picture.save(DATA / path.name, optimize=True)
+    for path in (folder.parent / "figures").glob("table.md"):
+        shutil.copy(path, DATA / path.name)
+
+
+def comparison(folder: Path, scenario: str, estimators: Sequence[str]) -> Comparison | None:
+    """Return the comparison of a study's runs with the seeds that all estimators have; None if there are none."""
+    study, _ = read_study(folder)
+    with open_ledger(folder / LEDGER, is_read_only=True) as ledger:
+        ended = [e for e in ledger.entries() if e.result and e.point["scenario"] == scenario]
+    places = {(e.point["estimator"], e.point["seed"]): folder / RUNS / e.result["run"] for e in ended}
+    seeds = sorted({seed for _, seed in places if all((name, seed) in places for name in estimators)})
+    if not seeds:
+        return None
+    records = tuple(record_of(read_run(places[name, seed])) for name in estimators for seed in seeds)
+    source = study.sources[study.names.index(scenario)]
+    return Comparison(source, tuple(estimators), tuple(seeds), records, JOBS)
 
 
 def compared(comparison: Mapping[str, Any]) -> dict[str, Any]:
@@ -140,8 +121,6 @@ def render() -> str:
 
 
 def _value(words: list[str]) -> str:
-    if words == ["commands"]:
-        return "\n".join(commands())
     if words[0] == "include":
         text = (DATA / words[1]).read_text(encoding="utf-8").split("\n", 2)[2]
         return re.sub(r"^## (.*)$", r"*\1*", text, flags=re.MULTILINE).strip()

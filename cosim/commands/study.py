@@ -1,7 +1,9 @@
 """`retune study`."""
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, cast
 
 from ..errors import FolderError, ScenarioError
 from ..files import to_json
@@ -9,7 +11,7 @@ from ..runs.lock import is_locked, locked
 from ..scenarios.named import named_scenarios
 from ..ssp.load import load_scenario
 from ..studies.conduct import planned
-from ..studies.definition import StudyDefinition, read_definition
+from ..studies.definition import StudyDefinition, checked_definition, read_definition
 from ..studies.dry_run import dry_run
 from ..studies.folder import is_study, open_study, read_study
 from ..studies.ledger import LEDGER, open_ledger
@@ -32,11 +34,35 @@ def command(options: argparse.Namespace) -> int:
         raise ScenarioError(f"give one study, or `status` and one folder; got '{' '.join(options.study)}'.")
     if first in named_scenarios() and not path.exists():
         raise ScenarioError(f"{first} is a scenario; a study's file names it in its `scenarios`: see docs/studies.md.")
-    study = loaded(read_definition(path), path.parent, options.trust)
+    definition = restricted(read_definition(path), options.estimators, options.seeds, first)
+    study = loaded(definition, path.parent, options.trust)
     if options.dry_run:
         print(dry_run(study, planned(study), options.jobs))
         return DONE
     return make(study, options)
+
+
+def restricted(
+    definition: StudyDefinition, estimators: Sequence[str] | None, seeds: int | None, label: str
+) -> StudyDefinition:
+    """Return the part of a study with these of its estimators and its first seeds. Raises ScenarioError."""
+    if unknown := [name for name in estimators or () if name not in definition.estimators]:
+        raise ScenarioError(f"{label}: its estimators are {', '.join(definition.estimators)}, not {unknown[0]}.")
+    tables: Any = definition.model_dump(mode="json", by_alias=True, exclude_none=True)
+    for table in (tables["study"], *tables["scenarios"].values()):
+        if estimators is not None and "estimators" in table:
+            table["estimators"] = [name for name in table["estimators"] if name in estimators]
+        if "seeds" in table:
+            table["seeds"] = _first(table["seeds"], seeds, estimators)
+    return checked_definition(tables, label)
+
+
+def _first(seeds: Any, n: int | None, estimators: Sequence[str] | None) -> Any:
+    """Return the first n seeds, or their numbers by estimator."""
+    if isinstance(seeds, dict):
+        counts = cast(dict[str, int], seeds).items()
+        return {name: min(own, n or own) for name, own in counts if estimators is None or name in estimators}
+    return seeds if n is None else min(seeds, n) if isinstance(seeds, int) else seeds[:n]
 
 
 def loaded(definition: StudyDefinition, folder: Path, trust: bool) -> Study:

@@ -48,7 +48,7 @@ def study_news(folder: Path, link: Callable[[Path], str]) -> dict[str, Any]:
 
 def _shown(folder: Path, link: Callable[[Path], str], is_live: bool) -> dict[str, Any]:
     study, _ = read_study(folder)
-    factors = tuple(study.definition.factors)
+    factors = study.definition.factor_names
     names = ("scenario", *factors, "estimator", "seed", *_FIGURES)
     with PrivateFolder() as private:
         if is_live:

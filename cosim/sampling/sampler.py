@@ -43,7 +43,8 @@ class Sampler:
         measured = [*derivatives, *states, *(name for name in sampling.outputs if name not in states)]
         self._measured = [place[name] for name in measured]
         known: dict[str, Noise] = {**sampling.derivatives, **sampling.states, **sampling.outputs}
-        self._sigma = np.array([known[name].noise if name in known else 0.0 for name in measured])
+        declared = np.array([known[name].noise if name in known else 0.0 for name in measured])
+        self._sigma = sampling.noise_ratio * declared
         n = len(derivatives)
         self._xdot, self._x = slice(n), slice(n, n + len(states))
         self._y = [measured.index(name) for name in sampling.outputs]

@@ -9,7 +9,8 @@ import numpy as np
 from scipy.stats import norm, qmc
 
 from ..errors import ScenarioError
-from .definition import Factor, StudyDefinition, StudySettings, toml_text
+from .definition import StudyDefinition, StudySettings
+from .factor import Factor, toml_text
 
 Values = dict[str, Any]
 """Value of each factor, by name."""

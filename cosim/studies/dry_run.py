@@ -44,8 +44,8 @@ def dry_run(study: Study, runs: Mapping[str, PlannedRun], jobs: int | None) -> s
     return "\n".join(
         [
             f"{counted(len(runs), 'run')}: {counted(n_points, 'point')}, "
-            f"{counted(len(study.definition.study.estimators), 'estimator')}, "
-            f"{counted(len(study.definition.study.seed_numbers), 'seed')}",
+            f"{counted(len(study.definition.estimators), 'estimator')}, "
+            f"{counted(len(study.definition.seed_numbers), 'seed')}",
             f"about {_duration(seconds)} with {counted(jobs, 'run')} at a time: "
             f"{min(times):.2g} to {max(times):.2g} s each, by {counted(len(times), 'run')} made now",
             f"about {_size(size)} on the disk" + (", run folders included" if study.definition.study.keep else ""),

@@ -4,6 +4,7 @@ import importlib
 import json
 import logging
 import os
+import sys
 import warnings
 from collections.abc import Callable, Generator
 from concurrent.futures import BrokenExecutor, CancelledError, Executor
@@ -77,6 +78,8 @@ def _dask(on: str, is_plain: bool) -> Generator[Engine]:
             **({"scheduler_file": on} if Path(on).is_file() else {"address": on}),
             timeout=_CONNECT_S, set_as_default=False, heartbeat_interval=2000,
         )  # fmt: skip
+    except TypeError as e:  # what distributed raises for want of a certificate
+        raise ScenarioError(f"--on {on}: give Dask's configuration a certificate: see docs/studies.md.") from e
     except (OSError, ValueError, ImportError) as e:
         raise ScenarioError(f"--on {on}: no Dask scheduler answers: {one_line(str(e))}.") from e
     with client, warnings.catch_warnings():
@@ -108,6 +111,8 @@ def _n_threads(client: Any) -> int:
 def _mpi() -> Generator[Engine]:
     """Yield an engine on what `mpiexec -n 9 python -m mpi4py.futures -m cosim.cli` has started."""
     futures = _imported("mpi4py.futures", "--on mpi", "mpi")
+    if "mpi4py.futures" not in sys.orig_argv or _imported("mpi4py.MPI", "--on mpi", "mpi").COMM_WORLD.Get_size() < 2:
+        raise ScenarioError("--on mpi: begin with mpiexec -n 9 python -m mpi4py.futures -m cosim.cli, for 8 workers.")
     with futures.MPIPoolExecutor() as executor:
         executor.bootup()
         n = int(executor.num_workers)

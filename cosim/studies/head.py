@@ -70,8 +70,11 @@ class Head:
         self._running: dict[Future[Answer], _Leased] = {}
 
     def make(self, runs: Mapping[str, PlannedRun], progress: StudyProgress | None = None) -> None:
-        """Make the runs that are queued, of all runs by key. Raises CosimError where the study cannot go on."""
-        self._waiting.extend(runs[key] for key in self._ledger.queued())
+        """Make the runs that are queued, of all runs by key. Raises CosimError where the study cannot go on.
+
+        Seed by seed: a study that is stopped has every point about as often.
+        """
+        self._waiting.extend(sorted((runs[key] for key in self._ledger.queued()), key=lambda run: run.seed))
         n_ended, n_runs = len(runs) - len(self._waiting), len(runs)
         try:
             while self._waiting or self._running:

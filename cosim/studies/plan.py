@@ -64,22 +64,28 @@ class Study:
 
         Raises ScenarioError, with the point, for one that cannot be run.
         """
-        study, our_versions = self.definition.study, all_versions()
+        our_versions = all_versions()
         for place, (k, point) in enumerate(self.places()):
+            study = self.definition_of(k).study
             scenario = self.scenario_at(k, point)
             digests = self._digests(scenario)
             estimated = {name: self._checked(k, point, scenario, name) for name in study.estimators}
             dump = scenario.model_dump(mode="json")
             for seed in study.seed_numbers:
-                for name, own in estimated.items():
-                    key = _digest([dump, digests, sorted(own.values()), name, seed, our_versions])
+                for name in study.estimators_at(seed):
+                    own = sorted(estimated[name].values())
+                    key = _digest([dump, digests, own, name, seed, our_versions])
                     yield PlannedRun(key, place, k, point, name, seed)
 
     def places(self) -> Iterator[tuple[int, StudyPoint]]:
         """Yield the number of a scenario and a point, in the order of the table. Raises ScenarioError."""
         for k in range(len(self.sources)):
-            for point in points(self.definition):
+            for point in points(self.definition_of(k)):
                 yield k, point
+
+    def definition_of(self, source: int) -> StudyDefinition:
+        """Return the definition as it is for one scenario."""
+        return self.definition.at(self.definition.study.scenarios[source])
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -94,7 +100,7 @@ class Study:
             return scenario
         tables = scenario.model_dump(mode="json")
         label = Path(f"{self.labels[source]}{_told(point.values)}")
-        origin = with_own(scenario, *self.definition.study.estimators).origin
+        origin = with_own(scenario, *self.definition_of(source).study.estimators).origin
         return Scenario.from_tables(tables, point.settings, scenario.folder, label, origin)
 
     def point_of(self, run: PlannedRun) -> dict[str, Any]:

@@ -40,6 +40,8 @@ def has_salib() -> bool:
 
 def allows_sensitivity(definition: StudyDefinition) -> bool:
     """Return whether the design of a study allows it: all factors drawn together, at enough points."""
+    if any(part.factors for part in definition.scenarios.values()):
+        return False
     drawn = [factor.distribution is not None for factor in definition.factors.values()]
     return bool(drawn) and all(drawn) and definition.study.samples >= FEWEST_POINTS
 

@@ -127,11 +127,18 @@ def summarised(table: Any, names: Sequence[str] = ()) -> StudySummary:
 
 
 def _nominal_of(columns: Mapping[str, Values]) -> Values:
-    """Return for each run (n,) the number of the nominal controller's at the same point with the same seed, or -1."""
+    """Return for each run (n,) the number of the nominal controller's at the same point with the same seed, or -1.
+
+    No noise reaches the nominal controller: where it was not run with that seed, its first one counts.
+    """
     _, scenario = np.unique(columns["scenario"].astype(str), return_inverse=True)
     triples = np.stack([scenario, columns["point"].astype(np.int64), columns["seed"].astype(np.int64)], axis=1)
     _, place = np.unique(triples, axis=0, return_inverse=True)
     found = np.full(int(place.max(initial=0)) + 1, -1)
     of_nominal = np.flatnonzero(columns["estimator"] == NOMINAL)
     found[place.reshape(-1)[of_nominal]] = of_nominal
-    return found[place.reshape(-1)]
+    _, point = np.unique(triples[:, :2], axis=0, return_inverse=True)
+    first = np.full(int(point.max(initial=0)) + 1, -1)
+    first[point.reshape(-1)[of_nominal[::-1]]] = of_nominal[::-1]
+    same = found[place.reshape(-1)]
+    return np.where(same >= 0, same, first[point.reshape(-1)])

@@ -41,7 +41,8 @@ def read_results(folder: Path) -> Any:
         raise FolderError(f"{folder} has no readable {RESULTS}: {e}.") from e
 
 
-def _row(entry: LedgerEntry) -> dict[str, Any]:
+def row_in_table(entry: LedgerEntry) -> dict[str, Any]:
+    """Return a run's row: factors and figures, or how far it is."""
     status = entry.result.get("status") or entry.state
     return {**entry.point, **entry.result, "status": status, "error": entry.result.get("error") or entry.why,
             "key": entry.key}  # fmt: skip
@@ -49,7 +50,7 @@ def _row(entry: LedgerEntry) -> dict[str, Any]:
 
 def _rows(ledger: Ledger) -> Iterator[list[dict[str, Any]]]:
     entries = ledger.entries()
-    while rows := [_row(entry) for entry in islice(entries, _ROWS_AT_A_TIME)]:
+    while rows := [row_in_table(entry) for entry in islice(entries, _ROWS_AT_A_TIME)]:
         yield rows
 
 

@@ -62,9 +62,9 @@ def _line(study: Study, source: int, point: StudyPoint, row: Mapping[str, Any]) 
 def _title(study: Study, summary: StudySummary) -> str:
     n = len(summary.columns["status"])
     waiting = int(np.isin(summary.columns["status"], ("queued", "leased")).sum())
-    factors = ", ".join(study.definition.factors) or "no factor"
+    factors = ", ".join(study.definition.factor_names) or "no factor"
     left = f"; {waiting} of them still to be made" if waiting else ""
-    return f"{counted(n, 'run')} over {factors} and {counted(len(study.definition.study.seed_numbers), 'seed')}{left}"
+    return f"{counted(n, 'run')} over {factors} and {counted(len(study.definition.seed_numbers), 'seed')}{left}"
 
 
 def _tables(summary: StudySummary) -> list[tuple[str, list[tuple[str, ...]]]]:

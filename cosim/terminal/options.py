@@ -100,6 +100,9 @@ def _study(parser: Parser) -> None:
     parser.add_argument("study", nargs="+", metavar="STUDY", help=text)
     text = "absent, empty, or the folder of this study, of which only what is new is run (default: runs/STUDY-study-n)"
     parser.add_argument("--out", type=Path, metavar="DIR", help=text)
+    text = "only these of the study's estimators"
+    _completed(parser.add_argument("--estimators", type=_names, metavar="A,B,C", help=text), estimators)
+    parser.add_argument("--seeds", type=_count, metavar="N", help="only the first N of its seeds")
     _add_engine(parser)
     text = "run one run of each scenario and estimator, and say how many runs there are, how long and how large"
     parser.add_argument("--dry-run", action="store_true", help=text)

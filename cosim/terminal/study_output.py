@@ -45,10 +45,10 @@ def tell_study(study: Study, ledger: Ledger, folder: Path, is_json: bool) -> int
     """Write a study's table, summary and pictures, print the summary; return the exit code. Raises FolderError."""
     with recording(folder):
         write_results(folder, ledger)
-        summary = summarised(read_results(folder), tuple(study.definition.factors))
+        summary = summarised(read_results(folder), study.definition.factor_names)
         from ..plots.study import draw_study  # after the runs: what draws takes half a second to load
 
-        pictures = draw_study(folder, summary, tuple(study.definition.factors))
+        pictures = draw_study(folder, summary, study.definition.factor_names)
         write_text(folder / "summary.md", to_markdown(study, summary, [path.name for path in pictures]))
     counts = ledger.counts()
     if is_json:

@@ -4,7 +4,10 @@ import json
 import math
 from pathlib import Path
 
+import pytest
+
 from benchmarks import evaluation, report
+from cosim.cli import main
 
 ROOT = Path(__file__).parents[2]
 
@@ -25,12 +28,7 @@ def test_new_rows_take_the_place_of_those_with_the_same_keys_and_others_stay(tmp
     assert [(row["b"], row["c"]) for row in rows] == [(1, "new"), (2, "old"), (3, "new")]
 
 
-def test_a_comparison_is_kept_without_its_runs_but_for_what_those_of_the_first_seed_came_to(tmp_path, monkeypatch):
-    monkeypatch.setattr(evaluation, "RAW", tmp_path / "raw")
-    monkeypatch.setattr(evaluation, "DATA", tmp_path)
-    folder = tmp_path / "raw" / "pendulum"
-    folder.mkdir(parents=True)
-    (folder / "comparison.md").write_text("a table", encoding="utf-8")
+def test_a_comparison_is_kept_without_its_runs_but_for_what_those_of_the_first_seed_came_to():
     runs = [
         {
             "estimator": "ukf", "seed": seed, "status": "done", "mse": [0.1], "evaluations": 7, "wall_s": 1.0,
@@ -40,13 +38,27 @@ def test_a_comparison_is_kept_without_its_runs_but_for_what_those_of_the_first_s
     ]  # fmt: skip
     figures = [{"estimator": "ukf", "runs": 2}]
     facts = {"scenario": "pendulum", "seeds": [3, 4], "jobs": 1, "cpus": 2, "deadline_ms": 10.0, "versions": {}}
-    raw = {**facts, "estimators": figures, "runs": runs, "settings": {}, "folder": "/somewhere"}
-    (folder / "comparison.json").write_text(json.dumps(raw), encoding="utf-8")
-    evaluation.collect(["pendulum", "stiction"])  # of which the second has no raw runs
+    kept = evaluation.compared({**facts, "estimators": figures, "runs": runs, "settings": {}, "folder": "/somewhere"})
     first = [{"estimator": "ukf", "status": "done", "mse": [0.1], "evaluations": 7, "errors": [[0.5]]}]
-    kept = json.loads((tmp_path / "pendulum.json").read_text(encoding="utf-8"))
     assert kept == facts | {"estimators": figures, "first_seed": first}
-    assert (tmp_path / "pendulum.md").read_text(encoding="utf-8") == "a table"
+
+
+@pytest.mark.full
+@pytest.mark.fmu
+def test_a_comparison_is_made_of_the_runs_of_a_study_and_what_has_none_stays(tmp_path, monkeypatch):
+    monkeypatch.setattr(evaluation, "DATA", tmp_path)
+    ours = {"pendulum": ("pendulum", ("target",)), "stiction": ("stiction", ("target",))}
+    monkeypatch.setattr(evaluation, "COMPARISONS", ours)
+    study = tmp_path / "s.toml"
+    study.write_text(
+        '[study]\nname = "s"\nscenarios = ["pendulum"]\nseeds = { none = 2, true = 2, target = 1 }\nkeep = true\n'
+        '[study.settings]\n"scenario.stop_time" = 0.1\n'
+    )
+    assert main(["study", str(study), "--out", str(tmp_path / "out")]) == 0
+    evaluation.collect(tmp_path / "out")
+    kept = json.loads((tmp_path / "pendulum.json").read_text(encoding="utf-8"))
+    assert (kept["seeds"], [run["estimator"] for run in kept["first_seed"]]) == ([0], ["none", "true", "target"])
+    assert "| target |" in (tmp_path / "pendulum.md").read_text(encoding="utf-8")
     assert not list(tmp_path.glob("stiction.*"))
 
 

@@ -101,6 +101,8 @@ class Sampling(Table):
     states: dict[Reference, Noise] = {}
     """Measurement noise of states, which are exact without it. A state among `outputs` has its noise there. If the
     FMU declares no derivatives, these outputs are the plant's states, in this order."""
+    noise_ratio: float = Field(default=1.0, ge=0.0)
+    """Size of the noise that is added by the declared one, to try out a declaration that is wrong."""
     faults: tuple[SensorFault, ...] = ()
     """Faults of the sensors, in the order in which they act."""
 

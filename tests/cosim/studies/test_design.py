@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, qmc
 
+from cosim.commands.study import restricted
 from cosim.errors import ScenarioError
 from cosim.scenarios.overrides import sweep
 from cosim.studies.definition import checked_definition, read_definition
@@ -95,6 +96,55 @@ def test_choices_are_settings_by_name():
     assert made[1].settings == {'changes."plant.F_d"': "[[0.0, 0.0], [0.5, 4.0]]", "estimation.budget": "5"}
 
 
+PARTS = {
+    "study": {"name": "s", "scenarios": ["pendulum", "stiction"], "settings": {"scenario.stop_time": 2.0}},
+    "factors": {"case": {"choices": {"quiet": {}, "late": {"a.b": 1}}}},
+    "scenarios": {
+        "stiction": {
+            "estimators": ["none", "ukf"], "settings": {"scenario.stop_time": 3.0},
+            "factors": {"case": {"choices": {"gust": {"a.c": 2}}}, "b": B | {"list": [5]}},
+        },
+    },
+}  # fmt: skip
+
+
+def test_a_scenario_has_settings_estimators_and_factors_of_its_own():
+    definition = checked_definition(PARTS, "s.toml")
+    assert definition.factor_names == ("case", "b")
+    assert definition.estimators == ("none", "true", "target", "ukf")
+    pendulum, stiction = (list(points(definition.at(name))) for name in ("pendulum", "stiction"))
+    assert [p.values for p in pendulum] == [{"case": "quiet"}, {"case": "late"}]
+    assert pendulum[1].settings == {"scenario.stop_time": "2.0", "a.b": "1"}
+    assert [p.values for p in stiction] == [{"case": name, "b": 5} for name in ("quiet", "late", "gust")]
+    assert stiction[2].settings == {"scenario.stop_time": "3.0", "a.c": "2", "estimation.budget": "5"}
+    assert definition.at("pendulum").study.estimators == ("none", "true", "target")
+    assert definition.at("stiction").study.estimators == ("none", "ukf")
+
+
+def test_seeds_are_by_estimator_and_by_scenario():
+    table = {"name": "s", "scenarios": ["pendulum", "stiction"], "estimators": ["none", "target"],
+             "seeds": {"none": 1, "target": 3}}  # fmt: skip
+    definition = checked_definition({"study": table, "scenarios": {"stiction": {"seeds": [7]}}}, "s")
+    pendulum, stiction = (definition.at(name).study for name in ("pendulum", "stiction"))
+    assert [pendulum.estimators_at(seed) for seed in range(4)] == [("none", "target"), ("target",), ("target",), ()]
+    assert (stiction.seed_numbers, stiction.estimators_at(7)) == ((7,), ("none", "target"))
+    assert definition.seed_numbers == (0, 1, 2, 7)
+
+
+def test_fewer_estimators_and_seeds_are_a_part_of_the_study():
+    made = restricted(checked_definition(PARTS, "s"), ["none", "target"], 1, "s")
+    assert (made.at("pendulum").study.estimators, made.at("stiction").study.estimators) == (
+        ("none", "target"), ("none",),
+    )  # fmt: skip
+    for seeds, fewer in ((20, 2), ([4, 5, 6], (4, 5)), ({"none": 1, "target": 9, "true": 2}, None)):
+        made = restricted(study({}, seeds=seeds), None, 2, "s")
+        assert made.study.seeds == (fewer or {"none": 1, "target": 2, "true": 2})
+    with pytest.raises(ScenarioError, match=r"^s: its estimators are none, true, target, not ukf\.$"):
+        restricted(study({}), ["ukf"], None, "s")
+    with pytest.raises(ScenarioError, match=r"scenarios\.stiction\.estimators"):
+        restricted(checked_definition(PARTS, "s"), ["target"], None, "s")
+
+
 @pytest.mark.parametrize(
     ("table", "told"),
     [
@@ -113,6 +163,11 @@ def test_choices_are_settings_by_name():
         ({"factors": {"m": M | {"uniform": [1, 2]}}, "study": {"samples": 100}}, "power of two for sobol, such as 128"),
         ({"study": {"seeds": [1, 1]}}, "seeds must be different ones"),
         ({"study": {"seeds": 0}}, r"study\.seeds"),
+        ({"study": {"seeds": {"none": 1}}}, "seeds of pendulum must be those of none, true, target, got those of none"),
+        ({"study": {"seeds": {"none": 1, "true": 1, "target": 1, "ukf": 1}}}, "got those of none, true, target, ukf"),
+        ({"scenarios": {"pendulun": {}}}, "scenarios: 'pendulun' is none of the study's scenarios, which are pendulum"),
+        ({"scenarios": {"pendulum": {"estimator": ["ukf"]}}}, "did you mean 'estimators'"),
+        ({"scenarios": {"pendulum": {"factors": {"mse": M | {"list": [1]}}}}}, "'mse' is a column of the table"),
         ({"study": {"estimator": ["target"]}}, "did you mean 'estimators'"),
         ({"study": {"name": "a/b"}}, "name without slashes"),
     ],
@@ -120,7 +175,7 @@ def test_choices_are_settings_by_name():
 def test_a_study_that_makes_no_sense_is_refused_in_one_line(table, told):
     tables = {"study": {"name": "s", "scenarios": ["pendulum"]} | table.get("study", {})}
     with pytest.raises(ScenarioError, match=told) as caught:
-        checked_definition(tables | {"factors": table.get("factors", {})}, "s.toml")
+        checked_definition(table | tables, "s.toml")
     assert str(caught.value).startswith("s.toml: ")
     assert len(str(caught.value).splitlines()) == 1
 

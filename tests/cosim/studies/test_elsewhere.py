@@ -113,6 +113,24 @@ def test_a_study_of_ones_own_fmus_on_a_cluster_is_that_of_this_machine(axis, tmp
         assert read_run(folder).mse == here.mse
 
 
+@pytest.mark.parametrize(
+    ("on", "told"),
+    [
+        ("tls://127.0.0.1:9", "--on tls://127.0.0.1:9: give Dask's configuration a certificate"),
+        ("mpi", "--on mpi: begin with mpiexec -n 9 python -m mpi4py.futures -m cosim.cli"),
+    ],
+)
+def test_an_engine_that_is_not_set_up_is_one_line(capsys, tmp_path, monkeypatch, on, told):
+    pytest.importorskip("mpi4py" if on == "mpi" else "distributed")
+    study = tmp_path / "s.toml"
+    study.write_text('[study]\nname = "s"\nscenarios = ["pendulum"]\n')
+    assert main(["study", str(study), "--out", str(tmp_path / "out"), "--on", on]) == 2
+    error = capsys.readouterr().err
+    assert told in error
+    assert len(error.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
 def test_no_scheduler_is_one_line(capsys, tmp_path, monkeypatch):
     monkeypatch.setattr("cosim.studies.engines._CONNECT_S", 0.5)
     study = tmp_path / "s.toml"

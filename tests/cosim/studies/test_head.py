@@ -25,10 +25,11 @@ class Scripted(Executor):
 
     def __init__(self, script):
         self.script = {name: list(answers) for name, answers in script.items()}
-        self.calls = []
+        self.calls, self.seeds = [], []
 
     def submit(self, fn, recipe, *rest):
         self.calls.append((fn.__name__, recipe.estimator, *rest))
+        self.seeds.append(recipe.seed)
         future, answers = Future(), self.script[recipe.estimator]
         outcome = answers.pop(0) if len(answers) > 1 else answers[0]
         if isinstance(outcome, BaseException):
@@ -42,9 +43,10 @@ class Scripted(Executor):
 def made():
     """made(script): the ledger's states by estimator and the executor, once the study was made as scripted."""
 
-    def make(script, is_here=True, **options):
-        study = {"name": "s", "scenarios": ["pendulum"], "estimators": list(script)}
-        made = Study(checked_definition({"study": study}, "s"), (Scenario.load("pendulum"),), ("pendulum",))
+    def make(script, is_here=True, seeds=1, factors=None, **options):
+        study = {"name": "s", "scenarios": ["pendulum"], "estimators": list(script), "seeds": seeds}
+        definition = checked_definition({"study": study, "factors": factors or {}}, "s")
+        made = Study(definition, (Scenario.load("pendulum"),), ("pendulum",))
         runs = {run.key: run for run in made.runs()}
         executor = Scripted(script)
         engine = Engine("it", executor, lambda: 1, is_here, ends=(CancelledError,))
@@ -63,6 +65,12 @@ def made():
 def test_results_are_committed_failures_among_them(made):
     failed = Answer("result", row={"status": "diverged", "mse": 9.0})
     assert made({"none": [DONE], "target": [failed]})[0] == {"none": "done", "target": "failed"}
+
+
+def test_a_study_that_is_stopped_has_made_every_point_about_as_often(made):
+    budgets = {"budget": {"set": "estimation.budget", "list": [10, 15, 20]}}
+    _, executor, _ = made({"none": [DONE], "target": [DONE]}, seeds={"none": 1, "target": 3}, factors=budgets)
+    assert executor.seeds == [0] * 6 + [1] * 3 + [2] * 3
 
 
 def test_a_worker_that_dies_three_times_is_no_matter_the_fourth_time_is(made):

@@ -53,6 +53,14 @@ def test_the_interval_is_where_either_tail_has_a_fortieth():
         assert (weights * p**ks * (1 - p) ** (20 - ks))[tail].sum() == pytest.approx(0.025, rel=1e-6)
 
 
+def test_one_run_of_the_nominal_controller_is_enough_for_all_seeds():
+    rows = [("none", 4, 2.0), ("target", 0, 1.0), ("none", 1, 4.0), ("target", 1, 1.0), ("target", 2, 3.0)]
+    columns = {name: [row[k] for row in rows] for k, name in enumerate(("estimator", "seed", "mse"))}
+    constant = {"scenario": "pendulum", "point": 0, "status": "done", "largest error": 1.0}
+    made = summarised(pa.table(columns | {name: [value] * len(rows) for name, value in constant.items()}))
+    assert made.ratio.tolist() == [1.0, 0.5, 1.0, 0.25, 1.5]  # that of the same seed where there is one
+
+
 def test_runs_are_compared_with_the_nominal_controllers_at_the_same_point():
     summary = summarised(
         table(

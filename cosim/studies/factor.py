@@ -1,0 +1,89 @@
+"""A factor of a study: a quantity that is varied from run to run."""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, Self, cast
+
+from pydantic import Field, model_validator
+
+from ..scenarios.schema.table import Table
+
+Number = float | int
+Span = tuple[Number, Number]
+DISTRIBUTIONS: Final = ("uniform", "log_uniform", "normal")
+
+
+class Factor(Table):
+    """A quantity that is varied from run to run: one or several settings, by a list, grid, range or distribution."""
+
+    setting: str | dict[str, str] | None = Field(default=None, alias="set", min_length=1)
+    """Key that `--set` takes; or several, each with its text, in which `{}` stands for the value. None for choices."""
+    to: str = Field(default="{}", pattern=r"\{\}")
+    """Text of the setting, in which `{}` stands for the value: `[[0.0, 1.75], [0.5, {}]]`."""
+    values: tuple[Any, ...] | None = Field(default=None, alias="list", min_length=1)
+    """The values themselves."""
+    choices: dict[str, dict[str, Any]] | None = Field(default=None, min_length=1)
+    """Settings by name, instead of values: `gust = { 'changes."plant.F_d"' = "5*sin(t)" }`."""
+    grid: tuple[Number, Number, int] | None = None
+    """First value, last value, and the number of values at equal distances."""
+    span: tuple[Number, Number, Number] | None = Field(default=None, alias="range")
+    """First value, last value, and the distance from one to the next."""
+    uniform: Span | None = None
+    """Least and largest value, all equally likely."""
+    log_uniform: Span | None = Field(default=None, alias="log-uniform")
+    """Least and largest value, whose logarithm is uniform."""
+    normal: Span | None = None
+    """Mean and standard deviation."""
+
+    @classmethod
+    def known_keys(cls) -> set[str]:
+        """Return the keys that it may have."""
+        return {field.alias or name for name, field in cls.model_fields.items()}
+
+    @property
+    def distribution(self) -> str | None:
+        """Name of its distribution; None where its values are given."""
+        return next((name for name in DISTRIBUTIONS if getattr(self, name) is not None), None)
+
+    def settings_of(self, value: Any) -> dict[str, str]:
+        """Return the settings, as for `--set`, of a value."""
+        if self.choices is not None:
+            return {key: toml_text(chosen) for key, chosen in self.choices[value].items()}
+        forms = self.setting if isinstance(self.setting, dict) else {str(self.setting): self.to}
+        return {key: form.replace("{}", toml_text(value)) for key, form in forms.items()}
+
+    @model_validator(mode="after")
+    def _has_values(self) -> Self:
+        kinds = {"list": self.values, "choices": self.choices, "grid": self.grid, "range": self.span,
+                 "uniform": self.uniform, "log-uniform": self.log_uniform, "normal": self.normal}  # fmt: skip
+        given = [name for name, value in kinds.items() if value is not None]
+        if len(given) != 1:
+            raise ValueError(f"must have one of {', '.join(kinds)}, got {' and '.join(given) or 'none'}")
+        if (self.setting is None) != (self.choices is not None):
+            raise ValueError("must have 'set', and choices, which have their keys, none")
+        if isinstance(self.setting, dict) and any("{}" not in form for form in self.setting.values()):
+            raise ValueError("set: each text must have {} where the value stands")
+        if (self.grid and self.grid[2] < 1) or (self.span and not self._reaches_its_end()):
+            raise ValueError(f"{given[0]} has no values, got {list(self.grid or self.span or ())}")
+        for name, bounds, least in (("uniform", self.uniform, -math.inf), ("log-uniform", self.log_uniform, 0.0)):
+            if bounds is not None and not least < bounds[0] < bounds[1]:
+                above = "0 < " if least == 0.0 else ""
+                raise ValueError(f"{name} must have {above}lower < upper, got {list(bounds)}")
+        if self.normal and self.normal[1] <= 0.0:
+            raise ValueError(f"normal must have a standard deviation above 0, got {self.normal[1]:g}")
+        return self
+
+    def _reaches_its_end(self) -> bool:
+        first, last, step = self.span or (0, 0, 0)
+        return step != 0 and (last - first) / step >= 0 and (last - first) / step < 1e6
+
+
+def toml_text(value: Any) -> str:
+    """Return a value in TOML, in one line."""
+    if isinstance(value, Mapping):
+        items = cast(Mapping[str, Any], value).items()
+        return "{" + ", ".join(f"{json.dumps(k)} = {toml_text(v)}" for k, v in items) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(toml_text, cast(Sequence[Any], value))) + "]"
+    return json.dumps(value, ensure_ascii=False, default=str)

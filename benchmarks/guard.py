@@ -96,16 +96,16 @@ def _figures(runs: Sequence[Row], nominal: Row) -> Row:
         "nominal mse": _short(nominal["mse"]),
         "mse ratio": _short(median(ratios)),
         "worst": _short(max(ratios)),
-        "largest ratio": _short(max(largest, default=nan)),
+        "largest ratio": _short(max(largest, default=nan), 5),
         "named": _short(mean(bool(r["disturbances"]) for r in runs)),
         "episodes": _short(mean(r["triggers"] for r in runs)),
         "writes": _short(mean(r["writes"] for r in runs)),
-        "first write [s]": _short(median(firsts)) if firsts else None,
+        "first write": _short(median(firsts)) if firsts else None,
     }
 
 
-def _short(value: float) -> float:
-    return float(f"{value:.5g}")
+def _short(value: float, digits: int = 4) -> float:
+    return float(f"{value:.{digits}g}")
 
 
 def _ratio(value: float, nominal: float) -> float:
@@ -192,16 +192,17 @@ def main() -> None:
     """Keep the rows of the studies in these folders, write the tables, and print what misses its target."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folders", nargs="+", type=Path, metavar="FOLDER", help="of guard.toml and its like")
-    parser.add_argument("--commit", required=True, help="of the code that made the runs; kept in each row")
+    parser.add_argument("--commit", required=True, help="of the code that made the runs; kept with the rows")
     chosen = parser.parse_args()
     try:
         runs = {folder: runs_of(folder) for folder in chosen.folders}
         lines = {key: line for folder, found in runs.items() for key, line in worst_lines(folder, found).items()}
     except (CosimError, KeyError) as e:
         parser.error(f"no study of the guard: {e}")
-    new = [row | {"commit": chosen.commit} for row in rows(r for found in runs.values() for r in found)]
+    new = rows(r for found in runs.values() for r in found)
     kept = in_order(report.updated("guard", new, *_KEYS))
-    report.keep(report.RESULTS, "guard", kept)
+    measured = ", ".join(dict.fromkeys(f"{row['estimator']} on {row['objective']}" for row in new))
+    report.keep(report.RESULTS, "guard", kept, f"of commit {chosen.commit}: {measured}")
     write_text(SAFETY, written(SAFETY.read_text(encoding="utf-8"), kept))
     for row in new:
         if missed := misses(row):

@@ -67,7 +67,7 @@ def test_a_row_compares_its_runs_with_the_nominal_controller():
     (row,) = guard.rows(runs)
     assert (row["runs"], row["lost"], row["nominal mse"]) == (3, 1, 2.0)
     assert (row["mse ratio"], row["worst"], row["largest ratio"]) == (1.25, 1.5, 1.0)
-    assert (row["episodes"], row["writes"], row["first write [s]"]) == (2, 4, 0.6)
+    assert (row["episodes"], row["writes"], row["first write"]) == (2, 4, 0.6)
     assert row["named"] == pytest.approx(2 / 3, 1e-4)
     lost_too = [{**run, "status": "diverged"} for run in runs]
     assert guard.rows(lost_too)[0]["lost"] == 0

@@ -416,26 +416,25 @@ class Diagnosis:
         return Disturbance(mean, np.abs(mean), fit, True) if fit.is_explained else None
 
     def _is_noise(self, held: Vector) -> bool:
-        """Adopt a larger noise where that explains the samples since the onset, with parameters at their best.
+        """Adopt a larger noise where that explains the samples since the onset, with those in force or the best ones.
 
         Noise is what differs from sample to sample by as much as in the whole: what a model lacks is smooth.
         """
         state = self._state
         if state.n_since < _NOISY:
             return False
-        n = min(state.n_since, _WINDOW // 2)
-        best = self._best(held, n, may_drift=False)
-        if not np.all(np.isfinite(best.rows)):
-            return False
-        larger = np.maximum(spread_of(best.rows), 1.0)
-        if np.all(larger < _LARGER):
-            return False
-        rows_at = self._rows_at(n)
-        found = changed_parameters(OfMany(lambda z: rows_at(z) / larger), best.z)
-        if found.rate > _RATE or not found.fit.is_explained:
-            return False
-        state.scale.enlarge(larger)
-        return True
+        few = min(state.n_since, _WINDOW // 2)
+        for n, z in ((state.n_since, self._space.to_unit(held)), (few, self._best(held, few, may_drift=False).z)):
+            rows_at = self._rows_at(n)
+            rows = rows_at(z)
+            larger = np.maximum(spread_of(rows), 1.0)
+            if not np.all(np.isfinite(rows)) or np.all(larger < _LARGER):
+                continue
+            found = changed_parameters(OfMany(lambda z, f=rows_at, larger=larger: f(z) / larger), z)
+            if found.rate <= _RATE and found.fit.is_explained:
+                state.scale.enlarge(larger)
+                return True
+        return False
 
     @property
     def _n_free(self) -> int:

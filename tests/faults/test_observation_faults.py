@@ -281,7 +281,7 @@ def test_a_fault_that_makes_no_sense_is_refused_in_one_line(faults, message, tmp
 @pytest.mark.parametrize("seed", [3, 6, 7, 10])
 def test_a_noise_ten_times_the_declared_one_is_no_reason_to_rest(seed):
     """Five parameters have valleys into which a search leads that believes the declared noise."""
-    quiet = {"sampling.noise_ratio": "10", "scenario.stop_time": "2.9"}  # before anything changes
+    quiet = {"sampling.noise_ratio": "10", "scenario.stop_time": "2.9", "scenario.isolation": "none"}
     result = run(Scenario.load("stiction", quiet), "target", seed=seed)
     assert result.status == "done", result.error
     assert result.diagnosis["rest"] == 0

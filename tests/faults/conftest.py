@@ -20,6 +20,7 @@ from pathlib import Path
 
 import fmpy
 import pytest
+import threadpoolctl  # noqa: F401  it sets a variable of the environment when it is first imported
 from pythonfmu import FmuBuilder
 
 from cosim.cli import main

@@ -45,6 +45,7 @@ from .residual_scale import ResidualScale, spread_of
 from .samples import DerivativeResidual, Sample
 from .significance import chi2_limit
 from .space import ParameterSpace, Vector
+from .wandering import agree
 
 _WINDOW: Final = 20
 """Largest number of samples on which hypotheses are compared."""
@@ -66,14 +67,6 @@ _SPARE: Final = 10
 """Least number of explained values in excess of the fitted ones that makes good for a search in vain."""
 _RENEWED: Final = 5
 """Number of samples after which a comparison that changed parameters have won is repeated."""
-_TO_AND_FRO: Final = 0.5
-"""Distance, as a share of the scaled bounds, by which parameters may be moved in excess of the way there."""
-_FAR: Final = 0.1
-"""Share of the scaled bounds that counts as a move: noise that is larger than declared makes many small ones."""
-_REMEMBERED: Final = 5
-"""Number of searches, one soon after the other, that are compared with each other."""
-_AGREE: Final = 0.02
-"""Distance, as a share of the scaled bounds, of parameters that agree, beside their drift."""
 
 
 @dataclass(frozen=True)
@@ -171,7 +164,7 @@ class Diagnosis:
         """Take a sample, with the parameters in force (d,); return whether residuals are to be computed anew."""
         state = self._state
         state.n_samples += 1
-        self._travel(held)
+        state.way = state.way.go(self._space.to_unit(held))
         has_woken = self._wake()
         declared = self._declared(held, self.corrected(sample))
         if state.is_resting.any():
@@ -186,7 +179,7 @@ class Diagnosis:
                     state.lasting = held
                 state.n_calm = state.n_samples - state.suspected_at - 1
                 if state.n_samples >= state.suspected_at + _WINDOW:
-                    state.travelled, state.settled = 0.0, held
+                    state.way = state.way.begin(self._space.to_unit(held))
             state.n_since, state.n_quiet = min(state.n_since + 1, len(state.samples)), 0
             state.suspected_at = state.n_samples
             state.has_moved |= state.reference is None or not np.array_equal(held, state.reference)
@@ -232,7 +225,7 @@ class Diagnosis:
         Where searches have gone from those that lasted and have come back to them, a disturbance has passed.
         """
         state, lasting = self._state, self._state.lasting
-        if state.has_moved and lasting is not None and self._agree(lasting, held):
+        if state.has_moved and lasting is not None and agree(self._space.to_unit(lasting), self._space.to_unit(held)):
             there = self._rows(lasting, n)
             if plain_fit(there[-_QUIET:], 0).is_explained:
                 return self._passed(t, lasting, there, True)
@@ -268,7 +261,7 @@ class Diagnosis:
         """
         state = self._state
         state.n_since, state.verdict = 0, "refuted"
-        state.travelled, state.settled = 0.0, state.lasting
+        state.way = state.way.begin(None if state.lasting is None else self._space.to_unit(state.lasting))
         every = ~state.is_resting
         names = self._of(every)
         reason = f"parameters explain {', '.join(names)} for a few samples only"
@@ -277,20 +270,13 @@ class Diagnosis:
         state.n_failures = max(state.n_failures + 1, PATIENCE if rests else 0)
         if state.n_failures < PATIENCE:
             return Settled(state.lasting, (event,), True)
-        state.moves = ()
+        state.findings = state.findings.forget()
         return Settled(state.lasting, (event, self._rest(t, every)), True)
-
-    def _travel(self, held: Vector) -> None:
-        """Take the parameters in force (d,), which a proposal may have moved."""
-        state = self._state
-        if state.awaited is not None and state.held is not None:
-            moved = np.abs(self._space.to_unit(held) - self._space.to_unit(state.held))
-            state.travelled = state.travelled + np.where(state.awaited & (moved > _FAR), moved, 0.0)
-        state.held, state.awaited = held, None
 
     def expect(self, is_identifiable: Sequence[bool]) -> None:
         """Take a proposal that is passed on, with which of its parameters (d,) the samples determine."""
-        self._state.awaited = np.array(is_identifiable) if self._state.n_since else None
+        state = self._state
+        state.way = state.way.expect(np.array(is_identifiable) if state.n_since else None)
 
     def is_wandering(self, held: Vector) -> bool:
         """Return whether parameters have gone to and fro on the way to those in force (d,).
@@ -298,11 +284,7 @@ class Diagnosis:
         By half of their bounds in excess of that way, each time determined by the samples: no change of the plant's
         does that.
         """
-        state = self._state
-        if not state.n_since or state.settled is None:
-            return False
-        net = np.abs(self._space.to_unit(held) - self._space.to_unit(state.settled))
-        return bool(np.any(state.travelled - net > _TO_AND_FRO))
+        return self._state.n_since > 0 and self._state.way.is_to_and_fro(self._space.to_unit(held))
 
     def judge(self, theta: Vector, held: Vector) -> Judgement:
         """Return whether parameters theta (d,) in place of those in force are warranted by the newest samples."""
@@ -550,24 +532,15 @@ class Diagnosis:
         state = self._state
         if self._is_restless(theta):
             return self.give_up(t, rests=True)
-        if state.n_spare >= _SPARE and not any(state.moves[-1:]):
+        if state.n_spare >= _SPARE and not state.findings.has_moved:
             state.n_failures = max(state.n_failures - 1, 0)
         return None
 
-    def _agree(self, theta: Vector, other: Vector) -> bool:
-        return bool(np.all(np.abs(self._space.to_unit(theta) - self._space.to_unit(other)) <= _AGREE))
-
     def _is_restless(self, theta: Vector) -> bool:
         """Take parameters (d,) that were found; return whether three of five such, soon one after the other, differ."""
-        state, z = self._state, self._space.to_unit(theta)
-        (n, before), state.found = state.found or (-FORGOTTEN, z), (state.n_samples, z)
-        n_passed = state.n_samples - n
-        if n_passed >= FORGOTTEN:
-            state.moves = ()
-        else:
-            has_moved = bool(np.any(np.abs(z - before) > _AGREE + USUAL_RATE * n_passed))
-            state.moves = (*state.moves, has_moved)[-_REMEMBERED:]
-        return sum(state.moves) >= PATIENCE
+        state = self._state
+        state.findings = state.findings.take(state.n_samples, self._space.to_unit(theta))
+        return state.findings.are_restless
 
     def _of(self, channels: NDArray[np.bool_]) -> list[str]:
         return [self._names[i] for i in np.flatnonzero(channels)]

@@ -13,6 +13,7 @@ from .diagnosis_settings import KINDS, Judgement
 from .residual_scale import ResidualScale
 from .samples import Sample
 from .space import Vector
+from .wandering import Findings, Way
 
 
 @dataclass
@@ -31,21 +32,12 @@ class DiagnosisState:
     """Number of searches in vain, one soon after the other."""
     n_quiet: int = 0
     """Number of quiet samples in a row."""
-    found: tuple[int, Vector] | None = None
-    """Number of the sample and place (d,) of the parameters that the last search has found."""
+    findings: Findings = field(default_factory=Findings)
+    """Parameters that searches have found although a disturbance explains the samples as well."""
     suspected_at: int = 0
     """Number of the last sample that was suspicious."""
-    moves: tuple[bool, ...] = ()
-    """True for each of the last searches, one soon after the other, that has found other parameters than the one before
-    although a disturbance explains the samples as well."""
-    held: Vector | None = None
-    """Parameters (d,) in force at the newest sample."""
-    awaited: NDArray[np.bool_] | None = None
-    """True for each parameter that the last proposal has determined; None where nothing was proposed."""
-    travelled: Vector | float = 0.0
-    """Distance (d,) by which parameters that the samples determined were moved, one soon after the other."""
-    settled: Vector | None = None
-    """Parameters (d,) that were in force before these moves."""
+    way: Way = field(default_factory=Way)
+    """Way of the parameters in force since the samples last were quiet for long."""
     lasting: Vector | None = None
     """Parameters (d,) that the samples have not contradicted for long; None before the first onset."""
     counts: Counter[str] = field(default_factory=Counter[str])

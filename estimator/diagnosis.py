@@ -63,6 +63,8 @@ _NOISY: Final = 8
 """Least number of samples since the onset that show a larger noise than the declared one."""
 _LARGER: Final = 1.3
 """Factor by which it must be larger."""
+_MUCH_LARGER: Final = 3.0
+"""The same for parameters that were not fitted to the samples: a small one may hide what a model lacks."""
 _SPARE: Final = 10
 """Least number of explained values in excess of the fitted ones that makes good for a search in vain."""
 _RENEWED: Final = 5
@@ -406,11 +408,12 @@ class Diagnosis:
         if state.n_since < _NOISY:
             return False
         few = min(state.n_since, _WINDOW // 2)
-        for n, z in ((state.n_since, self._space.to_unit(held)), (few, self._best(held, few, may_drift=False).z)):
+        best = self._best(held, few, may_drift=False).z
+        for n, z, least in ((state.n_since, self._space.to_unit(held), _MUCH_LARGER), (few, best, _LARGER)):
             rows_at = self._rows_at(n)
             rows = rows_at(z)
             larger = np.maximum(spread_of(rows), 1.0)
-            if not np.all(np.isfinite(rows)) or np.all(larger < _LARGER):
+            if not np.all(np.isfinite(rows)) or np.all(larger < least):
                 continue
             found = changed_parameters(OfMany(lambda z, f=rows_at, larger=larger: f(z) / larger), z)
             if found.rate <= _RATE and found.fit.is_explained:

@@ -126,7 +126,8 @@ def _padded(lines: Sequence[str]) -> list[str]:
 
 def _shown(events: Sequence[Event]) -> Iterator[tuple[Event, str]]:
     """Yield the events that a table shows, each with its reason."""
-    ordered = sorted(events, key=lambda e: (e.t, e.kind == "end"))  # an episode ends with its last write
+    told = [event for event in events if event.kind != "evidence"]  # which has no reason, but scores
+    ordered = sorted(told, key=lambda e: (e.t, e.kind == "end"))  # an episode ends with its last write
     for kind, group in groupby(ordered, key=lambda e: e.kind):
         together = list(group)
         for event in together[-1:] if kind == "write" else together:
@@ -154,6 +155,8 @@ def _csv(found: Online) -> str:
     for number, watched in enumerate(found.watched):
         episode = 0
         for event in watched.events:
+            if event.kind == "evidence":
+                continue
             episode = event.detail.get("episode", episode)
             values = _interleaved(event.detail.get("theta"), event.detail.get("std"), len(space))
             writer.writerow([number, f"{event.t:.12g}", event.kind, episode, *values, event.detail.get("reason", "")])

@@ -75,6 +75,7 @@ def test_a_filter_moves_the_ratio_by_no_more_than_its_spread(name, seed, glimpse
     assert estimate.is_identifiable == (False, False)
 
 
+@pytest.mark.full_but("least-squares")
 @pytest.mark.parametrize("name", ["least-squares", "multi-start", "rls", "bo-scalar", "paper"])
 def test_others_find_the_product_and_let_the_ratio_go_but_say_so(name):
     estimates = [estimated(name, seed) for seed in range(3)]

@@ -55,7 +55,7 @@ def test_where_evaluations_fail_none_is_known():
     assert solver_noise(lambda places: [np.full(3, np.nan) for _ in places], np.array([0.5])) == 0.0
 
 
-@pytest.mark.full_but("linear-0")
+@pytest.mark.full
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("scale", ["log", "linear"])
 def test_a_set_that_no_data_determine_is_named_though_the_solver_scatters(seed, scale):

@@ -235,6 +235,7 @@ def test_spikes_and_gaps_end_no_estimator(estimator, tmp_path):
     assert all(np.all(np.isfinite(values)) for values in result.estimates.values())
 
 
+@pytest.mark.full
 def test_spikes_change_what_is_estimated_no_more_than_the_loss_of_samples_does(tmp_path):
     clean, _ = ran(tmp_path / "clean")
     spiky, _ = ran(tmp_path / "spiky", fault("spikes", RATE, size=20.0, probability=0.05))

@@ -351,7 +351,7 @@ def test_what_makes_no_sense_is_refused(pendulum, settings, rule):
         compare(pendulum(), [], **settings)
 
 
-@pytest.mark.full_but("killed")
+@pytest.mark.full
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL], ids=["Ctrl-C", "killed"])
 @real
 def test_an_interrupted_comparison_keeps_what_is_done_and_leaves_no_process(

@@ -280,6 +280,7 @@ def test_unsound_parameters_are_refused_when_initialisation_ends(start, message)
         slave_of(Scenario.load("pendulum"), **start)
 
 
+@pytest.mark.full_but("least-squares")
 @pytest.mark.parametrize("method", ["paper", "least-squares", "rls", "ukf"])
 def test_other_methods_are_built_in_as_well(method):
     slave = slave_of(Scenario.load("pendulum"), method)
@@ -390,6 +391,7 @@ def in_fmpy(*paths: Path, blocked: str | None = None, code: str = ONE_STEP) -> s
     return subprocess.run(command, capture_output=True, text=True, cwd=folder, env=environment)
 
 
+@pytest.mark.full
 @fmu
 def test_a_user_s_model_is_shipped_with_what_it_imports(users, tmp_path):
     done = in_fmpy(build_estimator(Scenario.load(users("mine")), tmp_path))

@@ -372,7 +372,7 @@ FAULTS = {
 }
 
 
-@pytest.mark.full_but("raises")
+@pytest.mark.full
 @pytest.mark.parametrize(
     "fault",
     [pytest.param(f, id=n, marks=slow if n in ("exits", "is not finite") else ()) for n, f in FAULTS.items()],

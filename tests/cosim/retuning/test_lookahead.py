@@ -106,6 +106,7 @@ def test_the_peak_is_that_of_an_independent_integration(loop, controller, lackin
     assert made.predicted_peak(controller, CHANGED) == pytest.approx(expected, abs=1e-8)
 
 
+@pytest.mark.full
 def test_in_a_process_of_its_own_it_is_the_same_bits(loop):
     """One process for all three FMUs, which goes back as often as it is asked to."""
     here, isolated = loop(), loop(**{"scenario.isolation": '"process"'})

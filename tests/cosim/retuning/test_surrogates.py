@@ -17,7 +17,7 @@ SHORT = {
 }
 
 
-@pytest.mark.full_but("pendulum-target")
+@pytest.mark.full
 @pytest.mark.parametrize("estimator", ["target", "bo-scalar"])
 @pytest.mark.parametrize("name", SHORT)
 def test_the_tracking_error_is_the_same_with_gpys_surrogate(name, estimator):

@@ -135,6 +135,7 @@ def test_a_start_value_that_contradicts_the_formula_is_refused(gains, tmp_path):
     assert any("is given the start value 12" in line and ": error: " in line for line in found)
 
 
+@pytest.mark.full
 def test_check_tells_what_the_formulas_give_within_the_bounds(gains, tmp_path):
     gains('"controller.Kp" = "20 - 4*m"', '"controller.Kd" = "5"')
     found = "\n".join(map(str, check(tmp_path / "gains.toml")))

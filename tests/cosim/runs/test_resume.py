@@ -230,6 +230,7 @@ def test_it_may_be_left_again_and_again_before_and_after_every_checkpoint(tmp_pa
     assert_same(tmp_path / "undisturbed", tmp_path / "left")
 
 
+@pytest.mark.full
 def test_an_interrupted_run_goes_on_and_its_end_is_written_anew(tmp_path):
     scenario = Scenario.load("pendulum", EARLY_CHANGE | IN_PROCESS)
     for name in ("undisturbed", "interrupted"):

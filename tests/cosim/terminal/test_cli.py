@@ -35,7 +35,7 @@ EARLY_CHANGE = ["--set", 'changes."plant.m"=[[0.0, 1.75], [0.05, 4.271]]']
 KEYS = [
     "scenario", "estimator", "seed", "mse", "max_error", "parameters", "gains", "final_estimate", "instants",
     "evaluations", "episodes", "model_calls", "objective", "guard", "observations", "diagnosis", "latency_ms",
-    "deadline_ms", "missed_deadlines", "wall_s", "status", "diverged_at", "error", "run",
+    "latency_steps", "deadline_ms", "missed_deadlines", "wall_s", "status", "diverged_at", "error", "run",
 ]  # fmt: skip
 
 
@@ -299,6 +299,7 @@ def test_ipopt_is_asked_for_where_it_is_missing(called, workplace, monkeypatch):
 # Many runs, and old ones.
 
 
+@pytest.mark.full
 def test_a_comparison_is_printed_and_written(called, workplace):
     command = ["compare", "pendulum", "--seeds", "2", "--estimators", "least-squares", "--jobs", "2"]
     code, out, err = called(*command, "--set", "scenario.stop_time=0.2", *EARLY_CHANGE)

@@ -155,8 +155,6 @@ def _csv(found: Online) -> str:
     for number, watched in enumerate(found.watched):
         episode = 0
         for event in watched.events:
-            if event.kind == "evidence":
-                continue
             episode = event.detail.get("episode", episode)
             values = _interleaved(event.detail.get("theta"), event.detail.get("std"), len(space))
             writer.writerow([number, f"{event.t:.12g}", event.kind, episode, *values, event.detail.get("reason", "")])

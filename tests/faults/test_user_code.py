@@ -70,7 +70,7 @@ def module(tmp_path, monkeypatch):
         ("sys.exit(0)", "SystemExit: 0"),
         ("raise GeneratorExit", "GeneratorExit: "),
         ("raise KeyError('k')", "KeyError: 'k'"),
-        ("return 'ab'", "TypeError: .*"),
+        ("return 'ab'", "(TypeError|ValueError): .*"),
         ("return (1.0,)", "IndexError: .*"),
     ],
 )

@@ -51,10 +51,10 @@ def refused(called, *arguments, code=2):
 # -- compiled from C --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.full_but("FMI 2")
 @pytest.mark.parametrize(
     ("plant", "model"), [("Axis", "Axis-ME"), ("Axis-3", None), ("Axis", "Axis-3")], ids=["FMI 2", "FMI 3", "both"]
 )
+@pytest.mark.full
 def test_the_plant_as_model_exchange_fmu_leaves_only_the_change_to_fill_in(foreign, workplace, called, plant, model):
     """A line of the written scenario is uncommented, and the mass that it jumps to is found."""
     shutil.copy(FOREIGN / "steps.csv", workplace)

@@ -136,7 +136,7 @@ def model(x, u, m, l):
     [["check"], ["run", *RUN, "--out", "run"], ["compare", *RUN[1:], "--estimators", "target", "--seeds", "1"]],
     ids=lambda arguments: arguments[0],
 )
-@pytest.mark.full_but("check")
+@pytest.mark.full
 def test_a_warning_of_numpys_reaches_no_terminal(tmp_path, temporary, arguments):
     (tmp_path / "overflowing.py").write_text(OVERFLOWING)
     name, *options = arguments

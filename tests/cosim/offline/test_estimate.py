@@ -364,7 +364,7 @@ def test_uneven_rows(compile_plant, ask, oracles):
     assert estimate(ask(columns, fmu=rigid, step=0.001)).fit.theta == pytest.approx(exact, rel=0.01)
 
 
-@pytest.mark.full_but("2")
+@pytest.mark.full
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_a_pendulum_of_ours_against_dop853(tmp_path, oracles, fmi):
     m, l, b, g = 1.3, 0.6, 0.1, 9.81

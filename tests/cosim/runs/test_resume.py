@@ -248,7 +248,7 @@ def test_an_interrupted_run_goes_on_and_its_end_is_written_anew(tmp_path):
     assert_same(tmp_path / "undisturbed", tmp_path / "interrupted")
 
 
-@pytest.mark.full_but("write_json")
+@pytest.mark.full
 @pytest.mark.parametrize("name", ["write_json", "write_text", "write_csv", "write_manifest"])
 def test_a_disk_that_is_full_at_the_end_leaves_a_run_that_goes_on(tmp_path, monkeypatch, name):
     scenario = Scenario.load("pendulum", EARLY_CHANGE | IN_PROCESS)
@@ -393,6 +393,7 @@ def test_an_estimator_of_ones_own_with_hidden_state_runs_and_says_why_it_cannot_
     assert refused(tmp_path / "left") == f"{tmp_path / 'left'} cannot be resumed: {why}."
 
 
+@pytest.mark.full
 def test_one_with_functions_locks_and_classes_of_its_own_goes_on_to_the_same_bits(tmp_path, own):
     check_resume(Scenario.load("pendulum", EARLY_CHANGE | IN_PROCESS), f"{own}:Locked", tmp_path)
 

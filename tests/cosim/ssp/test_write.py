@@ -123,6 +123,7 @@ def test_parameters_are_start_values_changes_and_what_is_estimated(export):
     }  # fmt: skip
 
 
+@pytest.mark.full
 def test_an_export_re_tunes_again_with_the_same_result(export, pendulum):
     scenario = pendulum({'changes."plant.m"': "[[0.0, 2.0], [0.2, 4.271]]", "estimation.instants": "[0.3]"})
     package = load_scenario(export(scenario))

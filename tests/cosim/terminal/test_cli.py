@@ -141,6 +141,7 @@ def test_run_folders_are_numbered(called, workplace):
     assert {p.name for p in (workplace / "runs").iterdir()} == {"pendulum-1", "pendulum-2"}
 
 
+@pytest.mark.full
 def test_a_scenario_of_ones_own_finds_its_fmu_and_its_model_beside_it(called, workplace, cache):
     (workplace / "lab").mkdir()
     assert called("build", "--out", "lab")[0] == 0

@@ -64,7 +64,7 @@ _NOISY: Final = 8
 _LARGER: Final = 1.3
 """Factor by which it must be larger."""
 _MUCH_LARGER: Final = 3.0
-"""The same for parameters that were not fitted to the samples: a small one may hide what a model lacks."""
+"""Factor where the parameters in force stay: they are not fitted, and a smaller one may be what the model lacks."""
 _SPARE: Final = 10
 """Least number of explained values in excess of the fitted ones that makes good for a search in vain."""
 _RENEWED: Final = 5

@@ -59,8 +59,8 @@ def test_a_model_without_a_value_gives_nan_in_each_channel():
     np.testing.assert_array_equal(overflows(np.array([0.5]), seen), [np.nan, np.nan])
 
 
+def test_a_table_of_residuals_is_that_of_one_call_after_the_other_to_the_bit():
     """No value where m is 0, and none where a sample lacks a channel, or both: of 3 x 4 residuals of two channels."""
-    """Of 3 x 4 residuals of two channels some have no value, since m is 0, and some samples lack a channel, or both."""
     space = ParameterSpace((Parameter("m", 0.0, 1.0), Parameter("c", 0.0, 1.0)))
     residual = DerivativeResidual(lambda x, u, m, c: (c * x[0], 0.3, x[0] / m), space, (2, 0), (0.3, 0.7))
     nan = float("nan")

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from .differences import forward_differences
+from .differences import forward_differences, values_at
 from .significance import chi2_limit
 from .space import Vector
 
@@ -22,10 +22,14 @@ _BEYOND: Final = 0.5
 """Share of the scaled bounds by which the parameters that explain may lie outside of them."""
 _LONGEST: Final = 0.5
 """Longest step of a parameter, as a share of the scaled bounds."""
-_HALVINGS: Final = 6
-"""Largest number of times that a step which gains nothing is halved."""
+_DAMPINGS: Final = np.append(0.0, 3.0 ** -np.arange(16.0))
+"""Dampings of the steps that are tried, by the largest singular value of the Jacobian."""
 _ENOUGH: Final = 0.1
 """Gain of the sum of squares below which the search ends."""
+_LITTLE: Final = 0.01
+"""The same as a share of the sum."""
+_SINGULAR: Final = 1e-7
+"""Share of the largest singular value of the Jacobian below which nothing moves in a direction."""
 _SPARE: Final = 15
 """Least number of values in excess of those fitted that can tell drifting parameters from whatever changes smoothly."""
 USUAL_RATE: Final = 0.0025
@@ -149,10 +153,11 @@ class ChangedParameters:
 
 
 def changed_parameters(
-    rows_at: Callable[[Vector], Vector], z: Vector, *, iterations: int = 4, step: float = 1e-6, may_drift: bool = True
+    rows_at: Callable[[Vector], Vector], z: Vector, *, iterations: int = 30, step: float = 1e-6, may_drift: bool = True
 ) -> ChangedParameters:
-    """Return the parameters that explain residuals rows_at(z) (n, c) best, by Gauss-Newton steps from z (d,).
+    """Return the parameters that explain residuals rows_at(z) (n, c) best, by damped Gauss-Newton steps from z (d,).
 
+    Each step is the best of many dampings (Levenberg 1944); those at the end of their range stay.
     Columns of zeros count as missing. step: of differences. may_drift: parameters that change in time are a straight
     line through the best constant ones, to first order; rows are in the order of time then.
     """
@@ -162,19 +167,15 @@ def changed_parameters(
         jacobian = forward_differences(rows_at, z, rows, step)
         if not np.all(np.isfinite(jacobian)):
             break
-        move = -np.linalg.lstsq(jacobian, rows.reshape(-1), rcond=1e-7)[0]
-        move *= min(1.0, _LONGEST / max(float(np.abs(move).max()), 1e-300))
-        for _ in range(_HALVINGS):
-            tried = np.clip(z + move, -_BEYOND, 1.0 + _BEYOND)
-            there = rows_at(tried)
-            if np.sum(there**2) < np.sum(rows**2):  # False where it is no number
-                break
-            move = move / 2.0
-        else:
+        tried = _damped_steps(jacobian, rows.reshape(-1), z)
+        there = values_at(rows_at, tried)
+        with np.errstate(over="ignore", invalid="ignore"):
+            squares = np.nan_to_num(np.sum(there**2, axis=(1, 2)), nan=inf)
+        i, now = int(np.argmin(squares)), float(np.sum(rows**2))
+        if not squares[i] < now:
             break
-        gain = float(np.sum(rows**2) - np.sum(there**2))
-        z, rows = tried, there
-        if gain < _ENOUGH:
+        z, rows = tried[i], there[i]
+        if now - squares[i] < max(_ENOUGH, _LITTLE * now):
             break
     n, d = len(rows), len(z)
     constant = plain_fit(rows, d)
@@ -191,3 +192,15 @@ def changed_parameters(
     if line.score >= constant.score:
         return ChangedParameters(z, rows, constant)
     return ChangedParameters(z, rows, line, float(np.abs(moves[d:]).max()) * 2.0 / (n - 1))
+
+
+def _damped_steps(jacobian: Vector, r: Vector, z: Vector) -> Vector:
+    """Return the places (k, d) that damped Gauss-Newton steps from z (d,) lead to."""
+    slope = jacobian.T @ r
+    is_stuck = ((z <= -_BEYOND) & (slope > 0.0)) | ((z >= 1.0 + _BEYOND) & (slope < 0.0))
+    u, s, vt = np.linalg.svd(np.where(is_stuck, 0.0, jacobian), full_matrices=False)
+    squares = s**2 + (_DAMPINGS[:, None] * s[0]) ** 2
+    gains = np.divide(s, squares, out=np.zeros(squares.shape), where=(s > _SINGULAR * s[0]) & (squares > 0.0))
+    moves = -(gains * (u.T @ r)) @ vt
+    longest = np.maximum(np.abs(moves).max(axis=1, keepdims=True), 1e-300)
+    return np.clip(z + moves * np.minimum(1.0, _LONGEST / longest), -_BEYOND, 1.0 + _BEYOND)

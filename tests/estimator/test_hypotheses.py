@@ -192,6 +192,24 @@ class Curved(Linear):
         return z + 0.4 * z**2 + 0.2 * np.sin(3.0 * z)
 
 
+def spinning_body(z):
+    """Angular accelerations of a free rigid body by Euler's equations (2, 3); its inertias are 1.2 and 3."""
+    a, b = 0.1 * 100.0 ** np.asarray(z)[..., 0], 0.1 * 100.0 ** np.asarray(z)[..., 1]
+    p, q, r = np.array([[3.0, -2.0, 4.0], [1.0, 5.0, -2.0]]).T
+    a, b, c = a[..., None], b[..., None], 2.0
+    return np.stack([(b - c) / a * q * r, (c - a) / b * r * p, (a - b) / c * p * q], axis=-1)
+
+
+@pytest.mark.parametrize("start", [(0.05, 0.05), (0.95, 0.05), (0.05, 0.95), (0.95, 0.95)])
+def test_changed_parameters_are_found_from_every_corner(start):
+    """Undamped steps, halved where they gain nothing, end elsewhere from each of them, thousands of deviations away."""
+    truth = np.log10(np.array([1.2, 3.0]) / 0.1) / 2.0
+    noise = np.random.default_rng(1).standard_normal((2, 3))
+    found = changed_parameters(lambda z: (spinning_body(z) - spinning_body(truth)) / 1e-3 + noise, np.array(start))
+    assert found.fit.is_explained
+    assert_allclose(found.z, truth, atol=1e-3)
+
+
 @pytest.mark.parametrize("problem", [Linear, Curved])
 @pytest.mark.parametrize("seed", range(4))
 def test_changed_parameters_are_scipys_least_squares(problem, seed):

@@ -14,8 +14,9 @@ from .contract import AskTell
 from .correlated_residuals import information_of_correlated
 from .descent import Descent
 from .evaluated import CubeResidual, FitProgress, Residual
-from .identifiability import IDENTIFIABLE_BELOW, Information
+from .identifiability import IDENTIFIABLE_BELOW, Information, information
 from .methods import METHODS
+from .robust_loss import LinearEquivalent, Loss, ShrunkResidual, linear_equivalent
 from .space import ParameterSpace, Vector
 
 OFFLINE: Final = ("target", "least-squares", "multi-start")
@@ -40,7 +41,8 @@ class OfflineFit:
     white_std: Vector
     """Standard deviations (d,) if the residuals were white, s^2 (J^T J)^-1."""
     misfit: float
-    """s: root mean square residual, D - d degrees of freedom, in standard deviations of the noise."""
+    """s: root mean square residual, D - d degrees of freedom, in standard deviations of the noise; under a loss that of
+    psi over its mean slope."""
     autocorrelation: float
     """Correlation of the residuals from one row to the next."""
     information: Information
@@ -48,11 +50,15 @@ class OfflineFit:
     place: Vector
     """Place of theta in the unit cube (d,)."""
     residual: Vector
-    """Residuals (D,) at theta."""
+    """Residuals (D,) at theta; under a loss their squares are the loss."""
     jacobian: Vector
     """Their slopes (D, d) in the unit cube."""
     solver_noise: float
     """Noise of the simulation's own solver: root mean square over the rows, in standard deviations of the noise."""
+    loss: Loss
+    """Loss whose sum is least at theta."""
+    curvature: float
+    """Curvature of the loss, as a share of that of the squares."""
 
     @property
     def is_identifiable(self) -> tuple[bool, ...]:
@@ -74,6 +80,7 @@ def fit(
     rng: np.random.Generator | None = None,
     progress: FitProgress = lambda n, cost: None,
     series: Sequence[int] = (),
+    loss: Loss | None = None,
 ) -> OfflineFit:
     """Return the parameters that explain the data best.
 
@@ -82,11 +89,12 @@ def fit(
     Gauss-Newton steps with central differences above the noise of the solver, not counted in n_evaluations, lead to
     the minimum. Directions that the data do not determine go back to nominal (d,) where that costs less than a
     standard deviation.
-    series: numbers of residuals that follow one another in time, D together; none: all do.
+    series: numbers of residuals that follow one another in time, D together; none: all do. loss: whose sum is made
+    least; None: the squares.
     Raises NoFitError where none of the places spread over the bounds can be evaluated.
     """
-    rng = rng or np.random.default_rng(0)
-    seen = CubeResidual(residual, space, progress)
+    rng, loss = rng or np.random.default_rng(0), loss or Loss()
+    seen = CubeResidual(ShrunkResidual(residual, loss), space, progress)
     n_scouts = min(n_evaluations // 3, 10 * len(space))
     scouts = scipy.stats.qmc.Halton(len(space), rng=rng).random(n_scouts)
     scouted = seen.many([space.to_unit(nominal), *scouts])
@@ -100,20 +108,25 @@ def fit(
         raise NoFitError
     descent = Descent(seen, seen.best)
     descent.hold(space.to_unit(nominal))
-    place, lengths = descent.place, series or [len(descent.place.r)]
-    seen_by_data = information_of_correlated(descent.jacobian, place.r, place.misfit, lengths)
-    theta = space.from_unit(place.z)
+    place, theta = descent.place, space.from_unit(descent.place.z)
+    least = LinearEquivalent(place.r, descent.jacobian, place.misfit, 1.0)
+    if not loss.is_linear:
+        least = linear_equivalent(loss, residual(theta), descent.jacobian)
+    seen_by_data = information_of_correlated(least.jacobian, least.r, least.misfit, series or [len(place.r)])
+    white = information(np.linalg.qr(least.jacobian).R / least.misfit)
     return OfflineFit(
         theta=theta,
         std=seen_by_data.std() * space.slope(theta),
-        white_std=descent.information.std() * space.slope(theta),
-        misfit=place.misfit,
+        white_std=white.std() * space.slope(theta),
+        misfit=least.misfit,
         autocorrelation=float(place.r[1:] @ place.r[:-1]) / place.cost if place.cost else 0.0,
         information=seen_by_data,
         place=place.z,
         residual=place.r,
         jacobian=descent.jacobian,
         solver_noise=descent.noise / np.sqrt(len(place.r)),
+        loss=loss,
+        curvature=least.curvature,
     )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from .evaluated import CubeResidual, Evaluated, Residual
 from .offline import OfflineFit
+from .robust_loss import ShrunkResidual
 from .space import ParameterSpace, Vector
 
 LIMIT: Final = 3.841
@@ -37,7 +38,7 @@ class Profile:
     values: Vector
     """Values (n,) of the parameter, increasing."""
     rise: Vector
-    """Rise (n,) of the sum of squares from its least, in variances of the correlated residuals."""
+    """Rise (n,) of the sum of squares, or of the loss, from its least, in variances of the correlated residuals."""
     lower: float | None
     """Lower end of the 95 % interval; None: open to the bound."""
     upper: float | None
@@ -55,9 +56,12 @@ class Profile:
 
 
 def profile(residual: Residual, space: ParameterSpace, fit: OfflineFit, j: int) -> Profile:
-    """Return the profile of parameter j near a fit, point by point to both sides, until the limit or the bound."""
-    seen = CubeResidual(residual, space, lambda n, cost: None)
-    unit = (fit.misfit * float(fit.inflation[j])) ** 2
+    """Return the profile of parameter j near a fit, point by point to both sides, until the limit or the bound.
+
+    Under a loss its rise has the same limit in units of E[psi^2] / E[psi']: Ronchetti (1982), the tau test.
+    """
+    seen = CubeResidual(ShrunkResidual(residual, fit.loss), space, lambda n, cost: None)
+    unit = (fit.misfit * float(fit.inflation[j])) ** 2 * fit.curvature
     start = Evaluated(fit.place, fit.residual)
     sides = [list(_side(seen, start, fit, j, sign, unit)) for sign in (-1.0, 1.0)]
     row = [*reversed(sides[0]), start, *sides[1]]

@@ -13,6 +13,7 @@ from estimator import Parameter, ParameterSpace, Vector
 from estimator.evaluated import FitProgress
 from estimator.offline import OFFLINE, NoFitError, OfflineFit, fit
 from estimator.profile_likelihood import Profile, profile
+from estimator.robust_loss import Loss
 from estimator.space import Scale
 
 from ..errors import CosimError, WiringError
@@ -88,6 +89,10 @@ class Request:
     """Environment variables that the FMU's processes are given beside those which every FMU is given."""
     own: tuple[str, ...] = ()
     """Parameters that have a value of their own in each log; the others have one for all logs."""
+    loss: str = "linear"
+    """SciPy's name of the loss of a residual: "linear" is its square, under the others outliers count for less."""
+    f_scale: float = 1.0
+    """Residual, in standard deviations of the noise, from which on it counts for less."""
 
     def __post_init__(self) -> None:
         if self.method not in OFFLINE:
@@ -98,6 +103,14 @@ class Request:
             raise EstimateError("--evaluations and --jobs must be 1 or more.")
         if self.step is not None and not 0.0 < self.step < np.inf:
             raise EstimateError(f"--step must be positive, got {self.step:g} s.")
+        if not 0.0 < self.f_scale < np.inf or (self.loss == "linear" and self.f_scale != 1.0):
+            raise EstimateError(
+                f"--f-scale must be positive, and goes with a --loss that is not linear, got {self.f_scale:g}."
+            )
+        try:
+            Loss(self.loss, self.f_scale)
+        except ValueError as e:
+            raise EstimateError(f"{e}.") from e
         if not 0.0 < self.timeout < np.inf:
             raise EstimateError(f"--timeout must be positive, got {self.timeout:g} s.")
         if self.holdout is not None and not 0.0 <= self.holdout < 1.0:
@@ -179,9 +192,13 @@ class Estimation:
         return Counter(reason for _, _, reason in self.evaluations if reason is not None)
 
     def rms(self, outputs: Sequence[Vector | None], is_held_out: bool) -> Vector:
-        """Return the root mean square error (c,) over the rows fitted to or held out; NaN where there are none."""
+        """Return the root mean square error (c,) over the rows fitted to or held out; NaN where there are none.
+
+        Under a loss outliers count in it as they do in the fit.
+        """
+        loss, noise = self.fit.loss, self.noise
         errors = [
-            (y - w.measured)[w.n_fit :] if is_held_out else (y - w.measured)[: w.n_fit]
+            loss.shrunk((y - w.measured) / noise)[slice(w.n_fit, None) if is_held_out else slice(w.n_fit)] * noise
             for y, w in zip(outputs, self.windows, strict=True)
             if y is not None
         ]
@@ -228,7 +245,10 @@ def estimate(request: Request, progress: FitProgress = lambda n, cost: None) -> 
             )
         rng = np.random.default_rng(request.seed)
         try:
-            found = fit(residual, space, nominal, request.method, request.evaluations, rng, progress, residual.series)
+            loss = Loss(request.loss, request.f_scale)
+            found = fit(
+                residual, space, nominal, request.method, request.evaluations, rng, progress, residual.series, loss
+            )
         except NoFitError as e:
             raise FailedError(f"every roll-out failed, the first so: {residual.evaluations[0][2]}.") from e
         named = [space.named(nominal), space.named(found.theta)]

@@ -14,7 +14,7 @@ _LISTS: Final = {"windows": "--window", "validate": "--validate", "environment":
 _FLAGS: Final = ("profile", "online")
 _VALUES: Final = (
     "time", "time_unit", "holdout", "step", "method", "evaluations", "samples", "evaluations_per_sample", "seed",
-    "jobs", "timeout",
+    "jobs", "timeout", "loss", "f_scale",
 )  # fmt: skip
 
 

@@ -53,6 +53,10 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add("--method", default="target", help="target (default), least-squares or multi-start")
     add("--evaluations", type=_count, metavar="N",
         help="candidates to simulate in the search (default: 60), or, --online, in an episode (30)")  # fmt: skip
+    add("--loss", default="linear", metavar="NAME",
+        help="linear (default), huber, soft_l1 or cauchy, as SciPy's: outliers count for less")  # fmt: skip
+    add("--f-scale", type=_number, default=1.0, metavar="C",
+        help="with --loss: from how many standard deviations on (default: 1)")  # fmt: skip
     add("--profile", action="store_true", help="profile likelihoods decide what is identifiable; takes more roll-outs")
     add("--online", action="store_true",
         help="sample by sample, as if the loop ran: when it triggers, what it writes")  # fmt: skip
@@ -81,6 +85,8 @@ def request_of(options: argparse.Namespace) -> "Request":
         raise EstimateError("--profile is of a fit to the whole log, not --online.")
     if options.own and (options.online or options.ssv):
         raise EstimateError("--own is of a fit to all logs, not --online; and --ssv has one value for a parameter.")
+    if options.online and options.loss != "linear":
+        raise EstimateError("--loss is of a fit to the whole log, not --online, which screens its samples.")
     evaluations = options.evaluations if options.evaluations is not None else 30 if options.online else 60
     return Request(
         fmu=options.fmu,
@@ -103,6 +109,8 @@ def request_of(options: argparse.Namespace) -> "Request":
         timeout=options.timeout,
         environment=tuple(options.environment),
         own=tuple(dict.fromkeys(options.own)),
+        loss=options.loss,
+        f_scale=options.f_scale,
     )
 
 

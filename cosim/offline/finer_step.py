@@ -45,7 +45,7 @@ def finer_step(
     if step is None:
         return None
     with Rollouts(replace(plant, step=0.5 * step), component, windows, 1) as rollouts:
-        r = RolloutResidual(rollouts, space, windows, noise)(fit.theta)
+        r = fit.loss.shrunk(RolloutResidual(rollouts, space, windows, noise)(fit.theta))
     if not np.all(np.isfinite(r)):
         return None
     seen = information(np.linalg.qr(fit.jacobian).R / fit.misfit)

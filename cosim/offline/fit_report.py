@@ -21,6 +21,8 @@ _ROUGH: Final = 0.5
 """Noise of the FMU's solver, in standard deviations of the noise, from which it is reported."""
 _BIASED: Final = 0.5
 """Change of an estimate by a finer step, in standard deviations, from which it is reported."""
+_OUTLYING: Final = 5.0
+"""Size of a residual, in standard deviations of the misfit, from which it is counted as an outlier."""
 _CORRELATED: Final = 0.3
 """Autocorrelation of the residuals above which it is reported."""
 
@@ -37,13 +39,19 @@ def report(found: Estimation) -> str:
     )
     lines = [
         f"{request.fmu.name}, {logs}: {split}",
-        f"{counted(len(found.evaluations), 'roll-out')}, method {request.method}, seed {request.seed}, "
+        f"{counted(len(found.evaluations), 'roll-out')}, method {request.method}, {_loss(found)}seed {request.seed}, "
         f"{found.seconds:.1f} s",
     ]
     lines += [f"warning: {warning}" for warning in found.warnings]
     return "\n".join(
         [*lines, "", *aligned(_parameter_rows(found)), "", *aligned(_output_rows(found)), "", *words(found)]
     )
+
+
+def _loss(found: Estimation) -> str:
+    """Return the loss in words, empty where it is the square."""
+    loss = found.fit.loss
+    return "" if loss.is_linear else f"loss {loss.name} (f_scale {loss.scale:g}), "
 
 
 def words(found: Estimation) -> list[str]:
@@ -64,6 +72,9 @@ def numbers(found: Estimation) -> dict[str, Any]:
         "logs": [str(path) for path in request.logs],
         "validation": [str(path) for path in request.validation],
         "method": request.method,
+        "loss": request.loss,
+        "f_scale": request.f_scale,
+        "outliers": _n_outliers(found)[0],
         "seed": request.seed,
         "parameters": {
             p.name: {
@@ -189,6 +200,12 @@ def _of_fit(found: Estimation) -> list[str]:
             f"The residuals are {fit.misfit:.3g} times the noise: something is missing from the model, the search has "
             "not found the best fit (--evaluations, --method multi-start), or a start value is wrong (--start)."
         ]
+    if not fit.loss.is_linear:
+        n, n_rows = _n_outliers(found)
+        sentences.append(
+            f"Under the loss {fit.loss.name}: {n} of {counted(n_rows, 'measured value')} lie more than {_OUTLYING:g} "
+            "standard deviations off, and hardly count; the errors above and ± are those under the loss."
+        )
     if fit.solver_noise > _ROUGH:
         sentences.append(
             f"Between parameters that are all but equal the FMU's results scatter by {fit.solver_noise:.2g} times the "
@@ -216,6 +233,17 @@ def _of_fit(found: Estimation) -> list[str]:
             f"{n} of {len(found.evaluations)} roll-outs failed and count as bad candidates; one reason: {reason}."
         )
     return sentences
+
+
+def _n_outliers(found: Estimation) -> tuple[int, int]:
+    """Return the number of fitted values far off, in the misfit's standard deviations, and that of all of them."""
+    residuals = [
+        ((y - w.measured) / found.noise)[: w.n_fit].ravel()
+        for y, w in zip(found.after, found.windows, strict=True)
+        if y is not None and w.n_fit
+    ]
+    r = np.concatenate(residuals) if residuals else np.empty(0)
+    return int(np.sum(np.abs(r) > _OUTLYING * max(found.fit.misfit, 1.0))), int(np.sum(np.isfinite(r)))
 
 
 def _of_step(found: Estimation) -> list[str]:

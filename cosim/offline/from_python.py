@@ -43,6 +43,8 @@ def estimate(
     jobs: int | None = None,
     timeout: float = 10.0,
     environment: Sequence[str] = (),
+    loss: str = "linear",
+    f_scale: float = 1.0,
     profile: bool = False,
     out: Path | str | None = None,
     progress: FitProgress = lambda n, cost: None,
@@ -62,6 +64,8 @@ def estimate(
     method: "target", "least-squares" or "multi-start". evaluations: candidates that the search may simulate.
     jobs: roll-outs at a time, by default one per processor. timeout: for each call of the FMU [s].
     environment: environment variables that the FMU needs beside those which every FMU is given.
+    loss: "huber", "soft_l1" or "cauchy", SciPy's names: outliers count for less than their square; f_scale: from how
+    many standard deviations of the noise on.
     profile: whether profile likelihoods decide what is identifiable, by further roll-outs.
     out: an absent or empty folder for the files that `retune estimate` writes; nothing is written by default.
     progress: called with the evaluations so far and the least sum of squares.
@@ -90,6 +94,8 @@ def estimate(
         jobs=(os.cpu_count() or 1) if jobs is None else jobs,
         timeout=timeout,
         environment=tuple(environment),
+        loss=loss,
+        f_scale=f_scale,
     )
     with one_thread():  # as the command runs: the number of BLAS threads changes bits
         if out is None:

@@ -30,7 +30,7 @@ def misfit_over_log(found: Estimation) -> list[PartMisfit]:
     for number, (window, simulated) in enumerate(zip(found.windows, found.after, strict=True)):
         if simulated is None:
             continue
-        residuals = (simulated - window.measured) / found.noise
+        residuals = found.fit.loss.shrunk((simulated - window.measured) / found.noise)
         edges = np.linspace(window.time[0], window.time[-1], _PARTS + 1)
         part = np.clip(np.searchsorted(edges, window.time, side="right") - 1, 0, _PARTS - 1)
         for k in range(_PARTS):

@@ -1,4 +1,4 @@
-"""Recursive estimators, which process each sample once: adapters to filterpy's Kalman filters."""
+"""Recursive least squares, which processes each sample once: an adapter to filterpy's Kalman filter."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -7,12 +7,12 @@ import numpy as np
 import scipy  # its parts, 0.3 s, are loaded when they are used
 
 from .contract import Estimate, scaled_estimate
-from .identifiability import IDENTIFIABLE_BELOW, information, information_of_covariance
+from .identifiability import IDENTIFIABLE_BELOW, information
 from .objective import LinearForm, Objective
 from .space import ParameterSpace, Vector
 
 if TYPE_CHECKING:  # filterpy imports scipy.stats
-    from filterpy.kalman import KalmanFilter, UnscentedKalmanFilter
+    from filterpy.kalman import KalmanFilter
 
 
 @dataclass(frozen=True)
@@ -117,89 +117,3 @@ def _at_most(std: Vector, P: Vector) -> Vector:
     std = np.maximum(std, np.finfo(float).tiny)  # a coefficient that is constant over the bounds is known
     values, directions = np.linalg.eigh(P / std / std[:, None])
     return (directions * np.minimum(values, 1.0)) @ directions.T * std * std[:, None]
-
-
-@dataclass(frozen=True)
-class UnscentedSettings:
-    """Settings of `UnscentedKalman`; lengths are shares of the scaled bounds."""
-
-    walk: float = 0.003
-    """Standard deviation of a parameter's step from sample to sample."""
-    spread: float = 0.05
-    """Standard deviation of each parameter at the start; sigma points far from it may reach where no model holds."""
-    alpha: float = 0.1
-    """Spread of the sigma points round the mean."""
-    identifiable_below: float = IDENTIFIABLE_BELOW
-    """A parameter counts as identifiable when its standard deviation is below this share of the scaled bounds."""
-
-    def __post_init__(self) -> None:
-        for name in ("walk", "spread", "alpha", "identifiable_below"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}.")
-
-
-class UnscentedKalman:
-    """Unscented Kalman filter whose states are the parameters, as random walks in the unit cube.
-
-    The measurement is the sampled derivative, or, the same, the whitened residual, which should be zero with unit
-    variance. Julier and Uhlmann (2004); van der Merwe (2004).
-    """
-
-    is_whitened = True
-
-    def __init__(
-        self, space: ParameterSpace, start: Vector, rng: np.random.Generator, settings: UnscentedSettings | None = None
-    ) -> None:
-        self._space, self._settings = space, settings or UnscentedSettings()
-        self.restart(start)
-
-    def restart(self, start: Vector) -> None:
-        """Begin at theta (d,), with all samples forgotten."""
-        self._start, self._cost, self._n_evaluations = self._space.to_unit(start), np.inf, 0
-        self._mean, self._covariance, self._n_channels = self._start, np.eye(len(self._start)), 0  # 0: no sample yet
-
-    def solve(self, objective: Objective) -> None:
-        """Process the newest sample. One at which the model has no value for a sigma point is left out."""
-        if not self._n_channels:
-            self._n_channels = len(objective.newest_residual(self._space.from_unit(self._start)))
-            self._covariance = self._settings.spread**2 * np.eye(len(self._start))
-        kalman = self._kalman()
-        kalman.predict()
-        x, P = kalman.x.copy(), kalman.P.copy()
-        with np.errstate(all="ignore"):  # where the model overflows at a sigma point
-            at_points = iter(objective.newest_residual(self._space.from_unit(kalman.sigmas_f)))
-            kalman.update(np.zeros(len(kalman.R)), hx=lambda _: next(at_points))
-        if not np.all(np.isfinite(kalman.x)):
-            kalman.x, kalman.P = x, P
-        kalman.P = 0.5 * (kalman.P + kalman.P.T) + 1e-12 * np.eye(len(kalman.x))
-        self._mean, self._covariance = np.clip(kalman.x, 0.0, 1.0), kalman.P
-        self._n_evaluations += objective.n_evaluations
-        with np.errstate(all="ignore"):
-            cost = float(np.sum(kalman.y**2))
-        self._cost = cost if np.isfinite(cost) else np.inf
-
-    def estimate(self) -> Estimate:
-        """Return the mean with the covariance's diagonal; cost: the squared innovation of the newest sample."""
-        z, P = self._mean, self._covariance
-        std = np.minimum(np.sqrt(np.diag(P)), 1.0)
-        # Less than half of the start's: else the data have added nothing to the assumption.
-        below = min(self._settings.identifiable_below, 0.5 * self._settings.spread)
-        return scaled_estimate(
-            self._space, z, std, below, information_of_covariance(P),
-            cost=self._cost, n_evaluations=self._n_evaluations, reason="unscented Kalman filter",
-        )  # fmt: skip
-
-    def _kalman(self) -> "UnscentedKalmanFilter":
-        from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
-
-        d = len(self._space)
-        points = MerweScaledSigmaPoints(d, alpha=self._settings.alpha, beta=2.0, kappa=3.0 - d)
-        kalman = UnscentedKalmanFilter(d, self._n_channels, 1.0, hx=None, fx=_stay, points=points)
-        kalman.x, kalman.P = self._mean, self._covariance
-        kalman.Q = self._settings.walk**2 * np.eye(d)
-        kalman.R = np.eye(self._n_channels)
-        return kalman
-
-
-def _stay(z: Vector, dt: float) -> Vector:
-    return z

@@ -5,7 +5,8 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from .baselines import LeastSquares, LeastSquaresSettings, NoisyNorm, NormSettings
-from .filters import RecursiveLeastSquares, RecursiveSettings, UnscentedKalman, UnscentedSettings
+from .filters import RecursiveLeastSquares, RecursiveSettings
+from .kalman import EnsembleKalman, EnsembleSettings, UnscentedKalman, UnscentedSettings
 from .moving_horizon import MovingHorizon, MovingHorizonSettings
 from .paper import PaperBO, PaperSettings
 from .target import TargetSettings, TargetVector
@@ -23,10 +24,12 @@ class Method:
     """Name of the method whose settings it takes where it has none of its own."""
     defaults: Mapping[str, Any] = field(default_factory=dict[str, Any])
     """Values that differ from the defaults of its settings' class or of the loop: `trigger`, `window`, ..."""
+    sample_defaults: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    """Such values where it takes samples with derivatives one by one, each once."""
     needs_linear_form: bool = False
     """True where it works only with a model whose linear form is known."""
     needs_derivatives: bool = False
-    """True where it processes each sample once, and so needs its derivatives."""
+    """True where it works only sample by sample."""
     needs_package: str | None = None
     """Package that it imports beside NumPy, SciPy and GPy."""
 
@@ -54,9 +57,10 @@ METHODS: dict[str, Method] = {
     "sqp": Method(NoisyNorm, NormSettings, "paper", _ONE_SOLVE | {"minimizer": "SLSQP"}),
     "least-squares": Method(LeastSquares, LeastSquaresSettings),
     "multi-start": Method(LeastSquares, LeastSquaresSettings, "least-squares", {"n_starts": 8}),
-    "rls": Method(RecursiveLeastSquares, RecursiveSettings, None, _RECURSIVE, True, True, "filterpy"),
-    "ukf": Method(UnscentedKalman, UnscentedSettings, None, _RECURSIVE, False, True, "filterpy"),
-    "mhe": Method(MovingHorizon, MovingHorizonSettings, None, _RECURSIVE, False, True),
+    "rls": Method(RecursiveLeastSquares, RecursiveSettings, None, {}, _RECURSIVE, True, True, "filterpy"),
+    "ukf": Method(UnscentedKalman, UnscentedSettings, None, {}, _RECURSIVE),
+    "enkf": Method(EnsembleKalman, EnsembleSettings, None, {}, _RECURSIVE),
+    "mhe": Method(MovingHorizon, MovingHorizonSettings, None, {}, _RECURSIVE, False, True),
 }
 FORMER_METHODS: dict[str, Method] = {
     f"{name}-wide-step": replace(METHODS[name], like=name, defaults={"difference_step": 0.05})

@@ -98,6 +98,11 @@ class Objective:
         return self._window.newest
 
     @property
+    def has_samples(self) -> bool:
+        """True where each sample has residuals of its own; else a solve is on the samples of an episode."""
+        return isinstance(self._window, ResidualWindow)
+
+    @property
     def difference_step(self) -> float | None:
         """Step for gradients in the unit cube; None where residuals are smooth and cheap: the solver's own will do."""
         return None if self._window.is_rescoring_cheap else DIFFERENCE_STEP

@@ -11,6 +11,7 @@ from estimator.methods import method_named
 
 from ..errors import ScenarioError
 from ..names import did_you_mean
+from ..objectives.choice import chosen
 from ..scenarios.scenario import Scenario
 from ..scenarios.schema.estimation import LoopSettings, is_former_method
 from ..user_code import USERS, load
@@ -79,4 +80,4 @@ def make_estimator(
             f"estimator '{name}' must have is_whitened, restart and estimate, and ask and tell or solve: "
             "see estimator/contract.py."
         )
-    return made, estimation.loop(name, own)
+    return made, estimation.loop(name, own, chosen(scenario).kind == "derivative")

@@ -10,6 +10,7 @@ from estimator import METHODS
 
 from ..errors import CosimError
 from ..fmi.component import Component, read_component
+from ..objectives.choice import chosen
 from ..scenarios.schema.estimation import EstimatedParameter
 from ..system.fmu_cache import component_path
 from ..variable_name import VariableName
@@ -67,7 +68,9 @@ def _declared(run: Run, component: str, found: Component) -> dict[str, str]:
 def trigger_threshold(run: Run) -> float | None:
     """Return the tracking error [unit of the tracked outputs] that triggers an episode in this run, or None."""
     estimation = run.scenario.estimation
-    loop = estimation.loop(run.estimator) if run.estimator in METHODS else estimation  # a user's own is not loaded
+    if run.estimator not in METHODS:
+        return estimation.trigger.tracking_error  # a user's own is not loaded
+    loop = estimation.loop(run.estimator, by_sample=chosen(run.scenario).kind == "derivative")
     return loop.trigger.tracking_error
 
 

@@ -12,7 +12,7 @@ from estimator.baselines import LeastSquares
 from estimator.diagnosing import make_retuner
 from estimator.diagnosis import Diagnosis
 from estimator.diagnosis_settings import DiagnosisSettings
-from estimator.filters import UnscentedKalman
+from estimator.kalman import UnscentedKalman
 from estimator.retuner import Budget
 from estimator.triggers import AlwaysSettings, InnovationSettings
 

@@ -38,13 +38,13 @@ def estimated(name, seed, glimpse=0.0):
     for k in range(N):
         x, noise = 1.0 + 0.1 * k, SIGMA * rng.standard_normal(2)
         window.append(Sample(0.01 * k, (x,), (), (PRODUCT * x + noise[0], glimpse * np.log(2.0) + noise[1])))
-        if method.needs_derivatives:
+        if method.sample_defaults:
             estimator.solve(Objective(window, FORM))
     if isinstance(estimator, AskTell):
         for _ in range(30):
             theta = estimator.ask()
             estimator.tell(theta, window.residual(theta))
-    elif not method.needs_derivatives:
+    elif not method.sample_defaults:
         estimator.solve(Objective(window))
     return estimator.estimate()
 
@@ -66,12 +66,12 @@ def test_target_holds_the_ratio_and_finds_the_product(seed, glimpse):
 
 @pytest.mark.parametrize("glimpse", [0.0, GLIMPSE], ids=["unseen", "hardly seen"])
 @pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("name", ["ukf", "mhe"])
+@pytest.mark.parametrize("name", ["ukf", "enkf", "mhe"])
 def test_a_filter_moves_the_ratio_by_no_more_than_its_spread(name, seed, glimpse):
-    """Its start is known to 0.05 of the scaled bounds in each parameter."""
+    """Its start is known to 0.05 of the scaled bounds in each parameter; an ensemble's covariances are estimates."""
     estimate = estimated(name, seed, glimpse)
     assert np.prod(estimate.theta) == pytest.approx(PRODUCT, abs=0.02)
-    assert abs(ratio(estimate)) < 0.05 * np.sqrt(2.0) * np.log(100.0)
+    assert abs(ratio(estimate)) < (2.0 if name == "enkf" else 1.0) * 0.05 * np.sqrt(2.0) * np.log(100.0)
     assert estimate.is_identifiable == (False, False)
 
 

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 from estimator import Objective, Parameter, ParameterSpace, ResidualWindow, Sample
-from estimator.filters import UnscentedKalman, UnscentedSettings
+from estimator.kalman import UnscentedKalman, UnscentedSettings
 from estimator.moving_horizon import MovingHorizon, MovingHorizonSettings
 
 PLANE = ParameterSpace((Parameter("a", -3.0, 5.0), Parameter("b", -2.0, 6.0)))

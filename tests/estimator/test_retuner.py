@@ -15,7 +15,7 @@ from estimator import (
     ResidualWindow,
     Sample,
 )
-from estimator.filters import UnscentedKalman
+from estimator.kalman import UnscentedKalman
 from estimator.retuner import Budget, Retuner
 from estimator.triggers import AlwaysTrigger, InnovationTrigger, TrackingTrigger
 

@@ -227,7 +227,7 @@ def test_several_sensors_of_the_quadrotor_are_told_apart(tmp_path):
 
 
 @pytest.mark.full_but("least-squares")
-@pytest.mark.parametrize("estimator", ["paper", "bo-scalar", "least-squares", "rls", "ukf", "mhe", "sqp"])
+@pytest.mark.parametrize("estimator", ["paper", "bo-scalar", "least-squares", "rls", "ukf", "enkf", "mhe", "sqp"])
 def test_spikes_and_gaps_end_no_estimator(estimator, tmp_path):
     faults = fault("dropout", RATE, probability=0.2), fault("spikes", RATE, size=20.0, probability=0.05)
     result, _ = ran(tmp_path / "run", *faults, estimator=estimator)

@@ -158,10 +158,14 @@ class EstimationSettings(LoopSettings):
         """Space of the parameters, for the estimators."""
         return ParameterSpace(tuple(p.to_parameter() for p in self.parameters))
 
-    def loop(self, name: str, method: Method | None = None) -> LoopSettings:
-        """Return the loop's settings for one estimator; method: its description, if it is not one of the package."""
+    def loop(self, name: str, method: Method | None = None, by_sample: bool = True) -> LoopSettings:
+        """Return the loop's settings for one estimator; method: its description, if it is not one of the package.
+
+        by_sample: false where candidates are judged on whole episodes.
+        """
         common = {name: getattr(self, name) for name in LoopSettings.model_fields}
-        own = {k: v for k, v in self._own(name, method).items() if k in LoopSettings.model_fields}
+        usual = dict((method or method_named(name)).sample_defaults) if by_sample else {}
+        own = {k: v for k, v in (usual | self._own(name, method)).items() if k in LoopSettings.model_fields}
         return LoopSettings.model_validate(common | own)
 
     def settings(self, name: str, method: Method | None = None) -> Any:

@@ -281,7 +281,7 @@ def test_unsound_parameters_are_refused_when_initialisation_ends(start, message)
 
 
 @pytest.mark.full_but("least-squares")
-@pytest.mark.parametrize("method", ["paper", "least-squares", "rls", "ukf"])
+@pytest.mark.parametrize("method", ["paper", "least-squares", "rls", "ukf", "enkf"])
 def test_other_methods_are_built_in_as_well(method):
     slave = slave_of(Scenario.load("pendulum"), method)
     feed(slave, 60, noise=1e-3)

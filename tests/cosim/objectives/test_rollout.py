@@ -494,8 +494,8 @@ def test_what_cannot_be_rolled_out_is_refused_in_one_line_by_run_and_check(tmp_p
     assert told in capfd.readouterr().out.replace(": error", "")
 
 
-@pytest.mark.parametrize("name", ["ukf", "mhe", "rls"])
-def test_recursive_estimators_are_refused(pendulum, name):
+@pytest.mark.parametrize("name", ["mhe", "rls"])
+def test_estimators_that_work_sample_by_sample_only_are_refused(pendulum, name):
     with pytest.raises(ScenarioError, match=f"estimator '{name}' takes derivatives sample by sample"):
         run(pendulum(ROLLOUT), name)
 

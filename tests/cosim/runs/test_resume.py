@@ -82,7 +82,20 @@ def check_resume(scenario: Scenario, estimator: str, tmp_path: Path, *until: flo
 @pytest.mark.full_but("target")
 @pytest.mark.parametrize(
     "estimator",
-    ["none", "true", "target", "paper", "bo-scalar", "least-squares", "multi-start", "sqp", "rls", "ukf", "mhe"],
+    [
+        "none",
+        "true",
+        "target",
+        "paper",
+        "bo-scalar",
+        "least-squares",
+        "multi-start",
+        "sqp",
+        "rls",
+        "ukf",
+        "enkf",
+        "mhe",
+    ],
 )
 def test_every_estimator_goes_on_to_the_same_bits(tmp_path, estimator):
     whole = check_resume(Scenario.load("pendulum", EARLY_CHANGE | IN_PROCESS), estimator, tmp_path)
@@ -149,6 +162,15 @@ OTHERWISE = {
 def test_roll_outs_filters_and_sensors_go_on_to_the_same_bits(tmp_path, settings):
     whole = check_resume(Scenario.load("pendulum", settings), "target", tmp_path, 0.15, 0.33)
     assert whole.n_episodes
+
+
+@pytest.mark.full_but("again from the start-enkf")
+@pytest.mark.parametrize("estimator", ["ukf", "enkf"])
+@pytest.mark.parametrize("start", ["from the saved state", "from noisy states", "again from the start"])
+def test_filters_on_roll_outs_go_on_to_the_same_bits(tmp_path, start, estimator):
+    whole = check_resume(Scenario.load("pendulum", OTHERWISE[start]), estimator, tmp_path, 0.15, 0.33)
+    assert whole.n_episodes
+    assert whole.n_evaluations
 
 
 GPYS = {

@@ -243,13 +243,14 @@ Residuals = Callable[[Vector], Vector]
 def updated(prior: Normal, points: Points, residuals: Residuals) -> tuple[Normal, float]:
     """Return the distribution after one sample, and the sum of squares of its mean residual before.
 
-    A sample at which a point has no value is left out.
+    A sample at which a point has no value is left out. A point outside the bounds has the value at the nearest bound:
+    there the residual stays as it is, and a mean at a bound moves with half the gain.
     """
-    z = prior.places(points.xi)
+    xi = points.xi
     with np.errstate(all="ignore"):  # where the model overflows
-        rows = residuals(z)
+        rows = residuals(prior.mean + xi @ prior.root.T)
         if not np.all(np.isfinite(rows)):
             return prior, np.inf
-        seen = points.linearised(prior.standardised(z), rows)
+        seen = points.linearised(xi, rows)
         after = posterior(prior, prior, seen)
     return (_inside(after) if np.all(np.isfinite(after.mean)) else prior), float(seen.value @ seen.value)

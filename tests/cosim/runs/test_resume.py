@@ -164,7 +164,7 @@ def test_roll_outs_filters_and_sensors_go_on_to_the_same_bits(tmp_path, settings
     assert whole.n_episodes
 
 
-@pytest.mark.full_but("again from the start-enkf")
+@pytest.mark.full
 @pytest.mark.parametrize("estimator", ["ukf", "enkf"])
 @pytest.mark.parametrize("start", ["from the saved state", "from noisy states", "again from the start"])
 def test_filters_on_roll_outs_go_on_to_the_same_bits(tmp_path, start, estimator):

@@ -15,6 +15,7 @@ from ..fmi.archive import (
     library_finding,
     library_path,
     look_into,
+    needs_its_tool,
     no_binary,
     unpack,
     unusable,
@@ -37,7 +38,7 @@ def check_fmu(fmu: Path) -> list[Finding]:
         raise
     damaged = [] if any(f.is_error for f in found) else [*contents_findings(fmu)]  # a bomb is not unpacked
     found += damaged
-    if any(part.needsExecutionTool in ("true", "1", True) for part in interfaces(description).values()):
+    if needs_its_tool(description):
         found.append(warning(DESCRIPTION, "the FMU needs the tool that made it to run (needsExecutionTool)"))
     if unusable(description, "model-exchange") and (problem := unusable(description, "co-simulation")):
         found.append(Finding(DESCRIPTION, problem))

@@ -5,7 +5,7 @@ from typing import Final
 
 from ..errors import WiringError
 from ..findings import Finding, warning
-from ..fmi.archive import capabilities, has_fixed_step
+from ..fmi.archive import has_fixed_step, needs_its_tool
 from ..fmi.component import Component, is_disturbance
 from ..fmi.feedthrough import algebraic_loops
 from ..fmi.table import is_table
@@ -149,8 +149,7 @@ def check_steps(scenario: Scenario, components: Components) -> Iterator[Finding]
                 text = f"its rows cover {start:g} to {end:g} s: outside them the nearest is held"
                 yield warning(f"components.{name}", text)
             continue
-        interface = capabilities(component.description)
-        if interface.needsExecutionTool is True:
+        if needs_its_tool(component.description):
             yield warning(
                 f"components.{name}",
                 f"{component.fmu.name} needs the tool that made it to be installed on this machine",

@@ -7,6 +7,7 @@ import os
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from math import floor, log10
 from pathlib import Path
 from typing import Final
 
@@ -31,7 +32,9 @@ from .toml_lines import key, quoted, said
 
 MOST_PAIRS: Final = 1_000_000
 """Pairs of names that are compared, which takes some seconds."""
-_STOP_TIME, _MACRO_STEP = 10.0, 0.01  # s, where no FMU says any
+_STOP_TIME = 10.0  # s, where no FMU says any
+_STEPS: Final = 1000  # of a run, where no FMU says a step
+_MOST_OFFERED: Final = 10  # outputs in a comment
 
 
 @dataclass(frozen=True)
@@ -108,10 +111,9 @@ _LEGEND: Final = [
 
 
 def _settings(components: Mapping[str, Component]) -> list[str]:
-    stops = [(c.experiment["stop_time"], c.fmu.name) for c in _last_first(components) if "stop_time" in c.experiment]
     steps = [(c.experiment["step_size"], c.fmu.name) for c in components.values() if "step_size" in c.experiment]
-    step, of_step = min((pair for pair in steps if pair[0] > 0.0), default=(_MACRO_STEP, ""))
-    stop, of_stop = next((pair for pair in stops if pair[0] > 0.0), (_STOP_TIME, ""))
+    stop, of_stop = _stop(components)
+    step, of_step = min((pair for pair in steps if pair[0] > 0.0), default=(_round(stop / _STEPS), ""))
     stop = float(f"{max(1, round(stop / step)) * step:.12g}")
     name = re.sub(r"[^A-Za-z0-9]+", "-", str(components[PLANT].description.modelName)).strip("-").lower()
     return [
@@ -120,6 +122,18 @@ def _settings(components: Mapping[str, Component]) -> list[str]:
         said(f"stop_time = {stop!r}", f"s, of {of_stop}" if of_stop else "s, GUESS"),
         said(f"macro_step = {step!r}", f"s, of {of_step}" if of_step else "s, GUESS"),
     ]
+
+
+def _round(step: float) -> float:
+    """Return the next lower one of 1, 2 and 5 times a power of ten."""
+    power = 10.0 ** floor(log10(step) + 1e-9)
+    return float(f"{max(n for n in (1, 2, 5) if n * power <= step * (1 + 1e-9)) * power:.3g}")
+
+
+def _stop(components: Mapping[str, Component]) -> tuple[float, str]:
+    """Return the stop time [s] that reference, plant or controller declare, in this order, and whose it is."""
+    declared = ((c.experiment.get("stop_time", 0.0), c.fmu.name) for c in _last_first(components))
+    return next((pair for pair in declared if pair[0] > 0.0), (_STOP_TIME, ""))
 
 
 def _last_first(components: Mapping[str, Component]) -> Iterator[Component]:
@@ -156,19 +170,26 @@ def _connections(components: Mapping[str, Component]) -> list[str]:
         if guess.source is None and guess.is_likely:
             lines.append(said(f'# {quoted(guess.target)} = ""', f"{guess.reason}{of}"))
         elif guess.source is None:
-            lines.append(
-                said(f'# {quoted(guess.target)} = ""', f"FILL{of}: {guess.reason}; as it is it stays at its start")
-            )
+            left = _offered(guess.target, components)
+            note = f"FILL{of}: {guess.reason}{left}; as it is it stays at its start"
+            lines.append(said(f'# {quoted(guess.target)} = ""', note))
         else:
             mark = "guess" if guess.is_likely else "GUESS"
             lines.append(said(f"{quoted(guess.target)} = {quoted(guess.source)}", f"{mark}{of}: {guess.reason}"))
     return lines
 
 
+def _offered(target: str, components: Mapping[str, Component]) -> str:
+    """Return the outputs that an input may be connected to, where they are few."""
+    other = PLANT if VariableName(target).component == CONTROLLER else CONTROLLER
+    names = [v.name for v in components[other].having("output")] if other in components else []
+    return f"; {other}'s outputs: {', '.join(map(one_line, names))}" if 0 < len(names) <= _MOST_OFFERED else ""
+
+
 def _changes(components: Mapping[str, Component], parameters: list[ModelVariable]) -> list[str]:
     lines = [said("[changes]", "FILL what happens to the plant: rows [time, value], or a formula in t")]
     plant = components[PLANT]
-    stop = plant.experiment.get("stop_time", _STOP_TIME)
+    stop, _ = _stop(components)
     tunable = {v.name for v in plant.having("parameter", "tunable")}
     for v in parameters:
         if v.name in tunable and v.start is not None:
@@ -195,7 +216,9 @@ def _tracking(components: Mapping[str, Component]) -> list[str]:
         lines.append(said(text if is_one else f"# {text}", f"[{unit_name(plant, name)}] {note}"))
     if not found:
         offered = ", ".join(one_line(v.name) for v in plant.having("output"))
-        lines.append(said('"plant.FILL" = "reference.FILL"', f"FILL; the plant's outputs are {offered}"))
+        given = components[REFERENCE].having("output") if REFERENCE in components else []
+        source = quoted(f"{REFERENCE}.{given[0].name if len(given) == 1 else 'FILL'}")
+        lines.append(said(f'"plant.FILL" = {source}', f"FILL; the plant's outputs are {offered}"))
     return lines
 
 

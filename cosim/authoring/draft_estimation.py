@@ -20,6 +20,7 @@ _NOISE: Final = 1e-3  # of the nominal value
 _GUESS: Final = "GUESS of the noise: a run measures it"
 _SAVED: Final = 20  # samples of a roll-out that begins in the plant's saved state
 _REPLAYED: Final = 100  # of one that begins where earlier, wrong parameters have led: its end must say enough
+_RATES: Final = ("d{}", "d_{}", "der_{}", "der{}", "d{}_dt", "d{}dt", "{}_dot", "{}dot", "{}_der")
 _WIDE: Final = 10.0  # a guessed bound is this many times the start value
 
 
@@ -43,7 +44,9 @@ def sampling(plant: Component, model: str | None) -> list[str]:
     If the plant has no derivatives among its outputs, a filter is proposed; roll-outs, where it hides its states.
     """
     if is_rolled_out(plant, model):
-        return _outputs(plant)
+        return [*_outputs(plant), *_hint(plant)]
+    if named := _named_rates(plant):
+        return _by_name(plant, named)
     outputs = {v.name for v in plant.having("output")}
     rates = {rate: state for state, rate in plant.derivatives.items() if rate in outputs}
     telling = {rate for rate, depends in _dependencies(plant).items() if rate in rates and depends}
@@ -55,6 +58,39 @@ def sampling(plant: Component, model: str | None) -> list[str]:
         note = f"[{unit_name(plant, rate)}] " + (_GUESS if is_used else "depends on states only")
         lines.append(said(text if is_used else f"# {text}", note))
     return lines if rates else _filtered(plant)
+
+
+def _named_rates(plant: Component) -> dict[str, str]:
+    """Return the outputs named as another's derivative, by that one; none where derivatives are declared."""
+    if plant.derivatives:
+        return {}
+    outputs = {v.name for v in plant.having("output") if _is_real(v)}
+    named = {name: next((rate for form in _RATES if (rate := form.format(name)) in outputs), None) for name in outputs}
+    return {v.name: rate for v in plant.having("output") if (rate := named.get(v.name))}
+
+
+def _hint(plant: Component) -> list[str]:
+    """Return a comment on outputs that a model would be compared with, where there are any."""
+    named = _named_rates(plant)
+    pairs = ", ".join(f"{one_line(rate)} of {one_line(state)}" for state, rate in named.items())
+    if not named:
+        return []
+    return [
+        f"# By their names these outputs are derivatives: {pairs}. With the plant's equations in Python,",
+        "# retune new ... --model plant_model:derivative compares them, and simulates nothing.",
+    ]
+
+
+def _by_name(plant: Component, named: Mapping[str, str]) -> list[str]:
+    """Return the lines for derivatives known by their names, and for the states."""
+    lines = ["[sampling.derivatives]  # what is measured, with the standard deviation of its noise"]
+    for state, rate in named.items():
+        text = f"{quoted(f'{PLANT}.{rate}')} = {{ noise = {_NOISE:g}, of = {quoted(f'{PLANT}.{state}')} }}"
+        lines.append(said(text, f"[{unit_name(plant, rate)}] GUESS by its name, and {_GUESS}"))
+    lines += ["", "[sampling.states]       # the model's x, in this order"]
+    return lines + [
+        said(f"{quoted(f'{PLANT}.{name}')} = {{}}", "GUESS that it is a state") for name in model_states(plant)
+    ]
 
 
 def is_rolled_out(plant: Component, model: str | None) -> bool:
@@ -90,7 +126,8 @@ def model_states(plant: Component) -> list[str]:
     """Return the states x of the model: the declared ones; if no derivative is an output, measured or likely ones."""
     outputs = [v.name for v in plant.having("output") if _is_real(v)]
     if not plant.derivatives:
-        return outputs
+        rates = set(_named_rates(plant).values())
+        return [name for name in outputs if name not in rates]
     has_rates, measured = _has_rates(plant), set(outputs)
     return [state for state in plant.derivatives if has_rates or state in measured] or outputs
 
@@ -182,7 +219,7 @@ def estimation(
         *_model(plant, model, [own.name for own, _ in pairs] if gained is None else [last_name(gained)]),
         said('trigger = { kind = "innovation" }', 'or { kind = "tracking", threshold = ... }: of the tracking error'),
         said("budget = 30", "evaluations an episode")
-        if _has_rates(plant)
+        if _has_rates(plant) or _named_rates(plant)
         else said("budget = 100", "evaluations an episode, which shall see several of the filter's samples"),
         said("window = 10", "samples: more average more noise, fewer follow faster"),
     ]

@@ -5,7 +5,7 @@ role are left out, and only the last words of a structured name are compared: `s
 """
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass
 from difflib import SequenceMatcher
 from functools import lru_cache
@@ -22,6 +22,7 @@ _DESIRED: Final = {"ref", "reference", "set", "setpoint", "sp", "des", "desired"
 _ROLES: Final = _DESIRED | {"cmd", "command", "meas", "measured", "act", "actual", "sensor", "held", "in", "out"}
 _WORDS: Final = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+")
 _LIKE: Final = 0.75  # of SequenceMatcher: `position` and `pos` are 0.55, `force` and `force1` 0.91
+_SHORT: Final = 3  # letters of an abbreviation
 
 SAME, SAME_WORDS, LAST_WORDS, LIKE, ONLY_UNIT = (
     "same name",
@@ -50,17 +51,22 @@ class Guess:
 
 def guess_connections(components: Mapping[str, Component]) -> list[Guess]:
     """Return a guess for every input, those of the controller first."""
+    inputs = {
+        f"{name}.{v.name}": v
+        for name in (CONTROLLER, PLANT, REFERENCE)
+        for v in (components[name].having("input") if name in components else ())
+    }
     guesses: dict[str, Guess] = {}
-    for name in (CONTROLLER, PLANT, REFERENCE):
-        for v in components[name].having("input") if name in components else ():
-            target = f"{name}.{v.name}"
-            guess = Guess(target, None, DISTURBANCE, True) if is_disturbance(v) else _guess(name, v, components)
-            guesses[guess.target] = guess
+    set_points: set[str | None] = set()
+    for target, v in sorted(inputs.items(), key=lambda item: not is_desired(item[1].name)):  # set points come first
+        if is_disturbance(v):
+            guesses[target] = Guess(target, None, DISTURBANCE, True)
+            continue
+        guesses[target] = guess = _guess(target, v, components, set_points)
+        set_points |= {guess.source} if is_desired(v.name) else set()
     used = {g.source for g in guesses.values()}
-    for target, guess in guesses.items():
-        if guess.source is None and not guess.is_likely:
-            guesses[target] = _by_unit(guess, used, components)
-    return list(guesses.values())
+    ordered = [guesses[target] for target in inputs]
+    return [_by_unit(g, used, components) if g.source is None and not g.is_likely else g for g in ordered]
 
 
 def guess_tracking(components: Mapping[str, Component]) -> list[Guess]:
@@ -71,9 +77,31 @@ def guess_tracking(components: Mapping[str, Component]) -> list[Guess]:
     plant, found = components[PLANT], []
     rates = set(plant.derivatives.values())
     outputs = [v for v in plant.having("output") if v.name not in rates]
+    compared = _compared(components)
     for r in components[REFERENCE].having("output") if REFERENCE in components else ():
-        guess = _tracked(components[REFERENCE], r, plant, outputs)
+        guess = compared.get(r.name) or _tracked(components[REFERENCE], r, plant, outputs)
         found += [] if guess is None or guess.target in {g.target for g in found} else [guess]
+    return found
+
+
+def _compared(components: Mapping[str, Component]) -> dict[str, Guess]:
+    """Return the plant's outputs that the controller takes as an output of the reference, T_meas as T_set, by that one.
+
+    Outputs in two units are left out.
+    """
+    sources = {g.target: VariableName(g.source).parts for g in guess_connections(components) if g.source}
+    own = [v.name for v in components[CONTROLLER].having("input")] if CONTROLLER in components else []
+    found: dict[str, Guess] = {}
+    for desired in filter(is_desired, own):
+        for measured in own:
+            if is_desired(measured) or _stem(measured) != _stem(desired):
+                continue
+            (a, source), (b, target) = (sources.get(f"{CONTROLLER}.{name}", ("", "")) for name in (desired, measured))
+            if (a, b) == (REFERENCE, PLANT) and have_one_unit(
+                components[a], source, components[b], target
+            ) is not False:
+                reason = f"the controller compares them, as {desired} and {measured}"
+                found[source] = Guess(f"{b}.{target}", f"{a}.{source}", reason, False)
     return found
 
 
@@ -90,9 +118,12 @@ def _tracked(owner: Component, r: ModelVariable, plant: Component, outputs: list
     if ranked:
         order, _, name, likely = min(ranked)
         return Guess(f"{PLANT}.{name}", source, _ORDER[order], likely)
-    same = [o.name for o in outputs if have_one_unit(owner, r.name, plant, o.name)]
+    units = {o.name: have_one_unit(owner, r.name, plant, o.name) for o in outputs}
+    same = [name for name, is_same in units.items() if is_same]
     if len(same) == 1:
         return Guess(f"{PLANT}.{same[0]}", source, "the only output in this unit, by another name", False)
+    if not same and list(units.values()) == [None]:
+        return Guess(f"{PLANT}.{outputs[0].name}", source, "the only output, no unit to compare", False)
     return None
 
 
@@ -108,7 +139,14 @@ def alike(name: str, other: str) -> str | None:
         return LAST_WORDS
     pair = SequenceMatcher(None, " ".join(words), " ".join(others))  # the quick ones are upper bounds
     is_like = all(ratio() >= _LIKE for ratio in (pair.real_quick_ratio, pair.quick_ratio, pair.ratio))
+    is_like |= len(words) == len(others) > 0 and all(map(_is_short_for, words, others))
     return LIKE if is_like and ("der" in words) == ("der" in others) else None
+
+
+def _is_short_for(word: str, other: str) -> bool:
+    """Return whether two words are the same, or one begins the other with three letters or more: `pos`, `position`."""
+    short, long = sorted((word, other), key=len)
+    return long.startswith(short) and (len(short) >= _SHORT or short == long)
 
 
 def have_one_unit(a: Component, name: str, b: Component, other: str) -> bool | None:
@@ -143,8 +181,9 @@ def is_desired(name: str) -> bool:
     return bool(_DESIRED & set(words)) or "d" in words[1:]
 
 
-def _guess(name: str, v: ModelVariable, components: Mapping[str, Component]) -> Guess:
-    target = f"{name}.{v.name}"
+def _guess(target: str, v: ModelVariable, components: Mapping[str, Component], taken: Container[str | None]) -> Guess:
+    """Return the guess for an input; taken: outputs that are set points of another input, and so measure nothing."""
+    name = VariableName(target).component
     found: list[tuple[bool, int, int, float, str, str, bool]] = []
     for role, other in enumerate(_sources(name, v.name)):
         for o in components[other].having("output") if other in components else ():
@@ -154,6 +193,8 @@ def _guess(name: str, v: ModelVariable, components: Mapping[str, Component]) -> 
             ratio = SequenceMatcher(None, v.name, o.name).ratio()
             reason = f"{how}, {'same unit' if unit else 'no unit to compare'}"
             is_crossed = is_desired(v.name) != is_desired(o.name)  # a measurement and a set point
+            if is_crossed and f"{other}.{o.name}" in taken:
+                continue
             found.append(
                 (is_crossed, _ORDER.index(how), role, -ratio, f"{other}.{o.name}", reason, is_likely(how, unit))
             )

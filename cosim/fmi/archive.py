@@ -202,6 +202,13 @@ def capabilities(description: ModelDescription) -> CoSimulation | ModelExchange:
     return part
 
 
+def needs_its_tool(description: ModelDescription) -> bool:
+    """Return whether the tool that made an FMU must be installed; pythonfmu's is Python, which it declares."""
+    is_python = str(description.generationTool or "").lower().startswith("pythonfmu")
+    declared = any(part.needsExecutionTool in ("true", "1", True) for part in interfaces(description).values())
+    return declared and not is_python
+
+
 def has_fixed_step(description: ModelDescription) -> bool:
     """Return whether an FMU's communication steps must all be of one size."""
     part = capabilities(description)

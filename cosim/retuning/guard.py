@@ -34,6 +34,8 @@ _READ_BACK = 1e-6
 """Tolerance of the read-back: a controller may hold single precision."""
 _LITTLE = 0.01
 """Share of the scaled bounds below which a move in an unidentified direction, or an uncertainty, is ignored."""
+_UNDECIDED = "a disturbance explains the samples as well, and the loop is not simulated ahead"
+"""Reason of a veto where nothing tells what a write would do if it was one."""
 
 
 PredictedPeak = Callable[[Vector, Vector, Vector | None], float | None]
@@ -245,7 +247,7 @@ class Guard:
         if refusal := self._contradicted(allowed, held):
             return _Verdict(None, (*reasons, ("veto", refusal)))
         if peak is None:
-            return _Verdict(allowed if rival is None else None, reasons)
+            return _Verdict(allowed, reasons) if rival is None else _Verdict(None, (*reasons, ("veto", _UNDECIDED)))
         refusal, expected = self._predicted(allowed, held, estimate, error, peak, rival)
         return _Verdict(None, (*reasons, ("veto", refusal))) if refusal else _Verdict(allowed, reasons, expected)
 

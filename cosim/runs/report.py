@@ -6,6 +6,7 @@ from typing import Any, Final
 import numpy as np
 
 from ..text_table import aligned, counted, with_std
+from .recorded_events import read_events
 from .result import Run
 
 _WORSE: Final = 1.5
@@ -34,7 +35,7 @@ def report(run: Run, baselines: Mapping[str, Run]) -> str:
         _final_estimate(run),
         _latency(run),
         _oversight(run),
-        diagnosed(run.diagnosis),
+        _told_of_replays(diagnosed(run.diagnosis), run),
         [f"run folder {run.folder}"] if run.folder else [],
     ]
     return "\n\n".join("\n".join(block) for block in blocks if block)
@@ -104,6 +105,9 @@ def _oversight(run: Run) -> list[str]:
         lines.append(
             f"guard: {', '.join(counts)}{stop}{f'; the loop was not simulated ahead: {blind}' if blind else ''}"
         )
+        vetoes = [e for e in (read_events(run.folder) if run.folder else []) if e.get("kind") == "veto"]
+        if vetoes:
+            lines.append(f"the last veto, at t = {vetoes[-1]['t']:g} s: {vetoes[-1].get('reason', '')}")
     return lines + screened(run.observations)
 
 
@@ -150,6 +154,16 @@ def diagnosed(found: Mapping[str, Any] | None) -> list[str]:
     if resting:
         lines.append(f"re-tuning rests at the end: {', '.join(resting)} left out")
     return lines
+
+
+def _told_of_replays(lines: list[str], run: Run) -> list[str]:
+    """Return the lines, with one more where searches in vain may be the fault of how roll-outs begin."""
+    if not (run.diagnosis and run.diagnosis["unexplained"] and "again from the start" in (run.objective or "")):
+        return lines
+    return [
+        *lines,
+        "after a change, roll-outs from the start begin in a wrong state for some time",
+    ]
 
 
 def ending(run: Run) -> str | None:

@@ -21,6 +21,9 @@ from cosim.fmi.component import read_component
         ("torque", "speed", None),
         ("d", "d_ref", SAME_WORDS),
         ("ref", "set", None),
+        ("pos", "position", LIKE),
+        ("cart.vel", "cart.velocity", LIKE),
+        ("po", "position", None),
     ],
 )
 def test_names_are_alike_by_their_words(name, other, how):

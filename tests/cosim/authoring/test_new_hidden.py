@@ -12,6 +12,7 @@ from cosim.authoring.check import check
 from cosim.authoring.draft import draft
 from cosim.authoring.guess import guess_tracking
 from cosim.cli import main
+from cosim.fmi.archive import needs_its_tool
 from cosim.fmi.component import read_component
 from cosim.runs.simulation import run
 from cosim.scenarios.json_schema import URL
@@ -162,7 +163,7 @@ def test_what_is_tracked_is_matched_by_name_and_unit(described, outputs, referen
     assert [g.target for g in guess_tracking(components)] == ([tracked] if tracked else [])
     text = draft({"plant": plant, "reference": wanted}, plant.parent).text
     assert tomllib.loads(text)["tracking"] == (
-        {tracked: f"reference.{reference[0]}"} if tracked else {"plant.FILL": "reference.FILL"}
+        {tracked: f"reference.{reference[0]}"} if tracked else {"plant.FILL": f"reference.{reference[0]}"}
     )
 
 
@@ -197,3 +198,58 @@ def test_the_words_of_process_control_are_joined_where_one_output_is_left(descri
 def test_roll_outs_from_the_start_are_longer_than_from_a_saved_state(described, offered, window):
     plant = described(pin("u", "input", 0) + pin("y", "output", 1), name="P", interface=offered)
     assert tomllib.loads(draft({"plant": plant}, plant.parent).text)["estimation"]["window"] == window
+
+
+def test_a_measurement_is_not_fed_with_the_set_point_and_what_the_controller_compares_is_tracked(described):
+    plant = described(pin("T_thermocouple", "output", 0) + pin("P", "input", 1), name="P")
+    controller = described(pin("T_set", "input", 0) + pin("T_meas", "input", 1) + pin("power", "output", 2), name="C")
+    wanted = described(pin("T_set", "output", 0), name="R")
+    text = draft({"plant": plant, "controller": controller, "reference": wanted}, plant.parent).text
+    written = tomllib.loads(text)
+    assert written["connections"] == {
+        "controller.T_set": "reference.T_set",
+        "controller.T_meas": "plant.T_thermocouple",
+        "plant.P": "controller.power",
+    }
+    assert written["tracking"] == {"plant.T_thermocouple": "reference.T_set"}
+
+
+def test_outputs_with_the_name_of_a_derivative_are_sampled_where_there_is_a_model(described):
+    plant = described("".join(pin(name, "output", i) for i, name in enumerate(("i", "w", "phi", "di", "dw"))), name="P")
+    written = tomllib.loads(draft({"plant": plant}, plant.parent, "plant_model:derivative").text)["sampling"]
+    assert {name: source["of"] for name, source in written["derivatives"].items()} == {
+        "plant.di": "plant.i",
+        "plant.dw": "plant.w",
+    }
+    assert list(written["states"]) == ["plant.i", "plant.w", "plant.phi"]
+    assert (
+        "# By their names these outputs are derivatives: di of i, dw of w."
+        in draft({"plant": plant}, plant.parent).text
+    )
+
+
+@pytest.mark.parametrize(("stop", "step"), [(1200.0, 1.0), (9000.0, 5.0), (10.0, 0.01), (0.3, 0.0002)])
+def test_the_macro_step_goes_with_the_length_of_the_run(described, tmp_path, stop, step):
+    plant = described(pin("y", "output", 0), name="P")
+    table = tmp_path / "sp.csv"
+    table.write_text(f"time,y_ref\n0,1\n{stop},1\n")
+    written = tomllib.loads(draft({"plant": plant, "reference": table}, tmp_path).text)["scenario"]
+    assert (written["stop_time"], written["macro_step"]) == (stop, step)
+
+
+def test_what_is_left_to_fill_in_is_told_once(described, tmp_path):
+    plant = described(pin("y1", "output", 0) + pin("y2", "output", 1), name="P")
+    wanted = described(pin("SP", "output", 0), name="R")
+    path = tmp_path / "my.toml"
+    path.write_text(draft({"plant": plant, "controller": wanted, "reference": wanted}, tmp_path).text)
+    found = [str(f) for f in check(path) if "FILL" in str(f)]
+    assert 'tracking."plant.FILL": error: FILL is still there: it is to be filled in' in found
+    assert len(found) == len({line.split(": ")[0] for line in found})
+
+
+@pytest.mark.parametrize(("tool", "yes"), [("PythonFMU 0.7.0", False), ("Dymola", True), (None, True)])
+def test_an_fmu_in_python_needs_no_other_tool(described, tool, yes):
+    plant = described(pin("y", "output", 0), name="P", interface='needsExecutionTool="true"')
+    description = read_component(plant).description
+    description.generationTool = tool
+    assert needs_its_tool(description) is yes

@@ -101,3 +101,11 @@ def test_a_jump_of_the_reference_takes_no_write_back(reference, told):
     assert [event.kind for event in events] == told
     later = watched.step(102, 1.02, 2.1, Proposal(), predicted(0.01), (reference,)).events
     assert [event.kind for event in later] == ([] if told else ["revert"])
+
+
+def test_what_may_be_a_disturbance_is_refused_with_the_reason_where_nothing_is_predicted():
+    watched = guard(None)
+    ruling = watched.step(100, 1.0, 0.01, POSSIBLE, None)
+    reason = "a disturbance explains the samples as well, and the loop is not simulated ahead"
+    assert ruling.write is None
+    assert [(event.kind, event.detail["reason"]) for event in ruling.events] == [("veto", reason)]

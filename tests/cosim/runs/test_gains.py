@@ -13,6 +13,7 @@ from cosim.campaigns.replay import replayed
 from cosim.cli import main
 from cosim.plots.parameters import draw_parameters
 from cosim.retuning.guard import Guard
+from cosim.runs.report import report
 from cosim.scenarios.scenario import Scenario
 from cosim.ssv.document import read_ssv
 
@@ -102,6 +103,7 @@ def test_a_gain_that_the_controller_does_not_declare_to_take_is_vetoed(gains, tm
     assert result.guard["vetoed"] > 0
     assert result["controller.Kp"].min() >= 0.0
     assert "controller.Kp would be -" in (tmp_path / "run" / "events.jsonl").read_text()
+    assert re.search(r"the last veto, at t = \S+ s: controller.Kp would be -", report(result, {}))
 
 
 @pytest.mark.full

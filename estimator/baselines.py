@@ -203,10 +203,13 @@ class _Counted:
         return self._newest
 
     def differences(self, z: Vector) -> Vector:
-        """Return slopes (D, d) at z (d,), the place evaluated last, from differences of which all are taken at once.
+        """Return slopes (D, d) at z (d,), the place evaluated last: the model's own, or differences, all at once.
 
         Forward ones where the residual is smooth, with SciPy's own step, and towards the cube's middle where not.
         """
+        if self._remaining >= 1 and (slopes := self._objective.slopes(self._space.from_unit(z))) is not None:
+            self._remaining -= 1
+            return slopes
         step = self._step or _SMOOTH_STEP
         beside = z + np.diag(np.where(z < 0.5 if self._step else z + step <= 1.0, step, -step))
         moved = beside.diagonal() - z

@@ -319,15 +319,15 @@ def make_retuner(
     """
     n = len(whitened.noise)
     scaled, rows = (whitened, whitened.rows) if diagnosis is None else (diagnosis.scaled, diagnosis.scaled_rows)
-    residual = scaled
+    residual, slopes = scaled, whitened.slope_rows if diagnosis is None else diagnosis.scaled_slopes
     if not estimator.is_whitened:
         residual = replace(whitened, noise=(1.0,) * n)
-        rows = residual.rows
+        rows, slopes = residual.rows, residual.slope_rows
     begins = trigger.trigger(scaled)
     if trigger.is_endless:
         budget = replace(budget, evaluations=math.inf)
     elif diagnosis is not None:
         begins = SuspicionTrigger(begins, diagnosis)
-    window = ResidualWindow(residual, n, max_length, rows)
+    window = ResidualWindow(residual, n, max_length, rows, slopes)
     retuner = Retuner(estimator, window, begins, budget, linear, partial(str, text))
     return retuner if diagnosis is None else DiagnosingRetuner(retuner, diagnosis, trigger.is_endless)

@@ -162,6 +162,15 @@ class Diagnosis:
         """Return the residuals (..., n, c) of candidates theta (..., d) at n samples, each as `scaled` does."""
         return self._declared.rows(theta, samples) / self._state.scale.effective
 
+    def slopes(self, theta: Vector, samples: Sequence[Sample]) -> Vector | None:
+        """Return the slopes (n, c, d) of `rows` at theta (d,) in the unit cube; None where the model has none."""
+        return self.scaled_slopes(theta, [self.corrected(sample) for sample in samples])
+
+    def scaled_slopes(self, theta: Vector, samples: Sequence[Sample]) -> Vector | None:
+        """Return the slopes (n, c, d) of `scaled_rows` at theta (d,) in the unit cube; None where there are none."""
+        declared = self._declared.slope_rows(theta, samples)
+        return None if declared is None else declared / self._state.scale.effective[:, None]
+
     def observe(self, sample: Sample, held: Vector) -> bool:
         """Take a sample, with the parameters in force (d,); return whether residuals are to be computed anew."""
         state = self._state

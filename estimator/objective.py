@@ -126,6 +126,14 @@ class Objective:
         self.n_evaluations += len(thetas)
         return list(self._window.residuals(thetas))
 
+    def slopes(self, theta: Vector) -> Vector | None:
+        """Return the slopes (D, d) of the residual at theta (d,) in the unit cube, one evaluation; None without any."""
+        if self.is_spent or not isinstance(self._window, ResidualWindow):
+            return None
+        found = self._window.slopes(theta)
+        self.n_evaluations += found is not None
+        return found
+
     def newest_residual(self, theta: Vector) -> Vector:
         """Return the residual (..., c) at the newest sample, as `residual_at`."""
         return self.residual_at(theta, self.newest)

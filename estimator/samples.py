@@ -72,6 +72,8 @@ class DerivativeResidual:
     """sigma (c,), the standard deviation of each sampled derivative; ones leave the residual in physical units."""
     is_vectorised: bool = False
     """True where the model takes k points at once: x (n, k), u (p, k) and each parameter (k,)."""
+    slopes: Callable[..., Sequence[Sequence[float]]] | None = None
+    """Function df/dtheta (n, d) of x, u and **theta; None where only differences are to be had."""
 
     def __call__(self, theta: Vector, sample: Sample) -> Vector:
         """Return r (c,) of one sample; 0 for a channel that was not sampled, NaN where the model has no value.
@@ -100,6 +102,19 @@ class DerivativeResidual:
         if not (is_sampled := xdot == xdot).all():
             r = np.where(is_sampled | np.isnan(table).all(axis=-1, keepdims=True), r, 0.0)
         return r.reshape(*theta.shape[:-1], n, c)
+
+    def slope_rows(self, theta: Vector, samples: Sequence[Sample]) -> Vector | None:
+        """Return dr/dz (n, c, d), z in the unit cube, of theta (d,) at n samples; None where the model has none."""
+        if self.slopes is None or not samples:
+            return None
+        named = self.space.named(theta)
+        try:
+            table = np.array([self.slopes(s.x, s.u, **named) for s in samples], dtype=float)[:, list(self.channels)]
+        except (ArithmeticError, ValueError):
+            return None
+        r = -table * self.space.slope(theta) / np.array(self.noise)[:, None]
+        r[np.isnan(np.array([s.xdot for s in samples], dtype=float))] = 0.0
+        return r if np.all(np.isfinite(r)) else None
 
     def _at_once(self, thetas: Vector, samples: Sequence[Sample]) -> Vector | None:
         """Return the modelled derivatives (k n, c) of candidates (k, d) at n samples; None where one has no value."""

@@ -27,13 +27,14 @@ class ResidualWindow:
         n_channels: int,
         max_length: int = 10,
         rows: Callable[[Vector, Sequence[Sample]], Vector] | None = None,
+        slopes: Callable[[Vector, Sequence[Sample]], Vector | None] | None = None,
     ) -> None:
         """residual: (c,) of a candidate at a sample; rows: (..., n, c) of candidates (..., d) at n samples, which is
-        faster; None for one after the other."""
+        faster; None for one after the other; slopes: (n, c, d) in the unit cube of one candidate."""
         if max_length < 1:
             raise ValueError(f"max_length must be at least 1 sample, got {max_length}.")
         self._residual, self._rows_at = residual, rows or partial(_one_by_one, residual)
-        self._max_length = max_length
+        self._slopes, self._max_length = slopes, max_length
         self._samples: list[Sample] = []
         self._lengths = [0] * n_channels
         self._is_explained = [True] * n_channels
@@ -103,6 +104,14 @@ class ResidualWindow:
             return self._residual(theta, sample)
         self.n_model_calls += theta.size // theta.shape[-1]
         return self._rows_at(theta, [sample])[..., 0, :]
+
+    def slopes(self, theta: Vector) -> Vector | None:
+        """Return the slopes (D, d) of the residuals of theta (d,) in the unit cube; None where the model has none."""
+        table = None if self._slopes is None else self._slopes(theta, self._samples)
+        if table is None:
+            return None
+        self.n_model_calls += len(self._samples)
+        return table.reshape(-1, table.shape[-1])[self._in_use()]
 
     def residuals(self, candidates: Iterable[Vector]) -> Vector:
         """Return the residuals of many candidates (n, D); rows kept for others are dropped."""

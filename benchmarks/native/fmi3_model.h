@@ -133,6 +133,22 @@ fmi3Status fmi3GetEventIndicators(fmi3Instance c, fmi3Float64 z[], size_t n) {
     return ANSWER(n == N_INDICATORS);
 }
 
+fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueReference unknown[], size_t n_unknown,
+                                        const fmi3ValueReference known[], size_t n_known, const fmi3Float64 seed[],
+                                        size_t n_seed, fmi3Float64 sensitivity[], size_t n_sensitivity) {
+    if (n_unknown != n_sensitivity || n_known != n_seed) return fmi3Error;
+#ifdef DIRECTIONAL
+    refresh(((Model *)c)->v);
+    for (size_t i = 0; i < n_unknown; i++) {
+        sensitivity[i] = 0.0;
+        for (size_t k = 0; k < n_known; k++) sensitivity[i] += seed[k] * partial(((Model *)c)->v, unknown[i], known[k]);
+    }
+    return fmi3OK;
+#else
+    return fmi3Error;
+#endif
+}
+
 /* A state is a copy of the model: it has no pointers. */
 
 fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState *state) {

@@ -17,6 +17,10 @@
      static int is_step_event(const double *v);                  after a step of the solver
      static int event(double *v, double t, double *next);        update of the discrete states; whether another is needed
 
+   and, with -DDIRECTIONAL=FACTOR, for directional derivatives in FMI 3.0, those by parameters times the factor:
+
+     static double partial(const double *v, unsigned unknown, unsigned known);
+
    In FMI 3.0 the value reference N_VARIABLES is the time. -DONCE: one instance a process, as some tools export.
    -DONLY_EXCHANGE: no co-simulation. -DTOLERANCE=PLACE: the tolerance that it is given is put there, -1 without one.
    -DEARLY: each step of FMI 3.0 returns in its middle. -DOVER: each asks to end the simulation.

@@ -17,7 +17,6 @@ _CAPABILITIES = {
     "canGetAndSetFMUstate": "state saved and restored",
     "canSerializeFMUstate": "state as bytes",
     "providesDirectionalDerivative": "directional derivatives",
-    "providesDirectionalDerivatives": "directional derivatives",
     "providesAdjointDerivatives": "adjoint derivatives",
     "canInterpolateInputs": "inputs interpolated",
     "hasEventMode": "event mode",

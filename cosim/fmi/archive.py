@@ -108,8 +108,10 @@ def look_into(fmu: Path, on_findings: FindingsListener | None = None) -> tuple[M
     on_findings = on_findings or partial(_refuse, f"{fmu} is not a usable FMU")
     try:
         with open(readable(fmu), "rb") as file:
-            on_findings(index_findings(_description_in(file, on_findings)))
+            root = _description_in(file, on_findings)
+            on_findings(index_findings(root))
             description = _validated(file, on_findings)
+            _mark_directional(description, root)
             on_findings(description_findings(description))
             platforms: list[str] = fmpy.supported_platforms(file)
     except ModelDescriptionError:
@@ -274,6 +276,16 @@ def contents_findings(fmu: Path) -> Iterator[Finding]:
                         pass
             except _DAMAGED as error:
                 yield Finding(repr(entry.filename), f"cannot be unpacked: {_text_of(error)}")
+
+
+def _mark_directional(description: ModelDescription, root: Element) -> None:
+    """Set providesDirectionalDerivative where FMI 3.0 has it in the plural, which FMPy 0.3.32 leaves out."""
+    for name in ("CoSimulation", "ModelExchange"):
+        part = root.find(name)
+        if part is not None and is_true(part.get("providesDirectionalDerivatives")):
+            interface = description.coSimulation if name == "CoSimulation" else description.modelExchange
+            assert interface is not None
+            interface.providesDirectionalDerivative = True
 
 
 def _description_in(file: BinaryIO, on_findings: FindingsListener) -> Element:

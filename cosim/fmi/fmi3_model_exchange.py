@@ -4,7 +4,7 @@ No time passes in it.
 """
 
 from collections.abc import Sequence
-from ctypes import byref, c_bool, c_double, c_size_t, c_void_p
+from ctypes import byref, c_bool, c_double, c_size_t, c_uint, c_void_p
 
 from fmpy import fmi3
 
@@ -35,9 +35,11 @@ class Fmi3ModelExchange:
                 raise SlaveError(fmi.name, "instantiate", None, "failed: a continuous state is not described")
             self._first[rate.valueReference] = self._first[rate.derivative.valueReference] = n
             n += len(fmi.start[rate.valueReference])
+        self._rate_references = [rate.valueReference for rate in rates if rate is not None]
         self._x, self._rates = (c_double * n)(), (c_double * n)()
         self._inputs: list[ValueBuffer3] = []
         self._tunables: list[ValueBuffer3] = []
+        self._tunable_variables: Sequence[ScalarVariable] = ()
         self._state_places: list[int] = []
         self._rate_places: list[int] = []
         self._enter_event_mode = fmi.raw("fmi3EnterEventMode")
@@ -53,7 +55,7 @@ class Fmi3ModelExchange:
         n = len(outputs)
         self._state_places, self._rate_places = self._places(inputs[:n]), self._places(outputs)
         self._inputs = buffers3_of(inputs[n:], self._fmi.start)
-        self._tunables = buffers3_of(tunables, self._fmi.start)
+        self._tunables, self._tunable_variables = buffers3_of(tunables, self._fmi.start), tunables
         for buffer in (*self._inputs, *self._tunables):
             buffer.start(self._fmi.start)
 
@@ -81,6 +83,28 @@ class Fmi3ModelExchange:
         self._rates[:] = [float("nan")] * len(self._rates)
         fmi.call("get_continuous_state_derivatives", self._get_rates, self._rates, len(self._rates))
         return tuple([self._rates[place] for place in self._rate_places])
+
+    def slopes(self, inputs: Sequence[float], tunables: Sequence[float]) -> list[list[float]]:
+        """Return the derivatives of a step's results by each tunable, a row a result, by fmi3GetDirectionalDerivative.
+
+        FMI 3.0, section 2.4.8: parameters are among the knowns of state derivatives.
+        """
+        self.step(0.0, 0.0, inputs, tunables)
+        columns = [self._direction(*of_handle(variable[2])) for variable in self._tunable_variables]
+        return [[column[place] for column in columns] for place in self._rate_places]
+
+    def _direction(self, reference: int, element: int) -> list[float]:
+        """Return the derivatives of all state derivatives by one element of a parameter."""
+        seed = (c_double * len(self._fmi.start[reference]))()
+        seed[element] = 1.0
+        known, sensitivity = (c_uint * 1)(reference), (c_double * len(self._rates))(*[float("nan")] * len(self._rates))
+        unknown = (c_uint * len(self._rate_references))(*self._rate_references)
+        types = [c_void_p, c_size_t] * 4
+        self._fmi.call(
+            "get_directional_derivative", self._fmi.raw("fmi3GetDirectionalDerivative", *types),
+            unknown, len(unknown), known, 1, seed, len(seed), sensitivity, len(sensitivity),
+        )  # fmt: skip
+        return list(sensitivity)
 
     def close(self) -> None:
         """Terminate, if it was initialized, and free."""

@@ -6,8 +6,9 @@ An FMU is read the FMI way: set continuous states, inputs and parameters, get th
 from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
+import numpy as np
 from fmpy.model_description import ModelDescription, ModelVariable
 
 from estimator import Parameter
@@ -17,6 +18,7 @@ from ..files import sha256
 from ..fmi.archive import fmu_to_load, read_description, unpacked
 from ..fmi.elements import resolved
 from ..fmi.ports import Catalogue
+from ..fmi.preflight.description import is_true
 from ..fmi.value_buffers import ScalarVariable
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
@@ -25,6 +27,11 @@ from ..system.fmu_cache import find_fmu
 from ..system.parameters import narrower_range
 from ..system.plant import Plant
 from ..user_code import load
+
+_STEP: Final = 1e-5
+"""Step of differences that directional derivatives are compared with, as a share of a parameter."""
+_AGREED: Final = 1e-3
+"""Largest difference between the two, as a share of the largest slope."""
 
 
 @contextmanager
@@ -93,10 +100,12 @@ class FmuModel:
         """timeout of a call [s], memory_limit [MB], environment: see open_slave. Raises CosimError."""
         self._fmu, self._timeout, self._memory_limit, self._environment = fmu, timeout, memory_limit, environment
         self._parameters = [p.name for p in parameters]
+        self._bounds = {p.name: (p.lower, p.upper) for p in parameters}
         self._theta: tuple[float, ...] | None = None
         self._process: FmuProcess | None = None
         self._description, self._folder = unpacked(fmu, "model-exchange")
         try:
+            self._unproven = set(self._parameters) if has_directions(self._description) else None
             self._bound = _binding(fmu, self._description, plant, parameters)
             self._process = self._started()
         except BaseException:
@@ -114,6 +123,54 @@ class FmuModel:
         except SlaveError as error:
             self._end()
             raise ValueError(str(error)) from error
+
+    @property
+    def has_slopes(self) -> bool:
+        """True where the FMU offers derivatives by its parameters, as long as they have not been found wrong."""
+        return self._unproven is not None
+
+    def slopes(self, x: Sequence[float], u: Sequence[float], **parameters: float) -> list[list[float]]:
+        """Return d xdot / d theta (n, d), the FMU's own. Raises ValueError where it gives none, or wrong ones.
+
+        Those by a parameter are compared with differences until they have been right where they are not zero: not
+        every FMU that declares directional derivatives has those by parameters.
+        """
+        if self._unproven is None:
+            raise ValueError("no directional derivatives by parameters")
+        theta = [float(parameters[name]) for name in self._parameters]
+        try:
+            process = self._process = self._process or self._started()
+            found: list[list[float]] = process.call("slopes", 0.0, [*x, *u], theta)
+            self._theta = tuple(theta)
+        except SlaveError as error:
+            self._end()
+            self._unproven = None
+            raise ValueError(str(error)) from error
+        for name in [*self._unproven]:
+            self._prove(name, [row[self._parameters.index(name)] for row in found], x, u, parameters)
+        return found
+
+    def _prove(
+        self, name: str, slope: Sequence[float], x: Sequence[float], u: Sequence[float], parameters: dict[str, float]
+    ) -> None:
+        """Compare the slope (n,) by a parameter with a difference; it is proven where that is not zero.
+
+        Raises ValueError where they differ, and slopes are not used again.
+        """
+        assert self._unproven is not None
+        (lower, upper), value = self._bounds[name], float(parameters[name])
+        h = _STEP * max(abs(value), _STEP * (upper - lower))
+        places = min(value + h, upper), max(value - h, lower)
+        above, below = (np.array(self(x, u, **parameters | {name: place})) for place in places)
+        difference, own = (above - below) / (places[0] - places[1]), np.array(slope)
+        size = max(float(np.abs(difference).max()), float(np.abs(own).max()))
+        if not np.all(np.abs(own - difference) <= _AGREED * size):
+            self._unproven = None
+            raise ValueError(
+                f"its directional derivatives by {name} are {own.tolist()}, differences {difference.tolist()}"
+            )
+        if size > 0.0:
+            self._unproven.discard(name)
 
     def to_checkpoint(self) -> str:
         """Return the SHA-256 of the FMU, which keeps nothing from one call to the next."""
@@ -151,6 +208,16 @@ class FmuModel:
             process.close(None, is_polite=False)
             raise
         return process
+
+
+def has_directions(description: ModelDescription) -> bool:
+    """Return whether an FMU may give derivatives of its state derivatives by parameters.
+
+    In FMI 2.0, section 2.2.8, only inputs, states and time are knowns after initialization.
+    """
+    interface = description.modelExchange
+    declared = interface is not None and is_true(interface.providesDirectionalDerivative)
+    return str(description.fmiVersion).startswith("3") and declared
 
 
 def _binding(

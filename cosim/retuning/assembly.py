@@ -18,7 +18,7 @@ from estimator.samples import RememberingModel
 
 from ..errors import CosimError, ScenarioError
 from ..objectives.choice import ENDLESS, chosen, open_objective
-from ..objectives.model import opened_model
+from ..objectives.model import FmuModel, opened_model
 from ..objectives.model_trial import try_arrays, try_derivatives
 from ..objectives.rollout_fmu import RunningPlant
 from ..sampling.derivative_filter import derivative_noise
@@ -64,7 +64,8 @@ def make_supervisor(
     support: DataSupport | NoDataSupport = NoDataSupport()
     if whitened is not None:
         rows = whitened.rows if diagnosis is None else diagnosis.rows
-        support = DataSupport(rows, space, len(whitened.noise), max(scenario.estimation.window, _FEWEST))
+        slopes = whitened.slope_rows if diagnosis is None else diagnosis.slopes
+        support = DataSupport(rows, space, len(whitened.noise), max(scenario.estimation.window, _FEWEST), slopes)
     rule = tuning_rule(scenario)
     variables = {} if running is None else written_variables(scenario, running.slaves)
     refusal = WriteCheck(rule, variables)
@@ -146,9 +147,11 @@ def _retuner(
 def _residual(scenario: Scenario, plant: Plant, stack: ExitStack) -> DerivativeResidual:
     """Return the whitened residual of the scenario's model, which stack closes. Raises ScenarioError."""
     settings = scenario.estimation
-    model = RememberingModel(stack.enter_context(opened_model(scenario, plant)))
+    opened = stack.enter_context(opened_model(scenario, plant))
+    slopes = opened.slopes if isinstance(opened, FmuModel) and opened.has_slopes else None
     sigma = derivative_noise(scenario.sampling, scenario.scenario.macro_step)
-    return DerivativeResidual(model, settings.space, plant.channels, sigma, settings.vectorised)
+    model = RememberingModel(opened)
+    return DerivativeResidual(model, settings.space, plant.channels, sigma, settings.vectorised, slopes)
 
 
 def _linear_form(method: Method, scenario: Scenario) -> LinearForm | None:

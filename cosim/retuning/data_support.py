@@ -57,9 +57,11 @@ class DataSupport:
         space: ParameterSpace,
         n_channels: int,
         length: int,
+        slopes: Callable[[Vector, Sequence[Sample]], Vector | None] = lambda theta, samples: None,
     ) -> None:
-        """rows: whitened residuals (..., n, c) of candidates (..., d) at n samples; length: number of samples kept."""
-        self._rows, self._space, self.n_channels = rows, space, n_channels
+        """rows: whitened residuals (..., n, c) of candidates (..., d) at n samples; length: number of samples kept;
+        slopes: (n, c, d) of one candidate in the unit cube, None where only differences are to be had."""
+        self._slopes, self._rows, self._space, self.n_channels = slopes, rows, space, n_channels
         self._samples: deque[Sample] = deque(maxlen=length)
 
     def append(self, sample: Sample) -> None:
@@ -82,7 +84,10 @@ class DataSupport:
         return float(r @ r)
 
     def information(self, theta: Vector) -> Information:
-        """Return the information that the samples have at theta (d,), by central differences in the unit cube."""
+        """Return the information that the samples have at theta (d,), by the model's slopes or central differences."""
+        slopes = self._slopes(theta, [*self._samples])
+        if slopes is not None:
+            return information(slopes.reshape(-1, len(theta)))
         z = self._space.to_unit(theta)
         steps = np.full(len(z), _STEP)
         over_window = OfMany(lambda z: self._over_window(self._space.from_unit(z)))

@@ -20,7 +20,7 @@ from .supervision.supervised_child import SupervisedChild
 
 _CALLS: Final = frozenset(
     {"bind", "initialize", "enter_initialization", "propagate", "exit_initialization", "get", "get_state", "set_state"}
-    | {"close"}
+    | {"close", "slopes"}
 )
 
 

@@ -24,4 +24,12 @@ static int step(double *v, double t, double h) {
     return 1;
 }
 
+#ifdef DIRECTIONAL
+static double partial(const double *v, unsigned unknown, unsigned known) {
+    if (unknown == DER_V && known == M) return DIRECTIONAL * -v[DER_V] / v[M];
+    if (unknown == DER_V && known == C) return DIRECTIONAL * -v[S] / v[M];
+    return 0.0; /* those by inputs and states are not asked for */
+}
+#endif
+
 #include "fmi_model.h"

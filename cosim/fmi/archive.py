@@ -106,9 +106,11 @@ def look_into(fmu: Path, on_findings: FindingsListener | None = None) -> tuple[M
     on_findings: gets what is found; by default the first error is raised. Raises ModelDescriptionError.
     """
     on_findings = on_findings or partial(_refuse, f"{fmu} is not a usable FMU")
+    version = "2.0"
     try:
         with open(readable(fmu), "rb") as file:
             root = _description_in(file, on_findings)
+            version = root.get("fmiVersion", version)
             on_findings(index_findings(root))
             description = _validated(file, on_findings)
             _mark_directional(description, root)
@@ -119,6 +121,9 @@ def look_into(fmu: Path, on_findings: FindingsListener | None = None) -> tuple[M
     except OSError as error:
         raise ModelDescriptionError(f"{fmu} cannot be read: {error.strerror or error}") from error
     except ValidationError as error:
+        if not _VERSION.fullmatch(version):  # else what it breaks is a rule of another version
+            what = f"it is of FMI {one_line(version)}, not 2.0 or 3.0, whose rules it breaks"
+            raise ModelDescriptionError(f"{fmu} is not a usable FMU: {what}") from error
         n = len(error.problems) - 1
         more = f" (and {n} more, which `fmpy validate` lists)" if n else ""
         raise ModelDescriptionError(f"{fmu} is not a usable FMU: {one_line(error.problems[0])}{more}") from error

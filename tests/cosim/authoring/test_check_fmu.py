@@ -118,12 +118,23 @@ def test_a_component_with_clocks_is_refused_before_it_is_loaded(foreign, tmp_pat
     assert str(caught.value) == f"{fmu} cannot be a component: {reason}."
 
 
-def test_a_beta_of_fmi_3_is_an_error(changed):
-    fmu = changed("Axis-3", ('fmiVersion="3.0"', 'fmiVersion="3.0-beta.2"'))
-    reason = "is an FMI 3.0-beta.2 co-simulation FMU, not FMI 2.0 or 3.0 co-simulation"
+@pytest.mark.parametrize("version", ["3.0-beta", "3.0-beta.2"])
+def test_a_beta_of_fmi_3_is_an_error(changed, version):
+    fmu = changed("Axis-3", ('fmiVersion="3.0"', f'fmiVersion="{version}"'))
+    reason = f"is an FMI {version} co-simulation FMU, not FMI 2.0 or 3.0 co-simulation"
     assert told(fmu) == [f"modelDescription.xml: error: {reason}"]
     with pytest.raises(Exception, match=reason):
         runs(fmu)
+
+
+def test_a_beta_that_breaks_rules_of_fmi_3_is_told_to_be_one(changed):
+    """The Reference-FMUs of that time have no independent variable."""
+    time = '<Float64 name="time" valueReference="9" causality="independent" variability="continuous"/>'
+    fmu = changed("Axis-3", ('fmiVersion="3.0"', 'fmiVersion="3.0-beta.1"'), (time, ""))
+    with pytest.raises(
+        ModelDescriptionError, match=r"it is of FMI 3\.0-beta\.1, not 2\.0 or 3\.0, whose rules it breaks"
+    ):
+        told(fmu)
 
 
 @pytest.mark.full

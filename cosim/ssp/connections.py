@@ -1,6 +1,6 @@
 """Flattening of the connections of nested systems to those between FMUs, units converted on the way."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 from xml.etree.ElementTree import Element
@@ -68,10 +68,10 @@ def connect(top: SystemElement, where: str) -> FlatConnections:
         is_component[node.name] = node.component is not None
         kinds |= {End(node.name, name): connector for name, connector in node.connectors.items()}
         for element in node.element.findall("Connections/Connection"):
-            target, edge = _edge(node, element, where)
-            if target in edges:
-                raise SspError(f"{where}: two connections lead to '{target}'.")
-            edges[target] = edge
+            for target, edge in _edges(node, element, where):
+                if target in edges:
+                    raise SspError(f"{where}: two connections lead to '{target}'.")
+                edges[target] = edge
     connections: list[Connection] = []
     inherited: dict[End, Connection] = {}
     for target in edges:
@@ -91,6 +91,28 @@ def _nodes(node: SystemElement) -> Iterator[SystemElement]:
     yield node
     for child in node.children.values():
         yield from _nodes(child)
+
+
+def _edges(system: SystemElement, element: Element, where: str) -> Iterator[tuple[End, _Edge]]:
+    """Yield target and edge of a connection, those between two arrays element by element."""
+    ends: list[Sequence[str] | None] = []
+    for side in ("start", "end"):
+        name = element.get(f"{side}Element")
+        node = system.children.get(name) if name else system
+        ends.append(node.arrays.get(element.get(f"{side}Connector", "")) if node is not None else None)
+    start, end = ends
+    between = " -> ".join(_written(element, side) for side in ("start", "end"))
+    if element.get("startIndices") or element.get("endIndices"):
+        raise SspError(f"{where}: connection {between} is one of single elements, which is not supported.")
+    if start is None and end is None:
+        yield _edge(system, element, where)
+        return
+    if start is None or end is None or len(start) != len(end):
+        raise SspError(f"{where}: connection {between} must join arrays of one size.")
+    for one, other in zip(start, end, strict=True):
+        part = Element(element.tag, {**element.attrib, "startConnector": one, "endConnector": other})
+        part.extend(element)
+        yield _edge(system, part, where)
 
 
 def _edge(system: SystemElement, element: Element, where: str) -> tuple[End, _Edge]:

@@ -1,6 +1,6 @@
 """Elements of a system structure: systems within systems, and components, which are FMUs."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -13,6 +13,7 @@ from ..fmi.types import TYPES
 from ..names import did_you_mean
 from ..ssv.xml import attribute
 from ..units import Unit, conversion
+from .arrays import arrays_of
 
 _SSP_TYPES = {row.name: row.ssp for row in TYPES.values() if row.ssp is not None}  # SSP 2.0 has FMI 3.0's names too
 
@@ -41,6 +42,8 @@ class SystemElement:
     """The FMU; None for a system."""
     children: Mapping[str, "SystemElement"]
     """Elements of a system, by their own names."""
+    arrays: Mapping[str, Sequence[str]]
+    """Connectors that are arrays, by name: their elements, which are connectors too."""
 
     def components(self) -> Iterator[tuple[str, Component]]:
         """Yield every component below, or this one, with its hierarchical name."""
@@ -83,7 +86,8 @@ class TreeReader:
                 children[own] = self._component(child, full)
             else:
                 raise SspError(f"{self._where}: '{full}' is a {one_line(child.tag)}, which is not supported.")
-        return SystemElement(name, element, self._connectors(element, name, None), None, children)
+        connectors, arrays = self._connectors(element, name, None)
+        return SystemElement(name, element, connectors, None, children, arrays)
 
     def _component(self, element: Element, name: str) -> SystemElement:
         kind = element.get("type", "application/x-fmu-sharedlibrary")
@@ -92,17 +96,26 @@ class TreeReader:
         fmu = resource(self._folder, attribute(element, "source", self._where), f"{self._where}: component '{name}'")
         component = self._components.get(fmu) or read_component(fmu)
         self._components[fmu] = component
-        return SystemElement(name, element, self._connectors(element, name, component), component, {})
+        connectors, arrays = self._connectors(element, name, component)
+        return SystemElement(name, element, connectors, component, {}, arrays)
 
-    def _connectors(self, element: Element, name: str, component: Component | None) -> dict[str, Connector]:
+    def _connectors(
+        self, element: Element, name: str, component: Component | None
+    ) -> tuple[dict[str, Connector], dict[str, Sequence[str]]]:
+        """Return an element's connectors, those of arrays by their elements, and its arrays."""
         found: dict[str, Connector] = {}
+        arrays: dict[str, Sequence[str]] = {}
         for connector in element.findall("Connectors/Connector"):
             own = attribute(connector, "name", self._where)
             place = f"{self._where}: connector '{name}.{own}'" if name else f"{self._where}: connector '{own}'"
-            if connector.find("Dimension") is not None:
-                raise SspError(f"{place} is an array; only scalars are supported.")
-            found[own] = self._connector(connector, own, place, component)
-        return found
+            if connector.find("Dimension") is None:
+                found[own] = self._connector(connector, own, place, component)
+                continue
+            if component is None:
+                raise SspError(f"{place} is an array of a system; only those of FMUs are supported.")
+            arrays[own] = _elements(connector, own, place, component)
+            found |= {part: self._connector(connector, part, place, component) for part in arrays[own]}
+        return found, arrays
 
     def _connector(self, element: Element, name: str, place: str, component: Component | None) -> Connector:
         typed = next((e for e in element if e.tag in _SSP_TYPES), None)
@@ -125,6 +138,17 @@ class TreeReader:
         except ValueError as e:
             raise SspError(f"{place}: {e}.") from e
         return own or declared
+
+
+def _elements(connector: Element, name: str, place: str, component: Component) -> list[str]:
+    """Return the names of the elements of an array's connector, which must have the FMU's sizes. Raises SspError."""
+    array = next((a for a in arrays_of(component).values() if a.name == name), None)
+    if array is None:
+        raise SspError(f"{place}: '{name}' is no array of {component.fmu.name}.")
+    sizes = [d.get("size") for d in connector.findall("Dimension")]
+    if len(sizes) != len(array.sizes) or any(s not in (None, str(n)) for s, n in zip(sizes, array.sizes, strict=True)):
+        raise SspError(f"{place}: in {component.fmu.name} its sizes are {' x '.join(map(str, array.sizes))}.")
+    return list(array.elements)
 
 
 def resource(folder: Path, source: str, place: str) -> Path:

@@ -1,4 +1,6 @@
-"""A scenario's system as an SSP package, version 1.0, for FMPy, OMSimulator, libcosim, ecos and others.
+"""A scenario's system as an SSP package for FMPy, OMSimulator, libcosim, ecos and others.
+
+It is of version 1.0, or of 2.0 where arrays are connected or set.
 
 Prefixes are literal, every connector is typed, and the top system has no connectors of its own: libcosim and ecos look
 for the former, libcosim refuses the latter. Unconnected inputs are left out: FMPy would join them to something.
@@ -16,9 +18,8 @@ from xml.etree.ElementTree import Element, SubElement
 import tomli_w
 
 from ..errors import SspError, WiringError
-from ..fmi.archive import FmuFile, InterfaceName, component_interface, read_any
+from ..fmi.archive import FmuFile, InterfaceName, component_interface
 from ..fmi.component import Component, ModelVariable, read_component
-from ..fmi.elements import element_names
 from ..fmi.ports import is_numeric
 from ..fmi.types import TYPES, Value, is_real
 from ..names import did_you_mean
@@ -31,6 +32,7 @@ from ..system.fmu_cache import fmu_paths
 from ..system.parameters import value_of_change
 from ..units import Unit, conversion
 from ..user_code import is_trusted, places_of
+from .arrays import FmuArray, arrays_of, whole, with_arrays
 from .package import STRUCTURE
 from .scenario import EXTRA, SCENARIO
 
@@ -46,22 +48,25 @@ def to_ssp(scenario: Scenario) -> bytes:
     """Write a package of structure, FMUs, parameters and, for `retune run`, the scenario. Same input, same bytes.
 
     Parameters are the scenario's start values, those of its changes at the start, and those that it will estimate.
-    Raises ScenarioError, ModelDescriptionError, WiringError; SspError where units do not agree, and for arrays that are
-    connected or set.
+    Raises ScenarioError, ModelDescriptionError, WiringError; SspError where units do not agree, and for elements
+    of arrays that are connected by themselves.
     """
     for name, c in scenario.components.items():
         if c.table:
             raise SspError(f"component '{name}' is a table, which SSP cannot express: use an FMU that plays it.")
     components = {name: read_component(path) for name, path in fmu_paths(scenario).items()}
     files_of = {name: FmuFile(name, component.description) for name, component in components.items()}
-    components = {name: _without_arrays(component) for name, component in components.items()}
     given, scenario = scenario, as_the_fmus_have_it(scenario, files_of)
+    arrays = {name: arrays_of(component) for name, component in components.items()}
+    if not _takes_arrays(scenario, components, arrays):
+        components = {name: _without(arrays[name], component) for name, component in components.items()}
+        arrays = {name: dict[str, FmuArray]() for name in arrays}
     places = _places(components)
     _check_connections(scenario, components)
-    files: dict[str, bytes] = {STRUCTURE: document(_structure(scenario, components, places)).encode()}
+    files: dict[str, bytes] = {STRUCTURE: document(_structure(scenario, components, places, arrays)).encode()}
     for name, component in components.items():
         files[places[name]] = component.fmu.read_bytes()
-        if values := _parameters(scenario, name, component):
+        if values := [*with_arrays(_parameters(scenario, name, component), component, arrays[name])]:
             used = {p.unit for p in values}
             units = {key: unit for key, unit in component.units.items() if key in used}
             element = ssv_element(START_VALUES, values, units, {"ssv", "ssc"})
@@ -72,13 +77,19 @@ def to_ssp(scenario: Scenario) -> bytes:
     return _zipped(files)
 
 
-def _without_arrays(component: Component) -> Component:
+def _takes_arrays(
+    scenario: Scenario, components: Mapping[str, Component], arrays: Mapping[str, Mapping[str, FmuArray]]
+) -> bool:
+    """Return whether an array is connected or set, for which the package must be of SSP 2.0."""
+    ends = [end for pair in scenario.connections.items() for end in pair]
+    if any(end.variable in arrays[end.component] for end in ends):
+        return True
+    return any(p.name in arrays[name] for name, c in components.items() for p in _parameters(scenario, name, c))
+
+
+def _without(arrays: Mapping[str, FmuArray], component: Component) -> Component:
     """Return a component whose arrays are no variables of it: SSP 1.0 has none."""
-    if component.description.fmiVersion == "2.0":
-        return component
-    arrays = [v for v in read_any(component.fmu).modelVariables if v.shape]
-    elements = {name for v in arrays for name in element_names(v.name, v.shape or ())}
-    return replace(component, variables={k: v for k, v in component.variables.items() if k not in elements})
+    return replace(component, variables={k: v for k, v in component.variables.items() if k not in arrays})
 
 
 def _places(components: Mapping[str, Component]) -> dict[str, str]:
@@ -104,12 +115,20 @@ def _plain(name: str) -> str:
     return "".join(c if c.isascii() and (c.isalnum() or c in "_-") else "_" for c in name)
 
 
-def _structure(scenario: Scenario, components: Mapping[str, Component], places: Mapping[str, str]) -> Element:
+def _structure(
+    scenario: Scenario,
+    components: Mapping[str, Component],
+    places: Mapping[str, str],
+    arrays: Mapping[str, Mapping[str, FmuArray]],
+) -> Element:
     settings = scenario.scenario
     declared = {f"xmlns:{prefix}": NAMESPACES[prefix] for prefix in ("ssd", "ssc", "ssv")}
+    ssp_version = "2.0" if any(arrays.values()) else "1.0"
     about = {"generationTool": f"fmu-retune {version('fmu-retune')}"}
     about |= {"description": settings.description} if settings.description else {}
-    root = Element("ssd:SystemStructureDescription", {**declared, "version": "1.0", "name": settings.name, **about})
+    root = Element(
+        "ssd:SystemStructureDescription", {**declared, "version": ssp_version, "name": settings.name, **about}
+    )
     system = SubElement(root, "ssd:System", {"name": settings.name})
     elements = SubElement(system, "ssd:Elements")
     units: dict[str, Unit] = {}
@@ -121,13 +140,15 @@ def _structure(scenario: Scenario, components: Mapping[str, Component], places: 
         if connectors:
             table = SubElement(element, "ssd:Connectors")
             for v in connectors:
-                units |= _add_connector(table, v, component)
+                array = arrays[name].get(v.name)
+                if array is None or array.elements[0] == v.name:
+                    units |= _add_connector(table, v, component, array)
         if _parameters(scenario, name, component):
             bindings = SubElement(element, "ssd:ParameterBindings")
             SubElement(bindings, "ssd:ParameterBinding", {"source": _ssv_of(name)})
     if scenario.connections:
         table = SubElement(system, "ssd:Connections")
-        for target, source in scenario.connections.items():
+        for target, source in whole(scenario.connections, arrays).items():
             (start, start_connector), (end, end_connector) = source.parts, target.parts
             ends = {"startElement": start, "startConnector": start_connector}
             SubElement(table, "ssd:Connection", {**ends, "endElement": end, "endConnector": end_connector})
@@ -142,15 +163,17 @@ def _is_connector(scenario: Scenario, component: str, v: ModelVariable) -> bool:
     return is_numeric(v) and (v.causality == "output" or f"{component}.{v.name}" in scenario.connections.values())
 
 
-def _add_connector(table: Element, v: ModelVariable, component: Component) -> dict[str, Unit]:
-    """Append a typed connector; return its unit, where that is defined."""
+def _add_connector(table: Element, v: ModelVariable, component: Component, array: FmuArray | None) -> dict[str, Unit]:
+    """Append a typed connector, of the whole array where v is an element of one; return its unit, if it is defined."""
     kind = "input" if v.causality == "input" else "output"
-    connector = SubElement(table, "ssd:Connector", {"name": v.name, "kind": kind})
+    connector = SubElement(table, "ssd:Connector", {"name": array.name if array else v.name, "kind": kind})
     connector.attrib |= {"description": v.description} if v.description else {}
     unit = component.unit(v.name) if is_real(v.type) else None
     is_defined = unit is not None and unit.exponents is not None
     kind = "Integer" if v.type == "Enumeration" else TYPES[v.type].ssp  # libcosim knows no Enumeration
     SubElement(connector, f"ssc:{kind}", {"unit": unit.name} if unit is not None and is_defined else {})
+    for size in array.sizes if array else ():
+        SubElement(connector, "ssc:Dimension", {"size": str(size)})
     return {unit.name: unit} if unit is not None and is_defined else {}
 
 
@@ -190,8 +213,6 @@ def _parameter(component: Component, name: str, variable: str, value: Value) -> 
 
 def _variable(component: Component, name: str, variable: str) -> ModelVariable:
     if variable not in component.variables:
-        if component.description.fmiVersion != "2.0" and "[" in variable:
-            raise SspError(f"'{name}.{variable}' is an element of an array: SSP 1.0 has none.")
         hint = did_you_mean(variable, component.variables) or "."
         raise WiringError(f"no variable '{variable}' in {name}{hint}")
     return component.variables[variable]

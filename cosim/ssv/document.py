@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from math import prod
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
@@ -10,6 +11,8 @@ from xml.etree.ElementTree import Element, SubElement
 
 from ..errors import SspError, one_line
 from ..files import readable
+from ..fmi.elements import element_names
+from ..fmi.preflight.description import MOST_ELEMENTS
 from ..fmi.types import TYPES, Value
 from ..units import Unit
 from .xml import NAMESPACES, attribute, defined_in, parse
@@ -24,6 +27,17 @@ class ParameterValue(NamedTuple):
     """Value in its unit."""
     unit: str | None = None
     """Name of the unit; without one, the unit that the component declares."""
+
+
+class ArrayValue(NamedTuple):
+    """An array, a parameter of SSP 2.0, and its values."""
+
+    name: str
+    values: tuple[Value, ...]
+    """Values of its elements, the last index fastest."""
+    sizes: tuple[int, ...]
+    """Sizes of its dimensions."""
+    unit: str | None = None
 
 
 @dataclass(frozen=True)
@@ -46,24 +60,36 @@ def to_ssv(name: str, parameters: Sequence[ParameterValue], defined: Mapping[str
 
 
 def ssv_element(
-    name: str, parameters: Sequence[ParameterValue], defined: Mapping[str, Unit], prefixes: Iterable[str]
+    name: str,
+    parameters: Sequence[ParameterValue | ArrayValue],
+    defined: Mapping[str, Unit],
+    prefixes: Iterable[str],
 ) -> Element:
     """Return a `ssv:ParameterSet` that declares these prefixes. Raises ValueError for a number that is not finite.
 
-    Prefixes and version are literal: libcosim and ecos look for these very names.
+    Prefixes and version are literal: libcosim and ecos look for these very names. The version is 2.0 where there are
+    arrays.
     """
     defined = {key: unit for key, unit in defined.items() if unit.exponents is not None}
     declared = {f"xmlns:{prefix}": NAMESPACES[prefix] for prefix in sorted(prefixes, reverse=True)}
-    root = Element("ssv:ParameterSet", {**declared, "version": "1.0", "name": name})
+    arrays = [p for p in parameters if isinstance(p, ArrayValue)]
+    root = Element("ssv:ParameterSet", {**declared, "version": "2.0" if arrays else "1.0", "name": name})
     values = SubElement(root, "ssv:Parameters")
     for parameter in parameters:
         element = SubElement(values, "ssv:Parameter", {"name": parameter.name})
-        kind, text = _written(parameter.value)
+        written = [_written(value) for value in _values(parameter)]
+        kind, text = written[0][0], " ".join(text for _, text in written)
         has_unit = kind == "Real" and parameter.unit in defined  # a unit must be defined in the same file
         SubElement(element, f"ssv:{kind}", {"value": text} | ({"unit": str(parameter.unit)} if has_unit else {}))
-    used = {p.unit for p in parameters if isinstance(p.value, float)}
+        for size in parameter.sizes if isinstance(parameter, ArrayValue) else ():
+            SubElement(element, "ssc:Dimension", {"size": str(size)})
+    used = {p.unit for p in parameters if isinstance(_values(p)[0], float)}
     add_units(root, "ssv", [unit for key, unit in defined.items() if key in used])
     return root
+
+
+def _values(parameter: ParameterValue | ArrayValue) -> Sequence[Value]:
+    return parameter.values if isinstance(parameter, ArrayValue) else (parameter.value,)
 
 
 def add_units(root: Element, prefix: str, defined: Iterable[Unit]) -> None:
@@ -94,7 +120,8 @@ def read_ssv(path: Path) -> ParameterSet:
 
 def parameter_set(root: Element, where: str, outer: Mapping[str, Unit] | None = None) -> ParameterSet:
     """Read a ParameterSet element; outer: units of the file that it stands in. Raises SspError."""
-    values = tuple(_parameter(element, where) for element in root.findall("Parameters/Parameter"))
+    elements = root.findall("Parameters/Parameter")
+    values = tuple(value for element in elements for value in _parameters(element, where))
     return ParameterSet(root.get("name", ""), values, {**(outer or {}), **defined_in(root, where)}, where)
 
 
@@ -104,13 +131,36 @@ def _boolean(text: str) -> bool:
 
 _READ_AS: Mapping[Any, Callable[[str], Value]] = {float: float, int: int, bool: _boolean, str: str}
 _READERS = {row.name: _READ_AS[row.python] for row in TYPES.values() if row.python in _READ_AS}
+_NUMBERS = {row.name for row in TYPES.values() if row.python in (float, int, bool)}
+"""Types of arrays: the texts of others may have spaces."""
 _READERS["Enumeration"] = str  # SSP writes the item's name
+
+
+def _parameters(element: Element, where: str) -> list[ParameterValue]:
+    """Return a parameter, an array's elements one by one."""
+    dimensions = element.findall("Dimension")
+    if not dimensions:
+        return [_parameter(element, where)]
+    name = attribute(element, "name", where)
+    typed = next((e for e in element if e.tag in _NUMBERS), None)
+    if typed is None:
+        raise SspError(f"{where}: parameter '{name}' is an array of no numbers, which is not supported.")
+    texts = typed.get("value", "").split()
+    sizes = [d.get("size", "") for d in dimensions]
+    known = [int(size) if size.isdecimal() else len(texts) if sizes == [""] else 0 for size in sizes]
+    if prod(known) != len(texts) or not 0 < len(texts) <= MOST_ELEMENTS:
+        given = " x ".join(map(one_line, sizes))
+        raise SspError(
+            f"{where}: parameter '{name}' has {len(texts)} values for the dimensions {given or 'not given'}."
+        )
+    parts = [Element("Parameter", {"name": own}) for own in element_names(name, known)]
+    for part, text in zip(parts, texts, strict=True):
+        part.append(Element(typed.tag, {**typed.attrib, "value": text}))
+    return [_parameter(part, where) for part in parts]
 
 
 def _parameter(element: Element, where: str) -> ParameterValue:
     name = attribute(element, "name", where)
-    if element.find("Dimension") is not None:
-        raise SspError(f"{where}: parameter '{name}' is an array; only scalars are supported.")
     typed = next((e for e in element if e.tag in _READERS), None)
     if typed is None:
         kind = element[0].tag if len(element) else "nothing"

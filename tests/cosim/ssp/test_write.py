@@ -58,8 +58,42 @@ def test_fmus_of_fmi_3_without_arrays_are_exported(export, pendulum, of_fmi_3):
     assert other["plant.phi"][-1] != other["plant.phi"][0]
 
 
-def test_arrays_that_are_connected_or_set_are_refused():
-    text = r"'plant\.r\[1\]' is an element of an array: SSP 1\.0 has none"
+@pytest.fixture
+def quadrotor_3():
+    """The quadrotor in FMI 3.0, with arrays."""
+    return Scenario.load("quadrotor", FMI_3 | {"scenario.stop_time": "0.5"})
+
+
+def test_arrays_are_exported_as_ssp_2_has_them(export, quadrotor_3):
+    """Whole, with their sizes: 18 connected elements of r, v, R and Omega are four connections."""
+    path = export(quadrotor_3)
+    with zipfile.ZipFile(path) as archive:
+        structure = etree.fromstring(archive.read("SystemStructure.ssd"))
+        start = etree.fromstring(archive.read("resources/plant.ssv"))
+    assert (structure.get("version"), start.get("version")) == ("2.0", "2.0")
+    sizes = {
+        c.get("name"): [d.get("size") for d in c.findall("{*}Dimension")]
+        for c in structure.iterfind(".//{*}Component[@name='controller']//{*}Connector")
+    }
+    assert (sizes["R"], sizes["r"], sizes["psi_d"]) == (["3", "3"], ["3"], [])
+    joined = [(c.get("startConnector"), c.get("endConnector")) for c in structure.iterfind(".//{*}Connection")]
+    assert {("R", "R"), ("r", "r"), ("M", "M"), ("F", "F")} <= set(joined)
+    assert not [pair for pair in joined if "[" in "".join(pair)]
+    inertia = start.find(".//{*}Parameter[@name='J']")
+    assert (inertia[0].get("value"), inertia[1].get("size")) == ("3.45 3.45 6.75", "3")
+
+
+@pytest.mark.full
+def test_an_export_with_arrays_re_tunes_with_the_same_result(export, quadrotor_3):
+    direct = run(quadrotor_3, seed=0)
+    again = run(load_scenario(export(quadrotor_3)), seed=0)
+    assert list(again.series) == list(direct.series)
+    for name, values in direct.series.items():
+        assert again[name].tobytes() == values.tobytes(), name
+
+
+def test_an_element_of_an_array_that_is_connected_by_itself_is_refused():
+    text = r"'plant\.r\[1\]' is an element of an array, and connected by itself: SSP packages join whole ones"
     with pytest.raises(SspError, match=text):
         to_ssp(Scenario.load("quadrotor", {"components.plant.fmi": "3"}))
 

@@ -83,7 +83,14 @@ def test_a_value_is_read_by_its_type_fmi_3s_from_version_2(read, row):
         (ssv('<x:Parameter name="a"><x:Boolean value="yes"/></x:Parameter>'), "'a' is no Boolean: 'yes'"),
         (ssv('<x:Parameter name="a"/>'), "'a' must be a number, Boolean, String or Enumeration, got nothing"),
         (ssv('<x:Parameter name="a"><x:Binary value="00"/></x:Parameter>'), "got Binary"),
-        (ssv('<x:Parameter name="a"><x:Real value="1 2"/><x:Dimension size="2"/></x:Parameter>'), "'a' is an array"),
+        (
+            ssv('<x:Parameter name="a"><x:Real value="1 2"/><x:Dimension size="3"/></x:Parameter>'),
+            "'a' has 2 values for",
+        ),
+        (ssv('<x:Parameter name="a"><x:Real value="1 2"/><x:Dimension size="-2"/></x:Parameter>'), "dimensions -2"),
+        (ssv('<x:Parameter name="a"><x:Real value=""/><x:Dimension/></x:Parameter>'), "dimensions not given"),
+        (ssv('<x:Parameter name="a"><x:Real value="1 b"/><x:Dimension/></x:Parameter>'), r"'a\[2\]' is no Real: 'b'"),
+        (ssv('<x:Parameter name="a"><x:String value="b"/><x:Dimension size="1"/></x:Parameter>'), "of no numbers"),
         (ssv("<x:Parameter><x:Real value='1'/></x:Parameter>"), "a Parameter has no name"),
         (ssv("", units='<x:Units><y:Unit name="g"><y:BaseUnit kg="a"/></y:Unit></x:Units>'), "unit 'g'"),
     ],
@@ -105,3 +112,12 @@ def test_a_missing_file_and_a_pipe_are_told(tmp_path):
 def test_a_number_that_is_not_finite_is_not_written():
     with pytest.raises(ValueError, match="must be finite, got nan"):
         to_ssv("set", [ParameterValue("a", float("nan"))])
+
+
+def test_arrays_of_ssp_2_are_read_by_their_elements(tmp_path):
+    """In row-major order; one dimension may be without a size."""
+    path = tmp_path / "arrays.ssv"
+    J = '<x:Parameter name="J"><x:Float64 value="1 2 3 4 5 6" unit="kg"/><x:Dimension size="2"/><x:Dimension size="3"/>'
+    path.write_text(ssv(f'{J}</x:Parameter><x:Parameter name="n"><x:Int32 value="7 8"/><x:Dimension/></x:Parameter>'))
+    found = {p.name: p.value for p in read_ssv(path).values}
+    assert found == {"J[1,1]": 1, "J[1,2]": 2, "J[1,3]": 3, "J[2,1]": 4, "J[2,2]": 5, "J[2,3]": 6, "n[1]": 7, "n[2]": 8}

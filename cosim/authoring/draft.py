@@ -181,7 +181,7 @@ def _connections(components: Mapping[str, Component]) -> list[str]:
 
 def _offered(target: str, components: Mapping[str, Component]) -> str:
     """Return the outputs that an input may be connected to, where they are few."""
-    other = PLANT if VariableName(target).component == CONTROLLER else CONTROLLER
+    other = CONTROLLER if VariableName(target).component == PLANT else PLANT
     names = [v.name for v in components[other].having("output")] if other in components else []
     return f"; {other}'s outputs: {', '.join(map(one_line, names))}" if 0 < len(names) <= _MOST_OFFERED else ""
 

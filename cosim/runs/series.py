@@ -36,7 +36,8 @@ def read_series(folder: Path) -> dict[str, np.ndarray[Any, np.dtype[np.float64]]
             reader = pa.ipc.open_stream(file)
             batches.extend(_readable(reader))
     except (OSError, pa.ArrowInvalid) as e:
-        raise FolderError(f"{folder} has no readable {SERIES}: {e}.") from e
+        reason = e.strerror if isinstance(e, OSError) and e.strerror else e
+        raise FolderError(f"{folder} has no readable {SERIES}: {reason}.") from e
     table = pa.Table.from_batches(batches, reader.schema)
     return {name: _column(table[name].chunks) for name in table.column_names}
 

@@ -154,6 +154,8 @@ def read_tables(path: Path, label: Path | None = None) -> dict[str, Any]:
     if path.suffix.lower() == ".fmu":
         about = f"retune info {path} lists what it has, retune new --plant {path} -o FILE.toml writes a scenario for it"
         raise ScenarioError(f"{path} is an FMU, not a scenario: {about}.")
+    if path.suffix.lower() == ".csv":
+        raise ScenarioError(f"{path} is a table, not a scenario: retune new --plant FMU --reference {path} takes one.")
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as e:  # bytes or numbers that are too long, tables too deep
@@ -175,7 +177,8 @@ def find_scenario(source: str | Path) -> Path:
     except OSError:  # no file can have this name
         path = Path()
     names = named_scenarios()
-    hint = did_you_mean(str(source), names)
+    file = next((other for other in Path().glob("*.toml") if other.stem == str(source)), None)
+    hint = f"; did you mean '{file}'?" if file else did_you_mean(str(source), names)
     raise ScenarioError(
         f"no scenario '{one_line(str(source))}': neither a file nor one of {', '.join(names)}{hint or '.'}"
     )

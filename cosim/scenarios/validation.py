@@ -12,6 +12,13 @@ from ..names import did_you_mean
 from .schema.estimation import FORMULAS, NAME
 from .schema.table import Table, Value
 
+_JARGON: Final = (
+    (re.compile(r"(?:Dictionary|Tuple|List) should have at least (\d+) items? after validation, not (\d+)"),
+     r"must have \1 at least, got \2"),
+    (re.compile(r"Input should be a valid (?:tuple|list)"), "must be a list"),
+    (re.compile(r"Input should be a valid dictionary.*"), "must be a table"),
+)  # fmt: skip
+"""What pydantic says of containers, and how a TOML file's author would."""
 _UNKNOWN: Final = ("extra_forbidden", "unexpected_keyword_argument")
 """Pydantic's types of an unknown key: of a table, of a dataclass."""
 
@@ -38,6 +45,8 @@ def _text(first: Mapping[str, Any], root: type[Table]) -> str:
         known = _known_keys(table) if table is not None else set[str]()
         return f"{key}: unknown key{did_you_mean(str(first['loc'][-1]), known)}"
     message = first["msg"].removeprefix("Value error, ").rstrip(".")
+    for jargon, plain in _JARGON:
+        message = jargon.sub(plain, message)
     value = first["input"]
     got = f", got {value!r}" if isinstance(value, Value) and "got" not in message else ""
     if key and message.startswith(f"{key}."):  # the place is in the message already, and more closely

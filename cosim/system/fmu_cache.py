@@ -26,6 +26,8 @@ def find_fmu(fmu: str, folder: Path, fmi: int = 2, interface: Interface = "CoSim
         return _cached(fmu, fmi, interface)
     path = folder / fmu
     if not path.is_file():
+        if Path(fmu).is_file():  # beside the user, not beside the scenario
+            raise ScenarioError(f"no FMU '{fmu}': {path} is not a file; the one here is {Path(fmu).resolve()}")
         known = f"; built-in FMUs are {', '.join(names)}" if path.suffix != ".fmu" else ""
         raise ScenarioError(f"no FMU '{fmu}': {path} is not a file{did_you_mean(fmu, names) or known}")
     return path

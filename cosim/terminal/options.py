@@ -243,6 +243,8 @@ def _add_start_values(parser: argparse.ArgumentParser) -> None:
 
 def _start_values(text: str) -> tuple[str | None, Path]:
     component, equals, path = text.partition("=")
+    if (equals and not path) or not text:
+        raise argparse.ArgumentTypeError(f"must be [COMPONENT=]SSV, got '{text}'")
     return (component, Path(path)) if equals and not Path(text).exists() else (None, Path(text))
 
 

@@ -209,7 +209,6 @@ BAD_VALUES = [
     ("estimation.window", "1.5", "estimation.window", "integer"),
     ("estimation.commit", "best", "estimation.commit", "'incumbent' or 'candidate'"),
     ("estimation.model", "fmu_models.pendulum", "estimation.model", "pattern"),
-    ("estimation.parameters", "[]", "estimation.parameters", "at least 1 item"),
     ("estimation.trigger.kind", "innovaton", "estimation.trigger", "innovation"),
     ("estimation.trigger.threshold", "0", "estimation.trigger.threshold", "greater than 0"),
     ("estimation.target.budget", "0", "estimation.target", "greater than or equal to 1"),
@@ -244,6 +243,9 @@ BAD_VALUES = [
     ("diagnosis.never", "1", "diagnosis.never", "unknown key"),
     ("diagnosis", "3", "diagnosis", "got 3"),
     ("folder", "elsewhere", "folder", "unknown key"),
+    ("tracking", "{}", "tracking", "must have 1 at least, got 0"),
+    ("estimation.parameters", "[]", "estimation.parameters", "must have 1 at least, got 0"),
+    ("estimation.parameters", "3", "estimation.parameters", "must be a list, got 3"),
 ]
 
 
@@ -269,7 +271,7 @@ BAD_FILES = [
      r"estimation.parameters.0: parameter 'm' must have lower > 0 on a log scale, got 0.0 kg\."),
     ("a name twice", 'name = "l"', 'name = "m"', r"estimation: parameter names must differ, got 'm' twice\."),
     ("no stop time", "stop_time = 10.0", "", r"scenario\.stop_time: field required\."),
-    ("no tracking", '"plant.phi" = "reference.phi_ref"', "", r"tracking: .*at least 1 item"),
+    ("no tracking", '"plant.phi" = "reference.phi_ref"', "", "tracking: must have 1 at least, got 0"),
     ("broken TOML", "[changes]", "[[changes", "not a readable TOML file"),
     ("a key twice", "[scenario]", "[scenario]\nname = 'x'", "not a readable TOML file"),
 ]  # fmt: skip

@@ -117,3 +117,26 @@ def test_each_listed_message_is_one_that_the_code_has(message):
     """Its literal parts, between the dots that stand for names and numbers."""
     for part in (part.strip() for part in message.split("...")):
         assert part in SOURCES, part
+
+
+def test_what_is_nearly_a_scenario_is_told(called, workplace):
+    (workplace / "d2.toml").write_text("")
+    (workplace / "steps.csv").write_text("time,y\n0,1\n")
+    code, _, err = called("run", "d2")
+    assert (code, err.rstrip()[-len("did you mean 'd2.toml'?") :]) == (2, "did you mean 'd2.toml'?")
+    code, _, err = called("check", "steps.csv")
+    assert code == 2
+    assert "steps.csv is a table, not a scenario: retune new --plant FMU --reference steps.csv takes one." in err
+
+
+def test_an_fmu_in_the_working_directory_is_not_taken_for_one_beside_the_scenario(called, workplace):
+    (workplace / "Mine.fmu").write_bytes(b"")
+    code, _, err = called("run", "pendulum", "--set", "components.plant.fmu=Mine.fmu")
+    assert code == 2
+    assert f"the one here is {workplace / 'Mine.fmu'}" in err
+
+
+def test_start_values_of_a_component_need_a_file(called, workplace):
+    code, _, err = called("run", "pendulum", "--start-values", "controller=")
+    assert code == 2
+    assert "must be [COMPONENT=]SSV, got 'controller='" in err

@@ -27,7 +27,8 @@ from .draft_estimation import (
     unit_name,
 )
 from .draft_gains import gain_parameter, gains
-from .guess import CONTROLLER, PLANT, REFERENCE, guess_connections, guess_tracking, have_one_unit
+from .guess import CONTROLLER, PLANT, REFERENCE, guess_connections, have_one_unit, sources
+from .guess_tracking import guess_tracking
 from .toml_lines import key, quoted, said
 
 MOST_PAIRS: Final = 1_000_000
@@ -181,8 +182,9 @@ def _connections(components: Mapping[str, Component]) -> list[str]:
 
 def _offered(target: str, components: Mapping[str, Component]) -> str:
     """Return the outputs that an input may be connected to, where they are few."""
-    other = CONTROLLER if VariableName(target).component == PLANT else PLANT
-    names = [v.name for v in components[other].having("output")] if other in components else []
+    given = [name for name in sources(*VariableName(target).parts) if name in components]
+    other = next(iter(given), "")
+    names = [v.name for v in components[other].having("output")] if other else []
     return f"; {other}'s outputs: {', '.join(map(one_line, names))}" if 0 < len(names) <= _MOST_OFFERED else ""
 
 

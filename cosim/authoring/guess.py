@@ -12,7 +12,7 @@ from functools import lru_cache
 from typing import Final
 
 from ..fmi.component import Component, ModelVariable, is_disturbance
-from ..units import IDENTITY, conversion
+from ..units import IDENTITY, Unit, conversion
 from ..variable_name import VariableName
 
 PLANT, CONTROLLER, REFERENCE = "plant", "controller", "reference"
@@ -32,7 +32,7 @@ SAME, SAME_WORDS, LAST_WORDS, LIKE, ONLY_UNIT = (
     "only unit",
 )
 DISTURBANCE: Final = "a disturbance, which may be left unconnected"
-_ORDER: Final = (SAME, SAME_WORDS, LAST_WORDS, LIKE)
+ORDER: Final = (SAME, SAME_WORDS, LAST_WORDS, LIKE)
 
 
 @dataclass(frozen=True)
@@ -69,69 +69,11 @@ def guess_connections(components: Mapping[str, Component]) -> list[Guess]:
     return [_by_unit(g, used, components) if g.source is None and not g.is_likely else g for g in ordered]
 
 
-def guess_tracking(components: Mapping[str, Component]) -> list[Guess]:
-    """Return the plant's output that each output of the reference is for, by name and unit; none without a reference.
-
-    Derivatives are left out; where no name fits, the only output in the unit is taken.
-    """
-    plant, found = components[PLANT], []
-    rates = set(plant.derivatives.values())
-    outputs = [v for v in plant.having("output") if v.name not in rates]
-    compared = _compared(components)
-    for r in components[REFERENCE].having("output") if REFERENCE in components else ():
-        guess = compared.get(r.name) or _tracked(components[REFERENCE], r, plant, outputs)
-        found += [] if guess is None or guess.target in {g.target for g in found} else [guess]
-    return found
-
-
-def _compared(components: Mapping[str, Component]) -> dict[str, Guess]:
-    """Return the plant's outputs that the controller takes as an output of the reference, T_meas as T_set, by that one.
-
-    Outputs in two units are left out.
-    """
-    sources = {g.target: VariableName(g.source).parts for g in guess_connections(components) if g.source}
-    own = [v.name for v in components[CONTROLLER].having("input")] if CONTROLLER in components else []
-    found: dict[str, Guess] = {}
-    for desired in filter(is_desired, own):
-        for measured in own:
-            if is_desired(measured) or _stem(measured) != _stem(desired):
-                continue
-            (a, source), (b, target) = (sources.get(f"{CONTROLLER}.{name}", ("", "")) for name in (desired, measured))
-            if (a, b) == (REFERENCE, PLANT) and have_one_unit(
-                components[a], source, components[b], target
-            ) is not False:
-                reason = f"the controller compares them, as {desired} and {measured}"
-                found[source] = Guess(f"{b}.{target}", f"{a}.{source}", reason, False)
-    return found
-
-
-def _tracked(owner: Component, r: ModelVariable, plant: Component, outputs: list[ModelVariable]) -> Guess | None:
-    """Return the guess of the output that a reference is for, or None."""
-    source = f"{REFERENCE}.{r.name}"
-    ranked: list[tuple[int, float, str, bool]] = []
-    for o in outputs:
-        how, unit = alike(r.name, o.name), have_one_unit(owner, r.name, plant, o.name)
-        if how is None or unit is False:
-            continue
-        ratio = SequenceMatcher(None, r.name, o.name).ratio()
-        ranked.append((_ORDER.index(how), -ratio, o.name, is_likely(how, unit)))
-    if ranked:
-        order, _, name, likely = min(ranked)
-        return Guess(f"{PLANT}.{name}", source, _ORDER[order], likely)
-    units = {o.name: have_one_unit(owner, r.name, plant, o.name) for o in outputs}
-    same = [name for name, is_same in units.items() if is_same]
-    if len(same) == 1:
-        return Guess(f"{PLANT}.{same[0]}", source, "the only output in this unit, by another name", False)
-    if not same and list(units.values()) == [None]:
-        return Guess(f"{PLANT}.{outputs[0].name}", source, "the only output, no unit to compare", False)
-    return None
-
-
 def alike(name: str, other: str) -> str | None:
     """Return the similarity of two names: one of the constants above, or None."""
     if name == other:
         return SAME
-    words, others = _stem(name), _stem(other)
+    words, others = stem(name), stem(other)
     if words == others:
         return SAME_WORDS
     short, long = sorted((words, others), key=len)
@@ -166,7 +108,7 @@ def best(name: str, owner: Component, others: Iterable[tuple[Component, ModelVar
     for component, v in others:
         how = alike(name, v.name)
         if how in (SAME, SAME_WORDS, LAST_WORDS) and have_one_unit(owner, name, component, v.name) is not False:
-            found.append((_ORDER.index(how), v))
+            found.append((ORDER.index(how), v))
     return min(found, key=lambda pair: pair[0])[1] if found else None
 
 
@@ -181,11 +123,18 @@ def is_desired(name: str) -> bool:
     return bool(_DESIRED & set(words)) or "d" in words[1:]
 
 
+def sources(name: str, variable: str) -> tuple[str, ...]:
+    """Return the components whose outputs may feed an input, the likeliest first."""
+    if name == CONTROLLER:
+        return (REFERENCE, PLANT) if is_desired(variable) else (PLANT, REFERENCE)
+    return (CONTROLLER,) if name == PLANT else (PLANT,)
+
+
 def _guess(target: str, v: ModelVariable, components: Mapping[str, Component], taken: Container[str | None]) -> Guess:
     """Return the guess for an input; taken: outputs that are set points of another input, and so measure nothing."""
     name = VariableName(target).component
     found: list[tuple[bool, int, int, float, str, str, bool]] = []
-    for role, other in enumerate(_sources(name, v.name)):
+    for role, other in enumerate(sources(name, v.name)):
         for o in components[other].having("output") if other in components else ():
             how, unit = alike(v.name, o.name), have_one_unit(components[name], v.name, components[other], o.name)
             if how is None or unit is False:
@@ -196,21 +145,36 @@ def _guess(target: str, v: ModelVariable, components: Mapping[str, Component], t
             if is_crossed and f"{other}.{o.name}" in taken:
                 continue
             found.append(
-                (is_crossed, _ORDER.index(how), role, -ratio, f"{other}.{o.name}", reason, is_likely(how, unit))
+                (is_crossed, ORDER.index(how), role, -ratio, f"{other}.{o.name}", reason, is_likely(how, unit))
             )
     if not found:
-        return Guess(target, None, "no output has a name like it", False)
+        return _converted(target, v, components) or Guess(target, None, "no output has a name like it", False)
     found.sort()
     source, reason, likely = found[0][4:]
     rival = next((f"; or {other[4]}" for other in found[1:] if other[:3] == found[0][:3]), "")
     return Guess(target, source, reason + rival, likely and not rival)
 
 
-def _sources(name: str, variable: str) -> tuple[str, ...]:
-    """Return the components whose outputs may feed an input, the likeliest first."""
-    if name == CONTROLLER:
-        return (REFERENCE, PLANT) if is_desired(variable) else (PLANT, REFERENCE)
-    return (CONTROLLER,) if name == PLANT else (PLANT,)
+def _converted(target: str, v: ModelVariable, components: Mapping[str, Component]) -> Guess | None:
+    """Return a guess with an output of the same words in another unit, which a run converts; or None."""
+    name = VariableName(target).component
+    for other in sources(name, v.name):
+        for o in components[other].having("output") if other in components else ():
+            units = components[other].unit(o.name), components[name].unit(v.name)
+            if alike(v.name, o.name) not in (SAME, SAME_WORDS) or is_desired(v.name) != is_desired(o.name):
+                continue
+            if units[0] is not None and _can_be_converted(*units):
+                reason = f"{alike(v.name, o.name)}, converted from {units[0].name}"
+                return Guess(target, f"{other}.{o.name}", reason, False)
+    return None
+
+
+def _can_be_converted(one: Unit | None, other: Unit | None) -> bool:
+    try:
+        conversion(one, other)
+    except ValueError:
+        return False
+    return True
 
 
 def _by_unit(guess: Guess, used: Iterable[str | None], components: Mapping[str, Component]) -> Guess:
@@ -219,7 +183,7 @@ def _by_unit(guess: Guess, used: Iterable[str | None], components: Mapping[str, 
     The guess as it is if there is not exactly one. Derivatives are left out where the unit is not known.
     """
     name, variable = VariableName(guess.target).parts
-    other = _sources(name, variable)[0]
+    other = sources(name, variable)[0]
     owner = components.get(other)
     free = [o.name for o in owner.having("output") if f"{other}.{o.name}" not in used] if owner else []
     units = {o: have_one_unit(components[name], variable, components[other], o) for o in free}
@@ -238,7 +202,7 @@ def _words(name: str) -> list[str]:
 
 
 @lru_cache(maxsize=100_000)
-def _stem(name: str) -> list[str]:
+def stem(name: str) -> list[str]:
     """Return the words of a name without those that denote a role."""
     words = _words(name)
     return [w for i, w in enumerate(words) if w not in _ROLES and not (i and w == "d")] or words

@@ -10,7 +10,7 @@ import pytest
 from benchmarks.native_fmus import FOREIGN, SOURCES, build_c
 from cosim.authoring.check import check
 from cosim.authoring.draft import draft
-from cosim.authoring.guess import guess_tracking
+from cosim.authoring.guess_tracking import guess_tracking
 from cosim.cli import main
 from cosim.fmi.archive import needs_its_tool
 from cosim.fmi.component import read_component
@@ -253,3 +253,15 @@ def test_an_fmu_in_python_needs_no_other_tool(described, tool, yes):
     description = read_component(plant).description
     description.generationTool = tool
     assert needs_its_tool(description) is yes
+
+
+def test_a_set_point_in_another_unit_is_connected_as_a_run_converts_it(described):
+    plant = described(pin("s", "output", 0, "m") + pin("u", "input", 1, "kg"), name="P")
+    controller = described(
+        pin("levelSetpoint", "input", 0, "m") + pin("s", "input", 1, "m") + pin("out", "output", 2, "kg"), name="C"
+    )
+    for unit, source in (("mm", "reference.levelSetpoint"), ("kg", None)):
+        wanted = described(pin("levelSetpoint", "output", 0, unit), name="R")
+        text = draft({"plant": plant, "controller": controller, "reference": wanted}, plant.parent).text
+        assert tomllib.loads(text)["connections"].get("controller.levelSetpoint") == source
+    assert "# FILL [m]: no output has a name like it; reference's outputs: levelSetpoint;" in text

@@ -45,7 +45,7 @@ def sampling(plant: Component, model: str | None) -> list[str]:
     """
     if is_rolled_out(plant, model):
         return [*_outputs(plant), *_hint(plant)]
-    if named := _named_rates(plant):
+    if named := named_rates(plant):
         return _by_name(plant, named)
     outputs = {v.name for v in plant.having("output")}
     rates = {rate: state for state, rate in plant.derivatives.items() if rate in outputs}
@@ -60,7 +60,7 @@ def sampling(plant: Component, model: str | None) -> list[str]:
     return lines if rates else _filtered(plant)
 
 
-def _named_rates(plant: Component) -> dict[str, str]:
+def named_rates(plant: Component) -> dict[str, str]:
     """Return the outputs named as another's derivative, by that one; none where derivatives are declared."""
     if plant.derivatives:
         return {}
@@ -71,7 +71,7 @@ def _named_rates(plant: Component) -> dict[str, str]:
 
 def _hint(plant: Component) -> list[str]:
     """Return a comment on outputs that a model would be compared with, where there are any."""
-    named = _named_rates(plant)
+    named = named_rates(plant)
     pairs = ", ".join(f"{one_line(rate)} of {one_line(state)}" for state, rate in named.items())
     if not named:
         return []
@@ -126,7 +126,7 @@ def model_states(plant: Component) -> list[str]:
     """Return the states x of the model: the declared ones; if no derivative is an output, measured or likely ones."""
     outputs = [v.name for v in plant.having("output") if _is_real(v)]
     if not plant.derivatives:
-        rates = set(_named_rates(plant).values())
+        rates = set(named_rates(plant).values())
         return [name for name in outputs if name not in rates]
     has_rates, measured = _has_rates(plant), set(outputs)
     return [state for state in plant.derivatives if has_rates or state in measured] or outputs
@@ -219,7 +219,7 @@ def estimation(
         *_model(plant, model, [own.name for own, _ in pairs] if gained is None else [last_name(gained)]),
         said('trigger = { kind = "innovation" }', 'or { kind = "tracking", threshold = ... }: of the tracking error'),
         said("budget = 30", "evaluations an episode")
-        if _has_rates(plant) or _named_rates(plant)
+        if _has_rates(plant) or named_rates(plant)
         else said("budget = 100", "evaluations an episode, which shall see several of the filter's samples"),
         said("window = 10", "samples: more average more noise, fewer follow faster"),
     ]

@@ -5,6 +5,7 @@ from difflib import SequenceMatcher
 
 from ..fmi.component import Component, ModelVariable
 from ..variable_name import VariableName
+from .draft_estimation import named_rates
 from .guess import (
     CONTROLLER,
     ORDER,
@@ -26,7 +27,7 @@ def guess_tracking(components: Mapping[str, Component]) -> list[Guess]:
     Derivatives are left out; where no name fits, the only output in the unit is taken.
     """
     plant, found = components[PLANT], []
-    rates = set(plant.derivatives.values())
+    rates = {*plant.derivatives.values(), *named_rates(plant).values()}
     outputs = [v for v in plant.having("output") if v.name not in rates]
     compared = _compared(components)
     for r in components[REFERENCE].having("output") if REFERENCE in components else ():

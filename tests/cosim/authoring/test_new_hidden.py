@@ -222,6 +222,9 @@ def test_outputs_with_the_name_of_a_derivative_are_sampled_where_there_is_a_mode
         "plant.dw": "plant.w",
     }
     assert list(written["states"]) == ["plant.i", "plant.w", "plant.phi"]
+    wanted = described(pin("dw_ref", "output", 0), name="R")
+    tracking = tomllib.loads(draft({"plant": plant, "reference": wanted}, plant.parent).text)["tracking"]
+    assert tracking == {"plant.FILL": "reference.dw_ref"}
     assert (
         "# By their names these outputs are derivatives: di of i, dw of w."
         in draft({"plant": plant}, plant.parent).text

@@ -33,6 +33,7 @@ from .toml_lines import key, quoted, said
 
 MOST_PAIRS: Final = 1_000_000
 """Pairs of names that are compared, which takes some seconds."""
+_FUNCTION: Final = re.compile(r"[\w.]+:[\w.]+")
 _STOP_TIME = 10.0  # s, where no FMU says any
 _STEPS: Final = 1000  # of a run, where no FMU says a step
 _MOST_OFFERED: Final = 10  # outputs in a comment
@@ -66,12 +67,7 @@ def draft(fmus: Mapping[str, Path], folder: Path, model: str | None = None) -> D
     _check_size(components)
     pairs = parameter_pairs(components)
     gained = None if pairs else gain_parameter(components)
-    description = components[PLANT].description
-    if model is None and description.modelExchange is not None:
-        model = str(fmus[PLANT])
-    is_fmu = model is not None and model.lower().endswith(".fmu")
-    if model is not None and is_fmu:
-        model = _relative(Path(model), folder)
+    model, is_fmu = _model(model, components[PLANT], folder)
     blocks = [
         _LEGEND,
         _settings(components),
@@ -84,6 +80,18 @@ def draft(fmus: Mapping[str, Path], folder: Path, model: str | None = None) -> D
         *(parameters(components, pairs, is_fmu) if gained is None else gains(components, gained, is_fmu)),
     ]
     return Draft("\n\n".join("\n".join(block) for block in blocks) + "\n")
+
+
+def _model(model: str | None, plant: Component, folder: Path) -> tuple[str | None, bool]:
+    """Return the model as the scenario names it, the plant's own where it offers one, and whether it is an FMU."""
+    if model is None and plant.description.modelExchange is not None:
+        model = str(plant.fmu)
+    is_fmu = model is not None and model.lower().endswith(".fmu")
+    if model is None or (not is_fmu and _FUNCTION.fullmatch(model)):
+        return model, False
+    if not is_fmu or not Path(model).is_file():
+        raise WiringError(f"{one_line(model)} is no model: it must be module:function, or an FMU's file.")
+    return _relative(Path(model), folder), True
 
 
 def _check_size(components: Mapping[str, Component]) -> None:

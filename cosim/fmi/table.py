@@ -88,7 +88,9 @@ def _units(header: Sequence[str], path: Path) -> dict[str, str | None]:
     if name.lower() not in ("time", "t") or unit not in ("s", None):
         raise ScenarioError(f"{path}: the first column must be 'time [s]', got '{one_line(header[0])}'.")
     names = [name for name, _ in parts[1:]]
-    if not names or not all(names) or len(set(names)) < len(names):
+    if not names:
+        raise ScenarioError(f"{path}: there is no column beside the time.")
+    if not all(names) or len(set(names)) < len(names):
         raise ScenarioError(f"{path}: every column after the time must have a name of its own, got {', '.join(names)}.")
     return dict(parts[1:])
 

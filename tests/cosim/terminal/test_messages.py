@@ -140,3 +140,11 @@ def test_start_values_of_a_component_need_a_file(called, workplace):
     code, _, err = called("run", "pendulum", "--start-values", "controller=")
     assert code == 2
     assert "must be [COMPONENT=]SSV, got 'controller='" in err
+
+
+@pytest.mark.parametrize("model", ["nowhere.fmu", "plant_model", "a b:c"])
+def test_a_draft_needs_a_model_that_can_be_one(foreign, workplace, called, model):
+    code, out, err = called("new", "--plant", foreign / "Axis.fmu", "--model", model, "-o", "axis.toml")
+    assert (code, out) == (2, "")
+    assert f"{model} is no model: it must be module:function, or an FMU's file." in err
+    assert not (workplace / "axis.toml").exists()

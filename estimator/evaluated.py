@@ -72,6 +72,9 @@ class CubeResidual:
         """Return the residual (D,) at theta (d,), for solvers."""
         return self.at(theta).r
 
+    def slopes(self, theta: Vector) -> None:
+        """Return None: simulated outputs have no slopes but differences."""
+
     def residuals(self, thetas: Sequence[Vector]) -> list[Vector]:
         """Return the residual (D,) at each theta (d,)."""
         return [self.residual(theta) for theta in thetas]

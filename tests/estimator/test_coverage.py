@@ -25,6 +25,9 @@ class Window:
         self.n_evaluations += 1
         return (self._y - X @ theta) / SIGMA
 
+    def slopes(self, theta):
+        return None
+
     def residuals(self, thetas):
         return [self.residual(theta) for theta in thetas]
 

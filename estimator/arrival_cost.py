@@ -12,7 +12,7 @@ from typing import Final, NamedTuple, Self
 
 import numpy as np
 
-from .differences import forward_differences
+from .differences import value_and_slope
 from .identifiability import Information, information_of_covariance
 from .significance import chi2_limit
 from .space import Vector
@@ -124,12 +124,13 @@ class ArrivalCost:
         if measured is None:
             return None
         limit, d = chi2_limit(_FALSE_ALARM, len(measured.value)), len(self.mean)
-        if self._squared(np.zeros(d), measured) <= limit:
+        if self._squared(np.zeros((1, d)), measured)[0] <= limit:
             return self._with(measured)
-        one = min(self.rate**2 * np.eye(d), key=lambda walk: self._squared(walk, measured))
-        for walk in (one, np.full(d, self.rate**2)):
-            if self._squared(walk, measured) <= limit:
-                return self._walking(walk)._with(measured)
+        walks = self.rate**2 * np.vstack([np.eye(d), np.ones(d)])
+        squared = self._squared(walks, measured)
+        for i in (int(np.argmin(squared[:d])), d):
+            if squared[i] <= limit:
+                return self._walking(walks[i])._with(measured)
         return None
 
     def _walking(self, walk: Vector) -> Self:
@@ -138,10 +139,10 @@ class ArrivalCost:
             return self
         return replace(self, walk=np.maximum(self.walk, walk), whiteness=Whiteness(self.whiteness.newest))
 
-    def _squared(self, walk: Vector, measured: "Measurement") -> float:
-        """Return the normalised innovation squared of a sample where the parameters walk by these variances (d,)."""
-        innovation = _normalised(self.covariance + np.diag(walk), measured)
-        return float(innovation @ innovation)
+    def _squared(self, walks: Vector, measured: "Measurement") -> Vector:
+        """Return the normalised innovation squared (k,) of a sample where the parameters walk by variances (k, d)."""
+        innovations = _normalised(self.covariance + walks[:, None] * np.eye(len(self.mean)), measured)
+        return np.array([innovation @ innovation for innovation in innovations])
 
     def _learnt(self) -> Self:
         """Return the arrival cost at a block's end, with the walk that its correction shows."""
@@ -191,16 +192,16 @@ class Measurement(NamedTuple):
 
 def measurement(residual: Callable[[Vector], Vector], z: Vector) -> Measurement | None:
     """Return a sample's residual and slope at z (d,); None without a value, or where it depends on no parameter."""
-    value = residual(z)
-    slope = forward_differences(residual, z, value, _STEP)
-    has_value = np.all(np.isfinite(value)) and np.all(np.isfinite(slope))
-    return Measurement(value, slope) if has_value and np.any(slope) else None
+    value, slope = value_and_slope(residual, z, _STEP)
+    has_value = np.isfinite(value).all() and np.isfinite(slope).all()
+    return Measurement(value, slope) if has_value and slope.any() else None
 
 
 def _normalised(P: Vector, measured: Measurement) -> Vector:
-    """Return the innovation (c,) in its own standard deviations, from the covariance (d, d) before it."""
+    """Return the innovation (..., c) in its own standard deviations, from the covariance (..., d, d) before it."""
     value, H = measured
-    return np.linalg.solve(np.linalg.cholesky(H @ P @ H.T + np.eye(len(value))), value).astype(np.float64)
+    root = np.linalg.cholesky(H @ P @ H.T + np.eye(len(value)))
+    return np.linalg.solve(root, value[:, None])[..., 0].astype(np.float64)
 
 
 def corrected(P: Vector, measured: Measurement) -> tuple[Vector, Vector]:

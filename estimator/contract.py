@@ -141,12 +141,15 @@ class Following(AskTell, Protocol):
         """Go back to an earlier arrival cost, where it agrees with the parameters held (d,); else to none."""
         ...
 
-    def follow(self, residual: Callable[[Vector], Vector], held: Vector, is_triggered: bool) -> Estimate | None:
-        """Take one more sample; return the new estimate, or None where a search is needed.
+    def follow(self, residual: Callable[[Vector], Vector], is_triggered: bool) -> bool:
+        """Take one more sample; return False where a search is needed.
 
-        residual: (..., c) of theta (..., d), in standard deviations; held (d,): in force, and the estimate where the
-        samples do not tell it from a better one; is_triggered: true where a search would begin.
+        residual: (..., c) of theta (..., d), in standard deviations; is_triggered: true where a search would begin.
         """
+        ...
+
+    def filtered(self, held: Vector) -> Estimate | None:
+        """Return the estimate after the newest sample; None where the samples do not tell it from held (d,)."""
         ...
 
 

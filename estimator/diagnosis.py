@@ -371,8 +371,11 @@ class Diagnosis:
 
     def _wins(self, parameters: Fit, before: Vector) -> bool:
         """Set the verdict where changed parameters are possible; before (n, c): residuals of the reference."""
+        is_recorded = len(before) == min(self._state.n_since, _LENGTHS[0])
+        if not (parameters.is_possible or is_recorded):
+            return False
         weighing = Weighing(parameters, disturbance_of(before).fit, plain_fit(before, 0))
-        if weighing.are_parameters_possible or len(before) == min(self._state.n_since, _LENGTHS[0]):
+        if weighing.are_parameters_possible or is_recorded:
             self.evidence.note(len(before), **vars(weighing))
         if weighing.are_parameters_possible:
             self._state.n_explained = len(before)

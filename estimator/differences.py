@@ -48,6 +48,22 @@ def central_differences(
 
 def forward_differences(function: Callable[[Vector], Vector], z: Vector, value: Vector, step: float) -> Vector:
     """Return df/dz (D, d) at z (d,) of the unit cube by steps towards the cube's middle; value: f(z), of any shape."""
-    aside = z + np.diag(np.where(z < 0.5, step, -step))
-    moved = aside.diagonal() - z
-    return np.ascontiguousarray(((values_at(function, aside) - value).reshape(len(z), -1) / moved[:, None]).T)
+    aside = _aside(z, step)
+    return _slope(values_at(function, aside), value, aside.diagonal() - z)
+
+
+def value_and_slope(function: Callable[[Vector], Vector], z: Vector, step: float) -> tuple[Vector, Vector]:
+    """Return f(z) (D,) and its `forward_differences` (D, d), from one call of a function `OfMany`."""
+    aside = _aside(z, step)
+    values = values_at(function, np.vstack([z, aside]))
+    return values[0], _slope(values[1:], values[0], aside.diagonal() - z)
+
+
+def _aside(z: Vector, step: float) -> Vector:
+    """Return the places (d, d) a step aside of z (d,) in one coordinate each, towards the cube's middle."""
+    return z + np.diag(np.where(z < 0.5, step, -step))
+
+
+def _slope(values: Vector, value: Vector, moved: Vector) -> Vector:
+    """Return the slope (D, d) from values at d places that were moved (d,) from that of value."""
+    return np.ascontiguousarray(((values - value).reshape(len(moved), -1) / moved[:, None]).T)

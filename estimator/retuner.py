@@ -232,15 +232,14 @@ class Retuner:
         if self._following is None or not isinstance(self._window, ResidualWindow):
             return None
         begun = perf_counter()
-        estimate = self._following.follow(self._window.newest_residual, held, is_triggered)
-        if estimate is None:
+        if not self._following.follow(self._window.newest_residual, is_triggered):
             return None
+        estimate, known = self._following.filtered(held), self._following.arrival_cost
         latencies = (perf_counter() - begun,)
-        known = self._following.arrival_cost
         if known is not None and known.is_refuted:
             self.distrust()
             return Proposal(undo=self._searched, latencies=latencies)
-        if np.array_equal(estimate.theta, held):
+        if estimate is None or np.array_equal(estimate.theta, held):
             return Proposal(latencies=latencies)
         return Proposal(estimate.theta, estimate, latencies=latencies)
 

@@ -1,7 +1,7 @@
 """Target-vector Bayesian optimisation: a GP for the residual vector, minimising its squared norm."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -287,30 +287,34 @@ class TargetVector:
         agrees = arrival_cost is not None and arrival_cost.distance(self._space.to_unit(held)) < _AGREES * len(held)
         self.arrival_cost = arrival_cost if agrees else None
 
-    def follow(self, residual: Callable[[Vector], Vector], held: Vector, is_triggered: bool) -> Estimate | None:
-        """Take one more sample by an extended Kalman filter; return its estimate, or None where a search is needed.
+    def follow(self, residual: Callable[[Vector], Vector], is_triggered: bool) -> bool:
+        """Take one more sample by an extended Kalman filter; return False where a search is needed.
 
-        residual: (..., c) of theta (..., d), in standard deviations; held (d,): in force, and the estimate where the
-        samples do not tell it from the filter's; is_triggered: true where a search would begin.
+        residual: (..., c) of theta (..., d), in standard deviations; is_triggered: true where a search would begin.
         """
         known, space = self.arrival_cost, self._space
         if known is None:
-            return None
+            return False
 
         def at(z: Vector) -> Vector:
             return residual(space.beyond(z))
 
         known = known.drifted(OfMany(at)) if is_triggered else known.updated(OfMany(at))
         if known is None:
-            return None
+            return False
         self.arrival_cost = known
+        return True
+
+    def filtered(self, held: Vector) -> Estimate | None:
+        """Return the filter's estimate; None where the samples do not tell it from held (d,), or there is no filter."""
+        known, space = self.arrival_cost, self._space
+        if known is None or known.distance(space.to_unit(held)) < _WORTH:
+            return None
         seen_by_data = known.information
-        estimate = scaled_estimate(
+        return scaled_estimate(
             space, known.mean, seen_by_data.std(), self._settings.identifiable_below, seen_by_data,
-            cost=float(known.cost), n_evaluations=self._n_evaluations, reason="filtered",
+            cost=known.cost, n_evaluations=self._n_evaluations, reason="filtered",
         )  # fmt: skip
-        is_better = known.distance(space.to_unit(held)) >= _WORTH
-        return estimate if is_better else replace(estimate, theta=held)
 
     def _hold(self, model: "_Model") -> "_Hold":
         """Return the place with insignificant changes of the best candidate undone, and what is expected there."""

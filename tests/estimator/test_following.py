@@ -160,4 +160,4 @@ def test_an_estimate_from_fewer_values_than_parameters_is_not_followed():
     assert search.estimate().cost < 1.0
     search.remember()
     assert search.arrival_cost is None
-    assert search.follow(lambda theta: np.zeros(1), TRUE, False) is None
+    assert not search.follow(lambda theta: np.zeros(1), False)

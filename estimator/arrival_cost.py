@@ -7,6 +7,7 @@ linear state estimation: a moving horizon approach"; Jazwinski (1970), section 8
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from math import sqrt
 from typing import Final, NamedTuple, Self
 
@@ -99,7 +100,7 @@ class ArrivalCost:
         return self if measured is None else self._with(measured)
 
     def _with(self, measured: "Measurement") -> Self:
-        before = self.covariance + np.diag(self.walk)
+        before = self.covariance + self.walk * _identity(len(self.walk))
         moved, after = corrected(before, measured)
         block = replace(
             self,
@@ -141,7 +142,7 @@ class ArrivalCost:
 
     def _squared(self, walks: Vector, measured: "Measurement") -> Vector:
         """Return the normalised innovation squared (k,) of a sample where the parameters walk by variances (k, d)."""
-        innovations = _normalised(self.covariance + walks[:, None] * np.eye(len(self.mean)), measured)
+        innovations = _normalised(self.covariance + walks[:, None] * _identity(len(self.mean)), measured)
         return np.array([innovation @ innovation for innovation in innovations])
 
     def _learnt(self) -> Self:
@@ -197,17 +198,25 @@ def measurement(residual: Callable[[Vector], Vector], z: Vector) -> Measurement 
     return Measurement(value, slope) if has_value and slope.any() else None
 
 
+@cache
+def _identity(n: int) -> Vector:
+    """Return the identity matrix (n, n), always the same one."""
+    identity = np.eye(n)
+    identity.flags.writeable = False
+    return identity
+
+
 def _normalised(P: Vector, measured: Measurement) -> Vector:
     """Return the innovation (..., c) in its own standard deviations, from the covariance (..., d, d) before it."""
     value, H = measured
-    root = np.linalg.cholesky(H @ P @ H.T + np.eye(len(value)))
+    root = np.linalg.cholesky(H @ P @ H.T + _identity(len(value)))
     return np.linalg.solve(root, value[:, None])[..., 0].astype(np.float64)
 
 
 def corrected(P: Vector, measured: Measurement) -> tuple[Vector, Vector]:
     """Return the correction (d,) of the mean and the covariance (d, d) after a measurement, from that before it."""
     value, H = measured
-    gain = np.linalg.solve(H @ P @ H.T + np.eye(len(value)), H @ P).T
-    left = np.eye(len(P)) - gain @ H
+    gain = np.linalg.solve(H @ P @ H.T + _identity(len(value)), H @ P).T
+    left = _identity(len(P)) - gain @ H
     after: Vector = left @ P @ left.T + gain @ gain.T  # Joseph's form
     return -gain @ value, after

@@ -114,7 +114,8 @@ class DiagnosingRetuner(_Counting):
     def step(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
         """Take one communication point's sample, where there is one; return what to write, and why."""
         proposal = self._proposal(t, sample, tracking_error, held)
-        return replace(proposal, events=(*proposal.events, *self._diagnosis.evidence.events(t)))
+        evidence = self._diagnosis.evidence.events(t)
+        return replace(proposal, events=(*proposal.events, *evidence)) if evidence else proposal
 
     def _proposal(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
         diagnosis = self._diagnosis

@@ -73,14 +73,14 @@ NEVER: Final = Fit(inf, 0, 1)
 
 def plain_fit(rows: Vector, n_free: int, n_values: int | None = None) -> Fit:
     """Return the fit of rows (n, c) that n_free values were fitted to; columns of zeros count as missing."""
-    squares = float(np.sum(rows**2))
+    squares = float((rows**2).sum())
     n = len(rows) * n_channels_of(rows) if n_values is None else n_values
     return Fit(squares, n_free, n) if isfinite(squares) else NEVER
 
 
 def n_channels_of(rows: Vector) -> int:
     """Return the number of channels in rows (n, c): those with a value other than zero."""
-    return int(np.count_nonzero(np.any(rows != 0.0, axis=0)))
+    return int(np.count_nonzero((rows != 0.0).any(axis=0)))
 
 
 @dataclass(frozen=True)

@@ -35,13 +35,13 @@ class RememberingModel:
     def __init__(self, model: Model) -> None:
         """model: a pure function."""
         self._model = model
-        self._newest: Sample | None = None
+        self._x: Sequence[float] | None = None
+        self._u: Sequence[float] | None = None
         self._known: dict[tuple[float, ...], Sequence[float]] = {}
 
     def __call__(self, x: Sequence[float], u: Sequence[float], **parameters: float) -> Sequence[float]:
         """Return the model's xdot (n,). Exceptions of the model pass through."""
-        newest = self._newest
-        if newest is None or x is not newest.x or u is not newest.u:
+        if x is not self._x or u is not self._u:
             return self._model(x, u, **parameters)
         theta = tuple(parameters.values())
         xdot = self._known.get(theta)
@@ -51,7 +51,7 @@ class RememberingModel:
 
     def remember(self, sample: Sample) -> None:
         """Set the newest sample; earlier derivatives are forgotten."""
-        self._newest = sample
+        self._x, self._u = sample.x, sample.u
         self._known.clear()
 
 

@@ -103,8 +103,7 @@ class ParameterSpace:
     def beyond(self, z: ArrayLike) -> Vector:
         """Return the values at places (..., d), which may lie outside the unit cube and so outside the bounds."""
         theta = self._origin + self._width * np.asarray(z, dtype=float)
-        theta[..., self._is_log] = np.exp(theta[..., self._is_log])
-        return theta
+        return np.exp(theta, out=theta, where=self._is_log)
 
     def slope(self, theta: ArrayLike) -> Vector:
         """Return d theta / d z at theta (d,): change in each parameter's unit for a step in the unit cube."""
@@ -120,6 +119,4 @@ class ParameterSpace:
 
 
 def _scaled(theta: Vector, is_log: NDArray[np.bool_]) -> Vector:
-    scaled = theta.copy()
-    scaled[..., is_log] = np.log(scaled[..., is_log])
-    return scaled
+    return np.log(theta, out=theta.copy(), where=is_log)

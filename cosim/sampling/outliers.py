@@ -1,6 +1,5 @@
 """Detection of outliers: a sample whose residual jumps is suspect until the next shows whether the change persists."""
 
-from collections import deque
 from collections.abc import Callable
 from math import sqrt
 from typing import Final
@@ -36,7 +35,8 @@ class Outliers:
         self._suspect: Sample | None = None
         self._theta = np.empty(0)  # in force at the suspect
         self._n_suspects = 0
-        self._changes: deque[Vector] = deque(maxlen=_MEMORY)
+        self._changes = np.empty((0, len(noise)))
+        self._known = (np.empty(0), np.empty(0))  # parameters, and the residual of the last good sample there
 
     def step(self, sample: Sample, theta: Vector) -> tuple[bool, list[str]]:
         """Return whether the sample is suspect, and the sensors for which the suspect before it was an outlier.
@@ -49,12 +49,16 @@ class Outliers:
             theta = self._theta
         now = residual(theta, sample)
         if self._last is None or not np.isfinite(now).all():
-            return self._accept(sample), []
-        last = residual(theta, self._last)
-        limit = self._limits(sample, now, last)
-        is_far, outliers = np.abs(now - last) > limit, np.zeros(len(now), dtype=bool)
+            return self._accept(sample, theta, now), []
+        last = self._known[1] if theta is self._known[0] else residual(theta, self._last)
+        change = np.abs(now - last)
+        of_model = self._change_of_model(sample, now, last)
+        limit = self._limit * sqrt(2.0) + of_model
+        if self._suspect is not None or not (change <= limit).all():  # what is usual only widens it
+            limit = self._limit * np.maximum(self._usual(), sqrt(2.0)) + of_model
+        is_far, outliers = change > limit, np.zeros(len(now), dtype=bool)
         if np.isfinite(last).all():  # else none of the limits to come would be a number
-            self._changes.append(np.abs(now - last))
+            self._changes = np.concatenate([self._changes[1 - _MEMORY :], [change]])
         if self._suspect is not None:
             before = residual(theta, self._suspect)
             was_far = np.abs(before - last) > limit
@@ -64,15 +68,19 @@ class Outliers:
         if is_far.any() and self._n_suspects < _MOST_SUSPECTS:
             self._suspect, self._theta, self._n_suspects = sample, theta, self._n_suspects + 1
             return True, names
-        return self._accept(sample), names
+        return self._accept(sample, theta, now), names
 
-    def _limits(self, sample: Sample, now: Vector, last: Vector) -> Vector:
-        """Return the largest usual changes of the residual (c,); a model error may change as much as the model does."""
-        usual = 1.4826 * column_medians(np.array(self._changes)) if self._changes else np.zeros(len(now))
+    def _usual(self) -> Vector:
+        """Return the usual change of the residual (c,), as a standard deviation."""
+        return 1.4826 * column_medians(self._changes) if len(self._changes) else np.zeros(len(self._noise))
+
+    def _change_of_model(self, sample: Sample, now: Vector, last: Vector) -> Vector:
+        """Return the change of the model (c,), in whitened units: its error may change by as much."""
         assert self._last is not None
         measured = np.subtract(sample.xdot, self._last.xdot) / self._noise
-        return self._limit * np.maximum(usual, sqrt(2.0)) + np.abs(measured - (now - last))
+        return np.abs(measured - (now - last))
 
-    def _accept(self, sample: Sample) -> bool:
+    def _accept(self, sample: Sample, theta: Vector, residual: Vector) -> bool:
+        self._known = theta, residual
         self._last, self._suspect, self._n_suspects = sample, None, 0
         return False

@@ -3,12 +3,13 @@
 It imports no more than an estimator FMU ships.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .formula import compile_expression, identifier
 
@@ -69,8 +70,8 @@ class TuningRule:
         """True where every parameter is written as it is."""
         return not self._laws
 
-    def __call__(self, theta: Iterable[float]) -> list[float]:
-        values = [float(value) for value in theta]
+    def __call__(self, theta: ArrayLike) -> list[float]:
+        values: list[float] = np.asarray(theta, dtype=float).tolist()
         if not self._laws:
             return [values[i] for i in self._places if i is not None]
         estimated = dict(zip(self._estimated, values, strict=True))

@@ -20,6 +20,7 @@ from ..findings import Finding
 from .binding import FmuToLoad
 from .elements import scalarized
 from .folder import PrivateFolder
+from .lazy_fmpy import lazy_numpy
 from .preflight.archive import archive_findings
 from .preflight.description import clock_problem, description_findings, harmless_findings, index_findings, is_true
 from .preflight.library import library_problem, needed_functions
@@ -65,7 +66,8 @@ def read_checked(fmu: Path) -> ModelDescription:
     Raises ModelDescriptionError.
     """
     try:
-        description = fmpy.read_model_description(fmu, validate=False)
+        with lazy_numpy():
+            description = fmpy.read_model_description(fmu, validate=False)
     except Exception as error:  # as in look_into
         raise ModelDescriptionError(f"{fmu} cannot be read: {_text_of(error)}") from error
     return description if description.fmiVersion == "2.0" else scalarized(description)

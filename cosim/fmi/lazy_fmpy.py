@@ -4,6 +4,8 @@ FMPy loads NumPy, its XML model and its solvers with itself: two thirds of the t
 """
 
 import sys
+from collections.abc import Generator
+from contextlib import contextmanager
 from importlib import import_module
 from types import ModuleType
 from typing import Final, NamedTuple
@@ -41,6 +43,27 @@ def load_fmpy_lazily() -> None:
         return value
 
     setattr(fmpy, "__getattr__", kept)  # noqa: B010  PEP 562: a module may have one
+
+
+@contextmanager
+def lazy_numpy() -> Generator[None]:
+    """Load NumPy within the block only when a name of it is used: FMPy's reader imports it, for sizes in FMI 3.0."""
+    if "numpy" in sys.modules:
+        yield
+        return
+    stand_in = sys.modules["numpy"] = ModuleType("numpy")
+
+    def used(name: str) -> object:
+        if sys.modules.get("numpy") is stand_in:
+            del sys.modules["numpy"]
+        return getattr(import_module("numpy"), name)
+
+    setattr(stand_in, "__getattr__", used)  # noqa: B010
+    try:
+        yield
+    finally:
+        if sys.modules.get("numpy") is stand_in:
+            del sys.modules["numpy"]
 
 
 def _stand_in(name: str) -> ModuleType:

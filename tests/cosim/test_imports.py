@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import cosim
+from cosim.system.fmu_cache import find_fmu
 
 PUBLIC = [
     "Comparison", "CosimError", "Estimation", "FolderError", "ModelDescriptionError", "Online", "Run", "Scenario",
@@ -96,6 +97,20 @@ def test_the_process_of_a_loop_and_the_description_of_an_fmu_do_without_numpy():
     begin = "from cosim.fmi.lazy_fmpy import load_fmpy_lazily; load_fmpy_lazily()"
     loaded = loaded_by(f"{begin}; import cosim.system.loop_child, cosim.authoring.info, cosim.commands.info")
     assert loaded.isdisjoint({"numpy", "scipy", "pydantic", "estimator"})
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_checked_fmu_is_read_without_numpy_where_it_has_no_arrays(fmi):
+    fmu = find_fmu("Pendulum", Path(), fmi)
+    program = f"""
+from pathlib import Path
+from cosim.fmi.archive import read_checked
+names = [v.name for v in read_checked(Path({str(fmu)!r})).modelVariables]
+assert "phi" in names, names
+pass"""
+    loaded = loaded_by("from cosim.fmi.lazy_fmpy import load_fmpy_lazily; load_fmpy_lazily()\n" + program)
+    assert ("numpy" in loaded) == (fmi == 3)
+    assert "elftools" not in loaded
 
 
 def test_help_waits_for_nothing_heavy():

@@ -11,7 +11,6 @@ from fmpy import fmi2
 from fmpy.model_description import ModelDescription
 
 from ..types import TYPES
-from .elf import DAMAGED, opened_elf
 
 _ELF_MACHINES: Final = {"x86_64": "EM_X86_64", "aarch64": "EM_AARCH64"}  # as Linux names them
 _PE_MACHINES: Final = {"amd64": 0x8664, "x86_64": 0x8664, "arm64": 0xAA64, "x86": 0x014C}
@@ -57,6 +56,8 @@ def library_problem(file: BinaryIO, needed: Set[str] = frozenset()) -> str | Non
 
 def elf_problems(file: BinaryIO, size: int, machine: str, needed: Set[str] = frozenset()) -> Iterator[str]:
     """Yield problems with a shared library for Linux of `size` bytes."""
+    from .elf import DAMAGED, opened_elf  # a process that loads a checked FMU needs none of pyelftools
+
     try:
         elf: Any = opened_elf(file)
         header = elf.header

@@ -87,9 +87,11 @@ class ArrivalCost:
     @property
     def is_refuted(self) -> bool:
         """True where drifting parameters do not explain the samples: their innovations are not white (Mehra, 1970)."""
+        if not self.whiteness.is_refuted:
+            return False
         walking = self.walk[self.walk > 0.0]
         is_too_slow = len(walking) <= _FEW and bool(np.any(walking < self.rate**2))
-        return len(walking) > 0 and self.whiteness.is_refuted and not is_too_slow
+        return len(walking) > 0 and not is_too_slow
 
     def updated(self, residual: Callable[[Vector], Vector]) -> Self:
         """Return the arrival cost with one more sample; residual: (c,) in standard deviations at a place (d,).

@@ -164,12 +164,15 @@ class DiagnosingRetuner(_Counting):
             settled = diagnosis.succeed(t, best)
             if settled is not None:
                 return self._ended(t, proposal, settled.undo, held, settled.events)
+        if theta is None:
+            return proposal
         if verdict == "refuted":
             return replace(proposal, theta=None)
-        if proposal.estimate is not None and theta is not None:
+        if proposal.estimate is not None:
             diagnosis.expect(proposal.estimate.is_identifiable)
-        rival = diagnosis.disturbance(held) if verdict == "possible" and theta is not None else None
-        return replace(proposal, possible_disturbance=rival)
+        return (
+            replace(proposal, possible_disturbance=diagnosis.disturbance(held)) if verdict == "possible" else proposal
+        )
 
     def _ended(
         self, t: float, proposal: Proposal, before: Vector | None, held: Vector, events: tuple[Event, ...]

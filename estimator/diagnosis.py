@@ -144,7 +144,7 @@ class Diagnosis:
 
     @property
     def _is_correcting(self) -> bool:
-        return bool(self._state.offset.any() or self._state.is_resting.any())
+        return bool(np.count_nonzero(self._state.offset) or np.count_nonzero(self._state.is_resting))
 
     def corrected(self, sample: Sample) -> Sample:
         """Return the sample less the known disturbance, and without the channels that rest."""

@@ -207,15 +207,15 @@ def _screen(
 
 @dataclass(frozen=True)
 class _Slope:
-    """Modelled derivatives (n,) of the states at a sample; NaN where the model has no value, as for the residual."""
+    """Modelled derivatives (n,) of the states; NaN where the model has no value, as for the residual."""
 
     residual: DerivativeResidual
 
-    def __call__(self, theta: Vector, sample: Sample) -> Sequence[float]:
+    def __call__(self, theta: Vector, x: Sequence[float], u: Sequence[float]) -> Sequence[float]:
         try:
-            return self.residual.model(sample.x, sample.u, **self.residual.space.named(theta))
+            return self.residual.model(x, u, **self.residual.space.named(theta))
         except (ArithmeticError, ValueError):
-            return [nan] * len(sample.x)
+            return [nan] * len(x)
 
 
 def _sensors(scenario: Scenario, plant: Plant, residual: DerivativeResidual) -> Sensors:

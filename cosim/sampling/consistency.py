@@ -5,7 +5,6 @@ state is right, whatever the parameters are.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -35,12 +34,13 @@ class Consistency:
         channels: tuple[int, ...],
         noise: tuple[float, ...],
         state_noise: tuple[float, ...],
-        slope: Callable[[Vector, Sample], Sequence[float]],
+        slope: Callable[[Vector, Sequence[float], Sequence[float]], Sequence[float]],
         limit: float,
         h: float,
     ) -> None:
         """channels (c,): the states' places in x; noise, state_noise (c,): standard deviations of the derivatives and
-        of these states; slope: modelled derivatives (n,); limit: in standard deviations; h: macro step [s]."""
+        of these states; slope: modelled derivatives (n,) at theta, x and u; limit: in standard deviations; h: macro
+        step [s]."""
         self._channels, self._slope, self._h, self._limit = list(channels), slope, h, limit
         self._noise, self._state_variance = np.array(noise), np.square(state_noise)
         self._rows = np.empty((0, 3, len(channels)))  # motion of the state, derivative and its modelled change
@@ -54,7 +54,7 @@ class Consistency:
         last, self._last = self._last, sample
         if last is None or abs(sample.t - last.t - self._h) > 0.5 * self._h:
             self._rows, last = self._rows[:0], sample
-        now, before = (self._slope(theta, s) for s in (sample, replace(last, u=sample.u)))
+        now, before = (self._slope(theta, x, sample.u) for x in (sample.x, last.x))
         moved = [sample.x[i] - last.x[i] for i in self._channels]
         row = [moved, sample.xdot, [now[i] - before[i] for i in self._channels]]
         self._rows = np.concatenate([self._rows[-_LENGTH:], [row]])

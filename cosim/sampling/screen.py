@@ -42,8 +42,8 @@ class Sensors:
     """Standard deviations of those states (c,)."""
     residual: Callable[[Vector, Sample], Vector]
     """Whitened residual (c,) of one sample."""
-    slope: Callable[[Vector, Sample], Sequence[float]]
-    """Modelled derivatives (n,) of the states."""
+    slope: Callable[[Vector, Sequence[float], Sequence[float]], Sequence[float]]
+    """Modelled derivatives (n,) of the states at theta (d,), x (n,), u (p,)."""
 
 
 class Screened(NamedTuple):
@@ -107,7 +107,7 @@ class SampleScreen:
         place = i - len(sample.xdot)
         if place < 0:
             return False
-        slope = self._sensors.slope(theta, sample)[place]
+        slope = self._sensors.slope(theta, sample.x, sample.u)[place]
         return abs(slope) * self._h > _STILL * max(1.0, abs(sample.x[place]))
 
 

@@ -21,8 +21,8 @@ def residual(theta, sample):
     return (np.array(sample.xdot) - theta[0] * sample.u[0]) / SIGMA
 
 
-def slope(theta, sample):
-    return [theta[0] * sample.u[0]]
+def slope(theta, x, u):
+    return [theta[0] * u[0]]
 
 
 SENSORS = Sensors(NAMES, (True, False), (SIGMA,), (0,), (0.0,), residual, slope)
@@ -100,7 +100,7 @@ def test_the_first_of_a_series_is_told():
 
 TWO = Sensors(
     ("der(v)", "x", "v"), (True, False, False), (SIGMA,), (1,), (0.0,), residual,
-    lambda theta, sample: [sample.x[1], theta[0] * sample.u[0]],
+    lambda theta, x, u: [x[1], theta[0] * u[0]],
 )  # fmt: skip
 
 
@@ -336,7 +336,7 @@ def test_noise_that_was_not_declared_hides_a_bias(bias, is_found):
 @pytest.mark.parametrize(("bias", "is_found"), [(0.1178, False), (0.1180, True)])
 def test_the_rectangle_errs_where_the_modelled_derivative_changes(bias, is_found, sign):
     """By 0.1 in every step: bias > 0.1 + 8 SIGMA / sqrt(20)."""
-    assert bool(inconsistent(bias=bias, model=lambda theta, s: [sign * s.t])) == is_found
+    assert bool(inconsistent(bias=bias, model=lambda theta, x, u: [sign * x[0]])) == is_found
 
 
 def test_an_input_that_was_held_over_the_step_is_no_error_of_the_rectangle():

@@ -6,7 +6,6 @@ is used, and a process that makes one first removes those that are no longer loc
 
 import os
 import re
-import secrets
 import shutil
 import sys
 import tempfile
@@ -60,7 +59,7 @@ class PrivateFolder:
     def _make(self, parent: str) -> None:
         """Make the folder. Raises OSError."""
         for _ in range(3):  # who clears up may take it for abandoned before it is locked
-            self.path = os.path.join(parent, PREFIX + secrets.token_hex(8))
+            self.path = os.path.join(parent, PREFIX + os.urandom(8).hex())
             # The finalizer first: an interrupt may come as soon as the folder is there.
             self._finalizer = weakref.finalize(self, _remove, self.path, os.getpid(), lock := _Lock())
             os.mkdir(self.path, 0o700)

@@ -14,8 +14,10 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from multiprocessing.connection import Connection, Pipe
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection  # at run time only where there are pipes
 
 PACKET_SIZE: Final = 32768
 """Bytes of one packet; longer messages travel in pieces."""
@@ -173,6 +175,8 @@ def channel_pair(kind: str = KIND) -> tuple[Channel, ChildEnd]:
     if kind == "packet":
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         return PacketChannel(ours), ChildEnd(f"packet:{theirs.fileno()}", theirs.fileno(), theirs)
+    from multiprocessing.connection import Pipe
+
     mine, other = Pipe(duplex=True)
     return PipeChannel(mine), ChildEnd(f"pipe:{other.fileno()}", other.fileno(), other)
 
@@ -189,6 +193,8 @@ def open_channel(argument: str) -> Channel:
 
         os.set_handle_inheritable(handle, False)
         return PipeChannel(PipeConnection(handle))
+    from multiprocessing.connection import Connection
+
     os.set_inheritable(handle, False)
     return PipeChannel(Connection(handle))
 

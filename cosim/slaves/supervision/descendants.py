@@ -6,7 +6,6 @@ still has its environment. Linux only.
 
 import ctypes
 import os
-import secrets
 import signal
 import sys
 from contextlib import suppress
@@ -20,7 +19,7 @@ _MOST_LOOKS: Final = 20
 
 def new_mark() -> str:
     """Return a mark for the environment of one FMU's process."""
-    return secrets.token_hex(8)
+    return os.urandom(8).hex()
 
 
 def adopt_orphans() -> None:

@@ -63,10 +63,12 @@ class DataSupport:
         slopes: (n, c, d) of one candidate in the unit cube, None where only differences are to be had."""
         self._slopes, self._rows, self._space, self.n_channels = slopes, rows, space, n_channels
         self._samples: deque[Sample] = deque(maxlen=length)
+        self._newest: tuple[bytes, Information] | None = None  # theta of the last information, and that
 
     def append(self, sample: Sample) -> None:
         """Append a sample, dropping the oldest where there are too many."""
         self._samples.append(sample)
+        self._newest = None
 
     def snapshot(self) -> tuple[Sample, ...]:
         """Return the samples kept now."""
@@ -75,6 +77,7 @@ class DataSupport:
     def restore(self, snapshot: tuple[Sample, ...]) -> None:
         """Replace the samples by those of a snapshot."""
         self._samples = deque(snapshot, maxlen=self._samples.maxlen)
+        self._newest = None
 
     def cost(self, theta: Vector) -> float:
         """Return the sum of squared residuals of theta (d,) at the newest sample; 0 before there is one."""
@@ -85,6 +88,11 @@ class DataSupport:
 
     def information(self, theta: Vector) -> Information:
         """Return the information that the samples have at theta (d,), by the model's slopes or central differences."""
+        if self._newest is None or self._newest[0] != theta.tobytes():
+            self._newest = theta.tobytes(), self._information(theta)
+        return self._newest[1]
+
+    def _information(self, theta: Vector) -> Information:
         slopes = self._slopes(theta, [*self._samples])
         if slopes is not None:
             return information(slopes.reshape(-1, len(theta)))

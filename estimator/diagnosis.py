@@ -358,27 +358,28 @@ class Diagnosis:
         state, space = self._state, self._space
         state.found_at, state.verdict = state.n_samples, "refuted"
         reference = held if state.reference is None else state.reference
-        there, before = self._rows(theta, state.n_since), self._rows(reference, state.n_since)
+        there = self._rows(theta, state.n_since)
         for n in _shorter(state.n_since):
-            if self._wins(plain_fit(there[-n:], len(space)), before[-n:]):
+            if self._wins(plain_fit(there[-n:], len(space)), reference, n):
                 return
         z = space.to_unit(theta) if state.changed is None else state.changed
         for n in [n for n in _LENGTHS if n <= state.n_since]:
             found = changed_parameters(self._rows_at(n), z)
-            if found.rate <= _RATE and self._wins(found.fit, before[-n:]):
+            if found.rate <= _RATE and self._wins(found.fit, reference, n):
                 state.changed = found.z
                 return
 
-    def _wins(self, parameters: Fit, before: Vector) -> bool:
-        """Set the verdict where changed parameters are possible; before (n, c): residuals of the reference."""
-        is_recorded = len(before) == min(self._state.n_since, _LENGTHS[0])
+    def _wins(self, parameters: Fit, reference: Vector, n: int) -> bool:
+        """Set the verdict where changed parameters are possible by their fit to the newest n samples."""
+        is_recorded = n == min(self._state.n_since, _LENGTHS[0])
         if not (parameters.is_possible or is_recorded):
             return False
+        before = self._rows(reference, n)
         weighing = Weighing(parameters, disturbance_of(before).fit, plain_fit(before, 0))
         if weighing.are_parameters_possible or is_recorded:
-            self.evidence.note(len(before), **vars(weighing))
+            self.evidence.note(n, **vars(weighing))
         if weighing.are_parameters_possible:
-            self._state.n_explained = len(before)
+            self._state.n_explained = n
             self._state.n_spare = parameters.n_values - parameters.n_free
             unproven: Judgement = "refuted" if self._state.is_resting.any() else "possible"
             self._state.verdict = "warranted" if weighing.are_parameters_proven else unproven

@@ -93,7 +93,8 @@ class DerivativeResidual:
         thetas, n, c = theta.reshape(-1, len(self.space)), len(samples), len(self.channels)
         table = self._at_once(thetas, samples) if self.is_vectorised and len(thetas) * n > 1 else None
         if table is None:
-            named, missing = map(self.space.named, thetas), [nan] * c
+            names, missing = self.space.names, [nan] * c
+            named = [dict(zip(names, theta, strict=True)) for theta in thetas.tolist()]
             table = np.array([self._modelled(own, s) or missing for own in named for s in samples], dtype=float)
         table = table.reshape(len(thetas), n, c)
         xdot = np.array([s.xdot for s in samples], dtype=float).reshape(n, c)

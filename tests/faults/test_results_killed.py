@@ -246,8 +246,8 @@ def test_a_run_on_a_full_disk_goes_on_when_there_is_room(started, undisturbed, t
         [*PENDULUM, "--only", "--set", SHORT, "--out", "WORK/run", "--ssv", "DISK/x.ssv"],
         ["compare", "pendulum", "--estimators", "none", "--seeds", "1", "--set", SHORT, "--out", "DISK/x"],
         ["illustrate", "--out", "DISK/x.png"],
-        ["export", "pendulum", "--ssp", "DISK/x.ssp"],
-        ["build", "--out", "DISK/x"],
+        pytest.param(["export", "pendulum", "--ssp", "DISK/x.ssp"], marks=pytest.mark.full),
+        pytest.param(["build", "--out", "DISK/x"], marks=pytest.mark.full),
     ],
     ids=lambda arguments: arguments[0],
 )  # fmt: skip

@@ -91,6 +91,7 @@ def test_what_is_not_declared_and_fmi_2_are_not_asked(model, foreign):
     older.close()
 
 
+@pytest.mark.full
 def test_least_squares_needs_fewer_evaluations_and_finds_the_same(built, foreign, tmp_path):
     shutil.copy(FOREIGN / "steps.csv", tmp_path)
     text = (FOREIGN / "axis.toml").read_text().replace('name = "m"', 'name = "mass.m"') + STIFFNESS

@@ -118,6 +118,7 @@ def test_held_out_rows_are_predicted_and_not_fitted_to(ask, oracles):
     assert estimate(ask(columns)).fit.theta == pytest.approx(found.fit.theta, rel=1e-12)
 
 
+@pytest.mark.full
 def test_one_seed_gives_one_result_whatever_the_jobs(ask, oracles):
     columns = oracles.measure(3)
     first, second = (estimate(ask(columns, jobs=jobs)) for jobs in (1, 2))

@@ -12,6 +12,7 @@ import argparse
 import tempfile
 from collections import defaultdict
 from collections.abc import Generator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import get_context
 from pathlib import Path
@@ -162,8 +163,8 @@ def _alone(scenario: Scenario, steps: Mapping[str, Sequence[tuple[Any, ...]]]) -
     """Return the time [s] that the FMUs themselves need for all macro steps."""
     seconds: dict[str, Any] = {}
     for name, path in fmu_paths(scenario).items():
-        with get_context("spawn").Pool(1) as pool:
-            seconds[name] = np.array(pool.apply(_steps_of, (scenario, name, path, list(steps[name]))))
+        with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+            seconds[name] = np.array(pool.submit(_steps_of, scenario, name, path, list(steps[name])).result())
     controllers = {p.writes.partition(".")[0] for p in scenario.estimation.parameters}
     groups = [[n for n in seconds if n in controllers], [n for n in seconds if n not in controllers]]
     return sum(float(np.sum(np.max([seconds[n] for n in group], axis=0))) for group in groups if group)

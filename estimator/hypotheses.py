@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from .differences import forward_differences, values_at
+from .differences import OfMany, forward_differences
 from .significance import chi2_limit
 from .space import Vector
 
@@ -22,8 +22,10 @@ _BEYOND: Final = 0.5
 """Share of the scaled bounds by which the parameters that explain may lie outside of them."""
 _LONGEST: Final = 0.5
 """Longest step of a parameter, as a share of the scaled bounds."""
-_DAMPINGS: Final = np.append(0.0, 3.0 ** -np.arange(16.0))
+_DAMPINGS: Final = np.append(0.0, 3.0 ** np.arange(-15.0, 3.0))
 """Dampings of the steps that are tried, by the largest singular value of the Jacobian."""
+_FEW: Final = [0, 4, 8, 12, 16, 18]
+"""Indices of those that are tried one after the other, where calls are dear."""
 _ENOUGH: Final = 0.1
 """Gain of the sum of squares below which the search ends."""
 _LITTLE: Final = 0.01
@@ -167,15 +169,12 @@ def changed_parameters(
         jacobian = forward_differences(rows_at, z, rows, step)
         if not np.all(np.isfinite(jacobian)):
             break
-        tried = _damped_steps(jacobian, rows.reshape(-1), z)
-        there = values_at(rows_at, tried)
-        with np.errstate(over="ignore", invalid="ignore"):
-            squares = np.nan_to_num(np.sum(there**2, axis=(1, 2)), nan=inf)
-        i, now = int(np.argmin(squares)), float(np.sum(rows**2))
-        if not squares[i] < now:
+        now = float(np.sum(rows**2))
+        better = _better(rows_at, _damped_steps(jacobian, rows.reshape(-1), z), now)
+        if better is None:
             break
-        z, rows = tried[i], there[i]
-        if now - squares[i] < max(_ENOUGH, _LITTLE * now):
+        z, rows = better
+        if now - np.sum(rows**2) < max(_ENOUGH, _LITTLE * now):
             break
     n, d = len(rows), len(z)
     constant = plain_fit(rows, d)
@@ -204,3 +203,15 @@ def _damped_steps(jacobian: Vector, r: Vector, z: Vector) -> Vector:
     moves = -(gains * (u.T @ r)) @ vt
     longest = np.maximum(np.abs(moves).max(axis=1, keepdims=True), 1e-300)
     return np.clip(z + moves * np.minimum(1.0, _LONGEST / longest), -_BEYOND, 1.0 + _BEYOND)
+
+
+def _better(rows_at: Callable[[Vector], Vector], places: Vector, squares: float) -> tuple[Vector, Vector] | None:
+    """Return the place of least squares and its rows, if less than those given; or the first such place."""
+    if not isinstance(rows_at, OfMany):
+        found = ((place, rows_at(place)) for place in places[_FEW])
+        return next((pair for pair in found if np.sum(pair[1] ** 2) < squares), None)  # False where it is no number
+    rows = rows_at(places)
+    with np.errstate(over="ignore", invalid="ignore"):
+        reached = np.nan_to_num(np.sum(rows**2, axis=(1, 2)), nan=inf)
+    best = int(np.argmin(reached))
+    return (places[best], rows[best]) if reached[best] < squares else None

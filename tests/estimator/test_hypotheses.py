@@ -7,6 +7,7 @@ from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 from estimator import hypotheses
+from estimator.differences import OfMany
 from estimator.hypotheses import FALSE_ALARM, MARGIN, Fit, Weighing, changed_parameters, disturbance_of, plain_fit
 
 MIDDLE = np.array([0.5, 0.5])
@@ -205,7 +206,8 @@ def test_changed_parameters_are_found_from_every_corner(start):
     """Undamped steps, halved where they gain nothing, end elsewhere from each of them, thousands of deviations away."""
     truth = np.log10(np.array([1.2, 3.0]) / 0.1) / 2.0
     noise = np.random.default_rng(1).standard_normal((2, 3))
-    found = changed_parameters(lambda z: (spinning_body(z) - spinning_body(truth)) / 1e-3 + noise, np.array(start))
+    rows_at = OfMany(lambda z: (spinning_body(z) - spinning_body(truth)) / 1e-3 + noise)
+    found = changed_parameters(rows_at, np.array(start))
     assert found.fit.is_explained
     assert_allclose(found.z, truth, atol=1e-3)
 

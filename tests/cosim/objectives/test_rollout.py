@@ -169,7 +169,7 @@ def end(result):
 def test_a_changed_pendulum_is_found_from_its_outputs_alone(pendulum, leaves_nothing, way):
     settings = EARLY | ROLLOUT | {"estimation.rollout.start": way}
     result = run(pendulum(settings, 1.5), "target")
-    assert result.status == "done"
+    assert result.status == "done", result.error
     assert result.n_episodes
     np.testing.assert_allclose(end(result), OTHER, rtol=0.1)
     nominal = run(pendulum(settings, 1.5), "none")
@@ -699,6 +699,6 @@ def test_candidates_at_which_a_function_has_no_value_have_failed(pendulum, workp
     result = run(pendulum(settings, 1.0), "target", 0, workplace / "out")
     events = [json.loads(line) for line in (workplace / "out" / "events.jsonl").read_text().splitlines()]
     failed = [e for e in events if "failed" in e]
-    assert result.status == "done"
+    assert result.status == "done", result.error
     assert failed
     assert all(e["theta"][0] > 2.5 and "ValueError" in e["failed"] for e in failed)

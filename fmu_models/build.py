@@ -6,7 +6,7 @@ import sys
 import tempfile
 import threading
 import zipfile
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from hashlib import sha256
@@ -53,10 +53,6 @@ MODELS = _find_models()
 NAMES = tuple(MODELS)
 PLANTS = tuple(name for name, model in MODELS.items() if issubclass(model, PlantSlave))
 """Names of the models for model exchange, in FMI 3.0: the others have no states."""
-_TOOLS = re.compile(r"resources/pythonfmu3?/(__main__|builder|csvbuilder|deploy)\.py")
-"""Modules that make FMUs and that none needs: half of the time in which pythonfmu is imported."""
-_LIBRARY = re.compile(r"resources/pythonfmu3?/__init__\.py")
-_BUILDER = re.compile(rb"^from \.builder import .*\n", re.MULTILINE)
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 _imports = threading.Lock()
 
@@ -156,22 +152,11 @@ def _files(name: str, fmi: int, interface: Interface) -> tuple[str, dict[str, by
         raise ValueError(f"model exchange is for {', '.join(PLANTS)} in FMI 3.0, got {name} in FMI {fmi}.0.")
     stem = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower() + "_fmu"
     values = {"name": name, "module": MODELS[name].__module__, "interface": interface}
-    own = _own_sources(MODELS[name])
     if fmi == 2:
-        return stem, own | {f"{stem}.py": _ENTRY.format(**values).encode()}
+        return stem, sources(PACKAGE) | {f"{stem}.py": _ENTRY.format(**values).encode()}
     script = f"{stem}3_{interface.lower()}"  # the Slave inside needs the Python part of pythonfmu too
     libraries = sources(Path(pythonfmu.__file__).parent)
-    return script, own | libraries | {f"{script}.py": _ENTRY_3.format(**values).encode()}
-
-
-def _own_sources(model: type[Slave]) -> dict[str, bytes]:
-    """Return the modules that an FMU needs, by their paths in it: the common ones and those of its plant's folder."""
-    folders = [PACKAGE / "kernel", PACKAGE.parent.joinpath(*model.__module__.split(".")).parent]
-    return {path: text for path, text in sources(PACKAGE).items() if _is_in(PACKAGE.parent / path, folders)}
-
-
-def _is_in(path: Path, folders: Sequence[Path]) -> bool:
-    return path.parent in folders or path == PACKAGE / "__init__.py"
+    return script, sources(PACKAGE) | libraries | {f"{script}.py": _ENTRY_3.format(**values).encode()}
 
 
 def _variables(model: type[Slave], interface: Interface) -> tuple[VariableRow, ...]:
@@ -226,16 +211,14 @@ def _rewrite(
     own = {f"resources/{path}": f"resources/{top}{suffix}{path[len(top) :]}" for path, top in tops.items()}
     with zipfile.ZipFile(raw) as source, zipfile.ZipFile(target, "x", zipfile.ZIP_DEFLATED) as copy:
         # Nobody builds this FMU from C++: FMI 3.0 asks for a build description beside sources.
-        kept = {path for path in source.namelist() if not path.startswith("sources/") and not _TOOLS.match(path)}
+        kept = {path for path in source.namelist() if not path.startswith("sources/")}
         for path in sorted(kept | set(extra), key=lambda path: own.get(path, path)):
             content = extra[path] if path in extra else source.read(path)
             if path == "modelDescription.xml":
                 content = _identified(content, identity)
             elif path == "resources/slavemodule.txt":
                 content = f"{script}{suffix}".encode()
-            elif _LIBRARY.fullmatch(path):
-                content = _BUILDER.sub(b"", content)
-            if path in own:
+            elif path in own:
                 content = _with_own_names(content, set(tops.values()), suffix)
             entry = zipfile.ZipInfo(own.get(path, path), _EPOCH)
             entry.compress_type = zipfile.ZIP_DEFLATED

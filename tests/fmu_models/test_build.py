@@ -106,11 +106,7 @@ def test_the_guid_follows_the_sources(tmp_path):
     assert in_a_process(code, root=root).strip() == build.guid("Pendulum")
     with (root / "fmu_models" / "kernel" / "ode.py").open("a") as file:
         file.write("# changed\n")
-    changed = in_a_process(code, root=root).strip()
-    assert changed != build.guid("Pendulum")
-    with (root / "fmu_models" / "quadrotor" / "equations.py").open("a") as file:
-        file.write("# another plant's\n")
-    assert in_a_process(code, root=root).strip() == changed
+    assert in_a_process(code, root=root).strip() != build.guid("Pendulum")
 
 
 @pytest.mark.full
@@ -163,7 +159,7 @@ def test_a_module_that_has_a_script_s_name_is_neither_used_nor_lost(tmp_path, mo
     assert sys.modules["pendulum_fmu"] is stranger
 
 
-def test_an_fmu_holds_its_plant_and_no_trace_of_its_build(tmp_path):
+def test_an_fmu_holds_the_whole_package_and_no_trace_of_its_build(tmp_path):
     with zipfile.ZipFile(build.build("Quadrotor", tmp_path)) as archive:
         entries = archive.infolist()
         script = archive.read("resources/slavemodule.txt")
@@ -172,11 +168,9 @@ def test_an_fmu_holds_its_plant_and_no_trace_of_its_build(tmp_path):
     assert {entry.date_time for entry in entries} == {(1980, 1, 1, 0, 0, 0)}
     assert not [name for name in names if "__pycache__" in name or name.endswith(".pyc")]
     suffix = build.guid("Quadrotor")[:8]
-    modules = [PACKAGE / "__init__.py", *(PACKAGE / "kernel").glob("*.py"), *(PACKAGE / "quadrotor").glob("*.py")]
-    held = {name for name in names if name.startswith("resources/fmu_models")}
-    assert held == {f"resources/fmu_models_{suffix}/{path.relative_to(PACKAGE).as_posix()}" for path in modules}
-    assert "resources/pythonfmu/fmi2slave.py" in names
-    assert "resources/pythonfmu/builder.py" not in names
+    assert {
+        f"resources/fmu_models_{suffix}/{path.relative_to(PACKAGE).as_posix()}" for path in PACKAGE.rglob("*.py")
+    } <= set(names)
     assert script == f"quadrotor_fmu_{suffix}".encode()
     binaries = {"binaries/linux64/Quadrotor.so", "binaries/win64/Quadrotor.dll"}
     assert {*binaries, f"resources/quadrotor_fmu_{suffix}.py"} <= set(names)

@@ -52,7 +52,7 @@ def test_the_minimum_is_that_of_scipy(name, method):
 
 @pytest.mark.parametrize("name", ["huber", *(pytest.param(n, marks=pytest.mark.full) for n in ROBUST if n != "huber")])
 def test_with_spikes_the_estimate_stays_within_its_interval_and_without_the_loss_it_does_not(name):
-    """Of 40 intervals of 95 % at least 33 hold but once in 10 000 times."""
+    """At least 33 of 40 intervals of 95 % hold, but once in 10 000 times."""
     robust = [fit(Decay(spiked(seed)), SPACE, NOMINAL, "least-squares", 9, loss=Loss(name)) for seed in SEEDS]
     plain = [fit(Decay(spiked(seed)), SPACE, NOMINAL, "least-squares", 9) for seed in SEEDS]
     least = scipy.stats.binom.ppf(1e-4, 2 * len(SEEDS), 0.95)
@@ -65,7 +65,7 @@ def test_with_spikes_the_estimate_stays_within_its_interval_and_without_the_loss
 @pytest.mark.full
 @pytest.mark.parametrize("name", ROBUST)
 def test_the_deviation_is_the_scatter_of_repeated_measurements(name):
-    """Of normal noise; 200 repetitions tell it to 5 % (one standard deviation)."""
+    """With normal noise, 200 repetitions tell the deviation to 5 % (one standard deviation)."""
     x = X[::6]
     found = [
         fit(Decay(spiked(seed, x, share=0.0), x), SPACE, TRUTH, "least-squares", 3, loss=Loss(name))

@@ -575,7 +575,7 @@ class Diagnosis:
         state.counts["rest"] += 1
         names = self._of(channels)
         reason = f"{state.n_failures} searches in vain: {', '.join(names)} left out for {length} samples"
-        return Event(t, "rest", {"channels": names, "reason": reason})
+        return Event(t, "rest", {"channels": names, "n_samples": length, "reason": reason})
 
     def _wake(self) -> bool:
         """End the rests that are over; return whether there was one."""

@@ -222,7 +222,7 @@ class EpisodeDiagnosis:
         state.rests_until = state.n_samples + length
         state.rested.clear()
         reason = f"{state.n_failures} searches in vain: re-tuning rests for {length} samples"
-        return event, Event(t, "rest", {"channels": list(self._outputs), "reason": reason})
+        return event, Event(t, "rest", {"channels": list(self._outputs), "n_samples": length, "reason": reason})
 
     def wait(self) -> bool:
         """Wait for more samples, on which the next episode begins; return False where there are many already."""

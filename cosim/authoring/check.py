@@ -22,7 +22,14 @@ from ..scenarios.validation import error_texts
 from ..ssp.load import load_scenario
 from ..system.aliases import as_the_fmus_have_it
 from ..system.fmu_cache import component_path
-from .check_estimation import check_changes, check_parameters, check_sampling, check_tracking
+from .check_estimation import (
+    check_changes,
+    check_parameters,
+    check_sampling,
+    check_tolerance,
+    check_tracking,
+    check_undeclared,
+)
 from .check_filter import check_filter
 from .check_fmu import check_fmu
 from .check_model import check_model, plain, split
@@ -31,8 +38,8 @@ from .check_wiring import check_connections, check_inputs, check_loops, check_st
 from .dry_run import dry_run
 
 _CHECKS: tuple[Callable[[Scenario, Mapping[str, Component]], Iterator[Finding]], ...] = (
-    check_starts, check_connections, check_inputs, check_changes, check_tracking, check_sampling, check_filter,
-    check_parameters, check_loops, check_steps,
+    check_starts, check_connections, check_inputs, check_changes, check_tracking, check_tolerance, check_sampling,
+    check_filter, check_parameters, check_undeclared, check_loops, check_steps,
 )  # fmt: skip
 
 _FILL = re.compile(r"\bFILL\b")

@@ -14,6 +14,7 @@ from ..system.parameters import parameter_problem, unit_problem, value_of_change
 from ..system.plant import connected_as_well
 from ..variable_name import VariableName
 from .check_wiring import Components, output_refusal, output_refusals, parts, refusal, unit_finding
+from .set_points import size_of
 
 _SAME: Final = 1e-6
 """Relative difference of start values that is none."""
@@ -65,6 +66,21 @@ def check_tracking(scenario: Scenario, components: Components) -> Iterator[Findi
         yield from unit_finding(where, reference, tracked, components)
 
 
+def check_tolerance(scenario: Scenario, components: Components) -> Iterator[Finding]:
+    """Yield a guard that would take back no write, since it tolerates errors as large as all the set points."""
+    guard, divergence = scenario.guard, scenario.limits.divergence
+    tables = [(components[r.component], r.variable) for r in scenario.tracking.values() if r.component in components]
+    sizes = [size for component, name in tables if (size := size_of(component, name)) is not None]
+    tolerance = guard.tolerance_at(divergence)
+    if guard.enabled and sizes and tolerance >= max(sizes):
+        whence = "" if guard.tolerance else ", a hundredth of limits.divergence"
+        yield warning(
+            "guard.tolerance",
+            f"{tolerance:g}{whence}, is as large as all the set points of the tracked outputs ({max(sizes):g}): "
+            "no error that a write makes would be large enough to take it back",
+        )
+
+
 def check_sampling(scenario: Scenario, components: Components) -> Iterator[Finding]:
     """Yield sampled variables that are neither derivative nor state, and states that cannot be read."""
     plant = components.get(scenario.plant)
@@ -108,6 +124,20 @@ def check_parameters(scenario: Scenario, components: Components) -> Iterator[Fin
         where = f"estimation.parameters.{i} ({parameter.name})"
         yield from (Finding(where, text) if is_error else warning(where, text)
                     for is_error, text in _problems(scenario, parameter, components))  # fmt: skip
+
+
+def check_undeclared(scenario: Scenario, components: Components) -> Iterator[Finding]:
+    """Yield the parameters that a controller takes whatever is written: in one line, however many there are."""
+    free: dict[str, list[str]] = {}
+    for parameter in scenario.estimation.parameters:
+        for reference in parameter.written if parameter.is_written_as_it_is else ():
+            owner = components.get(reference.component)
+            v = owner.variables.get(reference.variable) if owner else None
+            if owner and v and attribute(v, "min") is None and attribute(v, "max") is None:
+                free.setdefault(owner.fmu.name, []).append(parameter.name)
+    for fmu, names in free.items():
+        text = f"{fmu} declares neither min nor max of {', '.join(names)}: only lower and upper limit what is written"
+        yield warning("estimation.parameters", text)
 
 
 def _problems(scenario: Scenario, parameter: EstimatedParameter, components: Components) -> Iterator[tuple[bool, str]]:
@@ -164,8 +194,6 @@ def _written(
     variable = controller.variables[name]
     if problem := parameter_problem(parameter, variable):
         yield True, problem.rstrip(".")
-    if attribute(variable, "min") is None and attribute(variable, "max") is None:
-        yield False, f"{controller.fmu.name} declares neither min nor max: only lower and upper limit what is written"
     start = _start(scenario, reference, components)
     if start is None:
         yield True, f"'{reference}' has no start value; give it one under components.{reference.component}.start"

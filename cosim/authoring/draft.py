@@ -14,6 +14,7 @@ from typing import Final
 from ..errors import WiringError, one_line
 from ..fmi.component import Component, ModelVariable, read_component
 from ..fmi.table import is_table
+from ..fmi.types import is_real
 from ..scenarios.json_schema import URL
 from ..variable_name import VariableName
 from .draft_estimation import (
@@ -29,6 +30,7 @@ from .draft_estimation import (
 from .draft_gains import gain_parameter, gains
 from .guess import CONTROLLER, PLANT, REFERENCE, guess_connections, have_one_unit, sources
 from .guess_tracking import guess_tracking
+from .set_points import size_of
 from .toml_lines import key, quoted, said
 
 MOST_PAIRS: Final = 1_000_000
@@ -75,6 +77,7 @@ def draft(fmus: Mapping[str, Path], folder: Path, model: str | None = None) -> D
         _connections(components),
         _changes(components, [its for _, its in pairs] if gained is None else [gained]),
         _tracking(components),
+        *_limits(components),
         sampling(components[PLANT], model),
         estimation(components[PLANT], model, pairs, gained),
         *(parameters(components, pairs, is_fmu) if gained is None else gains(components, gained, is_fmu)),
@@ -200,8 +203,11 @@ def _changes(components: Mapping[str, Component], parameters: list[ModelVariable
     lines = [said("[changes]", "FILL what happens to the plant: rows [time, value], or a formula in t")]
     plant = components[PLANT]
     stop, _ = _stop(components)
-    tunable = {v.name for v in plant.having("parameter", "tunable")}
-    for v in parameters:
+    tunable = {v.name: v for v in plant.having("parameter", "tunable") if is_real(v.type)}
+    others = [v for name, v in tunable.items() if name not in {v.name for v in parameters}]
+    if len(others) > _MOST_OFFERED:
+        others = []
+    for v in [*parameters, *others]:
         if v.name in tunable and v.start is not None:
             start = float(v.start)
             other = 1.5 * start if start else 1.0
@@ -230,6 +236,18 @@ def _tracking(components: Mapping[str, Component]) -> list[str]:
         source = quoted(f"{REFERENCE}.{given[0].name if len(given) == 1 else 'FILL'}")
         lines.append(said(f'"plant.FILL" = {source}', f"FILL; the plant's outputs are {offered}"))
     return lines
+
+
+def _limits(components: Mapping[str, Component]) -> Iterator[list[str]]:
+    """Yield the limit of the tracking error, where a table says how large the set points are."""
+    tracked = [VariableName(str(guess.source)).variable for guess in guess_tracking(components)]
+    size = max((size for name in tracked if (size := size_of(components[REFERENCE], name))), default=None)
+    if size is not None:
+        about = "GUESS: ten times the set points; a hundredth of it is guard.tolerance"
+        yield [
+            "[limits]                # the tracking error at which the run ends",
+            said(f"divergence = {10 * size:.3g}", about),
+        ]
 
 
 def _relative(path: Path, folder: Path) -> str:

@@ -2,7 +2,8 @@
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Final
 
 from ..errors import one_line
@@ -13,7 +14,7 @@ from ..fmi.ports import attribute
 from ..fmi.types import is_real
 from ..scenarios.formula import identifier
 from ..units import BASE_UNITS
-from .guess import CONTROLLER, PLANT, alike, best
+from .guess import CONTROLLER, PLANT, alike, best, have_one_unit, stem
 from .toml_lines import quoted, said
 
 _NOISE: Final = 1e-3  # of the nominal value
@@ -31,7 +32,27 @@ def parameter_pairs(components: Mapping[str, Component]) -> list[tuple[ModelVari
     plant, controller = components[PLANT], components[CONTROLLER]
     there = [(plant, v) for v in plant.having("parameter") if _is_real(v)]
     own = [v for v in controller.having("parameter", "tunable") if _is_real(v) and not is_gravity(controller, v)]
-    return [(v, its) for v in own if (its := best(v.name, controller, there)) is not None]
+    by_name = {v.name: its for v in own if (its := best(v.name, controller, there)) is not None}
+    taken = {its.name for its in by_name.values()}
+    left = [v for v in own if v.name not in by_name], [v for _, v in there if v.name not in taken]
+    pairs = by_name | _of_one_value(controller, plant, *left)
+    return [(v, pairs[v.name]) for v in own if v.name in pairs]
+
+
+def _of_one_value(
+    controller: Component, plant: Component, own: Iterable[ModelVariable], there: Iterable[ModelVariable]
+) -> dict[str, ModelVariable]:
+    """Return plant parameters that start at the value of one of the controller's, and share a word of its name."""
+
+    def belong(v: ModelVariable, other: ModelVariable) -> bool:
+        if v.start is None or other.start is None or not set(stem(v.name)) & set(stem(other.name)):
+            return False
+        is_one_value = float(v.start) == float(other.start) != 0.0
+        return is_one_value and have_one_unit(controller, v.name, plant, other.name) is not False
+
+    found = {v.name: [other for other in there if belong(v, other)] for v in own}
+    claims = Counter(other.name for others in found.values() for other in others)
+    return {name: others[0] for name, others in found.items() if len(others) == 1 == claims[others[0].name]}
 
 
 def _is_real(v: ModelVariable) -> bool:
@@ -283,7 +304,12 @@ def _parameter(controller: Component, own: ModelVariable, its: ModelVariable, is
         f"writes = {quoted(f'{CONTROLLER}.{own.name}')}",
     ]
     if its.name != name:
-        lines.append(said(f"true = {quoted(f'{PLANT}.{its.name}')}", f"GUESS: {alike(own.name, its.name)}"))
+        lines.append(
+            said(
+                f"true = {quoted(f'{PLANT}.{its.name}')}",
+                f"GUESS: {alike(own.name, its.name) or 'a word of the name, and the start value'}",
+            )
+        )
     return lines
 
 

@@ -23,6 +23,8 @@ SMALL_STATE: Final = 65536
 """Size [bytes] up to which the plant's state is saved at every sample, so that a window may begin at any."""
 
 
+_MOVED: Final = 1e-6
+"""Change of an output, by itself or by its noise, with which a plant has left its rest."""
 _LATER: Final = 1.25
 """Ratio of the numbers of samples of two proofs, while nothing moves."""
 
@@ -60,6 +62,8 @@ class RolloutObjective:
         self._is_asked_for = way is not None
         self.way: StartMethod | None = None
         """Way in which roll-outs begin; None: not decided yet."""
+        self._at_first: Vector | None = None
+        """Outputs (c,) of the plant at the first sample."""
         self._proof_state: bytes | None = None
         self._n_bytes = 0
         self._first_samples: list[Sample] = []
@@ -162,15 +166,18 @@ class RolloutObjective:
             way: StartMethod = self._open[0]
             reason: str | None = None
             if way == "state" and self._live is not None:
-                if n == 1:
+                if self._proof_state is not None:
+                    reason = steps_like_the_plant(self._shadow, self._live, self._proof_state, self._first_samples[-2:])
+                elif self._has_moved(self._live) or n == 1:
                     try:
-                        self._proof_state = self._live.slave.get_state()
-                        return
+                        state = self._live.slave.get_state()
                     except StateTooLargeError as e:
                         reason = str(e)
+                    else:
+                        self._proof_state = state if n > 1 else None
+                        return
                 else:
-                    state = self._proof_state or b""
-                    reason = steps_like_the_plant(self._shadow, self._live, state, self._first_samples[-2:])
+                    return
             elif way == "measured" and not self._is_asked_for:
                 if n < self._n_for_proof:
                     return
@@ -187,6 +194,13 @@ class RolloutObjective:
         if self.way is None:
             obstacles = obstacles_in_words(self._obstacles)
             raise ScenarioError(f"estimation.rollout: no way to begin a roll-out: {obstacles}.")
+
+    def _has_moved(self, live: RunningPlant) -> bool:
+        """Return whether the outputs compared have changed since the first sample: at rest nothing hidden shows."""
+        values = live.slave.get()
+        now = np.array([values[live.outputs.index(name)] for name in self._shadow.outputs])
+        first = self._at_first = now if self._at_first is None else self._at_first
+        return bool(np.any(np.abs(now - first) > _MOVED * np.maximum(np.abs(first), self._noise)))
 
     def _decided(self) -> StartMethod:
         if self.way is None:

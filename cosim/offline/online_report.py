@@ -13,7 +13,8 @@ from estimator import ParameterSpace, Vector
 from estimator.events import Event
 
 from ..files import write_json, write_text
-from ..runs.report import diagnosed, screened
+from ..runs.diagnosis_report import diagnosed, resting
+from ..runs.report import screened
 from ..runs.run_files import ESTIMATES
 from ..ssv.document import ParameterValue, to_ssv
 from ..text_table import aligned, counted
@@ -38,7 +39,7 @@ def report(found: Online) -> str:
             "",
             *([w.window.name] if len(windows) > 1 else []),
             *_table(found, w),
-            *diagnosed(w.found["diagnosis"]),
+            *(diagnosed(told) + resting(told) if (told := w.found["diagnosis"]) else []),
         ]
         lines += screened(w.found["observations"])
     return "\n".join(lines)

@@ -93,7 +93,7 @@ class Guard:
         the reason why the controller does not take parameters (d,), or None."""
         self._refusal = refusal
         self._settings, self._space, self._start, self._support = settings, space, start, support
-        tolerance = settings.tolerance or 0.01 * divergence
+        tolerance = settings.tolerance_at(divergence)
         self._probation = Probation(tolerance, settings.growth, settings.probation, settings.horizon)
         self._good = self._anchor = start
         self._rests_until = -1

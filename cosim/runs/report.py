@@ -1,19 +1,15 @@
 """The table that `retune run` prints."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from ..text_table import aligned, counted, with_std
+from .diagnosis_report import diagnosis_report
 from .recorded_events import read_events
 from .result import Run
 
-_WORSE: Final = 1.5
-"""Ratio of what the model leaves unexplained to the declared noise that is worth a line."""
-_SMOOTH: Final = 0.5
-"""Correlation of residuals from sample to sample that no sensor's noise has."""
-_LACKS: Final = "(friction, a lag, another parameter)"
 _ROLES = {"none": "nominal controller", "true": "true parameters (floor)"}
 
 
@@ -35,7 +31,7 @@ def report(run: Run, baselines: Mapping[str, Run]) -> str:
         _final_estimate(run),
         _latency(run),
         _oversight(run),
-        _told_of_replays(diagnosed(run.diagnosis), run),
+        diagnosis_report(run),
         [f"run folder {run.folder}"] if run.folder else [],
     ]
     return "\n\n".join("\n".join(block) for block in blocks if block)
@@ -121,49 +117,6 @@ def screened(seen: Mapping[str, Any] | None) -> list[str]:
         more = f" and {len(most) - 4} more" if len(most) > 4 else ""
         lines.append(f"{counted(seen['kept_out'], 'sample')} kept out: {findings}{more}{failed}")
     return lines
-
-
-def diagnosed(found: Mapping[str, Any] | None) -> list[str]:
-    """Return lines on what the model leaves unexplained, on disturbances and on searches in vain."""
-    if not found:
-        return []
-    lines = [
-        f"the model explains {name} to {ratio:.2g} times its declared noise: "
-        + ("multiply that by as much" if channel["correlation"] < _SMOOTH else f"it lacks something smooth {_LACKS}")
-        for name, channel in found["channels"].items()
-        if (ratio := max(channel["scale"], channel["noise_ratio"] or 0.0)) >= _WORSE
-    ]
-    lines += [
-        f"the declared noise of {name} is {1.0 / channel['noise_ratio']:.2g} times too large"
-        for name, channel in found["channels"].items()
-        if channel["noise_ratio"] and channel["scale"] * channel["noise_ratio"] <= 1.0 / _WORSE
-    ]
-    if found["disturbance"]:
-        last = found["disturbances"][-1]
-        sizes = ", ".join(f"{name} {size:.3g}" for name, size in last["size"].items())
-        lines.append(
-            f"{counted(found['disturbance'], 'disturbance')} named, the last at t = {last['t']:g} s ({sizes}): "
-            "what was written for them is undone"
-        )
-    if found["unexplained"]:
-        lines.append(
-            f"searches in vain: {found['unexplained']}, no parameters explain the samples; the model lacks "
-            f"something {_LACKS}, or a sensor is wrong"
-        )
-    resting = [name for name, channel in found["channels"].items() if channel["is_resting"]]
-    if resting:
-        lines.append(f"re-tuning rests at the end: {', '.join(resting)} left out")
-    return lines
-
-
-def _told_of_replays(lines: list[str], run: Run) -> list[str]:
-    """Return the lines, with one more where searches in vain may be the fault of how roll-outs begin."""
-    if not (run.diagnosis and run.diagnosis["unexplained"] and "again from the start" in (run.objective or "")):
-        return lines
-    return [
-        *lines,
-        "after a change, roll-outs from the start begin in a wrong state for some time",
-    ]
 
 
 def ending(run: Run) -> str | None:

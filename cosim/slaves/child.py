@@ -4,6 +4,7 @@ Neither fmu_models nor pythonfmu is imported here: an FMU ships its own. Supervi
 """
 
 import contextlib
+import sys
 from collections.abc import Callable
 from typing import Any, Final, NoReturn
 
@@ -32,6 +33,7 @@ def main(channel_argument: str) -> NoReturn:
 def run(channel_argument: str, serve: Callable[[Channel, SupervisedChild], None]) -> NoReturn:
     """Call serve with the channel to the process that started this one, report what it raises, and end."""
     process = SupervisedChild()
+    sys.dont_write_bytecode = True  # of an FMU in Python, whose folder is used once
     channel = UnforkedChannel(open_channel(channel_argument))
     try:
         channel.send(encode(RESULT, None))

@@ -26,6 +26,7 @@ def find_fmu(fmu: str, folder: Path, fmi: int = 2, interface: Interface = "CoSim
         return _cached(fmu, fmi, interface)
     path = folder / fmu
     if not path.is_file():
+        _refuse_blank(fmu)
         if Path(fmu).is_file():  # beside the user, not beside the scenario
             raise ScenarioError(f"no FMU '{fmu}': {path} is not a file; the one here is {Path(fmu).resolve()}")
         known = f"; built-in FMUs are {', '.join(names)}" if path.suffix != ".fmu" else ""
@@ -33,10 +34,17 @@ def find_fmu(fmu: str, folder: Path, fmi: int = 2, interface: Interface = "CoSim
     return path
 
 
+def _refuse_blank(name: str) -> None:
+    """Raise ScenarioError for a name that `retune new` has left to fill in."""
+    if Path(name).stem == "FILL":
+        raise ScenarioError(f"'{name}' is still to be filled in: name a file, relative to the scenario's folder")
+
+
 def find_table(table: str, folder: Path) -> Path:
     """Return the CSV file of a path relative to folder. Raises ScenarioError."""
     path = folder / table
     if not path.is_file():
+        _refuse_blank(table)
         raise ScenarioError(f"no table '{table}': {path} is not a file.")
     return path
 

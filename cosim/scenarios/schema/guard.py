@@ -38,3 +38,7 @@ class GuardSettings(Table):
     """Macro steps for which the tracking error is watched after a write."""
     reverts: int = Field(default=3, ge=1, le=MOST)
     """Reverts after which re-tuning stops, with the parameters of the start."""
+
+    def tolerance_at(self, divergence: float) -> float:
+        """Return the tolerance that holds where `limits.divergence` is this."""
+        return 0.01 * divergence if self.tolerance is None else self.tolerance

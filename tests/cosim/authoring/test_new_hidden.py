@@ -268,3 +268,43 @@ def test_a_set_point_in_another_unit_is_connected_as_a_run_converts_it(described
         text = draft({"plant": plant, "controller": controller, "reference": wanted}, plant.parent).text
         assert tomllib.loads(text)["connections"].get("controller.levelSetpoint") == source
     assert "# FILL [m]: no output has a name like it; reference's outputs: levelSetpoint;" in text
+
+
+@pytest.mark.parametrize(
+    ("rows", "divergence"),
+    [("0,50\n10,100\n", 500.0), ("0,-0.2\n5,0.1\n", 3.0), ("0,7\n10,7\n", 70.0), ("0,0\n", None)],
+)
+def test_the_limit_of_the_tracking_error_goes_with_the_size_of_the_set_points(described, tmp_path, rows, divergence):
+    plant = described(pin("y", "output", 0), name="P")
+    table = tmp_path / "sp.csv"
+    table.write_text(f"time,y_ref\n{rows}")
+    written = tomllib.loads(draft({"plant": plant, "reference": table}, tmp_path).text)
+    assert written.get("limits") == (None if divergence is None else {"divergence": divergence})
+
+
+def tunable(name, place, start):
+    return (
+        f'<ScalarVariable name="{name}" valueReference="{place}" causality="parameter" variability="tunable">'
+        f'<Real start="{start}"/></ScalarVariable>'
+    )
+
+
+def test_parameters_belong_together_by_a_word_and_the_value_that_they_start_with(described):
+    own = [("L", 100e-6), ("C", 47e-6), ("R1", 2.0), ("gain", 0.5)]
+    its = [("L_choke", 100e-6), ("C_filter", 48e-6), ("load_R", 3.0), ("half", 0.5), ("ESR", 0.01)]
+    controller = described("".join(tunable(n, i, v) for i, (n, v) in enumerate(own)), name="C")
+    parameters = "".join(tunable(n, i + 1, v) for i, (n, v) in enumerate(its))
+    plant = described(pin("v", "output", 0) + parameters, name="P")
+    text = draft({"plant": plant, "controller": controller}, plant.parent).text
+    written = tomllib.loads(text)["estimation"]["parameters"]
+    assert [(p["writes"], p["true"]) for p in written] == [("controller.L", "plant.L_choke")]
+    assert "GUESS: a word of the name, and the start value" in text
+    offered = re.findall(r'^# "plant.(\w+)" = \[\[', text, flags=re.MULTILINE)
+    assert offered == ["L_choke", "C_filter", "load_R", "half", "ESR"]  # what is estimated comes first
+
+
+def test_what_is_not_filled_in_ends_a_run_in_a_line_that_says_so(described, tmp_path, capsys):
+    path = tmp_path / "my.toml"
+    path.write_text(draft({"plant": described(pin("y", "output", 0), name="P")}, tmp_path).text)
+    assert main(["run", str(path), "--out", str(tmp_path / "run")]) == 2
+    assert "is still to be filled in: name a file, relative to the scenario's folder" in capsys.readouterr().err

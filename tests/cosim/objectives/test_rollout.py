@@ -446,6 +446,18 @@ def test_the_first_way_that_is_seen_to_work_is_taken_and_why_is_said(tmp_path, l
     assert [f.what for f in notes[1:]] == CAUTIONS[first]
 
 
+def test_what_is_hidden_and_zero_at_rest_is_found_once_the_plant_moves(tmp_path):
+    fault = "self.w = getattr(self, 'w', 0.0) + h * self.u"
+    path = toml(tmp_path, spoilt(tmp_path, "5.0 * getattr(self, 'w', 0.0)", fault, STATES + RATE))
+    rows = [f"{0.01 * k:.2f}, {(k > 10) * (1 + 0.5 * math.sin(0.3 * k)):.6f}, 0.0" for k in range(62)]
+    (tmp_path / "ref.csv").write_text("time [s], u, y\n" + "\n".join(rows))
+    result = run(Scenario.load(path, {"scenario.stop_time": "0.5"}), "none")
+    assert result.status == "done", result.error
+    result = run(Scenario.load(path, {"scenario.stop_time": "0.5"}), "target")
+    assert result.status == "done", result.error
+    assert "state: a repeated step gave y = " in result.objective
+
+
 def test_a_state_that_is_too_large_is_an_obstacle_as_any_other(tmp_path, leaves_nothing, monkeypatch):
     monkeypatch.setattr("cosim.fmi.fmi2_calls.LARGEST_STATE", 10)
     path, short = toml(tmp_path, spoilt(tmp_path, declared=STATES + RATE)), {"scenario.stop_time": "0.5"}

@@ -1,0 +1,107 @@
+"""Lines of the report on what the diagnosis found: the residuals' size, disturbances, searches in vain, and rests."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from ..text_table import counted
+from .recorded_events import RecordedEvent, read_events
+from .result import Run, Series
+
+_WORSE: Final = 1.5
+"""Ratio of what the model leaves unexplained to the declared noise that is worth a line."""
+_SMOOTH: Final = 0.5
+"""Correlation of residuals from sample to sample that no sensor's noise has."""
+_DROWNED: Final = 3.0
+"""Ratio of a signal's standard deviation to its declared noise below which little of it is seen."""
+_OF_A_MODEL: Final = "the model lacks something (friction, a lag, another parameter)"
+_OF_THE_PLANT: Final = "something acts on the plant that its inputs do not hold"
+_SAVING: Final = (
+    "an FMU that saves its state needs none of that (canGetAndSetFMUstate, canSerializeFMUstate; of pythonfmu: "
+    "pythonfmu build --handle-state --serialize-state)"
+)
+
+
+def diagnosis_report(run: Run) -> list[str]:
+    """Return lines on what a run's diagnosis found, and on why nothing was re-tuned."""
+    if not run.diagnosis:
+        return []
+    events = read_events(run.folder) if run.folder else []
+    is_own_model = run.objective.startswith("roll-outs") and run.scenario.estimation.rollout.fmu is None
+    lines = diagnosed(run.diagnosis, _OF_THE_PLANT if is_own_model else _OF_A_MODEL)
+    lines += [_rest(run, e) for e in events if e["kind"] == "rest" and "n_samples" in e] or resting(run.diagnosis)
+    if "again from the start" in run.objective and (run.diagnosis["unexplained"] or run.diagnosis.get("rest")):
+        lines.append(f"after a change, roll-outs from the start begin in a wrong state for some time; {_SAVING}")
+    return [*lines, *_untriggered(run)]
+
+
+def diagnosed(found: Mapping[str, Any], lacking: str = _OF_A_MODEL) -> list[str]:
+    """Return lines on what the model leaves unexplained, for which `lacking` is the reason, and on disturbances."""
+    channels = found["channels"].items()
+    lines = [
+        f"the model explains {name} to {ratio:.2g} times its declared noise"
+        + (": multiply that by as much" if channel["correlation"] < _SMOOTH else f", and the rest is smooth: {lacking}")
+        for name, channel in channels
+        if (ratio := max(channel["scale"], channel["noise_ratio"] or 0.0)) >= _WORSE
+    ]
+    lines += [
+        f"the declared noise of {name} is {1.0 / channel['noise_ratio']:.2g} times too large"
+        for name, channel in channels
+        if channel["noise_ratio"] and channel["scale"] * channel["noise_ratio"] <= 1.0 / _WORSE
+    ]
+    if found["disturbance"]:
+        last = found["disturbances"][-1]
+        sizes = ", ".join(f"{name} {size:.3g}" for name, size in last["size"].items())
+        lines.append(
+            f"{counted(found['disturbance'], 'disturbance')} named, the last at t = {last['t']:g} s ({sizes}): "
+            "what was written for them is undone"
+        )
+    if found["unexplained"]:
+        lines.append(
+            f"searches in vain: {found['unexplained']}, no parameters explain the samples; {lacking}, or a sensor is "
+            "wrong"
+        )
+    return lines
+
+
+def resting(found: Mapping[str, Any]) -> list[str]:
+    """Return a line on the channels that rest at the end, if any do."""
+    names = [name for name, channel in found["channels"].items() if channel["is_resting"]]
+    return [f"re-tuning rests at the end: {', '.join(names)} left out"] if names else []
+
+
+def _rest(run: Run, event: RecordedEvent) -> str:
+    """Return a line on a rest, with what changed meanwhile and so was not seen."""
+    n, begin, is_sampled = event["n_samples"], event["t"], run.series.get("filtered.time", run.time)
+    later = run.time[np.isfinite(is_sampled) & (run.time > begin)]
+    end = float(later[n - 1]) if n <= len(later) else None
+    missed = [
+        f"{name} at t = {run.time[k]:g} s"
+        for name, values in run.true_parameters.items()
+        if (k := _first_change(run.time, values, begin, end)) is not None
+    ]
+    until = "to the end" if end is None else f"until t = {end:g} s"
+    unseen = f"; what changes meanwhile is not seen: {', '.join(missed)}" if missed else ""
+    return f"re-tuning rested from t = {begin:g} s {until}, for {n} samples (diagnosis.rest){unseen}"
+
+
+def _first_change(time: Series, values: Series, begin: float, end: float | None) -> int | None:
+    """Return the place of the first change of a series within a span of time, or None."""
+    is_inside = (time[1:] > begin) & (time[1:] <= (np.inf if end is None else end))
+    changes = np.flatnonzero(is_inside & (np.diff(values) != 0.0))
+    return int(changes[0]) + 1 if len(changes) else None
+
+
+def _untriggered(run: Run) -> Iterator[str]:
+    """Yield a line where no episode began, and one on each signal that is no larger than its declared noise."""
+    if run.n_episodes or not run.guard or run.guard["written"]:
+        return
+    yield "nothing was re-tuned: the samples never contradicted the parameters in force beyond the declared noise"
+    sampling = run.scenario.sampling
+    for name, declared in {**sampling.derivatives, **sampling.outputs}.items():
+        signal = run.series.get(name)
+        if signal is None or not declared.noise or np.ptp(signal) == 0.0:
+            continue
+        if (size := float(np.std(signal))) < _DROWNED * declared.noise:
+            yield f"the declared noise of {name}, {declared.noise:g}, hides it: its standard deviation is {size:.3g}"

@@ -28,7 +28,7 @@ from .draft_estimation import (
     unit_name,
 )
 from .draft_gains import gain_parameter, gains
-from .guess import CONTROLLER, PLANT, REFERENCE, guess_connections, have_one_unit, sources
+from .guess import CONTROLLER, PLANT, REFERENCE, Guess, guess_connections, have_one_unit, sources
 from .guess_tracking import guess_tracking
 from .set_points import size_of
 from .toml_lines import key, quoted, said
@@ -222,10 +222,9 @@ def _tracking(components: Mapping[str, Component]) -> list[str]:
     lines = ["[tracking]              # tracked output = its reference"]
     plant = components[PLANT]
     found = guess_tracking(components)
-    first = found[0].target if found else ""
     for guess in found:
         name, variable = VariableName(guess.target).variable, quoted(guess.target)
-        is_one = have_one_unit(plant, name, plant, VariableName(first).variable) is not False
+        is_one = _is_tracked(plant, guess, found)
         text = f"{variable} = {quoted(str(guess.source))}"
         mark = "guess" if guess.is_likely else "GUESS"
         note = f"{mark}: {guess.reason}" if is_one else "possible too, in another unit"
@@ -238,9 +237,17 @@ def _tracking(components: Mapping[str, Component]) -> list[str]:
     return lines
 
 
+def _is_tracked(plant: Component, guess: Guess, found: list[Guess]) -> bool:
+    """Return whether an output is tracked: it is the first that was found, or in its unit."""
+    first, name = (VariableName(g.target).variable for g in (found[0], guess))
+    return have_one_unit(plant, name, plant, first) is not False
+
+
 def _limits(components: Mapping[str, Component]) -> Iterator[list[str]]:
     """Yield the limit of the tracking error, where a table says how large the set points are."""
-    tracked = [VariableName(str(guess.source)).variable for guess in guess_tracking(components)]
+    found = guess_tracking(components)
+    given = [guess.source for guess in found if guess.source and _is_tracked(components[PLANT], guess, found)]
+    tracked = [VariableName(source).variable for source in given]
     size = max((size for name in tracked if (size := size_of(components[REFERENCE], name))), default=None)
     if size is not None:
         about = "GUESS: ten times the set points; a hundredth of it is guard.tolerance"

@@ -19,7 +19,7 @@ from ..files import readable
 from ..findings import Finding
 from .binding import FmuToLoad
 from .elements import scalarized
-from .folder import PrivateFolder
+from .folder import KeptFolders, PrivateFolder
 from .lazy_fmpy import lazy_numpy
 from .preflight.archive import archive_findings
 from .preflight.description import clock_problem, description_findings, harmless_findings, index_findings, is_true
@@ -225,17 +225,21 @@ def has_fixed_step(description: ModelDescription) -> bool:
 
 
 def unpacked(
-    fmu: Path, interface: InterfaceName | None = None, *, is_checked: bool = False
+    fmu: Path, interface: InterfaceName | None = None, *, is_checked: bool = False, kept: KeptFolders | None = None
 ) -> tuple[ModelDescription, PrivateFolder]:
     """Unpack an FMU into a folder of its own, after all of preflight, and return its description too.
 
-    is_checked: true for a file that has passed preflight, and has not changed since. Raises ModelDescriptionError;
-    nothing is left then.
+    is_checked: true for a file that has passed preflight, and has not changed since; kept: folders of which one may be
+    used. Raises ModelDescriptionError; nothing is left then.
     """
     description = read_checked(fmu) if is_checked else read_description(fmu, interface)
+    if kept is not None and (folder := kept.take(fmu)) is not None:
+        return description, folder
     folder = PrivateFolder()
     try:
         unpack(fmu, folder.path)
+        if kept is not None:
+            kept.add(fmu, folder)
         if is_checked:
             return description, folder
         interface = interface or component_interface(description)

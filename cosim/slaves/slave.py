@@ -13,16 +13,18 @@ import logging
 import math
 import os
 import weakref
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
-from typing import Literal, Self
+from typing import Final, Literal, Self
 
 from fmpy.model_description import ModelDescription
 
 from ..errors import COLON, NotResumableError, SlaveError, StateTooLargeError
 from ..fmi.archive import capabilities, fmu_to_load, unpacked
 from ..fmi.binding import LARGEST_STATE
-from ..fmi.folder import PrivateFolder
+from ..fmi.folder import KeptFolders, PrivateFolder
 from ..fmi.ports import Catalogue
 from ..fmi.step_batch import decode_outputs, encode_steps
 from ..fmi.trial_batch import TrialBatch, TrialOutputs, decode_trials, encode_trials
@@ -70,10 +72,11 @@ def open_slave(
     if isolation not in ("process", "none"):
         raise ValueError(f"isolation must be 'process' or 'none', got {isolation!r}.")
     fmu = Path(fmu)
-    description, folder = unpacked(fmu, is_checked=is_checked)
+    isolated = isolation == "process"
+    kept = _KEPT.get() if isolated else None
+    description, folder = unpacked(fmu, is_checked=is_checked, kept=kept)
     try:
         to_load = fmu_to_load(description, folder.path, instance_name, tolerance=tolerance)
-        isolated = isolation == "process"
         host = (
             FmuProcess(to_load, timeout, memory_limit=memory_limit, environment=environment)
             if isolated
@@ -82,7 +85,20 @@ def open_slave(
     except BaseException:
         folder.remove()
         raise
-    return Slave(fmu, instance_name, description, host, folder, out_of_range)
+    return Slave(fmu, instance_name, description, host, folder, out_of_range, kept)
+
+
+_KEPT: Final[ContextVar[KeptFolders | None]] = ContextVar("kept folders", default=None)
+
+
+@contextmanager
+def folders_kept() -> Generator[None]:
+    """Use the folders of isolated FMUs again in this context, which makes one short run after the other."""
+    token = _KEPT.set(KeptFolders())
+    try:
+        yield
+    finally:
+        _KEPT.reset(token)
 
 
 class Slave:
@@ -107,6 +123,7 @@ class Slave:
         host: Host,
         folder: PrivateFolder,
         out_of_range: OutOfRange = "fault",
+        kept: KeptFolders | None = None,
     ) -> None:
         """Not to be called directly: use open_slave."""
         self.fmu = fmu
@@ -117,7 +134,7 @@ class Slave:
         is_lenient = out_of_range == "warning"
         self._bound = BoundVariables(instance_name, Catalogue(fmu.name, description.modelVariables), is_lenient)
         self._values: tuple[float, ...] | None = None
-        self._finalizer = weakref.finalize(self, _release, host, folder, os.getpid())
+        self._finalizer = weakref.finalize(self, _release, host, folder, kept, os.getpid())
 
     def bind(self, inputs: Sequence[str] = (), tunables: Sequence[str] = (), outputs: Sequence[str] = ()) -> None:
         """Choose the variables that are set and got at communication points, and their order.
@@ -352,8 +369,11 @@ class Slave:
             raise SlaveError(self.name, function, self._life.time, reason, COLON)
 
 
-def _release(host: Host, folder: PrivateFolder, process_id: int) -> None:
+def _release(host: Host, folder: PrivateFolder, kept: KeptFolders | None, process_id: int) -> None:
     """Release the FMU and its folder: called by close, on garbage collection, or at the end of the program."""
     if os.getpid() == process_id:  # not in a fork of it
         host.close(None, is_polite=False)
-        folder.remove()
+        if kept is None:
+            folder.remove()
+        else:
+            kept.give_back(folder)

@@ -24,7 +24,7 @@ from cosim.fmi.fmu_log import MessageLog
 from cosim.fmi.trial_batch import BatchTrial, TrialBatch, TrialLeg
 from cosim.fmi.value_buffers import ScalarVariable, buffers_of
 from cosim.slaves.process import FmuProcess
-from cosim.slaves.slave import open_slave
+from cosim.slaves.slave import folders_kept, open_slave
 
 pytestmark = pytest.mark.fmu
 
@@ -398,6 +398,32 @@ def test_an_fmus_process_does_not_import_what_fmus_ship():
     program = "import sys, cosim.slaves.child; print({'fmu_models', 'pythonfmu', 'estimator', 'GPy'} & {*sys.modules})"
     result = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
     assert result.stdout == "set()\n"
+
+
+def test_where_folders_are_kept_the_next_instance_has_that_of_the_last_unless_it_has_changed(mixer, temporary):
+    def folders():
+        return {path.name for path in temporary.iterdir()}
+
+    with folders_kept():
+        with open_slave(mixer, "plant"), open_slave(mixer, "other"):
+            first = folders()
+        assert len(first) == 2
+        assert folders() == first
+        with open_slave(mixer, "plant") as slave:
+            assert folders() == first
+            slave.bind(outputs=["y"])
+            slave.initialize({"y": 3.0}, start_time=0.0, stop_time=1.0)
+            assert slave.get() == (3.0,)
+        for folder in temporary.iterdir():
+            next(folder.glob("resources/*.py")).touch()
+        with open_slave(mixer, "plant"):
+            assert len(folders()) == 1
+            assert not folders() & first
+        with open_slave(mixer, "plant", isolation="none"):
+            assert len(folders()) == 2
+        assert len(folders()) == 1
+    gc.collect()
+    assert folders() == set()
 
 
 def test_a_forgotten_slave_leaves_nothing(mixer, temporary, children):

@@ -10,6 +10,7 @@ import scipy  # its parts, 0.3 s, are loaded when they are used
 from .contract import Estimate, scaled_estimate
 from .identifiability import IDENTIFIABLE_BELOW, information
 from .objective import Objective
+from .positive import must_be_positive
 from .space import ParameterSpace, Vector
 
 Minimizer = Literal["ipopt", "trust-constr", "SLSQP"]
@@ -127,9 +128,7 @@ class LeastSquaresSettings:
     """A parameter counts as identifiable when its standard deviation is below this share of the scaled bounds."""
 
     def __post_init__(self) -> None:
-        for name in ("max_evaluations", "n_starts", "identifiable_below"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}.")
+        must_be_positive(self, "max_evaluations", "n_starts", "identifiable_below")
 
 
 class LeastSquares:

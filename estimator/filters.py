@@ -9,6 +9,7 @@ import scipy  # its parts, 0.3 s, are loaded when they are used
 from .contract import Estimate, scaled_estimate
 from .identifiability import IDENTIFIABLE_BELOW, information
 from .objective import LinearForm, Objective
+from .positive import must_be_positive
 from .space import ParameterSpace, Vector
 
 if TYPE_CHECKING:  # filterpy imports scipy.stats
@@ -31,9 +32,7 @@ class RecursiveSettings:
     def __post_init__(self) -> None:
         if not 0.0 < self.forgetting <= 1.0:
             raise ValueError(f"forgetting must be in (0, 1], got {self.forgetting}.")
-        for name in ("noise", "spread", "identifiable_below"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}.")
+        must_be_positive(self, "noise", "spread", "identifiable_below")
 
 
 class RecursiveLeastSquares:

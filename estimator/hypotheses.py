@@ -159,7 +159,7 @@ def changed_parameters(
 ) -> ChangedParameters:
     """Return the parameters that explain residuals rows_at(z) (n, c) best, by damped Gauss-Newton steps from z (d,).
 
-    Each step is the best of many dampings (Levenberg 1944); those at the end of their range stay.
+    Each step is the best of many dampings (Levenberg 1944); parameters at the end of their range stay there.
     Columns of zeros count as missing. step: of differences. may_drift: parameters that change in time are a straight
     line through the best constant ones, to first order; rows are in the order of time then.
     """
@@ -206,7 +206,10 @@ def _damped_steps(jacobian: Vector, r: Vector, z: Vector) -> Vector:
 
 
 def _better(rows_at: Callable[[Vector], Vector], places: Vector, squares: float) -> tuple[Vector, Vector] | None:
-    """Return the place of least squares and its rows, if less than those given; or the first such place."""
+    """Return the place of the least sum of squares and its rows, where that is below `squares`; else None.
+
+    Where each call is a roll-out, a few places are tried one by one, and the first below it is taken.
+    """
     if not isinstance(rows_at, OfMany):
         found = ((place, rows_at(place)) for place in places[_FEW])
         return next((pair for pair in found if np.sum(pair[1] ** 2) < squares), None)  # False where it is no number

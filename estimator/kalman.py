@@ -8,14 +8,8 @@ from .contract import Estimate, scaled_estimate
 from .identifiability import IDENTIFIABLE_BELOW, information_of_covariance
 from .linearisation import EnsemblePoints, Normal, Points, Reached, SigmaPoints, ensemble, iterated, root_of, updated
 from .objective import Objective
+from .positive import must_be_positive
 from .space import ParameterSpace, Vector
-
-
-def _must_be_positive(settings: object, *names: str) -> None:
-    """Raise ValueError for a setting that is not."""
-    for name in names:
-        if not (value := getattr(settings, name)) > 0.0:
-            raise ValueError(f"{name} must be positive, got {value}.")
 
 
 @dataclass(frozen=True)
@@ -34,7 +28,7 @@ class UnscentedSettings:
     """A parameter counts as identifiable when its standard deviation is below this share of the scaled bounds."""
 
     def __post_init__(self) -> None:
-        _must_be_positive(self, "walk", "spread", "alpha", "jump", "identifiable_below")
+        must_be_positive(self, "walk", "spread", "alpha", "jump", "identifiable_below")
 
 
 class UnscentedKalman:
@@ -102,7 +96,7 @@ class EnsembleSettings:
     """A parameter counts as identifiable when its standard deviation is below this share of the scaled bounds."""
 
     def __post_init__(self) -> None:
-        _must_be_positive(self, "members", "members_of_episode", "walk", "spread", "jump", "identifiable_below")
+        must_be_positive(self, "members", "members_of_episode", "walk", "spread", "jump", "identifiable_below")
 
 
 class EnsembleKalman:

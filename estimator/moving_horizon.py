@@ -9,6 +9,7 @@ from .contract import Estimate, scaled_estimate
 from .differences import OfMany
 from .identifiability import IDENTIFIABLE_BELOW, information_of_covariance
 from .objective import Objective
+from .positive import must_be_positive
 from .samples import Sample
 from .space import ParameterSpace, Vector
 
@@ -32,9 +33,7 @@ class MovingHorizonSettings:
     """A parameter counts as identifiable when its standard deviation is below this share of the scaled bounds."""
 
     def __post_init__(self) -> None:
-        for name in ("horizon", "walk", "spread", "iterations", "identifiable_below"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}.")
+        must_be_positive(self, "horizon", "walk", "spread", "iterations", "identifiable_below")
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from .gpy_surrogate import Surrogate, vector_surrogate
 from .hypotheses import USUAL_RATE
 from .identifiability import IDENTIFIABLE_BELOW, Information, information
 from .kernels import OwnKernel, check_kernel
+from .positive import must_be_positive
 from .search import (
     VectorPosterior,
     best_that_differ,
@@ -80,9 +81,7 @@ class TargetSettings:
     def __post_init__(self) -> None:
         if self.kernel != "RBF":
             check_kernel(self.kernel)
-        for name in ("n_outputs", "significance", "identifiable_below", "drift"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}.")
+        must_be_positive(self, "n_outputs", "significance", "identifiable_below", "drift")
         if not 0.0 < self.initial_step <= 1.0:
             raise ValueError(f"initial_step must be in (0, 1], got {self.initial_step}.")
         if self.n_modelled is not None and self.n_modelled < 2:

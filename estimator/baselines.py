@@ -8,16 +8,13 @@ import numpy as np
 import scipy  # its parts, 0.3 s, are loaded when they are used
 
 from .contract import Estimate, scaled_estimate
+from .counted_residual import FAILED, CountedResidual, SpentError
 from .identifiability import IDENTIFIABLE_BELOW, information
 from .objective import Objective
 from .positive import must_be_positive
 from .space import ParameterSpace, Vector
 
 Minimizer = Literal["ipopt", "trust-constr", "SLSQP"]
-_SMOOTH_STEP = float(np.finfo(float).eps ** 0.5)
-"""Step of differences in the unit cube, that of SciPy."""
-_FAILED = 1e12
-"""Residual of a candidate at which the model has no value: optimisers need a number."""
 
 
 @dataclass(frozen=True)
@@ -72,13 +69,13 @@ class NoisyNorm:
         def norm(theta: Vector) -> float:
             nonlocal least, best
             value = float(np.linalg.norm(objective.residual(theta)))
-            value = (value if np.isfinite(value) else _FAILED) + self._settings.noise * self._rng.standard_normal()
+            value = (value if np.isfinite(value) else FAILED) + self._settings.noise * self._rng.standard_normal()
             if value < least:
                 least, best = value, theta.copy()
             return value
 
         result = _minimize(norm, self._nominal, self._bounds, self._settings)
-        is_cut = objective.is_spent and least < _FAILED / 2  # its last steps saw no values
+        is_cut = objective.is_spent and least < FAILED / 2  # its last steps saw no values
         self._theta = self._clipped(best if is_cut else result.x)
         self._cost = least if is_cut else float(result.fun)
         self._n_evaluations += objective.n_evaluations
@@ -156,7 +153,7 @@ class LeastSquares:
 
     def solve(self, objective: Objective) -> None:
         """Minimise the sum of squares over the present samples, from each start until the evaluations are spent."""
-        search = _Counted(self._space, objective, self._settings.max_evaluations, self._z)
+        search = CountedResidual(self._space, objective, self._settings.max_evaluations, self._z)
         unknown = information(np.zeros((0, len(self._space))))
         seen_by_data, converged = unknown, np.inf
         starts = [self._z, *self._rng.random((self._settings.n_starts - 1, len(self._space)))]
@@ -165,7 +162,7 @@ class LeastSquares:
                 result = scipy.optimize.least_squares(
                     search.residual, np.clip(z, 0.0, 1.0), jac=cast(Any, search.differences), bounds=(0.0, 1.0)
                 )
-            except _SpentError:
+            except SpentError:
                 break
             if 2.0 * result.cost <= search.cost * (1.0 + 1e-9):
                 misfit = max(1.0, np.sqrt(2.0 * result.cost / max(len(result.fun) - len(z), 1)))
@@ -180,56 +177,3 @@ class LeastSquares:
             self._space, self._z, self._information.std(), self._settings.identifiable_below, self._information,
             cost=self._cost, n_evaluations=self._n_evaluations, reason="least squares",
         )  # fmt: skip
-
-
-class _SpentError(Exception):
-    """Raised when the evaluations of a solve are spent: SciPy's own limit leaves out those for the Jacobian."""
-
-
-class _Counted:
-    """Residuals in the unit cube for a limited number of evaluations; remembers the best."""
-
-    def __init__(self, space: ParameterSpace, objective: Objective, max_evaluations: int, start: Vector) -> None:
-        self._space, self._objective = space, objective
-        self._remaining = min(max_evaluations, objective.max_evaluations)
-        self._step = objective.difference_step
-        self._newest = np.empty(0)
-        self.z, self.cost = start, np.inf
-
-    def residual(self, z: Vector) -> Vector:
-        """Return the residual (D,) at z (d,). Raises _SpentError when none are left."""
-        (self._newest,) = self._residuals([z])
-        return self._newest
-
-    def differences(self, z: Vector) -> Vector:
-        """Return slopes (D, d) at z (d,), the place evaluated last: the model's own, or differences, all at once.
-
-        Forward ones where the residual is smooth, with SciPy's own step, and towards the cube's middle where not.
-        """
-        if self._remaining >= 1 and (slopes := self._objective.slopes(self._space.from_unit(z))) is not None:
-            self._remaining -= 1
-            return slopes
-        step = self._step or _SMOOTH_STEP
-        beside = z + np.diag(np.where(z < 0.5 if self._step else z + step <= 1.0, step, -step))
-        moved = beside.diagonal() - z
-        return np.array([(r - self._newest) / h for r, h in zip(self._residuals([*beside]), moved, strict=True)]).T
-
-    def _residuals(self, places: list[Vector]) -> list[Vector]:
-        if self._remaining < len(places):
-            if not self._step:  # roll-outs that lead to no slope are not worth it
-                self._residuals(places[: int(self._remaining)])
-            raise _SpentError
-        self._remaining -= len(places)
-        return [
-            self._taken(z, residual)
-            for z, residual in zip(
-                places, self._objective.residuals([self._space.from_unit(z) for z in places]), strict=True
-            )
-        ]
-
-    def _taken(self, z: Vector, raw: Vector) -> Vector:
-        residual = np.clip(np.nan_to_num(raw, nan=_FAILED), -_FAILED, _FAILED)
-        cost = float(residual @ residual)
-        if cost < self.cost:
-            self.z, self.cost = z.copy(), cost
-        return residual

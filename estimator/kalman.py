@@ -6,7 +6,7 @@ import numpy as np
 
 from .contract import Estimate, scaled_estimate
 from .identifiability import IDENTIFIABLE_BELOW, information_of_covariance
-from .linearisation import EnsemblePoints, Normal, Points, Reached, SigmaPoints, ensemble, iterated, root_of, updated
+from .linearisation import EnsemblePoints, Normal, SigmaPoints, after_episode, ensemble, root_of, updated
 from .objective import Objective
 from .positive import must_be_positive
 from .space import ParameterSpace, Vector
@@ -60,8 +60,8 @@ class UnscentedKalman:
         """Process the newest sample, or an episode's. One sample at which a sigma point has no value is left out."""
         d, settings = len(self._space), self._settings
         if not objective.has_samples:
-            self._now, self._cost = _solved(
-                self._now, SigmaPoints(d), settings.spread, settings.jump, objective, self._space
+            self._now, self._cost = after_episode(
+                self._now.mean, SigmaPoints(d), settings.spread, settings.jump, objective, self._space
             )
         else:
             before = self._now if self._begun else Normal(self._now.mean, settings.spread * np.eye(d))
@@ -134,7 +134,9 @@ class EnsembleKalman:
             self._take(objective)
         else:
             points = EnsemblePoints(ensemble(max(settings.members_of_episode, d + 2), d, self._rng))
-            self._now, self._cost = _solved(self._now, points, settings.spread, settings.jump, objective, self._space)
+            self._now, self._cost = after_episode(
+                self._now.mean, points, settings.spread, settings.jump, objective, self._space
+            )
         self._n_evaluations += objective.n_evaluations
 
     def estimate(self) -> Estimate:
@@ -162,14 +164,6 @@ def ensemble_noise(n: int, c: int, rng: np.random.Generator) -> Vector:
     """Return noise (n, c) of the measurements, of mean zero: the mean of the members is not moved by it."""
     drawn = rng.standard_normal((n, c))
     return drawn - drawn.mean(axis=0)
-
-
-def _solved(
-    now: Normal, points: Points, spread: float, jump: float, objective: Objective, space: ParameterSpace
-) -> Reached:
-    """Return what an episode makes of parameters that may have jumped, linearised first over the spread."""
-    one = np.eye(len(space))
-    return iterated(Normal(now.mean, jump * one), Normal(now.mean, spread * one), points, objective, space)
 
 
 def _below(identifiable_below: float, spread: float) -> float:

@@ -166,6 +166,17 @@ class _Trial(NamedTuple):
     """Sum of squares of residuals and of the distance from the prior's mean."""
 
 
+def after_episode(
+    mean: Vector, points: Points, spread: float, jump: float, objective: Objective, space: ParameterSpace
+) -> Reached:
+    """Return what an episode makes of parameters in force at a mean (d,), which may have jumped when it began.
+
+    spread, jump: standard deviations in the unit cube over which residuals are linearised first, and of the jump.
+    """
+    one = np.eye(len(space))
+    return iterated(Normal(mean, jump * one), Normal(mean, spread * one), points, objective, space)
+
+
 def iterated(prior: Normal, first: Normal, points: Points, objective: Objective, space: ParameterSpace) -> Reached:
     """Return what the samples of an episode make of a prior, within the objective's evaluations.
 
@@ -197,7 +208,7 @@ def iterated(prior: Normal, first: Normal, points: Points, objective: Objective,
     (last,) = evaluated(at.mean[None])
     if len(last) == len(best.residual) and np.all(np.isfinite(last)):
         best = min(best, _trial(prior, at, last), key=lambda one: one.cost)
-    return _widened(Normal(best.at.mean, reached.root), prior, best.residual)
+    return widened(Normal(best.at.mean, reached.root), prior, best.residual)
 
 
 def _finite(at: Normal, points: Points, residuals: Sequence[Vector]) -> tuple[Vector, Vector, Normal] | None:
@@ -225,7 +236,7 @@ def _inside(found: Normal) -> Normal:
     return Normal(np.clip(found.mean, 0.0, 1.0), found.root)
 
 
-def _widened(found: Normal, prior: Normal, residual: Vector) -> Reached:
+def widened(found: Normal, prior: Normal, residual: Vector) -> Reached:
     """Return the distribution, wider by the misfit where residuals (D,) are more than noise, but not than before."""
     cost, spare = float(residual @ residual), max(len(residual) - len(found.mean), 1)
     if is_explained(residual, _FALSE_ALARM):

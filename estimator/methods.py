@@ -60,7 +60,7 @@ METHODS: dict[str, Method] = {
     "rls": Method(RecursiveLeastSquares, RecursiveSettings, None, {}, _RECURSIVE, True, True, "filterpy"),
     "ukf": Method(UnscentedKalman, UnscentedSettings, None, {}, _RECURSIVE),
     "enkf": Method(EnsembleKalman, EnsembleSettings, None, {}, _RECURSIVE),
-    "mhe": Method(MovingHorizon, MovingHorizonSettings, None, {}, _RECURSIVE, False, True),
+    "mhe": Method(MovingHorizon, MovingHorizonSettings, None, {}, _RECURSIVE),
 }
 FORMER_METHODS: dict[str, Method] = {
     f"{name}-wide-step": replace(METHODS[name], like=name, defaults={"difference_step": 0.05})

@@ -1,13 +1,18 @@
 """Moving-horizon estimator on the newest samples and an arrival cost."""
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import Any, cast
 
 import numpy as np
+import scipy  # its parts, 0.3 s, are loaded when they are used
 
 from .arrival_cost import Measurement, corrected, measurement
 from .contract import Estimate, scaled_estimate
+from .counted_residual import FAILED, CountedResidual, SpentError
 from .differences import OfMany
 from .identifiability import IDENTIFIABLE_BELOW, information_of_covariance
+from .linearisation import Normal, root_of, solved, widened
 from .objective import Objective
 from .positive import must_be_positive
 from .samples import Sample
@@ -15,6 +20,8 @@ from .space import ParameterSpace, Vector
 
 _LITTLE = 1e-3
 """Move, in standard deviations, at which the iteration ends."""
+_STEP = 1e-4
+"""Step of the differences of an episode's residuals, in the unit cube."""
 
 
 @dataclass(frozen=True)
@@ -29,11 +36,13 @@ class MovingHorizonSettings:
     """Standard deviation of each parameter at the start."""
     iterations: int = 4
     """Largest number of Gauss-Newton steps a sample."""
+    jump: float = 0.3
+    """On roll-outs, standard deviation of each parameter's distance from the one in force when an episode begins."""
     identifiable_below: float = IDENTIFIABLE_BELOW
     """A parameter counts as identifiable when its standard deviation is below this share of the scaled bounds."""
 
     def __post_init__(self) -> None:
-        must_be_positive(self, "horizon", "walk", "spread", "iterations", "identifiable_below")
+        must_be_positive(self, "horizon", "walk", "spread", "iterations", "jump", "identifiable_below")
 
 
 @dataclass(frozen=True)
@@ -73,6 +82,9 @@ class MovingHorizon:
     It minimises |z_1 - m|^2 / P + sum |r_k(z_k)|^2 + sum |z_k+1 - z_k|^2 / walk^2 over the newest samples; m and P, the
     arrival cost, are of the samples before: Rao, Rawlings, Lee (2001). A Gauss-Newton step is a Kalman smoother of
     the linearised residuals: Bell (1994), "The iterated Kalman smoother as a Gauss-Newton method".
+
+    On roll-outs an episode is the horizon, of parameters that may have jumped when it began and are constant from then
+    on: least squares of its residuals and of the distance from those in force, by SciPy's trust region.
     """
 
     is_whitened = True
@@ -95,7 +107,10 @@ class MovingHorizon:
         self._cost, self._n_evaluations = np.inf, 0
 
     def solve(self, objective: Objective) -> None:
-        """Take the newest sample. One at which the model has no value is left out."""
+        """Take the newest sample, or an episode's. One sample at which the model has no value is left out."""
+        if not objective.has_samples:
+            self._take_episode(objective)
+            return
         steps = (*self._steps, _Step(objective.newest, self._now.mean))
         if len(steps) > self._settings.horizon:
             oldest, *rest = steps
@@ -122,6 +137,25 @@ class MovingHorizon:
             self._space, self._now.mean, np.minimum(known.std(), 1.0), below, known,
             cost=self._cost, n_evaluations=self._n_evaluations, reason="moving-horizon estimate",
         )  # fmt: skip
+
+    def _take_episode(self, objective: Objective) -> None:
+        d, settings = len(self._space), self._settings
+        prior = Normal(self._now.mean, settings.jump * np.eye(d))
+        search = CountedResidual(self._space, objective, np.inf, prior.mean, settings.jump, _STEP)
+        with suppress(SpentError):
+            scipy.optimize.least_squares(
+                search.residual, np.clip(prior.mean, 0.0, 1.0), jac=cast(Any, search.differences), bounds=(0.0, 1.0)
+            )
+        self._n_evaluations += objective.n_evaluations
+        if search.linearised is None or search.cost >= FAILED:
+            self._now, self._cost = _Belief(prior.mean, prior.covariance), np.inf
+            return
+        at, r, slopes = search.linearised
+        precision = slopes.T @ slopes
+        z = np.clip(at - solved(precision, slopes.T @ r), 0.0, 1.0)
+        found = Normal(search.z if np.any((z == 0.0) | (z == 1.0)) else z, root_of(solved(precision, np.eye(d))))
+        now, self._cost = widened(found, prior, (r + slopes @ (z - at))[:-d])
+        self._now = _Belief(now.mean, now.covariance)
 
     def _measured(self, objective: Objective, step: _Step) -> Measurement | None:
         with np.errstate(all="ignore"):  # where the model overflows

@@ -165,7 +165,7 @@ def test_roll_outs_filters_and_sensors_go_on_to_the_same_bits(tmp_path, settings
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("estimator", ["ukf", "enkf"])
+@pytest.mark.parametrize("estimator", ["ukf", "enkf", "mhe"])
 @pytest.mark.parametrize("start", ["from the saved state", "from noisy states", "again from the start"])
 def test_filters_on_roll_outs_go_on_to_the_same_bits(tmp_path, start, estimator):
     whole = check_resume(Scenario.load("pendulum", OTHERWISE[start]), estimator, tmp_path, 0.15, 0.33)

@@ -30,7 +30,9 @@ def diagnosis_report(run: Run) -> list[str]:
     events = read_events(run.folder) if run.folder else []
     is_own_model = run.objective.startswith("roll-outs") and run.scenario.estimation.rollout.fmu is None
     lines = diagnosed(run.diagnosis, _OF_THE_PLANT if is_own_model else _OF_A_MODEL)
-    lines += [_rest(run, e) for e in events if e["kind"] == "rest" and "n_samples" in e] or resting(run.diagnosis)
+    lines += [_rest(run, e) for e in events if e.get("kind") == "rest" and e.get("n_samples", 0) > 0] or resting(
+        run.diagnosis
+    )
     if "again from the start" in run.objective and (run.diagnosis["unexplained"] or run.diagnosis.get("rest")):
         lines.append(f"after a change, roll-outs from the start begin in a wrong state for some time; {_SAVING}")
     return [*lines, *_untriggered(run)]
@@ -95,7 +97,12 @@ def _first_change(time: Series, values: Series, begin: float, end: float | None)
 
 def _untriggered(run: Run) -> Iterator[str]:
     """Yield a line where no episode began, and one on each signal that is no larger than its declared noise."""
+    trigger = run.scenario.estimation.trigger
     if run.n_episodes or not run.guard or run.guard["written"]:
+        return
+    error = np.sqrt(sum(e * e for e in run.errors.values()))
+    if trigger.kind == "tracking" and np.all(error < trigger.threshold):
+        yield f"nothing was re-tuned: the tracking error never passed the trigger's threshold, {trigger.threshold:g}"
         return
     yield "nothing was re-tuned: the samples never contradicted the parameters in force beyond the declared noise"
     sampling = run.scenario.sampling

@@ -1,6 +1,13 @@
 """The lines of the report on what a diagnosis has found."""
 
-from cosim.runs.diagnosis_report import diagnosed, resting
+import json
+
+import numpy as np
+import pytest
+
+from cosim.runs.diagnosis_report import diagnosed, diagnosis_report, resting
+from cosim.runs.simulation import run
+from cosim.scenarios.scenario import Scenario
 
 QUIET = {"noise_ratio": 1.0, "scale": 1.0, "correlation": 0.0, "disturbance": 0.0, "is_resting": False}
 
@@ -31,3 +38,53 @@ def test_what_was_written_for_a_disturbance_is_undone():
     named = {"disturbance": 1, "disturbances": [{"t": 2.0, "size": {"plant.der(v)": 0.3}}]}
     (line,) = diagnosed(found() | named)
     assert line == "1 disturbance named, the last at t = 2 s (plant.der(v) 0.3): what was written for them is undone"
+
+
+SHORT = {
+    "scenario.stop_time": "1.0",
+    "scenario.isolation": "none",
+    "changes": '{"plant.m" = [[0.0, 1.75], [0.5, 3.0]]}',
+}
+
+
+def noted(run):
+    return [line for line in diagnosis_report(run) if line.startswith(("nothing", "the declared", "re-tuning rested"))]
+
+
+@pytest.mark.fmu
+def test_a_noise_that_hides_its_signal_is_why_nothing_was_re_tuned():
+    hidden = {"sampling.derivatives": '{"plant.der(phi_dot)" = {noise = 1e4}}'}
+    result = run(Scenario.load("pendulum", SHORT | hidden), "target")
+    first, second = noted(result)
+    assert first.startswith("nothing was re-tuned: the samples never contradicted the parameters in force")
+    size = np.std(result["plant.der(phi_dot)"])
+    assert second == f"the declared noise of plant.der(phi_dot), 10000, hides it: its standard deviation is {size:.3g}"
+    assert noted(run(Scenario.load("pendulum", SHORT), "target")) == []
+
+
+@pytest.mark.fmu
+def test_a_threshold_that_is_never_reached_is_why_nothing_was_re_tuned():
+    high = {"estimation.trigger": '{kind = "tracking", threshold = 3.0}'}
+    (line,) = noted(run(Scenario.load("pendulum", SHORT | high), "target"))
+    assert line == "nothing was re-tuned: the tracking error never passed the trigger's threshold, 3"
+
+
+@pytest.mark.fmu
+def test_a_rest_is_told_with_its_end_and_with_what_changed_in_it(tmp_path):
+    result = run(Scenario.load("pendulum", SHORT), "target", out=tmp_path / "run")
+    lines = {
+        (0.3, 40): "re-tuning rested from t = 0.3 s until t = 0.7 s, for 40 samples (diagnosis.rest); what changes "
+        "meanwhile is not seen: m at t = 0.5 s",
+        (0.6, 20): "re-tuning rested from t = 0.6 s until t = 0.8 s, for 20 samples (diagnosis.rest)",
+        (0.6, 1000): "re-tuning rested from t = 0.6 s to the end, for 1000 samples (diagnosis.rest)",
+        (0.3, 0): None,
+    }
+    for (t, n), line in lines.items():
+        event = {"t": t, "kind": "rest", "channels": ["plant.der(phi_dot)"], "n_samples": n, "reason": "in vain"}
+        (tmp_path / "run" / "events.jsonl").write_text(json.dumps(event) + "\n")
+        assert noted(result) == ([line] if line else [])
+
+
+def test_of_the_plant_s_own_fmu_it_is_not_said_that_the_model_lacks_something():
+    (line,) = diagnosed(found() | {"unexplained": 2}, "something acts on the plant that its inputs do not hold")
+    assert line.startswith("searches in vain: 2, no parameters explain the samples; something acts on the plant")

@@ -139,8 +139,7 @@ class KeptFolders:
             folder = spare.pop()
             if self._unpacked[folder.path][1] == _content(folder.path):
                 return folder
-            del self._unpacked[folder.path]
-            folder.remove()
+            self._drop(folder)
         return None
 
     def add(self, fmu: Path, folder: PrivateFolder) -> None:
@@ -148,10 +147,20 @@ class KeptFolders:
         self._unpacked[folder.path] = _file(fmu), _content(folder.path)
 
     def give_back(self, folder: PrivateFolder) -> None:
-        """Keep a folder that was taken or added until the next instance."""
-        self._spare.setdefault(self._unpacked[folder.path][0], []).append(folder)
+        """Keep a folder that was taken or added until the next instance; of many those given back last are kept."""
+        file = self._unpacked[folder.path][0]
+        self._spare[file] = [*self._spare.pop(file, []), folder]
+        if sum(map(len, self._spare.values())) > MOST_KEPT:
+            oldest = next(file for file, folders in self._spare.items() if folders)
+            self._drop(self._spare[oldest].pop(0))
+
+    def _drop(self, folder: PrivateFolder) -> None:
+        del self._unpacked[folder.path]
+        folder.remove()
 
 
+MOST_KEPT: Final = 16
+"""Folders that are kept while no instance uses them."""
 _File = tuple[str, int, int, int]
 _Content = frozenset[tuple[str, int, int]]
 

@@ -400,7 +400,9 @@ def test_an_fmus_process_does_not_import_what_fmus_ship():
     assert result.stdout == "set()\n"
 
 
-def test_where_folders_are_kept_the_next_instance_has_that_of_the_last_unless_it_has_changed(mixer, temporary):
+def test_where_folders_are_kept_the_next_instance_has_that_of_the_last_unless_it_has_changed(
+    mixer, temporary, monkeypatch
+):
     def folders():
         return {path.name for path in temporary.iterdir()}
 
@@ -422,6 +424,10 @@ def test_where_folders_are_kept_the_next_instance_has_that_of_the_last_unless_it
         with open_slave(mixer, "plant", isolation="none"):
             assert len(folders()) == 2
         assert len(folders()) == 1
+        monkeypatch.setattr("cosim.fmi.folder.MOST_KEPT", 2)
+        with open_slave(mixer, "a"), open_slave(mixer, "b"), open_slave(mixer, "c"):
+            assert len(folders()) == 3
+        assert len(folders()) == 2
     gc.collect()
     assert folders() == set()
 

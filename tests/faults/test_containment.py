@@ -124,6 +124,7 @@ def test_an_fmu_is_given_what_fmus_need_of_the_environment(faulty, monkeypatch, 
     ],
     ids=["model and lookahead", "rollout"],
 )
+@pytest.mark.full
 def test_every_process_of_a_run_is_given_as_much(tmp_path, monkeypatch, command, settings):
     """The FMUs, a model-exchange FMU as the model, shadows that are simulated ahead, shadows for roll-outs."""
     started = []

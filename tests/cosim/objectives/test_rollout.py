@@ -446,6 +446,7 @@ def test_the_first_way_that_is_seen_to_work_is_taken_and_why_is_said(tmp_path, l
     assert [f.what for f in notes[1:]] == CAUTIONS[first]
 
 
+@pytest.mark.full
 def test_what_is_hidden_and_zero_at_rest_is_found_once_the_plant_moves(tmp_path):
     fault = "self.w = getattr(self, 'w', 0.0) + h * self.u"
     path = toml(tmp_path, spoilt(tmp_path, "5.0 * getattr(self, 'w', 0.0)", fault, STATES + RATE))
@@ -506,7 +507,7 @@ def test_what_cannot_be_rolled_out_is_refused_in_one_line_by_run_and_check(tmp_p
     assert told in capfd.readouterr().out.replace(": error", "")
 
 
-@pytest.mark.parametrize("name", ["mhe", "rls"])
+@pytest.mark.parametrize("name", ["rls"])
 def test_estimators_that_work_sample_by_sample_only_are_refused(pendulum, name):
     with pytest.raises(ScenarioError, match=f"estimator '{name}' takes derivatives sample by sample"):
         run(pendulum(ROLLOUT), name)

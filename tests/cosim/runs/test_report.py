@@ -51,6 +51,7 @@ def noted(run):
     return [line for line in diagnosis_report(run) if line.startswith(("nothing", "the declared", "re-tuning rested"))]
 
 
+@pytest.mark.full
 @pytest.mark.fmu
 def test_a_noise_that_hides_its_signal_is_why_nothing_was_re_tuned():
     hidden = {"sampling.derivatives": '{"plant.der(phi_dot)" = {noise = 1e4}}'}
@@ -62,6 +63,7 @@ def test_a_noise_that_hides_its_signal_is_why_nothing_was_re_tuned():
     assert noted(run(Scenario.load("pendulum", SHORT), "target")) == []
 
 
+@pytest.mark.full
 @pytest.mark.fmu
 def test_a_threshold_that_is_never_reached_is_why_nothing_was_re_tuned():
     high = {"estimation.trigger": '{kind = "tracking", threshold = 3.0}'}

@@ -469,6 +469,7 @@ def test_other_bits_would_be_seen(tmp_path):
         assert_same(tmp_path / "5", tmp_path / "6")
 
 
+@pytest.mark.full
 def test_a_disturbance_goes_on_where_it_was(tmp_path):
     """A changing force takes the place of the controller's."""
     wired = '{ "controller.phi" = "plant.phi", "controller.phi_dot" = "plant.phi_dot" }'

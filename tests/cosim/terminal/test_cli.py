@@ -445,7 +445,7 @@ def own(workplace):
     sys.modules.pop(name, None)
 
 
-@pytest.mark.full_but("Asker")
+@pytest.mark.full
 @pytest.mark.parametrize("kind", ["Asker", "Solver"])
 def test_an_estimator_of_ones_own_is_run_with_its_settings(called, own, workplace, kind):
     name = f"{own}:{kind}"

@@ -39,7 +39,7 @@ class CountedResidual:
         self._step = objective.difference_step
         self._mean, self._prior_std = start, prior_std
         self._newest = np.empty(0)
-        self.z, self.cost = start, np.inf
+        self.z, self.cost, self.least = start, np.inf, np.empty(0)
         self.linearised: tuple[Vector, Vector, Vector] | None = None
         """Place (d,) of the last slopes, the residual (D,) there, and they (D, d)."""
 
@@ -84,10 +84,12 @@ class CountedResidual:
     def _taken(self, z: Vector, raw: Vector) -> Vector:
         residual = np.clip(np.nan_to_num(raw, nan=FAILED), -FAILED, FAILED)
         if self._prior_std is not None:
+            if not len(self._newest) and np.any(residual >= FAILED):
+                raise SpentError  # without a value at the start there is no length, and no slope
             if len(residual) == 1 < len(self._newest) - len(z):  # a roll-out that has failed
                 residual = np.full(len(self._newest) - len(z), residual[0])
             residual = np.append(residual, (z - self._mean) / self._prior_std)
         cost = float(residual @ residual)
         if cost < self.cost:
-            self.z, self.cost = z.copy(), cost
+            self.z, self.cost, self.least = z.copy(), cost, residual
         return residual

@@ -142,19 +142,23 @@ class MovingHorizon:
         d, settings = len(self._space), self._settings
         prior = Normal(self._now.mean, settings.jump * np.eye(d))
         search = CountedResidual(self._space, objective, np.inf, prior.mean, settings.jump, _STEP)
+        is_converged = False
         with suppress(SpentError):
             scipy.optimize.least_squares(
                 search.residual, np.clip(prior.mean, 0.0, 1.0), jac=cast(Any, search.differences), bounds=(0.0, 1.0)
             )
+            is_converged = True
         self._n_evaluations += objective.n_evaluations
         if search.linearised is None or search.cost >= FAILED:
             self._now, self._cost = _Belief(prior.mean, prior.covariance), np.inf
             return
         at, r, slopes = search.linearised
         precision = slopes.T @ slopes
-        z = np.clip(at - solved(precision, slopes.T @ r), 0.0, 1.0)
-        found = Normal(search.z if np.any((z == 0.0) | (z == 1.0)) else z, root_of(solved(precision, np.eye(d))))
-        now, self._cost = widened(found, prior, (r + slopes @ (z - at))[:-d])
+        z, residual = search.z, search.least
+        step = solved(precision, slopes.T @ r)  # the last one, below SciPy's tolerance
+        if is_converged and np.all((at > step) & (at < 1.0 + step)):
+            z, residual = at - step, r - slopes @ step
+        now, self._cost = widened(Normal(z, root_of(solved(precision, np.eye(d)))), prior, residual[:-d])
         self._now = _Belief(now.mean, now.covariance)
 
     def _measured(self, objective: Objective, step: _Step) -> Measurement | None:

@@ -73,10 +73,10 @@ def check_tolerance(scenario: Scenario, components: Components) -> Iterator[Find
     sizes = [size for component, name in tables if (size := size_of(component, name)) is not None]
     tolerance = guard.tolerance_at(divergence)
     if guard.enabled and sizes and tolerance >= max(sizes):
-        whence = "" if guard.tolerance else ", a hundredth of limits.divergence"
+        whence = "" if guard.tolerance else " (a hundredth of limits.divergence)"
         yield warning(
             "guard.tolerance",
-            f"{tolerance:g}{whence}, is as large as all the set points of the tracked outputs ({max(sizes):g}): "
+            f"{tolerance:g}{whence} is as large as all the set points of the tracked outputs ({max(sizes):g}): "
             "no error that a write makes would be large enough to take it back",
         )
 

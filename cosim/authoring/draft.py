@@ -69,6 +69,7 @@ def draft(fmus: Mapping[str, Path], folder: Path, model: str | None = None) -> D
     _check_size(components)
     pairs = parameter_pairs(components)
     gained = None if pairs else gain_parameter(components)
+    tracked = guess_tracking(components)
     model, is_fmu = _model(model, components[PLANT], folder)
     blocks = [
         _LEGEND,
@@ -76,8 +77,8 @@ def draft(fmus: Mapping[str, Path], folder: Path, model: str | None = None) -> D
         _components(components, folder),
         _connections(components),
         _changes(components, [its for _, its in pairs] if gained is None else [gained]),
-        _tracking(components),
-        *_limits(components),
+        _tracking(components, tracked),
+        *_limits(components, tracked),
         sampling(components[PLANT], model),
         estimation(components[PLANT], model, pairs, gained),
         *(parameters(components, pairs, is_fmu) if gained is None else gains(components, gained, is_fmu)),
@@ -218,10 +219,9 @@ def _changes(components: Mapping[str, Component], parameters: list[ModelVariable
     return lines
 
 
-def _tracking(components: Mapping[str, Component]) -> list[str]:
+def _tracking(components: Mapping[str, Component], found: list[Guess]) -> list[str]:
     lines = ["[tracking]              # tracked output = its reference"]
     plant = components[PLANT]
-    found = guess_tracking(components)
     for guess in found:
         name, variable = VariableName(guess.target).variable, quoted(guess.target)
         is_one = _is_tracked(plant, guess, found)
@@ -243,9 +243,8 @@ def _is_tracked(plant: Component, guess: Guess, found: list[Guess]) -> bool:
     return have_one_unit(plant, name, plant, first) is not False
 
 
-def _limits(components: Mapping[str, Component]) -> Iterator[list[str]]:
+def _limits(components: Mapping[str, Component], found: list[Guess]) -> Iterator[list[str]]:
     """Yield the limit of the tracking error, where a table says how large the set points are."""
-    found = guess_tracking(components)
     given = [guess.source for guess in found if guess.source and _is_tracked(components[PLANT], guess, found)]
     tracked = [VariableName(source).variable for source in given]
     size = max((size for name in tracked if (size := size_of(components[REFERENCE], name))), default=None)

@@ -33,7 +33,7 @@ def main(channel_argument: str) -> NoReturn:
 def run(channel_argument: str, serve: Callable[[Channel, SupervisedChild], None]) -> NoReturn:
     """Call serve with the channel to the process that started this one, report what it raises, and end."""
     process = SupervisedChild()
-    sys.dont_write_bytecode = True  # of an FMU in Python, whose folder is used once
+    sys.dont_write_bytecode = True  # of an FMU in Python, whose folder stays as it is
     channel = UnforkedChannel(open_channel(channel_argument))
     try:
         channel.send(encode(RESULT, None))

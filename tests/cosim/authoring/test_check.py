@@ -82,7 +82,7 @@ CASES = {
     "no limits in the FMU": (('unit = "kg"\nwrites = "controller.m"', 'unit = "N/m"\nwrites = "controller.c"'),
         "estimation.parameters", "warning: AxisController.fmu declares neither min nor max of m: only lower"),
     "a guard that takes nothing back": (("[estimation]\n", "[guard]\ntolerance = 1.0\n[estimation]\n"),
-        "guard.tolerance", "warning: 1, is as large as all the set points of the tracked outputs (1)"),
+        "guard.tolerance", "warning: 1 is as large as all the set points of the tracked outputs (1)"),
     "starts outside": (("lower = 0.5", "lower = 2.5"), "estimation.parameters.0 (m)",
         "warning: 'controller.m' starts at 2, outside [2.5, 10]"),
     "not in the plant": (('true = "plant.mass.m"\n', ""), "estimation.parameters.0 (m)",

@@ -185,7 +185,7 @@ FAULTS = {
 }
 
 
-@pytest.mark.full_but("wrong sign")
+@pytest.mark.full
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_bad_channel_is_never_written_as_parameters_and_is_told(ask, oracles, fault):
     columns = oracles.measure(1)

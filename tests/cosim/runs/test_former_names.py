@@ -11,6 +11,7 @@ CHANGED_EARLY = {'changes."plant.m"': "[[0.0, 1.75], [0.1, 4.271]]"}
 
 
 @pytest.mark.fmu
+@pytest.mark.full
 def test_a_final_estimate_under_its_former_name_is_read(pendulum, tmp_path):
     folder = tmp_path / "run"
     found = run(pendulum(CHANGED_EARLY, stop_time=0.6), out=folder).final_estimate

@@ -453,6 +453,7 @@ class Forgetful:
 set_state = Slave.set_state
 
 
+@pytest.mark.full
 def test_an_fmu_that_forgets_a_bit_of_its_state_is_found_out(tmp_path, monkeypatch):
     left_at(0.4, Scenario.load("pendulum", EARLY_CHANGE | IN_PROCESS), "target", tmp_path / "left")
     monkeypatch.setattr(Slave, "set_state", Forgetful.set_state)

@@ -19,7 +19,7 @@ from ..files import readable
 from ..findings import Finding
 from .binding import FmuToLoad
 from .elements import scalarized
-from .folder import KeptFolders, PrivateFolder
+from .folder import KeptFolder, KeptFolders, PrivateFolder
 from .lazy_fmpy import lazy_numpy
 from .preflight.archive import archive_findings
 from .preflight.description import clock_problem, description_findings, harmless_findings, index_findings, is_true
@@ -226,7 +226,7 @@ def has_fixed_step(description: ModelDescription) -> bool:
 
 def unpacked(
     fmu: Path, interface: InterfaceName | None = None, *, is_checked: bool = False, kept: KeptFolders | None = None
-) -> tuple[ModelDescription, PrivateFolder]:
+) -> tuple[ModelDescription, PrivateFolder | KeptFolder]:
     """Unpack an FMU into a folder of its own, after all of preflight, and return its description too.
 
     is_checked: true for a file that has passed preflight, and has not changed since; kept: folders of which one may be
@@ -238,21 +238,18 @@ def unpacked(
     folder = PrivateFolder()
     try:
         unpack(fmu, folder.path)
-        if kept is not None:
-            kept.add(fmu, folder)
-        if is_checked:
-            return description, folder
-        interface = interface or component_interface(description)
-        place = library_path(description, interface)
-        try:
-            with open(Path(folder.path, place), "rb") as library:
-                _refuse(f"{fmu} is not a usable FMU", library_finding(library, description, interface))
-        except OSError as error:
-            raise ModelDescriptionError(f"{fmu} is not a usable FMU: it has no {place}.") from error
+        if not is_checked:
+            interface = interface or component_interface(description)
+            place = library_path(description, interface)
+            try:
+                with open(Path(folder.path, place), "rb") as library:
+                    _refuse(f"{fmu} is not a usable FMU", library_finding(library, description, interface))
+            except OSError as error:
+                raise ModelDescriptionError(f"{fmu} is not a usable FMU: it has no {place}.") from error
     except BaseException:
         folder.remove()
         raise
-    return description, folder
+    return description, folder if kept is None else kept.add(fmu, folder)
 
 
 def content(fmu: Path, name: str) -> bytes:

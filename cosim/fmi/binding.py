@@ -34,6 +34,8 @@ class FmuToLoad(NamedTuple):
     """True for an FMI 3.0 co-simulation FMU that is used with its event mode."""
     tolerance: float | None = None
     """Relative tolerance for its own solver; None gives it none."""
+    writes_bytecode: bool = False
+    """True where Python may keep in the folder what it compiles of it; else the folder stays as it is."""
 
 
 class Binding(Protocol):

@@ -10,7 +10,10 @@ import shutil
 import sys
 import tempfile
 import weakref
-from contextlib import suppress
+from collections.abc import Callable, Generator
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Final
@@ -32,6 +35,7 @@ class PrivateFolder:
 
     path: str
     """Absolute path."""
+    is_kept: Final = False
 
     def __init__(self) -> None:
         """Raises ModelDescriptionError where no folder has a name that every FMU can read."""
@@ -121,32 +125,62 @@ def remove_abandoned(parent: str) -> None:
         lock.give_back()
 
 
+class KeptFolder:
+    """The folder of an unpacked FMU that `remove` gives back, for the next instance of the same file."""
+
+    is_kept: Final = True
+
+    def __init__(self, folder: PrivateFolder, give_back: Callable[[PrivateFolder], None]) -> None:
+        self.path = folder.path
+        self._finalizer = weakref.finalize(self, give_back, folder)
+
+    def remove(self) -> None:
+        """Give it back; idempotent."""
+        self._finalizer()
+
+
+@dataclass(frozen=True)
+class BorrowedFolder:
+    """The folder of an unpacked FMU that somebody else removes."""
+
+    path: str
+    is_kept: bool = False
+
+    def remove(self) -> None:
+        """Leave it."""
+
+
+Folder = PrivateFolder | KeptFolder | BorrowedFolder
+
+
 class KeptFolders:
     """Folders of unpacked FMUs that the next instance of the same file uses again, where they are as they were.
 
     For a process that makes one short run after the other: to make and remove the hundred small files of an FMU in
-    Python takes as long as the run, since ext4 passes over the places of files removed a moment ago one by one.
+    Python takes as long as the run, since ext4 passes over the places of files removed a moment ago one by one. What
+    Python compiles of them is kept with them.
     """
 
     def __init__(self) -> None:
         self._spare: dict[_File, list[PrivateFolder]] = {}
         self._unpacked: dict[str, tuple[_File, _Content]] = {}
 
-    def take(self, fmu: Path) -> PrivateFolder | None:
+    def take(self, fmu: Path) -> KeptFolder | None:
         """Return a folder that holds what is in the file; None where there is none to spare."""
         spare = self._spare.get(_file(fmu), [])
         while spare:
             folder = spare.pop()
             if self._unpacked[folder.path][1] == _content(folder.path):
-                return folder
+                return KeptFolder(folder, self._give_back)
             self._drop(folder)
         return None
 
-    def add(self, fmu: Path, folder: PrivateFolder) -> None:
+    def add(self, fmu: Path, folder: PrivateFolder) -> KeptFolder:
         """Add a folder that the file has been unpacked into."""
         self._unpacked[folder.path] = _file(fmu), _content(folder.path)
+        return KeptFolder(folder, self._give_back)
 
-    def give_back(self, folder: PrivateFolder) -> None:
+    def _give_back(self, folder: PrivateFolder) -> None:
         """Keep a folder that was taken or added until the next instance; of many those given back last are kept."""
         file = self._unpacked[folder.path][0]
         self._spare[file] = [*self._spare.pop(file, []), folder]
@@ -159,8 +193,27 @@ class KeptFolders:
         folder.remove()
 
 
-MOST_KEPT: Final = 16
+_KEPT: Final[ContextVar[KeptFolders | None]] = ContextVar("kept folders", default=None)
+
+
+@contextmanager
+def folders_kept() -> Generator[None]:
+    """Use the folders of isolated FMUs again in this context, which makes one short run after the other."""
+    token = _KEPT.set(KeptFolders())
+    try:
+        yield
+    finally:
+        _KEPT.reset(token)
+
+
+def kept_folders() -> KeptFolders | None:
+    """Return those of this context, if it has any."""
+    return _KEPT.get()
+
+
+MOST_KEPT: Final = 32
 """Folders that are kept while no instance uses them."""
+_BYTECODE: Final = "__pycache__"
 _File = tuple[str, int, int, int]
 _Content = frozenset[tuple[str, int, int]]
 
@@ -172,10 +225,15 @@ def _file(path: Path) -> _File:
 
 
 def _content(folder: str) -> _Content:
-    """Return name, size and time of the last change of everything in a folder."""
+    """Return the names of all folders in a folder; name, size and time of the last change of all files.
+
+    What Python compiles is left out: Python itself compares it with its source.
+    """
     found: list[tuple[str, int, int]] = []
     for place, folders, files in os.walk(folder):
-        for name in (*folders, *files):
+        folders[:] = [name for name in folders if name != _BYTECODE]
+        found += [(os.path.join(place, name), 0, 0) for name in folders]
+        for name in files:
             state = os.lstat(path := os.path.join(place, name))
             found.append((path, state.st_size, state.st_mtime_ns))
     return frozenset(found)

@@ -4,8 +4,8 @@ These shadow FMUs are set to the FMU states of the run, which hold all that its 
 parameters are overwritten by those to be tried. A plant that cannot save its state is replaced by the scenario's model.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from math import inf
 from pathlib import Path
@@ -17,8 +17,8 @@ from estimator import Sample, Vector
 from estimator.differences import central_differences
 
 from ..errors import CosimError, ScenarioError, SlaveError, WiringError
-from ..fmi.archive import capabilities
-from ..fmi.folder import PrivateFolder
+from ..fmi.archive import capabilities, unpacked
+from ..fmi.folder import PrivateFolder, kept_folders
 from ..fmi.table import TableSlave
 from ..scenarios.scenario import Scenario
 from ..scenarios.tuning_rule import TuningRule
@@ -258,10 +258,24 @@ class Lookahead:
             (settings.start_time, settings.stop_time),
             settings.timeout,
             settings.out_of_range,
+            self._kept(),
         )
         process = LoopProcess(plan, settings.memory_limit * len(self._slaves), settings.environment)
         self._stack.callback(process.close)
         return process
+
+    def _kept(self) -> dict[str, str]:
+        """Return folders that FMUs have been unpacked into in an earlier run of this process, where they are kept."""
+        if (kept := kept_folders()) is None:
+            return {}
+        folders: dict[str, str] = {}
+        for name, slave in self._slaves.items():
+            if isinstance(slave, Slave):
+                with _refused():
+                    _, folder = unpacked(self._running.paths[name], is_checked=True, kept=kept)
+                self._stack.callback(folder.remove)
+                folders[name] = folder.path
+        return folders
 
     def _loop_here(self) -> Shadows:
         settings, shadows = self._scenario.scenario, dict[str, Steppable]()
@@ -310,16 +324,21 @@ class Prediction:
 
 def _folder() -> PrivateFolder:
     """Return a folder to unpack the FMUs into. Raises ScenarioError."""
-    try:
+    with _refused():
         return PrivateFolder()
-    except CosimError as e:
-        raise ScenarioError(f"the loop cannot be simulated ahead: {e}") from e
 
 
 def _open(path: Path, label: str, options: Mapping[str, Any]) -> Slave:
-    """Open a shadow. Raises ScenarioError: it could be opened before, so the disk is full, or the file has gone."""
-    try:
+    """Open a shadow. Raises ScenarioError."""
+    with _refused():
         return open_slave(path, label, **options)
+
+
+@contextmanager
+def _refused() -> Generator[None]:
+    """Raise ScenarioError for a refused FMU: it could be opened before, so the disk is full, or it has gone."""
+    try:
+        yield
     except CosimError as e:
         raise ScenarioError(f"the loop cannot be simulated ahead: {e}") from e
 

@@ -33,7 +33,7 @@ def main(channel_argument: str) -> NoReturn:
 def run(channel_argument: str, serve: Callable[[Channel, SupervisedChild], None]) -> NoReturn:
     """Call serve with the channel to the process that started this one, report what it raises, and end."""
     process = SupervisedChild()
-    sys.dont_write_bytecode = True  # of an FMU in Python, whose folder stays as it is
+    sys.dont_write_bytecode = True
     channel = UnforkedChannel(open_channel(channel_argument))
     try:
         channel.send(encode(RESULT, None))
@@ -51,6 +51,7 @@ def _serve(channel: Channel, process: SupervisedChild) -> None:
     """Load the FMU that the first message names, and answer requests until it is closed."""
     fmu = FmuToLoad(*decode(channel.receive(None))[0])
     process.end_with_parent(fmu.folder)
+    sys.dont_write_bytecode = not fmu.writes_bytecode
     log = LogSender(channel)
     binding = load(fmu, log)
     channel.send(encode(RESULT, None))

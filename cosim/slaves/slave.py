@@ -13,18 +13,16 @@ import logging
 import math
 import os
 import weakref
-from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Final, Literal, Self
+from typing import Literal, Self
 
 from fmpy.model_description import ModelDescription
 
 from ..errors import COLON, NotResumableError, SlaveError, StateTooLargeError
-from ..fmi.archive import capabilities, fmu_to_load, unpacked
+from ..fmi.archive import capabilities, fmu_to_load, read_checked, unpacked
 from ..fmi.binding import LARGEST_STATE
-from ..fmi.folder import KeptFolders, PrivateFolder
+from ..fmi.folder import BorrowedFolder, Folder, kept_folders
 from ..fmi.ports import Catalogue
 from ..fmi.step_batch import decode_outputs, encode_steps
 from ..fmi.trial_batch import TrialBatch, TrialOutputs, decode_trials, encode_trials
@@ -52,6 +50,7 @@ def open_slave(
     tolerance: float | None = None,
     after_call: Callable[[], None] | None = None,
     is_checked: bool = False,
+    unpacked_in: str | None = None,
 ) -> "Slave":
     """Unpack an FMU for co-simulation, FMI 2.0 or 3.0, into a private folder, and load it.
 
@@ -63,7 +62,8 @@ def open_slave(
     tolerance: relative tolerance for the FMU's own solver; by default that of its default experiment, if any.
     out_of_range: whether an input or output outside its declared min and max is a fault, or a warning, given once.
     after_call: called after each call of an FMU in this process.
-    is_checked: true for a file that this has opened before, and that has not changed since.
+    is_checked: true for a file that this has opened before, and that has not changed since; unpacked_in: folder that
+    it has been unpacked into, which stays.
 
     Raises ModelDescriptionError for a bad file, SlaveError when loading fails (isolated: in the first call).
     """
@@ -73,10 +73,13 @@ def open_slave(
         raise ValueError(f"isolation must be 'process' or 'none', got {isolation!r}.")
     fmu = Path(fmu)
     isolated = isolation == "process"
-    kept = _KEPT.get() if isolated else None
-    description, folder = unpacked(fmu, is_checked=is_checked, kept=kept)
+    if unpacked_in is None:
+        description, folder = unpacked(fmu, is_checked=is_checked, kept=kept_folders() if isolated else None)
+    else:
+        description, folder = read_checked(fmu), BorrowedFolder(unpacked_in)
     try:
         to_load = fmu_to_load(description, folder.path, instance_name, tolerance=tolerance)
+        to_load = to_load._replace(writes_bytecode=folder.is_kept)
         host = (
             FmuProcess(to_load, timeout, memory_limit=memory_limit, environment=environment)
             if isolated
@@ -85,20 +88,7 @@ def open_slave(
     except BaseException:
         folder.remove()
         raise
-    return Slave(fmu, instance_name, description, host, folder, out_of_range, kept)
-
-
-_KEPT: Final[ContextVar[KeptFolders | None]] = ContextVar("kept folders", default=None)
-
-
-@contextmanager
-def folders_kept() -> Generator[None]:
-    """Use the folders of isolated FMUs again in this context, which makes one short run after the other."""
-    token = _KEPT.set(KeptFolders())
-    try:
-        yield
-    finally:
-        _KEPT.reset(token)
+    return Slave(fmu, instance_name, description, host, folder, out_of_range)
 
 
 class Slave:
@@ -121,9 +111,8 @@ class Slave:
         instance_name: str,
         description: ModelDescription,
         host: Host,
-        folder: PrivateFolder,
+        folder: Folder,
         out_of_range: OutOfRange = "fault",
-        kept: KeptFolders | None = None,
     ) -> None:
         """Not to be called directly: use open_slave."""
         self.fmu = fmu
@@ -134,7 +123,7 @@ class Slave:
         is_lenient = out_of_range == "warning"
         self._bound = BoundVariables(instance_name, Catalogue(fmu.name, description.modelVariables), is_lenient)
         self._values: tuple[float, ...] | None = None
-        self._finalizer = weakref.finalize(self, _release, host, folder, kept, os.getpid())
+        self._finalizer = weakref.finalize(self, _release, host, folder, os.getpid())
 
     def bind(self, inputs: Sequence[str] = (), tunables: Sequence[str] = (), outputs: Sequence[str] = ()) -> None:
         """Choose the variables that are set and got at communication points, and their order.
@@ -369,11 +358,8 @@ class Slave:
             raise SlaveError(self.name, function, self._life.time, reason, COLON)
 
 
-def _release(host: Host, folder: PrivateFolder, kept: KeptFolders | None, process_id: int) -> None:
+def _release(host: Host, folder: Folder, process_id: int) -> None:
     """Release the FMU and its folder: called by close, on garbage collection, or at the end of the program."""
     if os.getpid() == process_id:  # not in a fork of it
         host.close(None, is_polite=False)
-        if kept is None:
-            folder.remove()
-        else:
-            kept.give_back(folder)
+        folder.remove()

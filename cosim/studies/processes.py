@@ -20,9 +20,8 @@ from typing import Any, Final, NoReturn, ParamSpec, TypeVar
 
 from .. import former_names
 from ..blas_threads import ONE_THREAD
-from ..fmi.folder import PrivateFolder
+from ..fmi.folder import PrivateFolder, folders_kept
 from ..slaves.channel import Channel, channel_pair, open_channel
-from ..slaves.slave import folders_kept
 from ..warnings_log import warnings_logged
 
 CLOSE_TIMEOUT_S: Final = 10.0

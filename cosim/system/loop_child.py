@@ -1,6 +1,7 @@
 """The program of the process of a closed loop of shadows: all its FMUs, stepped here; `loop_process` asks for it."""
 
 import logging
+import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -83,6 +84,7 @@ class _Served:
 
     def _opened(self) -> ShadowLoop:
         plan = self._plan
+        sys.dont_write_bytecode = not plan.folders
         tempfile.tempdir = plan.folder  # which the other process removes, whatever becomes of this one
         try:
             shadows = {name: self._shadow(name, Path(path)) for name, path in plan.paths.items()}
@@ -98,7 +100,7 @@ class _Served:
         try:
             slave = open_slave(
                 path, label, isolation="none", out_of_range=plan.out_of_range, tolerance=plan.tolerances[name],
-                after_call=self._alive, is_checked=True,
+                after_call=self._alive, is_checked=True, unpacked_in=plan.folders.get(name),
             )  # fmt: skip
         except SlaveError:
             raise

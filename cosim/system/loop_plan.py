@@ -36,6 +36,8 @@ class LoopPlan(NamedTuple):
     """Time that each call of an FMU may take [s]."""
     out_of_range: OutOfRange
     """Whether a value outside its minimum and maximum is a fault."""
+    folders: Mapping[str, str]
+    """Folder of each FMU that has been unpacked already; Python keeps there what it compiles of it."""
 
 
 def listed(w: Wiring) -> Any:

@@ -21,7 +21,7 @@ def plan_of(fmu, folder, start=(), outputs=("y", "limited"), timeout=20.0):
     tracked = [(f"reference.{outputs[0]}", f"reference.{outputs[-1]}")]
     return LoopPlan(
         "simulated ahead", folder, {"reference": str(fmu)}, {"reference": None}, wiring, [["reference"]], tracked,
-        (0.0, 1.0), timeout, "fault",
+        (0.0, 1.0), timeout, "fault", {},
     )  # fmt: skip
 
 

@@ -21,10 +21,11 @@ import cosim.slaves.slave
 from cosim.errors import ModelDescriptionError, SlaveError, WiringError
 from cosim.fmi.archive import read_description
 from cosim.fmi.fmu_log import MessageLog
+from cosim.fmi.folder import folders_kept
 from cosim.fmi.trial_batch import BatchTrial, TrialBatch, TrialLeg
 from cosim.fmi.value_buffers import ScalarVariable, buffers_of
 from cosim.slaves.process import FmuProcess
-from cosim.slaves.slave import folders_kept, open_slave
+from cosim.slaves.slave import open_slave
 
 pytestmark = pytest.mark.fmu
 
@@ -416,6 +417,8 @@ def test_where_folders_are_kept_the_next_instance_has_that_of_the_last_unless_it
             slave.bind(outputs=["y"])
             slave.initialize({"y": 3.0}, start_time=0.0, stop_time=1.0)
             assert slave.get() == (3.0,)
+        assert folders() == first
+        assert list(temporary.rglob("*.pyc")), "what Python has compiled was not kept"
         for folder in temporary.iterdir():
             next(folder.glob("resources/*.py")).touch()
         with open_slave(mixer, "plant"):
@@ -430,6 +433,9 @@ def test_where_folders_are_kept_the_next_instance_has_that_of_the_last_unless_it
         assert len(folders()) == 2
     gc.collect()
     assert folders() == set()
+    with open_slave(mixer, "plant") as slave:
+        slave.bind(outputs=["y"])
+        assert not list(temporary.rglob("*.pyc")), "the FMU's folder has not stayed as it was"
 
 
 def test_a_forgotten_slave_leaves_nothing(mixer, temporary, children):

@@ -157,6 +157,11 @@ class ChildEnd:
     owner: "socket.socket | Connection[bytes, bytes]"
     """Object that closes the parent's copy."""
 
+    @property
+    def is_packet(self) -> bool:
+        """True for an end of a PacketChannel, which may be passed to a process that runs already."""
+        return self.argument.startswith("packet:")
+
     def popen_arguments(self) -> dict[str, Any]:
         """Return keyword arguments of subprocess.Popen that let the child inherit the handle, and nothing else."""
         if sys.platform != "win32":

@@ -5,9 +5,7 @@ about it is in supervision/.
 """
 
 import struct
-import sys
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from time import monotonic
 from typing import Any, Final, Protocol
 
@@ -21,19 +19,6 @@ START_TIMEOUT_S: Final = 60.0
 """Time for Python itself to start and import, however busy the machine; the FMU's own calls have their own limit."""
 CLOSE_TIMEOUT_S: Final = 2.0
 """Time for an FMU to terminate politely, and for its process to end."""
-
-# cosim may be importable only because of this process's sys.path; -P keeps the working directory out of it.
-_BOOT: Final = """
-import importlib, sys
-root, program, channel, *path = sys.argv[1:]
-sys.path += [folder for folder in path if folder not in sys.path]
-sys.path.insert(0, root)
-from cosim.fmi.lazy_fmpy import load_fmpy_lazily
-load_fmpy_lazily()
-main = importlib.import_module(program).main
-sys.path.remove(root)
-main(channel)
-"""
 
 
 class ToLoad(Protocol):
@@ -79,9 +64,8 @@ class FmuProcess:
         self._channel, theirs = channel_pair(kind)
         try:
             self._process = SupervisedProcess(
-                self._name, _command(program, theirs.argument), theirs.popen_arguments(), memory_limit,
-                self._channel.hang_up, environment,
-            )  # fmt: skip
+                self._name, program, theirs, memory_limit, self._channel.hang_up, environment
+            )
         except BaseException:
             self._channel.close()
             raise
@@ -214,9 +198,3 @@ class FmuProcess:
             self._process.end(with_descendants=True)
             self._channel.close()
             self._log.report()
-
-
-def _command(program: str, channel: str) -> list[str]:
-    """Return the command of a fresh interpreter that runs child.py, or such; not a fork: this process has threads."""
-    root = str(Path(__file__).resolve().parents[2])
-    return [sys.executable, "-u", "-P", "-c", _BOOT, root, program, channel, *filter(None, sys.path)]

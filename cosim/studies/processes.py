@@ -22,6 +22,7 @@ from .. import former_names
 from ..blas_threads import ONE_THREAD
 from ..fmi.folder import PrivateFolder, folders_kept
 from ..slaves.channel import Channel, channel_pair, open_channel
+from ..slaves.supervision.fork_server import forked_processes
 from ..warnings_log import warnings_logged
 
 CLOSE_TIMEOUT_S: Final = 10.0
@@ -170,7 +171,7 @@ def serve(channel_argument: str, temporary: str) -> NoReturn:
 
 
 def _make_calls(channel: Channel) -> NoReturn:
-    with warnings_logged(), folders_kept():
+    with warnings_logged(), folders_kept(), forked_processes():
         while True:
             channel.send(_outcome(channel.receive(None)))
 

@@ -9,6 +9,7 @@ import pytest
 
 from cosim.errors import SlaveError
 from cosim.slaves.slave import open_slave
+from cosim.slaves.supervision.fork_server import forked_processes
 
 pytestmark = [
     pytest.mark.fmu,
@@ -37,6 +38,20 @@ def test_native(native, row, caplog, capfd):
 @pytest.mark.parametrize("row", list(rows("python")))
 def test_python(faulty, row, caplog, capfd):
     check(faulty, "python", row, caplog, capfd)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("row", [row.values[0] for row in rows("native")], ids=lambda row: row["inject"])
+def test_native_in_a_forked_process(native, row, caplog, capfd):
+    with forked_processes():
+        check(native, "native", row, caplog, capfd)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("row", [row.values[0] for row in rows("python")], ids=lambda row: row["inject"])
+def test_python_in_a_forked_process(faulty, row, caplog, capfd):
+    with forked_processes():
+        check(faulty, "python", row, caplog, capfd)
 
 
 def check(fmu, kind, row, caplog, capfd):

@@ -8,11 +8,14 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from math import inf
 from time import perf_counter
-from typing import Any
+from typing import IO, Any, Protocol
 
 from ...blas_threads import ONE_THREAD
+from ..channel import ChildEnd
+from .boot import boot_command
 from .descendants import VARIABLE, end_marked, new_mark
 from .environment import passed_on
+from .fork_server import forked
 from .memory_watchdog import MemoryWatchdog, half_of_memory
 from .output import OutputRelay
 from .placement import REVIEW, Placement, same_addresses
@@ -30,13 +33,13 @@ class SupervisedProcess:
     def __init__(
         self,
         name: str,
-        command: Sequence[str],
-        handles: Mapping[str, Any],
+        program: str,
+        end: ChildEnd,
         memory_limit: float,
         on_death: Callable[[], None],
         environment: Sequence[str],
     ) -> None:
-        """handles: arguments of Popen that let the process inherit its channel.
+        """program: module whose main is called with the end of a channel; end: that end.
 
         memory_limit: resident memory that it may have [MB], 0 for half of the machine's (Linux).
         on_death: called, in another thread, when the process has ended by itself.
@@ -47,7 +50,7 @@ class SupervisedProcess:
         self._output = OutputRelay(name)
         try:
             variables = passed_on(os.environ, environment) | ONE_THREAD | {VARIABLE: self._mark}
-            self._process = _start(command, variables, self._output.descriptor, handles)
+            self._process = _start(program, end, variables, self._output.descriptor)
         except BaseException:
             self._output.abandon()
             raise
@@ -110,20 +113,30 @@ class SupervisedProcess:
             end_marked(self._mark)
 
 
-def _start(
-    command: Sequence[str], environment: Mapping[str, str], output: int, handles: Mapping[str, Any]
-) -> "subprocess.Popen[bytes]":
+class _Process(Protocol):
+    """The part of subprocess.Popen that is needed here."""
+
+    pid: int
+    stdin: IO[bytes] | None
+
+    def wait(self, timeout: float | None = None) -> int: ...
+    def kill(self) -> None: ...
+
+
+def _start(program: str, end: ChildEnd, variables: Mapping[str, str], output: int) -> _Process:
     """Start the process in a group of its own, so that Ctrl-C does not reach it."""
+    if (process := forked(program, end, variables, output)) is not None:
+        return process
     group: dict[str, Any] = {} if sys.platform == "win32" else {"process_group": 0}
     with same_addresses():
         return subprocess.Popen[bytes](
-            command,
+            boot_command(program, end.argument),  # not a fork of this process, which has threads
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=output,
-            env=environment,
+            env=variables,
             **group,
-            **handles,
+            **end.popen_arguments(),
         )
 
 

@@ -1,0 +1,195 @@
+"""A server that FMUs' processes are forked from, for many of them one after the other: Python starts but once.
+
+    with forked_processes():        # within it, and in this thread, SupervisedProcess takes them from here
+        ...
+
+A fresh interpreter takes 60 ms to start and to import what serves an FMU; a copy of one that has done so, 3 ms. No FMU
+has been loaded where the copies come from, so that none finds anything of an earlier one. A copy is made twice over, so
+that the kernel hands it to this process: it is a child of ours, like one that we have started. Linux only.
+"""
+
+import ctypes
+import json
+import os
+import select
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from typing import IO, Any, Final
+
+from ..channel import ChildEnd
+from .boot import boot_command
+from .descendants import VARIABLE
+from .placement import same_addresses
+
+_START_TIMEOUT_S: Final = 60.0
+_PR_SET_CHILD_SUBREAPER: Final = 36
+_PR_GET_CHILD_SUBREAPER: Final = 37
+_SERVERS: Final[ContextVar["ForkServers | None"]] = ContextVar("fork servers", default=None)
+_ADOPTION: Final = threading.Lock()  # it is a property of the whole process
+
+
+@contextmanager
+def forked_processes() -> Generator[None]:
+    """Take FMUs' processes from servers in this context, which run until its end; where there are none it does nothing.
+
+    Nothing but time depends on it.
+    """
+    if not _is_possible():
+        yield
+        return
+    servers = ForkServers()
+    token = _SERVERS.set(servers)
+    try:
+        yield
+    finally:
+        _SERVERS.reset(token)
+        servers.close()
+
+
+def forked(program: str, end: ChildEnd, variables: Mapping[str, str], output: int) -> "ForkedProcess | None":
+    """Return a new process of this context's server for a program; None where it has none.
+
+    end: its end of the channel; variables: its environment; output: descriptor of its standard error.
+    """
+    servers = _SERVERS.get()
+    return None if servers is None or not end.is_packet else servers.process(program, end, variables, output)
+
+
+class ForkServers:
+    """The servers of one process, one for each program and environment, started on first use."""
+
+    def __init__(self) -> None:
+        self._owner = os.getpid()
+        self._lock = threading.Lock()
+        self._servers: dict[str, _ForkServer] = {}
+
+    def process(self, program: str, end: ChildEnd, variables: Mapping[str, str], output: int) -> "ForkedProcess | None":
+        """Return a new process; None where the server has died or does not answer."""
+        if os.getpid() != self._owner:  # a fork of it, whose requests would mix with its own
+            return None
+        common = {**variables, VARIABLE: "0" * len(variables[VARIABLE])}
+        key = json.dumps([program, common, sys.path])
+        with self._lock:
+            try:
+                server = self._servers.get(key)
+                if server is None:
+                    server = self._servers[key] = _ForkServer(program, common)
+                return server.process(end, variables[VARIABLE], output)
+            except BaseException as error:  # its answer may still come: whoever asks next would take it for theirs
+                if (server := self._servers.pop(key, None)) is not None:
+                    server.close()
+                if isinstance(error, OSError | ValueError):
+                    return None
+                raise
+
+    def close(self) -> None:
+        """End the servers; processes that they have made go on."""
+        if os.getpid() == self._owner:
+            for server in self._servers.values():
+                server.close()
+        self._servers.clear()
+
+
+class _ForkServer:
+    """One server: an interpreter that has imported a program, and copies itself."""
+
+    def __init__(self, program: str, variables: Mapping[str, str]) -> None:
+        self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._socket.settimeout(_START_TIMEOUT_S)
+        with theirs, same_addresses():
+            self._process = subprocess.Popen[bytes](
+                boot_command("cosim.slaves.supervision.fork_server_child", str(theirs.fileno()), program),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                env=dict(variables),
+                process_group=0,
+                pass_fds=(theirs.fileno(),),
+            )
+
+    def process(self, end: ChildEnd, mark: str, output: int) -> "ForkedProcess":
+        """Return a copy of the server that serves the program. Raises OSError, ValueError."""
+        theirs, ours = os.pipe()
+        try:
+            order = json.dumps([mark, _working_folder()]).encode()
+            with _children_adopted():
+                socket.send_fds(self._socket, [order], [theirs, end.handle, output])
+                answer = self._socket.recv(64)
+            return ForkedProcess(int(answer), ours)
+        except BaseException:
+            os.close(ours)
+            raise
+        finally:
+            os.close(theirs)
+
+    def close(self) -> None:
+        self._socket.close()
+        self._process.kill()
+        self._process.wait()
+
+
+class ForkedProcess:
+    """A child process that a server has made, with the part of subprocess.Popen that is needed here."""
+
+    def __init__(self, pid: int, lifeline: int) -> None:
+        """lifeline: writing end of its standard input."""
+        self.pid = pid
+        self.stdin: IO[bytes] | None = os.fdopen(lifeline, "wb")
+        self._code: int | None = None
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Return the exit code, or less a signal's number. Raises subprocess.TimeoutExpired after timeout [s]."""
+        if self._code is None:
+            if timeout is not None and not self._ends_within(timeout):
+                raise subprocess.TimeoutExpired("an FMU's process", timeout)
+            self._code = os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
+        return self._code
+
+    def kill(self) -> None:
+        if self._code is None:
+            with suppress(ProcessLookupError):
+                os.kill(self.pid, 9)
+
+    def _ends_within(self, timeout_s: float) -> bool:
+        descriptor = os.pidfd_open(self.pid)
+        try:
+            poll = select.poll()
+            poll.register(descriptor, select.POLLIN)
+            return bool(poll.poll(timeout_s * 1000))
+        finally:
+            os.close(descriptor)
+
+
+@contextmanager
+def _children_adopted() -> Generator[None]:
+    """Become the parent of descendants whose parents end in this context."""
+    libc: Any = ctypes.CDLL(None)
+    before = ctypes.c_int(0)
+    with _ADOPTION:
+        libc.prctl(_PR_GET_CHILD_SUBREAPER, ctypes.byref(before), 0, 0, 0)
+        libc.prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+        try:
+            yield
+        finally:
+            libc.prctl(_PR_SET_CHILD_SUBREAPER, before.value, 0, 0, 0)
+
+
+def _working_folder() -> str | None:
+    with suppress(OSError):  # it has been removed
+        return os.getcwd()
+    return None
+
+
+def _is_possible() -> bool:
+    if sys.platform != "linux" or not hasattr(os, "pidfd_open"):
+        return False
+    try:
+        os.close(os.pidfd_open(os.getpid()))
+    except OSError:  # a kernel before 5.3, or a container that forbids it
+        return False
+    return True

@@ -1,0 +1,99 @@
+"""The program of a fork server: it imports another program, and copies itself for each process that is asked for."""
+
+import ctypes
+import gc
+import importlib
+import json
+import os
+import socket
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+from typing import Any, Final, NoReturn
+
+from .descendants import VARIABLE
+
+_OF_PYTHONFMU: Final = (
+    "argparse", "ctypes", "datetime", "hashlib", "inspect", "logging", "tempfile", "uuid", "xml.dom.minidom",
+    "xml.etree.ElementTree", "zipfile",
+)  # fmt: skip
+"""Modules of the standard library that an FMU made by pythonfmu imports; nothing else of an FMU's is loaded here."""
+
+
+def main(control: str, program: str) -> NoReturn:
+    """Serve the process at the other end of a socket until that is closed.
+
+    A request has the mark and the working folder of a new process, and its standard input, channel and standard error;
+    the answer is its process id.
+    """
+    serve: Callable[[str], NoReturn] = importlib.import_module(program).main
+    for name in _OF_PYTHONFMU:
+        importlib.import_module(name)
+    place = _place_of_mark()
+    gc.freeze()  # a collection in a copy would copy every page
+    with socket.socket(fileno=int(control)) as requests:
+        while True:
+            order, descriptors, _, _ = socket.recv_fds(requests, 1 << 16, 3)
+            if not order:
+                os._exit(0)
+            mark, folder = json.loads(order)
+            requests.send(str(_copy(requests, serve, place, mark, folder, descriptors)).encode())
+            for descriptor in descriptors:
+                os.close(descriptor)
+
+
+def _copy(
+    requests: socket.socket,
+    serve: Callable[[str], NoReturn],
+    place: int,
+    mark: str,
+    folder: str | None,
+    descriptors: Sequence[int],
+) -> int:
+    """Return the process id of a copy, whose parent has ended: it is a child of the process that has asked for it."""
+    reading, writing = os.pipe()
+    if (parent := os.fork()) == 0:
+        try:
+            if (copy := os.fork()) == 0:
+                os.setpgid(0, 0)
+                os.close(reading)
+                os.close(writing)
+                requests.close()
+                _become(serve, place, mark, folder, *descriptors)
+            os.setpgid(copy, copy)  # both do: whichever comes first
+            os.write(writing, str(copy).encode())
+        finally:
+            os._exit(0)
+    os.close(writing)
+    try:
+        os.waitpid(parent, 0)
+        return int(os.read(reading, 64))
+    finally:
+        os.close(reading)
+
+
+def _become(
+    serve: Callable[[str], NoReturn], place: int, mark: str, folder: str | None, stdin: int, channel: int, stderr: int
+) -> NoReturn:
+    """Take over the standard streams, and serve."""
+    try:
+        os.dup2(stdin, 0)
+        os.dup2(stderr, 2)
+        os.close(stdin)
+        os.close(stderr)
+        ctypes.memmove(place, mark.encode(), len(mark))
+        os.environ[VARIABLE] = mark
+        if folder is not None:
+            os.chdir(folder)
+        serve(f"packet:{channel}")
+    except BaseException:
+        traceback.print_exc()
+        sys.stderr.flush()
+    os._exit(1)
+
+
+def _place_of_mark() -> int:
+    """Return the address of the mark that /proc shows of this process and of its copies."""
+    libc: Any = ctypes.CDLL(None)
+    libc.getenv.restype = ctypes.c_void_p
+    return int(libc.getenv(VARIABLE.encode()))

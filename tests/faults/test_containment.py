@@ -94,7 +94,8 @@ def test_a_scenario_can_set_what_a_slave_can_be_told():
     options = SimulationSettings(name="x", stop_time=1.0, macro_step=0.1).slave_options
     options["tolerance"] = ComponentSettings(fmu="x").tolerance
     parameters = dict(inspect.signature(open_slave).parameters)
-    del parameters["after_call"], parameters["is_checked"]  # a function, and a fact: no scenario gives them
+    for name in ("after_call", "is_checked", "unpacked_in"):  # a function, and facts: no scenario gives them
+        del parameters[name]
     assert options == {name: p.default for name, p in parameters.items() if p.kind is p.KEYWORD_ONLY}
 
 

@@ -5,7 +5,8 @@
 
 A fresh interpreter takes 60 ms to start and to import what serves an FMU; a copy of one that has done so, 3 ms. No FMU
 has been loaded where the copies come from, so that none finds anything of an earlier one. A copy is made twice over, so
-that the kernel hands it to this process: it is a child of ours, like one that we have started. Linux only.
+that the kernel hands it to this process: it is a child of ours, like one that we have started. It begins when it is
+told to, which follows once it is known here. Linux only.
 """
 
 import ctypes
@@ -19,11 +20,13 @@ import threading
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from typing import IO, Any, Final
+from io import RawIOBase
+from typing import Any, Final
 
 from ..channel import ChildEnd
 from .boot import boot_command
 from .descendants import VARIABLE
+from .fork_server_child import GO
 from .placement import same_addresses
 
 _START_TIMEOUT_S: Final = 60.0
@@ -115,14 +118,18 @@ class _ForkServer:
     def process(self, end: ChildEnd, mark: str, output: int) -> "ForkedProcess":
         """Return a copy of the server that serves the program. Raises OSError, ValueError."""
         theirs, ours = os.pipe()
+        lifeline = os.fdopen(ours, "wb", buffering=0)
         try:
             order = json.dumps([mark, _working_folder()]).encode()
             with _children_adopted():
                 socket.send_fds(self._socket, [order], [theirs, end.handle, output])
-                answer = self._socket.recv(64)
-            return ForkedProcess(int(answer), ours)
+                pid = int(self._socket.recv(64))
+            os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG | os.WNOWAIT)  # raises OSError if it is no child of ours
+            process = ForkedProcess(pid, lifeline)
+            lifeline.write(GO)
+            return process
         except BaseException:
-            os.close(ours)
+            lifeline.close()  # it ends then, and has not touched the channel
             raise
         finally:
             os.close(theirs)
@@ -136,10 +143,10 @@ class _ForkServer:
 class ForkedProcess:
     """A child process that a server has made, with the part of subprocess.Popen that is needed here."""
 
-    def __init__(self, pid: int, lifeline: int) -> None:
-        """lifeline: writing end of its standard input."""
+    def __init__(self, pid: int, stdin: RawIOBase) -> None:
+        """stdin: writing end of its standard input."""
         self.pid = pid
-        self.stdin: IO[bytes] | None = os.fdopen(lifeline, "wb")
+        self.stdin: RawIOBase | None = stdin
         self._code: int | None = None
 
     def wait(self, timeout: float | None = None) -> int:

@@ -9,10 +9,13 @@ import socket
 import sys
 import traceback
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any, Final, NoReturn
 
 from .descendants import VARIABLE
 
+GO: Final = b"g"
+"""Byte on its standard input that a copy waits for before it serves."""
 _OF_PYTHONFMU: Final = (
     "argparse", "ctypes", "datetime", "hashlib", "inspect", "logging", "tempfile", "uuid", "xml.dom.minidom",
     "xml.etree.ElementTree", "zipfile",
@@ -60,7 +63,8 @@ def _copy(
                 os.close(writing)
                 requests.close()
                 _become(serve, place, mark, folder, *descriptors)
-            os.setpgid(copy, copy)  # both do: whichever comes first
+            with suppress(OSError):  # both do, whichever comes first
+                os.setpgid(copy, copy)
             os.write(writing, str(copy).encode())
         finally:
             os._exit(0)
@@ -85,7 +89,9 @@ def _become(
         os.environ[VARIABLE] = mark
         if folder is not None:
             os.chdir(folder)
-        serve(f"packet:{channel}")
+        if os.read(0, len(GO)) == GO:
+            serve(f"packet:{channel}")
+        os._exit(0)  # whoever has asked for it does not know it
     except BaseException:
         traceback.print_exc()
         sys.stderr.flush()

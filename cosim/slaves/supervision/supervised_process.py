@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from io import RawIOBase
 from math import inf
 from time import perf_counter
 from typing import IO, Any, Protocol
@@ -117,7 +118,9 @@ class _Process(Protocol):
     """The part of subprocess.Popen that is needed here."""
 
     pid: int
-    stdin: IO[bytes] | None
+
+    @property
+    def stdin(self) -> IO[bytes] | RawIOBase | None: ...
 
     def wait(self, timeout: float | None = None) -> int: ...
     def kill(self) -> None: ...

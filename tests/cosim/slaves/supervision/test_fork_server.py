@@ -5,12 +5,14 @@ import signal
 import subprocess
 import sys
 import threading
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 
 from cosim.errors import SlaveError
 from cosim.slaves.slave import open_slave
+from cosim.slaves.supervision import fork_server
 from cosim.slaves.supervision.fork_server import forked_processes
 
 pytestmark = [pytest.mark.fmu, pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")]
@@ -134,6 +136,25 @@ def test_where_the_server_has_died_the_next_is_started_as_any_process(counting, 
         assert servers().isdisjoint({server})
 
 
+def test_a_copy_that_is_not_known_here_does_not_answer_in_the_place_of_the_next(counting, monkeypatch, children):
+    def unknown(pid, lifeline):
+        known.append(pid)
+        raise OSError("no such thing")
+
+    known = []
+    monkeypatch.setattr(fork_server, "ForkedProcess", unknown)
+    with forked_processes(), open_slave(counting, "a") as slave:
+        assert outputs_of(slave)["n"] == 1.0
+        assert os.waitstatus_to_exitcode(os.waitpid(known[0], 0)[1]) == 0
+
+
+def test_where_no_child_can_be_adopted_processes_are_started_as_any(counting, monkeypatch):
+    monkeypatch.setattr(fork_server, "_children_adopted", nullcontext)
+    with forked_processes(), open_slave(counting, "a") as slave:
+        outputs = outputs_of(slave)
+    assert (outputs["n"], outputs["parent"]) == (1.0, os.getpid())
+
+
 def test_orphans_of_other_programs_are_not_given_to_this_process(counting, children):
     """They go to the system's first process, which waits for them: here they would stay zombies."""
     with forked_processes(), open_slave(counting, "a") as slave:
@@ -170,6 +191,7 @@ def test_where_the_program_is_killed_server_and_fmus_end(counting, tmp_path, bec
     program = f"""
 import os, signal, sys
 from cosim.slaves.slave import open_slave
+from cosim.slaves.supervision import fork_server
 from cosim.slaves.supervision.fork_server import forked_processes
 with forked_processes(), open_slave({str(counting)!r}, "a") as slave:
     slave.bind(outputs=["n"])

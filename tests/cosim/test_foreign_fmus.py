@@ -118,6 +118,7 @@ def example(tmp_path_factory):
     return build
 
 
+@pytest.mark.full
 def test_the_rate_of_pythonfmu3_s_dahlquist_equation_is_found(example, workplace, called):
     """x' = -k x by explicit Euler steps of h: the FMU decays as exp(-0.7 t) where 1 - k h = exp(-0.7 h)."""
     t = np.arange(301) * STEP

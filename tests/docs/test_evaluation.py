@@ -39,6 +39,7 @@ def test_the_document_has_no_place_left_empty_and_its_pictures_are_there():
     assert all((ROOT / "docs" / name).read_bytes().startswith(b"\x89PNG") for name in pictures)
 
 
+@pytest.mark.full
 def test_a_number_that_no_file_has_is_an_error():
     assert "KeyError" in rendered(
         "import benchmarks.evaluation as e; e._value(['quadrotor', 'estimators', 'targte', 'ratio'])"

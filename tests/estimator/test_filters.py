@@ -166,6 +166,7 @@ def test_the_estimate_stays_inside_the_bounds():
     assert_allclose(estimate.theta[0], 5.0, atol=1e-3)
 
 
+@pytest.mark.full
 def test_it_does_not_wind_up_where_nothing_is_excited():
     """After 2000 empty samples a small one, of residual 0.01 at a row of 1e-3.
 

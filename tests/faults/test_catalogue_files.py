@@ -199,7 +199,12 @@ def is_told(unsound, tmp_path, command):
         yield check
 
 
-@pytest.mark.parametrize("row", CATALOGUE["archive"], ids=lambda row: repr(row["inject"]))
+LONG = {"too many": pytest.mark.full}
+
+
+@pytest.mark.parametrize(
+    "row", [pytest.param(r, id=repr(r["inject"]), marks=LONG.get(r["inject"], ())) for r in CATALOGUE["archive"]]
+)
 def test_archive(unsound, is_told, row):
     how = row["inject"]
     with ExitStack() as stack:

@@ -74,6 +74,7 @@ def large(compiled, tmp_path_factory) -> Path:
     return path
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     "arguments", [["info"], ["check"], ["doctor"], ["new", "-o", "large.toml", "--plant"]], ids=lambda a: a[0]
 )
@@ -94,6 +95,7 @@ def test_a_scenario_of_many_variables_is_checked(large, tmp_path, command):
     assert "algebraic loop" in out
 
 
+@pytest.mark.full
 def test_too_many_names_to_compare_are_refused(large, tmp_path, command):
     arguments = ("new", "--plant", large, "--controller", large, "-o", tmp_path / "new.toml")
     message = "retune: there are too many inputs and outputs to guess which belong together: 50000000 pairs.\n"

@@ -47,6 +47,7 @@ def column(result, *names):
 
 
 @fmu
+@pytest.mark.full_but("3")
 @pytest.mark.parametrize("kind", [2, 3, "me"])
 def test_the_descriptions_are_valid(built, kind):
     assert {name: validate_fmu(path) for name, path in built[kind].items()} == {name: [] for name in built[kind]}

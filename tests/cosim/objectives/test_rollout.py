@@ -268,6 +268,7 @@ def test_a_disturbance_is_looked_for_in_the_connected_inputs_alone(pendulum, mon
         assert disturbed.inputs[1] == 0.0
 
 
+@pytest.mark.full_but("auto")
 @pytest.mark.parametrize("way", ["auto", "measured"])
 def test_a_disturbance_does_not_keep_roll_outs_from_being_made_and_they_do_not_have_it(pendulum, way):
     """A changing force on the plant; the step that proves the saved state is repeated with the force of its time."""
@@ -604,6 +605,7 @@ def bare(axis, bare_axis):
     return write
 
 
+@pytest.mark.full_but("auto")
 @pytest.mark.parametrize("start", ["measured", "auto"])
 def test_roll_outs_begin_in_states_that_the_scenario_names_for_an_fmu_that_declares_none(bare, leaves_nothing, start):
     path = bare(start=start)

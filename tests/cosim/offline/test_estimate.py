@@ -126,6 +126,7 @@ def test_one_seed_gives_one_result_whatever_the_jobs(ask, oracles):
     assert [e[1] for e in first.evaluations] == [e[1] for e in second.evaluations]
 
 
+@pytest.mark.full
 def test_units_of_the_log_become_those_of_the_fmu(ask, oracles):
     columns = oracles.measure(4)
     scaled = {
@@ -158,6 +159,7 @@ def fleet(ask, oracles, tmp_path):
     return estimated
 
 
+@pytest.mark.full
 def test_a_parameter_has_a_value_of_its_own_in_each_log(fleet, tmp_path):
     """The others have one for both."""
     found = fleet()
@@ -191,6 +193,7 @@ def test_a_validation_log_is_held_out_as_a_whole(ask, oracles, tmp_path):
     assert found.rms(found.after, True) == pytest.approx([2e-3, 2e-3], rel=0.15)
 
 
+@pytest.mark.full
 def test_gaps_split_windows_that_start_from_the_log(ask, oracles):
     columns = oracles.measure(5, noise=1e-5)
     columns["force [N]"][300:340] = np.nan  # as lost in transmission
@@ -210,6 +213,7 @@ def test_without_start_columns_only_the_window_before_the_gap_is_used(ask, oracl
     assert np.abs(errors(found, oracles)).max() < 4.0
 
 
+@pytest.mark.full
 def test_repeated_time_stamps_are_told_and_the_last_row_counts(ask, oracles):
     columns = oracles.measure(6)
     twice = {name: np.insert(values, 200, 99.0) for name, values in columns.items()}
@@ -219,6 +223,7 @@ def test_repeated_time_stamps_are_told_and_the_last_row_counts(ask, oracles):
     assert found.fit.theta.tolist() == estimate(ask(columns)).fit.theta.tolist()
 
 
+@pytest.mark.full
 def test_a_log_is_not_touched(ask, oracles):
     columns = oracles.measure(6)
     columns["force [N]"][50] = np.nan
@@ -235,6 +240,7 @@ def test_a_window_is_simulated_from_its_own_start(ask, oracles):
     assert found.windows[0].time[[0, -1]] == pytest.approx([2.0, 4.0])
 
 
+@pytest.mark.full
 def test_a_start_value_can_be_estimated_too(ask, oracles):
     columns = oracles.measure(9, start=(-0.2, 0.4))
     found = estimate(ask(columns, parameters=(MASS, DAMPER, SPRING, Sought("x", -1, 1), Sought("v", -1, 1))))

@@ -204,6 +204,7 @@ def residue(result):
     return result[f"sampled.{DERIVATIVE}"] - result[DERIVATIVE]
 
 
+@pytest.mark.full
 def test_the_noise_is_white_and_as_large_as_the_scenario_says(pendulum):
     e = residue(run(pendulum(stop_time=8.0), "none", seed=1)) / 1e-3
     n = len(e)

@@ -40,9 +40,9 @@ def test_an_export_runs_as_the_scenario_does(called, workplace):
 @pytest.mark.parametrize(
     ("key", "value", "asks"),
     [
-        ("environment", '["*"]', "give its FMUs more of the environment"),
+        pytest.param("environment", '["*"]', "give its FMUs more of the environment", marks=pytest.mark.full),
         ("isolation", '"none"', "load its FMUs into retune's own process"),
-        ("most_components", "70", "start more FMUs than usual"),
+        pytest.param("most_components", "70", "start more FMUs than usual", marks=pytest.mark.full),
     ],
 )
 def test_a_package_cannot_ask_for_trust(called, package, workplace, key, value, asks):

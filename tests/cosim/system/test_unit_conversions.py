@@ -64,6 +64,7 @@ def written(tmp_path):
     return write
 
 
+@pytest.mark.full
 def test_a_reference_in_degrees_arrives_in_the_controllers_radians(written):
     in_degrees, in_radians = (run(written(table), "none") for table in (DEGREES, RADIANS))
     assert in_degrees["reference.phi_ref"][-1] == pytest.approx(57.29577951308232)  # recorded as it was given

@@ -15,12 +15,12 @@ import sys
 import threading
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
-from pathlib import Path
 from typing import Any, Final, NoReturn, ParamSpec, TypeVar
 
 from .. import former_names
 from ..blas_threads import ONE_THREAD
 from ..fmi.folder import PrivateFolder, folders_kept
+from ..slaves.boot import boot_command
 from ..slaves.channel import Channel, channel_pair, open_channel
 from ..slaves.supervision.fork_server import forked_processes
 from ..warnings_log import warnings_logged
@@ -28,15 +28,6 @@ from ..warnings_log import warnings_logged
 CLOSE_TIMEOUT_S: Final = 10.0
 """Time for an interrupted call to end its FMUs."""
 
-_BOOT: Final = """
-import sys
-root, channel, temporary, *path = sys.argv[1:]
-sys.path += [folder for folder in path if folder not in sys.path]
-sys.path.insert(0, root)
-from cosim.studies.processes import serve
-sys.path.remove(root)
-serve(channel, temporary)
-"""
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
@@ -91,17 +82,16 @@ class LocalProcesses(Executor):
 
 
 class _WorkerProcess:
-    """A process that makes one call after the other. `serve` ends when its standard input is closed."""
+    """A process that makes one call after the other. `main` ends when its standard input is closed."""
 
     def __init__(self) -> None:
-        root = str(Path(__file__).resolve().parents[2])
         self._temporary = PrivateFolder()  # an interrupt may come before FMUs clear up theirs
         temporary = self._temporary.path
         self._channel, theirs = channel_pair()
         group: dict[str, Any] = {} if sys.platform == "win32" else {"process_group": 0}  # Ctrl-C is not for it
         try:
             self._process = subprocess.Popen[bytes](
-                [sys.executable, "-P", "-c", _BOOT, root, theirs.argument, temporary, *filter(None, sys.path)],
+                boot_command(__name__, theirs.argument, temporary),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 env=os.environ | ONE_THREAD | dict.fromkeys(("TMPDIR", "TEMP", "TMP"), temporary),
@@ -148,7 +138,7 @@ class _WorkerProcess:
         self._temporary.remove()
 
 
-def serve(channel_argument: str, temporary: str) -> NoReturn:
+def main(channel_argument: str, temporary: str) -> NoReturn:
     """Make the calls that the parent requests, in a process of its own, until its standard input ends.
 
     temporary: the folder made for it and its calls, which it removes at the end: its parent may have ended.

@@ -23,8 +23,8 @@ from contextvars import ContextVar
 from io import RawIOBase
 from typing import Any, Final
 
+from ..boot import boot_command
 from ..channel import ChildEnd
-from .boot import boot_command
 from .descendants import VARIABLE
 from .fork_server_child import GO
 from .placement import same_addresses

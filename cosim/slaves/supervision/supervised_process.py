@@ -12,8 +12,8 @@ from time import perf_counter
 from typing import IO, Any, Protocol
 
 from ...blas_threads import ONE_THREAD
+from ..boot import boot_command
 from ..channel import ChildEnd
-from .boot import boot_command
 from .descendants import VARIABLE, end_marked, new_mark
 from .environment import passed_on
 from .fork_server import forked

@@ -21,5 +21,5 @@ main(*json.loads(arguments))
 
 def boot_command(program: str, *arguments: str) -> list[str]:
     """Return the command of a fresh interpreter that calls the main of a module of cosim with arguments."""
-    root = str(Path(__file__).resolve().parents[3])
+    root = str(Path(__file__).resolve().parents[2])
     return [sys.executable, "-u", "-P", "-c", _BOOT, json.dumps(arguments), root, program, *filter(None, sys.path)]

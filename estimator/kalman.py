@@ -6,7 +6,7 @@ import numpy as np
 
 from .contract import Estimate, scaled_estimate
 from .identifiability import IDENTIFIABLE_BELOW, information_of_covariance
-from .linearisation import EnsemblePoints, Normal, SigmaPoints, after_episode, ensemble, root_of, updated
+from .linearisation import EnsemblePoints, Normal, Points, Reached, SigmaPoints, ensemble, iterated, root_of, updated
 from .objective import Objective
 from .positive import must_be_positive
 from .space import ParameterSpace, Vector
@@ -60,7 +60,7 @@ class UnscentedKalman:
         """Process the newest sample, or an episode's. One sample at which a sigma point has no value is left out."""
         d, settings = len(self._space), self._settings
         if not objective.has_samples:
-            self._now, self._cost = after_episode(
+            self._now, self._cost = _after_episode(
                 self._now.mean, SigmaPoints(d), settings.spread, settings.jump, objective, self._space
             )
         else:
@@ -134,7 +134,7 @@ class EnsembleKalman:
             self._take(objective)
         else:
             points = EnsemblePoints(ensemble(max(settings.members_of_episode, d + 2), d, self._rng))
-            self._now, self._cost = after_episode(
+            self._now, self._cost = _after_episode(
                 self._now.mean, points, settings.spread, settings.jump, objective, self._space
             )
         self._n_evaluations += objective.n_evaluations
@@ -164,6 +164,17 @@ def ensemble_noise(n: int, c: int, rng: np.random.Generator) -> Vector:
     """Return noise (n, c) of the measurements, of mean zero: the mean of the members is not moved by it."""
     drawn = rng.standard_normal((n, c))
     return drawn - drawn.mean(axis=0)
+
+
+def _after_episode(
+    mean: Vector, points: Points, spread: float, jump: float, objective: Objective, space: ParameterSpace
+) -> Reached:
+    """Return what an episode makes of parameters in force at a mean (d,), which may have jumped when it began.
+
+    spread, jump: standard deviations in the unit cube over which residuals are linearised first, and of the jump.
+    """
+    one = np.eye(len(space))
+    return iterated(Normal(mean, jump * one), Normal(mean, spread * one), points, objective, space)
 
 
 def _below(identifiable_below: float, spread: float) -> float:

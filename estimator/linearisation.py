@@ -166,17 +166,6 @@ class _Trial(NamedTuple):
     """Sum of squares of residuals and of the distance from the prior's mean."""
 
 
-def after_episode(
-    mean: Vector, points: Points, spread: float, jump: float, objective: Objective, space: ParameterSpace
-) -> Reached:
-    """Return what an episode makes of parameters in force at a mean (d,), which may have jumped when it began.
-
-    spread, jump: standard deviations in the unit cube over which residuals are linearised first, and of the jump.
-    """
-    one = np.eye(len(space))
-    return iterated(Normal(mean, jump * one), Normal(mean, spread * one), points, objective, space)
-
-
 def iterated(prior: Normal, first: Normal, points: Points, objective: Objective, space: ParameterSpace) -> Reached:
     """Return what the samples of an episode make of a prior, within the objective's evaluations.
 

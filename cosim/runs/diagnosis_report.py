@@ -1,12 +1,12 @@
 """Lines of the report on what the diagnosis found: the residuals' size, disturbances, searches in vain, and rests."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 
 from ..text_table import counted
-from .recorded_events import RecordedEvent, read_events
+from .recorded_events import RecordedEvent
 from .result import Run, Series
 
 _WORSE: Final = 1.5
@@ -23,11 +23,10 @@ _SAVING: Final = (
 )
 
 
-def diagnosis_report(run: Run) -> list[str]:
+def diagnosis_report(run: Run, events: Sequence[RecordedEvent]) -> list[str]:
     """Return lines on what a run's diagnosis found, and on why nothing was re-tuned."""
     if not run.diagnosis:
         return []
-    events = read_events(run.folder) if run.folder else []
     is_own_model = run.objective.startswith("roll-outs") and run.scenario.estimation.rollout.fmu is None
     lines = diagnosed(run.diagnosis, _OF_THE_PLANT if is_own_model else _OF_A_MODEL)
     lines += [_rest(run, e) for e in events if e.get("kind") == "rest" and e.get("n_samples", 0) > 0] or resting(

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..text_table import aligned, counted, with_std
 from .diagnosis_report import diagnosis_report
-from .recorded_events import read_events
+from .recorded_events import RecordedEvent, read_events
 from .result import Run
 
 _ROLES = {"none": "nominal controller", "true": "true parameters (floor)"}
@@ -20,6 +20,7 @@ def report(run: Run, baselines: Mapping[str, Run]) -> str:
     duration = float(run.time[-1]) - scenario.start_time if len(run.time) else 0.0
     pace = f" in {run.wall:.1f} s, {duration / run.wall:.1f} times real time" if run.wall > 0.0 else " so far"
     judged = [f"candidates judged by {run.objective}"] if run.objective else []
+    events = read_events(run.folder) if run.folder else []
     blocks = [
         [
             title,
@@ -30,8 +31,8 @@ def report(run: Run, baselines: Mapping[str, Run]) -> str:
         _parameters(run),
         _final_estimate(run),
         _latency(run),
-        _oversight(run),
-        diagnosis_report(run),
+        _oversight(run, events),
+        diagnosis_report(run, events),
         [f"run folder {run.folder}"] if run.folder else [],
     ]
     return "\n\n".join("\n".join(block) for block in blocks if block)
@@ -90,7 +91,7 @@ def _latency(run: Run) -> list[str]:
     ]
 
 
-def _oversight(run: Run) -> list[str]:
+def _oversight(run: Run, events: Sequence[RecordedEvent]) -> list[str]:
     """Return lines on writes, vetoes and reverts of the guard, and on samples that were kept out."""
     lines: list[str] = []
     if guard := run.guard:
@@ -101,7 +102,7 @@ def _oversight(run: Run) -> list[str]:
         lines.append(
             f"guard: {', '.join(counts)}{stop}{f'; the loop was not simulated ahead: {blind}' if blind else ''}"
         )
-        vetoes = [e for e in (read_events(run.folder) if run.folder else []) if e.get("kind") == "veto"]
+        vetoes = [e for e in events if e.get("kind") == "veto"]
         if vetoes:
             lines.append(f"the last veto, at t = {vetoes[-1]['t']:g} s: {vetoes[-1].get('reason', '')}")
     return lines + screened(run.observations)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from cosim.runs.diagnosis_report import diagnosed, diagnosis_report, resting
+from cosim.runs.recorded_events import read_events
 from cosim.runs.simulation import run
 from cosim.scenarios.scenario import Scenario
 
@@ -48,7 +49,8 @@ SHORT = {
 
 
 def noted(run):
-    return [line for line in diagnosis_report(run) if line.startswith(("nothing", "the declared", "re-tuning rested"))]
+    lines = diagnosis_report(run, read_events(run.folder) if run.folder else [])
+    return [line for line in lines if line.startswith(("nothing", "the declared", "re-tuning rested"))]
 
 
 @pytest.mark.full

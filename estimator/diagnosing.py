@@ -114,8 +114,8 @@ class DiagnosingRetuner(_Counting):
     def step(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
         """Take one communication point's sample, where there is one; return what to write, and why."""
         proposal = self._proposal(t, sample, tracking_error, held)
-        evidence = self._diagnosis.evidence.events(t)
-        return replace(proposal, events=(*proposal.events, *evidence)) if evidence else proposal
+        events = self._diagnosis.evidence.events(t)
+        return replace(proposal, events=(*proposal.events, *events)) if events else proposal
 
     def _proposal(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
         diagnosis = self._diagnosis

@@ -42,6 +42,7 @@ from .hypotheses import (
     plain_fit,
 )
 from .residual_scale import ResidualScale, spread_of
+from .resting import NEWEST, RestingResiduals
 from .samples import DerivativeResidual, Sample
 from .significance import chi2_limit
 from .space import ParameterSpace, Vector
@@ -180,6 +181,8 @@ class Diagnosis:
         declared = self._declared(held, self.corrected(sample))
         if state.is_resting.any():
             state.rested.append(self._declared(held, sample) - state.offset)
+            state.resting = state.resting.take(np.where(state.is_resting, state.rested[-1], 0.0))
+            has_woken |= self._wake_early()
         missing = int(np.count_nonzero(state.is_resting | np.isnan(sample.xdot)))
         is_contradictory = not self._is_usual(declared / state.scale.values, len(declared) - missing)
         self._keep(sample)
@@ -572,6 +575,7 @@ class Diagnosis:
         state.rests_until = np.where(channels, state.n_samples + length, state.rests_until)
         state.is_resting = state.is_resting | channels
         state.rested.clear()
+        state.resting = RestingResiduals()
         state.counts["rest"] += 1
         names = self._of(channels)
         reason = f"{state.n_failures} searches in vain: {', '.join(names)} left out for {length} samples"
@@ -587,6 +591,21 @@ class Diagnosis:
         state.n_since = 0
         rested = np.array(state.rested).reshape(-1, len(over))
         state.scale.wake(np.where(over, rested[np.isfinite(rested).all(axis=1)], 0.0))
+        return True
+
+    def _wake_early(self) -> bool:
+        """End all rests where something has happened meanwhile; return whether it has.
+
+        What the residuals were until then is what the model lacks.
+        """
+        state = self._state
+        if not state.resting.is_outgrown:
+            return False
+        self.evidence.outgrown(self._names, state.resting)
+        usual = np.where(state.is_resting, np.array(state.rested[:-NEWEST]), 0.0)
+        state.scale.admit(usual[np.isfinite(usual).all(axis=1)])
+        state.is_resting = np.zeros_like(state.is_resting)
+        state.n_since = 0
         return True
 
     def _keep(self, sample: Sample) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from .diagnosis_settings import KINDS, Judgement
 from .residual_scale import ResidualScale
+from .resting import RestingResiduals
 from .samples import Sample
 from .space import Vector
 from .wandering import Findings, Way
@@ -46,6 +47,8 @@ class DiagnosisState:
     """The newest disturbances with their times [s] and sizes; replaced, never changed."""
     rested: list[Vector] = field(default_factory=list[Vector])
     """Residuals (c,) at the parameters in force since the first channel rests."""
+    resting: RestingResiduals = field(default_factory=RestingResiduals)
+    """Their sizes since the last rest began."""
     n_samples: int = 0
     n_since: int = 0
     """Number of samples since the onset of the suspicion; 0 while quiet."""

@@ -29,6 +29,7 @@ from .evidence import Evidence
 from .hypotheses import NEVER, Fit, Weighing, changed_parameters, plain_fit
 from .objective import DIFFERENCE_STEP
 from .residual_scale import ResidualScale
+from .resting import NEWEST, RestingResiduals
 from .samples import Sample
 from .significance import chi2_limit
 from .space import ParameterSpace, Vector
@@ -56,6 +57,7 @@ class _State:
     named: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
     """The newest disturbances with their times [s] and sizes; replaced, never changed."""
     rested: deque[Vector] = field(default_factory=lambda: deque[Vector](maxlen=200))
+    resting: RestingResiduals = field(default_factory=RestingResiduals)
 
 
 @dataclass(frozen=True)
@@ -133,7 +135,8 @@ class EpisodeDiagnosis:
         if state.n_samples < state.rests_until:
             if np.all(np.isfinite(newest)):
                 state.rested.append(newest)
-            if state.n_samples == state.rests_until - 1 and state.scale.wake(np.array(state.rested)):
+                state.resting = state.resting.take(newest)
+            if self._is_rest_over():
                 self._window.weights = 1.0 / state.scale.effective
             return None
         if self._window.is_extended:
@@ -221,8 +224,18 @@ class EpisodeDiagnosis:
         length = self._settings.rest_length(state.n_failures)
         state.rests_until = state.n_samples + length
         state.rested.clear()
+        state.resting = RestingResiduals()
         reason = f"{state.n_failures} searches in vain: re-tuning rests for {length} samples"
         return event, Event(t, "rest", {"channels": list(self._outputs), "n_samples": length, "reason": reason})
+
+    def _is_rest_over(self) -> bool:
+        """Return whether a rest ends with another scale of the residuals; early where something has happened."""
+        state = self._state
+        if state.resting.is_outgrown:
+            self.evidence.outgrown(self._outputs, state.resting)
+            state.rests_until = state.n_samples
+            return state.scale.admit(np.array(state.rested)[:-NEWEST])
+        return state.n_samples == state.rests_until - 1 and state.scale.wake(np.array(state.rested))
 
     def wait(self) -> bool:
         """Wait for more samples, on which the next episode begins; return False where there are many already."""

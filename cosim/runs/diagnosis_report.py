@@ -29,9 +29,8 @@ def diagnosis_report(run: Run, events: Sequence[RecordedEvent]) -> list[str]:
         return []
     is_own_model = run.objective.startswith("roll-outs") and run.scenario.estimation.rollout.fmu is None
     lines = diagnosed(run.diagnosis, _OF_THE_PLANT if is_own_model else _OF_A_MODEL)
-    lines += [_rest(run, e) for e in events if e.get("kind") == "rest" and e.get("n_samples", 0) > 0] or resting(
-        run.diagnosis
-    )
+    rests = [e for e in events if e.get("kind") == "rest" and "n_samples" in e]
+    lines += [_rest(run, e, rests) for e in rests if e["n_samples"] > 0] or resting(run.diagnosis)
     if "again from the start" in run.objective and (run.diagnosis["unexplained"] or run.diagnosis.get("rest")):
         lines.append(f"after a change, roll-outs from the start begin in a wrong state for some time; {_SAVING}")
     return [*lines, *_untriggered(run)]
@@ -72,11 +71,17 @@ def resting(found: Mapping[str, Any]) -> list[str]:
     return [f"re-tuning rests at the end: {', '.join(names)} left out"] if names else []
 
 
-def _rest(run: Run, event: RecordedEvent) -> str:
-    """Return a line on a rest, with what changed meanwhile and so was not seen."""
+def _rest(run: Run, event: RecordedEvent, rests: Sequence[RecordedEvent]) -> str:
+    """Return a line on a rest, with what changed meanwhile and so was not seen.
+
+    rests: events of all rests; one of no samples ends the rest before it.
+    """
     n, begin, is_sampled = event["n_samples"], event["t"], run.series.get("filtered.time", run.time)
     later = run.time[np.isfinite(is_sampled) & (run.time > begin)]
     end = float(later[n - 1]) if n <= len(later) else None
+    over = next((e["t"] for e in rests if e["n_samples"] == 0 and e["t"] > begin), None)
+    if over is not None and (end is None or over < end):
+        return f"re-tuning rested from t = {begin:g} s until t = {over:g} s, when more was unexplained than ever before"
     missed = [
         f"{name} at t = {run.time[k]:g} s"
         for name, values in run.true_parameters.items()

@@ -427,6 +427,25 @@ def test_after_a_rest_changed_parameters_are_found_again():
     assert near(run.held, CHANGED)
 
 
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@SEARCHES
+def test_a_change_far_larger_than_what_the_model_lacks_ends_the_rest_and_is_found(estimator, seed):
+    """The model lacks a sine of six standard deviations; the change is ten times as large, two samples in three."""
+    run = Run(estimator, 3, seed=seed).go(100)
+
+    def small_sine(_):
+        return 6.0 * SIGMA * np.sin(0.3 * run.k)
+
+    while not run.diagnosis.is_resting:
+        run.go(1, TRUE, small_sine)
+        assert run.k < 400
+    run.go(100, TRUE, small_sine)
+    assert run.diagnosis.is_resting
+    run.go(60, CHANGED, small_sine)
+    assert [event.detail["n_samples"] for _, event in run.of("rest")][-1] == 0
+    assert near(run.held, CHANGED, 0.05)
+
+
 def test_only_the_channel_that_nothing_explains_rests():
     run = Run("least-squares", 3).go(100).go(80, TRUE, lambda i: np.array([0.0, 0.0, 1.0]) * sine(i))
     ((_, event),) = run.of("rest")

@@ -87,6 +87,10 @@ def test_a_rest_is_told_with_its_end_and_with_what_changed_in_it(tmp_path):
         event = {"t": t, "kind": "rest", "channels": ["plant.der(phi_dot)"], "n_samples": n, "reason": "in vain"}
         (tmp_path / "run" / "events.jsonl").write_text(json.dumps(event) + "\n")
         assert noted(result) == ([line] if line else [])
+    events = [event | {"t": 0.3, "n_samples": 40}, event | {"t": 0.55, "n_samples": 0}]
+    (tmp_path / "run" / "events.jsonl").write_text("".join(json.dumps(e) + "\n" for e in events))
+    until = "until t = 0.55 s, when more was unexplained than ever before"
+    assert noted(result) == [f"re-tuning rested from t = 0.3 s {until}"]
 
 
 def test_of_the_plant_s_own_fmu_it_is_not_said_that_the_model_lacks_something():

@@ -65,5 +65,5 @@ def test_a_comparison_is_made_of_the_runs_of_a_study_and_what_has_none_stays(tmp
 def test_the_kept_files_are_small():
     kept = [*(ROOT / "docs" / "evaluation").rglob("*.json"), *report.RESULTS.glob("*.json")]
     assert kept
-    # A row for each case of the guard, estimator and objective: 480 of 280 bytes in all.
-    assert sum(path.stat().st_size for path in kept) <= 300_000
+    # Half of it are the guard's: a row for each case, estimator and objective, 542 of 280 bytes.
+    assert sum(path.stat().st_size for path in kept) <= 350_000

@@ -265,7 +265,7 @@ class Lookahead:
         return process
 
     def _kept(self) -> dict[str, str]:
-        """Return folders that FMUs have been unpacked into in an earlier run of this process, where they are kept."""
+        """Return a folder for each FMU that it is unpacked into, where such folders are kept from run to run."""
         if (kept := kept_folders()) is None:
             return {}
         folders: dict[str, str] = {}

@@ -167,3 +167,12 @@ class Solver(Estimator, Protocol):
     def solve(self, objective: Objective) -> None:
         """Update the estimate with the present samples."""
         ...
+
+
+@runtime_checkable
+class Jumping(Solver, Protocol):
+    """Filter that can go on from other parameters with what is known of them, as after a jump of the plant's."""
+
+    def jump(self, estimate: Estimate) -> None:
+        """Go on from an estimate that has its information."""
+        ...

@@ -144,11 +144,11 @@ class DiagnosingRetuner(_Counting):
 
     def _judged(self, t: float, proposal: Proposal, held: Vector) -> Proposal:
         """Return the proposal as far as it is warranted."""
-        diagnosis, theta = self._diagnosis, proposal.theta
+        diagnosis, verdict = self._diagnosis, self._verdict(proposal, held)
+        if proposal.estimate is not None and diagnosis.lags(proposal.estimate.theta):
+            proposal, verdict = self._jumped(proposal, verdict, held)
+        theta = proposal.theta
         best = None if proposal.estimate is None else proposal.estimate.theta
-        verdict: Judgement = "refuted" if best is None else diagnosis.judge(best if theta is None else theta, held)
-        if proposal.estimate is not None and theta is not None:
-            verdict = "refuted" if diagnosis.is_at_unseen_bound(theta, proposal.estimate.std, held) else verdict
         if verdict == "warranted" and theta is not None:
             self._warranted = theta.tobytes()
         has_ended = any(event.kind == "end" for event in proposal.events)
@@ -173,6 +173,29 @@ class DiagnosingRetuner(_Counting):
         return (
             replace(proposal, possible_disturbance=diagnosis.disturbance(held)) if verdict == "possible" else proposal
         )
+
+    def _verdict(self, proposal: Proposal, held: Vector) -> Judgement:
+        """Return whether the parameters of a proposal, or those that it leaves in force, are warranted."""
+        if proposal.estimate is None:
+            return "refuted"
+        diagnosis, theta = self._diagnosis, proposal.theta
+        verdict = diagnosis.judge(proposal.estimate.theta if theta is None else theta, held)
+        is_at_bound = theta is not None and diagnosis.is_at_unseen_bound(theta, proposal.estimate.std, held)
+        return "refuted" if is_at_bound else verdict
+
+    def _jumped(self, proposal: Proposal, verdict: Judgement, held: Vector) -> tuple[Proposal, Judgement]:
+        """Return a proposal that lags behind a jump of the plant's parameters after it has caught up, where it can.
+
+        A filter's own parameters are not written where no parameters explain more than can always be explained.
+        """
+        jump = self._diagnosis.jump(held, is_filter=self._is_endless)
+        if jump is None:
+            return proposal, "refuted" if self._is_endless and not self._diagnosis.is_tested else verdict
+        if self._is_endless:
+            self._retuner.jump(jump)
+        theta = None if np.array_equal(jump.theta, held) else jump.theta
+        proposal = replace(proposal, theta=theta, estimate=jump)
+        return proposal, self._verdict(proposal, held)
 
     def _ended(
         self, t: float, proposal: Proposal, before: Vector | None, held: Vector, events: tuple[Event, ...]

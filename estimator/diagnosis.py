@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from .contract import Estimate
 from .diagnosis_settings import (
     BETTER,
     FORGOTTEN,
@@ -41,6 +42,7 @@ from .hypotheses import (
     n_channels_of,
     plain_fit,
 )
+from .jump import jump_to
 from .residual_scale import ResidualScale, spread_of
 from .resting import NEWEST, RestingResiduals
 from .samples import DerivativeResidual, Sample
@@ -315,6 +317,29 @@ class Diagnosis:
         if plain_fit(now, 0).is_explained or np.sum(now**2) < BETTER * np.sum(self._rows(held, 1) ** 2):
             return state.verdict
         return "refuted"
+
+    def lags(self, theta: Vector) -> bool:
+        """Return whether an estimate theta (d,) does not explain the newest samples, which other parameters may."""
+        state = self._state
+        if not state.n_since or state.verdict == "refuted":
+            return False
+        return not plain_fit(self._rows(theta, min(state.n_explained, _FEWEST)), 0).is_explained
+
+    def jump(self, held: Vector, *, is_filter: bool) -> Estimate | None:
+        """Return the parameters that explain the samples since the onset and are determined by them; None without such.
+
+        A filter can go on from parameters that only the newest samples explain, and that they do not determine, too.
+        """
+        state = self._state
+        z = self._space.to_unit(held if state.reference is None else state.reference)
+        lengths = (state.n_since, state.n_explained) if is_filter else (state.n_since,)
+        found = jump_to(self._rows_at, dict.fromkeys(lengths), z, self._space)
+        return found if found is None or is_filter or all(found.is_identifiable) else None
+
+    @property
+    def is_tested(self) -> bool:
+        """True where the hypothesis of changed parameters has been proven, or could have been refuted."""
+        return self._state.verdict == "warranted" or self._state.n_spare > 0
 
     def is_at_unseen_bound(self, theta: Vector, std: Vector, held: Vector) -> bool:
         """Return whether a parameter would move to a bound although its standard deviation is as wide as the bounds.

@@ -155,13 +155,20 @@ class ChangedParameters:
 
 
 def changed_parameters(
-    rows_at: Callable[[Vector], Vector], z: Vector, *, iterations: int = 30, step: float = 1e-6, may_drift: bool = True
+    rows_at: Callable[[Vector], Vector],
+    z: Vector,
+    *,
+    iterations: int = 30,
+    step: float = 1e-6,
+    may_drift: bool = True,
+    beyond: float = _BEYOND,
 ) -> ChangedParameters:
     """Return the parameters that explain residuals rows_at(z) (n, c) best, by damped Gauss-Newton steps from z (d,).
 
     Each step is the best of many dampings (Levenberg 1944); parameters at the end of their range stay there.
     Columns of zeros count as missing. step: of differences. may_drift: parameters that change in time are a straight
-    line through the best constant ones, to first order; rows are in the order of time then.
+    line through the best constant ones, to first order; rows are in the order of time then. beyond: share of the
+    scaled bounds by which they may lie outside of them.
     """
     rows = rows_at(z)
     jacobian = np.zeros((rows.size, len(z)))
@@ -170,7 +177,7 @@ def changed_parameters(
         if not np.all(np.isfinite(jacobian)):
             break
         now = float(np.sum(rows**2))
-        better = _better(rows_at, _damped_steps(jacobian, rows.reshape(-1), z), now)
+        better = _better(rows_at, _damped_steps(jacobian, rows.reshape(-1), z, beyond), now)
         if better is None:
             break
         z, rows = better
@@ -193,16 +200,16 @@ def changed_parameters(
     return ChangedParameters(z, rows, line, float(np.abs(moves[d:]).max()) * 2.0 / (n - 1))
 
 
-def _damped_steps(jacobian: Vector, r: Vector, z: Vector) -> Vector:
+def _damped_steps(jacobian: Vector, r: Vector, z: Vector, beyond: float) -> Vector:
     """Return the places (k, d) that damped Gauss-Newton steps from z (d,) lead to."""
     slope = jacobian.T @ r
-    is_stuck = ((z <= -_BEYOND) & (slope > 0.0)) | ((z >= 1.0 + _BEYOND) & (slope < 0.0))
+    is_stuck = ((z <= -beyond) & (slope > 0.0)) | ((z >= 1.0 + beyond) & (slope < 0.0))
     u, s, vt = np.linalg.svd(np.where(is_stuck, 0.0, jacobian), full_matrices=False)
     squares = s**2 + (_DAMPINGS[:, None] * s[0]) ** 2
     gains = np.divide(s, squares, out=np.zeros(squares.shape), where=(s > _SINGULAR * s[0]) & (squares > 0.0))
     moves = -(gains * (u.T @ r)) @ vt
     longest = np.maximum(np.abs(moves).max(axis=1, keepdims=True), 1e-300)
-    return np.clip(z + moves * np.minimum(1.0, _LONGEST / longest), -_BEYOND, 1.0 + _BEYOND)
+    return np.clip(z + moves * np.minimum(1.0, _LONGEST / longest), -beyond, 1.0 + beyond)
 
 
 def _better(rows_at: Callable[[Vector], Vector], places: Vector, squares: float) -> tuple[Vector, Vector] | None:

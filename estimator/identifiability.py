@@ -39,6 +39,11 @@ class Information:
         s = np.where(self.singular_values > 1e-7 * self.singular_values[0], self.singular_values, np.inf)
         return -self.directions.T @ (self.directions @ slope / (s * s))
 
+    def covariance(self, spread: float) -> Vector:
+        """Return the covariance (d, d) of z, whose standard deviation is `spread` in any direction without the data."""
+        variances = 1.0 / (self.singular_values**2 + spread**-2)
+        return (self.directions.T * variances) @ self.directions
+
     def std(self) -> Vector:
         """Return the standard deviation of each z (d,), at most 1: the bounds hold whatever the data."""
         variance = np.sum((self.directions / np.maximum(self.singular_values, 1e-12)[:, None]) ** 2, axis=0)

@@ -56,6 +56,10 @@ class UnscentedKalman:
         self._now, self._begun = Normal(z, np.eye(len(z))), False
         self._cost, self._n_evaluations = np.inf, 0
 
+    def jump(self, estimate: Estimate) -> None:
+        """Go on from an estimate that has its information."""
+        self._now, self._begun = _after_jump(estimate, self._space, self._settings.spread), True
+
     def solve(self, objective: Objective) -> None:
         """Process the newest sample, or an episode's. One sample at which a sigma point has no value is left out."""
         d, settings = len(self._space), self._settings
@@ -124,6 +128,12 @@ class EnsembleKalman:
         self._now, self._members = Normal(z, np.eye(len(z))), np.empty((0, len(z)))
         self._cost, self._n_evaluations = np.inf, 0
 
+    def jump(self, estimate: Estimate) -> None:
+        """Go on from an estimate that has its information."""
+        self._now = _after_jump(estimate, self._space, self._settings.spread)
+        d = len(self._space)
+        self._members = self._now.places(ensemble(max(self._settings.members, d + 2), d, self._rng))
+
     def solve(self, objective: Objective) -> None:
         """Process the newest sample, or an episode's. One sample at which a member has no value is left out."""
         d, settings = len(self._space), self._settings
@@ -175,6 +185,12 @@ def _after_episode(
     """
     one = np.eye(len(space))
     return iterated(Normal(mean, jump * one), Normal(mean, spread * one), points, objective, space)
+
+
+def _after_jump(estimate: Estimate, space: ParameterSpace, spread: float) -> Normal:
+    """Return the distribution after a jump to an estimate; spread: standard deviation where the data say nothing."""
+    assert estimate.information is not None
+    return Normal(space.to_unit(estimate.theta), root_of(estimate.information.covariance(spread)))
 
 
 def _below(identifiable_below: float, spread: float) -> float:

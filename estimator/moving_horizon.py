@@ -106,6 +106,13 @@ class MovingHorizon:
         self._now, self._steps = self._arrival, tuple[_Step, ...]()
         self._cost, self._n_evaluations = np.inf, 0
 
+    def jump(self, estimate: Estimate) -> None:
+        """Go on from an estimate that has its information."""
+        assert estimate.information is not None
+        covariance = estimate.information.covariance(self._settings.spread)
+        self._arrival = _Belief(self._space.to_unit(estimate.theta), covariance)
+        self._now, self._steps = self._arrival, ()
+
     def solve(self, objective: Objective) -> None:
         """Take the newest sample, or an episode's. One sample at which the model has no value is left out."""
         if not objective.has_samples:

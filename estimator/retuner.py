@@ -14,7 +14,7 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from .arrival_cost import ArrivalCost
-from .contract import AskTell, Batching, Converging, Estimate, Following, NoEstimateError, Rescoring, Solver
+from .contract import AskTell, Batching, Converging, Estimate, Following, Jumping, NoEstimateError, Rescoring, Solver
 from .events import Event
 from .objective import LinearForm, Objective, Window
 from .samples import Sample
@@ -171,6 +171,13 @@ class Retuner:
         if self._following is not None:
             self._following.recall(self._before, held)
         self.forget()
+
+    def jump(self, estimate: Estimate) -> None:
+        """Let a filter go on from an estimate, as after a jump of the plant's parameters."""
+        if isinstance(self._estimator, Jumping):
+            self._estimator.jump(estimate)
+        else:
+            self._estimator.restart(estimate.theta)
 
     def reverted(self, theta: Vector) -> None:
         """Take a return to earlier parameters theta (d,): what the filter knows is doubtful."""

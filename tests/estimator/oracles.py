@@ -470,6 +470,14 @@ def check_std_of_what_is_not_seen_is_the_whole_cube(identifiability):
     assert_allclose(identifiability.information(np.diag([2.0, 0.5])).std(), [0.5, 1.0])
 
 
+def check_covariance_with_a_prior_is_that_of_the_normal_equations(identifiability):
+    rng = np.random.default_rng(5)
+    for n in (1, 2, 5):
+        X = 30.0 * rng.normal(size=(n, 3))
+        expected = np.linalg.inv(X.T @ X + np.eye(3) / 0.05**2)
+        assert_allclose(identifiability.information(X).covariance(0.05), expected, rtol=1e-9, atol=1e-15)
+
+
 def projector(seen, change, n_std):
     """On the significant directions, from their rows."""
     rows = seen.significant(change, n_std)

@@ -19,6 +19,10 @@ def test_what_the_data_do_not_see_is_known_to_the_bounds(oracles):
     oracles.check_std_of_what_is_not_seen_is_the_whole_cube(identifiability)
 
 
+def test_covariance_with_a_prior_is_that_of_the_normal_equations(oracles):
+    oracles.check_covariance_with_a_prior_is_that_of_the_normal_equations(identifiability)
+
+
 def test_significant_directions_by_hand(oracles):
     oracles.check_significant_directions_by_hand(identifiability)
 

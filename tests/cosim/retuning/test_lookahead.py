@@ -215,7 +215,7 @@ def test_an_fmu_that_cannot_save_its_state_although_it_says_so_is_not_rolled_ahe
     events = (tmp_path / "run" / "events.jsonl").read_text().splitlines()
     vetoes = [line for line in events if '"veto"' in line]
     # Nothing is vetoed for want of a prediction, but where a disturbance may act as well.
-    assert result.guard["vetoed"] == len(vetoes) <= 2
+    assert result.guard["vetoed"] == len(vetoes)
     assert all("a disturbance explains the samples as well" in v for v in vetoes)
     lines = [line for line in events if '"guard"' in line]
     assert len(lines) == 1

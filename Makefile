@@ -29,6 +29,7 @@ experiments: $(VENV)/.test
 evaluation: $(VENV)/.test
 	mkdir -p $(RAW) && rm -rf $(RAW)/figures
 	$(BIN)/retune study benchmarks/studies/evaluation.toml --jobs 2 --out $(RAW)/evaluation
+	$(BIN)/retune study benchmarks/studies/paper.toml --jobs 2 --out $(RAW)/paper
 	$(BIN)/python -m benchmarks.frozen quadrotor --at 5.0 --window 10 --stride 5 --evaluations 30 --seeds 20 \
 		--estimators target least-squares closed-form bo-scalar --out $(RAW)/frozen-quadrotor.json
 	$(BIN)/python -m benchmarks.frozen stiction --at 4.0 --window 100 --evaluations 30 45 60 120 --seeds 20 \
@@ -36,7 +37,7 @@ evaluation: $(VENV)/.test
 	$(BIN)/python -m benchmarks.frozen rigid-body --at 2.6 --window 10 --stride 5 --evaluations 30 45 60 100 --seeds 20 \
 		--estimators target least-squares multi-start bo-scalar --out $(RAW)/frozen-rigid-body.json
 	$(BIN)/retune figures --jobs 1 --out $(RAW)/figures
-	$(BIN)/python -m benchmarks.evaluation $(RAW)/evaluation
+	$(BIN)/python -m benchmarks.evaluation $(RAW)
 	$(BIN)/retune study benchmarks/studies/coverage.toml --out $(RAW)/coverage
 	$(BIN)/python -m benchmarks.coverage $(RAW)/coverage --frozen pendulum quadrotor stiction rigid-body
 	for name in guard guard-filtered guard-roll-outs; do \

@@ -1,12 +1,12 @@
 """The figures of docs/evaluation.md: keeps what the document shows of the runs, and puts that into the prose.
 
-    python -m benchmarks.evaluation FOLDER      # of studies/evaluation.toml -> docs/evaluation/, docs/evaluation.md
+    python -m benchmarks.evaluation FOLDER      # with the runs -> docs/evaluation/, docs/evaluation.md
     python -m benchmarks.evaluation             # docs/evaluation.in.md and docs/evaluation/ -> docs/evaluation.md
 
-With a folder, the frozen windows and the pictures are taken from beside it. `make evaluation` makes all of them. In the
-prose, `{{include FILE}}` stands for a Markdown table of docs/evaluation/, `{{FILE KEY KEY ...}}` for one number of a
-JSON file there (a list is searched for the element whose `estimator` or `t` is the key; one at the end is counted), and
-`{{frozen FILE}}` for the table of a frozen window.
+In the folder are those of `evaluation` and `paper` (studies/), `frozen-*.json` and `figures` that there are; `make
+evaluation` makes all of them. In the prose, `{{include FILE}}` stands for a Markdown table of docs/evaluation/,
+`{{FILE KEY KEY ...}}` for one number of a JSON file there (a list is searched for the element whose `estimator` or `t`
+is the key; one at the end is counted), and `{{frozen FILE}}` for the table of a frozen window.
 """
 
 import argparse
@@ -33,25 +33,25 @@ DOCS: Final = Path(__file__).parents[1] / "docs"
 DATA: Final = DOCS / "evaluation"
 JOBS: Final = 2
 """Runs at a time, as `make evaluation` has them."""
-COMPARISONS: Final[Mapping[str, tuple[str, Sequence[str]]]] = {
-    "quadrotor": ("quadrotor", ("target", "least-squares", "ukf", "rls")),
-    "quadrotor-scalar": ("quadrotor", ("paper", "bo-scalar", "sqp", "sqp-wide-step")),
-    "quadrotor-ipm": ("quadrotor", ("ipm", "ipm-wide-step", "ipm-scipy", "ipm-scipy-wide-step")),
-    "pendulum": (
-        "pendulum",
-        ("target", "least-squares", "ukf", "rls", "paper", "bo-scalar", "sqp", "sqp-wide-step"),
-    ),
-    "stiction": ("stiction", ("target", "least-squares", "multi-start", "ukf", "paper", "sqp-wide-step")),
-    "rigid-body": ("rigid-body", ("target", "least-squares", "ukf")),
+COMPARISONS: Final[Mapping[str, tuple[str, str, Sequence[str]]]] = {
+    "quadrotor": ("evaluation", "quadrotor", ("target", "least-squares", "ukf", "rls")),
+    "quadrotor-scalar": ("paper", "quadrotor", ("paper", "bo-scalar", "sqp", "sqp-wide-step")),
+    "quadrotor-ipm": ("paper", "quadrotor", ("ipm", "ipm-wide-step", "ipm-scipy", "ipm-scipy-wide-step")),
+    "pendulum": ("evaluation", "pendulum", ("target", "least-squares", "ukf", "rls")),
+    "pendulum-scalar": ("paper", "pendulum", ("paper", "bo-scalar", "sqp", "sqp-wide-step")),
+    "stiction": ("evaluation", "stiction", ("target", "least-squares", "multi-start", "ukf")),
+    "stiction-scalar": ("paper", "stiction", ("paper", "sqp-wide-step")),
+    "rigid-body": ("evaluation", "rigid-body", ("target", "least-squares", "ukf")),
+    "magnetic-levitation": ("evaluation", "magnetic-levitation", ("target", "least-squares", "ukf")),
 }
-"""Scenario and estimators of each comparison of the document; `none` and `true` belong to all."""
+"""Study, scenario and estimators of each comparison of the document; `none` and `true` belong to all."""
 FROZEN: Final = ("frozen-quadrotor", "frozen-stiction", "frozen-rigid-body")
 
 
 def main() -> None:
     """Keep what there is of the runs, and write the document."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", nargs="?", type=Path, help="of the study evaluation.toml")
+    parser.add_argument("folder", nargs="?", type=Path, help="with the runs")
     folder: Path | None = parser.parse_args().folder
     try:
         if folder is not None:
@@ -63,22 +63,24 @@ def main() -> None:
 
 def collect(folder: Path) -> None:
     """Keep in docs/evaluation/ what the document shows; what has no runs stays as it is. Raises CosimError."""
-    for name, (scenario, estimators) in COMPARISONS.items():
-        if (made := comparison(folder, scenario, ("none", "true", *estimators))) is not None:
+    for name, (study, scenario, estimators) in COMPARISONS.items():
+        if (made := comparison(folder / study, scenario, ("none", "true", *estimators))) is not None:
             _write(name, compared(json.loads(made.to_json())))
             write_text(DATA / f"{name}.md", to_markdown(made))
     for name in FROZEN:
-        if (path := folder.parent / f"{name}.json").exists():
+        if (path := folder / f"{name}.json").exists():
             _write(name, solved(json.loads(path.read_text(encoding="utf-8"))))
-    for path in (folder.parent / "figures").glob("*.png"):
+    for path in (folder / "figures").glob("*.png"):
         picture = Image.open(path).convert("RGB").quantize(256, dither=Image.Dither.NONE)
         picture.save(DATA / path.name, optimize=True)
-    for path in (folder.parent / "figures").glob("table.md"):
+    for path in (folder / "figures").glob("table.md"):
         shutil.copy(path, DATA / path.name)
 
 
 def comparison(folder: Path, scenario: str, estimators: Sequence[str]) -> Comparison | None:
     """Return the comparison of a study's runs with the seeds that all estimators have; None if there are none."""
+    if not folder.exists():
+        return None
     study, _ = read_study(folder)
     with open_ledger(folder / LEDGER, is_read_only=True) as ledger:
         ended = [e for e in ledger.entries() if e.result and e.point["scenario"] == scenario]

@@ -33,7 +33,7 @@ SIGNS: Final[Mapping[str, Sign]] = {
     "stop": Sign("re-tuning stopped", "square", BLACK),
     "disturbance": Sign("disturbance", "diamond", PURPLE),
     "unexplained": Sign("unexplained", "diamond_cross", PURPLE),
-    "rest": Sign("channels rest", "square_cross", PURPLE),
+    "rest": Sign("rest, or its end", "square_cross", PURPLE),
     "observation": Sign("sample kept out", "square_x", SKY),
     "sensor": Sign("sensor", "square_pin", SKY),
     "guard": Sign("guard", "hex", GREY),

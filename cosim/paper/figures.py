@@ -47,7 +47,8 @@ def figures(
 ) -> list[Path]:
     """Repeat the paper's experiments and draw them as PNG and SVG in `out`, absent or empty; return the files written.
 
-    Also writes `table.md`, `figures.json` with the numbers drawn, and the run folders in `out`/runs. jobs: number of
+    The paper's methods run without guard, screen and diagnosis, as there; `target` with them. Also writes `table.md`,
+    `figures.json` with the numbers drawn, and the run folders in `out`/runs. jobs: number of
     concurrent runs, each in its own process, by default one per processor; times are fit to quote with 1 only.
     scenarios: those of the pendulum and of the quadrotor, by default the package's.
     Raises ValueError for less than one job; FolderError, ScenarioError; StudyError if a run was refused or its
@@ -75,7 +76,13 @@ def _runs(
     """Return the runs of each scenario by estimator, in folders in `out`/runs. Raises StudyError, FolderError."""
     (out / "runs").mkdir()
     recipes = {
-        (key, name): Recipe(scenario, name, seed, versions(), folder=str(out / "runs" / f"{key}-{name}"))
+        (key, name): Recipe(
+            unguarded(scenario) if name in paper_table.IN_PAPER else scenario,
+            name,
+            seed,
+            versions(),
+            folder=str(out / "runs" / f"{key}-{name}"),
+        )
         for key, (scenario, names) in todo.items()
         for name in names
     }
@@ -93,6 +100,13 @@ def _runs(
             if progress is not None:
                 progress({"scenario": key, "estimator": name, "seed": seed, **answer.row}, n_ended, len(recipes))
     return {key: {name: read_run(out / "runs" / f"{key}-{name}") for name in names} for key, (_, names) in todo.items()}
+
+
+def unguarded(scenario: Scenario) -> Scenario:
+    """Return the scenario without guard, screen and diagnosis, as the paper's methods were run there."""
+    off = {"guard.enabled": "false", "observations.enabled": "false", "diagnosis.enabled": "false"}
+    label = Path(scenario.scenario.name)
+    return Scenario.from_tables(scenario.model_dump(mode="json"), off, scenario.folder, label, scenario.origin)
 
 
 def chosen(names: Collection[str]) -> list[str]:

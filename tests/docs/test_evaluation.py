@@ -56,22 +56,13 @@ def test_the_prose_names_no_measured_number_by_hand():
 
 @pytest.mark.full
 @pytest.mark.fmu
-@pytest.mark.parametrize(
-    "estimator",
-    [
-        "none",
-        "true",
-        # The document says so, too: `make evaluation` brings both up to date.
-        pytest.param("least-squares", marks=pytest.mark.xfail(strict=True, reason="an older version's")),
-        pytest.param("target", marks=pytest.mark.xfail(strict=True, reason="an older version's")),
-    ],
-)
+@pytest.mark.parametrize("estimator", ["none", "true", "least-squares", "target"])
 def test_a_part_of_it_is_measured_again(estimator):
     """Seed 0 of the quadrotor. Another machine's linear algebra rounds otherwise, and a search follows every bit."""
     kept = json.loads((DATA / "quadrotor.json").read_text(encoding="utf-8"))
     (record,) = [r for r in kept["first_seed"] if r["estimator"] == estimator]
-    unguarded = {key: toml_text(value) for key, value in read_definition(STUDY).study.settings.items()}
-    result = run(Scenario.load("quadrotor", unguarded), estimator, 0).summary()
+    settings = {key: toml_text(value) for key, value in read_definition(STUDY).study.settings.items()}
+    result = run(Scenario.load("quadrotor", settings), estimator, 0).summary()
     tolerance = {"target": 0.5, "least-squares": 0.02}.get(estimator, 1e-6)
     assert result["mse"] == pytest.approx(record["mse"], rel=tolerance)
     assert result["status"] == record["status"]

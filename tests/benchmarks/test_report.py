@@ -47,7 +47,7 @@ def test_a_comparison_is_kept_without_its_runs_but_for_what_those_of_the_first_s
 @pytest.mark.fmu
 def test_a_comparison_is_made_of_the_runs_of_a_study_and_what_has_none_stays(tmp_path, monkeypatch):
     monkeypatch.setattr(evaluation, "DATA", tmp_path)
-    ours = {"pendulum": ("pendulum", ("target",)), "stiction": ("stiction", ("target",))}
+    ours = {name: ("out", name, ("target",)) for name in ("pendulum", "stiction")}
     monkeypatch.setattr(evaluation, "COMPARISONS", ours)
     study = tmp_path / "s.toml"
     study.write_text(
@@ -55,7 +55,7 @@ def test_a_comparison_is_made_of_the_runs_of_a_study_and_what_has_none_stays(tmp
         '[study.settings]\n"scenario.stop_time" = 0.1\n'
     )
     assert main(["study", str(study), "--out", str(tmp_path / "out")]) == 0
-    evaluation.collect(tmp_path / "out")
+    evaluation.collect(tmp_path)
     kept = json.loads((tmp_path / "pendulum.json").read_text(encoding="utf-8"))
     assert (kept["seeds"], [run["estimator"] for run in kept["first_seed"]]) == ([0], ["none", "true", "target"])
     assert "| target |" in (tmp_path / "pendulum.md").read_text(encoding="utf-8")

@@ -9,6 +9,8 @@ systems", section III.
 from collections.abc import Callable, Iterable
 from typing import Final
 
+import numpy as np
+
 from .contract import Estimate, scaled_estimate
 from .differences import OfMany, forward_differences
 from .hypotheses import changed_parameters
@@ -30,8 +32,10 @@ def jump_to(
     """
     for n in lengths:
         found = changed_parameters(rows_at(n), z, may_drift=False, beyond=0.0)
-        if found.fit.is_explained:
-            slope = forward_differences(rows_at(n), found.z, found.rows, _STEP)
+        if not found.fit.is_explained:
+            continue
+        slope = forward_differences(rows_at(n), found.z, found.rows, _STEP)
+        if np.all(np.isfinite(slope)):  # not where the model fails close by
             known = information(slope)
             return scaled_estimate(
                 space, found.z, known.std(), IDENTIFIABLE_BELOW, known, cost=found.fit.squares, n_evaluations=0,

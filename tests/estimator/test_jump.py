@@ -69,6 +69,15 @@ def test_parameters_beyond_their_bounds_are_none():
     assert jump_to(rows_at(H, y), (8,), START, SPACE) is None
 
 
+def test_where_the_model_fails_close_by_nothing_is_known_of_the_parameters():
+    H, y = measured(8)
+    z, _ = normal_equations(H, y, 8)
+    only_there = lambda n: OfMany(  # noqa: E731
+        lambda place: np.where(np.all(place == z, axis=-1)[..., None, None], rows_at(H, y)(n)(place), np.nan)
+    )
+    assert jump_to(only_there, (8,), z, SPACE) is None
+
+
 def test_the_first_length_that_is_explained_counts():
     H, y = measured(12)
     y[:6] += 50.0 * SIGMA

@@ -78,9 +78,10 @@ class _Counting:
 class DiagnosingRetuner(_Counting):
     """Retuner with a diagnosis of sampled derivatives beside it: the same calls, and only warranted proposals."""
 
-    def __init__(self, retuner: Retuner, diagnosis: Diagnosis, is_endless: bool) -> None:
-        """retuner: with `diagnosis.residual` for residuals; is_endless: true where its one episode lasts for ever."""
-        self._retuner, self._diagnosis, self._is_endless = retuner, diagnosis, is_endless
+    def __init__(self, retuner: Retuner, diagnosis: Diagnosis, is_endless: bool, jumps: bool) -> None:
+        """retuner: with `diagnosis.residual` for residuals; is_endless: true where its one episode lasts for ever;
+        jumps: whether parameters that the diagnosis has found replace an estimate that lags behind."""
+        self._retuner, self._diagnosis, self._is_endless, self._jumps = retuner, diagnosis, is_endless, jumps
         self._warranted = b""
         self._solver: RetunerSnapshot | None = None  # of an endless search, at the onset
 
@@ -145,7 +146,7 @@ class DiagnosingRetuner(_Counting):
     def _judged(self, t: float, proposal: Proposal, held: Vector) -> Proposal:
         """Return the proposal as far as it is warranted."""
         diagnosis, verdict = self._diagnosis, self._verdict(proposal, held)
-        if proposal.estimate is not None and diagnosis.lags(proposal.estimate.theta):
+        if self._jumps and proposal.estimate is not None and diagnosis.lags(proposal.estimate.theta):
             proposal, verdict = self._jumped(proposal, verdict, held)
         theta = proposal.theta
         best = None if proposal.estimate is None else proposal.estimate.theta
@@ -338,11 +339,13 @@ def make_retuner(
     linear: LinearForm | None = None,
     text: str = "",
     diagnosis: Diagnosis | None = None,
+    jumps: bool = True,
 ) -> AnyRetuner:
     """Return the loop for an estimator that works with derivatives, on windows of at most max_length samples.
 
     whitened: the residual in standard deviations of its noise; an estimator in physical units gets those.
-    text: description of the residual, for the report. diagnosis: None to write whatever is proposed.
+    text: description of the residual, for the report. diagnosis: None to write whatever is proposed. jumps: whether
+    parameters that the diagnosis has found are written in place of an estimate that lags behind.
     """
     n = len(whitened.noise)
     scaled, rows = (whitened, whitened.rows) if diagnosis is None else (diagnosis.scaled, diagnosis.scaled_rows)
@@ -357,4 +360,4 @@ def make_retuner(
         begins = SuspicionTrigger(begins, diagnosis)
     window = ResidualWindow(residual, n, max_length, rows, slopes)
     retuner = Retuner(estimator, window, begins, budget, linear, partial(str, text))
-    return retuner if diagnosis is None else DiagnosingRetuner(retuner, diagnosis, trigger.is_endless)
+    return retuner if diagnosis is None else DiagnosingRetuner(retuner, diagnosis, trigger.is_endless, jumps)

@@ -32,6 +32,8 @@ class Method:
     """True where it works only sample by sample."""
     needs_package: str | None = None
     """Package that it imports beside NumPy, SciPy and GPy."""
+    jumps: bool = True
+    """True where parameters that the diagnosis has found are written in place of an estimate that lags behind."""
 
     @property
     def setting_names(self) -> tuple[str, ...]:

@@ -123,7 +123,7 @@ def _retuner(
     form = _linear_form(method, scenario)
     if whitened is not None:
         text = f"derivatives of {scenario.estimation.model} ({choice.why})"
-        return make_retuner(search, whitened, loop.trigger, budget, loop.window, form, text, diagnosis)
+        return make_retuner(search, whitened, loop.trigger, budget, loop.window, form, text, diagnosis, method.jumps)
     if method.needs_derivatives:
         raise ScenarioError(
             f"estimator '{estimator}' takes derivatives sample by sample: no estimation.objective else."

@@ -57,6 +57,7 @@ def _user_method(name: str, scenario: Scenario) -> Method:
         getattr(found, "Settings", _NoSettings),
         defaults=getattr(found, "defaults", {}),
         needs_linear_form=getattr(found, "needs_linear_form", False),
+        jumps=hasattr(found, "jump"),
     )
     try:
         scenario.estimation.check_method(name, method)

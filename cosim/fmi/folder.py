@@ -198,7 +198,7 @@ _KEPT: Final[ContextVar[KeptFolders | None]] = ContextVar("kept folders", defaul
 
 @contextmanager
 def folders_kept() -> Generator[None]:
-    """Use the folders of isolated FMUs again in this context, which makes one short run after the other."""
+    """Use the folders of FMUs again in this context, which makes one short run after the other."""
     token = _KEPT.set(KeptFolders())
     try:
         yield

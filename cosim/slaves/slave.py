@@ -74,7 +74,7 @@ def open_slave(
     fmu = Path(fmu)
     isolated = isolation == "process"
     if unpacked_in is None:
-        description, folder = unpacked(fmu, is_checked=is_checked, kept=kept_folders() if isolated else None)
+        description, folder = unpacked(fmu, is_checked=is_checked, kept=kept_folders())
     else:
         description, folder = read_checked(fmu), BorrowedFolder(unpacked_in)
     try:

@@ -424,9 +424,10 @@ def test_where_folders_are_kept_the_next_instance_has_that_of_the_last_unless_it
         with open_slave(mixer, "plant"):
             assert len(folders()) == 1
             assert not folders() & first
-        with open_slave(mixer, "plant", isolation="none"):
-            assert len(folders()) == 2
-        assert len(folders()) == 1
+        changed = folders()
+        with open_slave(mixer, "plant", isolation="none") as slave:
+            slave.bind(outputs=["y"])
+            assert folders() == changed
         monkeypatch.setattr("cosim.fmi.folder.MOST_KEPT", 2)
         with open_slave(mixer, "a"), open_slave(mixer, "b"), open_slave(mixer, "c"):
             assert len(folders()) == 3

@@ -26,6 +26,8 @@ _FEWEST: Final = 5
 """Least number of samples since the onset at which a search fails."""
 _PATIENCE: Final = 20
 """Number of samples after which a search without end counts as failed."""
+_TOLD_APART: Final = 1.5
+"""Distance from the parameters in force, in standard deviations, at which a filter's estimate is told apart."""
 
 
 @dataclass(frozen=True)
@@ -150,6 +152,8 @@ class DiagnosingRetuner(_Counting):
             proposal, verdict = self._jumped(proposal, verdict, held)
         theta = proposal.theta
         best = None if proposal.estimate is None else proposal.estimate.theta
+        if self._is_endless and not diagnosis.is_suspicious and verdict != "refuted":
+            return self._moved(proposal, held)
         if verdict == "warranted" and theta is not None:
             self._warranted = theta.tobytes()
         has_ended = any(event.kind == "end" for event in proposal.events)
@@ -174,6 +178,22 @@ class DiagnosingRetuner(_Counting):
         return (
             replace(proposal, possible_disturbance=diagnosis.disturbance(held)) if verdict == "possible" else proposal
         )
+
+    def _moved(self, proposal: Proposal, held: Vector) -> Proposal:
+        """Return a filter's proposal while nothing contradicts the parameters in force, held (d,).
+
+        They move only as far as they differ from its estimate by more than one and a half standard deviations.
+        """
+        known = None if proposal.estimate is None else proposal.estimate.information
+        if proposal.theta is None or known is None:
+            return proposal
+        space = self._diagnosis.space
+        z = space.to_unit(proposal.theta)
+        away = space.to_unit(held) - z
+        distance = known.distance(away)
+        if distance <= _TOLD_APART:
+            return replace(proposal, theta=None)
+        return replace(proposal, theta=space.from_unit(z + away * (_TOLD_APART / distance)))
 
     def _verdict(self, proposal: Proposal, held: Vector) -> Judgement:
         """Return whether the parameters of a proposal, or those that it leaves in force, are warranted."""

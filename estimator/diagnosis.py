@@ -99,7 +99,7 @@ class Diagnosis:
         """declared: residual (c,) in standard deviations of the declared noise; names, sigma (c,): of the channels,
         and that noise."""
         self._declared, self._names, self._settings = declared, tuple(names), settings
-        self._sigma, self._space = np.array(sigma), space
+        self._sigma, self.space = np.array(sigma), space
         self.evidence = Evidence()
         c = len(self._names)
         zero = np.zeros(c, dtype=np.intp)
@@ -178,7 +178,7 @@ class Diagnosis:
         """Take a sample, with the parameters in force (d,); return whether residuals are to be computed anew."""
         state = self._state
         state.n_samples += 1
-        state.way = state.way.go(self._space.to_unit(held))
+        state.way = state.way.go(self.space.to_unit(held))
         has_woken = self._wake()
         declared = self._declared(held, self.corrected(sample))
         if state.is_resting.any():
@@ -195,7 +195,7 @@ class Diagnosis:
                     state.lasting = held
                 state.n_calm = state.n_samples - state.suspected_at - 1
                 if state.n_samples >= state.suspected_at + _WINDOW:
-                    state.way = state.way.begin(self._space.to_unit(held))
+                    state.way = state.way.begin(self.space.to_unit(held))
             state.n_since, state.n_quiet = min(state.n_since + 1, len(state.samples)), 0
             state.suspected_at = state.n_samples
             state.has_moved |= state.reference is None or not np.array_equal(held, state.reference)
@@ -223,12 +223,15 @@ class Diagnosis:
         if n < _LONG:
             return None
         disturbance = disturbance_of(there, may_drift=False)
-        parameters = plain_fit(here, self._n_free)
-        self.evidence.note(n, nothing=plain_fit(there, 0), disturbance=disturbance.fit)
+        parameters, nothing = plain_fit(here, self._n_free), plain_fit(there, 0)
+        self.evidence.note(n, nothing=nothing, disturbance=disturbance.fit)
+        if is_changed and nothing.is_explained and nothing.score <= min(parameters.score, disturbance.fit.score):
+            state.n_since, state.verdict = 0, "refuted"  # the noise is larger than was known at the onset
+            return Settled(self._undone(reference), ends_search=True)
         if is_changed and is_explained and parameters.is_explained:
             self.evidence.note(n, parameters=parameters)
             return self._changed(t, held) if disturbance.fit.score >= parameters.score + MARGIN else None
-        is_named = disturbance.fit.is_explained and disturbance.fit.score + MARGIN <= plain_fit(there, 0).score
+        is_named = disturbance.fit.is_explained and disturbance.fit.score + MARGIN <= nothing.score
         if is_named and n % 2 == 0 and not self._is_changing(held, n):
             before = self._before(reference, n)
             events = self._name(t, disturbance_of(self._rows(before, n), may_drift=False))
@@ -241,7 +244,7 @@ class Diagnosis:
         Where searches have gone from those that lasted and have come back to them, a disturbance has passed.
         """
         state, lasting = self._state, self._state.lasting
-        if state.has_moved and lasting is not None and agree(self._space.to_unit(lasting), self._space.to_unit(held)):
+        if state.has_moved and lasting is not None and agree(self.space.to_unit(lasting), self.space.to_unit(held)):
             there = self._rows(lasting, n)
             if plain_fit(there[-_QUIET:], 0).is_explained:
                 return self._passed(t, lasting, there, True)
@@ -277,7 +280,7 @@ class Diagnosis:
         """
         state = self._state
         state.n_since, state.verdict = 0, "refuted"
-        state.way = state.way.begin(None if state.lasting is None else self._space.to_unit(state.lasting))
+        state.way = state.way.begin(None if state.lasting is None else self.space.to_unit(state.lasting))
         every = ~state.is_resting
         names = self._of(every)
         reason = f"parameters explain {', '.join(names)} for a few samples only"
@@ -300,7 +303,7 @@ class Diagnosis:
         By half of their bounds in excess of that way, each time determined by the samples: no change of the plant's
         does that.
         """
-        return self._state.n_since > 0 and self._state.way.is_to_and_fro(self._space.to_unit(held))
+        return self._state.n_since > 0 and self._state.way.is_to_and_fro(self.space.to_unit(held))
 
     def judge(self, theta: Vector, held: Vector) -> Judgement:
         """Return whether parameters theta (d,) in place of those in force are warranted by the newest samples."""
@@ -331,9 +334,9 @@ class Diagnosis:
         A filter can go on from parameters that only the newest samples explain, and that they do not determine, too.
         """
         state = self._state
-        z = self._space.to_unit(held if state.reference is None else state.reference)
+        z = self.space.to_unit(held if state.reference is None else state.reference)
         lengths = (state.n_since, state.n_explained) if is_filter else (state.n_since,)
-        found = jump_to(self._rows_at, dict.fromkeys(lengths), z, self._space)
+        found = jump_to(self._rows_at, dict.fromkeys(lengths), z, self.space)
         return found if found is None or is_filter or all(found.is_identifiable) else None
 
     @property
@@ -346,7 +349,7 @@ class Diagnosis:
 
         Or anywhere, while channels rest.
         """
-        return is_at_unseen_bound(self._space, theta, std, held, not self._state.is_resting.any())
+        return is_at_unseen_bound(self.space, theta, std, held, not self._state.is_resting.any())
 
     def suspend(self) -> Vector | None:
         """End the suspicion, whose samples are doubtful; return the parameters (d,) to go back to, None without one."""
@@ -383,7 +386,7 @@ class Diagnosis:
 
     def _weigh(self, theta: Vector, held: Vector) -> None:
         """Compare the hypotheses on the newest samples since the onset, fewer of them where nothing explains more."""
-        state, space = self._state, self._space
+        state, space = self._state, self.space
         state.found_at, state.verdict = state.n_samples, "refuted"
         reference = held if state.reference is None else state.reference
         there = self._rows(theta, state.n_since)
@@ -416,7 +419,7 @@ class Diagnosis:
     def _best(self, held: Vector, n: int, *, may_drift: bool) -> ChangedParameters:
         """Return the parameters that explain the newest n samples best, whatever the search has found."""
         changed = self._state.changed
-        z = self._space.to_unit(held) if changed is None else changed
+        z = self.space.to_unit(held) if changed is None else changed
         return changed_parameters(self._rows_at(n), z, may_drift=may_drift)
 
     def _is_changing(self, held: Vector, n: int) -> bool:
@@ -427,7 +430,7 @@ class Diagnosis:
 
     def _both(self, held: Vector, n: int) -> Disturbance | None:
         """Return the constant disturbance that explains the newest n samples together with changed parameters."""
-        space = self._space
+        space = self.space
 
         def left(z: Vector) -> Vector:
             rows = self._rows(space.beyond(z), n)
@@ -450,7 +453,7 @@ class Diagnosis:
             return False
         few = min(state.n_since, _WINDOW // 2)
         best = self._best(held, few, may_drift=False).z
-        for n, z, least in ((state.n_since, self._space.to_unit(held), _MUCH_LARGER), (few, best, _LARGER)):
+        for n, z, least in ((state.n_since, self.space.to_unit(held), _MUCH_LARGER), (few, best, _LARGER)):
             rows_at = self._rows_at(n)
             rows = rows_at(z)
             larger = np.maximum(spread_of(rows), 1.0)
@@ -464,7 +467,7 @@ class Diagnosis:
 
     @property
     def _n_free(self) -> int:
-        return len(self._space)
+        return len(self.space)
 
     @property
     def has_failed(self) -> bool:
@@ -583,7 +586,7 @@ class Diagnosis:
     def _is_restless(self, theta: Vector) -> bool:
         """Take parameters (d,) that were found; return whether three of five such, soon one after the other, differ."""
         state = self._state
-        state.findings = state.findings.take(state.n_samples, self._space.to_unit(theta))
+        state.findings = state.findings.take(state.n_samples, self.space.to_unit(theta))
         return state.findings.are_restless
 
     def _of(self, channels: NDArray[np.bool_]) -> list[str]:
@@ -653,7 +656,7 @@ class Diagnosis:
 
     def _rows_at(self, n: int) -> OfMany:
         """Return the residuals (..., n, c) at the newest n samples as a function of places (..., d)."""
-        return OfMany(lambda z: self._rows(self._space.beyond(z), n))
+        return OfMany(lambda z: self._rows(self.space.beyond(z), n))
 
 
 def _acting(largest: Vector) -> NDArray[np.bool_]:

@@ -27,6 +27,10 @@ class Information:
         """Return the directions (m, d), m <= d, in which change (d,) exceeds n_std standard deviations."""
         return self.directions[self.singular_values * np.abs(self.directions @ change) > n_std]
 
+    def distance(self, change: Vector) -> float:
+        """Return the length of a change (d,) in standard deviations: Mahalanobis' distance."""
+        return float(np.linalg.norm(self.singular_values * (self.directions @ change)))
+
     def flat(self, std: float) -> Vector:
         """Return the directions (m, d), m <= d, along which the data's standard deviation exceeds std."""
         return self.directions[self.singular_values * std < 1.0]

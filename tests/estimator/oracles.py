@@ -478,6 +478,15 @@ def check_covariance_with_a_prior_is_that_of_the_normal_equations(identifiabilit
         assert_allclose(identifiability.information(X).covariance(0.05), expected, rtol=1e-9, atol=1e-15)
 
 
+def check_distance_is_that_of_the_inverse_covariance(identifiability):
+    rng = np.random.default_rng(6)
+    for _ in range(3):
+        X, change = 30.0 * rng.normal(size=(5, 3)), rng.normal(size=3)
+        covariance = np.linalg.inv(X.T @ X)
+        expected = np.sqrt(change @ np.linalg.solve(covariance, change))
+        assert_allclose(identifiability.information(X).distance(change), expected, rtol=1e-9)
+
+
 def projector(seen, change, n_std):
     """On the significant directions, from their rows."""
     rows = seen.significant(change, n_std)

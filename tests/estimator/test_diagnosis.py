@@ -185,10 +185,14 @@ def test_false_alarms_are_as_rare_as_the_settings_say(n_channels):
     assert near(run.held, TRUE)
 
 
-def test_a_recursive_filter_stays_at_the_truth_while_nothing_happens():
-    run = Run("ukf", 3).go(600)
+@CHANNELS
+@pytest.mark.parametrize("seed", range(3))
+def test_a_filter_that_follows_the_noise_seldom_moves_the_parameters(seed, n_channels):
+    """It moves at each of 600 samples, with standard deviations of up to 0.003 of the bounds."""
+    run = Run("ukf", n_channels, seed=seed).go(600)
     assert run.of("rest", "disturbance", "unexplained", "undo") == []
-    assert all(near(theta, TRUE, 0.03) for _, theta in run.writes)
+    assert len(run.writes) < 200
+    assert all(near(theta, TRUE, 0.01) for _, theta in run.writes)
 
 
 # --- changed parameters --------------------------------------------------------------------------------------------
@@ -227,6 +231,19 @@ def test_after_parameters_that_have_moved_the_right_ones_are_written(n_channels,
     """A fast drift, 0.4 % of the bounds a sample, and a slow one, 0.02 %."""
     run = Run("least-squares", n_channels).go(150).go(n, moving(n)).go(150, CHANGED)
     assert near(run.held, CHANGED, 0.03)
+
+
+@CHANNELS
+@pytest.mark.parametrize("n", [300, 3000])
+def test_a_filter_follows_parameters_that_drift(n_channels, n):
+    run = Run("ukf", n_channels).go(150)
+    away = []
+    for i in range(n):
+        run.go(1, moving(n)(i))
+        away.append(np.abs(SPACE.to_unit(run.held) - SPACE.to_unit(moving(n)(i))).max())
+    assert max(away) < 0.05
+    assert np.median(away) < 0.02
+    assert run.of("rest", "unexplained") == []
 
 
 @pytest.mark.xfail(strict=True, reason="a few samples of a drift are named a constant disturbance")
@@ -543,10 +560,16 @@ def test_noise_larger_than_declared_is_learnt_in_the_loop(noise):
 
 
 @CHANNELS
+@pytest.mark.parametrize("estimator", ["least-squares", "ukf"])
 @pytest.mark.parametrize("seed", [0, 1])
-def test_noise_ten_times_larger_than_declared_is_not_written_as_parameters(seed, n_channels):
-    run = Run("least-squares", n_channels, noise=10.0, seed=seed).go(300)
+def test_noise_ten_times_larger_than_declared_is_not_written_as_parameters(seed, estimator, n_channels):
+    run = Run(estimator, n_channels, noise=10.0, seed=seed).go(300)
     assert near(run.held, TRUE, 0.1)
+    n = len(run.writes)
+    run.go(600)
+    assert near(run.held, TRUE, 0.1)
+    assert len(run.writes) < n + 200  # a filter that remained suspicious would write at each sample
+    assert not run.diagnosis.is_suspicious
 
 
 # --- what cannot be evaluated --------------------------------------------------------------------------------------

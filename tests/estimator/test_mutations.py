@@ -27,6 +27,7 @@ MATERN_TEXTBOOK = "check_matern_prediction_against_the_textbook"
 STD = "check_std_against_the_covariance_of_least_squares"
 REFITS = "check_std_against_refits_of_noisy_data"
 UNSEEN = "check_std_of_what_is_not_seen_is_the_whole_cube"
+DISTANCE = "check_distance_is_that_of_the_inverse_covariance"
 WITH_PRIOR = "check_covariance_with_a_prior_is_that_of_the_normal_equations"
 BY_HAND = "check_significant_directions_by_hand"
 PROJECTOR = "check_significant_is_a_projector_that_loses_little"
@@ -147,6 +148,11 @@ MUTANTS = [
      (STD, REFITS)),
     ("covariance-of-singular-values", IDENTIFIABILITY, "(self.singular_values**2 + spread**-2)",
      "(self.singular_values + spread**-2)", (WITH_PRIOR,)),
+    ("distance-in-variances", IDENTIFIABILITY, "np.linalg.norm(self.singular_values *",
+     "np.linalg.norm(self.singular_values**2 *", (DISTANCE,)),
+    ("distance-unweighted", IDENTIFIABILITY, "np.linalg.norm(self.singular_values *", "np.linalg.norm(", (DISTANCE,)),
+    ("distance-of-transposed-directions", IDENTIFIABILITY, "(self.directions @ change)))",
+     "(change @ self.directions)))", (DISTANCE,)),
     ("covariance-of-the-prior's-deviation", IDENTIFIABILITY, "+ spread**-2)", "+ spread**-1)", (WITH_PRIOR,)),
     ("covariance-on-columns", IDENTIFIABILITY, "(self.directions.T * variances) @ self.directions",
      "(self.directions * variances) @ self.directions.T", (WITH_PRIOR,)),

@@ -44,7 +44,6 @@ from .hypotheses import (
 )
 from .jump import jump_to
 from .residual_scale import ResidualScale, spread_of
-from .resting import NEWEST, RestingResiduals
 from .samples import DerivativeResidual, Sample
 from .significance import chi2_limit
 from .space import ParameterSpace, Vector
@@ -179,15 +178,18 @@ class Diagnosis:
         state = self._state
         state.n_samples += 1
         state.way = state.way.go(self.space.to_unit(held))
-        has_woken = self._wake()
+        has_woken = state.wake()
         declared = self._declared(held, self.corrected(sample))
         if state.is_resting.any():
             state.rested.append(self._declared(held, sample) - state.offset)
             state.resting = state.resting.take(np.where(state.is_resting, state.rested[-1], 0.0))
-            has_woken |= self._wake_early()
+            if state.resting.is_outgrown:
+                self.evidence.outgrown(self._names, state.resting)
+                state.wake_early()
+                has_woken = True
         missing = int(np.count_nonzero(state.is_resting | np.isnan(sample.xdot)))
         is_contradictory = not self._is_usual(declared / state.scale.values, len(declared) - missing)
-        self._keep(sample)
+        state.keep(sample, _WINDOW)
         if state.n_since or is_contradictory:
             if not state.n_since:
                 state.reference, state.verdict, state.changed, state.has_moved = held, "refuted", None, False
@@ -596,56 +598,11 @@ class Diagnosis:
         """Let the channels rest, all of them where some do already, longer each time; return the event."""
         state = self._state
         channels = ~state.is_resting if state.is_resting.any() else channels
-        if len(state.rested) > 1:
-            usual = np.where(channels, np.array(state.rested), 0.0)
-            state.scale.admit(usual[np.isfinite(usual).all(axis=1)])
         length = self._settings.rest_length(state.n_failures)
-        state.rests_until = np.where(channels, state.n_samples + length, state.rests_until)
-        state.is_resting = state.is_resting | channels
-        state.rested.clear()
-        state.resting = RestingResiduals()
-        state.counts["rest"] += 1
+        state.rest(channels, length)
         names = self._of(channels)
         reason = f"{state.n_failures} searches in vain: {', '.join(names)} left out for {length} samples"
         return Event(t, "rest", {"channels": names, "n_samples": length, "reason": reason})
-
-    def _wake(self) -> bool:
-        """End the rests that are over; return whether there was one."""
-        state = self._state
-        over = state.is_resting & (state.n_samples >= state.rests_until)
-        if not over.any():
-            return False
-        state.is_resting = state.is_resting & ~over
-        state.n_since = 0
-        rested = np.array(state.rested).reshape(-1, len(over))
-        state.scale.wake(np.where(over, rested[np.isfinite(rested).all(axis=1)], 0.0))
-        return True
-
-    def _wake_early(self) -> bool:
-        """End all rests where something has happened meanwhile; return whether it has.
-
-        What the residuals were until then is what the model lacks.
-        """
-        state = self._state
-        if not state.resting.is_outgrown:
-            return False
-        self.evidence.outgrown(self._names, state.resting)
-        usual = np.where(state.is_resting, np.array(state.rested[:-NEWEST]), 0.0)
-        state.scale.admit(usual[np.isfinite(usual).all(axis=1)])
-        state.is_resting = np.zeros_like(state.is_resting)
-        state.n_since = 0
-        return True
-
-    def _keep(self, sample: Sample) -> None:
-        """Keep a sample; of those since an onset, where they are many, every second of the older ones."""
-        samples = self._state.samples
-        samples.append(sample)
-        if len(samples) > _WINDOW:
-            if self._state.n_since < _WINDOW:
-                del samples[0]
-            else:
-                del samples[1 : _WINDOW // 2 : 2]
-                self._state.n_since = len(samples) - 1
 
     def _is_usual(self, row: Vector, n_sampled: int) -> bool:
         return not n_sampled or float(row @ row) <= chi2_limit(self._settings.false_alarm, n_sampled)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from .diagnosis_settings import KINDS, Judgement
 from .residual_scale import ResidualScale
-from .resting import RestingResiduals
+from .resting import NEWEST, RestingResiduals
 from .samples import Sample
 from .space import Vector
 from .wandering import Findings, Way
@@ -67,6 +67,48 @@ class DiagnosisState:
     """Number of newest samples that the verdict is about."""
     found_at: int = 0
     """Number of the sample at which the verdict was found."""
+
+    def keep(self, sample: Sample, most: int) -> None:
+        """Keep a sample; of those since an onset, where they are more than `most`, every second of the older ones."""
+        self.samples.append(sample)
+        if len(self.samples) > most:
+            if self.n_since < most:
+                del self.samples[0]
+            else:
+                del self.samples[1 : most // 2 : 2]
+                self.n_since = len(self.samples) - 1
+
+    def rest(self, channels: NDArray[np.bool_], n: int) -> None:
+        """Let the channels (c,) rest for n samples."""
+        if len(self.rested) > 1:
+            self._admit(self.rested, channels)
+        self.rests_until = np.where(channels, self.n_samples + n, self.rests_until)
+        self.is_resting = self.is_resting | channels
+        self.rested.clear()
+        self.resting = RestingResiduals()
+        self.counts["rest"] += 1
+
+    def wake(self) -> bool:
+        """End the rests that are over; return whether there was one."""
+        over = self.is_resting & (self.n_samples >= self.rests_until)
+        if not over.any():
+            return False
+        self.is_resting = self.is_resting & ~over
+        self.n_since = 0
+        rested = np.array(self.rested).reshape(-1, len(over))
+        self.scale.wake(np.where(over, rested[np.isfinite(rested).all(axis=1)], 0.0))
+        return True
+
+    def wake_early(self) -> None:
+        """End all rests, as something has happened: what residuals were until then is what the model lacks."""
+        self._admit(self.rested[:-NEWEST], self.is_resting)
+        self.is_resting = np.zeros_like(self.is_resting)
+        self.n_since = 0
+
+    def _admit(self, residuals: Sequence[Vector], channels: NDArray[np.bool_]) -> None:
+        """Take residuals (n, c) of these channels (c,) for what the model lacks."""
+        usual = np.where(channels, np.array(residuals), 0.0)
+        self.scale.admit(usual[np.isfinite(usual).all(axis=1)])
 
     def copy(self) -> "DiagnosisState":
         """Return an independent copy; arrays are replaced, never changed."""

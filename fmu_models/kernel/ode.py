@@ -1,6 +1,6 @@
-"""Fixed-step Runge-Kutta integration on tuples, standard library only."""
+"""Fixed-step Runge-Kutta integration on tuples, and disturbances; standard library only."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import ceil
 
 StateVector = tuple[float, ...]
@@ -32,3 +32,8 @@ def integrate(f: Callable[[StateVector], StateVector], x: StateVector, duration:
     for _ in range(n_steps):
         x = rk4_step(f, x, h)
     return x
+
+
+def is_acting(disturbance: Sequence[float]) -> bool:
+    """Return whether a disturbance is other than zero: numbers, or an array of them at many points."""
+    return bool(disturbance.any()) if hasattr(disturbance, "any") else any(disturbance)

@@ -9,6 +9,7 @@ Lee, Leok, McClamroch (2010), "Geometric tracking control of a quadrotor UAV on 
 from math import cos, sin
 from typing import NamedTuple
 
+from ..kernel.ode import is_acting
 from ..kernel.so3 import (
     Matrix3,
     Vector3,
@@ -46,7 +47,7 @@ def derivative(
     F, M_x, M_y, M_z = u[:4]
     a = F / m
     a_x, a_y, a_z = -a * r13, -a * r23, g - a * r33
-    if any(u[4:]):
+    if is_acting(u[4:]):
         a_x, a_y, a_z = a_x + u[4] / m, a_y + u[5] / m, a_z + u[6] / m
         M_x, M_y, M_z = M_x + u[7], M_y + u[8], M_z + u[9]
     if k_d:

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
@@ -133,3 +133,15 @@ def test_tracking_error_dies_out_as_the_linear_system_does(oracles):
     # The attitude's error, whose slowest pole is -1.9/s, is exp(-19) of its start after 10 s.
     assert_allclose(late, expm(20 * system) @ early, atol=1e-6)
     assert np.linalg.norm(late) < 0.05 * np.linalg.norm(early)
+
+
+def test_arrays_of_points_give_the_same_bits_with_disturbances_at_some_of_them_only():
+    rng = np.random.default_rng(3)
+    x, u, m = rng.normal(size=(18, 40)), rng.normal(size=(10, 40)), rng.uniform(1.0, 2.0, 40)
+    u[4:, ::2] = 0.0
+    together = np.array([np.broadcast_to(row, 40) for row in quadrotor.derivative(x, u, m=m, J_x=0.9)])
+    alone = [quadrotor.derivative(tuple(x[:, k]), tuple(u[:, k]), m=m[k], J_x=0.9) for k in range(40)]
+    assert_array_equal(together.T, alone)
+    at_some = quadrotor.derivative(x[:, ::2], u[:4, ::2], m=m[::2], J_x=0.9)
+    quiet = np.array([np.broadcast_to(row, 20) for row in at_some])
+    assert_array_equal(quiet, together[:, ::2])

@@ -53,6 +53,8 @@ def try_arrays(
     Raises ScenarioError where it does not take arrays, or gives others for them.
     """
     points = [(at, sample) for at, sample in _points(space, theta, first) if _has_value(model, space, at, sample)]
+    if not points:
+        return
     points = points[:1] * 2 + points[1:]  # two at least: of one value an array behaves like a number
     alone = np.array([model(sample.x, sample.u, **space.named(at)) for at, sample in points], dtype=float).T
     x, u = np.array([sample.x for _, sample in points]).T, np.array([sample.u for _, sample in points]).T
@@ -74,7 +76,7 @@ def try_arrays(
 def _has_value(model: Callable[..., Sequence[float]], space: ParameterSpace, at: Vector, sample: Sample) -> bool:
     try:
         return bool(np.all(np.isfinite(model(sample.x, sample.u, **space.named(at)))))
-    except (ArithmeticError, ValueError):
+    except USERS:  # at inputs that the plant never has, perhaps
         return False
 
 

@@ -88,6 +88,12 @@ def test_a_model_that_takes_arrays_gives_the_same_run(broken):
     assert len(set(alone.estimates["m"])) > 1
 
 
+def test_a_model_that_takes_arrays_is_tried_at_inputs_that_the_plant_has_only():
+    """The built-in quadrotor's fails where a disturbance acts and those that `changes` names are missing."""
+    settings = {'changes."plant.F_d_x"': "[[0.0, 0.0], [0.02, 1.0]]", "scenario.stop_time": "0.05"}
+    assert run(Scenario.load("quadrotor", settings)).status == "done"
+
+
 def test_only_a_function_is_vectorised(axis):
     with pytest.raises(ScenarioError, match="vectorised: only a model that is a function"):
         Scenario.load(axis(), {"estimation.model": "Axis.fmu", "estimation.vectorised": "true"})

@@ -86,7 +86,7 @@ def try_model(scenario: Scenario, estimator: str, plant: Plant, theta: Vector, f
         with ExitStack() as stack:
             model = _residual(scenario, plant, stack).model
             try_derivatives(model, plant, settings.space, theta, first, settings.model or "")
-            if settings.vectorised:
+            if settings.takes_arrays:
                 try_arrays(model, plant, settings.space, theta, first, settings.model or "")
     except CosimError:
         raise
@@ -151,7 +151,7 @@ def _residual(scenario: Scenario, plant: Plant, stack: ExitStack) -> DerivativeR
     slopes = opened.slopes if isinstance(opened, FmuModel) and opened.has_slopes else None
     sigma = derivative_noise(scenario.sampling, scenario.scenario.macro_step)
     model = RememberingModel(opened)
-    return DerivativeResidual(model, settings.space, plant.channels, sigma, settings.vectorised, slopes)
+    return DerivativeResidual(model, settings.space, plant.channels, sigma, settings.takes_arrays, slopes)
 
 
 def _linear_form(method: Method, scenario: Scenario) -> LinearForm | None:

@@ -212,11 +212,10 @@ class EstimationSettings(LoopSettings):
             raise ValueError("estimation.parameters: nothing is written: give one of them writes")
         return self
 
-    @model_validator(mode="after")
-    def _only_a_function_is_vectorised(self) -> Self:
-        if self.vectorised and (":" not in (self.model or "") or str(self.model).endswith(".fmu")):
-            raise ValueError("estimation.vectorised: only a model that is a function, 'module:function', takes arrays")
-        return self
+    @property
+    def takes_arrays(self) -> bool:
+        """True where the model is a function, 'module:function', and vectorised: an FMU in its place is not."""
+        return self.vectorised and ":" in (self.model or "") and not str(self.model).endswith(".fmu")
 
     @model_validator(mode="after")
     def _methods_know_their_settings(self) -> Self:

@@ -94,9 +94,10 @@ def test_a_model_that_takes_arrays_is_tried_at_inputs_that_the_plant_has_only():
     assert run(Scenario.load("quadrotor", settings)).status == "done"
 
 
-def test_only_a_function_is_vectorised(axis):
-    with pytest.raises(ScenarioError, match="vectorised: only a model that is a function"):
-        Scenario.load(axis(), {"estimation.model": "Axis.fmu", "estimation.vectorised": "true"})
+def test_an_fmu_in_place_of_a_vectorised_function_is_none():
+    model = {"estimation.model": "Quadrotor", "scenario.stop_time": "0.05"}
+    alone, named = (run(Scenario.load("quadrotor", model | own)) for own in ({"estimation.vectorised": "false"}, {}))
+    np.testing.assert_array_equal(named.estimates["m"], alone.estimates["m"])
 
 
 def dry(path):

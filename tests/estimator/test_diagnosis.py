@@ -165,6 +165,7 @@ def test_the_evidence_of_no_change_is_the_sum_of_squares_of_the_samples():
 # --- quiet ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.full_but("3")
 @CHANNELS
 def test_nothing_begins_while_the_parameters_in_force_explain_everything(n_channels):
     """0.02 false alarms are expected in 20,000 samples."""
@@ -247,6 +248,7 @@ def test_a_filter_follows_parameters_that_drift(n_channels, n):
 
 
 @pytest.mark.xfail(strict=True, reason="a few samples of a drift are named a constant disturbance")
+@pytest.mark.full_but("3")
 @CHANNELS
 def test_parameters_that_move_are_never_taken_for_a_disturbance(n_channels):
     run = Run("least-squares", n_channels).go(200).go(300, moving(300)).go(30, CHANGED)

@@ -94,6 +94,7 @@ def test_a_model_that_takes_arrays_is_tried_at_inputs_that_the_plant_has_only():
     assert run(Scenario.load("quadrotor", settings)).status == "done"
 
 
+@pytest.mark.full
 def test_an_fmu_in_place_of_a_vectorised_function_is_none():
     model = {"estimation.model": "Quadrotor", "scenario.stop_time": "0.05"}
     alone, named = (run(Scenario.load("quadrotor", model | own)) for own in ({"estimation.vectorised": "false"}, {}))

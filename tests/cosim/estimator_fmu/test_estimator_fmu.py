@@ -72,6 +72,11 @@ def feed(slave, n_steps: int, truth=TRUTH, first: int = 0, error: float = 0.5, n
         slave.do_step(0.01 * k, 0.01)
 
 
+def tracking_slave(**start):
+    """The slave of the pendulum's scenario whose trigger is the tracking error."""
+    return slave_of(Scenario.load("pendulum", {"estimation.trigger": '{kind = "tracking", threshold = 0.01}'}), **start)
+
+
 # -- gains --------------------------------------------------------------------------------------------------------
 
 
@@ -219,16 +224,16 @@ def test_it_finds_the_parameters_of_newton_s_pendulum_and_says_how_well():
 
 
 def test_a_tracking_error_alone_begins_no_other_search_of_samples_that_are_explained():
-    slave = slave_of(Scenario.load("pendulum"), diagnosis_enabled=False)
+    slave = tracking_slave(diagnosis_enabled=False)
     feed(slave, 32, noise=1e-3)
     assert get(slave, "n_evaluations", "n_episodes") == [30, 1]
 
 
 def test_without_a_tracking_error_nothing_is_estimated_and_with_one_from_outside_it_is():
-    slave = slave_of(Scenario.load("pendulum"))
+    slave = tracking_slave()
     feed(slave, 10, error=0.009)
     assert get(slave, "n_evaluations", "n_episodes", "update_ready") == [0, 0, False]
-    told = slave_of(Scenario.load("pendulum"), tracking_error_is_input=True)
+    told = tracking_slave(tracking_error_is_input=True)
     feed(told, 5)  # the difference of phi and phi_ref is not looked at
     assert get(told, "n_episodes") == [0]
     put(told, tracking_error=-0.02)
@@ -251,7 +256,7 @@ def test_the_parameters_are_those_of_the_scenario_and_may_be_set():
     few = slave_of(Scenario.load("pendulum"), budget=4, evaluations_per_step=3)
     feed(few, 3)
     assert get(few, "n_evaluations", "n_episodes") == [4, 1]
-    high = slave_of(Scenario.load("pendulum"), threshold=0.6)
+    high = tracking_slave(threshold=0.6)
     feed(high, 5)
     assert get(high, "n_episodes") == [0]
 
@@ -269,7 +274,7 @@ def test_the_quadrotor_s_threshold_is_a_probability():
         ({"m_lower": -1.0}, "'m' must have lower > 0 on a log scale"),
         ({"budget": 0}, "budget must be in"),
         ({"seed": -1}, "seed must be in"),
-        ({"threshold": 0.0}, "threshold must be in"),
+        ({"false_alarm": 0.0}, "false_alarm must be in"),
         ({"noise_der_phi_dot": 0.0}, "noise_der_phi_dot must be in"),
         ({"m_upper": float("nan")}, "m_upper must be finite"),
     ],

@@ -118,7 +118,7 @@ def test_every_estimator_and_key_is_described():
         ("estimation.budget", "true", "estimation.budget: must be a whole number, got True"),
         ("guard.enabled", "1", "guard.enabled: must be true or false, got 1"),
         ("diagnosis.rest", '"7"', "diagnosis.rest: must be a whole number, got '7'"),
-        ("estimation.trigger.threshold", '"1"', "estimation.trigger.threshold: must be a number, got '1'"),
+        ("estimation.trigger.false_alarm", '"1"', "estimation.trigger.false_alarm: must be a number, got '1'"),
         ("estimation.least-squares.max_evaluations", '"9"', r"estimation.least-squares.\w+: "),
     ],
 )

@@ -48,7 +48,10 @@ def retune(*arguments):
 
 
 def test_json_is_one_object_with_the_documented_keys_and_nothing_else_is_printed(workplace):
-    done = retune(*SHORT, *EARLY_CHANGE, "--json", "--seed", "7", "--set", "estimation.instants=[0.04, 0.05, 9.0]")
+    late = '--set=estimation.trigger={kind = "tracking", threshold = 0.01}'
+    done = retune(
+        *SHORT, *EARLY_CHANGE, late, "--json", "--seed", "7", "--set", "estimation.instants=[0.04, 0.05, 9.0]"
+    )
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.count("\n") == 1
     result = json.loads(done.stdout)

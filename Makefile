@@ -29,6 +29,7 @@ experiments: $(VENV)/.test
 evaluation: $(VENV)/.test
 	mkdir -p $(RAW) && rm -rf $(RAW)/figures
 	$(BIN)/retune study benchmarks/studies/evaluation.toml --jobs 2 --out $(RAW)/evaluation
+	$(BIN)/retune study benchmarks/studies/late.toml --jobs 2 --out $(RAW)/late
 	$(BIN)/retune study benchmarks/studies/paper.toml --jobs 2 --out $(RAW)/paper
 	$(BIN)/python -m benchmarks.frozen quadrotor --at 5.0 --window 10 --stride 5 --evaluations 30 --seeds 20 \
 		--estimators target least-squares closed-form bo-scalar --out $(RAW)/frozen-quadrotor.json

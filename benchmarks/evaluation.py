@@ -3,10 +3,11 @@
     python -m benchmarks.evaluation FOLDER      # with the runs -> docs/evaluation/, docs/evaluation.md
     python -m benchmarks.evaluation             # docs/evaluation.in.md and docs/evaluation/ -> docs/evaluation.md
 
-In the folder are those of `evaluation` and `paper` (studies/), `frozen-*.json` and `figures` that there are; `make
-evaluation` makes all of them. In the prose, `{{include FILE}}` stands for a Markdown table of docs/evaluation/,
-`{{FILE KEY KEY ...}}` for one number of a JSON file there (a list is searched for the element whose `estimator` or `t`
-is the key; one at the end is counted), and `{{frozen FILE}}` for the table of a frozen window.
+In the folder are those of `evaluation`, `late` and `paper` (studies/), `frozen-*.json` and `figures` that there are;
+`make evaluation` makes all of them. In the prose, `{{include FILE}}` stands for a Markdown table of docs/evaluation/,
+`{{FILE KEY KEY ...}}` for one number of a JSON file there (a list is searched for the element whose `estimator`,
+`scenario` or `t` is the key; one at the end is counted), `{{frozen FILE}}` for the table of a frozen window, and
+`{{late}}` for that of true parameters that are written late.
 """
 
 import argparse
@@ -17,6 +18,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 from PIL import Image
 
 from benchmarks import report
@@ -67,6 +69,8 @@ def collect(folder: Path) -> None:
         if (made := comparison(folder / study, scenario, ("none", "true", *estimators))) is not None:
             _write(name, compared(json.loads(made.to_json())))
             write_text(DATA / f"{name}.md", to_markdown(made))
+    if rows := late(folder / "late"):
+        _write("late", {"rows": rows})
     for name in FROZEN:
         if (path := folder / f"{name}.json").exists():
             _write(name, solved(json.loads(path.read_text(encoding="utf-8"))))
@@ -91,6 +95,34 @@ def comparison(folder: Path, scenario: str, estimators: Sequence[str]) -> Compar
     records = tuple(record_of(read_run(places[name, seed])) for name in estimators for seed in seeds)
     source = study.sources[study.names.index(scenario)]
     return Comparison(source, tuple(estimators), tuple(seeds), records, JOBS)
+
+
+def late(folder: Path) -> list[dict[str, Any]]:
+    """Return for each scenario the mean squared errors, summed over the outputs, of true parameters written late.
+
+    `delay` is the number of macro steps by which they are late, `ratio` the times by which the error is that of the
+    floor, and `target` is as good as the truth `equivalent` steps late.
+    """
+    if not folder.exists():
+        return []
+    found: dict[str, dict[int, float]] = {}
+    with open_ledger(folder / LEDGER, is_read_only=True) as ledger:
+        for ended in ledger.entries():
+            if ended.result and ended.result["mse"] is not None:
+                found.setdefault(ended.point["scenario"], {})[ended.point["delay"]] = ended.result["mse"]
+    rows: list[dict[str, Any]] = []
+    for scenario, errors in found.items():
+        delays = sorted(errors)
+        mse = [errors[delay] for delay in delays]
+        estimators = json.loads((DATA / f"{scenario}.json").read_text(encoding="utf-8"))["estimators"]
+        target = sum(of["median"] for of in _below(estimators, "target")["mse"].values())
+        ratio = {f"{delay}": error / mse[0] if mse[0] else None for delay, error in zip(delays, mse, strict=True)}
+        equivalent = float(np.interp(target, mse, delays))
+        rows.append(
+            {"scenario": scenario, "delay": delays, "mse": mse, "ratio": ratio}
+            | {"target": target, "equivalent": equivalent}
+        )
+    return rows
 
 
 def compared(comparison: Mapping[str, Any]) -> dict[str, Any]:
@@ -128,6 +160,8 @@ def _value(words: list[str]) -> str:
         return re.sub(r"^## (.*)$", r"*\1*", text, flags=re.MULTILINE).strip()
     if words[0] == "frozen":
         return _frozen(json.loads((DATA / f"{words[1]}.json").read_text(encoding="utf-8"))["rows"])
+    if words == ["late"]:
+        return _late(json.loads((DATA / "late.json").read_text(encoding="utf-8"))["rows"])
     found: Any = json.loads((DATA / f"{words[0]}.json").read_text(encoding="utf-8"))
     for key in words[1:]:
         found = _below(found, key)
@@ -142,9 +176,19 @@ def _below(tree: Any, key: str) -> Any:
     if isinstance(tree, dict):
         return tree[key.replace("_", " ") if key not in tree else key]
     for element in tree:
-        if key in (element.get("estimator"), f"{element.get('t')}"):
+        if key in (element.get("estimator"), element.get("scenario"), f"{element.get('t')}"):
             return element
     raise KeyError(key)
+
+
+def _late(rows: list[dict[str, Any]]) -> str:
+    """Return a table of squared errors: scenarios down, macro steps by which the true parameters are late across."""
+    across = [*(f"{delay} late" for delay in rows[0]["delay"]), "`target`", "is as late as"]
+    lines = ["| scenario | " + " | ".join(across) + " |", "| --- |" + " ---: |" * len(across)]
+    for row in rows:
+        cells = [*(f"{mse:.3g}" for mse in row["mse"]), f"{row['target']:.3g}", f"{row['equivalent']:.2g}"]
+        lines.append(f"| {row['scenario']} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
 
 
 def _frozen(rows: list[dict[str, Any]]) -> str:

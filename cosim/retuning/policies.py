@@ -68,13 +68,13 @@ class NominalPolicy:
 class TrueParametersPolicy(NominalPolicy):
     """Policy that writes the plant's true parameters: the least error that re-tuning can achieve."""
 
-    def __init__(self, truth: Callable[[float], Vector]) -> None:
-        """truth: the plant's parameters (d,) as a function of time [s]."""
-        self._truth = truth
+    def __init__(self, truth: Callable[[int], Vector], delay: int) -> None:
+        """truth: the plant's parameters (d,) by communication point; delay: number of these by which they are late."""
+        self._truth, self._delay = truth, delay
 
     def step(self, point: Point, held: Vector) -> Decision:
-        """Write the true parameters at this time."""
-        return Decision(write=self._truth(point.t))
+        """Write the true parameters at the communication point that is as far back as they are late."""
+        return Decision(write=self._truth(max(point.k - self._delay, 0)))
 
 
 def make_policy(
@@ -97,5 +97,5 @@ def make_policy(
     if estimator == "none":
         return NominalPolicy()
     if estimator == "true":
-        return TrueParametersPolicy(truth)
+        return TrueParametersPolicy(lambda k: truth(scenario.scenario.time(k)), scenario.estimation.true.delay)
     return make_supervisor(scenario, estimator, plant, held, rng, stack, running, live)

@@ -123,6 +123,13 @@ class RolloutSettings(Table):
     """Number of processes; the results do not depend on it."""
 
 
+class TrueParametersSettings(Table):
+    """Settings of the baseline `true`, which writes the plant's true parameters."""
+
+    delay: int = Field(default=0, ge=0)
+    """Number of macro steps by which they are written late: what the best estimate from so many samples could reach."""
+
+
 class EstimationSettings(LoopSettings):
     """Settings of the estimation: parameters, objective, model, and the loop."""
 
@@ -145,6 +152,8 @@ class EstimationSettings(LoopSettings):
     """Times [s] at which the report compares estimated and true parameters."""
     linear: LinearModel | None = None
     """The model's linear form, for recursive least squares."""
+    true: TrueParametersSettings = TrueParametersSettings()
+    """The baseline `true`."""
     methods: dict[str, dict[str, Any]] = {}
     """Settings of single estimators, and their replacements of the above: `[estimation.NAME]` in a file."""
 

@@ -127,6 +127,13 @@ def test_nothing_is_written_by_none_and_the_truth_by_true(pendulum):
     assert floor.max_error == pytest.approx(0.0, abs=1e-12)
 
 
+def test_the_truth_may_be_written_so_many_steps_late(pendulum):
+    late = run(pendulum(EARLY_CHANGE | {"estimation.true.delay": "3"}), "true")
+    assert late["controller.m"].tolist() == [1.75] * 13 + [4.271] * 38
+    assert late.true_parameters["m"].tolist() == [1.75] * 10 + [4.271] * 41
+    assert 1e-4 < late.max_error < run(pendulum(EARLY_CHANGE), "none").max_error
+
+
 def test_the_controller_is_retuned_to_the_changed_plant(pendulum, tmp_path):
     (tmp_path / "run").mkdir()
     result = run(pendulum(EARLY_CHANGE, stop_time=1.0), "target", out=tmp_path / "run")

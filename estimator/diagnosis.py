@@ -334,11 +334,15 @@ class Diagnosis:
         """Return the parameters that explain the samples since the onset and are determined by them; None without such.
 
         A filter can go on from parameters that only the newest samples explain, and that they do not determine, too.
+        For others there is nothing while the parameters drift: these seek again after a quarter as many samples.
         """
         state = self._state
+        if not is_filter and state.n_samples < state.next_jump and state.n_since >= _QUIET:
+            return None
         z = self.space.to_unit(held if state.reference is None else state.reference)
         lengths = (state.n_since, state.n_explained) if is_filter else (state.n_since,)
         found = jump_to(self._rows_at, dict.fromkeys(lengths), z, self.space)
+        state.next_jump = state.n_samples + state.n_since // 4 if found is None else 0
         return found if found is None or is_filter or all(found.is_identifiable) else None
 
     @property

@@ -67,6 +67,8 @@ class DiagnosisState:
     """Number of newest samples that the verdict is about."""
     found_at: int = 0
     """Number of the sample at which the verdict was found."""
+    next_jump: int = 0
+    """Number of the sample from which on constant parameters are sought again, none having explained the samples."""
 
     def keep(self, sample: Sample, most: int) -> None:
         """Keep a sample; of those since an onset, where they are more than `most`, every second of the older ones."""

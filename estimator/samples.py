@@ -120,14 +120,17 @@ class DerivativeResidual:
     def _at_once(self, thetas: Vector, samples: Sequence[Sample]) -> Vector | None:
         """Return the modelled derivatives (k n, c) of candidates (k, d) at n samples; None where one has no value."""
         k, n = len(thetas), len(samples)
-        x, u = (np.tile(np.array(values, dtype=float).T, k) for values in zip(*((s.x, s.u) for s in samples)))
+        x, u = (np.concatenate([np.array(v, dtype=float).T] * k, axis=1) for v in zip(*((s.x, s.u) for s in samples)))
         named = dict(zip(self.space.names, np.repeat(thetas, n, axis=0).T, strict=True))
         try:
             with np.errstate(all="ignore"):
                 modelled: Any = self.model(x, u, **named)
         except (ArithmeticError, ValueError):
             return None
-        return np.stack([np.broadcast_to(modelled[i], k * n) for i in self.channels], axis=-1)
+        table = np.empty((k * n, len(self.channels)))
+        for column, i in zip(table.T, self.channels, strict=True):
+            column[:] = modelled[i]
+        return table
 
     def _modelled(self, named: Mapping[str, float], sample: Sample) -> Sequence[float] | None:
         """Return the modelled derivatives (c,) of the channels; None where the model has no value."""

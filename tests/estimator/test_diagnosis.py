@@ -12,6 +12,7 @@ from estimator.baselines import LeastSquares
 from estimator.diagnosing import make_retuner
 from estimator.diagnosis import Diagnosis
 from estimator.diagnosis_settings import DiagnosisSettings
+from estimator.jump import jump_to
 from estimator.kalman import UnscentedKalman
 from estimator.retuner import Budget
 from estimator.triggers import AlwaysSettings, InnovationSettings
@@ -245,6 +246,19 @@ def test_a_filter_follows_parameters_that_drift(n_channels, n):
     assert max(away) < 0.05
     assert np.median(away) < 0.02
     assert run.of("rest", "unexplained") == []
+
+
+@pytest.mark.parametrize(("is_filter", "most"), [(False, 17), (True, 40)])
+def test_constant_parameters_are_seldom_sought_while_they_drift(is_filter, most, monkeypatch):
+    run, sought = Run("target", 3), []
+    monkeypatch.setattr("estimator.diagnosis.jump_to", lambda *of: sought.append(run.k) or jump_to(*of))
+    for k in range(40):
+        run.diagnosis.observe(run.sample(TRUE + 0.05 * k, 0.0), TRUE)
+        run.k += 1
+        found = run.diagnosis.jump(TRUE, is_filter=is_filter)
+    assert found is None
+    assert len(sought) <= most
+    assert sought[-1] >= 35
 
 
 @pytest.mark.xfail(strict=True, reason="a few samples of a drift are named a constant disturbance")

@@ -5,72 +5,30 @@ suspicious   they do not, from an onset on; new parameters are warranted where t
 
 A suspicion ends when the parameters in force, new ones perhaps, explain the samples again; or with a search for
 parameters that has found none: then either a constant disturbance explains them, and is subtracted from now on, or
-nothing does, and the channels concerned rest. See `hypotheses` for the comparison.
+nothing does, and the channels concerned rest. See `comparison` for how that is found.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .contract import Estimate
-from .diagnosis_settings import (
-    BETTER,
-    FORGOTTEN,
-    MOST_NAMED,
-    PATIENCE,
-    DiagnosisSettings,
-    Judgement,
-    is_at_unseen_bound,
-)
+from .comparison import FEWEST, QUIET, WINDOW, HypothesisComparison
+from .diagnosis_settings import FORGOTTEN, MOST_NAMED, PATIENCE, DiagnosisSettings, is_at_unseen_bound
 from .diagnosis_state import DiagnosisState
-from .differences import OfMany
 from .events import Event
-from .evidence import Evidence
-from .hypotheses import (
-    FALSE_ALARM,
-    MARGIN,
-    USUAL_RATE,
-    ChangedParameters,
-    Disturbance,
-    Fit,
-    Weighing,
-    changed_parameters,
-    disturbance_of,
-    n_channels_of,
-    plain_fit,
-)
-from .jump import jump_to
-from .residual_scale import ResidualScale, spread_of
+from .hypotheses import FALSE_ALARM, MARGIN, Disturbance, disturbance_of, n_channels_of, plain_fit
 from .samples import DerivativeResidual, Sample
 from .significance import chi2_limit
 from .space import ParameterSpace, Vector
 from .wandering import agree
 
-_WINDOW: Final = 20
-"""Largest number of samples on which hypotheses are compared."""
-_QUIET: Final = 5
-"""Number of newest samples that the parameters in force must explain for a suspicion to end."""
 _LONG: Final = 6
 """Least number of samples since the onset on which parameters are accepted."""
-_FEWEST: Final = 3
-"""Least number of samples that name a disturbance, or its end."""
-_LENGTHS: Final = (5, 4, 3, 2, 1)
-"""Numbers of newest samples on which the hypotheses are compared, until changed parameters explain them."""
-_RATE: Final = 2.0 * USUAL_RATE
-"""Largest change of a parameter from sample to sample, as a share of the scaled bounds: faster, it is none."""
-_NOISY: Final = 8
-"""Least number of samples since the onset that show a larger noise than the declared one."""
-_LARGER: Final = 1.3
-"""Factor by which it must be larger."""
-_MUCH_LARGER: Final = 3.0
-"""Factor where the parameters in force stay: they are not fitted, and a smaller one may be what the model lacks."""
 _SPARE: Final = 10
 """Least number of explained values in excess of the fitted ones that makes good for a search in vain."""
-_RENEWED: Final = 5
-"""Number of samples after which a comparison that changed parameters have won is repeated."""
 
 
 @dataclass(frozen=True)
@@ -84,8 +42,8 @@ class Settled:
     """True where the search for parameters is at its end, too."""
 
 
-class Diagnosis:
-    """Diagnosis on sampled derivatives. It owns the residuals' true size, the known disturbance and the rests."""
+class Diagnosis(HypothesisComparison):
+    """Diagnosis on sampled derivatives: onset and end of a suspicion, disturbances and rests."""
 
     def __init__(
         self,
@@ -97,12 +55,8 @@ class Diagnosis:
     ) -> None:
         """declared: residual (c,) in standard deviations of the declared noise; names, sigma (c,): of the channels,
         and that noise."""
-        self._declared, self._names, self._settings = declared, tuple(names), settings
-        self._sigma, self.space = np.array(sigma), space
-        self.evidence = Evidence()
-        c = len(self._names)
-        zero = np.zeros(c, dtype=np.intp)
-        self._state = DiagnosisState([], ResidualScale(c), np.zeros(c), zero, np.zeros(c, dtype=bool))
+        super().__init__(declared, names, sigma, space)
+        self._settings = settings
 
     @property
     def is_suspicious(self) -> bool:
@@ -131,48 +85,6 @@ class Diagnosis:
         """Return what is known of each channel, and the number of events of each kind, as JSON values."""
         return self._state.summary(self._names, self._sigma)
 
-    def residual(self, theta: Vector, sample: Sample) -> Vector:
-        """Return the residual (c,) in standard deviations of its true size, less the known disturbance.
-
-        It is 0 for a channel that rests or was not sampled.
-        """
-        return self.scaled(theta, self.corrected(sample))
-
-    def rows(self, theta: Vector, samples: Sequence[Sample]) -> Vector:
-        """Return the residuals (..., n, c) of candidates theta (..., d) at n samples, each as `residual` does."""
-        if self._is_correcting:
-            samples = [self.corrected(sample) for sample in samples]
-        return self.scaled_rows(theta, samples)
-
-    @property
-    def _is_correcting(self) -> bool:
-        return bool(np.count_nonzero(self._state.offset) or np.count_nonzero(self._state.is_resting))
-
-    def corrected(self, sample: Sample) -> Sample:
-        """Return the sample less the known disturbance, and without the channels that rest."""
-        if not self._is_correcting:
-            return sample
-        state = self._state
-        xdot = np.where(state.is_resting, np.nan, np.array(sample.xdot) - state.offset * self._sigma)
-        return replace(sample, xdot=tuple(xdot.tolist()))
-
-    def scaled(self, theta: Vector, sample: Sample) -> Vector:
-        """Return the residual (c,) of a corrected sample in standard deviations of its true size."""
-        return self._declared(theta, sample) / self._state.scale.effective
-
-    def scaled_rows(self, theta: Vector, samples: Sequence[Sample]) -> Vector:
-        """Return the residuals (..., n, c) of candidates theta (..., d) at n samples, each as `scaled` does."""
-        return self._declared.rows(theta, samples) / self._state.scale.effective
-
-    def slopes(self, theta: Vector, samples: Sequence[Sample]) -> Vector | None:
-        """Return the slopes (n, c, d) of `rows` at theta (d,) in the unit cube; None where the model has none."""
-        return self.scaled_slopes(theta, [self.corrected(sample) for sample in samples])
-
-    def scaled_slopes(self, theta: Vector, samples: Sequence[Sample]) -> Vector | None:
-        """Return the slopes (n, c, d) of `scaled_rows` at theta (d,) in the unit cube; None where there are none."""
-        declared = self._declared.slope_rows(theta, samples)
-        return None if declared is None else declared / self._state.scale.effective[:, None]
-
     def observe(self, sample: Sample, held: Vector) -> bool:
         """Take a sample, with the parameters in force (d,); return whether residuals are to be computed anew."""
         state = self._state
@@ -189,14 +101,14 @@ class Diagnosis:
                 has_woken = True
         missing = int(np.count_nonzero(state.is_resting | np.isnan(sample.xdot)))
         is_contradictory = not self._is_usual(declared / state.scale.values, len(declared) - missing)
-        state.keep(sample, _WINDOW)
+        state.keep(sample, WINDOW)
         if state.n_since or is_contradictory:
             if not state.n_since:
                 state.reference, state.verdict, state.changed, state.has_moved = held, "refuted", None, False
                 if state.lasting is None or state.n_samples >= state.suspected_at + FORGOTTEN:
                     state.lasting = held
                 state.n_calm = state.n_samples - state.suspected_at - 1
-                if state.n_samples >= state.suspected_at + _WINDOW:
+                if state.n_samples >= state.suspected_at + WINDOW:
                     state.way = state.way.begin(self.space.to_unit(held))
             state.n_since, state.n_quiet = min(state.n_since + 1, len(state.samples)), 0
             state.suspected_at = state.n_samples
@@ -216,7 +128,7 @@ class Diagnosis:
         reference = held if state.reference is None else state.reference
         is_changed = not np.array_equal(reference, held)
         here = self._rows(held, n)
-        is_explained = n >= _QUIET and plain_fit(here[-_QUIET:], 0).is_explained
+        is_explained = n >= QUIET and plain_fit(here[-QUIET:], 0).is_explained
         if is_explained and not is_changed:
             return self._explained(t, held, n)
         there = self._rows(reference, n) if is_changed else here
@@ -248,7 +160,7 @@ class Diagnosis:
         state, lasting = self._state, self._state.lasting
         if state.has_moved and lasting is not None and agree(self.space.to_unit(lasting), self.space.to_unit(held)):
             there = self._rows(lasting, n)
-            if plain_fit(there[-_QUIET:], 0).is_explained:
+            if plain_fit(there[-QUIET:], 0).is_explained:
                 return self._passed(t, lasting, there, True)
         state.n_since = 0
         return Settled(None)
@@ -260,13 +172,13 @@ class Diagnosis:
         """
         state = self._state
         without = there + np.where(state.is_resting, 0.0, state.offset / state.scale.effective)
-        newest = slice(-_QUIET, None) if is_changed else slice(None)
+        newest = slice(-QUIET, None) if is_changed else slice(None)
         before = plain_fit(without[newest], 0)
         if not before.is_explained:
             return False
         if is_explained:
             return is_changed and not plain_fit(here, 0).is_explained
-        return len(here) >= _FEWEST and before.score + MARGIN <= plain_fit(here[newest], 0).score
+        return len(here) >= FEWEST and before.score + MARGIN <= plain_fit(here[newest], 0).score
 
     def _changed(self, t: float, held: Vector) -> Settled:
         """End a suspicion that changed parameters, those in force, have won."""
@@ -306,49 +218,6 @@ class Diagnosis:
         does that.
         """
         return self._state.n_since > 0 and self._state.way.is_to_and_fro(self.space.to_unit(held))
-
-    def judge(self, theta: Vector, held: Vector) -> Judgement:
-        """Return whether parameters theta (d,) in place of those in force are warranted by the newest samples."""
-        state = self._state
-        if not state.n_since:
-            n = min(len(state.samples), _QUIET)
-            return "warranted" if plain_fit(self._rows(theta, n), 0).is_explained else "refuted"
-        is_due = state.n_samples >= state.found_at + (_RENEWED if state.verdict == "warranted" else 1)
-        if is_due or state.found_at < state.n_samples - state.n_since:
-            self._weigh(theta, held)
-        if state.verdict == "refuted":
-            return "refuted"
-        now = self._rows(theta, 1)
-        if plain_fit(now, 0).is_explained or np.sum(now**2) < BETTER * np.sum(self._rows(held, 1) ** 2):
-            return state.verdict
-        return "refuted"
-
-    def lags(self, theta: Vector) -> bool:
-        """Return whether an estimate theta (d,) does not explain the newest samples, which other parameters may."""
-        state = self._state
-        if not state.n_since or state.verdict == "refuted":
-            return False
-        return not plain_fit(self._rows(theta, min(state.n_explained, _FEWEST)), 0).is_explained
-
-    def jump(self, held: Vector, *, is_filter: bool) -> Estimate | None:
-        """Return the parameters that explain the samples since the onset and are determined by them; None without such.
-
-        A filter can go on from parameters that only the newest samples explain, and that they do not determine, too.
-        For others there is nothing while the parameters drift: these seek again after a quarter as many samples.
-        """
-        state = self._state
-        if not is_filter and state.n_samples < state.next_jump and state.n_since >= _QUIET:
-            return None
-        z = self.space.to_unit(held if state.reference is None else state.reference)
-        lengths = (state.n_since, state.n_explained) if is_filter else (state.n_since,)
-        found = jump_to(self._rows_at, dict.fromkeys(lengths), z, self.space)
-        state.next_jump = state.n_samples + state.n_since // 4 if found is None else 0
-        return found if found is None or is_filter or all(found.is_identifiable) else None
-
-    @property
-    def is_tested(self) -> bool:
-        """True where the hypothesis of changed parameters has been proven, or could have been refuted."""
-        return self._state.verdict == "warranted" or self._state.n_spare > 0
 
     def is_at_unseen_bound(self, theta: Vector, std: Vector, held: Vector) -> bool:
         """Return whether a parameter would move to a bound although its standard deviation is as wide as the bounds.
@@ -390,105 +259,6 @@ class Diagnosis:
         state = self._state
         return state.lasting if state.is_resting.all() and state.lasting is not None else reference
 
-    def _weigh(self, theta: Vector, held: Vector) -> None:
-        """Compare the hypotheses on the newest samples since the onset, fewer of them where nothing explains more."""
-        state, space = self._state, self.space
-        state.found_at, state.verdict = state.n_samples, "refuted"
-        reference = held if state.reference is None else state.reference
-        there = self._rows(theta, state.n_since)
-        for n in _shorter(state.n_since):
-            if self._wins(plain_fit(there[-n:], len(space)), reference, n):
-                return
-        z = space.to_unit(theta) if state.changed is None else state.changed
-        for n in [n for n in _LENGTHS if n <= state.n_since]:
-            found = changed_parameters(self._rows_at(n), z)
-            if found.rate <= _RATE and self._wins(found.fit, reference, n):
-                state.changed = found.z
-                return
-
-    def _wins(self, parameters: Fit, reference: Vector, n: int) -> bool:
-        """Set the verdict where changed parameters are possible by their fit to the newest n samples."""
-        is_recorded = n == min(self._state.n_since, _LENGTHS[0])
-        if not (parameters.is_possible or is_recorded):
-            return False
-        before = self._rows(reference, n)
-        weighing = Weighing(parameters, disturbance_of(before).fit, plain_fit(before, 0))
-        if weighing.are_parameters_possible or is_recorded:
-            self.evidence.note(n, **vars(weighing))
-        if weighing.are_parameters_possible:
-            self._state.n_explained = n
-            self._state.n_spare = parameters.n_values - parameters.n_free
-            unproven: Judgement = "refuted" if self._state.is_resting.any() else "possible"
-            self._state.verdict = "warranted" if weighing.are_parameters_proven else unproven
-        return weighing.are_parameters_possible
-
-    def _best(self, held: Vector, n: int, *, may_drift: bool) -> ChangedParameters:
-        """Return the parameters that explain the newest n samples best, whatever the search has found."""
-        changed = self._state.changed
-        z = self.space.to_unit(held) if changed is None else changed
-        return changed_parameters(self._rows_at(n), z, may_drift=may_drift)
-
-    def _is_changing(self, held: Vector, n: int) -> bool:
-        """Return whether parameters, constant ones or slowly changing, explain the newest n samples."""
-        found = self._best(held, n, may_drift=True)
-        self.evidence.note(n, parameters=found.fit)
-        return found.fit.is_explained and found.rate <= _RATE
-
-    def _both(self, held: Vector, n: int) -> Disturbance | None:
-        """Return the constant disturbance that explains the newest n samples together with changed parameters."""
-        space = self.space
-
-        def left(z: Vector) -> Vector:
-            rows = self._rows(space.beyond(z), n)
-            return rows - rows.mean(axis=-2, keepdims=True)
-
-        best = changed_parameters(OfMany(left), space.to_unit(held), may_drift=False)
-        rows = self._rows(space.beyond(best.z), n)
-        n_channels, mean = n_channels_of(rows), rows.mean(axis=0)
-        fit = plain_fit(best.rows, self._n_free + n_channels, n * n_channels)
-        self.evidence.note(n, both=fit)
-        return Disturbance(mean, np.abs(mean), fit, True) if fit.is_explained else None
-
-    def _is_noise(self, held: Vector) -> bool:
-        """Adopt a larger noise where that explains the samples since the onset, with those in force or the best ones.
-
-        Noise is what differs from sample to sample by as much as in the whole: what a model lacks is smooth.
-        """
-        state = self._state
-        if state.n_since < _NOISY:
-            return False
-        few = min(state.n_since, _WINDOW // 2)
-        best = self._best(held, few, may_drift=False).z
-        for n, z, least in ((state.n_since, self.space.to_unit(held), _MUCH_LARGER), (few, best, _LARGER)):
-            rows_at = self._rows_at(n)
-            rows = rows_at(z)
-            larger = np.maximum(spread_of(rows), 1.0)
-            if not np.all(np.isfinite(rows)) or np.all(larger < least):
-                continue
-            found = changed_parameters(OfMany(lambda z, f=rows_at, larger=larger: f(z) / larger), z)
-            if found.rate <= _RATE and found.fit.is_explained:
-                state.scale.enlarge(larger)
-                return True
-        return False
-
-    @property
-    def _n_free(self) -> int:
-        return len(self.space)
-
-    @property
-    def has_failed(self) -> bool:
-        """True where changed parameters do not explain the newest samples, however few."""
-        return self._state.verdict == "refuted" or self._state.n_explained < _FEWEST
-
-    def disturbance(self, held: Vector) -> Vector:
-        """Return the disturbance (c,), in the derivatives' units, that may act in place of changed parameters."""
-        state = self._state
-        if not state.n_since:
-            return state.offset * self._sigma
-        reference = held if state.reference is None else state.reference
-        found = disturbance_of(self._rows(reference, min(state.n_since, _QUIET)))
-        return (state.offset + found.newest * state.scale.effective) * self._sigma
-
     def fail(self, t: float, theta: Vector | None, held: Vector) -> Settled | None:
         """Take the end of a search that has found no parameters, theta (d,) being the best; None for a false alarm.
 
@@ -496,7 +266,7 @@ class Diagnosis:
         other, the channels that neither explains rest, longer each time.
         """
         state = self._state
-        n = min(state.n_since, _QUIET)
+        n = min(state.n_since, QUIET)
         reference = held if state.reference is None else state.reference
         rows = self._rows(reference, n)
         found = disturbance_of(rows)
@@ -509,7 +279,7 @@ class Diagnosis:
             return None
         explaining = [d for d in (found, self._both(held, n)) if d is not None and d.fit.is_explained]
         before = self._before(reference, n)
-        if n >= _QUIET and explaining:
+        if n >= QUIET and explaining:
             best = min(explaining, key=lambda d: d.fit.score)
             if best is found:
                 best = disturbance_of(self._rows(before, n))
@@ -551,13 +321,13 @@ class Diagnosis:
         largest = rows[np.abs(rows).argmax(axis=0), np.arange(rows.shape[1])]
         acts, was_known = _acting(np.abs(largest)), bool(np.any(state.offset))
         n_unusual = sum(not self._is_usual(row, n_channels_of(rows)) for row in rows)
-        lasting, n_newest = state.lasting, min(len(rows), _QUIET)
+        lasting, n_newest = state.lasting, min(len(rows), QUIET)
         if lasting is not None and plain_fit(self._rows(lasting, n_newest), 0).is_explained:
             before = lasting
         events: tuple[Event, ...] = ()
         if was_known:
             events = (Event(t, "disturbance", {"size": {}, "reason": "the disturbance is over"}),)
-        elif is_changed and n_unusual >= _FEWEST:
+        elif is_changed and n_unusual >= FEWEST:
             reason = "a disturbance has passed: the parameters before it explain the samples again"
             events = (self._named(t, largest * state.scale.effective, acts, reason),)
         state.offset, state.n_since = np.zeros(len(acts)), 0
@@ -611,23 +381,8 @@ class Diagnosis:
     def _is_usual(self, row: Vector, n_sampled: int) -> bool:
         return not n_sampled or float(row @ row) <= chi2_limit(self._settings.false_alarm, n_sampled)
 
-    def _rows(self, theta: Vector, n: int) -> Vector:
-        """Return the residuals (..., n, c) of theta (..., d) at the newest n samples, from old to new."""
-        return self.rows(theta, self._state.samples[-n:])
-
-    def _rows_at(self, n: int) -> OfMany:
-        """Return the residuals (..., n, c) at the newest n samples as a function of places (..., d)."""
-        return OfMany(lambda z: self._rows(self.space.beyond(z), n))
-
 
 def _acting(largest: Vector) -> NDArray[np.bool_]:
     """Return which channels (c,) a disturbance acts on, from its largest size (c,) there: one at least."""
     acts = largest > np.sqrt(chi2_limit(FALSE_ALARM, 1))
     return acts if acts.any() else largest >= largest.max()
-
-
-def _shorter(n: int) -> Iterator[int]:
-    """Yield numbers of newest samples from n down to 6, each two thirds of the one before."""
-    while n > _LENGTHS[0]:
-        yield n
-        n = 2 * n // 3

@@ -251,7 +251,7 @@ def test_a_filter_follows_parameters_that_drift(n_channels, n):
 @pytest.mark.parametrize(("is_filter", "most"), [(False, 17), (True, 40)])
 def test_constant_parameters_are_seldom_sought_while_they_drift(is_filter, most, monkeypatch):
     run, sought = Run("target", 3), []
-    monkeypatch.setattr("estimator.diagnosis.jump_to", lambda *of: sought.append(run.k) or jump_to(*of))
+    monkeypatch.setattr("estimator.comparison.jump_to", lambda *of: sought.append(run.k) or jump_to(*of))
     for k in range(40):
         run.diagnosis.observe(run.sample(TRUE + 0.05 * k, 0.0), TRUE)
         run.k += 1

@@ -1,0 +1,266 @@
+"""Comparison of hypotheses on sampled derivatives: changed parameters, a disturbance, larger noise, or nothing.
+
+Residuals are in standard deviations of their true size, less the disturbance that is known. See `hypotheses` for the
+evidence, and `diagnosis` for what follows from it.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from .contract import Estimate
+from .diagnosis_settings import BETTER, Judgement
+from .diagnosis_state import DiagnosisState
+from .differences import OfMany
+from .evidence import Evidence
+from .hypotheses import (
+    USUAL_RATE,
+    ChangedParameters,
+    Disturbance,
+    Fit,
+    Weighing,
+    changed_parameters,
+    disturbance_of,
+    n_channels_of,
+    plain_fit,
+)
+from .jump import jump_to
+from .residual_scale import ResidualScale, spread_of
+from .samples import DerivativeResidual, Sample
+from .space import ParameterSpace, Vector
+
+WINDOW: Final = 20
+"""Largest number of samples on which hypotheses are compared."""
+QUIET: Final = 5
+"""Number of newest samples that the parameters in force must explain for a suspicion to end."""
+FEWEST: Final = 3
+"""Least number of samples that name a disturbance, or its end."""
+_LENGTHS: Final = (5, 4, 3, 2, 1)
+"""Numbers of newest samples on which the hypotheses are compared, until changed parameters explain them."""
+_RATE: Final = 2.0 * USUAL_RATE
+"""Largest change of a parameter from sample to sample, as a share of the scaled bounds: faster, it is none."""
+_NOISY: Final = 8
+"""Least number of samples since the onset that show a larger noise than the declared one."""
+_LARGER: Final = 1.3
+"""Factor by which it must be larger."""
+_MUCH_LARGER: Final = 3.0
+"""Factor where the parameters in force stay: they are not fitted, and a smaller one may be what the model lacks."""
+_RENEWED: Final = 5
+"""Number of samples after which a comparison that changed parameters have won is repeated."""
+
+
+class HypothesisComparison:
+    """Comparison on the newest samples. It owns the residuals' true size and the known disturbance."""
+
+    def __init__(
+        self, declared: DerivativeResidual, names: Sequence[str], sigma: Sequence[float], space: ParameterSpace
+    ) -> None:
+        """declared: residual (c,) in standard deviations of the declared noise; names, sigma (c,): of the channels,
+        and that noise."""
+        self._declared, self._names = declared, tuple(names)
+        self._sigma, self.space = np.array(sigma), space
+        self.evidence = Evidence()
+        c = len(self._names)
+        zero = np.zeros(c, dtype=np.intp)
+        self._state = DiagnosisState([], ResidualScale(c), np.zeros(c), zero, np.zeros(c, dtype=bool))
+
+    def residual(self, theta: Vector, sample: Sample) -> Vector:
+        """Return the residual (c,) in standard deviations of its true size, less the known disturbance.
+
+        It is 0 for a channel that rests or was not sampled.
+        """
+        return self.scaled(theta, self.corrected(sample))
+
+    def rows(self, theta: Vector, samples: Sequence[Sample]) -> Vector:
+        """Return the residuals (..., n, c) of candidates theta (..., d) at n samples, each as `residual` does."""
+        if self._is_correcting:
+            samples = [self.corrected(sample) for sample in samples]
+        return self.scaled_rows(theta, samples)
+
+    @property
+    def _is_correcting(self) -> bool:
+        return bool(np.count_nonzero(self._state.offset) or np.count_nonzero(self._state.is_resting))
+
+    def corrected(self, sample: Sample) -> Sample:
+        """Return the sample less the known disturbance, and without the channels that rest."""
+        if not self._is_correcting:
+            return sample
+        state = self._state
+        xdot = np.where(state.is_resting, np.nan, np.array(sample.xdot) - state.offset * self._sigma)
+        return replace(sample, xdot=tuple(xdot.tolist()))
+
+    def scaled(self, theta: Vector, sample: Sample) -> Vector:
+        """Return the residual (c,) of a corrected sample in standard deviations of its true size."""
+        return self._declared(theta, sample) / self._state.scale.effective
+
+    def scaled_rows(self, theta: Vector, samples: Sequence[Sample]) -> Vector:
+        """Return the residuals (..., n, c) of candidates theta (..., d) at n samples, each as `scaled` does."""
+        return self._declared.rows(theta, samples) / self._state.scale.effective
+
+    def slopes(self, theta: Vector, samples: Sequence[Sample]) -> Vector | None:
+        """Return the slopes (n, c, d) of `rows` at theta (d,) in the unit cube; None where the model has none."""
+        return self.scaled_slopes(theta, [self.corrected(sample) for sample in samples])
+
+    def scaled_slopes(self, theta: Vector, samples: Sequence[Sample]) -> Vector | None:
+        """Return the slopes (n, c, d) of `scaled_rows` at theta (d,) in the unit cube; None where there are none."""
+        declared = self._declared.slope_rows(theta, samples)
+        return None if declared is None else declared / self._state.scale.effective[:, None]
+
+    def judge(self, theta: Vector, held: Vector) -> Judgement:
+        """Return whether parameters theta (d,) in place of those in force are warranted by the newest samples."""
+        state = self._state
+        if not state.n_since:
+            n = min(len(state.samples), QUIET)
+            return "warranted" if plain_fit(self._rows(theta, n), 0).is_explained else "refuted"
+        is_due = state.n_samples >= state.found_at + (_RENEWED if state.verdict == "warranted" else 1)
+        if is_due or state.found_at < state.n_samples - state.n_since:
+            self._weigh(theta, held)
+        if state.verdict == "refuted":
+            return "refuted"
+        now = self._rows(theta, 1)
+        if plain_fit(now, 0).is_explained or np.sum(now**2) < BETTER * np.sum(self._rows(held, 1) ** 2):
+            return state.verdict
+        return "refuted"
+
+    def lags(self, theta: Vector) -> bool:
+        """Return whether an estimate theta (d,) does not explain the newest samples, which other parameters may."""
+        state = self._state
+        if not state.n_since or state.verdict == "refuted":
+            return False
+        return not plain_fit(self._rows(theta, min(state.n_explained, FEWEST)), 0).is_explained
+
+    def jump(self, held: Vector, *, is_filter: bool) -> Estimate | None:
+        """Return the parameters that explain the samples since the onset and are determined by them; None without such.
+
+        A filter can go on from parameters that only the newest samples explain, and that they do not determine, too.
+        For others there is nothing while the parameters drift: these seek again after a quarter as many samples.
+        """
+        state = self._state
+        if not is_filter and state.n_samples < state.next_jump and state.n_since >= QUIET:
+            return None
+        z = self.space.to_unit(held if state.reference is None else state.reference)
+        lengths = (state.n_since, state.n_explained) if is_filter else (state.n_since,)
+        found = jump_to(self._rows_at, dict.fromkeys(lengths), z, self.space)
+        state.next_jump = state.n_samples + state.n_since // 4 if found is None else 0
+        return found if found is None or is_filter or all(found.is_identifiable) else None
+
+    @property
+    def is_tested(self) -> bool:
+        """True where the hypothesis of changed parameters has been proven, or could have been refuted."""
+        return self._state.verdict == "warranted" or self._state.n_spare > 0
+
+    @property
+    def has_failed(self) -> bool:
+        """True where changed parameters do not explain the newest samples, however few."""
+        return self._state.verdict == "refuted" or self._state.n_explained < FEWEST
+
+    def disturbance(self, held: Vector) -> Vector:
+        """Return the disturbance (c,), in the derivatives' units, that may act in place of changed parameters."""
+        state = self._state
+        if not state.n_since:
+            return state.offset * self._sigma
+        reference = held if state.reference is None else state.reference
+        found = disturbance_of(self._rows(reference, min(state.n_since, QUIET)))
+        return (state.offset + found.newest * state.scale.effective) * self._sigma
+
+    def _weigh(self, theta: Vector, held: Vector) -> None:
+        """Compare the hypotheses on the newest samples since the onset, fewer of them where nothing explains more."""
+        state, space = self._state, self.space
+        state.found_at, state.verdict = state.n_samples, "refuted"
+        reference = held if state.reference is None else state.reference
+        there = self._rows(theta, state.n_since)
+        for n in _shorter(state.n_since):
+            if self._wins(plain_fit(there[-n:], len(space)), reference, n):
+                return
+        z = space.to_unit(theta) if state.changed is None else state.changed
+        for n in [n for n in _LENGTHS if n <= state.n_since]:
+            found = changed_parameters(self._rows_at(n), z)
+            if found.rate <= _RATE and self._wins(found.fit, reference, n):
+                state.changed = found.z
+                return
+
+    def _wins(self, parameters: Fit, reference: Vector, n: int) -> bool:
+        """Set the verdict where changed parameters are possible by their fit to the newest n samples."""
+        is_recorded = n == min(self._state.n_since, _LENGTHS[0])
+        if not (parameters.is_possible or is_recorded):
+            return False
+        before = self._rows(reference, n)
+        weighing = Weighing(parameters, disturbance_of(before).fit, plain_fit(before, 0))
+        if weighing.are_parameters_possible or is_recorded:
+            self.evidence.note(n, **vars(weighing))
+        if weighing.are_parameters_possible:
+            self._state.n_explained = n
+            self._state.n_spare = parameters.n_values - parameters.n_free
+            unproven: Judgement = "refuted" if self._state.is_resting.any() else "possible"
+            self._state.verdict = "warranted" if weighing.are_parameters_proven else unproven
+        return weighing.are_parameters_possible
+
+    def _best(self, held: Vector, n: int, *, may_drift: bool) -> ChangedParameters:
+        """Return the parameters that explain the newest n samples best, whatever the search has found."""
+        changed = self._state.changed
+        z = self.space.to_unit(held) if changed is None else changed
+        return changed_parameters(self._rows_at(n), z, may_drift=may_drift)
+
+    def _is_changing(self, held: Vector, n: int) -> bool:
+        """Return whether parameters, constant ones or slowly changing, explain the newest n samples."""
+        found = self._best(held, n, may_drift=True)
+        self.evidence.note(n, parameters=found.fit)
+        return found.fit.is_explained and found.rate <= _RATE
+
+    def _both(self, held: Vector, n: int) -> Disturbance | None:
+        """Return the constant disturbance that explains the newest n samples together with changed parameters."""
+        space = self.space
+
+        def left(z: Vector) -> Vector:
+            rows = self._rows(space.beyond(z), n)
+            return rows - rows.mean(axis=-2, keepdims=True)
+
+        best = changed_parameters(OfMany(left), space.to_unit(held), may_drift=False)
+        rows = self._rows(space.beyond(best.z), n)
+        n_channels, mean = n_channels_of(rows), rows.mean(axis=0)
+        fit = plain_fit(best.rows, self._n_free + n_channels, n * n_channels)
+        self.evidence.note(n, both=fit)
+        return Disturbance(mean, np.abs(mean), fit, True) if fit.is_explained else None
+
+    def _is_noise(self, held: Vector) -> bool:
+        """Adopt a larger noise where that explains the samples since the onset, with those in force or the best ones.
+
+        Noise is what differs from sample to sample by as much as in the whole: what a model lacks is smooth.
+        """
+        state = self._state
+        if state.n_since < _NOISY:
+            return False
+        few = min(state.n_since, WINDOW // 2)
+        best = self._best(held, few, may_drift=False).z
+        for n, z, least in ((state.n_since, self.space.to_unit(held), _MUCH_LARGER), (few, best, _LARGER)):
+            rows_at = self._rows_at(n)
+            rows = rows_at(z)
+            larger = np.maximum(spread_of(rows), 1.0)
+            if not np.all(np.isfinite(rows)) or np.all(larger < least):
+                continue
+            found = changed_parameters(OfMany(lambda z, f=rows_at, larger=larger: f(z) / larger), z)
+            if found.rate <= _RATE and found.fit.is_explained:
+                state.scale.enlarge(larger)
+                return True
+        return False
+
+    @property
+    def _n_free(self) -> int:
+        return len(self.space)
+
+    def _rows(self, theta: Vector, n: int) -> Vector:
+        """Return the residuals (..., n, c) of theta (..., d) at the newest n samples, from old to new."""
+        return self.rows(theta, self._state.samples[-n:])
+
+    def _rows_at(self, n: int) -> OfMany:
+        """Return the residuals (..., n, c) at the newest n samples as a function of places (..., d)."""
+        return OfMany(lambda z: self._rows(self.space.beyond(z), n))
+
+
+def _shorter(n: int) -> Iterator[int]:
+    """Yield numbers of newest samples from n down to 6, each two thirds of the one before."""
+    while n > _LENGTHS[0]:
+        yield n
+        n = 2 * n // 3

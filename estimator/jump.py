@@ -13,7 +13,7 @@ import numpy as np
 
 from .contract import Estimate, scaled_estimate
 from .differences import OfMany, forward_differences
-from .hypotheses import changed_parameters
+from .hypotheses import changed_parameters, plain_fit
 from .identifiability import IDENTIFIABLE_BELOW, information
 from .space import ParameterSpace, Vector
 
@@ -22,17 +22,24 @@ _STEP: Final = 1e-6
 
 
 def jump_to(
-    rows_at: Callable[[int], OfMany], lengths: Iterable[int], z: Vector, space: ParameterSpace
+    rows_at: Callable[[int], OfMany],
+    lengths: Iterable[int],
+    z: Vector,
+    space: ParameterSpace,
+    *,
+    may_be_exact: bool = False,
 ) -> Estimate | None:
     """Return the parameters within their bounds that explain the newest samples, more of them than they have values.
 
     rows_at: returns the residuals (..., n, c) at the newest n samples, in standard deviations, as a function of places
-    (..., d) in the unit cube; lengths: numbers n to try, the best first; z (d,): place to begin at. None without such
-    parameters.
+    (..., d) in the unit cube; lengths: numbers n to try, the best first; z (d,): place to begin at; may_be_exact: true
+    where as many values of several samples are enough, for parameters that the next sample has yet to prove. None
+    without such parameters.
     """
     for n in lengths:
         found = changed_parameters(rows_at(n), z, may_drift=False, beyond=0.0)
-        if not found.fit.is_explained:
+        may_be = may_be_exact and n > 1 and found.fit.n_values == found.fit.n_free
+        if not (found.fit.is_explained or (may_be and plain_fit(found.rows, 0).is_explained)):
             continue
         slope = forward_differences(rows_at(n), found.z, found.rows, _STEP)
         if np.all(np.isfinite(slope)):  # not where the model fails close by

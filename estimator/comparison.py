@@ -135,17 +135,24 @@ class HypothesisComparison:
         """Return the parameters that explain the samples since the onset and are determined by them; None without such.
 
         A filter can go on from parameters that only the newest samples explain, and that they do not determine, too.
-        Others take what as many values as parameters determine: it is written where it is predicted to do no harm. For
-        them there is nothing while the parameters drift: these seek again after a quarter as many samples.
+        Others take what as many values as parameters determine, where every sample contradicts what was in force: it is
+        written where it is predicted to do no harm. For them there is nothing while the parameters drift: these seek
+        again after a quarter as many samples.
         """
         state = self._state
         if not is_filter and state.n_samples < state.next_jump and state.n_since >= QUIET:
             return None
-        z = self.space.to_unit(held if state.reference is None else state.reference)
+        reference = held if state.reference is None else state.reference
+        z = self.space.to_unit(reference)
         lengths = (state.n_since, state.n_explained) if is_filter else (state.n_since,)
-        found = jump_to(self._rows_at, dict.fromkeys(lengths), z, self.space, may_be_exact=not is_filter)
+        may_be_exact = not is_filter and state.n_since <= len(self.space) and self._all_contradict(reference)
+        found = jump_to(self._rows_at, dict.fromkeys(lengths), z, self.space, may_be_exact=may_be_exact)
         state.next_jump = state.n_samples + state.n_since // 4 if found is None else 0
         return found if found is None or is_filter or all(found.is_identifiable) else None
+
+    def _all_contradict(self, theta: Vector) -> bool:
+        """Return whether each sample since the onset contradicts parameters theta (d,), not only an outlier."""
+        return all(not plain_fit(row[None], 0).is_explained for row in self._rows(theta, self._state.n_since))
 
     @property
     def is_tested(self) -> bool:

@@ -248,10 +248,22 @@ def test_a_filter_follows_parameters_that_drift(n_channels, n):
     assert run.of("rest", "unexplained") == []
 
 
+@pytest.mark.parametrize(("truth", "added", "is_found"), [(CHANGED, 0.0, True), (TRUE, 1.0, False)])
+def test_two_samples_are_enough_for_two_parameters_where_both_contradict(truth, added, is_found):
+    run = Run("target", 1)
+    for first in (True, False):  # a change stays, a spike does not
+        run.diagnosis.observe(run.sample(truth, added if first else 0.0), TRUE)
+        run.k += 20
+        found = run.diagnosis.jump(TRUE, is_filter=False)
+        assert found is None or not first
+    assert (found is not None) == is_found
+    assert found is None or near(found.theta, CHANGED)
+
+
 @pytest.mark.parametrize(("is_filter", "most"), [(False, 17), (True, 40)])
 def test_constant_parameters_are_seldom_sought_while_they_drift(is_filter, most, monkeypatch):
     run, sought = Run("target", 3), []
-    monkeypatch.setattr("estimator.comparison.jump_to", lambda *of: sought.append(run.k) or jump_to(*of))
+    monkeypatch.setattr("estimator.comparison.jump_to", lambda *a, **k: sought.append(run.k) or jump_to(*a, **k))
     for k in range(40):
         run.diagnosis.observe(run.sample(TRUE + 0.05 * k, 0.0), TRUE)
         run.k += 1

@@ -21,10 +21,9 @@ PENDULUM = {
     "scenario.isolation": "none",
     'changes."plant.m"': "[[0.0, 1.75], [0.1, 4.271]]",
     'changes."plant.l"': "[[0.0, 0.75], [0.1, 0.981]]",
+    "estimation.trigger": '{kind = "tracking", threshold = 0.01}',  # not for noise or a spike
 }
 QUADROTOR = {"scenario.stop_time": "0.8", "scenario.isolation": "none"}
-TRACKING = {"estimation.trigger": '{kind = "tracking", threshold = 0.01}'}
-"""Trigger that fires some samples after the change, and not for noise."""
 NOISY_STATES = {"sampling.states": '{"plant.phi" = {noise = 1e-5}, "plant.phi_dot" = {noise = 1e-5}}'}
 
 
@@ -155,7 +154,7 @@ def test_an_undisturbed_run_loses_no_sample(more, tmp_path):
 
 
 def test_ten_times_the_noise_is_no_fault(tmp_path):
-    result, _ = ran(tmp_path / "run", fault("noise", RATE, size=1e-2), more=TRACKING.items())
+    result, _ = ran(tmp_path / "run", fault("noise", RATE, size=1e-2))
     assert result.observations["kept_out"] <= 2
     noise = result["sampled." + RATE] - result[RATE]
     assert np.std(noise) == pytest.approx(1e-2, rel=0.25)
@@ -199,7 +198,7 @@ def test_for_an_outlier_that_may_be_a_disturbance_nothing_is_written_without_a_g
 @pytest.mark.parametrize(("diagnosis", "n_doubtful"), [("true", 0), ("false", 2)])
 def test_what_was_written_for_an_outlier_is_never_good_though_the_next_sample_is_lost(diagnosis, n_doubtful, tmp_path):
     faults = fault("spikes", RATE, size=20.0, start=0.25, stop=0.26), fault("dropout", RATE, start=0.26, stop=0.27)
-    settings = TRACKING | {"guard.probation": "20", "diagnosis.enabled": diagnosis}
+    settings = {"guard.probation": "20", "diagnosis.enabled": diagnosis}
     result, events = ran(tmp_path / "run", *faults, more=settings.items())
     assert result.guard["retracted"] == bool(n_doubtful)  # the diagnosis has found the parameters before: not believed
     written, confirmed = (

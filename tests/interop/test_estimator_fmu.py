@@ -104,7 +104,7 @@ def test_a_plain_fmpy_script_re_tunes_bit_for_bit_as_our_master_does(plan, name,
         assert seen[f"controller.{p.name}_held"].tolist() == ours.series[p.writes][:n].tolist()
     for tracked in scenario.tracking:
         assert seen[tracked].tolist() == ours.series[tracked][:n].tolist()
-    assert len(np.unique(seen[f"controller.{scenario.estimation.parameters[0].name}_held"])) > 5
+    assert len(np.unique(seen[f"controller.{scenario.estimation.parameters[0].name}_held"])) > 3
 
 
 def test_without_noise_it_finds_the_true_parameters(plan):

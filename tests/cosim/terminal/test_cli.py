@@ -32,6 +32,7 @@ RETUNE = Path(sys.executable).parent / "retune"
 PENDULUM = (files("cosim") / "scenarios" / "pendulum.toml").read_text(encoding="utf-8")
 SHORT = ["run", "pendulum", "--only", "--set", "scenario.stop_time=0.1"]
 EARLY_CHANGE = ["--set", 'changes."plant.m"=[[0.0, 1.75], [0.05, 4.271]]']
+LATE_TRIGGER = '--set=estimation.trigger={kind = "tracking", threshold = 0.01}'
 KEYS = [
     "scenario", "estimator", "seed", "mse", "max_error", "parameters", "gains", "final_estimate", "instants",
     "evaluations", "episodes", "model_calls", "objective", "guard", "observations", "diagnosis", "latency_ms",
@@ -463,6 +464,7 @@ def test_an_estimator_of_ones_own_is_run_with_its_settings(called, own, workplac
         "--set",
         "scenario.stop_time=0.2",
         *EARLY_CHANGE,
+        LATE_TRIGGER,
     ]
     for settings, value in (([], 3.0), (["--set", f'estimation."{name}".value=2.5'], 2.5)):
         code, out, err = called(*run, *settings)
@@ -478,7 +480,7 @@ def test_an_estimator_of_ones_own_is_run_with_its_settings(called, own, workplac
 @pytest.mark.full
 def test_an_estimator_of_ones_own_may_have_defaults_and_need_the_linear_form(called, own, workplace):
     name = f"{own}:Linear"
-    command = ["--only", "--json", "--estimator", name, "--set", "scenario.stop_time=0.2", *EARLY_CHANGE]
+    command = ["--only", "--json", "--estimator", name, "--set", "scenario.stop_time=0.2", *EARLY_CHANGE, LATE_TRIGGER]
     for settings, value in (([], 4.0), (["--set", f'estimation."{name}".value=2.5'], 2.5)):
         code, out, err = called("run", "pendulum", *command, *settings)
         assert (code, err) == (0, "")

@@ -38,7 +38,7 @@ def jump_to(
     """
     for n in lengths:
         found = changed_parameters(rows_at(n), z, may_drift=False, beyond=0.0)
-        may_be = may_be_exact and n > 1 and found.fit.n_values == found.fit.n_free
+        may_be = may_be_exact and n > 1 and found.rows.size == len(space)
         if not (found.fit.is_explained or (may_be and plain_fit(found.rows, 0).is_explained)):
             continue
         slope = forward_differences(rows_at(n), found.z, found.rows, _STEP)

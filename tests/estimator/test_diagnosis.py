@@ -248,7 +248,9 @@ def test_a_filter_follows_parameters_that_drift(n_channels, n):
     assert run.of("rest", "unexplained") == []
 
 
-@pytest.mark.parametrize(("truth", "added", "is_found"), [(CHANGED, 0.0, True), (TRUE, 1.0, False)])
+@pytest.mark.parametrize(
+    ("truth", "added", "is_found"), [(CHANGED, 0.0, True), (TRUE, 0.3, False), (TRUE, -0.3, False)]
+)
 def test_two_samples_are_enough_for_two_parameters_where_both_contradict(truth, added, is_found):
     run = Run("target", 1)
     for first in (True, False):  # a change stays, a spike does not

@@ -471,6 +471,7 @@ def test_a_python_with_nothing_installed_is_told_so(tmp_path):
 
 
 @fmu
+@pytest.mark.full
 def test_it_needs_no_more_than_it_says(tmp_path):
     """With NumPy, SciPy and GPy reachable, and nothing that a .pth file would add, such as our own sources."""
     path = build_estimator(Scenario.load("pendulum"), tmp_path)

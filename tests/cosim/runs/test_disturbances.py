@@ -102,6 +102,7 @@ def test_it_acts_on_the_plant_from_each_change_on_and_is_recorded(pushed, name, 
     assert np.max(np.abs(expected)) > 1e-3
 
 
+@pytest.mark.full
 def test_an_element_of_an_array_changes_and_the_others_stay_connected():
     """FMI 3.0 sets an array as a whole; the moment M_z of FMI 2.0 is its element M[3] there."""
 

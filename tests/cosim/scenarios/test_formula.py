@@ -207,6 +207,7 @@ TOKENS = [
 ]  # fmt: skip
 
 
+@pytest.mark.full
 @settings(max_examples=400, deadline=None)
 @given(st.one_of(st.text(max_size=30), st.lists(st.sampled_from(TOKENS), max_size=14).map(" ".join)))
 def test_no_text_escapes_as_anything_but_a_value_or_arithmetic_error(text):

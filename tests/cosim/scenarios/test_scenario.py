@@ -376,6 +376,7 @@ def paths_of(tree, here=()):
 PLACES = list(paths_of(tomllib.loads(PENDULUM)))
 
 
+@pytest.mark.full
 @settings(max_examples=400, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(place=st.sampled_from(PLACES), value=TREES)
 @example(place=("connections", "controller.phi"), value="\x85")  # a line break to str.splitlines

@@ -26,6 +26,7 @@ from .hypotheses import (
     n_channels_of,
     plain_fit,
 )
+from .input_lag import InputHistory, Inputs
 from .jump import jump_to
 from .residual_scale import ResidualScale, spread_of
 from .samples import DerivativeResidual, Sample
@@ -55,16 +56,22 @@ class HypothesisComparison:
     """Comparison on the newest samples. It owns the residuals' true size and the known disturbance."""
 
     def __init__(
-        self, declared: DerivativeResidual, names: Sequence[str], sigma: Sequence[float], space: ParameterSpace
+        self,
+        declared: DerivativeResidual,
+        names: Sequence[str],
+        sigma: Sequence[float],
+        space: ParameterSpace,
+        may_lag: Sequence[int] | None = None,
     ) -> None:
         """declared: residual (c,) in standard deviations of the declared noise; names, sigma (c,): of the channels,
-        and that noise."""
+        and that noise; may_lag: places in the input of what actuators may delay, by default all."""
         self._declared, self._names = declared, tuple(names)
         self._sigma, self.space = np.array(sigma), space
         self.evidence = Evidence()
         c = len(self._names)
         zero = np.zeros(c, dtype=np.intp)
         self._state = DiagnosisState([], ResidualScale(c), np.zeros(c), zero, np.zeros(c, dtype=bool))
+        self._state.inputs = InputHistory(None if may_lag is None else tuple(may_lag))
 
     def residual(self, theta: Vector, sample: Sample) -> Vector:
         """Return the residual (c,) in standard deviations of its true size, less the known disturbance.
@@ -81,15 +88,17 @@ class HypothesisComparison:
 
     @property
     def _is_correcting(self) -> bool:
-        return bool(np.count_nonzero(self._state.offset) or np.count_nonzero(self._state.is_resting))
+        state = self._state
+        return bool(state.inputs.lag or np.count_nonzero(state.offset) or np.count_nonzero(state.is_resting))
 
     def corrected(self, sample: Sample) -> Sample:
-        """Return the sample less the known disturbance, and without the channels that rest."""
-        if not self._is_correcting:
-            return sample
+        """Return the sample less the known disturbance and lag, and without the channels that rest."""
         state = self._state
-        xdot = np.where(state.is_resting, np.nan, np.array(sample.xdot) - state.offset * self._sigma)
-        return replace(sample, xdot=tuple(xdot.tolist()))
+        return self._without(sample, state.inputs.arriving, state.offset) if self._is_correcting else sample
+
+    def _without(self, sample: Sample, arriving: Inputs, offset: Vector) -> Sample:
+        xdot = np.where(self._state.is_resting, np.nan, np.array(sample.xdot) - offset * self._sigma)
+        return replace(sample, u=arriving.get(sample.t, sample.u), xdot=tuple(xdot.tolist()))
 
     def scaled(self, theta: Vector, sample: Sample) -> Vector:
         """Return the residual (c,) of a corrected sample in standard deviations of its true size."""

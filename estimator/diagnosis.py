@@ -15,18 +15,19 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from .comparison import FEWEST, QUIET, WINDOW, HypothesisComparison
+from .comparison import FEWEST, QUIET, WINDOW
 from .diagnosis_settings import FORGOTTEN, MOST_NAMED, PATIENCE, DiagnosisSettings, is_at_unseen_bound
 from .diagnosis_state import DiagnosisState
 from .events import Event
 from .hypotheses import FALSE_ALARM, MARGIN, Disturbance, disturbance_of, n_channels_of, plain_fit
+from .lag_comparison import LONG, LagComparison, LateInputs
 from .samples import DerivativeResidual, Sample
 from .significance import chi2_limit
 from .space import ParameterSpace, Vector
 from .wandering import agree
 
-_LONG: Final = 6
-"""Least number of samples since the onset on which parameters are accepted."""
+_SURE: Final = 10
+"""Number of samples on which a lag need not explain better than changed parameters, which have more values."""
 _SPARE: Final = 10
 """Least number of explained values in excess of the fitted ones that makes good for a search in vain."""
 
@@ -42,7 +43,7 @@ class Settled:
     """True where the search for parameters is at its end, too."""
 
 
-class Diagnosis(HypothesisComparison):
+class Diagnosis(LagComparison):
     """Diagnosis on sampled derivatives: onset and end of a suspicion, disturbances and rests."""
 
     def __init__(
@@ -52,10 +53,10 @@ class Diagnosis(HypothesisComparison):
         sigma: Sequence[float],
         settings: DiagnosisSettings,
         space: ParameterSpace,
+        may_lag: Sequence[int] | None = None,
     ) -> None:
-        """declared: residual (c,) in standard deviations of the declared noise; names, sigma (c,): of the channels,
-        and that noise."""
-        super().__init__(declared, names, sigma, space)
+        """See `HypothesisComparison`; settings: of false alarms and rests."""
+        super().__init__(declared, names, sigma, space, may_lag)
         self._settings = settings
 
     @property
@@ -89,6 +90,7 @@ class Diagnosis(HypothesisComparison):
         """Take a sample, with the parameters in force (d,); return whether residuals are to be computed anew."""
         state = self._state
         state.n_samples += 1
+        state.inputs.take(sample)
         state.way = state.way.go(self.space.to_unit(held))
         has_woken = state.wake()
         declared = self._declared(held, self.corrected(sample))
@@ -102,6 +104,8 @@ class Diagnosis(HypothesisComparison):
         missing = int(np.count_nonzero(state.is_resting | np.isnan(sample.xdot)))
         is_contradictory = not self._is_usual(declared / state.scale.values, len(declared) - missing)
         state.keep(sample, WINDOW)
+        if is_contradictory and not state.n_since and state.inputs.lag and self._is_lag_again(held):
+            is_contradictory, has_woken = False, True
         if state.n_since or is_contradictory:
             if not state.n_since:
                 state.reference, state.verdict, state.changed, state.has_moved = held, "refuted", None, False
@@ -109,6 +113,7 @@ class Diagnosis(HypothesisComparison):
                     state.lasting = held
                 state.n_calm = state.n_samples - state.suspected_at - 1
                 if state.n_samples >= state.suspected_at + WINDOW:
+                    state.restless_since, state.next_lag = state.n_samples, 0
                     state.way = state.way.begin(self.space.to_unit(held))
             state.n_since, state.n_quiet = min(state.n_since + 1, len(state.samples)), 0
             state.suspected_at = state.n_samples
@@ -134,7 +139,7 @@ class Diagnosis(HypothesisComparison):
         there = self._rows(reference, n) if is_changed else here
         if self._is_over(here, there, is_changed, is_explained) and not (is_explained and self._is_changing(held, n)):
             return self._passed(t, reference, there, is_changed)
-        if n < _LONG:
+        if n < LONG:
             return None
         disturbance = disturbance_of(there, may_drift=False)
         parameters, nothing = plain_fit(here, self._n_free), plain_fit(there, 0)
@@ -145,12 +150,27 @@ class Diagnosis(HypothesisComparison):
         if is_changed and is_explained and parameters.is_explained:
             self.evidence.note(n, parameters=parameters)
             return self._changed(t, held) if disturbance.fit.score >= parameters.score + MARGIN else None
+        late = self._late_inputs(reference, n) if self._is_due() else None
+        if late is not None:
+            best = self._best(held, late.n, may_drift=True).fit
+            if late.found.fit.score + (MARGIN if late.n < _SURE else 0.0) <= best.score:
+                return self._adopted(t, late)
         is_named = disturbance.fit.is_explained and disturbance.fit.score + MARGIN <= nothing.score
         if is_named and n % 2 == 0 and not self._is_changing(held, n):
             before = self._before(reference, n)
             events = self._name(t, disturbance_of(self._rows(before, n), may_drift=False))
             return Settled(self._undone(before), events, True)
         return None
+
+    def _adopted(self, t: float, late: LateInputs) -> Settled:
+        """End a suspicion as a lag of the inputs explains the samples, or its end does."""
+        state, lag = self._state, late.found.lag
+        state.n_since, state.verdict, state.offset = 0, "refuted", late.offset
+        state.inputs.adopt(late.found)
+        state.counts["lag"] += 1
+        how = "inputs that arrive late explain the samples" if lag else "the inputs arrive in time again"
+        event = Event(t, "lag", {**state.inputs.describe(lag), "reason": how})
+        return Settled(self._undone(late.theta), (event,), True)
 
     def _explained(self, t: float, held: Vector, n: int) -> Settled:
         """End a suspicion, n samples long, as the parameters in force explain the samples again.
@@ -274,6 +294,9 @@ class Diagnosis(HypothesisComparison):
         if plain_fit(rows, 0).score <= found.fit.score:  # a false alarm
             state.n_since, state.verdict = 0, "refuted"
             return None
+        late = self._late_inputs(reference, state.n_since) if state.n_since >= LONG else None
+        if late is not None:
+            return self._adopted(t, late)
         is_doubtful = bool(state.is_resting.any())  # parameters need proof then
         if (not is_doubtful and self._is_changing(held, n)) or self._is_noise(held):  # which the search has not found
             return None

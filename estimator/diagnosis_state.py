@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .diagnosis_settings import KINDS, Judgement
+from .input_lag import InputHistory
 from .residual_scale import ResidualScale
 from .resting import NEWEST, RestingResiduals
 from .samples import Sample
@@ -29,6 +30,8 @@ class DiagnosisState:
     rests_until: NDArray[np.intp]
     """Number of the sample (c,) at which a channel's rest ends."""
     is_resting: NDArray[np.bool_]
+    inputs: InputHistory = field(default_factory=InputHistory)
+    """Inputs of the newest samples, and their known lag."""
     n_failures: int = 0
     """Number of searches in vain, one soon after the other."""
     n_quiet: int = 0
@@ -67,6 +70,10 @@ class DiagnosisState:
     """Number of newest samples that the verdict is about."""
     found_at: int = 0
     """Number of the sample at which the verdict was found."""
+    restless_since: int = 0
+    """Number of the first sample of a suspicion that began after some quiet."""
+    next_lag: int = 0
+    """Number of the sample from which on a lag is sought again, none having explained the samples."""
     next_jump: int = 0
     """Number of the sample from which on constant parameters are sought again, none having explained the samples."""
 
@@ -115,7 +122,7 @@ class DiagnosisState:
     def copy(self) -> "DiagnosisState":
         """Return an independent copy; arrays are replaced, never changed."""
         other = copy(self)
-        other.samples, other.scale = [*self.samples], self.scale.copy()
+        other.samples, other.scale, other.inputs = [*self.samples], self.scale.copy(), self.inputs.copy()
         other.rested, other.counts = [*self.rested], Counter(self.counts)
         return other
 
@@ -126,7 +133,8 @@ class DiagnosisState:
         """
         known = zip(channel_summary(names, self.scale), self.offset * sigma, self.is_resting, strict=True)
         channels = {name: row | {"disturbance": float(d), "is_resting": bool(r)} for (name, row), d, r in known}
-        return {"channels": channels, "disturbances": self.named} | {kind: self.counts[kind] for kind in KINDS}
+        lag = {"input_lag": self.inputs.summary()}
+        return {"channels": channels, "disturbances": self.named} | lag | {kind: self.counts[kind] for kind in KINDS}
 
 
 def channel_summary(names: Sequence[str], scale: ResidualScale) -> list[tuple[str, dict[str, Any]]]:

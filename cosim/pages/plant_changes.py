@@ -125,7 +125,8 @@ def _answers(run: Run, events: Sequence[RecordedEvent], begin: int, end: int) ->
     rows = np.flatnonzero(np.all(np.array(errors) <= 0.0, axis=0)) if errors else np.empty(0)
     right = "-" if not len(rows) else _delay(float(run.time[begin + rows[0]]) - t0) if rows[0] else "right throughout"
     triggers, writes = delays("trigger"), delays("write")
-    named = [("a disturbance", delays("disturbance")), ("nothing that is known", delays("unexplained"))]
+    causes = {"disturbance": "a disturbance", "lag": "late inputs", "unexplained": "nothing that is known"}
+    named = [(text, delays(kind)) for kind, text in causes.items()]
     taken_for = ", ".join(f"{text} {_delay(found[0])}" for text, found in named if found)
     noticed = "a search was under way" if _is_searching(events, t0) else _first(triggers)
     written = _first([s for s in writes if s > 1e-9 or triggers[:1] == [0.0]])

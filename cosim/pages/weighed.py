@@ -17,6 +17,7 @@ from .sketch import Sketch
 HYPOTHESES: Final[Mapping[str, Sign]] = {
     "nothing": Sign("nothing has changed", "circle", GREY),
     "disturbance": Sign("a disturbance acts", "diamond", PURPLE),
+    "lag": Sign("inputs arrive late", "diamond_dot", PURPLE),
     "both": Sign("both", "square", GREEN),
     "parameters": Sign("parameters have changed", "triangle", BLUE),
 }

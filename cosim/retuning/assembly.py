@@ -59,7 +59,8 @@ def make_supervisor(
     diagnosis = None
     if whitened is not None and scenario.diagnosis.enabled:
         names = tuple(scenario.sampling.derivatives)
-        diagnosis = Diagnosis(whitened, names, whitened.noise, scenario.diagnosis, space)
+        late = _through_actuators(scenario, plant)
+        diagnosis = Diagnosis(whitened, names, whitened.noise, scenario.diagnosis, space, late)
     retuner = _retuner(scenario, estimator, plant, held, rng, stack, whitened, live, diagnosis)
     support: DataSupport | NoDataSupport = NoDataSupport()
     if whitened is not None:
@@ -152,6 +153,13 @@ def _residual(scenario: Scenario, plant: Plant, stack: ExitStack) -> DerivativeR
     sigma = derivative_noise(scenario.sampling, scenario.scenario.macro_step)
     model = RememberingModel(opened)
     return DerivativeResidual(model, settings.space, plant.channels, sigma, settings.takes_arrays, slopes)
+
+
+def _through_actuators(scenario: Scenario, plant: Plant) -> list[int]:
+    """Return the places of the plant's inputs that a component computes from its own inputs: no reference, no table."""
+    computing = {target.component for target in scenario.connections}
+    sources = {str(target): source.component for target, source in scenario.connections.items()}
+    return [i for i, name in enumerate(plant.inputs) if sources.get(f"{plant.name}.{name}") in computing]
 
 
 def _linear_form(method: Method, scenario: Scenario) -> LinearForm | None:

@@ -57,12 +57,20 @@ def diagnosed(found: Mapping[str, Any], lacking: str = _OF_A_MODEL) -> list[str]
             f"{counted(found['disturbance'], 'disturbance')} named, the last at t = {last['t']:g} s ({sizes}): "
             "what was written for them is undone"
         )
+    lines += _late(found.get("input_lag", {}))
     if found["unexplained"]:
         lines.append(
             f"searches in vain: {found['unexplained']}, no parameters explain the samples; {lacking}, or a sensor is "
             "wrong"
         )
     return lines
+
+
+def _late(lag: Mapping[str, float]) -> list[str]:
+    """Return a line on the lag of the plant's inputs that is known at the end, if there is one."""
+    kinds = {"time_constant": "an actuator follows with a time constant of", "dead_time": "there is a dead time of"}
+    found = [f"{text} {lag[kind]:.3g} s" for kind, text in kinds.items() if lag.get(kind)]
+    return [f"the plant's inputs arrive late: {found[0]} that the model lacks, and is compensated"] if found else []
 
 
 def resting(found: Mapping[str, Any]) -> list[str]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.integrate import solve_ivp
 
 from estimator import DerivativeResidual, Parameter, ParameterSpace, Sample, TargetVector
 from estimator.baselines import LeastSquares
@@ -45,6 +46,7 @@ class Run:
     seed: int = 0
     settings: DiagnosisSettings = field(default_factory=DiagnosisSettings)
     model: object = None
+    actuator: object = None  # what it makes of time and input; none: the input arrives as it is
     is_trusting: bool = False  # writes what a disturbance would explain as well
     events: list = field(default_factory=list)
     writes: list = field(default_factory=list)  # (k, theta)
@@ -72,7 +74,8 @@ class Run:
         t = 0.05 * self.k
         u, x = np.sin(1.7 * t) + 0.6 * np.sign(np.sin(0.9 * t)), np.cos(1.1 * t) + 0.5 * np.sin(4.3 * t + 0.3)
         noise = self.noise * SIGMA * self.rng.standard_normal(self.n_channels)
-        xdot = np.array(self.plant((x,), (u,), *truth)) + added + noise
+        arrives = u if self.actuator is None else self.actuator(t, float(u))
+        xdot = np.array(self.plant((x,), (arrives,), *truth)) + added + noise
         return Sample(t, (float(x),), (float(u),), tuple(xdot.tolist()))
 
     def go(self, n, truth=TRUE, added=0.0):
@@ -689,3 +692,99 @@ def test_the_state_survives_pickling():
 def test_settings_that_make_no_sense_are_named(settings, message):
     with pytest.raises(ValueError, match=message):
         DiagnosisSettings(**settings)
+
+
+@dataclass
+class SlowActuator:
+    """First-order lag, integrated by DOP853 from sample to sample with the input held."""
+
+    tau: float
+    state: float = 0.4  # not that of the first input
+    t: float = -0.05
+
+    def __call__(self, t, u):
+        if self.tau:
+            solved = solve_ivp(lambda _, v: (u - v) / self.tau, (self.t, t), [self.state], "DOP853", rtol=1e-10)
+            self.state = float(solved.y[0, -1])
+        self.t = t
+        return self.state if self.tau else u
+
+
+class LateActuator:
+    """Dead time, in samples."""
+
+    def __init__(self, n_late):
+        self.queue = [0.4] * n_late
+
+    def __call__(self, t, u):
+        self.queue.append(u)
+        return self.queue.pop(0)
+
+
+@ESTIMATORS
+@CHANNELS
+@pytest.mark.parametrize("tau", [0.1, 0.25])
+def test_an_actuator_that_follows_late_is_named_and_changes_no_parameter(estimator, n_channels, tau):
+    run = Run(estimator, n_channels, actuator=SlowActuator(tau)).go(60)
+    assert {event.detail["dead_time"] for _, event in run.of("lag")} == {0.0}
+    assert run.diagnosis.summary()["input_lag"]["time_constant"] == pytest.approx(tau, rel=0.02)
+    assert not run.of("disturbance", "unexplained", "rest")
+    assert near(run.held, TRUE)
+
+
+@SEARCHES
+@CHANNELS
+def test_parameters_that_change_behind_a_known_lag_are_found(estimator, n_channels):
+    run = Run(estimator, n_channels, actuator=SlowActuator(0.15)).go(60).go(60, CHANGED)
+    assert near(run.held, CHANGED, 0.05)
+    assert len(run.of("lag")) == 1
+
+
+@SEARCHES
+@CHANNELS
+@pytest.mark.parametrize("n_late", [2, 5])
+def test_a_dead_time_is_named_and_changes_no_parameter(estimator, n_channels, n_late):
+    run = Run(estimator, n_channels, actuator=LateActuator(n_late)).go(80)
+    known = run.diagnosis.summary()["input_lag"]
+    assert (known["time_constant"], known["dead_time"]) == (0.0, pytest.approx(0.05 * n_late))
+    assert near(run.held, TRUE)
+
+
+@SEARCHES
+@CHANNELS
+def test_a_lag_that_begins_in_flight_and_ends_is_named_both_times(estimator, n_channels):
+    run = Run(estimator, n_channels, actuator=SlowActuator(0.0)).go(40)
+    run.actuator.state, run.actuator.tau = np.sin(1.7 * 1.95) + 0.6 * np.sign(np.sin(0.9 * 1.95)), 0.2
+    run.go(60)
+    assert run.diagnosis.summary()["input_lag"]["time_constant"] == pytest.approx(0.2, rel=0.1)
+    run.actuator.tau = 0.0
+    run.go(60)
+    assert run.of("lag")[-1][1].detail["time_constant"] == run.diagnosis.summary()["input_lag"]["time_constant"] == 0.0
+    assert near(run.held, TRUE)
+
+
+@ESTIMATORS
+@CHANNELS
+@pytest.mark.parametrize("what", ["jump", "drift", "push"])
+def test_what_is_no_lag_is_not_taken_for_one(estimator, n_channels, what):
+    truth = {"jump": CHANGED, "drift": moving(60), "push": TRUE}[what]
+    run = Run(estimator, n_channels).go(40).go(80, truth, PUSH[n_channels] if what == "push" else 0.0)
+    assert not run.of("lag")
+
+
+def test_inputs_that_are_measured_do_not_lag():
+    run = Run(n_channels=3, actuator=SlowActuator(0.15))
+    run.diagnosis._state.inputs.may_lag = ()
+    assert not run.go(60).of("lag")
+
+
+def test_a_known_lag_goes_on_from_a_snapshot():
+    run = Run(n_channels=3, actuator=SlowActuator(0.15)).go(60)
+    sample = run.sample(TRUE, 0.0)
+    before = run.diagnosis.snapshot()
+    run.take(sample)
+    after = run.diagnosis.summary()
+    run.diagnosis.restore(before)
+    run.diagnosis.observe(sample, run.held)
+    assert run.diagnosis.summary()["input_lag"] == after["input_lag"]
+    assert_allclose(run.diagnosis.residual(TRUE, sample), run.diagnosis.rows(TRUE, [sample])[0])

@@ -11,6 +11,7 @@ import pytest
 
 from cosim import Run, Scenario, resume, run
 from cosim.errors import FolderError, UnfinishedError
+from cosim.runs.diagnosis_report import diagnosed
 from cosim.runs.manifest import write_manifest
 from cosim.runs.result import read_run
 from cosim.runs.run_files import CHECKPOINT, EVENTS, LATENCIES, RESULT, SERIES
@@ -100,6 +101,16 @@ def check_resume(scenario: Scenario, estimator: str, tmp_path: Path, *until: flo
 def test_every_estimator_goes_on_to_the_same_bits(tmp_path, estimator):
     whole = check_resume(Scenario.load("pendulum", EARLY_CHANGE | IN_PROCESS), estimator, tmp_path)
     assert (whole.n_evaluations > 0) == (estimator not in ("none", "true"))
+
+
+def test_what_is_known_of_late_inputs_comes_back_to_the_bit(tmp_path):
+    changes = {"changes": '{ "plant.m" = 1.75, "plant.l" = 0.75, "plant.tau_u" = 0.03 }'}
+    scenario = Scenario.load(
+        "pendulum", IN_PROCESS | changes | {"scenario.stop_time": "0.6", "scenario.checkpoint": "15"}
+    )
+    whole = check_resume(scenario, "target", tmp_path)
+    assert whole.diagnosis["input_lag"]["time_constant"] == pytest.approx(0.03, rel=0.02)
+    assert any(line.startswith("the plant's inputs arrive late") for line in diagnosed(whole.diagnosis))
 
 
 VARIANTS = {

@@ -69,7 +69,15 @@ def test_json_is_one_object_with_the_documented_keys_and_nothing_else_is_printed
     assert [(p["name"], p["unit"], p["true"]) for p in result["parameters"]] == [("m", "kg", 4.271), ("l", "m", 0.75)]
     assert [i["t"] for i in result["instants"]] == [0.04, 0.05]
     assert [i["parameters"][0]["true"] for i in result["instants"]] == [1.75, 4.271]
-    assert list(result["diagnosis"]) == ["channels", "disturbances", "disturbance", "unexplained", "rest"]
+    assert list(result["diagnosis"]) == [
+        "channels",
+        "disturbances",
+        "input_lag",
+        "disturbance",
+        "lag",
+        "unexplained",
+        "rest",
+    ]
     assert list(result["diagnosis"]["channels"]) == ["plant.der(phi_dot)"]
     assert list(result["latency_ms"]) == ["p50", "p99", "max"]
     assert result["final_estimate"] is None  # nothing has triggered yet

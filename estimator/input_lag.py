@@ -12,7 +12,7 @@ from math import inf
 from typing import Any, Final
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+import scipy  # its parts, 0.3 s, are loaded when they are used
 
 from .hypotheses import NEVER, Fit, plain_fit
 from .samples import Sample
@@ -210,7 +210,7 @@ class InputHistory:
         if not slow.lag or slow.fit.squares > _PROMISING * plain_fit(rows_with({}), 0).squares:
             return late
         ratio = _TIME_CONSTANTS[1] / _TIME_CONSTANTS[0]
-        refined = minimize_scalar(
+        refined = scipy.optimize.minimize_scalar(
             lambda log_tau: fits([Lag(float(np.exp(log_tau)))])[0].fit.squares,
             bounds=np.log(slow.lag.time_constant * np.array([1.0 / ratio, ratio])),
             method="bounded", options={"xatol": _PRECISION},

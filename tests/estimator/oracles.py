@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import GPy
 import numpy as np
 from numpy.testing import assert_allclose
-from scipy.integrate import quad
+from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 from scipy.signal import lfilter
 from scipy.stats import lognorm, ncx2, norm
@@ -566,6 +566,29 @@ def check_disturbance_against_least_squares(hypotheses):
         assert_allclose(found.newest, best[-1], rtol=1e-9)
         assert_allclose(found.largest, np.abs(best).max(axis=0), rtol=1e-9)
         assert_allclose(found.fit.squares, np.sum((rows - best) ** 2), rtol=1e-7)
+
+
+def check_arriving_inputs_against_integration(input_lag):
+    """A lag by DOP853, the input held up to each of unevenly spaced times; a dead time by counting."""
+    rng = np.random.default_rng(6)
+    times, inputs, start = np.cumsum(rng.uniform(0.02, 0.1, 25)), rng.standard_normal((25, 2)), np.array([0.7, -1.3])
+    lags = [input_lag.Lag(0.04), input_lag.Lag(0.5), input_lag.Lag(n_late=3)]
+    made = input_lag.arriving(lags, times, inputs, start)
+    for lag, of in zip(lags[:2], made[:2], strict=True):
+        v = start
+        for k in range(1, 25):
+            slope = lambda _, y, u=inputs[k], tau=lag.time_constant: (u - y) / tau  # noqa: E731
+            v = solve_ivp(slope, times[k - 1 : k + 1], v, "DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
+            assert_allclose(of[k], v, rtol=1e-7, atol=1e-9)
+    assert_allclose(made[2], [*[start] * 3, *inputs[:22]])
+
+
+def check_fading_is_what_is_left_of_the_start(input_lag):
+    """The difference of two ways from different starts, which the model is linear in."""
+    times = np.cumsum(np.random.default_rng(7).uniform(0.02, 0.1, 12))
+    for lag in (input_lag.Lag(0.2), input_lag.Lag(n_late=4)):
+        ways = [input_lag.arriving([lag], times, np.ones((12, 1)), np.array([start]))[0, :, 0] for start in (0.0, 1.0)]
+        assert_allclose(lag.fading(times), ways[1] - ways[0], atol=1e-12)
 
 
 def check_spread_is_that_of_white_noise_about_a_slow_mean(residual_scale):

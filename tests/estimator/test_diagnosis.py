@@ -721,6 +721,7 @@ class LateActuator:
         return self.queue.pop(0)
 
 
+@pytest.mark.full_but("0.1-1-target", "0.25-3-ukf")
 @ESTIMATORS
 @CHANNELS
 @pytest.mark.parametrize("tau", [0.1, 0.25])
@@ -732,6 +733,7 @@ def test_an_actuator_that_follows_late_is_named_and_changes_no_parameter(estimat
     assert near(run.held, TRUE)
 
 
+@pytest.mark.full_but("1-target")
 @SEARCHES
 @CHANNELS
 def test_parameters_that_change_behind_a_known_lag_are_found(estimator, n_channels):
@@ -740,6 +742,7 @@ def test_parameters_that_change_behind_a_known_lag_are_found(estimator, n_channe
     assert len(run.of("lag")) == 1
 
 
+@pytest.mark.full_but("5-3-target")
 @SEARCHES
 @CHANNELS
 @pytest.mark.parametrize("n_late", [2, 5])
@@ -750,6 +753,7 @@ def test_a_dead_time_is_named_and_changes_no_parameter(estimator, n_channels, n_
     assert near(run.held, TRUE)
 
 
+@pytest.mark.full_but("3-target")
 @SEARCHES
 @CHANNELS
 def test_a_lag_that_begins_in_flight_and_ends_is_named_both_times(estimator, n_channels):
@@ -763,6 +767,7 @@ def test_a_lag_that_begins_in_flight_and_ends_is_named_both_times(estimator, n_c
     assert near(run.held, TRUE)
 
 
+@pytest.mark.full_but("drift-1-target", "push-3-least-squares")
 @ESTIMATORS
 @CHANNELS
 @pytest.mark.parametrize("what", ["jump", "drift", "push"])

@@ -34,6 +34,8 @@ PROJECTOR = "check_significant_is_a_projector_that_loses_little"
 SCORE = "check_score_is_the_evidence_of_a_linear_model"
 MARGINS = "check_margins_are_very_strong_evidence"
 DISTURBANCE = "check_disturbance_against_least_squares"
+ARRIVING = "check_arriving_inputs_against_integration"
+FADING = "check_fading_is_what_is_left_of_the_start"
 SPREAD = "check_spread_is_that_of_white_noise_about_a_slow_mean"
 EFFECTIVE = "check_effective_scale_is_that_of_means_of_correlated_samples"
 
@@ -41,6 +43,7 @@ GP = "estimator.gaussian_process"
 ACQUISITION = "estimator.acquisition"
 IDENTIFIABILITY = "estimator.identifiability"
 HYPOTHESES = "estimator.hypotheses"
+LAG = "estimator.input_lag"
 SCALE = "estimator.residual_scale"
 EI = (EI_QUAD, EI_DRAWS)
 BOTH = (PREDICTION, TEXTBOOK)
@@ -50,6 +53,14 @@ MATERNS = (MATERN, MATERN_TEXTBOOK)
 
 MUTANTS = [
     # id, module, old, new, the checks that must reject it
+    ("lag-by-one-euler-step", LAG, "-np.expm1(-np.diff(times)[:, None] / slow)", "(np.diff(times)[:, None] / slow)",
+     (ARRIVING,)),
+    ("lag-of-the-input-before", LAG, "gain * (inputs[i] - v)", "gain * (inputs[i - 1] - v)", (ARRIVING,)),
+    ("dead-time-of-one-sample-more", LAG, "inputs[: max(len(inputs) - lag.n_late, 0)]",
+     "inputs[[0, *range(len(inputs) - lag.n_late - 1)]]", (ARRIVING,)),
+    ("fading-twice-as-fast", LAG, "np.exp(-(times - times[0]) /", "np.exp(-2.0 * (times - times[0]) /", (FADING,)),
+    ("fading-one-sample-longer", LAG, "np.arange(len(times)) < self.n_late", "np.arange(len(times)) <= self.n_late",
+     (FADING,)),
     ("ei-density-sign", ACQUISITION, "ndtr(d) + sigma * np.exp", "ndtr(d) - sigma * np.exp", EI),
     ("ei-density-without-half", ACQUISITION, "np.exp(-0.5 * d * d)", "np.exp(-d * d)", EI),
     ("ei-density-norm", ACQUISITION, "np.sqrt(2.0 * np.pi)", "np.sqrt(np.pi)", EI),

@@ -19,6 +19,8 @@ _CLOSE: Final = 0.05
 """Relative error of parameters that are found."""
 _STILL: Final = 5
 """Number of steps without a change after which a value is constant."""
+_ENDS: Final = ("end", "undo", "disturbance", "lag", "unexplained", "rest")
+"""Kinds of events after which no search is under way."""
 
 
 class PlantChange(NamedTuple):
@@ -138,8 +140,8 @@ def _first(delays: Sequence[float]) -> str:
 
 
 def _is_searching(events: Sequence[RecordedEvent], t: float) -> bool:
-    """Return whether a search had begun before t [s], and not ended."""
-    kinds = [e["kind"] for e in events if e["t"] < t - 1e-9 and e.get("kind") in ("trigger", "end")]
+    """Return whether a search had begun before t [s], and not ended, be it that something else was named."""
+    kinds = [e["kind"] for e in events if e["t"] < t - 1e-9 and e.get("kind") in ("trigger", *_ENDS)]
     return kinds[-1:] == ["trigger"]
 
 

@@ -3,6 +3,7 @@
 from typing import get_args, get_type_hints
 
 import numpy as np
+import pytest
 
 from cosim.pages.marks import REFUSALS, SIGNS, refusals, with_reasons
 from cosim.pages.plant_changes import plant_changes
@@ -25,6 +26,16 @@ def test_a_change_is_told_with_the_time_until_it_was_noticed_written_and_found(m
     named = [NOTICED, {"t": 0.57, "kind": "disturbance", "size": {"plant.der(phi_dot)": 2.0}, "reason": "constant"}]
     (row,) = plant_changes(shown.run, named)
     assert row[2:5] == ("after 20 ms", "a disturbance after 70 ms", "-")
+
+
+@pytest.mark.parametrize(
+    ("kind", "noticed"), [("candidate", "a search was under way"), ("end", "after 20 ms"), ("lag", "after 20 ms")]
+)
+def test_a_search_that_something_else_has_ended_is_not_under_way(made_up, kind, noticed):
+    before = [{"t": 0.2, "kind": "trigger", "reason": ""}, {"t": 0.3, "kind": kind, "time_constant": 0.03}]
+    shown = made_up(events=[*before, NOTICED, WRITTEN])
+    (row,) = plant_changes(shown.run, shown.events)
+    assert row.noticed == noticed
 
 
 def test_a_gust_is_told_from_where_it_begins_to_where_it_ends(made_up):

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .comparison import FEWEST, QUIET, WINDOW
-from .diagnosis_settings import FORGOTTEN, MOST_NAMED, PATIENCE, DiagnosisSettings, is_at_unseen_bound
+from .diagnosis_settings import BETTER, FORGOTTEN, MOST_NAMED, PATIENCE, DiagnosisSettings, is_at_unseen_bound
 from .diagnosis_state import DiagnosisState
 from .events import Event
 from .hypotheses import FALSE_ALARM, MARGIN, Disturbance, disturbance_of, n_channels_of, plain_fit
@@ -30,6 +30,13 @@ _SURE: Final = 10
 """Number of samples on which a lag need not explain better than changed parameters, which have more values."""
 _SPARE: Final = 10
 """Least number of explained values in excess of the fitted ones that makes good for a search in vain."""
+
+_ENOUGH: Final = 8
+"""Least number of samples, of every fifth one, that show which parameters explain for long."""
+_ENOUGH_LATE: Final = 32
+"""Least number of samples since the onset after which parameters that go on changing may follow a lag."""
+_FAR_LESS: Final = 0.05
+"""Share of the sum of squares of the parameters that lasted which better ones may have."""
 
 
 @dataclass(frozen=True)
@@ -104,13 +111,14 @@ class Diagnosis(LagComparison):
         missing = int(np.count_nonzero(state.is_resting | np.isnan(sample.xdot)))
         is_contradictory = not self._is_usual(declared / state.scale.values, len(declared) - missing)
         state.keep(sample, WINDOW)
+        state.keep_since_lasting(sample)
         if is_contradictory and not state.n_since and state.inputs.lag and self._is_lag_again(held):
             is_contradictory, has_woken = False, True
         if state.n_since or is_contradictory:
             if not state.n_since:
                 state.reference, state.verdict, state.changed, state.has_moved = held, "refuted", None, False
                 if state.lasting is None or state.n_samples >= state.suspected_at + FORGOTTEN:
-                    state.lasting = held
+                    state.lasting, state.lasting_at, state.since_lasting = held, state.n_samples, []
                 state.n_calm = state.n_samples - state.suspected_at - 1
                 if state.n_samples >= state.suspected_at + WINDOW:
                     state.restless_since, state.next_lag = state.n_samples, 0
@@ -129,7 +137,7 @@ class Diagnosis(LagComparison):
         state = self._state
         n = state.n_since
         if not n:
-            return None
+            return self._late_drift(t, held)
         reference = held if state.reference is None else state.reference
         is_changed = not np.array_equal(reference, held)
         here = self._rows(held, n)
@@ -141,6 +149,8 @@ class Diagnosis(LagComparison):
             return self._passed(t, reference, there, is_changed)
         if n < LONG:
             return None
+        if self._is_worse_than_lasting(held, n):
+            return self.give_up(t)
         disturbance = disturbance_of(there, may_drift=False)
         parameters, nothing = plain_fit(here, self._n_free), plain_fit(there, 0)
         self.evidence.note(n, nothing=nothing, disturbance=disturbance.fit)
@@ -172,6 +182,16 @@ class Diagnosis(LagComparison):
         event = Event(t, "lag", {**state.inputs.describe(lag), "reason": how})
         return Settled(self._undone(late.theta), (event,), True)
 
+    def _late_drift(self, t: float, held: Vector) -> Settled | None:
+        """Return to the parameters that lasted where a lag explains what others, held (d,), have followed since."""
+        state = self._state
+        n = state.n_samples - state.lasting_at
+        if state.lasting is None or n < _ENOUGH_LATE or n & (n - 1) or np.array_equal(held, state.lasting):
+            return None
+        late = self._late_long(state.lasting)
+        followed = plain_fit(self.rows(held, state.since_lasting), self._n_free)
+        return None if late is None or late.found.fit.score + MARGIN > followed.score else self._adopted(t, late)
+
     def _explained(self, t: float, held: Vector, n: int) -> Settled:
         """End a suspicion, n samples long, as the parameters in force explain the samples again.
 
@@ -200,6 +220,22 @@ class Diagnosis(LagComparison):
             return is_changed and not plain_fit(here, 0).is_explained
         return len(here) >= FEWEST and before.score + MARGIN <= plain_fit(here[newest], 0).score
 
+    def _is_worse_than_lasting(self, held: Vector, n: int) -> bool:
+        """Return whether parameters in force (d,) contradict the newest samples, and those that lasted much less so.
+
+        Both the newest n, with those that the ones in force have explained before the onset, and the very newest.
+        """
+        lasting = self._state.lasting
+        if lasting is None or np.array_equal(lasting, held):
+            return False
+        n = min(n + self._state.n_calm, len(self._state.samples))
+        here, there = self._rows(held, n), self._rows(lasting, n)
+        return all(
+            not plain_fit(here[-m:], 0).is_explained
+            and np.sum(there[-m:] ** 2) + MARGIN <= BETTER * np.sum(here[-m:] ** 2)
+            for m in (n, LONG)
+        )
+
     def _changed(self, t: float, held: Vector) -> Settled:
         """End a suspicion that changed parameters, those in force, have won."""
         if self._is_restless(held):
@@ -213,8 +249,12 @@ class Diagnosis(LagComparison):
         The third time, or where it rests at once, all channels rest.
         """
         state = self._state
+        before = state.lasting if state.reference is None else self._accepted(state.reference)
+        late = None if before is None else self._late_long(before)
+        if late is not None:
+            return self._adopted(t, late)
         state.n_since, state.verdict = 0, "refuted"
-        state.way = state.way.begin(None if state.lasting is None else self.space.to_unit(state.lasting))
+        state.way = state.way.begin(None if before is None else self.space.to_unit(before))
         every = ~state.is_resting
         names = self._of(every)
         reason = f"parameters explain {', '.join(names)} for a few samples only"
@@ -222,9 +262,9 @@ class Diagnosis(LagComparison):
         event = Event(t, "unexplained", {"channels": names, "reason": reason})
         state.n_failures = max(state.n_failures + 1, PATIENCE if rests else 0)
         if state.n_failures < PATIENCE:
-            return Settled(state.lasting, (event,), True)
+            return Settled(before, (event,), True)
         state.findings = state.findings.forget()
-        return Settled(state.lasting, (event, self._rest(t, every)), True)
+        return Settled(before, (event, self._rest(t, every)), True)
 
     def expect(self, is_identifiable: Sequence[bool]) -> None:
         """Take a proposal that is passed on, with which of its parameters (d,) the samples determine."""
@@ -266,7 +306,7 @@ class Diagnosis(LagComparison):
         the suspicion before much better.
         """
         lasting = self._state.lasting
-        if lasting is None or np.array_equal(lasting, reference):
+        if lasting is None or np.array_equal(lasting, reference) or self._outlasts(reference):
             return reference
         if not disturbance_of(self._rows(reference, n)).fit.is_explained:
             return lasting
@@ -274,10 +314,26 @@ class Diagnosis(LagComparison):
         found, other = (disturbance_of(self._rows(theta, n)).fit for theta in (reference, lasting))
         return reference if found.score + MARGIN <= other.score else lasting
 
+    def _outlasts(self, theta: Vector) -> bool:
+        """Return whether parameters (d,) have long explained far more than those that lasted.
+
+        A constant disturbance, which may have acted since then, is left out of both.
+        """
+        lasting, samples = self._state.lasting, self._state.since_lasting
+        if lasting is None or len(samples) < _ENOUGH:
+            return False
+        rows = np.array([self.rows(lasting, samples), self.rows(theta, samples)])
+        usual, found = np.sum((rows - np.median(rows, axis=1, keepdims=True)) ** 2, axis=(1, 2))
+        return bool(found < _FAR_LESS * usual)
+
+    def _accepted(self, reference: Vector) -> Vector:
+        """Return the parameters (d,) that were accepted last: those that lasted, or a reference that does since."""
+        lasting = self._state.lasting
+        return reference if lasting is None or self._outlasts(reference) else lasting
+
     def _undone(self, reference: Vector) -> Vector:
-        """Return the parameters (d,) to go back to: the reference, or the lasting ones where everything rests."""
-        state = self._state
-        return state.lasting if state.is_resting.all() and state.lasting is not None else reference
+        """Return the parameters (d,) to go back to: the reference, or those accepted last where a channel rests."""
+        return self._accepted(reference) if self._state.is_resting.any() else reference
 
     def fail(self, t: float, theta: Vector | None, held: Vector) -> Settled | None:
         """Take the end of a search that has found no parameters, theta (d,) being the best; None for a false alarm.
@@ -297,8 +353,7 @@ class Diagnosis(LagComparison):
         late = self._late_inputs(reference, state.n_since) if state.n_since >= LONG else None
         if late is not None:
             return self._adopted(t, late)
-        is_doubtful = bool(state.is_resting.any())  # parameters need proof then
-        if (not is_doubtful and self._is_changing(held, n)) or self._is_noise(held):  # which the search has not found
+        if self._is_changing(held, n) or self._is_noise(held):  # which the search has not found
             return None
         explaining = [d for d in (found, self._both(held, n)) if d is not None and d.fit.is_explained]
         before = self._before(reference, n)

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +12,15 @@ from numpy.typing import NDArray
 from .diagnosis_settings import KINDS, Judgement
 from .input_lag import InputHistory
 from .residual_scale import ResidualScale
-from .resting import NEWEST, RestingResiduals
+from .resting import RestingResiduals
 from .samples import Sample
 from .space import Vector
 from .wandering import Findings, Way
+
+_EVERY: Final = 5
+"""Number of samples of which one is kept for long."""
+_MOST_SINCE: Final = 60
+"""Largest number of them."""
 
 
 @dataclass
@@ -44,6 +49,10 @@ class DiagnosisState:
     """Way of the parameters in force since the samples last were quiet for long."""
     lasting: Vector | None = None
     """Parameters (d,) that the samples have not contradicted for long; None before the first onset."""
+    lasting_at: int = 0
+    """Number of the sample at which these were contradicted."""
+    since_lasting: list[Sample] = field(default_factory=list[Sample])
+    """Samples since these were in force, every fifth one."""
     counts: Counter[str] = field(default_factory=Counter[str])
     """Number of events of each kind."""
     named: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
@@ -87,6 +96,11 @@ class DiagnosisState:
                 del self.samples[1 : most // 2 : 2]
                 self.n_since = len(self.samples) - 1
 
+    def keep_since_lasting(self, sample: Sample) -> None:
+        """Keep every fifth sample of those after the parameters that lasted."""
+        if self.n_samples % _EVERY == 0:
+            self.since_lasting = [*self.since_lasting, sample][-_MOST_SINCE:]
+
     def rest(self, channels: NDArray[np.bool_], n: int) -> None:
         """Let the channels (c,) rest for n samples."""
         if len(self.rested) > 1:
@@ -110,7 +124,7 @@ class DiagnosisState:
 
     def wake_early(self) -> None:
         """End all rests, as something has happened: what residuals were until then is what the model lacks."""
-        self._admit(self.rested[:-NEWEST], self.is_resting)
+        self._admit(self.rested[: self.resting.n_usual - self.resting.n_samples], self.is_resting)
         self.is_resting = np.zeros_like(self.is_resting)
         self.n_since = 0
 

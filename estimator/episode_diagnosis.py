@@ -4,7 +4,7 @@ The lumped disturbance is a constant added to each of the plant's inputs; its ef
 moved aside. Otherwise as `diagnosis`.
 """
 
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Collection
 from copy import copy
 from dataclasses import dataclass, field, replace
@@ -29,7 +29,7 @@ from .evidence import Evidence
 from .hypotheses import NEVER, Fit, Weighing, changed_parameters, plain_fit
 from .objective import DIFFERENCE_STEP
 from .residual_scale import ResidualScale
-from .resting import NEWEST, RestingResiduals
+from .resting import RestingResiduals
 from .samples import Sample
 from .significance import chi2_limit
 from .space import ParameterSpace, Vector
@@ -56,8 +56,10 @@ class _State:
     """Number of events of each kind."""
     named: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
     """The newest disturbances with their times [s] and sizes; replaced, never changed."""
-    rested: deque[Vector] = field(default_factory=lambda: deque[Vector](maxlen=200))
+    rested: list[Vector] = field(default_factory=list[Vector])
+    """Residuals (c,) at the parameters in force since the last rest began."""
     resting: RestingResiduals = field(default_factory=RestingResiduals)
+    """Their sizes."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,7 @@ class EpisodeDiagnosis:
     def snapshot(self) -> Any:
         """Return the present state, for `restore`."""
         other = copy(self._state)
-        other.scale, other.rested = other.scale.copy(), deque(other.rested, maxlen=200)
+        other.scale, other.rested = other.scale.copy(), [*other.rested]
         other.counts = Counter(other.counts)
         return other
 
@@ -234,7 +236,7 @@ class EpisodeDiagnosis:
         if state.resting.is_outgrown:
             self.evidence.outgrown(self._outputs, state.resting)
             state.rests_until = state.n_samples
-            return state.scale.admit(np.array(state.rested)[:-NEWEST])
+            return state.scale.admit(np.array(state.rested[: state.resting.n_usual - state.resting.n_samples]))
         return state.n_samples == state.rests_until - 1 and state.scale.wake(np.array(state.rested))
 
     def wait(self) -> bool:

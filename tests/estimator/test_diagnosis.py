@@ -414,7 +414,8 @@ def test_residuals_are_less_the_known_disturbance_for_all_who_ask():
 @pytest.mark.parametrize(("estimator", "n_channels"), [("target", 3), ("least-squares", 3), ("least-squares", 1)])
 def test_a_model_that_lacks_a_sine_rests_after_three_searches_in_vain(estimator, n_channels):
     run = Run(estimator, n_channels).go(100).go(300, TRUE, sine)
-    assert len(run.of("unexplained", "disturbance")) == 3
+    in_vain = [event for _, event in run.of("unexplained", "disturbance") if event.detail.get("size") != {}]
+    assert len(in_vain) == 3  # beside the end of a disturbance
     assert len(run.of("rest")) == 1
     assert_array_equal(run.held, TRUE)
     assert run.diagnosis.is_resting
@@ -793,3 +794,53 @@ def test_a_known_lag_goes_on_from_a_snapshot():
     run.diagnosis.observe(sample, run.held)
     assert run.diagnosis.summary()["input_lag"] == after["input_lag"]
     assert_allclose(run.diagnosis.residual(TRUE, sample), run.diagnosis.rows(TRUE, [sample])[0])
+
+
+def coloured(n_channels, size, seed=1):
+    """A disturbance that is a first-order process with a correlation of 0.9 from sample to sample."""
+    rng, state = np.random.default_rng(seed), np.zeros(n_channels)
+    while True:
+        state = 0.9 * state + size * np.sqrt(1.0 - 0.9**2) * rng.standard_normal(n_channels)
+        yield state
+
+
+def contradicted(n_channels, held, n, truth):
+    """A diagnosis whose samples first contradict TRUE, then n of them with others in force, beside a disturbance."""
+    run, disturbance = Run("least-squares", n_channels).go(100), coloured(n_channels, 0.05)
+    for _ in range(3):
+        run.diagnosis.observe(run.sample(CHANGED, next(disturbance)), TRUE)
+        run.k += 1
+    for _ in range(n):
+        run.diagnosis.observe(run.sample(truth, next(disturbance)), held)
+        run.k += 1
+    return run.diagnosis
+
+
+@CHANNELS
+def test_parameters_that_long_explain_far_more_than_those_before_are_what_returns(n_channels):
+    diagnosis = contradicted(n_channels, CHANGED, 80, CHANGED)
+    assert diagnosis.is_suspicious
+    diagnosis.accept(CHANGED)
+    assert_array_equal(diagnosis.give_up(9.0).undo, CHANGED)
+
+
+@CHANNELS
+def test_parameters_that_explain_no_more_than_those_before_do_not_return(n_channels):
+    diagnosis = contradicted(n_channels, CHANGED, 80, TRUE)
+    diagnosis.accept(CHANGED)
+    assert_array_equal(diagnosis.give_up(9.0).undo, TRUE)
+
+
+@CHANNELS
+def test_parameters_far_worse_than_those_that_lasted_are_undone(n_channels):
+    diagnosis = contradicted(n_channels, CHANGED, 8, TRUE)
+    settled = diagnosis.settle(9.0, CHANGED)
+    assert_array_equal(settled.undo, TRUE)
+    assert [event.kind for event in settled.events] == ["unexplained"]
+
+
+def test_a_weak_lag_that_parameters_have_followed_is_found_later():
+    run = Run("least-squares", 1, actuator=SlowActuator(0.03), is_trusting=True).go(65)
+    assert not near(run.writes[-1][1], TRUE)
+    assert [k for k, _ in run.of("lag")] == [64]
+    assert_array_equal(run.held, TRUE)

@@ -42,3 +42,15 @@ def test_few_residuals_are_no_measure():
 def test_a_channel_that_is_not_sampled_is_none():
     assert not after(*SINE, *[[np.nan, np.nan]] * 5).is_outgrown
     assert after(*[[np.nan, 1.0]] * 40, *[[np.nan, 9.0]] * 5).growth.tolist() == [0.0, 9.0]
+
+
+def test_a_growth_that_takes_longer_than_the_newest_is_noticed():
+    """Twice as large every 20 residuals: none is ever three times as large as those just before it."""
+    growing = [[4.0 * 2.0 ** (k / 20.0), 0.0] for k in range(80)]
+    first = next(n for n in range(81) if after(*SINE, *growing[:n]).is_outgrown)
+    assert 30 < first < 60
+
+
+def test_what_has_become_usual_in_a_long_rest_is_no_growth():
+    louder = [[3.0 * x, y] for x, y in SINE]
+    assert not any(after(*SINE[:30], *louder * 3, *louder[:n]).is_outgrown for n in range(1, 61))

@@ -230,6 +230,8 @@ class Diagnosis(LagComparison):
             return False
         n = min(n + self._state.n_calm, len(self._state.samples))
         here, there = self._rows(held, n), self._rows(lasting, n)
+        if np.sum(np.diff(there, axis=0) ** 2) >= np.sum(there**2):  # white noise has twice as much: it is larger
+            return False
         return all(
             not plain_fit(here[-m:], 0).is_explained
             and np.sum(there[-m:] ** 2) + MARGIN <= BETTER * np.sum(here[-m:] ** 2)
@@ -251,6 +253,8 @@ class Diagnosis(LagComparison):
         state = self._state
         before = state.lasting if state.reference is None else self._accepted(state.reference)
         late = None if before is None else self._late_long(before)
+        if late is None and before is not None and state.n_since >= LONG:
+            late = self._late_inputs(before, state.n_since)
         if late is not None:
             return self._adopted(t, late)
         state.n_since, state.verdict = 0, "refuted"

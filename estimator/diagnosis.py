@@ -357,7 +357,7 @@ class Diagnosis(LagComparison):
         late = self._late_inputs(reference, state.n_since) if state.n_since >= LONG else None
         if late is not None:
             return self._adopted(t, late)
-        if self._is_changing(held, n) or self._is_noise(held):  # which the search has not found
+        if (self._is_changing(held, n) and not state.is_resting.any()) or self._is_noise(held):
             return None
         explaining = [d for d in (found, self._both(held, n)) if d is not None and d.fit.is_explained]
         before = self._before(reference, n)

@@ -5,7 +5,6 @@ evidence, and `diagnosis` for what follows from it.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -26,8 +25,9 @@ from .hypotheses import (
     n_channels_of,
     plain_fit,
 )
-from .input_lag import InputHistory, Inputs
+from .input_lag import InputHistory
 from .jump import jump_to
+from .known_effects import KnownEffects
 from .residual_scale import ResidualScale, spread_of
 from .samples import DerivativeResidual, Sample
 from .space import ParameterSpace, Vector
@@ -62,10 +62,11 @@ class HypothesisComparison:
         sigma: Sequence[float],
         space: ParameterSpace,
         may_lag: Sequence[int] | None = None,
+        inputs: Sequence[str] = (),
     ) -> None:
         """declared: residual (c,) in standard deviations of the declared noise; names, sigma (c,): of the channels,
-        and that noise; may_lag: places in the input of what actuators may delay, by default all."""
-        self._declared, self._names = declared, tuple(names)
+        and that noise; may_lag: places in the input of what actuators may delay, by default all; inputs (p,): names."""
+        self._declared, self._names, self._inputs = declared, tuple(names), tuple(inputs)
         self._sigma, self.space = np.array(sigma), space
         self.evidence = Evidence()
         c = len(self._names)
@@ -83,22 +84,24 @@ class HypothesisComparison:
     def rows(self, theta: Vector, samples: Sequence[Sample]) -> Vector:
         """Return the residuals (..., n, c) of candidates theta (..., d) at n samples, each as `residual` does."""
         if self._is_correcting:
-            samples = [self.corrected(sample) for sample in samples]
+            known = self._known
+            samples = [known.without(sample) for sample in samples]
         return self.scaled_rows(theta, samples)
 
     @property
     def _is_correcting(self) -> bool:
         state = self._state
-        return bool(state.inputs.lag or np.count_nonzero(state.offset) or np.count_nonzero(state.is_resting))
+        is_known = state.inputs.lag or state.friction or np.count_nonzero(state.offset)
+        return bool(is_known or np.count_nonzero(state.is_resting))
+
+    @property
+    def _known(self) -> KnownEffects:
+        state = self._state
+        return KnownEffects(state.offset * self._sigma, state.inputs.arriving, state.friction, state.is_resting)
 
     def corrected(self, sample: Sample) -> Sample:
-        """Return the sample less the known disturbance and lag, and without the channels that rest."""
-        state = self._state
-        return self._without(sample, state.inputs.arriving, state.offset) if self._is_correcting else sample
-
-    def _without(self, sample: Sample, arriving: Inputs, offset: Vector) -> Sample:
-        xdot = np.where(self._state.is_resting, np.nan, np.array(sample.xdot) - offset * self._sigma)
-        return replace(sample, u=arriving.get(sample.t, sample.u), xdot=tuple(xdot.tolist()))
+        """Return the sample less what is known to act on the plant, and without the channels that rest."""
+        return self._known.without(sample) if self._is_correcting else sample
 
     def scaled(self, theta: Vector, sample: Sample) -> Vector:
         """Return the residual (c,) of a corrected sample in standard deviations of its true size."""

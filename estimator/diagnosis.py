@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from .comparison import FEWEST, QUIET, WINDOW
 from .diagnosis_settings import BETTER, FORGOTTEN, MOST_NAMED, PATIENCE, DiagnosisSettings, is_at_unseen_bound
 from .diagnosis_state import DiagnosisState
+from .effect_comparison import LONG, EffectComparison, Explanation
 from .events import Event
-from .hypotheses import FALSE_ALARM, MARGIN, Disturbance, disturbance_of, n_channels_of, plain_fit
-from .lag_comparison import LONG, LagComparison, LateInputs
+from .friction import FoundFriction
+from .hypotheses import FALSE_ALARM, MARGIN, NEVER, Disturbance, disturbance_of, n_channels_of, plain_fit
 from .samples import DerivativeResidual, Sample
 from .significance import chi2_limit
 from .space import ParameterSpace, Vector
@@ -35,6 +36,7 @@ _ENOUGH: Final = 8
 """Least number of samples, of every fifth one, that show which parameters explain for long."""
 _ENOUGH_LATE: Final = 32
 """Least number of samples since the onset after which parameters that go on changing may follow a lag."""
+_FRICTION: Final = "friction that the model lacks explains the samples, neither a disturbance nor parameters do"
 _FAR_LESS: Final = 0.05
 """Share of the sum of squares of the parameters that lasted which better ones may have."""
 
@@ -50,7 +52,7 @@ class Settled:
     """True where the search for parameters is at its end, too."""
 
 
-class Diagnosis(LagComparison):
+class Diagnosis(EffectComparison):
     """Diagnosis on sampled derivatives: onset and end of a suspicion, disturbances and rests."""
 
     def __init__(
@@ -61,9 +63,10 @@ class Diagnosis(LagComparison):
         settings: DiagnosisSettings,
         space: ParameterSpace,
         may_lag: Sequence[int] | None = None,
+        inputs: Sequence[str] = (),
     ) -> None:
         """See `HypothesisComparison`; settings: of false alarms and rests."""
-        super().__init__(declared, names, sigma, space, may_lag)
+        super().__init__(declared, names, sigma, space, may_lag, inputs)
         self._settings = settings
 
     @property
@@ -91,7 +94,8 @@ class Diagnosis(LagComparison):
 
     def summary(self) -> dict[str, Any]:
         """Return what is known of each channel, and the number of events of each kind, as JSON values."""
-        return self._state.summary(self._names, self._sigma)
+        found = self._state.summary(self._names, self._sigma)
+        return found | {"known_friction": self._friction_summary()}
 
     def observe(self, sample: Sample, held: Vector) -> bool:
         """Take a sample, with the parameters in force (d,); return whether residuals are to be computed anew."""
@@ -100,25 +104,27 @@ class Diagnosis(LagComparison):
         state.inputs.take(sample)
         state.way = state.way.go(self.space.to_unit(held))
         has_woken = state.wake()
-        declared = self._declared(held, self.corrected(sample))
+        corrected = self.corrected(sample)
+        declared = self._declared(held, corrected)
         if state.is_resting.any():
-            state.rested.append(self._declared(held, sample) - state.offset)
+            state.rested.append(self._declared(held, state.friction.without(sample)) - state.offset)
             state.resting = state.resting.take(np.where(state.is_resting, state.rested[-1], 0.0))
             if state.resting.is_outgrown:
                 self.evidence.outgrown(self._names, state.resting)
                 state.wake_early()
                 has_woken = True
-        missing = int(np.count_nonzero(state.is_resting | np.isnan(sample.xdot)))
+        missing = int(np.count_nonzero(state.is_resting | np.isnan(corrected.xdot)))
         is_contradictory = not self._is_usual(declared / state.scale.values, len(declared) - missing)
         state.keep(sample, WINDOW)
         state.keep_since_lasting(sample)
-        if is_contradictory and not state.n_since and state.inputs.lag and self._is_lag_again(held):
+        if is_contradictory and not state.n_since and (self._is_lag_again(held) or self._is_friction_again(held)):
             is_contradictory, has_woken = False, True
         if state.n_since or is_contradictory:
             if not state.n_since:
                 state.reference, state.verdict, state.changed, state.has_moved = held, "refuted", None, False
                 if state.lasting is None or state.n_samples >= state.suspected_at + FORGOTTEN:
                     state.lasting, state.lasting_at, state.since_lasting = held, state.n_samples, []
+                    state.next_effect = 0
                 state.n_calm = state.n_samples - state.suspected_at - 1
                 if state.n_samples >= state.suspected_at + WINDOW:
                     state.restless_since, state.next_lag = state.n_samples, 0
@@ -136,9 +142,12 @@ class Diagnosis(LagComparison):
         """End the suspicion where one hypothesis has won, from the samples since the onset; None where it goes on."""
         state = self._state
         n = state.n_since
-        if not n:
-            return self._late_drift(t, held)
+        settled = self._late_effect(t, held)
+        if settled is not None or not n:
+            return settled
         reference = held if state.reference is None else state.reference
+        if self._is_friction_over(reference, min(n, QUIET)):
+            return self._with_friction(t, None)
         is_changed = not np.array_equal(reference, held)
         here = self._rows(held, n)
         is_explained = n >= QUIET and plain_fit(here[-QUIET:], 0).is_explained
@@ -163,7 +172,7 @@ class Diagnosis(LagComparison):
         late = self._late_inputs(reference, n) if self._is_due() else None
         if late is not None:
             best = self._best(held, late.n, may_drift=True).fit
-            if late.found.fit.score + (MARGIN if late.n < _SURE else 0.0) <= best.score:
+            if late.fit.score + (MARGIN if late.n < _SURE else 0.0) <= best.score:
                 return self._adopted(t, late)
         is_named = disturbance.fit.is_explained and disturbance.fit.score + MARGIN <= nothing.score
         if is_named and n % 2 == 0 and not self._is_changing(held, n):
@@ -172,25 +181,50 @@ class Diagnosis(LagComparison):
             return Settled(self._undone(before), events, True)
         return None
 
-    def _adopted(self, t: float, late: LateInputs) -> Settled:
-        """End a suspicion as a lag of the inputs explains the samples, or its end does."""
-        state, lag = self._state, late.found.lag
-        state.n_since, state.verdict, state.offset = 0, "refuted", late.offset
-        state.inputs.adopt(late.found)
+    def _adopted(self, t: float, effect: Explanation) -> Settled:
+        """End a suspicion as an effect that the model lacks explains the samples, or the end of one does."""
+        state, found = self._state, effect.found
+        state.offset = effect.offset
+        if isinstance(found, FoundFriction):
+            state.friction = found.friction
+            return self._with_friction(t, effect.theta)
+        state.n_since, state.verdict = 0, "refuted"
+        state.inputs.adopt(found)
         state.counts["lag"] += 1
-        how = "inputs that arrive late explain the samples" if lag else "the inputs arrive in time again"
-        event = Event(t, "lag", {**state.inputs.describe(lag), "reason": how})
-        return Settled(self._undone(late.theta), (event,), True)
+        how = "inputs that arrive late explain the samples" if found.lag else "the inputs arrive in time again"
+        event = Event(t, "lag", {**state.inputs.describe(found.lag), "reason": how})
+        return Settled(self._undone(effect.theta), (event,), True)
 
-    def _late_drift(self, t: float, held: Vector) -> Settled | None:
-        """Return to the parameters that lasted where a lag explains what others, held (d,), have followed since."""
+    def _with_friction(self, t: float, theta: Vector | None) -> Settled:
+        """End a suspicion, and all rests, as known friction explains the samples; return to theta (d,) where given."""
         state = self._state
-        n = state.n_samples - state.lasting_at
-        if state.lasting is None or n < _ENOUGH_LATE or n & (n - 1) or np.array_equal(held, state.lasting):
+        state.n_since, state.verdict, state.n_failures = 0, "refuted", 0
+        state.wake_all()
+        state.counts["friction"] += 1
+        reason = _FRICTION if state.friction else "the friction is over"
+        event = Event(t, "friction", {"terms": self._friction_summary(), "reason": reason})
+        return Settled(None if theta is None else self._undone(theta), (event,), True)
+
+    def _late_effect(self, t: float, held: Vector) -> Settled | None:
+        """Return to the parameters that lasted where what the model lacks explains the samples since.
+
+        Other parameters, held (d,), or a constant disturbance have followed it, or channels rest for it.
+        """
+        state = self._state
+        if state.lasting is None or not self._is_effect_due():
             return None
-        late = self._late_long(state.lasting)
-        followed = plain_fit(self.rows(held, state.since_lasting), self._n_free)
-        return None if late is None or late.found.fit.score + MARGIN > followed.score else self._adopted(t, late)
+        rests = bool(state.is_resting.any())
+        is_followed = np.any(state.offset) or not np.array_equal(held, state.lasting)
+        if not (rests or is_followed or state.n_since):
+            return None
+        followed = NEVER if rests else plain_fit(self.rows(held, state.every_since_lasting), self._n_free)
+        if followed.is_explained:
+            return None
+        found = self._friction_long(state.lasting) if state.n_since else self._lacking(state.lasting)
+        if found is None and self._take_friction_beside(held):
+            state.way = state.way.begin(self.space.to_unit(held))
+            return self._with_friction(t, None)
+        return None if found is None or found.fit.score + MARGIN > followed.score else self._adopted(t, found)
 
     def _explained(self, t: float, held: Vector, n: int) -> Settled:
         """End a suspicion, n samples long, as the parameters in force explain the samples again.
@@ -252,13 +286,15 @@ class Diagnosis(LagComparison):
         """
         state = self._state
         before = state.lasting if state.reference is None else self._accepted(state.reference)
-        late = None if before is None else self._late_long(before)
-        if late is None and before is not None and state.n_since >= LONG:
-            late = self._late_inputs(before, state.n_since)
-        if late is not None:
-            return self._adopted(t, late)
+        found = None if before is None else self._lacking(before)
+        if found is None and before is not None and state.n_since >= LONG:
+            found = self._late_inputs(before, state.n_since)
+        if found is not None:
+            return self._adopted(t, found)
         state.n_since, state.verdict = 0, "refuted"
         state.way = state.way.begin(None if before is None else self.space.to_unit(before))
+        if before is not None:
+            self._doubt_friction(before)
         every = ~state.is_resting
         names = self._of(every)
         reason = f"parameters explain {', '.join(names)} for a few samples only"
@@ -369,6 +405,7 @@ class Diagnosis(LagComparison):
             return Settled(self._undone(before), events, True)
         state.n_since, state.verdict = 0, "refuted"
         state.n_failures += 1
+        self._doubt_friction(before)
         best = rows if theta is None else self._rows(theta, n)
         with np.errstate(over="ignore", invalid="ignore"):
             squares = np.nan_to_num(np.sum(best**2, axis=0), nan=np.inf)

@@ -23,7 +23,7 @@ _MOST: Final = 1_000_000_000
 """Largest number of samples of a rest: more is a mistake."""
 MOST_NAMED: Final = 20
 """Largest number of disturbances in the summary."""
-KINDS: Final = ("disturbance", "lag", "unexplained", "rest")
+KINDS: Final = ("disturbance", "lag", "friction", "unexplained", "rest")
 """Kinds of events of a diagnosis."""
 Judgement = Literal["warranted", "possible", "refuted"]
 """Changed parameters are warranted; possible beside a disturbance; refuted, or too few samples to tell."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .diagnosis_settings import KINDS, Judgement
+from .friction import Friction
 from .input_lag import InputHistory
 from .residual_scale import ResidualScale
 from .resting import RestingResiduals
@@ -37,6 +38,8 @@ class DiagnosisState:
     is_resting: NDArray[np.bool_]
     inputs: InputHistory = field(default_factory=InputHistory)
     """Inputs of the newest samples, and their known lag."""
+    friction: Friction = field(default_factory=Friction)
+    """Known friction that the model lacks."""
     n_failures: int = 0
     """Number of searches in vain, one soon after the other."""
     n_quiet: int = 0
@@ -83,6 +86,8 @@ class DiagnosisState:
     """Number of the first sample of a suspicion that began after some quiet."""
     next_lag: int = 0
     """Number of the sample from which on a lag is sought again, none having explained the samples."""
+    next_effect: int = 0
+    """Number of the sample from which on an effect that the model lacks is sought again in all since `lasting_at`."""
     next_jump: int = 0
     """Number of the sample from which on constant parameters are sought again, none having explained the samples."""
 
@@ -100,6 +105,13 @@ class DiagnosisState:
         """Keep every fifth sample of those after the parameters that lasted."""
         if self.n_samples % _EVERY == 0:
             self.since_lasting = [*self.since_lasting, sample][-_MOST_SINCE:]
+
+    @property
+    def every_since_lasting(self) -> list[Sample]:
+        """Samples that are kept of those since the parameters that lasted were contradicted, from old to new."""
+        long = self.since_lasting
+        newest = [s for s in self.samples if long and s.t > long[0].t]
+        return [*(s for s in long if not newest or s.t < newest[0].t), *newest]
 
     def rest(self, channels: NDArray[np.bool_], n: int) -> None:
         """Let the channels (c,) rest for n samples."""
@@ -127,6 +139,12 @@ class DiagnosisState:
         self._admit(self.rested[: self.resting.n_usual - self.resting.n_samples], self.is_resting)
         self.is_resting = np.zeros_like(self.is_resting)
         self.n_since = 0
+
+    def wake_all(self) -> None:
+        """End all rests, as what the channels rested for is known."""
+        self.rests_until, self.is_resting = np.zeros_like(self.rests_until), np.zeros_like(self.is_resting)
+        self.rested.clear()
+        self.resting = RestingResiduals()
 
     def _admit(self, residuals: Sequence[Vector], channels: NDArray[np.bool_]) -> None:
         """Take residuals (n, c) of these channels (c,) for what the model lacks."""

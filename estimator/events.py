@@ -11,7 +11,8 @@ class Event:
     t: float
     """Communication point [s]."""
     kind: Literal[
-        "trigger", "candidate", "write", "end", "evidence", "disturbance", "lag", "unexplained", "rest", "undo",
+        "trigger", "candidate", "write", "end", "evidence", "disturbance", "lag", "friction",
+        "unexplained", "rest", "undo",
         "limit", "hold", "veto", "confirm", "revert", "stop", "guard",
         "observation", "sensor",
     ]  # fmt: skip

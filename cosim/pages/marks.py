@@ -33,6 +33,7 @@ SIGNS: Final[Mapping[str, Sign]] = {
     "stop": Sign("re-tuning stopped", "square", BLACK),
     "disturbance": Sign("disturbance", "diamond", PURPLE),
     "lag": Sign("late inputs, or their end", "diamond_dot", PURPLE),
+    "friction": Sign("friction, or its end", "circle_cross", PURPLE),
     "unexplained": Sign("unexplained", "diamond_cross", PURPLE),
     "rest": Sign("rest, or its end", "square_cross", PURPLE),
     "observation": Sign("sample kept out", "square_x", SKY),
@@ -46,7 +47,7 @@ MOST_MARKS: Final = 5000
 """Number of marks of one kind up to which all are drawn."""
 REFUSALS: Final = ("veto", "revert", "stop", "limit", "hold", "sensor", "observation", "undo", "rest")
 """Kinds of events by which something was not done, or taken back; the most important first."""
-_CAUSES: Final = ("disturbance", "lag", "unexplained", "sensor")
+_CAUSES: Final = ("disturbance", "lag", "friction", "unexplained", "sensor")
 """Kinds of events for which parameters are undone."""
 _NUMBER: Final = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?", re.IGNORECASE)
 

@@ -19,7 +19,7 @@ _CLOSE: Final = 0.05
 """Relative error of parameters that are found."""
 _STILL: Final = 5
 """Number of steps without a change after which a value is constant."""
-_ENDS: Final = ("end", "undo", "disturbance", "lag", "unexplained", "rest")
+_ENDS: Final = ("end", "undo", "disturbance", "lag", "friction", "unexplained", "rest")
 """Kinds of events after which no search is under way."""
 
 
@@ -127,7 +127,10 @@ def _answers(run: Run, events: Sequence[RecordedEvent], begin: int, end: int) ->
     rows = np.flatnonzero(np.all(np.array(errors) <= 0.0, axis=0)) if errors else np.empty(0)
     right = "-" if not len(rows) else _delay(float(run.time[begin + rows[0]]) - t0) if rows[0] else "right throughout"
     triggers, writes = delays("trigger"), delays("write")
-    causes = {"disturbance": "a disturbance", "lag": "late inputs", "unexplained": "nothing that is known"}
+    causes = {
+        "disturbance": "a disturbance", "lag": "late inputs", "friction": "friction",
+        "unexplained": "nothing that is known",
+    }  # fmt: skip
     named = [(text, delays(kind)) for kind, text in causes.items()]
     taken_for = ", ".join(f"{text} {_delay(found[0])}" for text, found in named if found)
     noticed = "a search was under way" if _is_searching(events, t0) else _first(triggers)

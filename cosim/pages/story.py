@@ -119,6 +119,7 @@ def _done(event: RecordedEvent) -> str:
 _OVER: Final = "a disturbance over"
 _VERBS: Final = {
     "veto": "refused", "limit": "limited", "hold": "held back in part", "revert": "reverted", "undo": "undone",
-    "disturbance": "a disturbance named", "lag": "late inputs named", "unexplained": "not explained",
+    "disturbance": "a disturbance named", "lag": "late inputs named",
+    "friction": "friction named", "unexplained": "not explained",
     "stop": "re-tuning stopped",
 }  # fmt: skip

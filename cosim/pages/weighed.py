@@ -18,6 +18,7 @@ HYPOTHESES: Final[Mapping[str, Sign]] = {
     "nothing": Sign("nothing has changed", "circle", GREY),
     "disturbance": Sign("a disturbance acts", "diamond", PURPLE),
     "lag": Sign("inputs arrive late", "diamond_dot", PURPLE),
+    "friction": Sign("friction that the model lacks", "circle_cross", PURPLE),
     "both": Sign("both", "square", GREEN),
     "parameters": Sign("parameters have changed", "triangle", BLUE),
 }

@@ -60,7 +60,8 @@ def make_supervisor(
     if whitened is not None and scenario.diagnosis.enabled:
         names = tuple(scenario.sampling.derivatives)
         late = _through_actuators(scenario, plant)
-        diagnosis = Diagnosis(whitened, names, whitened.noise, scenario.diagnosis, space, late)
+        inputs = [f"{plant.name}.{name}" for name in plant.inputs]
+        diagnosis = Diagnosis(whitened, names, whitened.noise, scenario.diagnosis, space, late, inputs)
     retuner = _retuner(scenario, estimator, plant, held, rng, stack, whitened, live, diagnosis)
     support: DataSupport | NoDataSupport = NoDataSupport()
     if whitened is not None:

@@ -57,7 +57,7 @@ def diagnosed(found: Mapping[str, Any], lacking: str = _OF_A_MODEL) -> list[str]
             f"{counted(found['disturbance'], 'disturbance')} named, the last at t = {last['t']:g} s ({sizes}): "
             "what was written for them is undone"
         )
-    lines += _late(found.get("input_lag", {}))
+    lines += _late(found.get("input_lag", {})) + _rubbing(found.get("known_friction", ()))
     if found["unexplained"]:
         lines.append(
             f"searches in vain: {found['unexplained']}, no parameters explain the samples; {lacking}, or a sensor is "
@@ -71,6 +71,13 @@ def _late(lag: Mapping[str, float]) -> list[str]:
     kinds = {"time_constant": "an actuator follows with a time constant of", "dead_time": "there is a dead time of"}
     found = [f"{text} {lag[kind]:.3g} s" for kind, text in kinds.items() if lag.get(kind)]
     return [f"the plant's inputs arrive late: {found[0]} that the model lacks, and is compensated"] if found else []
+
+
+def _rubbing(friction: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return a line on the friction that is known at the end, if there is any."""
+    terms = [f"{t['law']} on {t['acts_on']}, {t['coefficient']:.3g} by the speed of {t['speed_of']}" for t in friction]
+    text = "the plant has friction that the model lacks, and that is taken out of the samples"
+    return [f"{text}: {'; '.join(terms)}"] if terms else []
 
 
 def resting(found: Mapping[str, Any]) -> list[str]:

@@ -16,6 +16,8 @@ from scipy.optimize import brentq
 from scipy.signal import lfilter
 from scipy.stats import lognorm, ncx2, norm
 
+from estimator.samples import Sample
+
 # --- acquisition ---------------------------------------------------------------------------------------------------
 
 EI_CASES = [
@@ -589,6 +591,85 @@ def check_fading_is_what_is_left_of_the_start(input_lag):
     for lag in (input_lag.Lag(0.2), input_lag.Lag(n_late=4)):
         ways = [input_lag.arriving([lag], times, np.ones((12, 1)), np.array([start]))[0, :, 0] for start in (0.0, 1.0)]
         assert_allclose(lag.fading(times), ways[1] - ways[0], atol=1e-12)
+
+
+def two_joints(x, u):
+    """Accelerations of two coupled joints without friction: the inverse of an inertia matrix, times the torques."""
+    inertia = np.array([[3.0 + np.cos(x[1]), 1.0 + 0.5 * np.cos(x[1])], [1.0 + 0.5 * np.cos(x[1]), 1.0]])
+    return np.linalg.solve(inertia, np.array(u) - [9.0 * np.sin(x[0]), 4.0 * np.sin(x[0] + x[1])])
+
+
+JOINT_NOISE = 0.01
+
+
+def samples_of_joints(torques=lambda w: np.zeros(2), drag=lambda w: np.zeros(2), n=40, seed=11):
+    """Samples of the joints, whose drives rub with torques(w), and which the air brakes with drag(w)."""
+    rng = np.random.default_rng(seed)
+    for k in range(n):
+        x, u = [*rng.uniform(-1.0, 1.0, 2), *rng.uniform(-3.0, 3.0, 2)], rng.uniform(-8.0, 8.0, 2)
+        w = np.array(x[2:])
+        xdot = two_joints(x, u - torques(w)) - drag(w) + JOINT_NOISE * rng.standard_normal(2)
+        yield Sample(0.05 * k, tuple(map(float, x)), tuple(u.tolist()), tuple(xdot.tolist()))
+
+
+def joint_residuals(samples):
+    """Residuals (n, 2) in standard deviations; 0 where nothing was sampled."""
+    rows = np.array([np.array(s.xdot) - two_joints(s.x, s.u) for s in samples]) / JOINT_NOISE
+    return np.where(np.isnan(rows), 0.0, rows)
+
+
+def friction_sizes(found):
+    """Coefficients by law, velocity, and place: on the derivative, at the first input, at the second."""
+    sizes = np.zeros((3, 2, 3))
+    for term in found.terms:
+        place = 0 if term.at_input is None else 1 + term.at_input
+        sizes[("viscous", "dry", "quadratic").index(term.law), term.velocity - 2, place] = term.coefficient
+    return sizes
+
+
+def assert_only_noise_is_left(found, samples, constant=0.0):
+    """Mean square of the residuals: its expected value is one, its deviation sqrt(2 / 80) at most."""
+    left = joint_residuals([found.without(s) for s in samples])
+    assert_allclose(np.mean((left - (left != 0.0) * constant) ** 2), np.mean(left != 0.0), rtol=0.5)
+
+
+def check_friction_in_drives_is_found_and_taken_out(friction):
+    """Two torques, each by a law of its own."""
+    samples = [*samples_of_joints(torques=lambda w: np.array([0.8 * w[0], 0.3 * w[1] * abs(w[1])]))]
+    found = friction.find_friction(joint_residuals, samples, (2, 3)).friction
+    expected = np.zeros((3, 2, 3))
+    expected[0, 0, 1], expected[2, 1, 2] = 0.8, 0.3
+    assert_allclose(friction_sizes(found), expected, rtol=0.02)
+    assert_only_noise_is_left(found, samples)
+
+
+def check_drag_on_one_derivative_is_found_and_taken_out(friction):
+    """What brakes one acceleration, whatever the drives do, beside a constant on it."""
+    samples = [*samples_of_joints(drag=lambda w: np.array([0.5 * w[0] + 0.2, 0.0]))]
+    found = friction.find_friction(joint_residuals, samples, (2, 3))
+    expected = np.zeros((3, 2, 3))
+    expected[0, 0, 0] = 0.5
+    assert_allclose(friction_sizes(found.friction), expected, rtol=0.02)
+    assert_allclose(np.zeros(2) + found.constant, [-0.2 / JOINT_NOISE, 0.0], rtol=0.1)
+    assert_only_noise_is_left(found.friction, samples, found.constant)
+
+
+def check_dry_friction_is_not_known_near_rest(friction):
+    """It sticks below a speed of 0.14: there, what it holds is any torque up to that of sliding."""
+    stuck = np.random.default_rng(5)
+
+    def rubs(w):
+        return np.array([np.sign(w[0]) if abs(w[0]) > 0.14 else stuck.uniform(-1.0, 1.0), 0.0])
+
+    samples = [*samples_of_joints(torques=rubs, n=80)]
+    found = friction.find_friction(joint_residuals, samples, (2, 3)).friction
+    expected = np.zeros((3, 2, 3))
+    expected[1, 0, 1] = 1.0
+    assert_allclose(friction_sizes(found), expected, rtol=0.02)
+    slow = [abs(s.x[2]) < 0.14 for s in samples]
+    assert sum(slow) > 2
+    assert_allclose(np.isnan([found.without(s).xdot for s in samples])[slow], 1.0)
+    assert_only_noise_is_left(found, samples)
 
 
 def check_spread_is_that_of_white_noise_about_a_slow_mean(residual_scale):

@@ -36,6 +36,9 @@ MARGINS = "check_margins_are_very_strong_evidence"
 DISTURBANCE = "check_disturbance_against_least_squares"
 ARRIVING = "check_arriving_inputs_against_integration"
 FADING = "check_fading_is_what_is_left_of_the_start"
+DRIVES = "check_friction_in_drives_is_found_and_taken_out"
+DRAG = "check_drag_on_one_derivative_is_found_and_taken_out"
+NEAR_REST = "check_dry_friction_is_not_known_near_rest"
 SPREAD = "check_spread_is_that_of_white_noise_about_a_slow_mean"
 EFFECTIVE = "check_effective_scale_is_that_of_means_of_correlated_samples"
 
@@ -43,6 +46,7 @@ GP = "estimator.gaussian_process"
 ACQUISITION = "estimator.acquisition"
 IDENTIFIABILITY = "estimator.identifiability"
 HYPOTHESES = "estimator.hypotheses"
+FRICTION = "estimator.friction"
 LAG = "estimator.input_lag"
 SCALE = "estimator.residual_scale"
 EI = (EI_QUAD, EI_DRAWS)
@@ -61,6 +65,15 @@ MUTANTS = [
     ("fading-twice-as-fast", LAG, "np.exp(-(times - times[0]) /", "np.exp(-2.0 * (times - times[0]) /", (FADING,)),
     ("fading-one-sample-longer", LAG, "np.arange(len(times)) < self.n_late", "np.arange(len(times)) <= self.n_late",
      (FADING,)),
+    ("friction-that-drives", FRICTION, "xdot[term.channels[0]] += force", "xdot[term.channels[0]] -= force", (DRAG,)),
+    ("friction-added-to-the-input", FRICTION, "u[term.at_input] -= force", "u[term.at_input] += force", (DRIVES,)),
+    ("quadratic-friction-without-direction", FRICTION, "return v * abs(v)", "return v * v", (DRIVES,)),
+    ("dry-friction-without-direction", FRICTION, "copysign(1.0, v)", "1.0", (NEAR_REST,)),
+    ("dry-friction-known-at-rest", FRICTION, "abs(v) < self.slow", "abs(v) < 0.0", (NEAR_REST,)),
+    ("friction-by-the-input-itself", FRICTION, "_Column(against * slope,", "_Column(slope,",
+     (DRIVES, NEAR_REST)),
+    ("friction-that-may-push", FRICTION, "(may_fall | (along > 0.0))", "(may_fall | (along < 0.0))",
+     (DRIVES, DRAG, NEAR_REST)),
     ("ei-density-sign", ACQUISITION, "ndtr(d) + sigma * np.exp", "ndtr(d) - sigma * np.exp", EI),
     ("ei-density-without-half", ACQUISITION, "np.exp(-0.5 * d * d)", "np.exp(-d * d)", EI),
     ("ei-density-norm", ACQUISITION, "np.sqrt(2.0 * np.pi)", "np.sqrt(np.pi)", EI),

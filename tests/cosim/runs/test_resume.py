@@ -113,6 +113,16 @@ def test_what_is_known_of_late_inputs_comes_back_to_the_bit(tmp_path):
     assert any(line.startswith("the plant's inputs arrive late") for line in diagnosed(whole.diagnosis))
 
 
+def test_what_is_known_of_friction_comes_back_to_the_bit(tmp_path):
+    changes = {"changes": '{ "plant.m" = 1.75, "plant.l" = 0.75, "plant.b" = 2.0 }'}
+    slow = {"scenario.stop_time": "1.8", "scenario.checkpoint": "15", "components.reference.start.phi_final": "0.7"}
+    whole = check_resume(Scenario.load("pendulum", IN_PROCESS | changes | slow), "target", tmp_path)
+    (term,) = whole.diagnosis["known_friction"]
+    assert (term["law"], term["acts_on"]) == ("viscous", "plant.u")
+    assert term["coefficient"] == pytest.approx(1.9 * 0.75, rel=0.02)  # the model has b = 0.1 kg/s, on the mass
+    assert any(line.startswith("the plant has friction") for line in diagnosed(whole.diagnosis))
+
+
 VARIANTS = {
     "innovation and noise on the states": IN_PROCESS | INNOVATION | NOISY_STATES,
     "processes": {},

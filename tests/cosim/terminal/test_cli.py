@@ -75,8 +75,10 @@ def test_json_is_one_object_with_the_documented_keys_and_nothing_else_is_printed
         "input_lag",
         "disturbance",
         "lag",
+        "friction",
         "unexplained",
         "rest",
+        "known_friction",
     ]
     assert list(result["diagnosis"]["channels"]) == ["plant.der(phi_dot)"]
     assert list(result["latency_ms"]) == ["p50", "p99", "max"]

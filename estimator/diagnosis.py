@@ -164,8 +164,7 @@ class Diagnosis(EffectComparison):
         parameters, nothing = plain_fit(here, self._n_free), plain_fit(there, 0)
         self.evidence.note(n, nothing=nothing, disturbance=disturbance.fit)
         if is_changed and nothing.is_explained and nothing.score <= min(parameters.score, disturbance.fit.score):
-            state.n_since, state.verdict = 0, "refuted"  # the noise is larger than was known at the onset
-            return Settled(self._undone(reference), ends_search=True)
+            return self._larger_noise(reference, held, n)
         if is_changed and is_explained and parameters.is_explained:
             self.evidence.note(n, parameters=parameters)
             return self._changed(t, held) if disturbance.fit.score >= parameters.score + MARGIN else None
@@ -180,6 +179,19 @@ class Diagnosis(EffectComparison):
             events = self._name(t, disturbance_of(self._rows(before, n), may_drift=False))
             return Settled(self._undone(before), events, True)
         return None
+
+    def _larger_noise(self, reference: Vector, held: Vector, n: int) -> Settled:
+        """End a suspicion as the noise is larger than was known at the onset: nothing has happened since.
+
+        What lasted returns where it explains the newest n samples, too; else the reference (d,), a search's own finding
+        perhaps, where it explains them better than what is held (d,).
+        """
+        state, lasting = self._state, self._state.lasting
+        state.n_since, state.verdict = 0, "refuted"
+        if lasting is not None and plain_fit(self._rows(lasting, n), 0).is_explained:
+            return Settled(lasting, ends_search=True)
+        here, there = (float(np.sum(self._rows(theta, n) ** 2)) for theta in (held, reference))
+        return Settled(self._undone(reference) if there < here else None, ends_search=True)
 
     def _adopted(self, t: float, effect: Explanation) -> Settled:
         """End a suspicion as an effect that the model lacks explains the samples, or the end of one does."""

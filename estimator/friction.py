@@ -179,10 +179,11 @@ def _friction_columns(
 ) -> list[_Column]:
     """Return the columns of friction by each velocity, at the inputs that reach its derivative and on that itself.
 
+    An input that is always zero is not connected to anything that moves, and the model may not know it.
     The simplest come first: viscous friction, and what reaches the fewest channels.
     """
-    x, n_inputs = np.array([s.x for s in samples]), len(samples[0].u)
-    by_input = [_slope(rows_of, samples, rows, j) for j in range(n_inputs)]
+    x, u = np.array([s.x for s in samples]), np.array([s.u for s in samples])
+    by_input = {j: _slope(rows_of, samples, rows, j) for j in np.flatnonzero(u.any(axis=0)).tolist()}
     by_derivative = rows - rows_of([replace(s, xdot=tuple(y + 1.0 for y in s.xdot)) for s in samples])
     columns: list[_Column] = []
     for (channel, place), law in product(enumerate(places), get_args(Law)):
@@ -190,7 +191,7 @@ def _friction_columns(
             continue
         slow = _SLOW * float(np.abs(x[:, place]).max())
         against = np.array([speed_law(law, v) for v in x[:, place].tolist()])[:, None]
-        for j, slope in enumerate(by_input):
+        for j, slope in by_input.items():
             reached = tuple(np.flatnonzero(slope.any(axis=0)).tolist())
             if channel in reached:
                 columns.append(_Column(against * slope, FrictionTerm(law, place, reached, j, slow=slow)))
@@ -214,7 +215,7 @@ def _simplicity(column: _Column) -> tuple[int, int, bool]:
 
 def _slope(rows_of: Callable[[Sequence[Sample]], Vector], samples: Sequence[Sample], rows: Vector, j: int) -> Vector:
     """Return the slope (n, c) of the residuals by input j."""
-    step = _ASIDE * max(max(abs(s.u[j]) for s in samples), 1e-6)
+    step = _ASIDE * max(abs(s.u[j]) for s in samples)
     moved = [replace(s, u=(*s.u[:j], s.u[j] + step, *s.u[j + 1 :])) for s in samples]
     return (rows_of(moved) - rows) / step
 

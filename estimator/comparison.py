@@ -111,6 +111,10 @@ class HypothesisComparison:
         """Return the residuals (..., n, c) of candidates theta (..., d) at n samples, each as `scaled` does."""
         return self._declared.rows(theta, samples) / self._state.scale.effective
 
+    def scaled_rows_with(self, inputs: Vector, theta: Vector, samples: Sequence[Sample]) -> Vector:
+        """Return the residuals (k, n, c) of theta (d,) as `scaled_rows`, with inputs (k, n, p) in place of theirs."""
+        return self._declared.rows_with(inputs, theta, samples) / self._state.scale.effective
+
     def slopes(self, theta: Vector, samples: Sequence[Sample]) -> Vector | None:
         """Return the slopes (n, c, d) of `rows` at theta (d,) in the unit cube; None where the model has none."""
         return self.scaled_slopes(theta, [self.corrected(sample) for sample in samples])

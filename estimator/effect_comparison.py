@@ -17,7 +17,7 @@ from .diagnosis_settings import BETTER
 from .differences import OfMany
 from .friction import NO_FRICTION, FoundFriction, Friction, find_friction
 from .hypotheses import MARGIN, Fit, changed_parameters, disturbance_of, plain_fit
-from .input_lag import NO_LAG, FoundLag, Inputs
+from .input_lag import NO_LAG, FoundLag
 from .jump import jump_to
 from .samples import Sample
 from .space import Vector
@@ -168,14 +168,14 @@ class EffectComparison(HypothesisComparison):
         history, friction = self._state.inputs, self._state.friction
         if samples[0].t < history.begin:
             return NO_LAG
-        known = replace(self._known, disturbance=offset * self._sigma, arriving={}, friction=Friction())
+        known = replace(self._known, disturbance=offset * self._sigma, arriving={})
         corrected = [known.without(sample) for sample in samples]
+        lost = np.array([friction.without(replace(s, u=(0.0,) * len(s.u))).u for s in samples]) if friction else 0.0
 
-        def rows_with(arriving: Inputs) -> Vector:
-            late = (replace(s, u=arriving.get(s.t, s.u)) for s in corrected)
-            return self.scaled_rows(theta, [friction.without(s) if friction else s for s in late])
+        def rows_with(inputs: Vector) -> Vector:
+            return self.scaled_rows_with(inputs + lost, theta, corrected)
 
-        return history.search(rows_with, samples[0].t)
+        return history.search(rows_with, [sample.t for sample in samples])
 
     def _lacking(self, reference: Vector) -> Explanation | None:
         """Return the lag or the friction that explains the samples since the parameters that lasted, or None."""

@@ -4,15 +4,15 @@ tau dv/dt = u - v for a first-order lag, or v = u some samples ago. The input u 
 v follows from the inputs alone, and a model that is given v in place of u has the lag whatever its equations are.
 """
 
-from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field
 from math import inf
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import scipy  # its parts, 0.3 s, are loaded when they are used
+from numpy.typing import NDArray
 
 from .hypotheses import NEVER, Fit, plain_fit
 from .samples import Sample
@@ -35,6 +35,8 @@ _LEAST: Final = 3
 
 Inputs = Mapping[float, tuple[float, ...]]
 """Inputs (p,) that arrive at the plant, by the time of the sample [s]."""
+RowsWith = Callable[[Vector], Vector]
+"""Residuals (k, n, c) of n samples with each of k sets of inputs (k, n, p) that arrive at the plant."""
 
 
 @dataclass(frozen=True)
@@ -161,64 +163,99 @@ class InputHistory:
         if self._arriving:
             self._forget(self._times.index(next(iter(self._arriving))))
 
-    def search(self, rows_with: Callable[[Inputs], Vector], since: float) -> FoundLag:
-        """Return the lag that explains best: none, one of all inputs that are kept, or of those since a time [s].
+    def search(self, rows_with: RowsWith, times: Sequence[float]) -> FoundLag:
+        """Return the lag that explains best: none, one of all inputs that are kept, or of those since the first sample.
 
-        rows_with: residuals (n, c) of the samples since then, with what arrives at the plant.
+        rows_with: residuals of n samples with what arrives at the plant; times (n,): theirs [s], all of them kept.
         """
-        none = FoundLag(Lag(), {}, plain_fit(rows_with({}), 0))
+        places = np.searchsorted(self._times, times)
+        none = FoundLag(Lag(), {}, plain_fit(rows_with(np.array(self._inputs)[None, places])[0], 0))
         if self.may_lag == () or len(self._times) < _LEAST or not np.any(np.diff(self._inputs, axis=0)):
             return none
-        known = self._best(rows_with, 0, is_free=False)
+        known = self._best(rows_with, places, none.fit, 0, is_free=False)
         found = [none, known]
         if not known.fit.is_explained:
-            found.append(self._best(rows_with, bisect_left(self._times, since), is_free=True))
+            found.append(self._best(rows_with, places, none.fit, int(places[0]), is_free=True))
         return min(found, key=lambda one: one.fit.score)
 
-    def _best(self, rows_with: Callable[[Inputs], Vector], first: int, *, is_free: bool) -> FoundLag:
-        """Return the best lag of the inputs from the first one on; is_free: what arrives then is fitted, too."""
+    def _best(self, rows_with: RowsWith, places: NDArray[np.intp], none: Fit, first: int, *, is_free: bool) -> FoundLag:
+        """Return the best lag of the inputs from the first one on; is_free: what arrives then is fitted, too.
+
+        places (n,): of the samples' inputs among those that are kept; none: fit without a lag.
+        """
         if len(self._times) - first < _LEAST:
             return NO_LAG
         times, inputs = np.array(self._times[first:]), np.array(self._inputs[first:])
         start = np.array(self._arriving.get(self._times[first], self._inputs[first]))
-        places = self._places(inputs)
-        aside = np.diag(_ASIDE * np.maximum(np.abs(inputs).max(axis=0), 1e-6))[places]
+        seen, may_lag = places - first, self._places(inputs)
+        aside = np.diag(_ASIDE * np.maximum(np.abs(inputs).max(axis=0), 1e-6))[may_lag] if is_free else None
 
-        def with_inputs(made: Vector) -> tuple[Inputs, Vector]:
-            by_time = dict(zip(self._times[first:], map(tuple, made.tolist()), strict=True))
-            return by_time, rows_with(by_time)
+        def fits(lags: Sequence[Lag]) -> list[_Tried]:
+            made = self._made(lags, times, inputs, start)
+            rows = rows_with(made[:, seen])
+            if aside is not None:
+                fading = np.array([lag.fading(times) for lag in lags])
+                made = _started(made, fading[:, None, :, None] * aside[:, None], rows, seen, rows_with)
+                rows = rows_with(made[:, seen])
+            n_free = 1 + is_free * len(may_lag)
+            tried = zip(lags, made, rows, strict=True)
+            return [_Tried(lag, arrives, plain_fit(left, n_free)) for lag, arrives, left in tried]
 
-        def fits(lags: Sequence[Lag]) -> list[FoundLag]:
-            found: list[FoundLag] = []
-            for lag, made in zip(lags, self._made(lags, times, inputs, start), strict=True):
-                arrived, rows = with_inputs(made)
-                if is_free:
-                    moved = lag.fading(times)[:, None] * aside[:, None]  # (places, n, p)
-                    slopes = np.column_stack([(with_inputs(made + by)[1] - rows).reshape(-1) for by in moved])
-                    if np.all(np.isfinite(slopes)):
-                        steps = np.linalg.lstsq(slopes, rows.reshape(-1), rcond=1e-7)[0]
-                        arrived, rows = with_inputs(made - np.tensordot(steps, moved, 1))
-                found.append(FoundLag(lag, arrived, plain_fit(rows, 1 + is_free * len(places))))
-            return found
+        return self._found(_best_of(fits, times, none, is_free), first)
 
-        most = min(_MOST_LATE, len(times) // 2 if is_free else len(times) - _LEAST)
-        late = _inner(fits([Lag(n_late=n) for n in range(1, most + 1)]))
-        if late.fit.is_explained:
-            return late
-        step = float(np.median(np.diff(times)))
-        slow = _inner(fits([Lag(tau) for tau in (step * _TIME_CONSTANTS).tolist()]))
-        if not slow.lag or slow.fit.squares > _PROMISING * plain_fit(rows_with({}), 0).squares:
-            return late
-        ratio = _TIME_CONSTANTS[1] / _TIME_CONSTANTS[0]
-        refined = scipy.optimize.minimize_scalar(
-            lambda log_tau: fits([Lag(float(np.exp(log_tau)))])[0].fit.squares,
-            bounds=np.log(slow.lag.time_constant * np.array([1.0 / ratio, ratio])),
-            method="bounded", options={"xatol": _PRECISION},
-        )  # fmt: skip
-        return min(late, *fits([Lag(float(np.exp(refined.x)))]), key=lambda one: one.fit.score)
+    def _found(self, best: "_Tried | None", first: int) -> FoundLag:
+        """Return a lag that was tried on the inputs from the first one on, as what is found."""
+        if best is None:
+            return NO_LAG
+        return FoundLag(best.lag, dict(zip(self._times[first:], map(tuple, best.made.tolist()), strict=True)), best.fit)
 
 
-def _inner(tried: Sequence[FoundLag]) -> FoundLag:
-    """Return the best one, or none where that is the longest: such a lag is a gain, or no input at all."""
-    best = min(tried, key=lambda one: one.fit.squares, default=NO_LAG)
-    return NO_LAG if not tried or best is tried[-1] else best
+class _Tried(NamedTuple):
+    """Lag that was tried."""
+
+    lag: Lag
+    made: Vector
+    """What arrives at the plant with it (N, p)."""
+    fit: Fit
+
+
+def _started(made: Vector, moved: Vector, rows: Vector, seen: NDArray[np.intp], rows_with: RowsWith) -> Vector:
+    """Return what arrives with each of k lags (k, N, p), what arrives first being fitted to the samples.
+
+    moved (k, q, N, p): changes of it; rows (k, n, c): residuals before; seen (n,): places of the samples' inputs.
+    """
+    k, q, _, p = moved.shape
+    aside = rows_with((made[:, None] + moved)[:, :, seen].reshape(k * q, len(seen), p))
+    slopes = (aside.reshape(k, q, -1) - rows.reshape(k, 1, -1)).transpose(0, 2, 1)
+    fitted = made.copy()
+    for i, slope in enumerate(slopes):
+        if np.all(np.isfinite(slope)):
+            steps = np.linalg.lstsq(slope, rows[i].reshape(-1), rcond=1e-7)[0]
+            fitted[i] -= np.tensordot(steps, moved[i], 1)
+    return fitted
+
+
+def _best_of(fits: Callable[[Sequence[Lag]], list[_Tried]], times: Vector, none: Fit, is_free: bool) -> _Tried | None:
+    """Return the best of all lags of inputs at times (n,) [s], or None; none: fit without a lag."""
+    most = min(_MOST_LATE, len(times) // 2 if is_free else len(times) - _LEAST)
+    late = _inner(fits([Lag(n_late=n) for n in range(1, most + 1)]) if most > 0 else [])
+    if late is not None and late.fit.is_explained:
+        return late
+    step = float(np.median(np.diff(times)))
+    slow = _inner(fits([Lag(tau) for tau in (step * _TIME_CONSTANTS).tolist()]))
+    if slow is None or slow.fit.squares > _PROMISING * none.squares:
+        return late
+    ratio = _TIME_CONSTANTS[1] / _TIME_CONSTANTS[0]
+    refined = scipy.optimize.minimize_scalar(
+        lambda log_tau: fits([Lag(float(np.exp(log_tau)))])[0].fit.squares,
+        bounds=np.log(slow.lag.time_constant * np.array([1.0 / ratio, ratio])),
+        method="bounded", options={"xatol": _PRECISION},
+    )  # fmt: skip
+    (best,) = fits([Lag(float(np.exp(refined.x)))])
+    return best if late is None or best.fit.score < late.fit.score else late
+
+
+def _inner(tried: Sequence[_Tried]) -> _Tried | None:
+    """Return the best one, or None where that is the longest: such a lag is a gain, or no input at all."""
+    best = min(tried, key=lambda one: one.fit.squares, default=None)
+    return None if best is None or best is tried[-1] else best

@@ -80,7 +80,7 @@ class DerivativeResidual:
 
         Other exceptions of the model pass through.
         """
-        modelled = self._modelled(self.space.named(theta), sample)
+        modelled = self._modelled(self.space.named(theta), sample.x, sample.u)
         if modelled is None:
             return np.full(len(self.channels), np.nan)
         return np.array([
@@ -90,19 +90,27 @@ class DerivativeResidual:
 
     def rows(self, theta: Vector, samples: Sequence[Sample]) -> Vector:
         """Return r (..., n, c) of candidates theta (..., d) at n samples, each as `__call__` does, but faster."""
-        thetas, n, c = theta.reshape(-1, len(self.space)), len(samples), len(self.channels)
-        table = self._at_once(thetas, samples) if self.is_vectorised and len(thetas) * n > 1 else None
+        r = self._rows(theta.reshape(-1, len(self.space)), samples, None)
+        return r.reshape(*theta.shape[:-1], *r.shape[1:])
+
+    def rows_with(self, inputs: Vector, theta: Vector, samples: Sequence[Sample]) -> Vector:
+        """Return r (k, n, c) of theta (d,) at n samples, with each of k sets of inputs (k, n, p) in place of theirs."""
+        k, n, p = inputs.shape
+        return self._rows(np.repeat(theta[None], k, axis=0), samples, inputs.reshape(k * n, p))
+
+    def _rows(self, thetas: Vector, samples: Sequence[Sample], inputs: Vector | None) -> Vector:
+        """Return r (k, n, c) of candidates (k, d) at n samples; inputs (k n, p): in place of theirs."""
+        k, n, c = len(thetas), len(samples), len(self.channels)
+        table = self._at_once(thetas, samples, inputs) if self.is_vectorised and k * n > 1 else None
         if table is None:
-            names, missing = self.space.names, [nan] * c
-            named = [dict(zip(names, theta, strict=True)) for theta in thetas.tolist()]
-            table = np.array([self._modelled(own, s) or missing for own in named for s in samples], dtype=float)
-        table = table.reshape(len(thetas), n, c)
+            table = self._one_by_one(thetas, samples, inputs)
+        table = table.reshape(k, n, c)
         xdot = np.array([s.xdot for s in samples], dtype=float).reshape(n, c)
         with np.errstate(invalid="ignore", over="ignore"):
-            r = (xdot - table) / self.noise
+            r: Vector = (xdot - table) / self.noise
         if not (is_sampled := xdot == xdot).all():
             r = np.where(is_sampled | np.isnan(table).all(axis=-1, keepdims=True), r, 0.0)
-        return r.reshape(*theta.shape[:-1], n, c)
+        return r
 
     def slope_rows(self, theta: Vector, samples: Sequence[Sample]) -> Vector | None:
         """Return dr/dz (n, c, d), z in the unit cube, of theta (d,) at n samples; None where the model has none."""
@@ -117,14 +125,16 @@ class DerivativeResidual:
         r[np.isnan(np.array([s.xdot for s in samples], dtype=float))] = 0.0
         return r if np.all(np.isfinite(r)) else None
 
-    def _at_once(self, thetas: Vector, samples: Sequence[Sample]) -> Vector | None:
+    def _at_once(self, thetas: Vector, samples: Sequence[Sample], inputs: Vector | None) -> Vector | None:
         """Return the modelled derivatives (k n, c) of candidates (k, d) at n samples; None where one has no value."""
         k, n = len(thetas), len(samples)
-        x, u = (np.concatenate([np.array(v, dtype=float).T] * k, axis=1) for v in zip(*((s.x, s.u) for s in samples)))
+        x = np.concatenate([np.array([s.x for s in samples], dtype=float).T] * k, axis=1)
+        if inputs is None:
+            inputs = np.concatenate([np.array([s.u for s in samples], dtype=float)] * k)
         named = dict(zip(self.space.names, np.repeat(thetas, n, axis=0).T, strict=True))
         try:
             with np.errstate(all="ignore"):
-                modelled: Any = self.model(x, u, **named)
+                modelled: Any = self.model(x, inputs.T, **named)
         except (ArithmeticError, ValueError):
             return None
         table = np.empty((k * n, len(self.channels)))
@@ -132,10 +142,22 @@ class DerivativeResidual:
             column[:] = modelled[i]
         return table
 
-    def _modelled(self, named: Mapping[str, float], sample: Sample) -> Sequence[float] | None:
+    def _one_by_one(self, thetas: Vector, samples: Sequence[Sample], inputs: Vector | None) -> Vector:
+        """Return the modelled derivatives (k n, c) of candidates (k, d) at n samples; NaN where one has no value."""
+        names, missing = self.space.names, [nan] * len(self.channels)
+        named = (dict(zip(names, theta, strict=True)) for theta in thetas.tolist())
+        points = ((own, sample) for own in named for sample in samples)
+        if inputs is None:
+            modelled = [self._modelled(own, s.x, s.u) or missing for own, s in points]
+        else:
+            held = zip(points, inputs.tolist(), strict=True)
+            modelled = [self._modelled(own, s.x, tuple(u)) or missing for (own, s), u in held]
+        return np.array(modelled, dtype=float)
+
+    def _modelled(self, named: Mapping[str, float], x: Sequence[float], u: Sequence[float]) -> Sequence[float] | None:
         """Return the modelled derivatives (c,) of the channels; None where the model has no value."""
         try:
-            modelled = self.model(sample.x, sample.u, **named)
+            modelled = self.model(x, u, **named)
         except (ArithmeticError, ValueError):  # math.sqrt(-1.0) raises the latter
             return None
         return [modelled[i] for i in self.channels]

@@ -1,5 +1,6 @@
 """Residuals of samples by hand, and how far back each channel of the window remembers."""
 
+from dataclasses import replace
 from math import exp
 
 import numpy as np
@@ -96,6 +97,19 @@ def test_a_vectorised_model_is_called_once_with_arrays_and_gives_the_same_residu
         )
         assert calls == [(12,)] if max(masses) <= 2.0 else [(6,), *[()] * 6]
     assert not np.isfinite(vectorised.rows(np.zeros((2, 1)), seen)[..., 1]).any()
+
+
+@pytest.mark.parametrize("is_vectorised", [False, True])
+def test_rows_with_other_inputs_are_those_of_samples_that_have_them(is_vectorised):
+    space = ParameterSpace((Parameter("m", 0.1, 3.0),))
+    residual = DerivativeResidual(
+        lambda x, u, m: (x[0] + u[0] / m, u[1] * x[0]), space, (0, 1), (0.1, 0.2), is_vectorised
+    )
+    seen = [Sample(0.1 * k, (1.0 + k,), (2.0, 0.0), (0.3, 0.7 * k)) for k in range(3)]
+    inputs, theta = np.random.default_rng(0).standard_normal((4, 3, 2)), np.array([0.7])
+    others = [[replace(s, u=tuple(u)) for s, u in zip(seen, own, strict=True)] for own in inputs.tolist()]
+    expected = [residual.rows(theta, other) for other in others]
+    np.testing.assert_array_equal(residual.rows_with(inputs, theta, seen), expected)
 
 
 @pytest.mark.parametrize("error", [KeyError, TypeError, RuntimeError])

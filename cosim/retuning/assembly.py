@@ -194,9 +194,11 @@ def _lookahead(
     if not (scenario.guard.enabled and scenario.guard.lookahead):
         return "guard.lookahead is false"
     try:
-        return Lookahead(scenario, running, plant, None if whitened is None else whitened.model, stack, rule)
+        lookahead = Lookahead(scenario, running, plant, None if whitened is None else whitened.model, stack, rule)
     except CosimError as e:
         return str(e).rstrip(".")
+    lookahead.prepare()  # as the run's FMUs start, too: with the first write there is no time to wait
+    return lookahead
 
 
 def _screen(

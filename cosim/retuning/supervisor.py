@@ -199,8 +199,6 @@ class Supervisor:
         if self._guard is None:
             return Ruling(proposal.theta if proposal.possible_disturbance is None else None)
         lookahead, prediction = self._lookahead, None
-        if not isinstance(lookahead, str) and point.k == 1:
-            lookahead.prepare()  # the run goes on meanwhile; with the first write there is no time to wait
         if not isinstance(lookahead, str) and point.measured is not None:
             prediction = Prediction(lookahead, point.k, point.measured, point.values)
         ruling = self._guard.step(point, proposal, held, prediction)

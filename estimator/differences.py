@@ -54,14 +54,17 @@ def forward_differences(function: Callable[[Vector], Vector], z: Vector, value: 
 
 def value_and_slope(function: Callable[[Vector], Vector], z: Vector, step: float) -> tuple[Vector, Vector]:
     """Return f(z) (D,) and its `forward_differences` (D, d), from one call of a function `OfMany`."""
-    aside = _aside(z, step)
-    values = values_at(function, np.vstack([z, aside]))
+    places = z[None].repeat(len(z) + 1, axis=0)
+    places[1:] = aside = _aside(z, step)
+    values = values_at(function, places)
     return values[0], _slope(values[1:], values[0], aside.diagonal() - z)
 
 
 def _aside(z: Vector, step: float) -> Vector:
     """Return the places (d, d) a step aside of z (d,) in one coordinate each, towards the cube's middle."""
-    return z + np.diag(np.where(z < 0.5, step, -step))
+    aside = z[None].repeat(len(z), axis=0)
+    aside.reshape(-1)[:: len(z) + 1] += np.where(z < 0.5, step, -step)
+    return aside
 
 
 def _slope(values: Vector, value: Vector, moved: Vector) -> Vector:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from math import nan
 from typing import Any
 
@@ -75,6 +76,10 @@ class DerivativeResidual:
     slopes: Callable[..., Sequence[Sequence[float]]] | None = None
     """Function df/dtheta (n, d) of x, u and **theta; None where only differences are to be had."""
 
+    @cached_property
+    def _sigma(self) -> Vector:
+        return np.array(self.noise)
+
     def __call__(self, theta: Vector, sample: Sample) -> Vector:
         """Return r (c,) of one sample; 0 for a channel that was not sampled, NaN where the model has no value.
 
@@ -107,9 +112,9 @@ class DerivativeResidual:
         table = table.reshape(k, n, c)
         xdot = np.array([s.xdot for s in samples], dtype=float).reshape(n, c)
         with np.errstate(invalid="ignore", over="ignore"):
-            r: Vector = (xdot - table) / self.noise
-        if not (is_sampled := xdot == xdot).all():
-            r = np.where(is_sampled | np.isnan(table).all(axis=-1, keepdims=True), r, 0.0)
+            r: Vector = (xdot - table) / self._sigma
+        if (is_missing := np.isnan(xdot)).any():
+            r = np.where(is_missing & ~np.isnan(table).all(axis=-1, keepdims=True), 0.0, r)
         return r
 
     def slope_rows(self, theta: Vector, samples: Sequence[Sample]) -> Vector | None:
@@ -121,20 +126,19 @@ class DerivativeResidual:
             table = np.array([self.slopes(s.x, s.u, **named) for s in samples], dtype=float)[:, list(self.channels)]
         except (ArithmeticError, ValueError):
             return None
-        r = -table * self.space.slope(theta) / np.array(self.noise)[:, None]
+        r = -table * self.space.slope(theta) / self._sigma[:, None]
         r[np.isnan(np.array([s.xdot for s in samples], dtype=float))] = 0.0
         return r if np.all(np.isfinite(r)) else None
 
     def _at_once(self, thetas: Vector, samples: Sequence[Sample], inputs: Vector | None) -> Vector | None:
         """Return the modelled derivatives (k n, c) of candidates (k, d) at n samples; None where one has no value."""
         k, n = len(thetas), len(samples)
-        x = np.concatenate([np.array([s.x for s in samples], dtype=float).T] * k, axis=1)
-        if inputs is None:
-            inputs = np.concatenate([np.array([s.u for s in samples], dtype=float)] * k)
-        named = dict(zip(self.space.names, np.repeat(thetas, n, axis=0).T, strict=True))
+        x = _columns([s.x for s in samples], k)
+        u = _columns([s.u for s in samples], k) if inputs is None else inputs.T
+        named = dict(zip(self.space.names, thetas.repeat(n, axis=0).T, strict=True))
         try:
             with np.errstate(all="ignore"):
-                modelled: Any = self.model(x, inputs.T, **named)
+                modelled: Any = self.model(x, u, **named)
         except (ArithmeticError, ValueError):
             return None
         table = np.empty((k * n, len(self.channels)))
@@ -161,3 +165,9 @@ class DerivativeResidual:
         except (ArithmeticError, ValueError):  # math.sqrt(-1.0) raises the latter
             return None
         return [modelled[i] for i in self.channels]
+
+
+def _columns(rows: Sequence[Sequence[float]], k: int) -> Vector:
+    """Return rows (n, m) as columns, k times over: (m, k n)."""
+    columns = np.array(rows, dtype=float).T
+    return columns if k == 1 else np.concatenate([columns] * k, axis=1)

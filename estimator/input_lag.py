@@ -64,11 +64,16 @@ def arriving(lags: Sequence[Lag], times: Vector, inputs: Vector, start: Vector) 
     start (p,): what arrives at the first time, and until the first input arrives.
     """
     made = np.empty((len(times), len(lags), inputs.shape[1]))
-    made[0] = v = np.repeat(start[None], len(lags), axis=0)
-    slow = np.array([lag.time_constant or np.inf for lag in lags])
-    gains = -np.expm1(-np.diff(times)[:, None] / slow)[..., None]
-    for i, gain in enumerate(gains, start=1):
-        made[i] = v = v + gain * (inputs[i] - v)
+    made[:] = start
+    following = [j for j, lag in enumerate(lags) if lag.time_constant]
+    if following:
+        taus = np.array([lags[j].time_constant for j in following])
+        v = made[0, following]
+        way = [v]
+        for gain, u in zip(-np.expm1(-np.diff(times)[:, None] / taus)[..., None], inputs[1:], strict=True):
+            v = v + gain * (u - v)
+            way.append(v)
+        made[:, following] = way
     for j, lag in enumerate(lags):
         if lag.n_late:
             made[lag.n_late :, j] = inputs[: max(len(inputs) - lag.n_late, 0)]

@@ -275,7 +275,7 @@ class Diagnosis(EffectComparison):
         if lasting is None or np.array_equal(lasting, held):
             return False
         n = min(n + self._state.n_calm, len(self._state.samples))
-        here, there = self._rows(held, n), self._rows(lasting, n)
+        here, there = self._rows(np.array([held, lasting]), n)
         if np.sum(np.diff(there, axis=0) ** 2) >= np.sum(there**2):  # white noise has twice as much: it is larger
             return False
         return all(

@@ -117,12 +117,10 @@ def modules(folder: Path) -> dict[str, str]:
     """Return the SHA-256, by file, of loaded modules from where a scenario's model and estimator may be."""
     loaded = {file for module in list(sys.modules.values()) if (file := getattr(module, "__file__", None))}
     places = tuple(os.path.normcase(place / "_")[:-1] for place in (folder.resolve(), Path.cwd()))
-    return {
-        str(file): sha256(file)
-        for file in sorted(Path(file) for file in loaded if os.path.normcase(file).startswith(places))
-        if file.suffix == ".py" and file.is_file()
-        if not {"site-packages", "dist-packages"}.intersection(file.parts) and Path(sys.prefix) not in file.parents
-    }
+    installed = os.path.normcase(Path(sys.prefix) / "_")[:-1]
+    near = (Path(f) for f in loaded if (at := os.path.normcase(f)).startswith(places) and not at.startswith(installed))
+    own = (f for f in near if f.suffix == ".py" and not {"site-packages", "dist-packages"}.intersection(f.parts))
+    return {str(file): sha256(file) for file in sorted(own) if file.is_file()}
 
 
 _T = TypeVar("_T")

@@ -103,7 +103,7 @@ class ArrivalCost:
 
     def _with(self, measured: "Measurement") -> Self:
         before = self.covariance + self.walk * _identity(len(self.walk))
-        moved, after = corrected(before, measured)
+        moved, after, spread = corrected(before, measured)
         block = replace(
             self,
             mean=np.minimum(np.maximum(self.mean + moved, 0.0), 1.0),
@@ -111,7 +111,7 @@ class ArrivalCost:
             correction=self.correction + moved,
             expected=self.expected + (before - after).diagonal(),
             n_samples=self.n_samples + 1,
-            whiteness=self.whiteness.updated(_normalised(before, measured)),
+            whiteness=self.whiteness.updated(_normalised(measured.value, spread)),
             cost=float(measured.value @ measured.value),
         )
         if block.whiteness.is_refuted and np.any(block.walk) and not block.is_refuted:
@@ -144,7 +144,8 @@ class ArrivalCost:
 
     def _squared(self, walks: Vector, measured: "Measurement") -> Vector:
         """Return the normalised innovation squared (k,) of a sample where the parameters walk by variances (k, d)."""
-        innovations = _normalised(self.covariance + walks[:, None] * _identity(len(self.mean)), measured)
+        before, H = self.covariance + walks[:, None] * _identity(len(self.mean)), measured.slope
+        innovations = _normalised(measured.value, H @ before @ H.T + _identity(len(H)))
         return np.array([innovation @ innovation for innovation in innovations])
 
     def _learnt(self) -> Self:
@@ -208,17 +209,20 @@ def _identity(n: int) -> Vector:
     return identity
 
 
-def _normalised(P: Vector, measured: Measurement) -> Vector:
-    """Return the innovation (..., c) in its own standard deviations, from the covariance (..., d, d) before it."""
-    value, H = measured
-    root = np.linalg.cholesky(H @ P @ H.T + _identity(len(value)))
-    return np.linalg.solve(root, value[:, None])[..., 0].astype(np.float64)
+def _normalised(innovation: Vector, spread: Vector) -> Vector:
+    """Return the innovation (..., c) in its own standard deviations, from its covariance (..., c, c)."""
+    return np.linalg.solve(np.linalg.cholesky(spread), innovation[:, None])[..., 0].astype(np.float64)
 
 
-def corrected(P: Vector, measured: Measurement) -> tuple[Vector, Vector]:
-    """Return the correction (d,) of the mean and the covariance (d, d) after a measurement, from that before it."""
+def corrected(P: Vector, measured: Measurement) -> tuple[Vector, Vector, Vector]:
+    """Return the correction (d,) of the mean, the covariance (d, d) after a measurement, and that of its value (c, c).
+
+    P (d, d): covariance before it.
+    """
     value, H = measured
-    gain = np.linalg.solve(H @ P @ H.T + _identity(len(value)), H @ P).T
+    seen = H @ P
+    spread: Vector = seen @ H.T + _identity(len(value))
+    gain = np.linalg.solve(spread, seen).T
     left = _identity(len(P)) - gain @ H
     after: Vector = left @ P @ left.T + gain @ gain.T  # Joseph's form
-    return -gain @ value, after
+    return -gain @ value, after, spread

@@ -68,7 +68,7 @@ class _Belief:
         if measured is None:
             return self
         there = Measurement(measured.value + measured.slope @ (self.mean - place), measured.slope)
-        moved, covariance = corrected(self.covariance, there)
+        moved, covariance, _ = corrected(self.covariance, there)
         return _Belief(self.mean + moved, covariance)
 
     def widened(self, walk: float) -> "_Belief":

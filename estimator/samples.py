@@ -4,11 +4,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import nan
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from .space import ParameterSpace, Vector
+
+_FEW: Final = 6
+"""Number of points up to which a model that needs no NumPy is faster without it."""
 
 Model = Callable[..., Sequence[float]]
 """xdot (n,) = model(x, u, **parameters): state (n,), input (p,), parameters by name; SI units."""
@@ -35,6 +38,8 @@ class RememberingModel:
 
     def __init__(self, model: Model) -> None:
         """model: a pure function."""
+        self.is_plain = False
+        """True where the model computes a sample's derivatives without NumPy, in a microsecond."""
         self._model = model
         self._x: Sequence[float] | None = None
         self._u: Sequence[float] | None = None
@@ -48,6 +53,7 @@ class RememberingModel:
         xdot = self._known.get(theta)
         if xdot is None:
             xdot = self._known[theta] = tuple(self._model(x, u, **parameters))
+            self.is_plain = type(xdot[-1]) is float
         return xdot
 
     def remember(self, sample: Sample) -> None:
@@ -106,7 +112,8 @@ class DerivativeResidual:
     def _rows(self, thetas: Vector, samples: Sequence[Sample], inputs: Vector | None) -> Vector:
         """Return r (k, n, c) of candidates (k, d) at n samples; inputs (k n, p): in place of theirs."""
         k, n, c = len(thetas), len(samples), len(self.channels)
-        table = self._at_once(thetas, samples, inputs) if self.is_vectorised and k * n > 1 else None
+        few = _FEW if isinstance(self.model, RememberingModel) and self.model.is_plain else 1
+        table = self._at_once(thetas, samples, inputs) if self.is_vectorised and k * n > few else None
         if table is None:
             table = self._one_by_one(thetas, samples, inputs)
         table = table.reshape(k, n, c)
@@ -149,14 +156,10 @@ class DerivativeResidual:
     def _one_by_one(self, thetas: Vector, samples: Sequence[Sample], inputs: Vector | None) -> Vector:
         """Return the modelled derivatives (k n, c) of candidates (k, d) at n samples; NaN where one has no value."""
         names, missing = self.space.names, [nan] * len(self.channels)
-        named = (dict(zip(names, theta, strict=True)) for theta in thetas.tolist())
-        points = ((own, sample) for own in named for sample in samples)
-        if inputs is None:
-            modelled = [self._modelled(own, s.x, s.u) or missing for own, s in points]
-        else:
-            held = zip(points, inputs.tolist(), strict=True)
-            modelled = [self._modelled(own, s.x, tuple(u)) or missing for (own, s), u in held]
-        return np.array(modelled, dtype=float)
+        named = [dict(zip(names, theta, strict=True)) for theta in thetas.tolist()]
+        held = [s.u for s in samples] * len(named) if inputs is None else map(tuple, inputs.tolist())
+        points = zip([(own, s.x) for own in named for s in samples], held, strict=True)
+        return np.array([self._modelled(own, x, u) or missing for (own, x), u in points], dtype=float)
 
     def _modelled(self, named: Mapping[str, float], x: Sequence[float], u: Sequence[float]) -> Sequence[float] | None:
         """Return the modelled derivatives (c,) of the channels; None where the model has no value."""

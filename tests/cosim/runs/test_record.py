@@ -53,7 +53,8 @@ def test_a_recorder_without_a_folder_remembers_the_rows():
     assert_prefix(recorded(None).close(), N_ROWS)
 
 
-def test_a_recorder_with_a_folder_remembers_only_what_is_not_written(tmp_path):
+def test_a_recorder_with_a_folder_remembers_of_a_long_record_only_what_is_not_written(tmp_path, monkeypatch):
+    monkeypatch.setattr("cosim.runs.record._MOST_KEPT", 5 * ROWS_PER_BATCH * len(COLUMNS))
     recorder = Recorder(tmp_path, COLUMNS)
     tracemalloc.start()
     sizes = []

@@ -7,6 +7,7 @@ parameters are overwritten by those to be tried. A plant that cannot save its st
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from functools import cached_property
 from math import inf
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -49,7 +50,7 @@ class RunningSystem(NamedTuple):
 
 
 class Lookahead:
-    """Predictor of tracking errors. Its FMUs are loaded when first needed: many runs write nothing."""
+    """Predictor of tracking errors. Its FMUs are loaded by `prepare`, where one process holds them, or when needed."""
 
     def __init__(
         self,
@@ -109,7 +110,7 @@ class Lookahead:
 
         Raises ScenarioError as `predicted_peak`.
         """
-        if self.failure is None and self._shadows is None and self._fits_one_process():
+        if self.failure is None and self._shadows is None and self._fits_one_process:
             self._opened_or_failed()
 
     def snapshot(self, sample: Sample) -> dict[str, Any] | None:
@@ -238,8 +239,9 @@ class Lookahead:
         for name, path in paths.items():
             if name != self._modelled and _file(path) != self._files[name]:
                 raise WiringError(f"{path} has changed since the run began")
-        return self._loop_process() if self._fits_one_process() else self._loop_here()
+        return self._loop_process() if self._fits_one_process else self._loop_here()
 
+    @cached_property
     def _fits_one_process(self) -> bool:
         paths = [self._running.paths[name] for name, slave in self._slaves.items() if isinstance(slave, Slave)]
         is_isolated = self._scenario.scenario.isolation == "process" and self._modelled is None

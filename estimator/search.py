@@ -38,8 +38,8 @@ def best_that_differ(residuals: Vector, n: int) -> list[int]:
     return chosen
 
 
-def one_at_a_time(z: Vector, step: float) -> list[Vector]:
-    """Return places that differ from z (d,) in one coordinate each, by step, towards the cube's middle."""
+def one_at_a_time(z: Vector, step: float | Vector) -> list[Vector]:
+    """Return places that differ from z (d,) in one coordinate each, by step (d,), towards the cube's middle."""
     return list(z + np.diag(np.where(z < 0.5, step, -step)))
 
 

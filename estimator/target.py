@@ -16,6 +16,7 @@ from .gpy_surrogate import Surrogate, vector_surrogate
 from .hypotheses import USUAL_RATE
 from .identifiability import IDENTIFIABLE_BELOW, Information, information
 from .kernels import OwnKernel, check_kernel
+from .leap import Leap, leap
 from .positive import must_be_positive
 from .search import (
     VectorPosterior,
@@ -44,6 +45,10 @@ _NEAR_RADII = np.repeat([[0.003], [0.0005]], 8, axis=0)
 """Standard deviation in the unit cube of each candidate drawn around the minimiser of the surrogate's mean."""
 
 
+_SURE = 0.01
+"""Variance of what the surrogate expects, as a share of the least sum of squares, up to which it is sure."""
+_MAJORITY = 5
+"""Residuals a parameter above which those that fit outvote a few that do not."""
 _LITTLE = float(np.log(0.1**2))
 """Logarithm of an expected decrease of the sum of squares that is not worth an evaluation."""
 _FALSE_ALARM = 1e-4
@@ -105,7 +110,8 @@ class TargetVector:
        sigma^2 = log(1 + V/M^2), nu = log M - sigma^2/2.
     5. Evaluate the candidate that maximises log E[max(b - S, 0)] = log(b Phi(c) - M Phi(c - sigma)), with
        c = (log b - nu) / sigma and b the least |y|^2, over Sobol points, normal draws around the best candidate, and
-       the minimiser of |mu|^2 (Gauss-Newton) with draws around it. Repeat from 2.
+       the minimiser of |mu|^2 (Gauss-Newton) with draws around it. Where no more than the misfit is to be gained, and
+       the residual is not explained, a `leap` is tried: a jump of r is nothing that h expects. Repeat from 2.
     6. Estimate: at the best candidate z, d mu/dz / misfit = U diag(s) V^T, misfit^2 = max(1, |r|^2 / (D - d)).
        Directions V_i with s_i |V_i (z - z0)| <= significance are held at z0, if the sum of squares grows by no more
        than (significance misfit)^2; else the nearest candidate to z0 within that is taken. The error is
@@ -180,6 +186,7 @@ class TargetVector:
         self._n_evaluations = 0
         self._gain = np.inf
         self._queue = [self._start]
+        self._leap: Leap | None = None  # that is being evaluated
         self._failed = np.empty((0, len(self._start)))
         self._forget()
         self._model_now = None
@@ -222,6 +229,9 @@ class TargetVector:
         is_known = len(self._theta) > len(theta) and _is_near(residual)
         if self._residuals is None or (self._n_evaluations == 1 and not is_known):
             self._queue = one_at_a_time(self._space.to_unit(theta), self._step)
+        if self._leap is not None and self._leap.has_succeeded(self._space.to_unit(theta), row[0]):
+            # what lies on the other side of the jump says little of the slopes here
+            self._theta, self._residuals, self._queue, self._leap = self._theta[:0], None, self._leap.about, None
         self._theta = np.vstack([self._theta, theta])
         self._residuals = row if self._residuals is None else np.vstack([self._residuals, row])
         if len(self._theta) > _MOST:
@@ -392,12 +402,42 @@ class TargetVector:
             pool = apart if len(apart) else pool
         gain = log_target_vector_improvement(*model.posterior.predict(pool), max(float(costs[best]), 1e-12))
         self._gain = float(gain.max())
-        if self._gain < 0.0 and not others:  # less than a standard deviation is to be gained
+        unexpected = None if others else self._unexpected(model)
+        if unexpected is not None:
+            self._gain = np.inf
+            return unexpected
+        return pool[int(np.argmax(gain))]
+
+    def _unexpected(self, model: "_Model") -> Vector | None:
+        """Return the place (d,) whose evaluation decides what the surrogate does not know; None where none does.
+
+        Where less than a standard deviation is to be gained, that is the place with directions held; else one beyond a
+        jump of the model.
+        """
+        if self._gain < 0.0:
             hold = self._hold(model)
             if self._is_to_be_tried(hold):
-                self._gain = np.inf
                 return hold.place
-        return pool[int(np.argmax(gain))]
+        self._leap = self._possible_leap(model)
+        return None if self._leap is None else self._leap.place
+
+    def _possible_leap(self, model: "_Model") -> Leap | None:
+        """Return a leap where the best candidate does not explain the samples, and the surrogate knows none that does.
+
+        The surrogate has to be sure of the place; where it is not, that is for the acquisition to weigh.
+        """
+        residuals, best = self._told(), int(np.argmin(model.costs))
+        cost, n = float(model.costs[best]), residuals.shape[1]
+        is_stuck = cost > chi2_limit(_FALSE_ALARM, n) and self._gain <= np.log(cost / n)
+        if not is_stuck or n <= _MAJORITY * len(self._start):
+            return None
+        known, chosen = self._space.to_unit(self._theta), residuals[self._modelled(residuals)]
+        _, slope = model.posterior.mean_and_jacobian(model.Z[best])
+        axes = np.linalg.lstsq(model.Y, chosen)[0]  # principal components (k, D)
+        found = leap(model.Z[best], chosen[best], axes.T @ slope)
+        _, variance = model.posterior.predict(found.place[None])
+        is_new = np.abs(np.vstack([known, self._failed]) - found.place).max(axis=1).min() >= _SAME
+        return found if is_new and variance.sum() < _SURE * cost else None
 
     def _modelled(self, residuals: Vector) -> NDArray[np.intp]:
         """Return the sorted indices of the best candidates that differ, and of the newest, bad ones included."""

@@ -12,7 +12,7 @@ import GPy
 import numpy as np
 from numpy.testing import assert_allclose
 from scipy.integrate import quad, solve_ivp
-from scipy.optimize import brentq
+from scipy.optimize import brentq, least_squares
 from scipy.signal import lfilter
 from scipy.stats import lognorm, ncx2, norm
 
@@ -688,3 +688,15 @@ def check_effective_scale_is_that_of_means_of_correlated_samples(residual_scale)
     draws = np.random.default_rng(5).standard_normal(400_000) * np.sqrt(1.0 - rho * rho)
     scale.admit(3.0 * lfilter([1.0], [1.0, -rho], draws)[:, None])
     assert_allclose(scale.effective, 3.0 * truth, rtol=0.03)
+
+
+def check_step_is_the_minimum_of_hubers_loss(leap):
+    """SciPy's trust region finds it to rounding, twenty weightings to a fiftieth of a standard deviation."""
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        slope = rng.normal(size=(40, 3)) * (100.0, 30.0, 10.0)
+        r = slope @ (0.1, -0.2, 0.3) + rng.normal(size=40)
+        r[:3] += (-250.0, 80.0, 30.0)
+        truth = least_squares(lambda step, r=r, J=slope: r + J @ step, np.zeros(3), loss="huber", xtol=1e-12).x
+        std = np.sqrt(np.linalg.inv(slope.T @ slope).diagonal())
+        assert_allclose(leap.least_absolute_step(r, slope) / std, truth / std, atol=0.02)

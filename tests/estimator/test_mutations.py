@@ -40,6 +40,7 @@ DRIVES = "check_friction_in_drives_is_found_and_taken_out"
 DRAG = "check_drag_on_one_derivative_is_found_and_taken_out"
 NEAR_REST = "check_dry_friction_is_not_known_near_rest"
 SPREAD = "check_spread_is_that_of_white_noise_about_a_slow_mean"
+HUBER = "check_step_is_the_minimum_of_hubers_loss"
 EFFECTIVE = "check_effective_scale_is_that_of_means_of_correlated_samples"
 
 GP = "estimator.gaussian_process"
@@ -49,6 +50,7 @@ HYPOTHESES = "estimator.hypotheses"
 FRICTION = "estimator.friction"
 LAG = "estimator.input_lag"
 SCALE = "estimator.residual_scale"
+LEAP = "estimator.leap"
 EI = (EI_QUAD, EI_DRAWS)
 BOTH = (PREDICTION, TEXTBOOK)
 SLOPES = (JACOBIAN, JACOBIAN_DIFFERENCES)
@@ -202,6 +204,9 @@ MUTANTS = [
     ("correlation-inverted", SCALE, "(1.0 + self.correlations) / (1.0 - self.correlations)",
      "(1.0 - self.correlations) / (1.0 + self.correlations)", (EFFECTIVE,)),
     ("correlation-of-another-lag", SCALE, "rows[1:] * rows[:-1]", "rows[2:] * rows[:-2]", (EFFECTIVE,)),
+    ("least-fourth-roots", LEAP, "** -0.5", "** -0.25", (HUBER,)),
+    ("least-squares", LEAP, "** -0.5", "** 0.0", (HUBER,)),
+    ("absolute-below-one", LEAP, "np.abs(r + slope @ step), 1.0)", "np.abs(r + slope @ step), 1e-3)", (HUBER,)),
 ]  # fmt: skip
 
 TestMutants = mutation_tests(MUTANTS, checks_of(oracles))

@@ -115,7 +115,8 @@ class TargetVector:
     6. Estimate: at the best candidate z, d mu/dz / misfit = U diag(s) V^T, misfit^2 = max(1, |r|^2 / (D - d)).
        Directions V_i with s_i |V_i (z - z0)| <= significance are held at z0, if the sum of squares grows by no more
        than (significance misfit)^2; else the nearest candidate to z0 within that is taken. The error is
-       std_j^2 = sum_i V_ij^2 / s_i^2 + (z_ls - z)_j^2, with z_ls the linear least squares.
+       std_j^2 = sum_i V_ij^2 / s_i^2 + (z_ls - z)_j^2, with z_ls the linear least squares; the sum counts D - d times
+       where the residual is not explained, since as much as is seen of it may lie along the slopes.
 
     7. Between episodes `follow` takes each sample by an extended Kalman filter, which begins with the estimate: see
        `ArrivalCost`. It follows parameters that drift; a search is needed after a jump only. An episode is done when
@@ -270,15 +271,18 @@ class TargetVector:
         else:
             z, cost = (hold.place, hold.expected) if hold.is_sure else self._nearest_that_fits(hold)
             reason = f"incumbent, {hold.n_held} of {len(z)} directions held"
-        std = np.minimum(np.hypot(hold.information.std(), hold.least_squares - z), 1.0)
-        estimate = scaled_estimate(
+        n_spare = self._told().shape[1] - len(z)
+        std, away = hold.information.std(), hold.least_squares - z
+        is_known = n_spare > 0 and bool(np.all(np.hypot(std, away) <= self._settings.identifiable_below))
+        if is_known and cost <= chi2_limit(_FALSE_ALARM, n_spare):
+            self._known = z
+        if n_spare > 1 and hold.least > chi2_limit(_FALSE_ALARM, n_spare):
+            std *= n_spare**0.5  # of what is not explained, as much may lie along the slopes: Cauchy and Schwarz
+        std = np.minimum(np.hypot(std, away), 1.0)
+        return scaled_estimate(
             self._space, z, std, self._settings.identifiable_below, hold.information,
             cost=cost, n_evaluations=self._n_evaluations, reason=reason,
         )  # fmt: skip
-        n_spare = self._told().shape[1] - len(z)
-        if all(estimate.is_identifiable) and n_spare > 0 and cost <= chi2_limit(_FALSE_ALARM, n_spare):
-            self._known = z
-        return estimate
 
     def remember(self) -> None:
         """Begin a new arrival cost with the present estimate; with none where any parameters explain so few samples."""

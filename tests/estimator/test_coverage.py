@@ -69,3 +69,21 @@ def test_intervals_of_least_squares_cover():
     # Misfits above one widen the intervals and never narrow them: some 96 %.
     covered = n_covered("least-squares", 3.0) / 2
     assert binom.ppf(1e-4, N_SEEDS, 0.95) <= covered <= binom.ppf(1.0 - 1e-4, N_SEEDS, 0.97)
+
+
+def test_intervals_of_target_cover_where_what_the_model_lacks_is_correlated():
+    """Twenty standard deviations of the noise, smooth over ten of forty rows: least squares errs by far more than white
+    noise of that size would make it err."""
+    t, covered = np.linspace(-1.0, 1.0, 40), 0
+    design = np.column_stack([np.ones(40), t])
+    for seed in range(N_SEEDS):
+        rng = np.random.default_rng([seed, 2])
+        lacks = np.convolve(rng.standard_normal(49), np.ones(10) / np.sqrt(10.0), "valid")
+        noise = rng.standard_normal(40) + 20.0 * lacks
+        target = METHODS["target"].estimator(SPACE, np.zeros(2), rng, METHODS["target"].settings())
+        for _ in range(18):
+            theta = target.ask()
+            target.tell(theta, design @ (theta - (0.5, -0.5)) / SIGMA + noise)
+        estimate = target.estimate()
+        covered += int(np.count_nonzero(np.abs(estimate.theta - (0.5, -0.5)) < 1.96 * estimate.std))
+    assert binom.ppf(1e-4, N_SEEDS, 0.95) <= covered / 2

@@ -1,83 +1,26 @@
-"""Lag of the plant's inputs that its model lacks: actuators that follow late, or samples of dead time.
+"""Inputs of the newest samples, what arrives of them at the plant, and the lag that explains samples."""
 
-tau dv/dt = u - v for a first-order lag, or v = u some samples ago. The input u is held from sample to sample, so that
-v follows from the inputs alone, and a model that is given v in place of u has the lag whatever its equations are.
-"""
-
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field
-from math import inf
-from typing import Any, Final, NamedTuple
+from math import inf, isfinite
+from typing import Any, Final
 
 import numpy as np
-import scipy  # its parts, 0.3 s, are loaded when they are used
 from numpy.typing import NDArray
 
 from .hypotheses import NEVER, Fit, plain_fit
+from .lag import Lag, arriving
+from .lag_search import LEAST, RowsWith, TriedLag, best_lag, with_fitted_start
 from .samples import Sample
 from .space import Vector
 
-_TIME_CONSTANTS: Final = np.geomspace(0.25, 20.0, 10)
-"""Time constants that are tried, in intervals of sampling, before the best one is refined."""
-_MOST_LATE: Final = 16
-"""Longest dead time that is tried, in samples."""
-_PROMISING: Final = 0.5
-"""Share of the sum of squares without a lag that one must go below to be refined."""
-_PRECISION: Final = 1e-4
-"""Relative precision of the time constant."""
 _KEPT: Final = 120
 """Number of inputs that are kept: what came before has faded to less than one in a hundred of the longest lag."""
 _ASIDE: Final = 0.01
 """Step of differences in an input, as a share of its size."""
-_LEAST: Final = 3
-"""Least number of inputs that show a lag."""
-
 Inputs = Mapping[float, tuple[float, ...]]
 """Inputs (p,) that arrive at the plant, by the time of the sample [s]."""
-RowsWith = Callable[[Vector], Vector]
-"""Residuals (k, n, c) of n samples with each of k sets of inputs (k, n, p) that arrive at the plant."""
-
-
-@dataclass(frozen=True)
-class Lag:
-    """First-order lag or dead time of the inputs; neither by default."""
-
-    time_constant: float = 0.0
-    """tau [s]."""
-    n_late: int = 0
-    """Dead time in samples."""
-
-    def __bool__(self) -> bool:
-        return self.time_constant > 0.0 or self.n_late > 0
-
-    def fading(self, times: Vector) -> Vector:
-        """Return the share (n,) at times (n,) [s] of what arrived at the first of them."""
-        if self.n_late:
-            return (np.arange(len(times)) < self.n_late).astype(float)
-        return np.exp(-(times - times[0]) / self.time_constant)
-
-
-def arriving(lags: Sequence[Lag], times: Vector, inputs: Vector, start: Vector) -> Vector:
-    """Return what arrives of inputs (n, p), held up to times (n,) [s], with each of k lags: (k, n, p).
-
-    start (p,): what arrives at the first time, and until the first input arrives.
-    """
-    made = np.empty((len(times), len(lags), inputs.shape[1]))
-    made[:] = start
-    following = [j for j, lag in enumerate(lags) if lag.time_constant]
-    if following:
-        taus = np.array([lags[j].time_constant for j in following])
-        v = made[0, following]
-        way = [v]
-        for gain, u in zip(-np.expm1(-np.diff(times)[:, None] / taus)[..., None], inputs[1:], strict=True):
-            v = v + gain * (u - v)
-            way.append(v)
-        made[:, following] = way
-    for j, lag in enumerate(lags):
-        if lag.n_late:
-            made[lag.n_late :, j] = inputs[: max(len(inputs) - lag.n_late, 0)]
-    return made.transpose(1, 0, 2)
 
 
 @dataclass(frozen=True)
@@ -160,7 +103,8 @@ class InputHistory:
     def describe(self, lag: Lag) -> dict[str, Any]:
         """Return a lag as JSON values, in seconds."""
         step = float(np.median(np.diff(self._times))) if lag.n_late else 0.0
-        return {"time_constant": lag.time_constant, "dead_time": lag.n_late * step}
+        rates = [rate if isfinite(rate) else None for rate in lag.rates]
+        return {"time_constant": lag.time_constant, "dead_time": lag.n_late * step, "rates": rates}
 
     def adopt(self, found: FoundLag) -> None:
         """Take a lag for known."""
@@ -175,7 +119,7 @@ class InputHistory:
         """
         places = np.searchsorted(self._times, times)
         none = FoundLag(Lag(), {}, plain_fit(rows_with(np.array(self._inputs)[None, places])[0], 0))
-        if self.may_lag == () or len(self._times) < _LEAST or not np.any(np.diff(self._inputs, axis=0)):
+        if self.may_lag == () or len(self._times) < LEAST or not np.any(np.diff(self._inputs, axis=0)):
             return none
         known = self._best(rows_with, places, none.fit, 0, is_free=False)
         found = [none, known]
@@ -188,79 +132,28 @@ class InputHistory:
 
         places (n,): of the samples' inputs among those that are kept; none: fit without a lag.
         """
-        if len(self._times) - first < _LEAST:
+        if len(self._times) - first < LEAST:
             return NO_LAG
         times, inputs = np.array(self._times[first:]), np.array(self._inputs[first:])
         start = np.array(self._arriving.get(self._times[first], self._inputs[first]))
         seen, may_lag = places - first, self._places(inputs)
         aside = np.diag(_ASIDE * np.maximum(np.abs(inputs).max(axis=0), 1e-6))[may_lag] if is_free else None
 
-        def fits(lags: Sequence[Lag]) -> list[_Tried]:
+        def fits(lags: Sequence[Lag]) -> list[TriedLag]:
             made = self._made(lags, times, inputs, start)
             rows = rows_with(made[:, seen])
             if aside is not None:
                 fading = np.array([lag.fading(times) for lag in lags])
-                made = _started(made, fading[:, None, :, None] * aside[:, None], rows, seen, rows_with)
+                made = with_fitted_start(made, fading[:, None, :, None] * aside[:, None], rows, seen, rows_with)
                 rows = rows_with(made[:, seen])
-            n_free = 1 + is_free * len(may_lag)
             tried = zip(lags, made, rows, strict=True)
-            return [_Tried(lag, arrives, plain_fit(left, n_free)) for lag, arrives, left in tried]
+            n_start = is_free * len(may_lag)
+            return [TriedLag(lag, arrives, plain_fit(left, lag.n_values + n_start)) for lag, arrives, left in tried]
 
-        return self._found(_best_of(fits, times, none, is_free), first)
+        return self._found(best_lag(fits, times, inputs[:, may_lag], none, is_free=is_free), first)
 
-    def _found(self, best: "_Tried | None", first: int) -> FoundLag:
+    def _found(self, best: TriedLag | None, first: int) -> FoundLag:
         """Return a lag that was tried on the inputs from the first one on, as what is found."""
         if best is None:
             return NO_LAG
         return FoundLag(best.lag, dict(zip(self._times[first:], map(tuple, best.made.tolist()), strict=True)), best.fit)
-
-
-class _Tried(NamedTuple):
-    """Lag that was tried."""
-
-    lag: Lag
-    made: Vector
-    """What arrives at the plant with it (N, p)."""
-    fit: Fit
-
-
-def _started(made: Vector, moved: Vector, rows: Vector, seen: NDArray[np.intp], rows_with: RowsWith) -> Vector:
-    """Return what arrives with each of k lags (k, N, p), what arrives first being fitted to the samples.
-
-    moved (k, q, N, p): changes of it; rows (k, n, c): residuals before; seen (n,): places of the samples' inputs.
-    """
-    k, q, _, p = moved.shape
-    aside = rows_with((made[:, None] + moved)[:, :, seen].reshape(k * q, len(seen), p))
-    slopes = (aside.reshape(k, q, -1) - rows.reshape(k, 1, -1)).transpose(0, 2, 1)
-    fitted = made.copy()
-    for i, slope in enumerate(slopes):
-        if np.all(np.isfinite(slope)):
-            steps = np.linalg.lstsq(slope, rows[i].reshape(-1), rcond=1e-7)[0]
-            fitted[i] -= np.tensordot(steps, moved[i], 1)
-    return fitted
-
-
-def _best_of(fits: Callable[[Sequence[Lag]], list[_Tried]], times: Vector, none: Fit, is_free: bool) -> _Tried | None:
-    """Return the best of all lags of inputs at times (n,) [s], or None; none: fit without a lag."""
-    most = min(_MOST_LATE, len(times) // 2 if is_free else len(times) - _LEAST)
-    late = _inner(fits([Lag(n_late=n) for n in range(1, most + 1)]) if most > 0 else [])
-    if late is not None and late.fit.is_explained:
-        return late
-    step = float(np.median(np.diff(times)))
-    slow = _inner(fits([Lag(tau) for tau in (step * _TIME_CONSTANTS).tolist()]))
-    if slow is None or slow.fit.squares > _PROMISING * none.squares:
-        return late
-    ratio = _TIME_CONSTANTS[1] / _TIME_CONSTANTS[0]
-    refined = scipy.optimize.minimize_scalar(
-        lambda log_tau: fits([Lag(float(np.exp(log_tau)))])[0].fit.squares,
-        bounds=np.log(slow.lag.time_constant * np.array([1.0 / ratio, ratio])),
-        method="bounded", options={"xatol": _PRECISION},
-    )  # fmt: skip
-    (best,) = fits([Lag(float(np.exp(refined.x)))])
-    return best if late is None or best.fit.score < late.fit.score else late
-
-
-def _inner(tried: Sequence[_Tried]) -> _Tried | None:
-    """Return the best one, or None where that is the longest: such a lag is a gain, or no input at all."""
-    best = min(tried, key=lambda one: one.fit.squares, default=None)
-    return None if best is None or best is tried[-1] else best

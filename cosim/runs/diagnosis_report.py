@@ -66,10 +66,12 @@ def diagnosed(found: Mapping[str, Any], lacking: str = _OF_A_MODEL) -> list[str]
     return lines
 
 
-def _late(lag: Mapping[str, float]) -> list[str]:
+def _late(lag: Mapping[str, Any]) -> list[str]:
     """Return a line on the lag of the plant's inputs that is known at the end, if there is one."""
     kinds = {"time_constant": "an actuator follows with a time constant of", "dead_time": "there is a dead time of"}
     found = [f"{text} {lag[kind]:.3g} s" for kind, text in kinds.items() if lag.get(kind)]
+    if rates := [f"{rate:.3g}" for rate in lag.get("rates", ()) if rate is not None]:
+        found.append(f"an actuator's rate is limited to {' and '.join(rates)} per second")
     return [f"the plant's inputs arrive late: {found[0]} that the model lacks, and is compensated"] if found else []
 
 

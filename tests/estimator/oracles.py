@@ -585,6 +585,20 @@ def check_arriving_inputs_against_integration(input_lag):
     assert_allclose(made[2], [*[start] * 3, *inputs[:22]])
 
 
+def check_inputs_of_limited_rates_against_small_steps(lag):
+    """Towards the input that is held, by 2000 small steps an interval; the second one is not limited."""
+    rng = np.random.default_rng(8)
+    times, inputs, start = np.cumsum(rng.uniform(0.02, 0.1, 25)), rng.standard_normal((25, 2)), np.array([0.7, -1.3])
+    (made,) = lag.arriving([lag.Lag(rates=(12.0, np.inf))], times, inputs, start)
+    v = start[0]
+    for k in range(1, 25):
+        most = 12.0 * (times[k] - times[k - 1]) / 2000
+        for _ in range(2000):
+            v += np.sign(inputs[k, 0] - v) * min(most, abs(inputs[k, 0] - v))
+        assert_allclose(made[k, 0], v, atol=1e-9)
+    assert_allclose(made[1:, 1], inputs[1:, 1])
+
+
 def check_fading_is_what_is_left_of_the_start(input_lag):
     """The difference of two ways from different starts, which the model is linear in."""
     times = np.cumsum(np.random.default_rng(7).uniform(0.02, 0.1, 12))

@@ -722,6 +722,30 @@ class LateActuator:
         return self.queue.pop(0)
 
 
+class LimitedActuator:
+    """An actuator that follows at a limited rate [1/s]; samples are 0.05 s apart."""
+
+    def __init__(self, rate):
+        self.rate, self.state = rate, None
+
+    def __call__(self, t, u):
+        self.state = u if self.state is None else self.state
+        self.state += np.clip(u - self.state, -0.05 * self.rate, 0.05 * self.rate)
+        return self.state
+
+
+@pytest.mark.full_but("1.5-3-target", "0.8-1-least-squares")
+@SEARCHES
+@CHANNELS
+@pytest.mark.parametrize("rate", [0.8, 1.5])
+def test_a_limited_rate_is_named_and_parameters_that_change_behind_it_are_found(estimator, n_channels, rate):
+    run = Run(estimator, n_channels, actuator=LimitedActuator(rate)).go(80)
+    assert run.diagnosis.summary()["input_lag"]["rates"] == [pytest.approx(rate, rel=0.02)]
+    assert near(run.held, TRUE)
+    run.go(80, CHANGED)
+    assert near(run.held, CHANGED, 0.05)
+
+
 @pytest.mark.full_but("0.1-1-target", "0.25-3-ukf")
 @ESTIMATORS
 @CHANNELS

@@ -35,6 +35,7 @@ SCORE = "check_score_is_the_evidence_of_a_linear_model"
 MARGINS = "check_margins_are_very_strong_evidence"
 DISTURBANCE = "check_disturbance_against_least_squares"
 ARRIVING = "check_arriving_inputs_against_integration"
+RATES = "check_inputs_of_limited_rates_against_small_steps"
 FADING = "check_fading_is_what_is_left_of_the_start"
 DRIVES = "check_friction_in_drives_is_found_and_taken_out"
 DRAG = "check_drag_on_one_derivative_is_found_and_taken_out"
@@ -48,7 +49,7 @@ ACQUISITION = "estimator.acquisition"
 IDENTIFIABILITY = "estimator.identifiability"
 HYPOTHESES = "estimator.hypotheses"
 FRICTION = "estimator.friction"
-LAG = "estimator.input_lag"
+LAG = "estimator.lag"
 SCALE = "estimator.residual_scale"
 LEAP = "estimator.leap"
 EI = (EI_QUAD, EI_DRAWS)
@@ -59,11 +60,13 @@ MATERNS = (MATERN, MATERN_TEXTBOOK)
 
 MUTANTS = [
     # id, module, old, new, the checks that must reject it
-    ("lag-by-one-euler-step", LAG, "-np.expm1(-np.diff(times)[:, None] / slow)", "(np.diff(times)[:, None] / slow)",
+    ("lag-by-one-euler-step", LAG, "-np.expm1(-np.diff(times)[:, None] / taus)", "(np.diff(times)[:, None] / taus)",
      (ARRIVING,)),
-    ("lag-of-the-input-before", LAG, "gain * (inputs[i] - v)", "gain * (inputs[i - 1] - v)", (ARRIVING,)),
+    ("lag-of-the-input-before", LAG, "/ taus)[..., None], inputs[1:]", "/ taus)[..., None], inputs[:-1]", (ARRIVING,)),
     ("dead-time-of-one-sample-more", LAG, "inputs[: max(len(inputs) - lag.n_late, 0)]",
      "inputs[[0, *range(len(inputs) - lag.n_late - 1)]]", (ARRIVING,)),
+    ("rate-by-the-sample", LAG, "-rates * dt, rates * dt", "-rates, rates", (RATES,)),
+    ("rate-of-the-input-before", LAG, "np.clip(u - v, -rates * dt", "np.clip(u - start, -rates * dt", (RATES,)),
     ("fading-twice-as-fast", LAG, "np.exp(-(times - times[0]) /", "np.exp(-2.0 * (times - times[0]) /", (FADING,)),
     ("fading-one-sample-longer", LAG, "np.arange(len(times)) < self.n_late", "np.arange(len(times)) <= self.n_late",
      (FADING,)),

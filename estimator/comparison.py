@@ -107,6 +107,10 @@ class HypothesisComparison:
         """Return the residual (c,) of a corrected sample in standard deviations of its true size."""
         return self._declared(theta, sample) / self._state.scale.effective
 
+    def newest(self, theta: Vector, sample: Sample) -> Vector:
+        """Return the residual (c,) of a corrected sample as one value is judged: correlation makes it no larger."""
+        return self._declared(theta, sample) / self._state.scale.values
+
     def scaled_rows(self, theta: Vector, samples: Sequence[Sample]) -> Vector:
         """Return the residuals (..., n, c) of candidates theta (..., d) at n samples, each as `scaled` does."""
         return self._declared.rows(theta, samples) / self._state.scale.effective

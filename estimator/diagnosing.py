@@ -373,7 +373,7 @@ def make_retuner(
     if not estimator.is_whitened:
         residual = replace(whitened, noise=(1.0,) * n)
         rows, slopes = residual.rows, residual.slope_rows
-    begins = trigger.trigger(scaled)
+    begins = trigger.trigger(scaled if diagnosis is None else diagnosis.newest)
     if trigger.is_endless:
         budget = replace(budget, evaluations=math.inf)
     elif diagnosis is not None:

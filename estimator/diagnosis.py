@@ -107,8 +107,8 @@ class Diagnosis(EffectComparison):
         corrected = self.corrected(sample)
         declared = self._declared(held, corrected)
         if state.is_resting.any():
-            state.rested.append(self._declared(held, state.friction.without(sample)) - state.offset)
-            state.resting = state.resting.take(np.where(state.is_resting, state.rested[-1], 0.0))
+            state.rested.append(self._declared(held, state.friction.without(sample)))
+            state.resting = state.resting.take(np.where(state.is_resting, state.rested[-1] - state.offset, 0.0))
             if state.resting.is_outgrown:
                 self.evidence.outgrown(self._names, state.resting)
                 state.wake_early()

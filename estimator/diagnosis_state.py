@@ -61,7 +61,7 @@ class DiagnosisState:
     named: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
     """The newest disturbances with their times [s] and sizes; replaced, never changed."""
     rested: list[Vector] = field(default_factory=list[Vector])
-    """Residuals (c,) at the parameters in force since the first channel rests."""
+    """Residuals (c,) at the parameters in force since the first channel rests, with a known disturbance in them."""
     resting: RestingResiduals = field(default_factory=RestingResiduals)
     """Their sizes since the last rest began."""
     n_samples: int = 0
@@ -147,9 +147,15 @@ class DiagnosisState:
         self.resting = RestingResiduals()
 
     def _admit(self, residuals: Sequence[Vector], channels: NDArray[np.bool_]) -> None:
-        """Take residuals (n, c) of these channels (c,) for what the model lacks."""
-        usual = np.where(channels, np.array(residuals), 0.0)
-        self.scale.admit(usual[np.isfinite(usual).all(axis=1)])
+        """Take residuals (n, c) of these channels (c,) for what the model lacks.
+
+        A known disturbance is forgotten where they are smaller without it.
+        """
+        rows = np.array(residuals)
+        rows = rows[np.isfinite(rows).all(axis=1)]
+        is_wrong = channels & (np.sum(rows**2, axis=0) < np.sum((rows - self.offset) ** 2, axis=0))
+        self.offset = np.where(is_wrong, 0.0, self.offset)
+        self.scale.admit(np.where(channels, rows - self.offset, 0.0))
 
     def copy(self) -> "DiagnosisState":
         """Return an independent copy; arrays are replaced, never changed."""

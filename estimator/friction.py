@@ -34,6 +34,8 @@ _SEEN: Final = 1e-4
 """Share of a term's squares that must be left beside the terms that were chosen before."""
 _LIKE: Final = 0.02
 """Share by which coefficients that are nearly the same may differ."""
+_LITTLE: Final = 0.25
+"""Share of the squares that friction may leave."""
 _MOST_TERMS: Final = 3
 """Largest number of terms, by the number of channels."""
 
@@ -154,10 +156,22 @@ def find_friction(
     found = tuple(replace(term, coefficient=size) for term, size in terms if term is not None)
     if not found or not fit.is_explained or any(term.coefficient <= 0.0 for term in found):
         return NO_FRICTION
+    if not _is_most(rows, left.reshape(rows.shape), is_known.reshape(rows.shape), found):
+        return NO_FRICTION
     constant = np.zeros(rows.shape[1])
     for i, size in zip(chosen, sizes.tolist()):
         constant[i : i + 1] += size if library[i].term is None else 0.0
     return FoundFriction(Friction(found), constant, fit)
+
+
+def _is_most(rows: Vector, left: Vector, is_known: NDArray[np.bool_], terms: Sequence[FrictionTerm]) -> bool:
+    """Return whether terms explain most of the residuals (n, c) of the channels that feel them, constants aside.
+
+    Coloured noise that is known to be large leaves much that anything explains.
+    """
+    felt = sorted({channel for term in terms for channel in term.channels})
+    before = sum(float(np.sum((r - r.mean()) ** 2)) for c in felt if len(r := rows[is_known[:, c], c]))
+    return float(np.sum(left[:, felt] ** 2)) <= _LITTLE * before
 
 
 @dataclass(frozen=True)

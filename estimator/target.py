@@ -47,8 +47,10 @@ _NEAR_RADII = np.repeat([[0.003], [0.0005]], 8, axis=0)
 
 _SURE = 0.01
 """Variance of what the surrogate expects, as a share of the least sum of squares, up to which it is sure."""
-_MAJORITY = 5
+_MAJORITY = 15
 """Residuals a parameter above which those that fit outvote a few that do not."""
+_AT_BOUND = 0.01
+"""Distance from a bound, in the unit cube, that is none."""
 _LITTLE = float(np.log(0.1**2))
 """Logarithm of an expected decrease of the sum of squares that is not worth an evaluation."""
 _FALSE_ALARM = 1e-4
@@ -439,6 +441,8 @@ class TargetVector:
         _, slope = model.posterior.mean_and_jacobian(model.Z[best])
         axes = np.linalg.lstsq(model.Y, chosen)[0]  # principal components (k, D)
         found = leap(model.Z[best], chosen[best], axes.T @ slope)
+        if np.any(np.abs(np.array([found.place, model.Z[best]]) - 0.5) > 0.5 - _AT_BOUND):
+            return None  # it is the bound that hinders, not a jump
         _, variance = model.posterior.predict(found.place[None])
         is_new = np.abs(np.vstack([known, self._failed]) - found.place).max(axis=1).min() >= _SAME
         return found if is_new and variance.sum() < _SURE * cost else None

@@ -584,6 +584,19 @@ def test_the_usual_error_of_a_lacking_model_is_learnt_while_it_rests():
     assert len(run.of("rest")) <= 2
 
 
+@pytest.mark.parametrize("size", [0.1, 0.3])
+@CHANNELS
+def test_a_change_that_is_larger_than_what_the_model_lacks_is_found_after_the_rests(n_channels, size):
+    settings, changed = DiagnosisSettings(rest=200, longest_rest=200), np.array([2.6, -1.3])
+    lacks = lambda i: size * np.sin(0.17 * i)  # noqa: E731
+    run = Run("least-squares", n_channels, settings=settings).go(100).go(700, TRUE, lacks)
+    scales = [c["scale"] for c in channels_of(run)]
+    assert min(scales) > 0.9 * size / SIGMA / np.sqrt(2.0)  # root mean square of a sine
+    assert max(scales) < (1.1 if n_channels == 1 else 2.3) * size / SIGMA / np.sqrt(2.0)
+    run.go(150, changed, lambda i: lacks(i + 700))
+    assert near(run.held, changed, 0.1)
+
+
 @pytest.mark.parametrize("noise", [2.0, 10.0])
 def test_noise_larger_than_declared_is_learnt_in_the_loop(noise):
     settings = DiagnosisSettings(rest=200, longest_rest=200)

@@ -15,7 +15,7 @@ JUMP, EDGE = 300.0, 0.59
 def model(seed, edge=EDGE):
     """Residuals, their least squares beyond the edge, and its covariance."""
     rng = np.random.default_rng(seed)
-    H, noise = 400.0 * rng.normal(size=(40, 3)), rng.standard_normal(40)
+    H, noise = 400.0 * rng.normal(size=(60, 3)), rng.standard_normal(60)
     H[0] = 400.0, 0.0, 0.0
 
     def residual(theta):
@@ -23,7 +23,7 @@ def model(seed, edge=EDGE):
         r[0] += JUMP * (theta[0] < edge)
         return r
 
-    beyond = noise + JUMP * (edge > 1.0) * np.eye(40)[0]
+    beyond = noise + JUMP * (edge > 1.0) * np.eye(60)[0]
     return residual, TRUTH - np.linalg.lstsq(H, beyond, rcond=None)[0], np.linalg.inv(H.T @ H)
 
 
@@ -60,7 +60,7 @@ def test_a_search_gets_over_a_jump_of_one_row(seed):
 @pytest.mark.parametrize("seed", range(3))
 def test_a_row_that_no_parameter_puts_right_leaves_the_least_squares(seed):
     residual, minimum, covariance = model(seed, edge=2.0)
-    estimate = searched(residual, seed).estimate()
-    std = np.sqrt(covariance.diagonal() * estimate.cost / 37)  # of the misfit
+    estimate = searched(residual, seed, n=45).estimate()
+    std = np.sqrt(covariance.diagonal() * estimate.cost / 57)  # of the misfit
     assert_allclose((estimate.theta - minimum) / std, 0.0, atol=0.3)
     assert np.all(np.abs(estimate.theta - TRUTH) < 1.96 * estimate.std)

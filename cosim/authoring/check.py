@@ -50,7 +50,7 @@ def check(
 ) -> list[Finding]:
     """Return all findings about a scenario, errors and warnings. Raises ScenarioError if the file is not TOML.
 
-    is_run: where there is no error, run the FMUs for two macro steps, see `dry_run`; trust: also those of a package.
+    is_run: where there is no error, run the FMUs for some macro steps, see `dry_run`; trust: also those of a package.
     """
     try:
         scenario = load_scenario(source, overrides, trust=trust)

@@ -176,7 +176,7 @@ def _check(parser: Parser) -> None:
     _add_scenario(parser, ", an FMU")
     parser.add_argument(
         "--dry-run", action="store_true",
-        help="also run the scenario's FMUs for two macro steps, and compare the model with the plant's derivatives",
+        help="also run the scenario's FMUs for 100 macro steps, and compare the model with the plant's derivatives",
     )  # fmt: skip
     _add_set(parser)
     _add_trust(parser, "an SSP package and, with --dry-run, its FMUs")

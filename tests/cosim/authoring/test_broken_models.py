@@ -108,7 +108,7 @@ def dry(path):
 def test_a_dry_run_says_that_it_runs_the_fmus_and_finds_nothing_in_a_sound_model(broken, capsys):
     path = broken(RIGHT)
     found = dry(path)
-    assert "scenario: note: the FMUs were run for 2 macro steps, up to t = 0.020 s" in found
+    assert "scenario: note: the FMUs were run for 100 macro steps, up to t = 1.000 s" in found
     assert not any("der(" in line for line in found)
     assert not any("were run" in str(f) for f in check(path))  # unasked
     assert main(["check", str(path), "--dry-run"]) == 0
@@ -129,6 +129,23 @@ def test_a_simplification_is_a_warning(broken):
     (line,) = [line for line in dry(broken("return (f - c * s - 3.0 * v) / m, v")) if "der(mass.v)" in line]
     assert ": warning: der(mass.v): model " in line
     assert main(["check", str(broken("return (f - c * s - 3.0 * v) / m, v")), "--dry-run"]) == 0
+
+
+def test_friction_left_out_on_purpose_is_a_warning_where_the_plant_starts_without_acceleration(broken):
+    """From v = 1 m/s, as the reference begins: the model has no acceleration at all there, the FMU -0.5 m/s2."""
+    moving = ('plant = { fmu = "Axis.fmu" }', 'plant = { fmu = "Axis.fmu", start = { "mass.v" = 1.0 } }')
+    path = broken("return (f - c * s) / m, v", moving)
+    (line,) = [line for line in dry(path) if "der(mass.v)" in line]
+    assert ": warning: der(mass.v): model " in line
+    assert "otherwise add it" in line
+    assert main(["check", str(path), "--dry-run"]) == 0
+
+
+def test_an_fmu_that_fails_later_in_a_dry_run_is_a_warning_and_what_was_before_is_compared(faulty_toml):
+    found = [str(f) for f in check(faulty_toml, is_run=True)]
+    assert not any(": error: " in line for line in found)
+    assert any(line.startswith("scenario: warning: in a dry run: reference: do_step at t = 0.050 s") for line in found)
+    assert any("the FMUs were run for 5 macro steps" in line for line in found)
 
 
 def test_without_declared_derivatives_the_mean_slopes_are_compared(broken, bare_axis):

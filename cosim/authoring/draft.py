@@ -28,7 +28,7 @@ from .draft_estimation import (
     unit_name,
 )
 from .draft_gains import gain_parameter, gains
-from .guess import CONTROLLER, PLANT, REFERENCE, Guess, guess_connections, have_one_unit, sources
+from .guess import CONTROLLER, PLANT, REFERENCE, Guess, echoes, guess_connections, have_one_unit, sources
 from .guess_tracking import guess_tracking
 from .set_points import size_of
 from .toml_lines import key, quoted, said
@@ -230,10 +230,12 @@ def _tracking(components: Mapping[str, Component], found: list[Guess]) -> list[s
         note = f"{mark}: {guess.reason}" if is_one else "possible too, in another unit"
         lines.append(said(text if is_one else f"# {text}", f"[{unit_name(plant, name)}] {note}"))
     if not found:
-        offered = ", ".join(one_line(v.name) for v in plant.having("output"))
+        echoed = echoes(plant)
+        offered = ", ".join(one_line(v.name) for v in plant.having("output") if v.name not in echoed)
         given = components[REFERENCE].having("output") if REFERENCE in components else []
         source = quoted(f"{REFERENCE}.{given[0].name if len(given) == 1 else 'FILL'}")
-        lines.append(said(f'"plant.FILL" = {source}', f"FILL; the plant's outputs are {offered}"))
+        its = f"; the reference's {', '.join(one_line(v.name) for v in given)}" if len(given) > 1 else ""
+        lines.append(said(f'"plant.FILL" = {source}', f"FILL; the plant's outputs are {offered}{its}"))
     return lines
 
 

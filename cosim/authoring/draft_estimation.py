@@ -14,7 +14,7 @@ from ..fmi.ports import attribute
 from ..fmi.types import is_real
 from ..scenarios.formula import identifier
 from ..units import BASE_UNITS
-from .guess import CONTROLLER, PLANT, alike, best, have_one_unit, stem
+from .guess import CONTROLLER, PLANT, alike, best, echoes, have_one_unit, stem
 from .toml_lines import quoted, said
 
 _NOISE: Final = 1e-3  # of the nominal value
@@ -133,19 +133,21 @@ def _saves_its_state(plant: Component) -> bool:
 
 
 def _outputs(plant: Component) -> list[str]:
-    """Return the lines for outputs that roll-outs are compared with."""
+    """Return the lines for outputs that roll-outs are compared with: an echo of an input tells nothing."""
     lines = ["[sampling.outputs]      # what is measured, with the standard deviation of its noise"]
+    echoed = echoes(plant)
     for v in plant.having("output"):
         nominal = float(attribute(v, "nominal") or 1.0)
         text = f"{quoted(f'{PLANT}.{v.name}')} = {{ noise = {_NOISE * abs(nominal):g} }}"
-        if _is_real(v):
+        if _is_real(v) and v.name not in echoed:
             lines.append(said(text, f"[{unit_name(plant, v.name)}] {_GUESS}"))
     return lines
 
 
 def model_states(plant: Component) -> list[str]:
     """Return the states x of the model: the declared ones; if no derivative is an output, measured or likely ones."""
-    outputs = [v.name for v in plant.having("output") if _is_real(v)]
+    echoed = echoes(plant)
+    outputs = [v.name for v in plant.having("output") if _is_real(v) and v.name not in echoed]
     if not plant.derivatives:
         rates = set(named_rates(plant).values())
         return [name for name in outputs if name not in rates]

@@ -31,6 +31,7 @@ SAME, SAME_WORDS, LAST_WORDS, LIKE, ONLY_UNIT = (
     "similar name",
     "only unit",
 )
+_ECHOES: Final = {"held", "echo", "applied", "cmd", "command", "in"}
 DISTURBANCE: Final = "a disturbance, which may be left unconnected"
 ORDER: Final = (SAME, SAME_WORDS, LAST_WORDS, LIKE)
 
@@ -123,6 +124,14 @@ def is_desired(name: str) -> bool:
     return bool(_DESIRED & set(words)) or "d" in words[1:]
 
 
+def echoes(component: Component) -> set[str]:
+    """Return the outputs that only tell an input again, `V_held` beside the input `V`: no states, and not tracked."""
+    inputs = {tuple(_words(v.name)) for v in component.having("input")}
+    states = set(component.derivatives)
+    outputs = {v.name: _words(v.name) for v in component.having("output") if v.name not in states}
+    return {name for name, words in outputs.items() if words[-1:] and words[-1] in _ECHOES and (*words[:-1],) in inputs}
+
+
 def sources(name: str, variable: str) -> tuple[str, ...]:
     """Return the components whose outputs may feed an input, the likeliest first."""
     if name == CONTROLLER:
@@ -185,7 +194,9 @@ def _by_unit(guess: Guess, used: Iterable[str | None], components: Mapping[str, 
     name, variable = VariableName(guess.target).parts
     other = sources(name, variable)[0]
     owner = components.get(other)
-    free = [o.name for o in owner.having("output") if f"{other}.{o.name}" not in used] if owner else []
+    echoed = echoes(owner) if owner else set[str]()
+    left = [o.name for o in owner.having("output") if o.name not in echoed] if owner else []
+    free = [o for o in left if f"{other}.{o}" not in used]
     units = {o: have_one_unit(components[name], variable, components[other], o) for o in free}
     same = [o for o in free if units[o]]
     rates = set(owner.derivatives.values()) if owner else set[str]()

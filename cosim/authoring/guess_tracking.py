@@ -13,6 +13,7 @@ from .guess import (
     REFERENCE,
     Guess,
     alike,
+    echoes,
     guess_connections,
     have_one_unit,
     is_desired,
@@ -24,11 +25,11 @@ from .guess import (
 def guess_tracking(components: Mapping[str, Component]) -> list[Guess]:
     """Return the plant's output that each output of the reference is for, by name and unit; none without a reference.
 
-    Derivatives are left out; where no name fits, the only output in the unit is taken.
+    Derivatives and echoes of inputs are left out; where no name fits, the only output in the unit is taken.
     """
     plant, found = components[PLANT], []
-    rates = {*plant.derivatives.values(), *named_rates(plant).values()}
-    outputs = [v for v in plant.having("output") if v.name not in rates]
+    others = {*plant.derivatives.values(), *named_rates(plant).values(), *echoes(plant)}
+    outputs = [v for v in plant.having("output") if v.name not in others]
     compared = _compared(components)
     for r in components[REFERENCE].having("output") if REFERENCE in components else ():
         guess = compared.get(r.name) or _tracked(components[REFERENCE], r, plant, outputs)

@@ -231,6 +231,22 @@ def test_outputs_with_the_name_of_a_derivative_are_sampled_where_there_is_a_mode
     )
 
 
+def test_an_output_that_tells_an_input_again_is_no_state_and_not_tracked(described):
+    """`tau1_held`, the echo of `tau1`, has a name like `a1`, and seemed to be a state as all outputs do."""
+    outputs = ("q1", "w1", "der_w1", "tau1_held", "bar_held")
+    pins = "".join(variable(name, "N", i) for i, name in enumerate(outputs)) + pin("tau1", "input", 9)
+    plant, wanted = described(pins, name="P"), described(pin("a1", "output", 0, "N"), name="R")
+    written = tomllib.loads(draft({"plant": plant, "reference": wanted}, plant.parent, "m:derivative").text)
+    assert list(written["sampling"]["states"]) == ["plant.q1", "plant.w1", "plant.bar_held"]  # no input is called bar
+    assert set(written["components"]["plant"]["start"]) == {"q1", "w1", "bar_held"}
+    assert written["tracking"] == {"plant.FILL": "reference.a1"}
+
+
+def test_an_output_that_tells_an_input_again_is_not_compared_in_roll_outs(described):
+    plant = described(pin("V", "input", 0) + pin("w", "output", 1) + pin("V_held", "output", 2), name="P")
+    assert set(tomllib.loads(draft({"plant": plant}, plant.parent).text)["sampling"]["outputs"]) == {"plant.w"}
+
+
 @pytest.mark.parametrize(("stop", "step"), [(1200.0, 1.0), (9000.0, 5.0), (10.0, 0.01), (0.3, 0.0002)])
 def test_the_macro_step_goes_with_the_length_of_the_run(described, tmp_path, stop, step):
     plant = described(pin("y", "output", 0), name="P")

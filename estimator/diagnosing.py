@@ -19,13 +19,16 @@ from .objective import LinearForm
 from .retuner import Budget, Proposal, Retuner, RetunerSnapshot
 from .samples import DerivativeResidual, Sample
 from .sliding_window import ResidualWindow
-from .space import Vector
+from .space import ParameterSpace, Vector
 from .triggers import Trigger, TriggerSettings
 
 _FEWEST: Final = 5
 """Least number of samples since the onset at which a search fails."""
 _PATIENCE: Final = 20
 """Number of samples after which a search without end counts as failed."""
+_DOUBTFUL: Final = "the samples that they were found on are doubtful"
+_AS_BEFORE: Final = "the parameters of before explain the samples as well"
+"""Reasons of an undo that no other event has."""
 _TOLD_APART: Final = 1.5
 """Distance from the parameters in force, in standard deviations, at which a filter's estimate is told apart."""
 
@@ -112,7 +115,7 @@ class DiagnosingRetuner(_Counting):
     def suspend(self, t: float, held: Vector) -> Proposal | None:
         """End the search on samples that turn out to be doubtful, and undo what it wrote; None where there is none."""
         reference = self._diagnosis.suspend()
-        return None if reference is None else self._ended(t, Proposal(), reference, held, ())
+        return None if reference is None else self._ended(t, Proposal(), reference, held, (), _DOUBTFUL)
 
     def step(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
         """Take one communication point's sample, where there is one; return what to write, and why."""
@@ -139,7 +142,7 @@ class DiagnosingRetuner(_Counting):
             return Proposal()
         if sample is not None:
             sample = diagnosis.corrected(sample)
-        proposal = self._retuner.step(t, sample, tracking_error, held)
+        proposal = _moving(self._retuner.step(t, sample, tracking_error, held), held, diagnosis.space)
         if proposal.undo is not None:  # a drift that explains nothing
             settled = diagnosis.give_up(t)
             return self._ended(t, replace(proposal, undo=None), settled.undo, held, settled.events)
@@ -214,12 +217,17 @@ class DiagnosingRetuner(_Counting):
             return proposal, "refuted" if self._is_endless and not self._diagnosis.is_tested else verdict
         if self._is_endless:
             self._retuner.jump(jump)
-        theta = None if np.array_equal(jump.theta, held) else jump.theta
-        proposal = replace(proposal, theta=theta, estimate=jump)
+        proposal = _moving(replace(proposal, theta=jump.theta, estimate=jump), held, self._diagnosis.space)
         return proposal, self._verdict(proposal, held)
 
     def _ended(
-        self, t: float, proposal: Proposal, before: Vector | None, held: Vector, events: tuple[Event, ...]
+        self,
+        t: float,
+        proposal: Proposal,
+        before: Vector | None,
+        held: Vector,
+        events: tuple[Event, ...],
+        reason: str = "",
     ) -> Proposal:
         """End the search, of an endless one with its state from the onset; return to the parameters before (d,)."""
         back = held if before is None else before
@@ -227,7 +235,7 @@ class DiagnosingRetuner(_Counting):
             self._retuner.restore(self._solver, back)
             self._solver = None
         self._retuner.abandon(back)
-        return _undone(t, proposal, back, held, events)
+        return _undone(t, proposal, back, held, events, self._diagnosis.space, reason)
 
 
 @dataclass(frozen=True)
@@ -275,7 +283,7 @@ class DiagnosingEpisodes(_Counting):
             return None
         self._retuner.abandon(self._before)
         self._retuner.close(self._before)
-        return _undone(t, Proposal(), self._before, held, ())
+        return _undone(t, Proposal(), self._before, held, (), self._diagnosis.space, _DOUBTFUL)
 
     def step(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
         """Take one communication point's sample, where there is one; return what to write, and why."""
@@ -287,7 +295,7 @@ class DiagnosingEpisodes(_Counting):
         self._close(held)
         if sample is not None:
             sample = diagnosis.corrected(sample)
-        proposal = self._retuner.step(t, sample, tracking_error, held)
+        proposal = _moving(self._retuner.step(t, sample, tracking_error, held), held, diagnosis.space)
         kinds = [event.kind for event in proposal.events]
         if "trigger" in kinds:
             self._before = held
@@ -307,7 +315,7 @@ class DiagnosingEpisodes(_Counting):
             return replace(proposal, theta=None)
         events = diagnosis.fail(t, before)
         self._retuner.close(before)
-        return _undone(t, proposal, before, held, events)
+        return _undone(t, proposal, before, held, events, diagnosis.space)
 
     def _close(self, held: Vector) -> None:
         """Close the window of the last episode; wait for more samples where its proposal was possible, and refused."""
@@ -321,12 +329,31 @@ class DiagnosingEpisodes(_Counting):
         self._retuner.close(held)
 
 
-def _undone(t: float, proposal: Proposal, before: Vector, held: Vector, events: tuple[Event, ...]) -> Proposal:
-    """Return the proposal to go back from held (d,) to the parameters before (d,), with further events."""
+def _moving(proposal: Proposal, held: Vector, space: ParameterSpace) -> Proposal:
+    """Return the proposal, without its parameters where those in force, held (d,), are the same but for rounding."""
+    theta = proposal.theta
+    return proposal if theta is None or not space.are_same(theta, held) else replace(proposal, theta=None)
+
+
+def _undone(
+    t: float,
+    proposal: Proposal,
+    before: Vector,
+    held: Vector,
+    events: tuple[Event, ...],
+    space: ParameterSpace,
+    reason: str = "",
+) -> Proposal:
+    """Return the proposal to go back from held (d,) to the parameters before (d,), with further events.
+
+    reason: by default that of the first of these events, which says what the parameters were taken back for.
+    """
+    reason = reason or next((event.detail["reason"] for event in events), _AS_BEFORE)
     events = (*proposal.events, *events)
-    if np.array_equal(before, held):
+    if space.are_same(before, held):
         return replace(proposal, theta=None, events=events)
-    return replace(proposal, theta=None, undo=before, events=(*events, Event(t, "undo", {"theta": before.tolist()})))
+    undo = Event(t, "undo", {"theta": before.tolist(), "reason": reason})
+    return replace(proposal, theta=None, undo=before, events=(*events, undo))
 
 
 def make_episodes(

@@ -89,7 +89,7 @@ class EpisodeDiagnosis:
         """
         self._driven = [i for i, name in enumerate(inputs) if driven is None or name in driven]
         self._window, self._outputs, self._inputs = window, outputs, inputs
-        self._settings, self._space = settings, space
+        self._settings, self.space = settings, space
         self.evidence = Evidence()
         self._state = _State(ResidualScale(len(outputs)), np.zeros(len(inputs)))
         self._known: tuple[object, bytes, _Disturbed] | None = None
@@ -154,7 +154,7 @@ class EpisodeDiagnosis:
 
     def judge(self, theta: Vector, held: Vector) -> Judgement:
         """Return whether parameters theta (d,) in place of those in force are warranted by the sequence."""
-        window, space = self._window, self._space
+        window, space = self._window, self.space
         if window.sequence is not self._judged:
             self._judged, self._verdict = window.sequence, "refuted"
         here = _fit(window.whitened(held), 0)
@@ -186,7 +186,7 @@ class EpisodeDiagnosis:
 
     def is_at_unseen_bound(self, theta: Vector, std: Vector, held: Vector) -> bool:
         """Return whether a parameter would move to a bound although its standard deviation is as wide as the bounds."""
-        return is_at_unseen_bound(self._space, theta, std, held)
+        return is_at_unseen_bound(self.space, theta, std, held)
 
     @property
     def has_failed(self) -> bool:

@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 Scale = Literal["linear", "log"]
 Vector = NDArray[np.float64]
+_ROUNDING = 1e-12
+"""Share of the bounds by which values differ that are rounded only."""
 
 
 @dataclass(frozen=True)
@@ -108,6 +110,10 @@ class ParameterSpace:
     def slope(self, theta: ArrayLike) -> Vector:
         """Return d theta / d z at theta (d,): change in each parameter's unit for a step in the unit cube."""
         return self._width * np.where(self._is_log, np.asarray(theta, dtype=float), 1.0)
+
+    def are_same(self, theta: Vector, other: Vector) -> bool:
+        """Return whether values (d,) differ by rounding only, as after a way to the unit cube and back."""
+        return bool(np.all(np.abs(theta - other) <= _ROUNDING * self._width * np.where(self._is_log, other, 1.0)))
 
     def named(self, theta: ArrayLike) -> dict[str, float]:
         """Return theta (d,) by name."""

@@ -140,7 +140,7 @@ def _shown(events: Sequence[Event]) -> Iterator[tuple[Event, str]]:
             elif kind == "observation":
                 yield event, f"{event.detail['fault']} {event.detail['sensor']}"
             elif kind == "undo":
-                yield event, "what was written since the trigger is taken back"
+                yield event, f"back to these: {event.detail['reason']}"
             elif kind == "end":
                 yield event, f"episode {event.detail['episode']}"
             else:

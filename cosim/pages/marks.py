@@ -47,8 +47,8 @@ MOST_MARKS: Final = 5000
 """Number of marks of one kind up to which all are drawn."""
 REFUSALS: Final = ("veto", "revert", "stop", "limit", "hold", "sensor", "observation", "undo", "rest")
 """Kinds of events by which something was not done, or taken back; the most important first."""
-_CAUSES: Final = ("disturbance", "lag", "friction", "unexplained", "sensor")
-"""Kinds of events for which parameters are undone."""
+_BACK: Final = ("revert", "undo")
+"""Kinds of events whose parameters are earlier ones."""
 _NUMBER: Final = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?", re.IGNORECASE)
 
 
@@ -60,7 +60,7 @@ def reason_of(event: RecordedEvent, run: Run) -> str:
     if isinstance(size := event.get("size"), dict) and size:
         parts.append(", ".join(f"{channel} {_number(value)}" for channel, value in size.items()))
     if held := values_of(event, run):
-        parts.append(held)
+        parts.append(f"back to {held}" if event.get("kind") in _BACK else held)
     if isinstance(event.get("cost"), int | float):
         parts.append(f"sum of squares {event['cost']:.4g}")
     return "; ".join(parts)
@@ -69,17 +69,6 @@ def reason_of(event: RecordedEvent, run: Run) -> str:
 def thinned(events: Sequence[RecordedEvent]) -> Sequence[RecordedEvent]:
     """Return the events, of many every nth: as many as are drawn at most."""
     return events[:: -(-len(events) // MOST_MARKS) or 1]
-
-
-def with_reasons(events: Sequence[RecordedEvent]) -> list[RecordedEvent]:
-    """Return the events, those that go back to earlier parameters with the reason that stands in another event."""
-    reasons = {e["t"]: e["reason"] for e in events if e.get("kind") in _CAUSES and e.get("reason")}
-    return [
-        {**e, "reason": ": ".join(["back to what was held before", *([reasons[e["t"]]] if e["t"] in reasons else [])])}
-        if e.get("kind") == "undo" and not e.get("reason")
-        else e
-        for e in events
-    ]
 
 
 def values_of(event: RecordedEvent, run: Run) -> str:

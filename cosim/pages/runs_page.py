@@ -17,7 +17,7 @@ from ..runs.recorded_events import read_events
 from ..runs.report import report
 from ..runs.result import Run, read_run
 from .frame import rendered, rendered_part, script_data
-from .marks import refusals, with_reasons
+from .marks import refusals
 from .pictures import draw_pictures
 from .plant_changes import plant_changes
 from .sketch import ShownRun
@@ -116,7 +116,7 @@ def read_page(folders: Sequence[Path]) -> PageOfRuns:
                 for name, other in compared[k].items()
                 if len(other.time)
             ]
-        shown.append(ShownRun(f"r{k}", text, run, with_reasons(read_events(folder)), RUNS[k % len(RUNS)]))
+        shown.append(ShownRun(f"r{k}", text, run, read_events(folder), RUNS[k % len(RUNS)]))
     keys = [f"r{k}" for k in range(len(runs))]
     manifests = {key: read_manifest(folder) for key, folder in zip(keys, folders, strict=True)}
     return PageOfRuns(tuple(shown), dict(zip(keys, compared, strict=True)), manifests)

@@ -159,6 +159,8 @@ class Guard:
         verdict = self._judge(theta, held, estimate, error, peak, rival)
         events = tuple(Event(t, kind, {"theta": theta.tolist(), "reason": why}) for kind, why in verdict.reasons)
         self.counts.update(_COUNTED[kind] for kind, _ in verdict.reasons)
+        if verdict.theta is not None and self._space.are_same(verdict.theta, held):  # all of the move was left out
+            return Ruling(None, (*confirmed, *events))
         if verdict.theta is None:
             self._refused = (*this, k + self._settings.horizon // 2)
             return Ruling(None, (*confirmed, *events))

@@ -183,6 +183,8 @@ def test_what_a_disturbance_explains_is_not_written_in_the_end(estimator):
     run = Run(estimator).go(100).go(100, TRUE, PUSH)
     assert_array_equal(run.held, TRUE)
     assert bool(run.writes) == bool(run.undone)
+    reasons = {event.detail["reason"] for _, event in run.of("undo")}
+    assert reasons <= {"a constant disturbance of the inputs explains the samples, changed parameters do not"}
 
 
 @SEARCHES

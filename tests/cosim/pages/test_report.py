@@ -11,7 +11,7 @@ from cosim import run
 from cosim.errors import FolderError
 from cosim.files import to_json
 from cosim.pages.list_page import listed, run_folders
-from cosim.pages.marks import SIGNS, with_reasons
+from cosim.pages.marks import SIGNS
 from cosim.pages.pictures import draw_pictures
 from cosim.pages.runs_page import read_page
 from cosim.runs.manifest import read_manifest
@@ -157,7 +157,7 @@ def test_events_that_make_no_sense_are_survived(made_up, page_of, tmp_path):
     events += [weighed | {"scores": {"nothing": value, "both": 1.0}} for value in odd]
     events += [{"t": 0.5, "kind": "disturbance", "size": {"plant.phi": value}} for value in odd]
     (tmp_path / "events.jsonl").write_text("".join(json.dumps(event) + "\n" for event in events))
-    page = page_of(made_up(events=with_reasons(read_events(tmp_path))))
+    page = page_of(made_up(events=read_events(tmp_path)))
     assert "</html>" in page.html()
     to_json(page.news())
 

@@ -5,7 +5,7 @@ from typing import get_args, get_type_hints
 import numpy as np
 import pytest
 
-from cosim.pages.marks import REFUSALS, SIGNS, refusals, with_reasons
+from cosim.pages.marks import REFUSALS, SIGNS, refusals
 from cosim.pages.plant_changes import plant_changes
 from cosim.pages.story import chapters, verdict
 from estimator.events import Event
@@ -87,17 +87,17 @@ def test_the_verdict_compares_with_nominal_and_true_parameters_and_counts(made_u
 def test_what_was_refused_is_told_with_its_reason_the_same_ones_together(made_up):
     veto = "predicted peak of the tracking error {}, without the write {} (estimate)"
     events = [
-        {"t": 0.4, "kind": "undo", "theta": [1.0, 0.75]},
+        {"t": 0.4, "kind": "undo", "theta": [1.0, 0.75], "reason": "a constant disturbance"},
         {"t": 0.4, "kind": "disturbance", "size": {"plant.der(phi_dot)": 2.0}, "reason": "a constant disturbance"},
         {"t": 0.5, "kind": "veto", "reason": veto.format("0.2", "1e-05")},
         {"t": 0.6, "kind": "veto", "reason": veto.format("0.3", "0.1")},
         {"t": 0.7, "kind": "observation", "fault": "stuck", "sensor": "plant.phi"},
     ]
-    shown = made_up(events=with_reasons(events))
+    shown = made_up(events=events)
     assert refusals(shown.run, shown.events) == [
         ("refused by the guard", veto.format("0.2", "1e-05"), "2 times, 0.5 to 0.6 s"),
         ("sample kept out", "plant.phi: stuck", "0.7 s"),
-        ("undone", "back to what was held before: a constant disturbance; m 1 kg, l 0.75 m", "0.4 s"),
+        ("undone", "a constant disturbance; back to m 1 kg, l 0.75 m", "0.4 s"),
     ]
 
 

@@ -6,6 +6,7 @@ from math import inf, nan
 import numpy as np
 import pytest
 
+from cosim.retuning.decision import Point
 from cosim.retuning.guard import Guard, outside, within_rate
 from cosim.scenarios.schema.guard import GuardSettings
 from estimator import Estimate, Parameter, ParameterSpace, Sample
@@ -87,6 +88,15 @@ def test_a_direction_that_the_data_do_not_see_is_not_written():
     reviewed = guard(support).step(2, 0.02, 0.0, proposed((6.0, 2.0)), calm)
     np.testing.assert_allclose(reviewed.write, [4.0, 4.0], atol=1e-6)  # the move along (1, 1) of (4, 0)
     assert kinds(reviewed) == ["hold"]
+
+
+def test_a_move_that_is_left_out_as_a_whole_is_no_write():
+    start = np.array([1.1, 1.3])  # whose way to the unit cube and back rounds
+    own = Guard(GuardSettings(tolerance=0.5), SPACE, start, 100.0, seen((1.0, 1.0), (1.0, 1.0), truth=start))
+    ruling = own.step(Point(2, 0.02, None, 0.0), proposed((2.1, 0.3)), start, calm)
+    assert ruling.write is None
+    assert kinds(ruling) == ["hold"]
+    assert own.summary()["written"] == 0
 
 
 def test_a_write_along_what_is_seen_goes_through_bit_for_bit():

@@ -2,9 +2,11 @@
 
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any, Final, NamedTuple
 
 from ..plots.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
+from ..runs.diagnosis_report import friction_term
 from ..runs.recorded_events import RecordedEvent
 from ..runs.result import Run
 from ..text_table import with_std
@@ -47,6 +49,10 @@ MOST_MARKS: Final = 5000
 """Number of marks of one kind up to which all are drawn."""
 REFUSALS: Final = ("veto", "revert", "stop", "limit", "hold", "sensor", "observation", "undo", "rest")
 """Kinds of events by which something was not done, or taken back; the most important first."""
+_LAGS: Final = {"time_constant": "time constant", "dead_time": "dead time"}
+"""Names of what an event `lag` has."""
+_NAMED: Final = {"disturbance": ("size",), "lag": tuple(_LAGS), "friction": ("terms",)}
+"""What an event has that names something, by its kind; empty or zero where that is over."""
 _BACK: Final = ("revert", "undo")
 """Kinds of events whose parameters are earlier ones."""
 _NUMBER: Final = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?", re.IGNORECASE)
@@ -59,11 +65,20 @@ def reason_of(event: RecordedEvent, run: Run) -> str:
         parts.append(f"{event.get('sensor')}: {event.get('fault')}")
     if isinstance(size := event.get("size"), dict) and size:
         parts.append(", ".join(f"{channel} {_number(value)}" for channel, value in size.items()))
+    if event.get("kind") == "friction":
+        with suppress(LookupError, TypeError, ValueError):  # a record of anybody's
+            parts += map(friction_term, event["terms"])
+    parts += [f"{text} {_number(value)} s" for key, text in _LAGS.items() if (value := event.get(key))]
     if held := values_of(event, run):
         parts.append(f"back to {held}" if event.get("kind") in _BACK else held)
     if isinstance(event.get("cost"), int | float):
         parts.append(f"sum of squares {event['cost']:.4g}")
     return "; ".join(parts)
+
+
+def is_named(event: RecordedEvent) -> bool:
+    """Return whether an event names a disturbance, late inputs or friction; False where it says that they are over."""
+    return any(event.get(key) for key in _NAMED.get(str(event.get("kind")), ()))
 
 
 def thinned(events: Sequence[RecordedEvent]) -> Sequence[RecordedEvent]:

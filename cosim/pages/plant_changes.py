@@ -8,6 +8,7 @@ import numpy as np
 
 from ..runs.recorded_events import RecordedEvent
 from ..runs.result import Run, Series
+from .marks import is_named
 
 _JUMP: Final = 0.05
 """Share of its whole range by which a value moves in one step, or else it drifts."""
@@ -118,8 +119,8 @@ def _answers(run: Run, events: Sequence[RecordedEvent], begin: int, end: int) ->
     t0 = float(run.time[begin])
     t1 = float(run.time[end]) if end < len(run.time) else np.inf
 
-    def delays(kind: str) -> list[float]:
-        return [float(e["t"]) - t0 for e in events if e.get("kind") == kind and t0 - 1e-9 <= e["t"] < t1]
+    def delays(kind: str, of: Sequence[RecordedEvent] = events) -> list[float]:
+        return [float(e["t"]) - t0 for e in of if e.get("kind") == kind and t0 - 1e-9 <= e["t"] < t1]
 
     errors = [
         np.abs(held[begin:end] - truth[begin:end]) - _CLOSE * np.abs(truth[begin:end]) for _, truth, held in _held(run)
@@ -131,7 +132,8 @@ def _answers(run: Run, events: Sequence[RecordedEvent], begin: int, end: int) ->
         "disturbance": "a disturbance", "lag": "late inputs", "friction": "friction",
         "unexplained": "nothing that is known",
     }  # fmt: skip
-    named = [(text, delays(kind)) for kind, text in causes.items()]
+    begun = [e for e in events if e.get("kind") == "unexplained" or is_named(e)]
+    named = [(text, delays(kind, begun)) for kind, text in causes.items()]
     taken_for = ", ".join(f"{text} {_delay(found[0])}" for text, found in named if found)
     noticed = "a search was under way" if _is_searching(events, t0) else _first(triggers)
     written = _first([s for s in writes if s > 1e-9 or triggers[:1] == [0.0]])

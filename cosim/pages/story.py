@@ -10,7 +10,7 @@ import numpy as np
 from ..runs.recorded_events import RecordedEvent
 from ..runs.result import Run
 from ..text_table import counted
-from .marks import values_of
+from .marks import is_named, values_of
 from .weighed import evidence_of
 
 MOST_CHAPTERS: Final = 500
@@ -66,11 +66,12 @@ def _counts(events: Sequence[RecordedEvent]) -> str:
         return sum(e.get("kind") in kinds for e in events)
 
     w = n("write")
-    named = sum(e.get("kind") == "disturbance" and bool(e.get("size")) for e in events)
+    found = Counter(str(e.get("kind")) for e in events if is_named(e))
     counts = [
         f"It was {_passive('triggered', n('trigger'))} and wrote {f'parameters {_often(w)}' if w else 'no parameters'}",
         f"the guard refused {counted(n('veto'), 'write')} and reverted {n('revert')}",
-        f"{counted(named, 'disturbance')} {'was' if named == 1 else 'were'} named",
+        f"{counted(found['disturbance'], 'disturbance')} {'was' if found['disturbance'] == 1 else 'were'} named",
+        *(f"{what} {_often(found[kind])}" for kind, what in _LACKS.items() if found[kind]),
     ]
     return "; ".join(counts) + "."
 
@@ -102,7 +103,7 @@ def chapters(run: Run, events: Sequence[RecordedEvent]) -> list[Chapter]:
         part = events[begin:end]
         writes = [e for e in part if e.get("kind") == "write"]
         counts = Counter(map(_done, part))
-        after = [f"{text} {_often(counts[text])}" for text in [*_VERBS.values(), _OVER] if counts[text]]
+        after = [f"{text} {_often(counts[text])}" for text in [*_VERBS.values(), *_OVERS.values()] if counts[text]]
         written = f"{counted(len(writes), 'write')}, the last: {values_of(writes[-1], run)}" if writes else "nothing"
         reason = str(part[0].get("reason") or "")
         n_candidates = sum(e.get("kind") == "candidate" for e in part)
@@ -113,10 +114,11 @@ def chapters(run: Run, events: Sequence[RecordedEvent]) -> list[Chapter]:
 
 def _done(event: RecordedEvent) -> str:
     kind = event.get("kind")
-    return _OVER if kind == "disturbance" and not event.get("size") else _VERBS.get(str(kind), "")
+    return _OVERS[str(kind)] if kind in _OVERS and not is_named(event) else _VERBS.get(str(kind), "")
 
 
-_OVER: Final = "a disturbance over"
+_LACKS: Final = {"lag": "late inputs were named", "friction": "friction that the model lacks was named"}
+_OVERS: Final = {"disturbance": "a disturbance over", "lag": "inputs in time again", "friction": "friction over"}
 _VERBS: Final = {
     "veto": "refused", "limit": "limited", "hold": "held back in part", "revert": "reverted", "undo": "undone",
     "disturbance": "a disturbance named", "lag": "late inputs named",

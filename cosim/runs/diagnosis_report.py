@@ -15,6 +15,7 @@ _SMOOTH: Final = 0.5
 """Correlation of residuals from sample to sample that no sensor's noise has."""
 _DROWNED: Final = 3.0
 """Ratio of a signal's standard deviation to its declared noise below which little of it is seen."""
+_SPEEDS: Final = {"viscous": "times the speed", "dry": "against the speed", "quadratic": "times the speed squared"}
 _OF_A_MODEL: Final = "the model lacks something (friction, a lag, another parameter)"
 _OF_THE_PLANT: Final = "something acts on the plant that its inputs do not hold"
 _SAVING: Final = (
@@ -77,9 +78,14 @@ def _late(lag: Mapping[str, Any]) -> list[str]:
 
 def _rubbing(friction: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return a line on the friction that is known at the end, if there is any."""
-    terms = [f"{t['law']} on {t['acts_on']}, {t['coefficient']:.3g} by the speed of {t['speed_of']}" for t in friction]
     text = "the plant has friction that the model lacks, and that is taken out of the samples"
-    return [f"{text}: {'; '.join(terms)}"] if terms else []
+    return [f"{text}: {'; '.join(map(friction_term, friction))}"] if friction else []
+
+
+def friction_term(term: Mapping[str, Any]) -> str:
+    """Return a term of friction in words: its law and size, what it acts on, and which speed is meant."""
+    speed = _SPEEDS[term["law"]]
+    return f"{term['law']}, {term['coefficient']:.3g} {speed} on {term['acts_on']} (its derivative: {term['speed_of']})"
 
 
 def resting(found: Mapping[str, Any]) -> list[str]:

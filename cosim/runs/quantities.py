@@ -82,6 +82,10 @@ def norm(errors: Sequence[Series]) -> Series:
     return scale * np.sqrt(np.sum((table / scale) ** 2, axis=0))
 
 
+_RETURNS: Final = ("revert", "undo")
+"""Kinds of events by which earlier parameters return."""
+
+
 class Band(NamedTuple):
     """Band of two standard deviations about each value written, until the next."""
 
@@ -94,11 +98,15 @@ class Band(NamedTuple):
 
 
 def uncertainty_band(run: Run, p: EstimatedParameter, events: Sequence[RecordedEvent], i: int) -> Band | None:
-    """Return the band of parameter i, on a log scale a factor; None where no write has a standard deviation."""
-    writes = [e for e in events if e.get("kind") == "write"]
+    """Return the band of parameter i, on a log scale a factor; None where no write has a standard deviation.
+
+    It has no width where earlier parameters are in force again.
+    """
+    writes = [e for e in events if e.get("kind") in ("write", *_RETURNS)]
     theta, std = event_column(writes, "theta", i), event_column(writes, "std", i)
     if not np.any(np.isfinite(theta + std)):
         return None
+    std = np.where([e.get("kind") in _RETURNS for e in writes], 0.0, std)
     if p.scale == "log":
         factor = np.exp(np.minimum(2.0 * std / np.maximum(theta, p.lower), 50.0))
         low, high = theta / factor, theta * factor

@@ -149,7 +149,21 @@ def test_whatever_the_values_there_is_a_page(made_up, page_of, columns):
 @pytest.mark.full
 def test_events_that_make_no_sense_are_survived(made_up, page_of, tmp_path):
     odd = ["text", [1], {"a": 1}, None, 1e999, True, -1]
-    keys = ("kind", "reason", "theta", "std", "cost", "size", "fault", "sensor", "scores", "explained", "n_samples")
+    keys = (
+        "kind",
+        "reason",
+        "theta",
+        "std",
+        "cost",
+        "size",
+        "fault",
+        "sensor",
+        "scores",
+        "explained",
+        "n_samples",
+        "terms",
+        "dead_time",
+    )
     events = [{"t": 0.1 * k, key: value} for key in keys for k, value in enumerate(odd)]
     events += [event | {"kind": kind} for kind in ("trigger", "candidate", "evidence", *SIGNS) for event in events]
     weighed = {"t": 0.5, "kind": "evidence", "scores": {"nothing": 2.0, "both": 1.0}}

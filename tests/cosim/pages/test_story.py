@@ -5,9 +5,10 @@ from typing import get_args, get_type_hints
 import numpy as np
 import pytest
 
-from cosim.pages.marks import REFUSALS, SIGNS, refusals
+from cosim.pages.marks import REFUSALS, SIGNS, reason_of, refusals
 from cosim.pages.plant_changes import plant_changes
 from cosim.pages.story import chapters, verdict
+from cosim.runs.quantities import uncertainty_band
 from estimator.events import Event
 
 NOTICED = {"t": 0.52, "kind": "trigger", "reason": "normalised innovation squared 50 exceeds 24"}
@@ -115,6 +116,40 @@ def test_a_search_is_told_from_its_trigger_to_the_next(made_up):
         "refused once, a disturbance over once",
     )
     assert second == (0.8, NOTICED["reason"], 0, "", "nothing", "")
+
+
+RUBBED = {
+    "t": 0.6, "kind": "friction", "reason": "friction that the model lacks",
+    "terms": [{"law": "dry", "coefficient": 0.125, "acts_on": "plant.u", "speed_of": "plant.der(phi_dot)"}],
+}  # fmt: skip
+
+
+def test_friction_is_told_with_its_size_and_its_end_is_not_taken_for_another_one(made_up):
+    over = RUBBED | {"t": 0.8, "terms": [], "reason": "the friction is over"}
+    shown = made_up(events=[NOTICED, RUBBED, NOTICED | {"t": 0.7}, over])
+    assert reason_of(shown.events[1], shown.run) == (
+        "friction that the model lacks; dry, 0.125 against the speed on plant.u (its derivative: plant.der(phi_dot))"
+    )
+    assert verdict(shown.run, {}, shown.events)[-1].endswith("were named; friction that the model lacks was named once.")
+    assert [c.refused for c in chapters(shown.run, shown.events)] == ["friction named once", "friction over once"]
+    late = made_up(events=[NOTICED, over])
+    assert plant_changes(late.run, late.events)[0].taken_for == "-"
+
+
+def test_inputs_that_arrive_late_are_told_with_their_lag(made_up):
+    late = {"t": 0.6, "kind": "lag", "time_constant": 0.03, "dead_time": 0.0, "reason": "late"}
+    shown = made_up(events=[NOTICED, late, late | {"t": 0.7, "time_constant": 0.0, "reason": "in time"}])
+    assert [reason_of(e, shown.run) for e in shown.events[1:]] == ["late; time constant 0.03 s", "in time"]
+    assert chapters(shown.run, shown.events)[0].refused == "late inputs named once, inputs in time again once"
+
+
+def test_the_band_of_what_was_written_ends_where_earlier_parameters_return(made_up):
+    back = {"t": 0.7, "kind": "undo", "theta": [1.0, 0.75], "reason": "friction"}
+    shown = made_up(events=[WRITTEN, back])
+    band = uncertainty_band(shown.run, shown.run.scenario.estimation.parameters[0], shown.events, 0)
+    np.testing.assert_allclose(band.t[:2], [0.55, 0.7])
+    assert band.low[0] < 2.0 < band.high[0]
+    assert list(band.low[1:]) == list(band.high[1:]) == [1.0, 1.0]
 
 
 def test_every_kind_of_event_has_a_sign():

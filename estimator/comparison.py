@@ -5,7 +5,8 @@ evidence, and `diagnosis` for what follows from it.
 """
 
 from collections.abc import Iterator, Sequence
-from typing import Final
+from itertools import zip_longest
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from .input_lag import InputHistory
 from .jump import jump_to
 from .known_effects import KnownEffects
 from .residual_scale import ResidualScale, spread_of
-from .samples import DerivativeResidual, Sample
+from .samples import DerivativeResidual, Sample, Samples
 from .space import ParameterSpace, Vector
 
 WINDOW: Final = 20
@@ -55,6 +56,9 @@ _RENEWED: Final = 5
 class HypothesisComparison:
     """Comparison on the newest samples. It owns the residuals' true size and the known disturbance."""
 
+    made_anew: ClassVar = ("_basis", "_of_basis")
+    """Attributes that are in no checkpoint."""
+
     def __init__(
         self,
         declared: DerivativeResidual,
@@ -72,6 +76,8 @@ class HypothesisComparison:
         c = len(self._names)
         zero = np.zeros(c, dtype=np.intp)
         self._state = DiagnosisState([], ResidualScale(c), np.zeros(c), zero, np.zeros(c, dtype=bool))
+        self._basis: tuple[Any, ...] = ()  # of the newest samples that are corrected
+        self._of_basis: dict[int, Samples] = {}  # these, by their number
         self._state.inputs = InputHistory(None if may_lag is None else tuple(may_lag))
 
     def residual(self, theta: Vector, sample: Sample) -> Vector:
@@ -280,11 +286,24 @@ class HypothesisComparison:
 
     def _rows(self, theta: Vector, n: int) -> Vector:
         """Return the residuals (..., n, c) of theta (..., d) at the newest n samples, from old to new."""
-        return self.rows(theta, self._state.samples[-n:])
+        return self.scaled_rows(theta, self._newest(n))
+
+    def _newest(self, n: int) -> Samples:
+        """Return the newest n samples, corrected, always the same ones while nothing new is known."""
+        state = self._state
+        basis = state.samples[-1], state.inputs.lag, state.inputs.arriving, state.friction, state.offset
+        if any(a is not b for a, b in zip_longest((*basis, state.is_resting), self._basis)):
+            self._basis, self._of_basis = (*basis, state.is_resting), {}
+        if n not in self._of_basis:
+            known = self._known if self._is_correcting else None
+            samples = state.samples[-n:]
+            self._of_basis[n] = Samples(samples if known is None else (known.without(s) for s in samples))
+        return self._of_basis[n]
 
     def _rows_at(self, n: int) -> OfMany:
         """Return the residuals (..., n, c) at the newest n samples as a function of places (..., d)."""
-        return OfMany(lambda z: self._rows(self.space.beyond(z), n))
+        samples = self._newest(n)
+        return OfMany(lambda z: self.scaled_rows(self.space.beyond(z), samples))
 
 
 def _shorter(n: int) -> Iterator[int]:

@@ -4,9 +4,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import nan
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .space import ParameterSpace, Vector
 
@@ -31,6 +32,33 @@ class Sample:
     """Sampled derivatives (c,), a number a channel; NaN where there is none."""
     y: tuple[float, ...] = ()
     """Measured outputs (o,)."""
+
+
+class Samples(tuple[Sample, ...]):
+    """Samples whose arrays are made once, however many candidates they are compared with."""
+
+    @cached_property
+    def xdot(self) -> Vector:
+        """Sampled derivatives (n, c); NaN where there are none."""
+        return np.array([s.xdot for s in self], dtype=float)
+
+    @cached_property
+    def is_missing(self) -> NDArray[np.bool_] | None:
+        """True where there is no derivative (n, c); None where there are all."""
+        is_missing = np.isnan(self.xdot)
+        return is_missing if is_missing.any() else None
+
+    @cached_property
+    def _columns(self) -> dict[tuple[str, int], Vector]:
+        return {}
+
+    def columns(self, name: Literal["x", "u"], k: int) -> Vector:
+        """Return states or inputs as columns, k times over: (m, k n)."""
+        known = self._columns.get((name, k))
+        if known is None:
+            once = np.array([getattr(s, name) for s in self], dtype=float).T
+            known = self._columns[name, k] = once if k == 1 else np.concatenate([once] * k, axis=1)
+        return known
 
 
 class RememberingModel:
@@ -113,15 +141,15 @@ class DerivativeResidual:
         """Return r (k, n, c) of candidates (k, d) at n samples; inputs (k n, p): in place of theirs."""
         k, n, c = len(thetas), len(samples), len(self.channels)
         few = _FEW if isinstance(self.model, RememberingModel) and self.model.is_plain else 1
+        samples = samples if isinstance(samples, Samples) else Samples(samples)
         table = self._at_once(thetas, samples, inputs) if self.is_vectorised and k * n > few else None
         if table is None:
             table = self._one_by_one(thetas, samples, inputs)
         table = table.reshape(k, n, c)
-        xdot = np.array([s.xdot for s in samples], dtype=float).reshape(n, c)
         with np.errstate(invalid="ignore", over="ignore"):
-            r: Vector = (xdot - table) / self._sigma
-        if (is_missing := np.isnan(xdot)).any():
-            r = np.where(is_missing & ~np.isnan(table).all(axis=-1, keepdims=True), 0.0, r)
+            r: Vector = (samples.xdot.reshape(n, c) - table) / self._sigma
+        if samples.is_missing is not None:
+            r = np.where(samples.is_missing & ~np.isnan(table).all(axis=-1, keepdims=True), 0.0, r)
         return r
 
     def slope_rows(self, theta: Vector, samples: Sequence[Sample]) -> Vector | None:
@@ -137,11 +165,11 @@ class DerivativeResidual:
         r[np.isnan(np.array([s.xdot for s in samples], dtype=float))] = 0.0
         return r if np.all(np.isfinite(r)) else None
 
-    def _at_once(self, thetas: Vector, samples: Sequence[Sample], inputs: Vector | None) -> Vector | None:
+    def _at_once(self, thetas: Vector, samples: Samples, inputs: Vector | None) -> Vector | None:
         """Return the modelled derivatives (k n, c) of candidates (k, d) at n samples; None where one has no value."""
         k, n = len(thetas), len(samples)
-        x = _columns([s.x for s in samples], k)
-        u = _columns([s.u for s in samples], k) if inputs is None else inputs.T
+        x = samples.columns("x", k)
+        u = samples.columns("u", k) if inputs is None else inputs.T
         named = dict(zip(self.space.names, thetas.repeat(n, axis=0).T, strict=True))
         try:
             with np.errstate(all="ignore"):
@@ -168,9 +196,3 @@ class DerivativeResidual:
         except (ArithmeticError, ValueError):  # math.sqrt(-1.0) raises the latter
             return None
         return [modelled[i] for i in self.channels]
-
-
-def _columns(rows: Sequence[Sequence[float]], k: int) -> Vector:
-    """Return rows (n, m) as columns, k times over: (m, k n)."""
-    columns = np.array(rows, dtype=float).T
-    return columns if k == 1 else np.concatenate([columns] * k, axis=1)

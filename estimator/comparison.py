@@ -163,7 +163,7 @@ class HypothesisComparison:
         A filter can go on from parameters that only the newest samples explain, and that they do not determine, too.
         Others take what as many values as parameters determine, where every sample contradicts what was in force: it is
         written where it is predicted to do no harm. For them there is nothing while the parameters drift: these seek
-        again after a quarter as many samples.
+        again after a quarter as many samples as they have drifted for, 20 at most.
         """
         state = self._state
         if not is_filter and state.n_samples < state.next_jump and state.n_since >= QUIET:
@@ -173,7 +173,8 @@ class HypothesisComparison:
         lengths = (state.n_since, state.n_explained) if is_filter else (state.n_since,)
         may_be_exact = not is_filter and state.n_since <= len(self.space) and self._all_contradict(reference)
         found = jump_to(self._rows_at, dict.fromkeys(lengths), z, self.space, may_be_exact=may_be_exact)
-        state.next_jump = state.n_samples + state.n_since // 4 if found is None else 0
+        restless = min(state.n_samples - state.restless_since, 4 * WINDOW)
+        state.next_jump = state.n_samples + max(state.n_since, restless) // 4 if found is None else 0
         return found if found is None or is_filter or all(found.is_identifiable) else None
 
     def _all_contradict(self, theta: Vector) -> bool:

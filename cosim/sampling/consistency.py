@@ -43,7 +43,9 @@ class Consistency:
         step [s]."""
         self._channels, self._slope, self._h, self._limit = list(channels), slope, h, limit
         self._noise, self._state_variance = np.array(noise), np.square(state_noise)
-        self._rows = np.empty((0, 3, len(channels)))  # motion of the state, derivative and its modelled change
+        # Motion of the state, derivative, size of its modelled change, and of its change.
+        self._rows = np.empty((0, 4, len(channels)))
+        self._noises: dict[int, Vector] = {}  # limits of the declared noise, by the number of changes
         self._last: Sample | None = None
 
     def step(self, sample: Sample, theta: Vector) -> NDArray[np.intp]:
@@ -56,19 +58,25 @@ class Consistency:
             self._rows, last = self._rows[:0], sample
         now, before = (self._slope(theta, x, sample.u) for x in (sample.x, last.x))
         moved = [sample.x[i] - last.x[i] for i in self._channels]
-        row = [moved, sample.xdot, [now[i] - before[i] for i in self._channels]]
-        self._rows = np.concatenate([self._rows[-_LENGTH:], [row]])
+        drift = [abs(now[i] - before[i]) for i in self._channels]
+        changes = [abs(a - b) for a, b in zip(sample.xdot, last.xdot, strict=True)]
+        self._rows = np.concatenate([self._rows[-_LENGTH:], [[moved, sample.xdot, drift, changes]]])
         if len(self._rows) <= _FEWEST:
             return np.empty(0, dtype=np.intp)
-        moved, xdot, drift = self._rows.swapaxes(0, 1)
-        differs = np.abs(moved[1:].sum(axis=0) - self._h * xdot[1:].sum(axis=0))
-        changes = np.abs(xdot[1:] - xdot[:-1])
-        if (differs <= self._limits(self._noise, changes, drift[1:])).all():  # the observed noise only widens them
-            return np.empty(0, dtype=np.intp)
-        sigma = np.maximum(self._noise, 1.05 * column_medians(changes))  # of a difference: 0.954 sigma
-        return np.flatnonzero(differs > self._limits(sigma, changes, drift[1:]))
+        return self._inconsistent(self._rows[1:])
 
-    def _limits(self, sigma: Vector, changes: Vector, drift: Vector) -> Vector:
-        n, h = len(drift), self._h
-        noise = np.sqrt(n * h * h * sigma * sigma + 2.0 * self._state_variance)
-        return self._limit * noise + h * np.abs(drift).sum(axis=0) + 0.5 * h * (changes.sum(axis=0) + changes[-1])
+    def _inconsistent(self, rows: Vector) -> NDArray[np.intp]:
+        """Return the channels whose derivative does not fit, from what is known of each sample (n, 4, c)."""
+        moved, xdot, drift, changes = rows.sum(axis=0)
+        n, h = len(rows), self._h
+        differs, newest = np.abs(moved - h * xdot), rows[-1, 3]
+        if n not in self._noises:
+            self._noises[n] = self._limit_of_noise(self._noise, n)
+        if (differs <= self._noises[n] + h * drift + 0.5 * h * (changes + newest)).all():
+            return np.empty(0, dtype=np.intp)  # the observed noise only widens the limits
+        sigma = np.maximum(self._noise, 1.05 * column_medians(rows[:, 3]))  # of a difference: 0.954 sigma
+        return np.flatnonzero(differs > self._limit_of_noise(sigma, n) + h * drift + 0.5 * h * (changes + newest))
+
+    def _limit_of_noise(self, sigma: Vector, n: int) -> Vector:
+        h = self._h
+        return self._limit * np.sqrt(n * h * h * sigma * sigma + 2.0 * self._state_variance)

@@ -158,7 +158,7 @@ class Diagnosis(EffectComparison):
             return self._passed(t, reference, there, is_changed)
         if n < LONG:
             return None
-        if self._is_worse_than_lasting(held, n):
+        if self._is_worse_than_lasting(held, here):
             return self.give_up(t)
         disturbance = disturbance_of(there, may_drift=False)
         parameters, nothing = plain_fit(here, self._n_free), plain_fit(there, 0)
@@ -266,15 +266,16 @@ class Diagnosis(EffectComparison):
             return is_changed and not plain_fit(here, 0).is_explained
         return len(here) >= FEWEST and before.score + MARGIN <= plain_fit(here[newest], 0).score
 
-    def _is_worse_than_lasting(self, held: Vector, n: int) -> bool:
+    def _is_worse_than_lasting(self, held: Vector, here: Vector) -> bool:
         """Return whether parameters in force (d,) contradict the newest samples, and those that lasted much less so.
 
         Both the newest n, with those that the ones in force have explained before the onset, and the very newest.
+        here: their residuals (n, c).
         """
         lasting = self._state.lasting
-        if lasting is None or np.array_equal(lasting, held):
+        if lasting is None or np.array_equal(lasting, held) or plain_fit(here[-LONG:], 0).is_explained:
             return False
-        n = min(n + self._state.n_calm, len(self._state.samples))
+        n = min(len(here) + self._state.n_calm, len(self._state.samples))
         here, there = self._rows(np.array([held, lasting]), n)
         if np.sum(np.diff(there, axis=0) ** 2) >= np.sum(there**2):  # white noise has twice as much: it is larger
             return False

@@ -9,19 +9,18 @@ nothing does, and the channels concerned rest. See `comparison` for how that is 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .comparison import FEWEST, QUIET, WINDOW
-from .diagnosis_settings import BETTER, FORGOTTEN, MOST_NAMED, PATIENCE, DiagnosisSettings, is_at_unseen_bound
+from .diagnosis_settings import FORGOTTEN, MOST_NAMED, PATIENCE, DiagnosisSettings, is_at_unseen_bound
 from .diagnosis_state import DiagnosisState
-from .effect_comparison import LONG, EffectComparison, Explanation
+from .effect_comparison import LONG
+from .effect_diagnosis import EffectDiagnosis, Settled
 from .events import Event
-from .friction import FoundFriction
-from .hypotheses import FALSE_ALARM, MARGIN, NEVER, Disturbance, disturbance_of, n_channels_of, plain_fit
+from .hypotheses import FALSE_ALARM, MARGIN, Disturbance, disturbance_of, n_channels_of, plain_fit
 from .samples import DerivativeResidual, Sample
 from .significance import chi2_limit
 from .space import ParameterSpace, Vector
@@ -32,27 +31,8 @@ _SURE: Final = 10
 _SPARE: Final = 10
 """Least number of explained values in excess of the fitted ones that makes good for a search in vain."""
 
-_ENOUGH: Final = 8
-"""Least number of samples, of every fifth one, that show which parameters explain for long."""
-_ENOUGH_LATE: Final = 32
-"""Least number of samples since the onset after which parameters that go on changing may follow a lag."""
-_FRICTION: Final = "friction that the model lacks explains the samples, neither a disturbance nor parameters do"
-_FAR_LESS: Final = 0.05
-"""Share of the sum of squares of the parameters that lasted which better ones may have."""
 
-
-@dataclass(frozen=True)
-class Settled:
-    """End of a suspicion."""
-
-    undo: Vector | None
-    """Parameters (d,) from before the onset, to return to; None where those in force stay."""
-    events: tuple[Event, ...] = ()
-    ends_search: bool = False
-    """True where the search for parameters is at its end, too."""
-
-
-class Diagnosis(EffectComparison):
+class Diagnosis(EffectDiagnosis):
     """Diagnosis on sampled derivatives: onset and end of a suspicion, disturbances and rests."""
 
     def __init__(
@@ -180,64 +160,6 @@ class Diagnosis(EffectComparison):
             return Settled(self._undone(before), events, True)
         return None
 
-    def _larger_noise(self, reference: Vector, held: Vector, n: int) -> Settled:
-        """End a suspicion as the noise is larger than was known at the onset: nothing has happened since.
-
-        What lasted returns where it explains the newest n samples, too; else the reference (d,), a search's own finding
-        perhaps, where it explains them better than what is held (d,).
-        """
-        state, lasting = self._state, self._state.lasting
-        state.n_since, state.verdict = 0, "refuted"
-        if lasting is not None and plain_fit(self._rows(lasting, n), 0).is_explained:
-            return Settled(lasting, ends_search=True)
-        here, there = (float(np.sum(self._rows(theta, n) ** 2)) for theta in (held, reference))
-        return Settled(self._undone(reference) if there < here else None, ends_search=True)
-
-    def _adopted(self, t: float, effect: Explanation) -> Settled:
-        """End a suspicion as an effect that the model lacks explains the samples, or the end of one does."""
-        state, found = self._state, effect.found
-        state.offset = effect.offset
-        if isinstance(found, FoundFriction):
-            state.friction = found.friction
-            return self._with_friction(t, effect.theta)
-        state.n_since, state.verdict = 0, "refuted"
-        state.inputs.adopt(found)
-        state.counts["lag"] += 1
-        how = "inputs that arrive late explain the samples" if found.lag else "the inputs arrive in time again"
-        event = Event(t, "lag", {**state.inputs.describe(found.lag), "reason": how})
-        return Settled(self._undone(effect.theta), (event,), True)
-
-    def _with_friction(self, t: float, theta: Vector | None) -> Settled:
-        """End a suspicion, and all rests, as known friction explains the samples; return to theta (d,) where given."""
-        state = self._state
-        state.n_since, state.verdict, state.n_failures = 0, "refuted", 0
-        state.wake_all()
-        state.counts["friction"] += 1
-        reason = _FRICTION if state.friction else "the friction is over"
-        event = Event(t, "friction", {"terms": self._friction_summary(), "reason": reason})
-        return Settled(None if theta is None else self._undone(theta), (event,), True)
-
-    def _late_effect(self, t: float, held: Vector) -> Settled | None:
-        """Return to the parameters that lasted where what the model lacks explains the samples since.
-
-        Other parameters, held (d,), or a constant disturbance have followed it, or channels rest for it.
-        """
-        state = self._state
-        if state.lasting is None or not self._is_effect_due():
-            return None
-        rests = bool(state.is_resting.any())
-        is_followed = np.any(state.offset) or not np.array_equal(held, state.lasting)
-        if not (rests or is_followed or state.n_since):
-            return None
-        followed = NEVER if rests else plain_fit(self.rows(held, state.every_since_lasting), self._n_free)
-        if followed.is_explained:
-            return None
-        found = self._friction_long(state.lasting) if state.n_since else self._lacking(state.lasting)
-        if found is None and self._take_friction_beside(held):
-            state.way = state.way.begin(self.space.to_unit(held))
-            return self._with_friction(t, None)
-        return None if found is None or found.fit.score + MARGIN > followed.score else self._adopted(t, found)
-
     def _explained(self, t: float, held: Vector, n: int) -> Settled:
         """End a suspicion, n samples long, as the parameters in force explain the samples again.
 
@@ -265,25 +187,6 @@ class Diagnosis(EffectComparison):
         if is_explained:
             return is_changed and not plain_fit(here, 0).is_explained
         return len(here) >= FEWEST and before.score + MARGIN <= plain_fit(here[newest], 0).score
-
-    def _is_worse_than_lasting(self, held: Vector, here: Vector) -> bool:
-        """Return whether parameters in force (d,) contradict the newest samples, and those that lasted much less so.
-
-        Both the newest n, with those that the ones in force have explained before the onset, and the very newest.
-        here: their residuals (n, c).
-        """
-        lasting = self._state.lasting
-        if lasting is None or np.array_equal(lasting, held) or plain_fit(here[-LONG:], 0).is_explained:
-            return False
-        n = min(len(here) + self._state.n_calm, len(self._state.samples))
-        here, there = self._rows(np.array([held, lasting]), n)
-        if np.sum(np.diff(there, axis=0) ** 2) >= np.sum(there**2):  # white noise has twice as much: it is larger
-            return False
-        return all(
-            not plain_fit(here[-m:], 0).is_explained
-            and np.sum(there[-m:] ** 2) + MARGIN <= BETTER * np.sum(here[-m:] ** 2)
-            for m in (n, LONG)
-        )
 
     def _changed(self, t: float, held: Vector) -> Settled:
         """End a suspicion that changed parameters, those in force, have won."""
@@ -346,47 +249,6 @@ class Diagnosis(EffectComparison):
             return None
         state.n_since, state.verdict = 0, "refuted"
         return state.reference
-
-    def accept(self, theta: Vector) -> None:
-        """Take parameters (d,) that are warranted and in force for those that the next ones are compared with."""
-        if self._state.n_since:
-            self._state.reference, self._state.n_calm = theta, 0
-
-    def _before(self, reference: Vector, n: int) -> Vector:
-        """Return the parameters (d,) from before the newest n samples: those that lasted, or the reference.
-
-        The reference, which a search has found since, only where it explains these, with a disturbance, and those since
-        the suspicion before much better.
-        """
-        lasting = self._state.lasting
-        if lasting is None or np.array_equal(lasting, reference) or self._outlasts(reference):
-            return reference
-        if not disturbance_of(self._rows(reference, n)).fit.is_explained:
-            return lasting
-        n = min(n + self._state.n_calm, len(self._state.samples))
-        found, other = (disturbance_of(self._rows(theta, n)).fit for theta in (reference, lasting))
-        return reference if found.score + MARGIN <= other.score else lasting
-
-    def _outlasts(self, theta: Vector) -> bool:
-        """Return whether parameters (d,) have long explained far more than those that lasted.
-
-        A constant disturbance, which may have acted since then, is left out of both.
-        """
-        lasting, samples = self._state.lasting, self._state.since_lasting
-        if lasting is None or len(samples) < _ENOUGH:
-            return False
-        rows = np.array([self.rows(lasting, samples), self.rows(theta, samples)])
-        usual, found = np.sum((rows - np.median(rows, axis=1, keepdims=True)) ** 2, axis=(1, 2))
-        return bool(found < _FAR_LESS * usual)
-
-    def _accepted(self, reference: Vector) -> Vector:
-        """Return the parameters (d,) that were accepted last: those that lasted, or a reference that does since."""
-        lasting = self._state.lasting
-        return reference if lasting is None or self._outlasts(reference) else lasting
-
-    def _undone(self, reference: Vector) -> Vector:
-        """Return the parameters (d,) to go back to: the reference, or those accepted last where a channel rests."""
-        return self._accepted(reference) if self._state.is_resting.any() else reference
 
     def fail(self, t: float, theta: Vector | None, held: Vector) -> Settled | None:
         """Take the end of a search that has found no parameters, theta (d,) being the best; None for a false alarm.

@@ -130,7 +130,8 @@ def test_friction_is_told_with_its_size_and_its_end_is_not_taken_for_another_one
     assert reason_of(shown.events[1], shown.run) == (
         "friction that the model lacks; dry, 0.125 against the speed on plant.u (its derivative: plant.der(phi_dot))"
     )
-    assert verdict(shown.run, {}, shown.events)[-1].endswith("were named; friction that the model lacks was named once.")
+    told = verdict(shown.run, {}, shown.events)[-1]
+    assert told.endswith("were named; friction that the model lacks was named once.")
     assert [c.refused for c in chapters(shown.run, shown.events)] == ["friction named once", "friction over once"]
     late = made_up(events=[NOTICED, over])
     assert plant_changes(late.run, late.events)[0].taken_for == "-"

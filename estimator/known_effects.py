@@ -1,4 +1,4 @@
-"""What acts on the plant beside its model, as far as it is known: a disturbance, late inputs, friction."""
+"""Known effects on the plant beside its model: a disturbance, late inputs, friction."""
 
 from dataclasses import dataclass, replace
 

@@ -246,7 +246,8 @@ def test_a_recorded_run_is_replayed_from_its_measured_states(pendulum, tmp_path)
     again = replayed(read_run(tmp_path), "target", 2)
     assert original.n_episodes
     for name, values in original.estimates.items():
-        np.testing.assert_array_equal(again.estimates[name], values)
+        # the guard, which a replay has not, leaves out what rounding alone would write
+        np.testing.assert_allclose(again.estimates[name], values, rtol=1e-15)
 
 
 def test_a_disturbance_is_looked_for_in_the_connected_inputs_alone(pendulum, monkeypatch):

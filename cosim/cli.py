@@ -1,6 +1,7 @@
 """The command `retune`. Exit codes: 0 done; 1 the run did not finish; 2 the input was refused; 130 interrupted."""
 
 import argparse
+import errno
 import logging
 import os
 import sys
@@ -72,7 +73,7 @@ def _ended(arguments: Sequence[str] | None) -> int:
         return UNFINISHED
     except BaseException as e:  # nothing that we know of; it must not look like success, nor like a refusal
         why = f"{type(e).__name__}: {e}; --debug shows where"
-        if isinstance(e, OSError) and not can_print():
+        if isinstance(e, OSError) and (not can_print() or (e.errno == errno.ENOSPC and e.filename is None)):
             drop_output()
             why = f"cannot write its output: {e.strerror or e}"
         return _end(options, why, UNFINISHED)

@@ -30,6 +30,7 @@ from ..system.plant import Plant, plant_of
 from ..system.tunables import TunableWriter
 from ..system.tuning import check_first_values, first_parameters, tuning_rule
 from ..system.wiring import wire
+from ..text_table import counted
 from ..user_code import USERS
 from .check_model import plain
 from .model_comparison import Difference, Step, differences
@@ -69,7 +70,7 @@ def dry_run(scenario: Scenario) -> Iterator[Finding]:
         yield Finding("scenario", f"in a dry run: {plain(e)}")
         return
     until = f"up to t = {seconds(steps[-1].t)} s"
-    yield Finding("scenario", f"the FMUs were run for {len(steps)} macro steps, {until}", False, True)
+    yield Finding("scenario", f"the FMUs were run for {counted(len(steps), 'macro step')}, {until}", False, True)
     if chosen(scenario).kind == "derivative":
         component = component_of(paths[scenario.plant], slaves[scenario.plant].description)
         yield from _compared(scenario, plant, component, steps)

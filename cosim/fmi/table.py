@@ -26,6 +26,7 @@ from .types import Value
 
 SUFFIX: Final = ".csv"
 _HEADER: Final = re.compile(r"(?P<name>.+?)\s*(\[(?P<unit>[^\[\]]*)\])?")
+_COMMA: Final = re.compile(r"[-+]?\d+,\d+(?:[eE][-+]?\d+)?")
 _ROUNDING: Final = 1e-9  # of a macro step: t + h may fall short of the time of a jump by its last bit
 
 
@@ -104,7 +105,8 @@ def _row(cells: Sequence[str], header: Sequence[str], place: str) -> tuple[float
         try:
             values.append(float(cell))
         except ValueError as e:
-            raise ScenarioError(f"{where}: {one_line(str(e))}.") from e
+            comma = "; numbers have a decimal point" if _COMMA.fullmatch(cell.strip()) else ""
+            raise ScenarioError(f"{where}: must be a number, got '{one_line(cell)}'{comma}.") from e
         if not math.isfinite(values[-1]):
             raise ScenarioError(f"{where}: every number must be finite, got {one_line(cell)}.")
     return tuple(values)

@@ -15,7 +15,7 @@ from bokeh.plotting import figure
 from ..errors import FolderError
 from ..plots.palette import BLUE
 from ..runs.manifest import read_json
-from ..runs.run_files import MANIFEST, RESULT
+from ..runs.run_files import MANIFEST, RESULT, SERIES
 from ..studies.folder import RUNS, is_study
 from .frame import rendered, rendered_part, script_data
 
@@ -38,7 +38,7 @@ class ListedRun:
 
 def run_folders(path: Path) -> list[Path]:
     """Return the run folder, or those in a folder of runs or of a study, by name. Raises FolderError."""
-    if (path / MANIFEST).exists():
+    if (path / MANIFEST).exists() or (path / SERIES).exists():  # a run folder without its manifest is no folder of runs
         return [path]
     if is_study(path) and (path / RUNS).is_dir():
         path = path / RUNS

@@ -108,4 +108,5 @@ def _check(node: ast.AST, text: str, names: Collection[str]) -> None:
     if isinstance(node, ast.Name):
         known = {*names, *FUNCTIONS, *CONSTANTS}
         if node.id not in known:
-            raise ValueError(f"'{text}' has '{node.id}'{did_you_mean(node.id, known) or '.'}")
+            hint = did_you_mean(node.id, known) or f"; it may have {', '.join(sorted({*names, *CONSTANTS}))}."
+            raise ValueError(f"the formula '{text}' has an unknown name, '{node.id}'{hint}")

@@ -17,6 +17,8 @@ _JARGON: Final = (
      r"must have \1 at least, got \2"),
     (re.compile(r"Input should be a valid (?:tuple|list)"), "must be a list"),
     (re.compile(r"Input should be a valid dictionary.*"), "must be a table"),
+    (re.compile(r"Input tag ('.*') found using '(\w+)' does not match any of the expected tags: (.*)"),
+     r"\2 must be one of \3, got \1"),
 )  # fmt: skip
 """What pydantic says of containers, and how a TOML file's author would."""
 _UNKNOWN: Final = ("extra_forbidden", "unexpected_keyword_argument")

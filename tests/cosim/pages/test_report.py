@@ -202,6 +202,14 @@ def test_a_folder_without_a_run_is_named(tmp_path):
         run_folders(tmp_path / "gone")
 
 
+def test_a_run_folder_without_its_manifest_is_not_taken_for_a_folder_of_its_baselines(tmp_path):
+    (tmp_path / "series.arrow").touch()
+    (tmp_path / "none").mkdir()
+    (tmp_path / "none" / "manifest.json").touch()
+    with pytest.raises(FolderError, match=r"is no run folder: cannot read manifest.json: No such file"):
+        read_page(run_folders(tmp_path))
+
+
 @pytest.mark.full
 @pytest.mark.fmu
 def test_a_list_of_runs_has_a_row_for_each_a_damaged_one_too(recorded, tmp_path):

@@ -246,6 +246,13 @@ BAD_VALUES = [
     ("tracking", "{}", "tracking", "must have 1 at least, got 0"),
     ("estimation.parameters", "[]", "estimation.parameters", "must have 1 at least, got 0"),
     ("estimation.parameters", "3", "estimation.parameters", "must be a list, got 3"),
+    (
+        "estimation.trigger.kind",
+        "inovation",
+        "estimation.trigger",
+        "kind must be one of 'tracking', 'innovation', 'always'",
+    ),
+    ('changes."plant.m"', "2 * y", "changes.plant.m", "the formula '2 * y' has an unknown name, 'y'; it may have "),
 ]
 
 

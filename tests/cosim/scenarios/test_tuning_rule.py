@@ -104,7 +104,7 @@ def test_both_forms_of_writes_are_read(tmp_path):
 WRITES = 'start = 1.0\nwrites = {{ "controller.Kp" = "{}" }}\n'
 REFUSED = {
     "an unknown name": ([("m", WRITES.format("10*M"))], r'writes "controller.Kp": .*\'M\'; did you mean \'m\''),
-    "the time": ([("m", WRITES.format("10*t"))], "has 't'"),
+    "the time": ([("m", WRITES.format("10*t"))], "an unknown name, 't'"),
     "Python": ([("m", WRITES.format("__import__(1)"))], "calls __import__"),
     "no start": ([("m", 'writes = { "controller.Kp" = "m" }\n')], "'m', written by formulas, needs start"),
     "neither": ([("m", "")], "'m' needs writes, a parameter of the controller"),

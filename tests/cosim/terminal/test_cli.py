@@ -799,8 +799,9 @@ def shell(command, **environment):
 
 @pytest.mark.full
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="has no device that is always full")
-def test_output_for_which_there_is_no_room_is_told_and_the_run_is_there(workplace):
-    done = shell(f"{shlex.join(['retune', *SHORT])} --out r > /dev/full")
+@pytest.mark.parametrize("environment", [{}, {"PYTHONUNBUFFERED": "1"}], ids=["buffered", "unbuffered"])
+def test_output_for_which_there_is_no_room_is_told_and_the_run_is_there(workplace, environment):
+    done = shell(f"{shlex.join(['retune', *SHORT])} --out r > /dev/full", **environment)
     assert (done.returncode, done.stderr) == (1, "retune: cannot write its output: No space left on device\n")
     assert read_run(Path("r")).status == "done"
 

@@ -15,7 +15,11 @@ _SMOOTH: Final = 0.5
 """Correlation of residuals from sample to sample that no sensor's noise has."""
 _DROWNED: Final = 3.0
 """Ratio of a signal's standard deviation to its declared noise below which little of it is seen."""
-_SPEEDS: Final = {"viscous": "times the speed", "dry": "against the speed", "quadratic": "times the speed squared"}
+_SPEEDS: Final = {
+    "viscous": "times the speed",
+    "dry": "against the speed",
+    "quadratic": "times the square of the speed",
+}
 _OF_A_MODEL: Final = "the model lacks something (friction, a lag, another parameter)"
 _OF_THE_PLANT: Final = "something acts on the plant that its inputs do not hold"
 _SAVING: Final = (
@@ -84,8 +88,8 @@ def _rubbing(friction: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def friction_term(term: Mapping[str, Any]) -> str:
     """Return a term of friction in words: its law and size, what it acts on, and which speed is meant."""
-    speed = _SPEEDS[term["law"]]
-    return f"{term['law']}, {term['coefficient']:.3g} {speed} on {term['acts_on']} (its derivative: {term['speed_of']})"
+    size = f"{term['coefficient']:.3g} {_SPEEDS[term['law']]}"
+    return f"{term['law']} on {term['acts_on']}, {size} whose derivative is {term['speed_of']}"
 
 
 def resting(found: Mapping[str, Any]) -> list[str]:

@@ -128,7 +128,7 @@ def test_friction_is_told_with_its_size_and_its_end_is_not_taken_for_another_one
     over = RUBBED | {"t": 0.8, "terms": [], "reason": "the friction is over"}
     shown = made_up(events=[NOTICED, RUBBED, NOTICED | {"t": 0.7}, over])
     assert reason_of(shown.events[1], shown.run) == (
-        "friction that the model lacks; dry, 0.125 against the speed on plant.u (its derivative: plant.der(phi_dot))"
+        "friction that the model lacks; dry on plant.u, 0.125 against the speed whose derivative is plant.der(phi_dot)"
     )
     told = verdict(shown.run, {}, shown.events)[-1]
     assert told.endswith("were named; friction that the model lacks was named once.")

@@ -51,7 +51,7 @@ REFUSALS: Final = ("veto", "revert", "stop", "limit", "hold", "sensor", "observa
 """Kinds of events by which something was not done, or taken back; the most important first."""
 _LAGS: Final = {"time_constant": "time constant", "dead_time": "dead time"}
 """Names of what an event `lag` has."""
-_NAMED: Final = {"disturbance": ("size",), "lag": tuple(_LAGS), "friction": ("terms",)}
+_NAMED: Final = {"disturbance": ("size",), "lag": (*_LAGS, "rates"), "friction": ("terms",)}
 """What an event has that names something, by its kind; empty or zero where that is over."""
 _BACK: Final = ("revert", "undo")
 """Kinds of events whose parameters are earlier ones."""
@@ -69,6 +69,8 @@ def reason_of(event: RecordedEvent, run: Run) -> str:
         with suppress(LookupError, TypeError, ValueError):  # a record of anybody's
             parts += map(friction_term, event["terms"])
     parts += [f"{text} {_number(value)} s" for key, text in _LAGS.items() if (value := event.get(key))]
+    if isinstance(rates := event.get("rates"), list) and (limits := [_number(r) for r in rates if r is not None]):
+        parts.append(f"rate limited to {' and '.join(limits)} per second")
     if held := values_of(event, run):
         parts.append(f"back to {held}" if event.get("kind") in _BACK else held)
     if isinstance(event.get("cost"), int | float):
@@ -78,7 +80,8 @@ def reason_of(event: RecordedEvent, run: Run) -> str:
 
 def is_named(event: RecordedEvent) -> bool:
     """Return whether an event names a disturbance, late inputs or friction; False where it says that they are over."""
-    return any(event.get(key) for key in _NAMED.get(str(event.get("kind")), ()))
+    found = [event.get(key) for key in _NAMED.get(str(event.get("kind")), ())]
+    return any(any(x is not None for x in value) if isinstance(value, list) else value for value in found)
 
 
 def thinned(events: Sequence[RecordedEvent]) -> Sequence[RecordedEvent]:

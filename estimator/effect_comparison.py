@@ -188,8 +188,6 @@ class EffectComparison(HypothesisComparison):
         With these or with the reference (d,), where neither a smooth disturbance nor constant parameters explain them.
         """
         state, samples = self._state, self._state.every_since_lasting
-        if len(samples) < _ENOUGH:
-            return None
         bases = [reference] if state.lasting is None else [state.lasting, reference]
         for theta in {theta.tobytes(): theta for theta in bases}.values():
             found = self._friction(theta, samples)
@@ -205,7 +203,7 @@ class EffectComparison(HypothesisComparison):
         derivative. The parameters are then found behind it.
         """
         state, samples = self._state, self._state.every_since_lasting
-        if not state.friction or len(samples) < _ENOUGH:
+        if not state.friction:
             return False
         changed = self._beside_friction(reference, samples)
         found = NO_FRICTION if changed is None else self._friction(changed, samples)
@@ -217,6 +215,8 @@ class EffectComparison(HypothesisComparison):
     def _beside_friction(self, reference: Vector, samples: Sequence[Sample]) -> Vector | None:
         """Return the parameters (d,) that samples determine beside known friction of any size; or None."""
         raw, space = self._raw(samples), self.space
+        if len(raw) < _ENOUGH:
+            return None
         basis = np.linalg.qr(self._state.friction.laws_at(raw))[0]
 
         def left(z: Vector) -> Vector:
@@ -227,9 +227,11 @@ class EffectComparison(HypothesisComparison):
         return found.theta if found is not None and all(found.is_identifiable) else None
 
     def _friction(self, theta: Vector, samples: Sequence[Sample]) -> FoundFriction:
-        """Return the friction that explains samples with parameters theta (d,), and no disturbance that is known."""
+        """Return the friction that explains samples, enough of them, with parameters theta (d,)."""
         raw = self._raw(samples)
-        return find_friction(partial(self.scaled_rows, theta), raw, self._declared.channels) if raw else NO_FRICTION
+        if len(raw) < _ENOUGH:
+            return NO_FRICTION
+        return find_friction(partial(self.scaled_rows, theta), raw, self._declared.channels)
 
     def _raw(self, samples: Sequence[Sample]) -> list[Sample]:
         """Return samples with the inputs that arrive, no friction or disturbance known, and all channels."""

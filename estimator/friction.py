@@ -248,7 +248,7 @@ def _chosen(
 ) -> tuple[list[int], NDArray[np.bool_]]:
     """Return which columns of the table (q, m) explain the residuals (m,), and those that are known with them."""
     chosen: list[int] = []
-    is_known = np.logical_and.reduce(known[:1])
+    is_known = known[0]  # of a constant: wherever something was sampled
     squares = np.sum(table**2, axis=1)
     while len(chosen) < _MOST_TERMS * int(np.count_nonzero(may_fall)):
         left, _ = _explained(table[chosen], rows, is_known)

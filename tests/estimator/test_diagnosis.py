@@ -13,8 +13,10 @@ from estimator.baselines import LeastSquares
 from estimator.diagnosing import make_retuner
 from estimator.diagnosis import Diagnosis
 from estimator.diagnosis_settings import DiagnosisSettings
+from estimator.input_lag import InputHistory
 from estimator.jump import jump_to
 from estimator.kalman import UnscentedKalman
+from estimator.lag import Lag
 from estimator.retuner import Budget
 from estimator.triggers import AlwaysSettings, InnovationSettings
 
@@ -946,6 +948,19 @@ def test_friction_that_is_over_is_forgotten():
     assert run.of("friction")
     assert not run.diagnosis.summary()["known_friction"]
     assert near(run.held, TRUE)
+
+
+def test_samples_from_before_a_known_lag_show_no_friction():
+    """Nothing is known of what arrived before it: none is left, or too few to tell friction from a coincidence."""
+    run = Run("least-squares", 3)
+    run.go(100, TRUE, rubbing(run, "quadratic"))
+    known = run.diagnosis.summary()["known_friction"]
+    run.diagnosis._state.inputs = InputHistory(lag=Lag(n_late=1))
+    assert not run.diagnosis._is_friction_again(TRUE)
+    assert not run.diagnosis._take_friction_beside(TRUE)
+    run.go(4, CHANGED, rubbing(run, "quadratic"))
+    assert not run.diagnosis._take_friction_beside(TRUE)
+    assert run.diagnosis.summary()["known_friction"] == known != []
 
 
 def test_known_friction_goes_on_from_a_snapshot():

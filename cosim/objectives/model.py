@@ -22,6 +22,7 @@ from ..fmi.preflight.description import is_true
 from ..fmi.value_buffers import ScalarVariable
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
+from ..slaves.killed import unless_killed
 from ..slaves.process import FmuProcess
 from ..system.fmu_cache import find_fmu
 from ..system.parameters import narrower_range
@@ -115,11 +116,15 @@ class FmuModel:
     def __call__(self, x: Sequence[float], u: Sequence[float], **parameters: float) -> tuple[float, ...]:
         """Return the derivatives (n,) in the order of x. Raises ValueError where the FMU fails."""
         theta = tuple([float(parameters[name]) for name in self._parameters])
-        try:
+
+        def derivatives() -> tuple[float, ...]:
             process = self._process = self._process or self._started()
             process.begin_step(0.0, 0.0, (*x, *u), None if theta == self._theta else theta)
             self._theta = theta
             return process.end_step(0.0)
+
+        try:
+            return unless_killed(derivatives, self._end)
         except SlaveError as error:
             self._end()
             raise ValueError(str(error)) from error
@@ -138,9 +143,13 @@ class FmuModel:
         if self._unproven is None:
             raise ValueError("no directional derivatives by parameters")
         theta = [float(parameters[name]) for name in self._parameters]
-        try:
+
+        def slopes() -> list[list[float]]:
             process = self._process = self._process or self._started()
-            found: list[list[float]] = process.call("slopes", 0.0, [*x, *u], theta)
+            return process.call("slopes", 0.0, [*x, *u], theta)
+
+        try:
+            found = unless_killed(slopes, self._end)
             self._theta = tuple(theta)
         except SlaveError as error:
             self._end()

@@ -11,6 +11,7 @@ from typing import Any, Final, Generic, NamedTuple, Protocol, Self, TypeVar
 
 from ..errors import SlaveError
 from ..fmi.trial_batch import BatchTrial, TrialBatch, TrialLeg, TrialOutputs
+from ..slaves.killed import unless_killed
 from ..slaves.slave import Slave
 
 _TOGETHER_S: Final = 0.1
@@ -163,14 +164,22 @@ class Pool:
         if is_renewed:
             slave = self._renewed(slave)
         is_new = is_renewed or slave is None
-        try:
-            if slave is None:
-                slave = self._opened()
-            return Outcome(task(slave, is_new))
-        except SlaveError as e:
+
+        def forget() -> None:
+            nonlocal slave, is_new
             if slave is not None:
                 slave.close()
-                slave = None
+            slave, is_new = None, True
+
+        def done() -> Result:
+            nonlocal slave
+            slave = slave or self._opened()
+            return task(slave, is_new)
+
+        try:
+            return Outcome(unless_killed(done, forget))
+        except SlaveError as e:
+            forget()
             return Outcome(None, str(e))
         finally:
             self._idle.put(None if slave is None or slave.is_closed else slave)

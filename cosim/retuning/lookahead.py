@@ -23,6 +23,7 @@ from ..fmi.folder import PrivateFolder, kept_folders
 from ..fmi.table import TableSlave
 from ..scenarios.scenario import Scenario
 from ..scenarios.tuning_rule import TuningRule
+from ..slaves.killed import unless_killed
 from ..slaves.slave import Slave, open_slave
 from ..system.loop_plan import LoopPlan, fit_together, listed
 from ..system.loop_process import LoopProcess
@@ -110,8 +111,11 @@ class Lookahead:
 
         Raises ScenarioError as `predicted_peak`.
         """
-        if self.failure is None and self._shadows is None and self._fits_one_process:
-            self._opened_or_failed()
+        if self.failure is None and self._fits_one_process:
+            try:
+                self._opened()
+            except (SlaveError, WiringError) as fault:
+                self._give_up(str(fault))
 
     def snapshot(self, sample: Sample) -> dict[str, Any] | None:
         """Return the states of the run's FMUs at this communication point, or None. Raises SlaveError.
@@ -120,13 +124,8 @@ class Lookahead:
         """
         if self.failure is not None:
             return None
-        shadows = self._opened_or_failed()
-        if shadows is None:
-            return None
         try:
-            if not self._is_proved:
-                shadows.prove()
-                self._is_proved = True
+            unless_killed(self._proved, self._forget)
         except (SlaveError, WiringError) as fault:
             self._give_up(str(fault))
             return None
@@ -157,20 +156,23 @@ class Lookahead:
         """
         if self.failure is not None:
             return None
-        shadows = self._opened_or_failed()
-        if shadows is None:
-            return None
-        try:
+
+        def restored() -> Shadows:
+            shadows = self._opened()
             shadows.restore(snapshot, values)
+            return shadows
+
+        try:
+            unless_killed(restored, self._forget)
         except (SlaveError, WiringError) as fault:
             self._give_up(str(fault))
             return None
         self.n_rolled += 1
+        course = self._course(k, controller, plant, offsets)
         try:
-            return shadows.peak(self._course(k, controller, plant, offsets))
+            return unless_killed(lambda: (self._shadows or restored()).peak(course), self._forget)
         except SlaveError as fault:
-            self._stack.close()
-            self._shadows = None  # loaded anew for the next
+            self._forget()  # loaded anew for the next
             return None if fault.function == "set" else inf  # a value that was refused before it reached the FMU
 
     def equivalent_inputs(self, sample: Sample, disturbance: Vector, theta: Vector) -> list[float] | None:
@@ -221,20 +223,27 @@ class Lookahead:
             self._scenario.limits.divergence,
         )
 
-    def _give_up(self, reason: str) -> None:
-        self.failure, self._shadows = reason, None
+    def _forget(self) -> None:
+        self._shadows = None
         self._stack.close()
 
-    def _opened_or_failed(self) -> Shadows | None:
-        """Return the shadows, opened where they are not; None, with `failure` set, where that fails."""
-        try:
-            self._shadows = self._shadows or self._opened()
-        except (SlaveError, WiringError) as fault:
-            self._give_up(str(fault))
-        return self._shadows
+    def _give_up(self, reason: str) -> None:
+        self.failure = reason
+        self._forget()
+
+    def _proved(self) -> None:
+        shadows = self._opened()
+        if not self._is_proved:
+            shadows.prove()
+            self._is_proved = True
 
     def _opened(self) -> Shadows:
         """Return the shadows: in one process where they fit into one. Raises WiringError, SlaveError, ScenarioError."""
+        if self._shadows is None:
+            self._shadows = self._loaded()
+        return self._shadows
+
+    def _loaded(self) -> Shadows:
         paths = self._running.paths
         for name, path in paths.items():
             if name != self._modelled and _file(path) != self._files[name]:

@@ -7,18 +7,16 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Final
+from typing import Any
 
 from ..errors import CosimError, is_refusal, one_line
 from ..runs.simulation import run
+from ..slaves.killed import KILLED
 from .parcels import unpacked
 from .processes import LocalProcesses
 from .recipe import Answer, KilledFmuError, Recipe
 from .row import record_of, row_of
 from .versions import all_versions
-
-_KILLED: Final = "process was ended by SIGKILL"
-"""Part of the reason of a fault that no FMU has by itself; one that takes too much memory has another."""
 
 
 def make_run(recipe: Recipe) -> Answer:
@@ -69,7 +67,7 @@ def _made(recipe: Recipe, folder: str | None) -> Answer:
         if path is not None:
             path.mkdir(parents=True, exist_ok=True)
         made = run(recipe.scenario, recipe.estimator, recipe.seed, path)
-        if _KILLED in (made.error or ""):
+        if KILLED in (made.error or ""):
             raise KilledFmuError((made.error or "").rstrip("."))
         record: dict[str, Any] | None = record_of(made) if recipe.is_recorded else None
         return Answer("result", row=row_of(made), record=record)

@@ -94,9 +94,18 @@ def test_an_fmu_that_dies_on_a_candidate_is_started_anew(model, children):
     fmu = model("quadrotor")
     (process_id,) = children() - others
     before = fmu(X, U, **THETA)
-    os.kill(process_id, signal.SIGKILL)
-    with pytest.raises(ValueError, match=r"Quadrotor: .*process was ended by SIGKILL"):
+    os.kill(process_id, signal.SIGSEGV)
+    with pytest.raises(ValueError, match=r"Quadrotor: .*process was ended by SIGSEGV"):
         fmu(X, U, **THETA)
+    assert fmu(X, U, **THETA) == before
+
+
+def test_a_candidate_whose_process_was_killed_from_outside_has_its_value(model, children):
+    others = children()
+    fmu = model("quadrotor")
+    (process_id,) = children() - others
+    before = fmu(X, U, **THETA)
+    os.kill(process_id, signal.SIGKILL)
     assert fmu(X, U, **THETA) == before
 
 

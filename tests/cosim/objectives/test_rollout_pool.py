@@ -13,7 +13,10 @@ LEG = TrialLeg([0.0, 1.0, 2.0], [[0.0], [0.0]])
 
 
 class StubSlave:
-    """A slave whose outputs are its tunable; "gone" ends its process, "odd" fails in time."""
+    """A slave whose outputs are its tunable; "gone" ends its process, "odd" fails in time; "killed" is, by others."""
+
+    n_killed = 1
+    """Times that "killed" will be, in all slaves."""
 
     def __init__(self, log):
         self.log, self.is_closed = log, False
@@ -21,6 +24,9 @@ class StubSlave:
     def answer(self, gain):
         if gain == "gone":
             raise SlaveError("shadow", "trials", None, "the process has gone")
+        if gain == "killed" and StubSlave.n_killed > 0:
+            StubSlave.n_killed -= 1
+            raise SlaveError("shadow", "trials", None, "the FMU's process was ended by SIGKILL")
         if gain == "odd":
             raise SlaveError("shadow", "do_step", 1.0, "odd")
         return [(gain,), (gain,)]
@@ -77,6 +83,15 @@ def test_one_that_fails_is_told_and_the_others_are_simulated_all_the_same():
     assert [o.result for o in outcomes] == [[(1.0,)] * 2, None, [(2.0,)] * 2, None, [(3.0,)] * 2]
     assert outcomes[1].reason == "shadow: do_step at t = 1.000 s odd"
     assert "the process has gone" in outcomes[3].reason
+
+
+@pytest.mark.parametrize(("n_kills", "result"), [(2, [("killed",)] * 2), (9, None)])
+def test_one_that_was_killed_from_outside_is_simulated_once_more(monkeypatch, n_kills, result):
+    log = []
+    with pool(log) as warm:
+        monkeypatch.setattr(StubSlave, "n_killed", n_kills)
+        outcomes = warm.simulate([plan(gain) for gain in (1.0, "killed", 2.0)])
+    assert [o.result for o in outcomes] == [[(1.0,)] * 2, result, [(2.0,)] * 2]
 
 
 def test_the_first_messages_are_short_whatever_a_step_takes():

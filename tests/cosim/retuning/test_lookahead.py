@@ -1,8 +1,10 @@
 """The loop simulated ahead: against what then happens, an independent integration, and where FMUs lack states."""
 
 import math
+import os
 import re
 import shutil
+import signal
 from contextlib import ExitStack
 
 import numpy as np
@@ -116,6 +118,18 @@ def test_in_a_process_of_its_own_it_is_the_same_bits(loop):
     assert [isolated.predicted_peak(*place) for place in places] == expected
     assert isolated.predicted_peak(np.array([1.75, 1e-3]), NOMINAL) is None  # refused; then it is opened once more
     assert isolated.predicted_peak(*places[1]) == expected[1]
+
+
+def test_a_prediction_whose_process_was_killed_from_outside_is_the_same(loop, children):
+    """Killed while it loads, before a course and again: an infinite peak would be a veto that no FMU has caused."""
+    made, others = loop(**{"scenario.isolation": '"process"'}), children()
+    expected = loop().predicted_peak(CHANGED, NOMINAL)
+    made.lookahead.prepare()
+    for _ in range(3):
+        (process_id,) = children() - others
+        os.kill(process_id, signal.SIGKILL)
+        assert made.predicted_peak(CHANGED, NOMINAL) == expected
+    assert made.lookahead.failure is None
 
 
 def test_with_the_truth_in_the_plant_it_is_what_then_happens(loop, pendulum):

@@ -187,6 +187,11 @@ class HypothesisComparison:
         return self._state.verdict == "warranted" or self._state.n_spare > 0
 
     @property
+    def may_be_disturbed(self) -> bool:
+        """True where a disturbance is to be thought of when parameters are written that are warranted."""
+        return self._state.n_since > 0 and not self._state.is_certain
+
+    @property
     def has_failed(self) -> bool:
         """True where changed parameters do not explain the newest samples, however few."""
         return self._state.verdict == "refuted" or self._state.n_explained < FEWEST
@@ -228,6 +233,7 @@ class HypothesisComparison:
         if weighing.are_parameters_possible:
             self._state.n_explained = n
             self._state.n_spare = parameters.n_values - parameters.n_free
+            self._state.is_certain = weighing.are_parameters_certain
             unproven: Judgement = "refuted" if self._state.is_resting.any() else "possible"
             self._state.verdict = "warranted" if weighing.are_parameters_proven else unproven
         return weighing.are_parameters_possible

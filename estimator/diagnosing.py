@@ -178,9 +178,10 @@ class DiagnosingRetuner(_Counting):
             return replace(proposal, theta=None)
         if proposal.estimate is not None:
             diagnosis.expect(proposal.estimate.is_identifiable)
-        return (
-            replace(proposal, possible_disturbance=diagnosis.disturbance(held)) if verdict == "possible" else proposal
-        )
+        is_warranted = verdict == "warranted"
+        if is_warranted and not diagnosis.may_be_disturbed:
+            return proposal
+        return replace(proposal, possible_disturbance=diagnosis.disturbance(held), is_warranted=is_warranted)
 
     def _moved(self, proposal: Proposal, held: Vector) -> Proposal:
         """Return a filter's proposal while nothing contradicts the parameters in force, held (d,).
@@ -310,7 +311,7 @@ class DiagnosingEpisodes(_Counting):
             rival = diagnosis.disturbance(before) if verdict == "possible" and theta is not None else None
             if "end" in kinds:
                 self._ended = (held if theta is None else theta, verdict)
-            return replace(proposal, possible_disturbance=rival)
+            return replace(proposal, possible_disturbance=rival, is_warranted=rival is None)
         if "end" not in kinds:
             return replace(proposal, theta=None)
         events = diagnosis.fail(t, before)

@@ -163,7 +163,8 @@ class Diagnosis(EffectDiagnosis):
     def _explained(self, t: float, held: Vector, n: int) -> Settled:
         """End a suspicion, n samples long, as the parameters in force explain the samples again.
 
-        Where searches have gone from those that lasted and have come back to them, a disturbance has passed.
+        Where searches have gone from those that lasted and have come back to them, a disturbance has passed. Where
+        several samples contradicted those in force, and nothing else was tried, that counts as a search in vain.
         """
         state, lasting = self._state, self._state.lasting
         if state.has_moved and lasting is not None and agree(self.space.to_unit(lasting), self.space.to_unit(held)):
@@ -171,6 +172,9 @@ class Diagnosis(EffectDiagnosis):
             if plain_fit(there[-QUIET:], 0).is_explained:
                 return self._passed(t, lasting, there, True)
         state.n_since = 0
+        rows = self._rows(held, n)
+        if not state.has_moved and sum(not self._is_usual(row, n_channels_of(rows)) for row in rows) >= FEWEST:
+            state.n_failures += 1
         return Settled(None)
 
     def _is_over(self, here: Vector, there: Vector, is_changed: bool, is_explained: bool) -> bool:
@@ -279,32 +283,38 @@ class Diagnosis(EffectDiagnosis):
             events = self._name(t, best)
             return Settled(self._undone(before), events, True)
         state.n_since, state.verdict = 0, "refuted"
-        state.n_failures += 1
         self._doubt_friction(before)
-        best = rows if theta is None else self._rows(theta, n)
-        with np.errstate(over="ignore", invalid="ignore"):
-            squares = np.nan_to_num(np.sum(best**2, axis=0), nan=np.inf)
-        lacks = squares > chi2_limit(FALSE_ALARM / len(self._names), n)
-        lacks = lacks if lacks.any() else ~state.is_resting
+        lacks = self._unexplained(rows if theta is None else self._rows(theta, n))
         names = self._of(lacks)
         reason = f"no parameters explain {', '.join(names)}"
         event = Event(t, "unexplained", {"channels": names, "reason": reason})
         state.counts["unexplained"] += 1
-        events = (event,) if state.n_failures < PATIENCE else (event, self._rest(t, lacks))
+        events = (event, *self._in_vain(t, lacks))
         return Settled(self._undone(before), events, True)
+
+    def _unexplained(self, rows: Vector) -> NDArray[np.bool_]:
+        """Return the channels (c,) that residuals (n, c) are too large on; all that do not rest where there is none."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            squares = np.nan_to_num(np.sum(rows**2, axis=0), nan=np.inf)
+        lacks = squares > chi2_limit(FALSE_ALARM / len(self._names), len(rows))
+        return lacks if lacks.any() else ~self._state.is_resting
+
+    def _in_vain(self, t: float, channels: NDArray[np.bool_]) -> tuple[Event, ...]:
+        """Count a search in vain; return the event of the rest of these channels (c,), where it was one too many."""
+        self._state.n_failures += 1
+        return () if self._state.n_failures < PATIENCE else (self._rest(t, channels),)
 
     def _name(self, t: float, found: Disturbance) -> tuple[Event, ...]:
         """Take a disturbance for the explanation; return the events."""
         state = self._state
         state.n_since, state.verdict = 0, "refuted"
-        state.n_failures += 1
         acts = _acting(found.largest)
         offset = state.offset + found.newest * state.scale.effective
         if found.is_constant:  # else it is another one in the next sample
             state.offset = offset
         how = "constant" if found.is_constant else "changing"
         event = self._named(t, offset, acts, f"a {how} disturbance explains the samples, changed parameters do not")
-        return (event,) if state.n_failures < PATIENCE else (event, self._rest(t, acts))
+        return event, *self._in_vain(t, acts)
 
     def _passed(self, t: float, before: Vector, rows: Vector, is_changed: bool) -> Settled:
         """End a suspicion as the parameters before it (d,), whose residuals are rows (n, c), explain the samples again.
@@ -327,9 +337,7 @@ class Diagnosis(EffectDiagnosis):
         state.offset, state.n_since = np.zeros(len(acts)), 0
         if not is_changed:
             return Settled(None, events, True)
-        state.n_failures += 1
-        if state.n_failures >= PATIENCE:
-            events = (*events, self._rest(t, acts))
+        events = (*events, *self._in_vain(t, acts))
         return Settled(self._undone(before), events, True)
 
     def _named(self, t: float, offset: Vector, acts: NDArray[np.bool_], reason: str) -> Event:

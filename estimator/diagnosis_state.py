@@ -76,6 +76,8 @@ class DiagnosisState:
     changed: Vector | None = None
     """Place (d,) of the parameters that explained the samples last."""
     verdict: Judgement = "refuted"
+    is_certain: bool = False
+    """True where it says that parameters are warranted, and could hardly have done so by chance."""
     n_spare: int = 0
     """Number of its values in excess of those fitted."""
     n_explained: int = 0

@@ -130,14 +130,25 @@ class Weighing:
     @property
     def are_parameters_possible(self) -> bool:
         """True where changed parameters explain the samples, and nothing else does much better."""
-        others = min(self.nothing.score, self.disturbance.score)
-        return self.parameters.is_possible and self.parameters.score < others + MARGIN
+        return self.parameters.is_possible and self._lead > -MARGIN
 
     @property
     def are_parameters_proven(self) -> bool:
         """True where changed parameters explain the samples, and nothing else does nearly as well."""
-        others = min(self.nothing.score, self.disturbance.score)
-        return self.parameters.is_explained and self.parameters.score + MARGIN <= others
+        return self.parameters.is_explained and self._lead >= MARGIN
+
+    @property
+    def are_parameters_certain(self) -> bool:
+        """True where they are proven by twice the margin.
+
+        So many windows are compared that noise which is correlated from sample to sample looks like changed parameters
+        in one of them.
+        """
+        return self.parameters.is_explained and self._lead >= 2.0 * MARGIN
+
+    @property
+    def _lead(self) -> float:
+        return min(self.nothing.score, self.disturbance.score) - self.parameters.score
 
 
 @dataclass(frozen=True)

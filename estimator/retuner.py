@@ -38,8 +38,10 @@ class Proposal:
     is_candidate: bool = False
     """True where theta is a candidate that is tried out, not the estimate."""
     possible_disturbance: Vector | None = None
-    """Disturbance (c,) of the sampled derivatives that explains the samples as well as theta does, in their units; None
-    where nothing else does."""
+    """Disturbance (c,) of the sampled derivatives that may act in place of theta, in their units; None where theta is
+    certain."""
+    is_warranted: bool = True
+    """False where the disturbance explains the samples as well as theta does."""
     undo: Vector | None = None
     """Parameters (d,) from before a search that has failed, to return to; None where they are in force."""
 

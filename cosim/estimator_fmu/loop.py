@@ -88,7 +88,7 @@ class EstimatorLoop:
         if proposal.estimate is not None:
             self._std, self._is_identifiable = proposal.estimate.std, proposal.estimate.is_identifiable
         theta = proposal.undo if proposal.theta is None else proposal.theta
-        if theta is not None and proposal.possible_disturbance is None:  # else it waits: it cannot predict
+        if theta is not None and proposal.is_warranted:  # else it waits: it cannot predict
             with suppress(ValueError):  # the gains have no value there
                 self._values = self._rule(theta)
                 self._theta, self._is_updated = theta, True

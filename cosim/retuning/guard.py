@@ -156,7 +156,7 @@ class Guard:
         this = (theta.tobytes(), rival is None)
         if k < self._rests_until or (self._refused[:2] == this and k < self._refused[2]):
             return Ruling(None, confirmed)
-        verdict = self._judge(theta, held, estimate, error, peak, rival)
+        verdict = self._judge(proposal, theta, held, estimate, error, peak)
         events = tuple(Event(t, kind, {"theta": theta.tolist(), "reason": why}) for kind, why in verdict.reasons)
         self.counts.update(_COUNTED[kind] for kind, _ in verdict.reasons)
         if verdict.theta is not None and self._space.are_same(verdict.theta, held):  # all of the move was left out
@@ -224,17 +224,14 @@ class Guard:
 
     def _judge(
         self,
+        proposal: Proposal,
         theta: Vector,
         held: Vector,
         estimate: Estimate,
         error: float,
         peak: PredictedPeak | None,
-        rival: Vector | None,
     ) -> _Verdict:
-        """Return the result of the checks before a write, the cheap ones first.
-
-        rival (c,): a disturbance that explains the samples as well; None where there is none.
-        """
+        """Return the result of the checks before a write, the cheap ones first; theta (d,): proposed."""
         if refusal := outside(theta, self._space):
             return _Verdict(None, (("veto", refusal),))
         allowed, reasons = within_rate(theta, held, self._space, self._settings.rate)
@@ -249,8 +246,9 @@ class Guard:
         if refusal := self._contradicted(allowed, held):
             return _Verdict(None, (*reasons, ("veto", refusal)))
         if peak is None:
-            return _Verdict(allowed, reasons) if rival is None else _Verdict(None, (*reasons, ("veto", _UNDECIDED)))
-        refusal, expected = self._predicted(allowed, held, estimate, error, peak, rival)
+            is_decided = proposal.is_warranted
+            return _Verdict(allowed, reasons) if is_decided else _Verdict(None, (*reasons, ("veto", _UNDECIDED)))
+        refusal, expected = self._predicted(proposal, allowed, held, estimate, error, peak)
         return _Verdict(None, (*reasons, ("veto", refusal))) if refusal else _Verdict(allowed, reasons, expected)
 
     def _contradicted(self, theta: Vector, held: Vector) -> str | None:
@@ -262,12 +260,12 @@ class Guard:
 
     def _predicted(
         self,
+        proposal: Proposal,
         theta: Vector,
         held: Vector,
         estimate: Estimate,
         error: float,
         peak: PredictedPeak,
-        rival: Vector | None,
     ) -> tuple[str | None, float]:
         """Return the reason why a write is predicted to be unsafe in a plant that is still possible, or None.
 
@@ -279,12 +277,12 @@ class Guard:
             (name, plant, None)
             for name, plant in self._support.plausible_parameters(estimate.theta, self._settings.n_std, _LITTLE)
         ]
-        if rival is not None:
-            plants.insert(0, ("parameters held, and a disturbance", held, rival))
+        if proposal.possible_disturbance is not None:
+            plants.insert(0, ("parameters held, and a disturbance", held, proposal.possible_disturbance))
         for name, plant, disturbance in plants:
             found = peak(theta, plant, disturbance)
             if found is None:
-                if disturbance is not None:
+                if disturbance is not None and not proposal.is_warranted:
                     return "a disturbance explains the samples as well, and its effect cannot be predicted", expected
                 continue
             harmless = growth * error

@@ -75,6 +75,8 @@ class Probation:
             further = self._growth * jump
             self._trials = deque(replace(trial, expected=trial.expected + further) for trial in self._trials)
         if is_proposed or self._trials or not isfinite(error):
+            if not self._usual:  # at the start of a run nothing else is known
+                self._usual.extend(self._newest)
             self._newest.clear()
             return
         self._newest.append(error)

@@ -197,7 +197,7 @@ class Supervisor:
     def _ruling(self, point: Point, proposal: Proposal, held: Vector) -> Ruling:
         """Return the guard's ruling on a proposal."""
         if self._guard is None:
-            return Ruling(proposal.theta if proposal.possible_disturbance is None else None)
+            return Ruling(proposal.theta if proposal.is_warranted else None)
         lookahead, prediction = self._lookahead, None
         if not isinstance(lookahead, str) and point.measured is not None:
             prediction = Prediction(lookahead, point.k, point.measured, point.values)

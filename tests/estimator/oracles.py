@@ -546,7 +546,8 @@ def check_margins_are_very_strong_evidence(hypotheses):
     """Kass and Raftery (1995): from 10 on. Where a rival's score is that much more, and that much less, it tips."""
     fit = hypotheses.Fit(20.0, 2, 20)
     awful = hypotheses.Fit(1e6, 0, 20)
-    for verdict, tips_at in (("are_parameters_proven", 10.0), ("are_parameters_possible", -10.0)):
+    verdicts = (("are_parameters_certain", 20.0), ("are_parameters_proven", 10.0), ("are_parameters_possible", -10.0))
+    for verdict, tips_at in verdicts:
         for order in (1, -1):
             low, high = -50.0, 50.0
             while high - low > 1e-9:

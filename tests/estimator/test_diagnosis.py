@@ -91,9 +91,9 @@ class Run:
     def take(self, sample):
         proposal = self.retuner.step(sample.t, sample, 0.0, self.held)
         self.events += [(self.k, event) for event in proposal.events]
-        if proposal.possible_disturbance is not None:
+        if not proposal.is_warranted:
             self.unsure.append((self.k, proposal.possible_disturbance))
-        if proposal.theta is not None and (self.is_trusting or proposal.possible_disturbance is None):
+        if proposal.theta is not None and (self.is_trusting or proposal.is_warranted):
             self.held = proposal.theta
             self.writes.append((self.k, proposal.theta))
         if proposal.undo is not None:
@@ -238,6 +238,19 @@ def test_after_parameters_that_have_moved_the_right_ones_are_written(n_channels,
     """A fast drift, 0.4 % of the bounds a sample, and a slow one, 0.02 %."""
     run = Run("least-squares", n_channels).go(150).go(n, moving(n)).go(150, CHANGED)
     assert near(run.held, CHANGED, 0.03)
+
+
+@CHANNELS
+def test_what_has_passed_before_anything_was_written_counts_as_a_search_in_vain(n_channels):
+    """So that correlated noise, which comes and goes, ends in a rest; two outliers count for nothing."""
+    run = Run("least-squares", n_channels)
+    for n_bad, n_counted in ((2, 0), (4, 1), (3, 2)):
+        for i in range(40):
+            run.k += 1
+            run.diagnosis.observe(run.sample(TRUE, 0.3 * (-1) ** i * (i < n_bad)), TRUE)
+            run.diagnosis.settle(0.05 * run.k, TRUE)
+        assert run.diagnosis._state.n_failures == n_counted
+        assert not run.diagnosis.is_suspicious
 
 
 @CHANNELS

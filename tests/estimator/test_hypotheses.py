@@ -158,6 +158,7 @@ def test_proof_needs_the_margin_and_possibility_does_not():
             weighing = Weighing(parameters, *pair)
             assert (weighing.are_parameters_proven, weighing.are_parameters_possible) == (is_proven, is_possible)
     wrong = Weighing(Fit(1e3, 2, n), Fit(1e6, 0, n), Fit(1e6, 0, n))
+    assert not wrong.are_parameters_certain
     assert not wrong.are_parameters_proven
     assert not wrong.are_parameters_possible
 

@@ -17,7 +17,8 @@ N_APART = 10
 BOTH = ((1.0, 0.0), (0.0, 1.0))
 ESTIMATE = Estimate(GOOD, np.full(2, 0.1), (True, True), 0.0, 1, "incumbent")
 PROVEN = Proposal(GOOD, ESTIMATE)
-POSSIBLE = replace(PROVEN, possible_disturbance=np.array([0.3]))
+POSSIBLE = replace(PROVEN, possible_disturbance=np.array([0.3]), is_warranted=False)
+LIKELY = replace(POSSIBLE, is_warranted=True)
 MUTE = Sample(9.0, (0.0, 0.0), (), (0.0,))
 
 
@@ -33,6 +34,15 @@ def test_what_is_usual_is_the_largest_error_but_for_the_newest():
     assert probation([0.02, *[0.01] * N_APART]).tolerated(is_proven=False) == pytest.approx(0.03)
     assert probation([*[0.01] * N_APART, *[0.2] * N_APART]).tolerated(is_proven=False) == pytest.approx(0.015)
     assert probation([0.02, *[0.01] * (N_APART + 1000)]).tolerated(is_proven=False) == pytest.approx(0.015)
+
+
+def test_at_the_start_of_a_run_what_was_before_the_first_proposal_is_usual():
+    made = probation([0.01, 0.02])
+    made.watch(0.3, (), is_proposed=True)
+    assert made.tolerated(is_proven=False) == pytest.approx(0.03)
+    made.watch(0.3, (), is_proposed=False)
+    made.watch(0.3, (), is_proposed=True)
+    assert made.tolerated(is_proven=False) == pytest.approx(0.03)
 
 
 def test_what_is_usual_is_never_tolerated_above_the_tolerance_and_leaves_proven_parameters_alone():
@@ -76,6 +86,7 @@ def predicted(found):
 def test_parameters_that_may_be_the_old_ones_are_written_where_the_error_stays_usual(found, told):
     peak = predicted(found)
     assert kinds(guard(peak), 100, 0.001, POSSIBLE, peak) == told
+    assert kinds(guard(peak), 100, 0.001, LIKELY, peak) == told
     assert kinds(guard(peak), 100, 0.001, PROVEN, peak) == []
 
 
@@ -109,3 +120,10 @@ def test_what_may_be_a_disturbance_is_refused_with_the_reason_where_nothing_is_p
     reason = "a disturbance explains the samples as well, and the loop is not simulated ahead"
     assert ruling.write is None
     assert [(event.kind, event.detail["reason"]) for event in ruling.events] == [("veto", reason)]
+
+
+def test_what_is_warranted_is_written_where_the_effect_of_a_disturbance_is_unknown():
+    unknown = lambda controller, plant, disturbance: None if disturbance is not None else 0.01  # noqa: E731
+    for peak in (None, unknown):
+        assert guard(peak).step(100, 1.0, 0.01, LIKELY, peak).write is LIKELY.theta
+        assert guard(peak).step(100, 1.0, 0.01, POSSIBLE, peak).write is None

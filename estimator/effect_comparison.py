@@ -19,7 +19,7 @@ from .friction import NO_FRICTION, FoundFriction, Friction, find_friction
 from .hypotheses import MARGIN, Fit, changed_parameters, disturbance_of, plain_fit
 from .input_lag import NO_LAG, FoundLag
 from .jump import jump_to
-from .samples import Sample
+from .samples import Sample, Samples
 from .space import Vector
 
 LONG: Final = 6
@@ -169,7 +169,7 @@ class EffectComparison(HypothesisComparison):
         if samples[0].t < history.begin:
             return NO_LAG
         known = replace(self._known, disturbance=offset * self._sigma, arriving={})
-        corrected = [known.without(sample) for sample in samples]
+        corrected = Samples(known.without(sample) for sample in samples)
         lost = np.array([friction.without(replace(s, u=(0.0,) * len(s.u))).u for s in samples]) if friction else 0.0
 
         def rows_with(inputs: Vector) -> Vector:
@@ -233,11 +233,11 @@ class EffectComparison(HypothesisComparison):
             return NO_FRICTION
         return find_friction(partial(self.scaled_rows, theta), raw, self._declared.channels)
 
-    def _raw(self, samples: Sequence[Sample]) -> list[Sample]:
+    def _raw(self, samples: Sequence[Sample]) -> Samples:
         """Return samples with the inputs that arrive, no friction or disturbance known, and all channels."""
         state, none = self._state, np.zeros(len(self._names))
         known = replace(self._known, disturbance=none, friction=Friction(), is_resting=none.astype(bool))
-        return [known.without(s) for s in samples if not state.inputs.lag or s.t >= state.inputs.begin]
+        return Samples(known.without(s) for s in samples if not state.inputs.lag or s.t >= state.inputs.begin)
 
     def _is_plain(self, theta: Vector, samples: Sequence[Sample], friction: Fit) -> bool:
         """Return whether a smooth disturbance, or other parameters than theta (d,), explain samples as well."""

@@ -47,12 +47,13 @@ def arriving(lags: Sequence[Lag], times: Vector, inputs: Vector, start: Vector) 
     """
     made = np.empty((len(times), len(lags), inputs.shape[1]))
     made[:] = start
+    gaps = np.diff(times)[:, None, None]
     following = [j for j, lag in enumerate(lags) if lag.time_constant]
     if following:
-        taus = np.array([lags[j].time_constant for j in following])
+        taus = np.array([lags[j].time_constant for j in following])[:, None]
         v = made[0, following]
         way = [v]
-        for gain, u in zip(-np.expm1(-np.diff(times)[:, None] / taus)[..., None], inputs[1:], strict=True):
+        for gain, u in zip(-np.expm1(-gaps / taus), inputs[1:], strict=True):
             v = v + gain * (u - v)
             way.append(v)
         made[:, following] = way
@@ -61,8 +62,8 @@ def arriving(lags: Sequence[Lag], times: Vector, inputs: Vector, start: Vector) 
         rates = np.array([lags[j].rates for j in limited])
         v = made[0, limited]
         way = [v]
-        for dt, u in zip(np.diff(times).tolist(), inputs[1:], strict=True):
-            v = v + np.clip(u - v, -rates * dt, rates * dt)
+        for most, u in zip(gaps * rates, inputs[1:], strict=True):
+            v = v + np.minimum(np.maximum(u - v, -most), most)
             way.append(v)
         made[:, limited] = way
     for j, lag in enumerate(lags):

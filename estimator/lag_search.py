@@ -71,13 +71,17 @@ def _inner(tried: Sequence[TriedLag]) -> TriedLag | None:
 
 def _refined(fits: Fits, best: TriedLag, lag_of: Callable[[float], Lag], value: float, tried: Vector) -> TriedLag:
     """Return the best lag_of(v) for v between the values that were tried beside the best one, or that one."""
-    ratio = tried[1] / tried[0]
-    refined = scipy.optimize.minimize_scalar(
-        lambda log_value: fits([lag_of(float(np.exp(log_value)))])[0].fit.squares,
-        bounds=np.log(value * np.array([1.0 / ratio, ratio])),
-        method="bounded", options={"xatol": _PRECISION},
-    )  # fmt: skip
-    return min(best, *fits([lag_of(float(np.exp(refined.x)))]), key=lambda one: one.fit.squares)
+    ratio, found = tried[1] / tried[0], dict[float, TriedLag]()
+
+    def squares(log_value: float) -> float:
+        (one,) = fits([lag_of(float(np.exp(log_value)))])
+        found[log_value] = one
+        return one.fit.squares
+
+    bounds = np.log(value * np.array([1.0 / ratio, ratio]))
+    options = {"xatol": _PRECISION}
+    refined = scipy.optimize.minimize_scalar(squares, bounds=bounds, method="bounded", options=options)
+    return min(best, found[refined.x], key=lambda one: one.fit.squares)
 
 
 def _limited(fits: Fits, times: Vector, inputs: Vector, none: Fit) -> TriedLag | None:

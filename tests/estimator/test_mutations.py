@@ -60,13 +60,12 @@ MATERNS = (MATERN, MATERN_TEXTBOOK)
 
 MUTANTS = [
     # id, module, old, new, the checks that must reject it
-    ("lag-by-one-euler-step", LAG, "-np.expm1(-np.diff(times)[:, None] / taus)", "(np.diff(times)[:, None] / taus)",
-     (ARRIVING,)),
-    ("lag-of-the-input-before", LAG, "/ taus)[..., None], inputs[1:]", "/ taus)[..., None], inputs[:-1]", (ARRIVING,)),
+    ("lag-by-one-euler-step", LAG, "-np.expm1(-gaps / taus)", "gaps / taus", (ARRIVING,)),
+    ("lag-of-the-input-before", LAG, "/ taus), inputs[1:]", "/ taus), inputs[:-1]", (ARRIVING,)),
     ("dead-time-of-one-sample-more", LAG, "inputs[: max(len(inputs) - lag.n_late, 0)]",
      "inputs[[0, *range(len(inputs) - lag.n_late - 1)]]", (ARRIVING,)),
-    ("rate-by-the-sample", LAG, "-rates * dt, rates * dt", "-rates, rates", (RATES,)),
-    ("rate-of-the-input-before", LAG, "np.clip(u - v, -rates * dt", "np.clip(u - start, -rates * dt", (RATES,)),
+    ("rate-by-the-sample", LAG, "zip(gaps * rates,", "zip(gaps * 0.0 + rates,", (RATES,)),
+    ("rate-of-the-input-before", LAG, "np.maximum(u - v, -most)", "np.maximum(u - start, -most)", (RATES,)),
     ("fading-twice-as-fast", LAG, "np.exp(-(times - times[0]) /", "np.exp(-2.0 * (times - times[0]) /", (FADING,)),
     ("fading-one-sample-longer", LAG, "np.arange(len(times)) < self.n_late", "np.arange(len(times)) <= self.n_late",
      (FADING,)),

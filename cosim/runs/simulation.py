@@ -12,6 +12,7 @@ from ..retuning.estimators import check_estimator
 from ..scenarios.scenario import Scenario
 from ..scenarios.trust import check_trust, trusted, with_own
 from ..slaves.slave import open_slave
+from ..slaves.supervision.fork_server import forked_processes
 from ..system.aliases import as_the_fmus_have_it
 from ..system.fmu_cache import fmu_paths
 from ..system.package_cache import hold_those_of
@@ -84,14 +85,15 @@ def _simulated(
     with one_thread(), ExitStack() as stack:  # the number of BLAS threads changes bits
         begun = perf_counter()
         settings = scenario.scenario
-        slaves = {
-            name: stack.enter_context(
-                TableSlave(path, name)
-                if is_table(path)
-                else open_slave(path, name, **settings.slave_options, tolerance=scenario.components[name].tolerance)
-            )
-            for name, path in paths.items()
-        }
+        with forked_processes():  # Python starts once for all of them
+            slaves = {
+                name: stack.enter_context(
+                    TableSlave(path, name)
+                    if is_table(path)
+                    else open_slave(path, name, **settings.slave_options, tolerance=scenario.components[name].tolerance)
+                )
+                for name, path in paths.items()
+            }
         scenario = as_the_fmus_have_it(scenario, slaves)
         loop = open_loop(scenario, slaves, paths, estimator, seed, begun, stack)
         fault = loop.initialize()

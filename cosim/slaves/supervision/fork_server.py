@@ -40,9 +40,10 @@ _ADOPTION: Final = threading.Lock()  # it is a property of the whole process
 def forked_processes() -> Generator[None]:
     """Take FMUs' processes from servers in this context, which run until its end; where there are none it does nothing.
 
-    Nothing but time depends on it.
+    Within another such context it is those of that one. Nothing but time depends on it.
     """
-    if not _is_possible():
+    outer = _SERVERS.get()
+    if not _is_possible() or (outer is not None and outer.are_ours):
         yield
         return
     servers = ForkServers()
@@ -71,9 +72,14 @@ class ForkServers:
         self._lock = threading.Lock()
         self._servers: dict[str, _ForkServer] = {}
 
+    @property
+    def are_ours(self) -> bool:
+        """False in a fork of the process that has started them, whose requests would mix with its own."""
+        return os.getpid() == self._owner
+
     def process(self, program: str, end: ChildEnd, variables: Mapping[str, str], output: int) -> "ForkedProcess | None":
         """Return a new process; None where the server has died or does not answer."""
-        if os.getpid() != self._owner:  # a fork of it, whose requests would mix with its own
+        if not self.are_ours:
             return None
         common = {**variables, VARIABLE: "0" * len(variables[VARIABLE])}
         key = json.dumps([program, common, sys.path])
@@ -92,7 +98,7 @@ class ForkServers:
 
     def close(self) -> None:
         """End the servers; processes that they have made go on."""
-        if os.getpid() == self._owner:
+        if self.are_ours:
             for server in self._servers.values():
                 server.close()
         self._servers.clear()

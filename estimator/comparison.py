@@ -5,7 +5,7 @@ evidence, and `diagnosis` for what follows from it.
 """
 
 from collections.abc import Iterator, Sequence
-from itertools import zip_longest
+from operator import is_
 from typing import Any, ClassVar, Final
 
 import numpy as np
@@ -298,9 +298,10 @@ class HypothesisComparison:
     def _newest(self, n: int) -> Samples:
         """Return the newest n samples, corrected, always the same ones while nothing new is known."""
         state = self._state
-        basis = state.samples[-1], state.inputs.lag, state.inputs.arriving, state.friction, state.offset
-        if any(a is not b for a, b in zip_longest((*basis, state.is_resting), self._basis)):
-            self._basis, self._of_basis = (*basis, state.is_resting), {}
+        inputs = state.inputs
+        basis = state.samples[-1], inputs.lag, inputs.arriving, state.friction, state.offset, state.is_resting
+        if not (self._basis and all(map(is_, basis, self._basis))):
+            self._basis, self._of_basis = basis, {}
         if n not in self._of_basis:
             known = self._known if self._is_correcting else None
             samples = state.samples[-n:]

@@ -82,7 +82,7 @@ def plain_fit(rows: Vector, n_free: int, n_values: int | None = None) -> Fit:
 
 def n_channels_of(rows: Vector) -> int:
     """Return the number of channels in rows (n, c): those with a value other than zero."""
-    return int(np.count_nonzero((rows != 0.0).any(axis=0)))
+    return int(np.count_nonzero(rows.any(axis=0)))
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,12 @@
 """Samples of the plant, and the residuals of a model at one of them."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import nan
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .space import ParameterSpace, Vector
 
@@ -37,20 +36,13 @@ class Sample:
 class Samples(tuple[Sample, ...]):
     """Samples whose arrays are made once, however many candidates they are compared with."""
 
-    @cached_property
-    def xdot(self) -> Vector:
+    def __init__(self, samples: Iterable[Sample] = (), /) -> None:
+        self.xdot: Vector = np.array([s.xdot for s in self], dtype=float)
         """Sampled derivatives (n, c); NaN where there are none."""
-        return np.array([s.xdot for s in self], dtype=float)
-
-    @cached_property
-    def is_missing(self) -> NDArray[np.bool_] | None:
-        """True where there is no derivative (n, c); None where there are all."""
         is_missing = np.isnan(self.xdot)
-        return is_missing if is_missing.any() else None
-
-    @cached_property
-    def _columns(self) -> dict[tuple[str, int], Vector]:
-        return {}
+        self.is_missing = is_missing if is_missing.any() else None
+        """True where there is no derivative (n, c); None where there are all."""
+        self._columns: dict[tuple[str, int], Vector] = {}
 
     def columns(self, name: Literal["x", "u"], k: int) -> Vector:
         """Return states or inputs as columns, k times over: (m, k n)."""

@@ -95,8 +95,8 @@ class ParameterSpace:
 
     def to_unit(self, theta: ArrayLike) -> Vector:
         """Return the place in the unit cube of values (..., d); values outside the bounds go to the nearest bound."""
-        clipped = np.minimum(np.maximum(np.asarray(theta, dtype=float), self._lower), self._upper)
-        return (_scaled(clipped, self._is_log) - self._origin) / self._width
+        clipped = np.minimum(np.maximum(theta, self._lower), self._upper)
+        return (np.log(clipped, out=clipped, where=self._is_log) - self._origin) / self._width
 
     def from_unit(self, z: ArrayLike) -> Vector:
         """Return the values at places (..., d) in the unit cube; never outside the bounds."""

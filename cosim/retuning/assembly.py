@@ -38,7 +38,7 @@ from .supervisor import ReadBack, Supervisor
 _FEWEST: Final = 30
 """Least number of samples that the data support keeps: a recursive estimator's window is one."""
 _NUMERICS: Final = ("scipy.linalg", "scipy.optimize", "scipy.spatial", "scipy.special")
-"""Modules that a search needs, 0.3 s: loaded while the FMUs of a run start, not at its first evaluation."""
+"""Modules that a search needs, 0.3 s: loaded while FMUs start, those of the loop ahead too, not when first used."""
 
 
 def make_supervisor(
@@ -52,10 +52,12 @@ def make_supervisor(
     live: RunningPlant | None = None,
 ) -> Supervisor:
     """Return the supervisor of a scenario's controller; see `make_policy`. Raises ScenarioError."""
-    for part in _NUMERICS:
-        import_module(part)
     space, settings = scenario.estimation.space, scenario.guard
     whitened = _residual(scenario, plant, stack) if chosen(scenario).kind == "derivative" else None
+    rule = tuning_rule(scenario)
+    lookahead = _lookahead(scenario, plant, whitened, running, rule, stack)
+    for part in _NUMERICS:
+        import_module(part)
     diagnosis = None
     if whitened is not None and scenario.diagnosis.enabled:
         names = tuple(scenario.sampling.derivatives)
@@ -68,12 +70,10 @@ def make_supervisor(
         rows = whitened.rows if diagnosis is None else diagnosis.rows
         slopes = whitened.slope_rows if diagnosis is None else diagnosis.slopes
         support = DataSupport(rows, space, len(whitened.noise), max(scenario.estimation.window, _FEWEST), slopes)
-    rule = tuning_rule(scenario)
     variables = {} if running is None else written_variables(scenario, running.slaves)
     refusal = WriteCheck(rule, variables)
     guard = Guard(settings, space, held, scenario.limits.divergence, support, refusal) if settings.enabled else None
     read_back = None if running is None else _read_back(rule, running)
-    lookahead = _lookahead(scenario, plant, whitened, running, rule, stack)
     model = None if whitened is None or not isinstance(whitened.model, RememberingModel) else whitened.model
     screen = _screen(scenario, plant, whitened)
     return Supervisor(estimator, retuner, support, screen, guard, read_back, lookahead, model)

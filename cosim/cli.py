@@ -2,6 +2,7 @@
 
 import argparse
 import errno
+import gc
 import logging
 import os
 import sys
@@ -9,6 +10,7 @@ import traceback
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager, nullcontext
 from importlib import import_module
+from typing import Final
 
 from .blas_threads import ONE_THREAD
 from .errors import ScenarioError
@@ -21,6 +23,9 @@ from .terminal.signals import SignalHandler
 from .terminal.streams import can_print, drop_output, ready_streams
 from .warnings_log import warnings_logged
 
+_NEW_OBJECTS: Final = 10_000
+"""Number of new objects after which garbage is looked for, 700 by default: what modules make as they load stays."""
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code.
@@ -28,14 +33,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     The signal handlers are restored afterwards, unless a signal has interrupted the command: then none may cut the end
     of the program short.
     """
-    signals = SignalHandler()
+    signals, thresholds = SignalHandler(), gc.get_threshold()
     try:
         signals.take()
+        gc.set_threshold(_NEW_OBJECTS, *thresholds[1:])
         return _ended(arguments)
     except KeyboardInterrupt as e:
         print(f"retune: interrupted{'; ' if str(e) else ''}{e}", file=sys.stderr)
         return INTERRUPTED
     finally:
+        gc.set_threshold(*thresholds)
         signals.give_back()
 
 

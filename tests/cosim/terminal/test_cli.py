@@ -1,6 +1,7 @@
 """The command: what it prints, what it returns, what it leaves behind."""
 
 import errno
+import gc
 import importlib.util
 import json
 import os
@@ -266,6 +267,12 @@ REFUSED = [
     ("figures with a fractional seed", lambda f: ["figures", "--seed", "1.5"], "--seed"),
     ("picture over a file", lambda f: ["illustrate", "--out", f / "a file"], "exists"),
 ]
+
+
+def test_a_command_that_a_program_calls_leaves_the_garbage_collector_as_it_was(called):
+    before = gc.get_threshold()
+    assert called("info", "nothing.fmu")[0] == 2
+    assert gc.get_threshold() == before
 
 
 @pytest.mark.parametrize(("arguments", "subject"), [r[1:] for r in REFUSED], ids=[r[0] for r in REFUSED])

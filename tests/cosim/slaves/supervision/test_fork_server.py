@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 import threading
-from contextlib import nullcontext
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
 
 import pytest
@@ -91,6 +91,25 @@ def test_each_is_a_child_of_ours_with_a_group_and_a_mark_of_its_own(counting, se
         assert (outputs["parent"], outputs["group"]) == (os.getpid(), 1.0)
         assert outputs["mark"] == outputs["shown"] > 0.0
     assert found[0]["mark"] != found[1]["mark"]
+    assert servers() == set()
+
+
+def test_a_context_within_another_takes_them_from_its_server_and_leaves_it(counting, servers):
+    with forked_processes():
+        for _ in range(2):
+            with forked_processes(), open_slave(counting, "a") as slave:
+                assert outputs_of(slave)["n"] == 1.0
+        assert len(servers()) == 1
+    assert servers() == set()
+
+
+def test_processes_go_on_after_their_server(counting, servers):
+    with ExitStack() as stack:
+        with forked_processes():
+            slave = stack.enter_context(open_slave(counting, "a"))
+            assert len(servers()) == 2, "the server and its copy, which looks like it"
+        assert len(servers()) == 1
+        assert outputs_of(slave)["n"] == 1.0
     assert servers() == set()
 
 

@@ -28,6 +28,7 @@ from .wandering import agree
 
 _SURE: Final = 10
 """Number of samples on which a lag need not explain better than changed parameters, which have more values."""
+_PASSED: Final = "a disturbance has passed: the parameters before it explain the samples again"
 _SPARE: Final = 10
 """Least number of explained values in excess of the fitted ones that makes good for a search in vain."""
 
@@ -102,6 +103,7 @@ class Diagnosis(EffectDiagnosis):
         if state.n_since or is_contradictory:
             if not state.n_since:
                 state.reference, state.verdict, state.changed, state.has_moved = held, "refuted", None, False
+                state.unexplained = None
                 if state.lasting is None or state.n_samples >= state.suspected_at + FORGOTTEN:
                     state.lasting, state.lasting_at, state.since_lasting = held, state.n_samples, []
                     state.next_effect = 0
@@ -124,7 +126,7 @@ class Diagnosis(EffectDiagnosis):
         n = state.n_since
         settled = self._late_effect(t, held)
         if settled is not None or not n:
-            return settled
+            return settled or self._passed_since(t)
         reference = held if state.reference is None else state.reference
         if self._is_friction_over(reference, min(n, QUIET)):
             return self._with_friction(t, None)
@@ -282,6 +284,7 @@ class Diagnosis(EffectDiagnosis):
                 best = disturbance_of(self._rows(before, n))
             events = self._name(t, best)
             return Settled(self._undone(before), events, True)
+        state.unexplained = _largest(self._rows(before, state.n_since))
         state.n_since, state.verdict = 0, "refuted"
         self._doubt_friction(before)
         lacks = self._unexplained(rows if theta is None else self._rows(theta, n))
@@ -322,7 +325,7 @@ class Diagnosis(EffectDiagnosis):
         is_changed: true where others are in force. They are undone, and a disturbance that was not known is named.
         """
         state = self._state
-        largest = rows[np.abs(rows).argmax(axis=0), np.arange(rows.shape[1])]
+        largest = _largest(rows)
         acts, was_known = _acting(np.abs(largest)), bool(np.any(state.offset))
         n_unusual = sum(not self._is_usual(row, n_channels_of(rows)) for row in rows)
         lasting, n_newest = state.lasting, min(len(rows), QUIET)
@@ -332,13 +335,22 @@ class Diagnosis(EffectDiagnosis):
         if was_known:
             events = (Event(t, "disturbance", {"size": {}, "reason": "the disturbance is over"}),)
         elif is_changed and n_unusual >= FEWEST:
-            reason = "a disturbance has passed: the parameters before it explain the samples again"
-            events = (self._named(t, largest * state.scale.effective, acts, reason),)
+            events = (self._named(t, largest * state.scale.effective, acts, _PASSED),)
         state.offset, state.n_since = np.zeros(len(acts)), 0
         if not is_changed:
             return Settled(None, events, True)
         events = (*events, *self._in_vain(t, acts))
         return Settled(self._undone(before), events, True)
+
+    def _passed_since(self, t: float) -> Settled | None:
+        """Name a disturbance, the last search being in vain, as the parameters before it explain the samples again."""
+        state, largest = self._state, self._state.unexplained
+        if largest is None or state.n_quiet < QUIET or np.any(state.offset):
+            return None
+        state.unexplained = None
+        return Settled(
+            None, (self._named(t, largest * state.scale.effective, _acting(np.abs(largest)), _PASSED),), True
+        )
 
     def _named(self, t: float, offset: Vector, acts: NDArray[np.bool_], reason: str) -> Event:
         """Count a disturbance (c,), in standard deviations of the declared noise; return its event."""
@@ -376,12 +388,18 @@ class Diagnosis(EffectDiagnosis):
         channels = ~state.is_resting if state.is_resting.any() else channels
         length = self._settings.rest_length(state.n_failures)
         state.rest(channels, length)
+        state.unexplained = None
         names = self._of(channels)
         reason = f"{state.n_failures} searches in vain: {', '.join(names)} left out for {length} samples"
         return Event(t, "rest", {"channels": names, "n_samples": length, "reason": reason})
 
     def _is_usual(self, row: Vector, n_sampled: int) -> bool:
         return not n_sampled or float(row @ row) <= chi2_limit(self._settings.false_alarm, n_sampled)
+
+
+def _largest(rows: Vector) -> Vector:
+    """Return the value (c,) of largest size in each column of rows (n, c)."""
+    return rows[np.abs(rows).argmax(axis=0), np.arange(rows.shape[1])]
 
 
 def _acting(largest: Vector) -> NDArray[np.bool_]:

@@ -42,6 +42,8 @@ class DiagnosisState:
     """Known friction that the model lacks."""
     n_failures: int = 0
     """Number of searches in vain, one soon after the other."""
+    unexplained: Vector | None = None
+    """Largest residuals (c,) of the last search in vain; None before one, and since samples were suspicious again."""
     n_quiet: int = 0
     """Number of quiet samples in a row."""
     findings: Findings = field(default_factory=Findings)

@@ -254,6 +254,33 @@ def test_what_has_passed_before_anything_was_written_counts_as_a_search_in_vain(
 
 
 @CHANNELS
+@pytest.mark.parametrize("n_quiet", [4, 20])
+def test_what_no_parameters_explain_is_named_a_disturbance_once_it_has_passed(n_channels, n_quiet):
+    """After five samples that the parameters before it explain, and where nothing contradicts them first."""
+    run = Run("least-squares", n_channels)
+
+    def go(*added):
+        events = []
+        for more in added:
+            run.k += 1
+            run.diagnosis.observe(run.sample(TRUE, more), TRUE)
+            settled = run.diagnosis.settle(0.05 * run.k, TRUE)
+            events += [] if settled is None else settled.events
+        return events
+
+    for is_again, is_named in ((False, n_quiet >= 5), (True, False)):
+        go(*[0.3, -0.3] * 3)
+        failed = run.diagnosis.fail(0.05 * run.k, None, TRUE)
+        assert [event.kind for event in failed.events] == ["unexplained"]
+        named = go(*[0.0] * (2 if is_again else n_quiet), *[0.3] * is_again, *[0.0] * (n_quiet * is_again))
+        assert [event.kind for event in named] == ["disturbance"] * is_named
+        for event in named:
+            assert "has passed" in event.detail["reason"]
+            assert list(event.detail["size"]) == list(run.names)
+            assert_allclose(np.abs(list(event.detail["size"].values())), 0.3, atol=5.0 * SIGMA)
+
+
+@CHANNELS
 @pytest.mark.parametrize("n", [300, pytest.param(3000, marks=pytest.mark.full)])
 def test_a_filter_follows_parameters_that_drift(n_channels, n):
     run = Run("ukf", n_channels).go(150)

@@ -311,8 +311,8 @@ class Diagnosis(EffectDiagnosis):
         """Take a disturbance for the explanation; return the events."""
         state = self._state
         state.n_since, state.verdict = 0, "refuted"
-        acts = _acting(found.largest)
         offset = state.offset + found.newest * state.scale.effective
+        acts = _acting(np.maximum(found.largest, np.abs(offset) / state.scale.effective))
         if found.is_constant:  # else it is another one in the next sample
             state.offset = offset
         how = "constant" if found.is_constant else "changing"

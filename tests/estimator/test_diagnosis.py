@@ -280,6 +280,21 @@ def test_what_no_parameters_explain_is_named_a_disturbance_once_it_has_passed(n_
             assert_allclose(np.abs(list(event.detail["size"].values())), 0.3, atol=5.0 * SIGMA)
 
 
+def test_an_event_has_the_whole_known_disturbance_and_all_its_channels_rest():
+    """Also what was known before: it acts, and what it does on the others may make it seem to change."""
+    run, told = Run("least-squares", 3), []
+    for added in ((0.3, 0.0, 0.0), (0.3, 0.3, 0.0), (0.3, -0.3, 0.0)):
+        for _ in range(6):
+            run.k += 1
+            run.diagnosis.observe(run.sample(TRUE, np.array(added)), TRUE)
+        told += run.diagnosis.fail(0.05 * run.k, None, TRUE).events
+    assert [event.kind for event in told] == ["disturbance"] * 3 + ["rest"]
+    sizes = [event.detail["size"] for event in told[:3]]
+    assert [list(size) for size in sizes] == [["der0"], ["der0", "der1"], ["der0", "der1"]]
+    assert_allclose(list(sizes[2].values()), [0.3, -0.3], atol=5.0 * SIGMA)
+    assert told[3].detail["channels"] == ["der0", "der1"]
+
+
 @CHANNELS
 @pytest.mark.parametrize("n", [300, pytest.param(3000, marks=pytest.mark.full)])
 def test_a_filter_follows_parameters_that_drift(n_channels, n):

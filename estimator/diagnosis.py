@@ -125,8 +125,11 @@ class Diagnosis(EffectDiagnosis):
         state = self._state
         n = state.n_since
         settled = self._late_effect(t, held)
-        if settled is not None or not n:
-            return settled or self._passed_since(t)
+        if settled is not None:
+            state.unexplained = None  # it was this
+            return settled
+        if not n:
+            return self._passed_since(t)
         reference = held if state.reference is None else state.reference
         if self._is_friction_over(reference, min(n, QUIET)):
             return self._with_friction(t, None)

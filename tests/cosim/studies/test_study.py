@@ -6,6 +6,7 @@ import shlex
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -174,7 +175,12 @@ def fmus_below(workers):
     """The FMUs' processes of some workers, without the server that they are copies of, whose mark is none."""
     none = b"FMU_RETUNE_PROCESS=" + 16 * b"0"
     below = [process for worker in workers for process in children_of(worker)]
-    return [p for p in below if none not in Path(f"/proc/{p}/environ").read_bytes()]
+    found = []
+    for process in below:
+        with suppress(OSError):  # it has ended since
+            environment = Path(f"/proc/{process}/environ").read_bytes()
+            found += [process] if environment and none not in environment else []
+    return found
 
 
 @pytest.mark.full

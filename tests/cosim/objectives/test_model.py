@@ -89,23 +89,17 @@ def test_a_candidate_without_a_value_is_nan_and_the_next_one_is_not(model):
     assert fmu(X, U, **THETA) == before
 
 
-def test_an_fmu_that_dies_on_a_candidate_is_started_anew(model, children):
+@pytest.mark.parametrize("killed_by", [signal.SIGSEGV, signal.SIGKILL])
+def test_an_fmu_that_dies_on_a_candidate_is_started_anew(model, children, killed_by):
+    """Of itself, and the candidate has no value; or killed from outside, which is no fault of the candidate's."""
     others = children()
     fmu = model("quadrotor")
     (process_id,) = children() - others
     before = fmu(X, U, **THETA)
-    os.kill(process_id, signal.SIGSEGV)
-    with pytest.raises(ValueError, match=r"Quadrotor: .*process was ended by SIGSEGV"):
-        fmu(X, U, **THETA)
-    assert fmu(X, U, **THETA) == before
-
-
-def test_a_candidate_whose_process_was_killed_from_outside_has_its_value(model, children):
-    others = children()
-    fmu = model("quadrotor")
-    (process_id,) = children() - others
-    before = fmu(X, U, **THETA)
-    os.kill(process_id, signal.SIGKILL)
+    os.kill(process_id, killed_by)
+    if killed_by == signal.SIGSEGV:
+        with pytest.raises(ValueError, match=r"Quadrotor: .*process was ended by SIGSEGV"):
+            fmu(X, U, **THETA)
     assert fmu(X, U, **THETA) == before
 
 

@@ -26,10 +26,9 @@ from .hypotheses import (
     n_channels_of,
     plain_fit,
 )
-from .input_lag import InputHistory
 from .jump import jump_to
 from .known_effects import KnownEffects
-from .residual_scale import ResidualScale, spread_of
+from .residual_scale import spread_of
 from .samples import DerivativeResidual, Sample, Samples
 from .space import ParameterSpace, Vector
 
@@ -73,12 +72,9 @@ class HypothesisComparison:
         self._declared, self._names, self._inputs = declared, tuple(names), tuple(inputs)
         self._sigma, self.space = np.array(sigma), space
         self.evidence = Evidence()
-        c = len(self._names)
-        zero = np.zeros(c, dtype=np.intp)
-        self._state = DiagnosisState([], ResidualScale(c), np.zeros(c), zero, np.zeros(c, dtype=bool))
+        self._state = DiagnosisState.at_start(len(self._names), may_lag)
         self._basis: tuple[Any, ...] = ()  # of the newest samples that are corrected
         self._of_basis: dict[int, Samples] = {}  # these, by their number
-        self._state.inputs = InputHistory(None if may_lag is None else tuple(may_lag))
 
     def residual(self, theta: Vector, sample: Sample) -> Vector:
         """Return the residual (c,) in standard deviations of its true size, less the known disturbance.
@@ -168,7 +164,7 @@ class HypothesisComparison:
         state = self._state
         if not is_filter and state.n_samples < state.next_jump and state.n_since >= QUIET:
             return None
-        reference = held if state.reference is None else state.reference
+        reference = state.reference_or(held)
         z = self.space.to_unit(reference)
         lengths = (state.n_since, state.n_explained) if is_filter else (state.n_since,)
         may_be_exact = not is_filter and state.n_since <= len(self.space) and self._all_contradict(reference)
@@ -201,7 +197,7 @@ class HypothesisComparison:
         state = self._state
         if not state.n_since:
             return state.offset * self._sigma
-        reference = held if state.reference is None else state.reference
+        reference = state.reference_or(held)
         found = disturbance_of(self._rows(reference, min(state.n_since, QUIET)))
         return (state.offset + found.newest * state.scale.effective) * self._sigma
 
@@ -209,7 +205,7 @@ class HypothesisComparison:
         """Compare the hypotheses on the newest samples since the onset, fewer of them where nothing explains more."""
         state, space = self._state, self.space
         state.found_at, state.verdict = state.n_samples, "refuted"
-        reference = held if state.reference is None else state.reference
+        reference = state.reference_or(held)
         there = self._rows(theta, state.n_since)
         for n in _shorter(state.n_since):
             if self._wins(plain_fit(there[-n:], len(space)), reference, n):

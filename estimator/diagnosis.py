@@ -71,7 +71,7 @@ class Diagnosis(EffectDiagnosis):
 
     def restore(self, state: DiagnosisState) -> None:
         """Go back to a snapshot, which is used up."""
-        self._state = state
+        self._state.restore(state)
 
     def summary(self) -> dict[str, Any]:
         """Return what is known of each channel, and the number of events of each kind, as JSON values."""
@@ -103,7 +103,7 @@ class Diagnosis(EffectDiagnosis):
         if state.n_since or is_contradictory:
             if not state.n_since:
                 state.reference, state.verdict, state.changed, state.has_moved = held, "refuted", None, False
-                state.unexplained = None
+                state.largest_in_vain = None
                 if state.lasting is None or state.n_samples >= state.suspected_at + FORGOTTEN:
                     state.lasting, state.lasting_at, state.since_lasting = held, state.n_samples, []
                     state.next_effect = 0
@@ -126,11 +126,11 @@ class Diagnosis(EffectDiagnosis):
         n = state.n_since
         settled = self._late_effect(t, held)
         if settled is not None:
-            state.unexplained = None  # it was this
+            state.largest_in_vain = None  # it was this
             return settled
         if not n:
             return self._passed_since(t)
-        reference = held if state.reference is None else state.reference
+        reference = state.reference_or(held)
         if self._is_friction_over(reference, min(n, QUIET)):
             return self._with_friction(t, None)
         is_changed = not np.array_equal(reference, held)
@@ -216,7 +216,7 @@ class Diagnosis(EffectDiagnosis):
             found = self._late_inputs(before, state.n_since)
         if found is not None:
             return self._adopted(t, found)
-        state.n_since, state.verdict = 0, "refuted"
+        state.end_suspicion()
         state.way = state.way.begin(None if before is None else self.space.to_unit(before))
         if before is not None:
             self._doubt_friction(before)
@@ -256,7 +256,7 @@ class Diagnosis(EffectDiagnosis):
         state = self._state
         if not state.n_since:
             return None
-        state.n_since, state.verdict = 0, "refuted"
+        state.end_suspicion()
         return state.reference
 
     def fail(self, t: float, theta: Vector | None, held: Vector) -> Settled | None:
@@ -267,12 +267,12 @@ class Diagnosis(EffectDiagnosis):
         """
         state = self._state
         n = min(state.n_since, QUIET)
-        reference = held if state.reference is None else state.reference
+        reference = state.reference_or(held)
         rows = self._rows(reference, n)
         found = disturbance_of(rows)
         self.evidence.note(n, nothing=plain_fit(rows, 0), disturbance=found.fit)
         if plain_fit(rows, 0).score <= found.fit.score:  # a false alarm
-            state.n_since, state.verdict = 0, "refuted"
+            state.end_suspicion()
             return None
         late = self._late_inputs(reference, state.n_since) if state.n_since >= LONG else None
         if late is not None:
@@ -287,10 +287,10 @@ class Diagnosis(EffectDiagnosis):
                 best = disturbance_of(self._rows(before, n))
             events = self._name(t, best)
             return Settled(self._undone(before), events, True)
-        state.unexplained = _largest(self._rows(before, state.n_since))
-        state.n_since, state.verdict = 0, "refuted"
+        state.largest_in_vain = _largest(self._rows(before, state.n_since))
+        state.end_suspicion()
         self._doubt_friction(before)
-        lacks = self._unexplained(rows if theta is None else self._rows(theta, n))
+        lacks = self._lacking_channels(rows if theta is None else self._rows(theta, n))
         names = self._of(lacks)
         reason = f"no parameters explain {', '.join(names)}"
         event = Event(t, "unexplained", {"channels": names, "reason": reason})
@@ -298,7 +298,7 @@ class Diagnosis(EffectDiagnosis):
         events = (event, *self._in_vain(t, lacks))
         return Settled(self._undone(before), events, True)
 
-    def _unexplained(self, rows: Vector) -> NDArray[np.bool_]:
+    def _lacking_channels(self, rows: Vector) -> NDArray[np.bool_]:
         """Return the channels (c,) that residuals (n, c) are too large on; all that do not rest where there is none."""
         with np.errstate(over="ignore", invalid="ignore"):
             squares = np.nan_to_num(np.sum(rows**2, axis=0), nan=np.inf)
@@ -313,7 +313,7 @@ class Diagnosis(EffectDiagnosis):
     def _name(self, t: float, found: Disturbance) -> tuple[Event, ...]:
         """Take a disturbance for the explanation; return the events."""
         state = self._state
-        state.n_since, state.verdict = 0, "refuted"
+        state.end_suspicion()
         offset = state.offset + found.newest * state.scale.effective
         acts = _acting(np.maximum(found.largest, np.abs(offset) / state.scale.effective))
         if found.is_constant:  # else it is another one in the next sample
@@ -347,10 +347,10 @@ class Diagnosis(EffectDiagnosis):
 
     def _passed_since(self, t: float) -> Settled | None:
         """Name a disturbance, the last search being in vain, as the parameters before it explain the samples again."""
-        state, largest = self._state, self._state.unexplained
+        state, largest = self._state, self._state.largest_in_vain
         if largest is None or state.n_quiet < QUIET or np.any(state.offset):
             return None
-        state.unexplained = None
+        state.largest_in_vain = None
         return Settled(
             None, (self._named(t, largest * state.scale.effective, _acting(np.abs(largest)), _PASSED),), True
         )
@@ -391,7 +391,7 @@ class Diagnosis(EffectDiagnosis):
         channels = ~state.is_resting if state.is_resting.any() else channels
         length = self._settings.rest_length(state.n_failures)
         state.rest(channels, length)
-        state.unexplained = None
+        state.largest_in_vain = None
         names = self._of(channels)
         reason = f"{state.n_failures} searches in vain: {', '.join(names)} left out for {length} samples"
         return Event(t, "rest", {"channels": names, "n_samples": length, "reason": reason})

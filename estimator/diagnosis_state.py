@@ -26,7 +26,7 @@ _MOST_SINCE: Final = 60
 
 @dataclass
 class DiagnosisState:
-    """State, which is copied for a snapshot."""
+    """State of a diagnosis, one object that all its parts share: copied for a snapshot, restored in place."""
 
     samples: list[Sample]
     """The newest samples, from old to new; during a suspicion the older ones are thinned out."""
@@ -42,7 +42,7 @@ class DiagnosisState:
     """Known friction that the model lacks."""
     n_failures: int = 0
     """Number of searches in vain, one soon after the other."""
-    unexplained: Vector | None = None
+    largest_in_vain: Vector | None = None
     """Largest residuals (c,) of the last search in vain; None before one, and since samples were suspicious again."""
     n_quiet: int = 0
     """Number of quiet samples in a row."""
@@ -94,6 +94,21 @@ class DiagnosisState:
     """Number of the sample from which on an effect that the model lacks is sought again in all since `lasting_at`."""
     next_jump: int = 0
     """Number of the sample from which on constant parameters are sought again, none having explained the samples."""
+
+    @classmethod
+    def at_start(cls, n_channels: int, may_lag: Sequence[int] | None) -> "DiagnosisState":
+        """Return the state before the first sample; may_lag: places of inputs that may be late, None for all."""
+        none = np.zeros(n_channels)
+        known = InputHistory(None if may_lag is None else tuple(may_lag))
+        return cls([], ResidualScale(n_channels), none, none.astype(np.intp), none.astype(bool), known)
+
+    def reference_or(self, held: Vector) -> Vector:
+        """Return the reference (d,); the parameters in force, held (d,), where there is none."""
+        return held if self.reference is None else self.reference
+
+    def end_suspicion(self) -> None:
+        """End the suspicion; what new parameters were judged by is over, too."""
+        self.n_since, self.verdict = 0, "refuted"
 
     def keep(self, sample: Sample, most: int) -> None:
         """Keep a sample; of those since an onset, where they are more than `most`, every second of the older ones."""
@@ -167,6 +182,10 @@ class DiagnosisState:
         other.samples, other.scale, other.inputs = [*self.samples], self.scale.copy(), self.inputs.copy()
         other.rested, other.counts = [*self.rested], Counter(self.counts)
         return other
+
+    def restore(self, other: "DiagnosisState") -> None:
+        """Go back to a copy, which is used up: no part has to be given another state."""
+        vars(self).update(vars(other))
 
     def summary(self, names: Sequence[str], sigma: Vector) -> dict[str, Any]:
         """Return what is known of each channel, and the number of events of each kind, as JSON values.

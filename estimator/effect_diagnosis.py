@@ -36,7 +36,7 @@ class EffectDiagnosis(LastingParameters):
         perhaps, where it explains them better than what is held (d,).
         """
         state, lasting = self._state, self._state.lasting
-        state.n_since, state.verdict = 0, "refuted"
+        state.end_suspicion()
         if lasting is not None and plain_fit(self._rows(lasting, n), 0).is_explained:
             return Settled(lasting, ends_search=True)
         here, there = (float(np.sum(self._rows(theta, n) ** 2)) for theta in (held, reference))
@@ -49,7 +49,7 @@ class EffectDiagnosis(LastingParameters):
         if isinstance(found, FoundFriction):
             state.friction = found.friction
             return self._with_friction(t, effect.theta)
-        state.n_since, state.verdict = 0, "refuted"
+        state.end_suspicion()
         state.inputs.adopt(found)
         state.counts["lag"] += 1
         how = "inputs that arrive late explain the samples" if found.lag else "the inputs arrive in time again"

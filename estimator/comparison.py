@@ -1,12 +1,10 @@
 """Comparison of hypotheses on sampled derivatives: changed parameters, a disturbance, larger noise, or nothing.
 
-Residuals are in standard deviations of their true size, less the disturbance that is known. See `hypotheses` for the
-evidence, and `diagnosis` for what follows from it.
+See `hypotheses` for the evidence, and `diagnosis` for what follows from it.
 """
 
 from collections.abc import Iterator, Sequence
-from operator import is_
-from typing import Any, ClassVar, Final
+from typing import Final
 
 import numpy as np
 
@@ -27,10 +25,10 @@ from .hypotheses import (
     plain_fit,
 )
 from .jump import jump_to
-from .known_effects import KnownEffects
 from .residual_scale import spread_of
-from .samples import DerivativeResidual, Sample, Samples
-from .space import ParameterSpace, Vector
+from .samples import DerivativeResidual
+from .space import Vector
+from .standardised_residuals import StandardisedResiduals
 
 WINDOW: Final = 20
 """Largest number of samples on which hypotheses are compared."""
@@ -53,96 +51,36 @@ _RENEWED: Final = 5
 
 
 class HypothesisComparison:
-    """Comparison on the newest samples. It owns the residuals' true size and the known disturbance."""
-
-    made_anew: ClassVar = ("_basis", "_of_basis")
-    """Attributes that are in no checkpoint."""
+    """Comparison on the newest samples."""
 
     def __init__(
         self,
         declared: DerivativeResidual,
         names: Sequence[str],
-        sigma: Sequence[float],
-        space: ParameterSpace,
         may_lag: Sequence[int] | None = None,
         inputs: Sequence[str] = (),
     ) -> None:
-        """declared: residual (c,) in standard deviations of the declared noise; names, sigma (c,): of the channels,
-        and that noise; may_lag: places in the input of what actuators may delay, by default all; inputs (p,): names."""
-        self._declared, self._names, self._inputs = declared, tuple(names), tuple(inputs)
-        self._sigma, self.space = np.array(sigma), space
-        self.evidence = Evidence()
+        """declared: residual (c,) in standard deviations of the declared noise; names (c,): of the channels; may_lag:
+        places in the input of what actuators may delay, by default all; inputs (p,): names."""
+        self._names, self._inputs = tuple(names), tuple(inputs)
         self._state = DiagnosisState.at_start(len(self._names), may_lag)
-        self._basis: tuple[Any, ...] = ()  # of the newest samples that are corrected
-        self._of_basis: dict[int, Samples] = {}  # these, by their number
-
-    def residual(self, theta: Vector, sample: Sample) -> Vector:
-        """Return the residual (c,) in standard deviations of its true size, less the known disturbance.
-
-        It is 0 for a channel that rests or was not sampled.
-        """
-        return self.scaled(theta, self.corrected(sample))
-
-    def rows(self, theta: Vector, samples: Sequence[Sample]) -> Vector:
-        """Return the residuals (..., n, c) of candidates theta (..., d) at n samples, each as `residual` does."""
-        if self._is_correcting:
-            known = self._known
-            samples = [known.without(sample) for sample in samples]
-        return self.scaled_rows(theta, samples)
-
-    @property
-    def _is_correcting(self) -> bool:
-        state = self._state
-        is_known = state.inputs.lag or state.friction or np.count_nonzero(state.offset)
-        return bool(is_known or np.count_nonzero(state.is_resting))
-
-    @property
-    def _known(self) -> KnownEffects:
-        state = self._state
-        return KnownEffects(state.offset * self._sigma, state.inputs.arriving, state.friction, state.is_resting)
-
-    def corrected(self, sample: Sample) -> Sample:
-        """Return the sample less what is known to act on the plant, and without the channels that rest."""
-        return self._known.without(sample) if self._is_correcting else sample
-
-    def scaled(self, theta: Vector, sample: Sample) -> Vector:
-        """Return the residual (c,) of a corrected sample in standard deviations of its true size."""
-        return self._declared(theta, sample) / self._state.scale.effective
-
-    def newest(self, theta: Vector, sample: Sample) -> Vector:
-        """Return the residual (c,) of a corrected sample as one value is judged: correlation makes it no larger."""
-        return self._declared(theta, sample) / self._state.scale.values
-
-    def scaled_rows(self, theta: Vector, samples: Sequence[Sample]) -> Vector:
-        """Return the residuals (..., n, c) of candidates theta (..., d) at n samples, each as `scaled` does."""
-        return self._declared.rows(theta, samples) / self._state.scale.effective
-
-    def scaled_rows_with(self, inputs: Vector, theta: Vector, samples: Sequence[Sample]) -> Vector:
-        """Return the residuals (k, n, c) of theta (d,) as `scaled_rows`, with inputs (k, n, p) in place of theirs."""
-        return self._declared.rows_with(inputs, theta, samples) / self._state.scale.effective
-
-    def slopes(self, theta: Vector, samples: Sequence[Sample]) -> Vector | None:
-        """Return the slopes (n, c, d) of `rows` at theta (d,) in the unit cube; None where the model has none."""
-        return self.scaled_slopes(theta, [self.corrected(sample) for sample in samples])
-
-    def scaled_slopes(self, theta: Vector, samples: Sequence[Sample]) -> Vector | None:
-        """Return the slopes (n, c, d) of `scaled_rows` at theta (d,) in the unit cube; None where there are none."""
-        declared = self._declared.slope_rows(theta, samples)
-        return None if declared is None else declared / self._state.scale.effective[:, None]
+        self.residuals = StandardisedResiduals(declared, self._state)
+        self._space = declared.space
+        self.evidence = Evidence()
 
     def judge(self, theta: Vector, held: Vector) -> Judgement:
         """Return whether parameters theta (d,) in place of those in force are warranted by the newest samples."""
         state = self._state
         if not state.n_since:
             n = min(len(state.samples), QUIET)
-            return "warranted" if plain_fit(self._rows(theta, n), 0).is_explained else "refuted"
+            return "warranted" if plain_fit(self.residuals.of_newest(theta, n), 0).is_explained else "refuted"
         is_due = state.n_samples >= state.found_at + (_RENEWED if state.verdict == "warranted" else 1)
         if is_due or state.found_at < state.n_samples - state.n_since:
             self._weigh(theta, held)
         if state.verdict == "refuted":
             return "refuted"
-        now = self._rows(theta, 1)
-        if plain_fit(now, 0).is_explained or np.sum(now**2) < BETTER * np.sum(self._rows(held, 1) ** 2):
+        now = self.residuals.of_newest(theta, 1)
+        if plain_fit(now, 0).is_explained or np.sum(now**2) < BETTER * np.sum(self.residuals.of_newest(held, 1) ** 2):
             return state.verdict
         return "refuted"
 
@@ -151,7 +89,7 @@ class HypothesisComparison:
         state = self._state
         if not state.n_since or state.verdict == "refuted":
             return False
-        return not plain_fit(self._rows(theta, min(state.n_explained, FEWEST)), 0).is_explained
+        return not plain_fit(self.residuals.of_newest(theta, min(state.n_explained, FEWEST)), 0).is_explained
 
     def jump(self, held: Vector, *, is_filter: bool) -> Estimate | None:
         """Return the parameters that explain the samples since the onset and are determined by them; None without such.
@@ -165,17 +103,19 @@ class HypothesisComparison:
         if not is_filter and state.n_samples < state.next_jump and state.n_since >= QUIET:
             return None
         reference = state.reference_or(held)
-        z = self.space.to_unit(reference)
+        z = self._space.to_unit(reference)
         lengths = (state.n_since, state.n_explained) if is_filter else (state.n_since,)
-        may_be_exact = not is_filter and state.n_since <= len(self.space) and self._all_contradict(reference)
-        found = jump_to(self._rows_at, dict.fromkeys(lengths), z, self.space, may_be_exact=may_be_exact)
+        may_be_exact = not is_filter and state.n_since <= len(self._space) and self._all_contradict(reference)
+        found = jump_to(self.residuals.at_newest, dict.fromkeys(lengths), z, self._space, may_be_exact=may_be_exact)
         restless = min(state.n_samples - state.restless_since, 4 * WINDOW)
         state.next_jump = state.n_samples + max(state.n_since, restless) // 4 if found is None else 0
         return found if found is None or is_filter or all(found.is_identifiable) else None
 
     def _all_contradict(self, theta: Vector) -> bool:
         """Return whether each sample since the onset contradicts parameters theta (d,), not only an outlier."""
-        return all(not plain_fit(row[None], 0).is_explained for row in self._rows(theta, self._state.n_since))
+        return all(
+            not plain_fit(row[None], 0).is_explained for row in self.residuals.of_newest(theta, self._state.n_since)
+        )
 
     @property
     def is_tested(self) -> bool:
@@ -196,23 +136,23 @@ class HypothesisComparison:
         """Return the disturbance (c,), in the derivatives' units, that may act in place of changed parameters."""
         state = self._state
         if not state.n_since:
-            return state.offset * self._sigma
+            return state.offset * self.residuals.sigma
         reference = state.reference_or(held)
-        found = disturbance_of(self._rows(reference, min(state.n_since, QUIET)))
-        return (state.offset + found.newest * state.scale.effective) * self._sigma
+        found = disturbance_of(self.residuals.of_newest(reference, min(state.n_since, QUIET)))
+        return (state.offset + found.newest * state.scale.effective) * self.residuals.sigma
 
     def _weigh(self, theta: Vector, held: Vector) -> None:
         """Compare the hypotheses on the newest samples since the onset, fewer of them where nothing explains more."""
-        state, space = self._state, self.space
+        state, space = self._state, self._space
         state.found_at, state.verdict = state.n_samples, "refuted"
         reference = state.reference_or(held)
-        there = self._rows(theta, state.n_since)
+        there = self.residuals.of_newest(theta, state.n_since)
         for n in _shorter(state.n_since):
             if self._wins(plain_fit(there[-n:], len(space)), reference, n):
                 return
         z = space.to_unit(theta) if state.changed is None else state.changed
         for n in [n for n in _LENGTHS if n <= state.n_since]:
-            found = changed_parameters(self._rows_at(n), z)
+            found = changed_parameters(self.residuals.at_newest(n), z)
             if found.rate <= _RATE and self._wins(found.fit, reference, n):
                 state.changed = found.z
                 return
@@ -222,7 +162,7 @@ class HypothesisComparison:
         is_recorded = n == min(self._state.n_since, _LENGTHS[0])
         if not (parameters.is_possible or is_recorded):
             return False
-        before = self._rows(reference, n)
+        before = self.residuals.of_newest(reference, n)
         weighing = Weighing(parameters, disturbance_of(before).fit, plain_fit(before, 0))
         if weighing.are_parameters_possible or is_recorded:
             self.evidence.note(n, **vars(weighing))
@@ -237,8 +177,8 @@ class HypothesisComparison:
     def _best(self, held: Vector, n: int, *, may_drift: bool) -> ChangedParameters:
         """Return the parameters that explain the newest n samples best, whatever the search has found."""
         changed = self._state.changed
-        z = self.space.to_unit(held) if changed is None else changed
-        return changed_parameters(self._rows_at(n), z, may_drift=may_drift)
+        z = self._space.to_unit(held) if changed is None else changed
+        return changed_parameters(self.residuals.at_newest(n), z, may_drift=may_drift)
 
     def _is_changing(self, held: Vector, n: int) -> bool:
         """Return whether parameters, constant ones or slowly changing, explain the newest n samples."""
@@ -248,14 +188,14 @@ class HypothesisComparison:
 
     def _both(self, held: Vector, n: int) -> Disturbance | None:
         """Return the constant disturbance that explains the newest n samples together with changed parameters."""
-        space = self.space
+        space = self._space
 
         def left(z: Vector) -> Vector:
-            rows = self._rows(space.beyond(z), n)
+            rows = self.residuals.of_newest(space.beyond(z), n)
             return rows - rows.mean(axis=-2, keepdims=True)
 
         best = changed_parameters(OfMany(left), space.to_unit(held), may_drift=False)
-        rows = self._rows(space.beyond(best.z), n)
+        rows = self.residuals.of_newest(space.beyond(best.z), n)
         n_channels, mean = n_channels_of(rows), rows.mean(axis=0)
         fit = plain_fit(best.rows, self._n_free + n_channels, n * n_channels)
         self.evidence.note(n, both=fit)
@@ -271,8 +211,8 @@ class HypothesisComparison:
             return False
         few = min(state.n_since, WINDOW // 2)
         best = self._best(held, few, may_drift=False).z
-        for n, z, least in ((state.n_since, self.space.to_unit(held), _MUCH_LARGER), (few, best, _LARGER)):
-            rows_at = self._rows_at(n)
+        for n, z, least in ((state.n_since, self._space.to_unit(held), _MUCH_LARGER), (few, best, _LARGER)):
+            rows_at = self.residuals.at_newest(n)
             rows = rows_at(z)
             larger = np.maximum(spread_of(rows), 1.0)
             if not np.all(np.isfinite(rows)) or np.all(larger < least):
@@ -285,29 +225,7 @@ class HypothesisComparison:
 
     @property
     def _n_free(self) -> int:
-        return len(self.space)
-
-    def _rows(self, theta: Vector, n: int) -> Vector:
-        """Return the residuals (..., n, c) of theta (..., d) at the newest n samples, from old to new."""
-        return self.scaled_rows(theta, self._newest(n))
-
-    def _newest(self, n: int) -> Samples:
-        """Return the newest n samples, corrected, always the same ones while nothing new is known."""
-        state = self._state
-        inputs = state.inputs
-        basis = state.samples[-1], inputs.lag, inputs.arriving, state.friction, state.offset, state.is_resting
-        if not (self._basis and all(map(is_, basis, self._basis))):
-            self._basis, self._of_basis = basis, {}
-        if n not in self._of_basis:
-            known = self._known if self._is_correcting else None
-            samples = state.samples[-n:]
-            self._of_basis[n] = Samples(samples if known is None else (known.without(s) for s in samples))
-        return self._of_basis[n]
-
-    def _rows_at(self, n: int) -> OfMany:
-        """Return the residuals (..., n, c) at the newest n samples as a function of places (..., d)."""
-        samples = self._newest(n)
-        return OfMany(lambda z: self.scaled_rows(self.space.beyond(z), samples))
+        return len(self._space)
 
 
 def _shorter(n: int) -> Iterator[int]:

@@ -84,9 +84,10 @@ class DiagnosingRetuner(_Counting):
     """Retuner with a diagnosis of sampled derivatives beside it: the same calls, and only warranted proposals."""
 
     def __init__(self, retuner: Retuner, diagnosis: Diagnosis, is_endless: bool, jumps: bool) -> None:
-        """retuner: with `diagnosis.residual` for residuals; is_endless: true where its one episode lasts for ever;
-        jumps: whether parameters that the diagnosis has found replace an estimate that lags behind."""
+        """retuner: with `diagnosis.residuals`; is_endless: true where its one episode lasts for ever; jumps: whether
+        parameters that the diagnosis has found replace an estimate that lags behind."""
         self._retuner, self._diagnosis, self._is_endless, self._jumps = retuner, diagnosis, is_endless, jumps
+        self._space = diagnosis.residuals.space
         self._warranted = b""
         self._solver: RetunerSnapshot | None = None  # of an endless search, at the onset
 
@@ -141,8 +142,8 @@ class DiagnosingRetuner(_Counting):
         if self._is_endless and diagnosis.is_resting:
             return Proposal()
         if sample is not None:
-            sample = diagnosis.corrected(sample)
-        proposal = _moving(self._retuner.step(t, sample, tracking_error, held), held, diagnosis.space)
+            sample = diagnosis.residuals.corrected(sample)
+        proposal = _moving(self._retuner.step(t, sample, tracking_error, held), held, self._space)
         if proposal.undo is not None:  # a drift that explains nothing
             settled = diagnosis.give_up(t)
             return self._ended(t, replace(proposal, undo=None), settled.undo, held, settled.events)
@@ -191,13 +192,12 @@ class DiagnosingRetuner(_Counting):
         known = None if proposal.estimate is None else proposal.estimate.information
         if proposal.theta is None or known is None:
             return proposal
-        space = self._diagnosis.space
-        z = space.to_unit(proposal.theta)
-        away = space.to_unit(held) - z
+        z = self._space.to_unit(proposal.theta)
+        away = self._space.to_unit(held) - z
         distance = known.distance(away)
         if distance <= _TOLD_APART:
             return replace(proposal, theta=None)
-        return replace(proposal, theta=space.from_unit(z + away * (_TOLD_APART / distance)))
+        return replace(proposal, theta=self._space.from_unit(z + away * (_TOLD_APART / distance)))
 
     def _verdict(self, proposal: Proposal, held: Vector) -> Judgement:
         """Return whether the parameters of a proposal, or those that it leaves in force, are warranted."""
@@ -218,7 +218,7 @@ class DiagnosingRetuner(_Counting):
             return proposal, "refuted" if self._is_endless and not self._diagnosis.is_tested else verdict
         if self._is_endless:
             self._retuner.jump(jump)
-        proposal = _moving(replace(proposal, theta=jump.theta, estimate=jump), held, self._diagnosis.space)
+        proposal = _moving(replace(proposal, theta=jump.theta, estimate=jump), held, self._space)
         return proposal, self._verdict(proposal, held)
 
     def _ended(
@@ -236,7 +236,7 @@ class DiagnosingRetuner(_Counting):
             self._retuner.restore(self._solver, back)
             self._solver = None
         self._retuner.abandon(back)
-        return _undone(t, proposal, back, held, events, self._diagnosis.space, reason)
+        return _undone(t, proposal, back, held, events, self._space, reason)
 
 
 @dataclass(frozen=True)
@@ -396,12 +396,15 @@ def make_retuner(
     parameters that the diagnosis has found are written in place of an estimate that lags behind.
     """
     n = len(whitened.noise)
-    scaled, rows = (whitened, whitened.rows) if diagnosis is None else (diagnosis.scaled, diagnosis.scaled_rows)
-    residual, slopes = scaled, whitened.slope_rows if diagnosis is None else diagnosis.scaled_slopes
+    residual = innovation = whitened
+    rows, slopes = whitened.rows, whitened.slope_rows
+    if diagnosis is not None:
+        known = diagnosis.residuals
+        residual, innovation, rows, slopes = known.scaled, known.innovation, known.scaled_rows, known.scaled_slopes
     if not estimator.is_whitened:
         residual = replace(whitened, noise=(1.0,) * n)
         rows, slopes = residual.rows, residual.slope_rows
-    begins = trigger.trigger(scaled if diagnosis is None else diagnosis.newest)
+    begins = trigger.trigger(innovation)
     if trigger.is_endless:
         budget = replace(budget, evaluations=math.inf)
     elif diagnosis is not None:

@@ -23,7 +23,7 @@ from .events import Event
 from .hypotheses import FALSE_ALARM, MARGIN, Disturbance, disturbance_of, n_channels_of, plain_fit
 from .samples import DerivativeResidual, Sample
 from .significance import chi2_limit
-from .space import ParameterSpace, Vector
+from .space import Vector
 from .wandering import agree
 
 _SURE: Final = 10
@@ -40,14 +40,12 @@ class Diagnosis(EffectDiagnosis):
         self,
         declared: DerivativeResidual,
         names: Sequence[str],
-        sigma: Sequence[float],
         settings: DiagnosisSettings,
-        space: ParameterSpace,
         may_lag: Sequence[int] | None = None,
         inputs: Sequence[str] = (),
     ) -> None:
         """See `HypothesisComparison`; settings: of false alarms and rests."""
-        super().__init__(declared, names, sigma, space, may_lag, inputs)
+        super().__init__(declared, names, may_lag, inputs)
         self._settings = settings
 
     @property
@@ -75,7 +73,7 @@ class Diagnosis(EffectDiagnosis):
 
     def summary(self) -> dict[str, Any]:
         """Return what is known of each channel, and the number of events of each kind, as JSON values."""
-        found = self._state.summary(self._names, self._sigma)
+        found = self._state.summary(self._names, self.residuals.sigma)
         return found | {"known_friction": self._friction_summary()}
 
     def observe(self, sample: Sample, held: Vector) -> bool:
@@ -83,12 +81,12 @@ class Diagnosis(EffectDiagnosis):
         state = self._state
         state.n_samples += 1
         state.inputs.take(sample)
-        state.way = state.way.go(self.space.to_unit(held))
+        state.way = state.way.go(self._space.to_unit(held))
         has_woken = state.wake()
-        corrected = self.corrected(sample)
-        declared = self._declared(held, corrected)
+        corrected = self.residuals.corrected(sample)
+        declared = self.residuals.declared(held, corrected)
         if state.is_resting.any():
-            state.rested.append(self._declared(held, state.friction.without(sample)))
+            state.rested.append(self.residuals.declared(held, state.friction.without(sample)))
             state.resting = state.resting.take(np.where(state.is_resting, state.rested[-1] - state.offset, 0.0))
             if state.resting.is_outgrown:
                 self.evidence.outgrown(self._names, state.resting)
@@ -110,7 +108,7 @@ class Diagnosis(EffectDiagnosis):
                 state.n_calm = state.n_samples - state.suspected_at - 1
                 if state.n_samples >= state.suspected_at + WINDOW:
                     state.restless_since, state.next_lag = state.n_samples, 0
-                    state.way = state.way.begin(self.space.to_unit(held))
+                    state.way = state.way.begin(self._space.to_unit(held))
             state.n_since, state.n_quiet = min(state.n_since + 1, len(state.samples)), 0
             state.suspected_at = state.n_samples
             state.has_moved |= state.reference is None or not np.array_equal(held, state.reference)
@@ -134,11 +132,11 @@ class Diagnosis(EffectDiagnosis):
         if self._is_friction_over(reference, min(n, QUIET)):
             return self._with_friction(t, None)
         is_changed = not np.array_equal(reference, held)
-        here = self._rows(held, n)
+        here = self.residuals.of_newest(held, n)
         is_explained = n >= QUIET and plain_fit(here[-QUIET:], 0).is_explained
         if is_explained and not is_changed:
             return self._explained(t, held, n)
-        there = self._rows(reference, n) if is_changed else here
+        there = self.residuals.of_newest(reference, n) if is_changed else here
         if self._is_over(here, there, is_changed, is_explained) and not (is_explained and self._is_changing(held, n)):
             return self._passed(t, reference, there, is_changed)
         if n < LONG:
@@ -161,7 +159,7 @@ class Diagnosis(EffectDiagnosis):
         is_named = disturbance.fit.is_explained and disturbance.fit.score + MARGIN <= nothing.score
         if is_named and n % 2 == 0 and not self._is_changing(held, n):
             before = self._before(reference, n)
-            events = self._name(t, disturbance_of(self._rows(before, n), may_drift=False))
+            events = self._name(t, disturbance_of(self.residuals.of_newest(before, n), may_drift=False))
             return Settled(self._undone(before), events, True)
         return None
 
@@ -172,12 +170,12 @@ class Diagnosis(EffectDiagnosis):
         several samples contradicted those in force, and nothing else was tried, that counts as a search in vain.
         """
         state, lasting = self._state, self._state.lasting
-        if state.has_moved and lasting is not None and agree(self.space.to_unit(lasting), self.space.to_unit(held)):
-            there = self._rows(lasting, n)
+        if state.has_moved and lasting is not None and agree(self._space.to_unit(lasting), self._space.to_unit(held)):
+            there = self.residuals.of_newest(lasting, n)
             if plain_fit(there[-QUIET:], 0).is_explained:
                 return self._passed(t, lasting, there, True)
         state.n_since = 0
-        rows = self._rows(held, n)
+        rows = self.residuals.of_newest(held, n)
         if not state.has_moved and sum(not self._is_usual(row, n_channels_of(rows)) for row in rows) >= FEWEST:
             state.n_failures += 1
         return Settled(None)
@@ -217,7 +215,7 @@ class Diagnosis(EffectDiagnosis):
         if found is not None:
             return self._adopted(t, found)
         state.end_suspicion()
-        state.way = state.way.begin(None if before is None else self.space.to_unit(before))
+        state.way = state.way.begin(None if before is None else self._space.to_unit(before))
         if before is not None:
             self._doubt_friction(before)
         every = ~state.is_resting
@@ -242,14 +240,14 @@ class Diagnosis(EffectDiagnosis):
         By half of their bounds in excess of that way, each time determined by the samples: no change of the plant's
         does that.
         """
-        return self._state.n_since > 0 and self._state.way.is_to_and_fro(self.space.to_unit(held))
+        return self._state.n_since > 0 and self._state.way.is_to_and_fro(self._space.to_unit(held))
 
     def is_at_unseen_bound(self, theta: Vector, std: Vector, held: Vector) -> bool:
         """Return whether a parameter would move to a bound although its standard deviation is as wide as the bounds.
 
         Or anywhere, while channels rest.
         """
-        return is_at_unseen_bound(self.space, theta, std, held, not self._state.is_resting.any())
+        return is_at_unseen_bound(self._space, theta, std, held, not self._state.is_resting.any())
 
     def suspend(self) -> Vector | None:
         """End the suspicion, whose samples are doubtful; return the parameters (d,) to go back to, None without one."""
@@ -268,7 +266,7 @@ class Diagnosis(EffectDiagnosis):
         state = self._state
         n = min(state.n_since, QUIET)
         reference = state.reference_or(held)
-        rows = self._rows(reference, n)
+        rows = self.residuals.of_newest(reference, n)
         found = disturbance_of(rows)
         self.evidence.note(n, nothing=plain_fit(rows, 0), disturbance=found.fit)
         if plain_fit(rows, 0).score <= found.fit.score:  # a false alarm
@@ -284,13 +282,13 @@ class Diagnosis(EffectDiagnosis):
         if n >= QUIET and explaining:
             best = min(explaining, key=lambda d: d.fit.score)
             if best is found:
-                best = disturbance_of(self._rows(before, n))
+                best = disturbance_of(self.residuals.of_newest(before, n))
             events = self._name(t, best)
             return Settled(self._undone(before), events, True)
-        state.largest_in_vain = _largest(self._rows(before, state.n_since))
+        state.largest_in_vain = _largest(self.residuals.of_newest(before, state.n_since))
         state.end_suspicion()
         self._doubt_friction(before)
-        lacks = self._lacking_channels(rows if theta is None else self._rows(theta, n))
+        lacks = self._lacking_channels(rows if theta is None else self.residuals.of_newest(theta, n))
         names = self._of(lacks)
         reason = f"no parameters explain {', '.join(names)}"
         event = Event(t, "unexplained", {"channels": names, "reason": reason})
@@ -332,7 +330,7 @@ class Diagnosis(EffectDiagnosis):
         acts, was_known = _acting(np.abs(largest)), bool(np.any(state.offset))
         n_unusual = sum(not self._is_usual(row, n_channels_of(rows)) for row in rows)
         lasting, n_newest = state.lasting, min(len(rows), QUIET)
-        if lasting is not None and plain_fit(self._rows(lasting, n_newest), 0).is_explained:
+        if lasting is not None and plain_fit(self.residuals.of_newest(lasting, n_newest), 0).is_explained:
             before = lasting
         events: tuple[Event, ...] = ()
         if was_known:
@@ -358,7 +356,7 @@ class Diagnosis(EffectDiagnosis):
     def _named(self, t: float, offset: Vector, acts: NDArray[np.bool_], reason: str) -> Event:
         """Count a disturbance (c,), in standard deviations of the declared noise; return its event."""
         state = self._state
-        size = {self._names[i]: float(offset[i] * self._sigma[i]) for i in np.flatnonzero(acts)}
+        size = {self._names[i]: float(offset[i] * self.residuals.sigma[i]) for i in np.flatnonzero(acts)}
         state.counts["disturbance"] += 1
         state.named = [*state.named, {"t": t, "size": size}][-MOST_NAMED:]
         return Event(t, "disturbance", {"size": size, "reason": reason})
@@ -379,7 +377,7 @@ class Diagnosis(EffectDiagnosis):
     def _is_restless(self, theta: Vector) -> bool:
         """Take parameters (d,) that were found; return whether three of five such, soon one after the other, differ."""
         state = self._state
-        state.findings = state.findings.take(state.n_samples, self.space.to_unit(theta))
+        state.findings = state.findings.take(state.n_samples, self._space.to_unit(theta))
         return state.findings.are_restless
 
     def _of(self, channels: NDArray[np.bool_]) -> list[str]:

@@ -60,7 +60,7 @@ class EffectComparison(HypothesisComparison):
         state = self._state
         n_inputs = len(state.samples[-1].u) if state.samples else 0
         inputs = self._inputs or [f"input {j}" for j in range(n_inputs)]
-        return state.friction.summary(self._names, self._declared.channels, inputs)
+        return state.friction.summary(self._names, self.residuals.declared.channels, inputs)
 
     def _is_effect_due(self) -> bool:
         """Return whether an effect is to be sought in the samples since the parameters that lasted were contradicted.
@@ -97,7 +97,7 @@ class EffectComparison(HypothesisComparison):
         With the reference (d,), with the parameters that lasted, or with these and no disturbance known.
         """
         state, n = self._state, len(samples)
-        disturbance = disturbance_of(self.rows(reference, samples)).fit
+        disturbance = disturbance_of(self.residuals.rows(reference, samples)).fit
         is_over = disturbance.is_explained and not is_long  # then, a known lag at most
         if is_over and not state.inputs.lag:
             return None
@@ -131,7 +131,7 @@ class EffectComparison(HypothesisComparison):
         if not found.friction or np.any(found.constant):
             return False
         before, state.friction = state.friction, found.friction
-        if plain_fit(self._rows(held, 1), 0).is_explained:
+        if plain_fit(self.residuals.of_newest(held, 1), 0).is_explained:
             return True
         state.friction = before
         return False
@@ -141,8 +141,8 @@ class EffectComparison(HypothesisComparison):
         state, samples = self._state, self._state.every_since_lasting
         if not state.friction or not samples:
             return
-        without = self.scaled_rows(theta, self._frictionless(samples))
-        if np.sum(self.rows(theta, samples) ** 2) > BETTER * np.sum(without**2):
+        without = self.residuals.scaled_rows(theta, self._frictionless(samples))
+        if np.sum(self.residuals.rows(theta, samples) ** 2) > BETTER * np.sum(without**2):
             state.friction = Friction()
 
     def _is_friction_over(self, theta: Vector, n: int) -> bool:
@@ -150,14 +150,14 @@ class EffectComparison(HypothesisComparison):
         state = self._state
         if not state.friction or n < QUIET:
             return False
-        if not plain_fit(self.scaled_rows(theta, self._frictionless(state.samples[-n:])), 0).is_explained:
+        if not plain_fit(self.residuals.scaled_rows(theta, self._frictionless(state.samples[-n:])), 0).is_explained:
             return False
         state.friction = Friction()
         return True
 
     def _frictionless(self, samples: Sequence[Sample]) -> list[Sample]:
         """Return samples less what is known to act on the plant, friction aside."""
-        known = replace(self._known, friction=Friction())
+        known = replace(self.residuals.known, friction=Friction())
         return [known.without(sample) for sample in samples]
 
     def _lag(self, theta: Vector, samples: Sequence[Sample], offset: Vector) -> FoundLag:
@@ -168,12 +168,12 @@ class EffectComparison(HypothesisComparison):
         history, friction = self._state.inputs, self._state.friction
         if samples[0].t < history.begin:
             return NO_LAG
-        known = replace(self._known, disturbance=offset * self._sigma, arriving={})
+        known = replace(self.residuals.known, disturbance=offset * self.residuals.sigma, arriving={})
         corrected = Samples(known.without(sample) for sample in samples)
         lost = np.array([friction.without(replace(s, u=(0.0,) * len(s.u))).u for s in samples]) if friction else 0.0
 
         def rows_with(inputs: Vector) -> Vector:
-            return self.scaled_rows_with(inputs + lost, theta, corrected)
+            return self.residuals.scaled_rows_with(inputs + lost, theta, corrected)
 
         return history.search(rows_with, [sample.t for sample in samples])
 
@@ -214,13 +214,13 @@ class EffectComparison(HypothesisComparison):
 
     def _beside_friction(self, reference: Vector, samples: Sequence[Sample]) -> Vector | None:
         """Return the parameters (d,) that samples determine beside known friction of any size; or None."""
-        raw, space = self._raw(samples), self.space
+        raw, space = self._raw(samples), self._space
         if len(raw) < _ENOUGH:
             return None
         basis = np.linalg.qr(self._state.friction.laws_at(raw))[0]
 
         def left(z: Vector) -> Vector:
-            rows = self.scaled_rows(space.beyond(z), raw)
+            rows = self.residuals.scaled_rows(space.beyond(z), raw)
             return rows - basis @ (basis.T @ rows)
 
         found = jump_to(lambda _: OfMany(left), [len(raw)], space.to_unit(reference), space)
@@ -231,19 +231,19 @@ class EffectComparison(HypothesisComparison):
         raw = self._raw(samples)
         if len(raw) < _ENOUGH:
             return NO_FRICTION
-        return find_friction(partial(self.scaled_rows, theta), raw, self._declared.channels)
+        return find_friction(partial(self.residuals.scaled_rows, theta), raw, self.residuals.declared.channels)
 
     def _raw(self, samples: Sequence[Sample]) -> Samples:
         """Return samples with the inputs that arrive, no friction or disturbance known, and all channels."""
         state, none = self._state, np.zeros(len(self._names))
-        known = replace(self._known, disturbance=none, friction=Friction(), is_resting=none.astype(bool))
+        known = replace(self.residuals.known, disturbance=none, friction=Friction(), is_resting=none.astype(bool))
         return Samples(known.without(s) for s in samples if not state.inputs.lag or s.t >= state.inputs.begin)
 
     def _is_plain(self, theta: Vector, samples: Sequence[Sample], friction: Fit) -> bool:
         """Return whether a smooth disturbance, or other parameters than theta (d,), explain samples as well."""
         raw = self._raw(samples)
-        disturbance = disturbance_of(self.scaled_rows(theta, raw)).fit
+        disturbance = disturbance_of(self.residuals.scaled_rows(theta, raw)).fit
         if disturbance.is_explained or friction.score + MARGIN > disturbance.score:
             return True
-        at = OfMany(lambda z: self.scaled_rows(self.space.beyond(z), raw))
-        return changed_parameters(at, self.space.to_unit(theta), may_drift=False).fit.is_explained
+        at = OfMany(lambda z: self.residuals.scaled_rows(self._space.beyond(z), raw))
+        return changed_parameters(at, self._space.to_unit(theta), may_drift=False).fit.is_explained

@@ -37,9 +37,9 @@ class EffectDiagnosis(LastingParameters):
         """
         state, lasting = self._state, self._state.lasting
         state.end_suspicion()
-        if lasting is not None and plain_fit(self._rows(lasting, n), 0).is_explained:
+        if lasting is not None and plain_fit(self.residuals.of_newest(lasting, n), 0).is_explained:
             return Settled(lasting, ends_search=True)
-        here, there = (float(np.sum(self._rows(theta, n) ** 2)) for theta in (held, reference))
+        here, there = (float(np.sum(self.residuals.of_newest(theta, n) ** 2)) for theta in (held, reference))
         return Settled(self._undone(reference) if there < here else None, ends_search=True)
 
     def _adopted(self, t: float, effect: Explanation) -> Settled:
@@ -78,11 +78,11 @@ class EffectDiagnosis(LastingParameters):
         is_followed = np.any(state.offset) or not np.array_equal(held, state.lasting)
         if not (rests or is_followed or state.n_since):
             return None
-        followed = NEVER if rests else plain_fit(self.rows(held, state.every_since_lasting), self._n_free)
+        followed = NEVER if rests else plain_fit(self.residuals.rows(held, state.every_since_lasting), self._n_free)
         if followed.is_explained:
             return None
         found = self._friction_long(state.lasting) if state.n_since else self._lacking(state.lasting)
         if found is None and self._take_friction_beside(held):
-            state.way = state.way.begin(self.space.to_unit(held))
+            state.way = state.way.begin(self._space.to_unit(held))
             return self._with_friction(t, None)
         return None if found is None or found.fit.score + MARGIN > followed.score else self._adopted(t, found)

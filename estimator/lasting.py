@@ -28,7 +28,7 @@ class LastingParameters(EffectComparison):
         if lasting is None or np.array_equal(lasting, held) or plain_fit(here[-LONG:], 0).is_explained:
             return False
         n = min(len(here) + self._state.n_calm, len(self._state.samples))
-        here, there = self._rows(np.array([held, lasting]), n)
+        here, there = self.residuals.of_newest(np.array([held, lasting]), n)
         if np.sum(np.diff(there, axis=0) ** 2) >= np.sum(there**2):  # white noise has twice as much: it is larger
             return False
         return all(
@@ -51,10 +51,10 @@ class LastingParameters(EffectComparison):
         lasting = self._state.lasting
         if lasting is None or np.array_equal(lasting, reference) or self._outlasts(reference):
             return reference
-        if not disturbance_of(self._rows(reference, n)).fit.is_explained:
+        if not disturbance_of(self.residuals.of_newest(reference, n)).fit.is_explained:
             return lasting
         n = min(n + self._state.n_calm, len(self._state.samples))
-        found, other = (disturbance_of(self._rows(theta, n)).fit for theta in (reference, lasting))
+        found, other = (disturbance_of(self.residuals.of_newest(theta, n)).fit for theta in (reference, lasting))
         return reference if found.score + MARGIN <= other.score else lasting
 
     def _outlasts(self, theta: Vector) -> bool:
@@ -65,7 +65,7 @@ class LastingParameters(EffectComparison):
         lasting, samples = self._state.lasting, self._state.since_lasting
         if lasting is None or len(samples) < _ENOUGH:
             return False
-        rows = np.array([self.rows(lasting, samples), self.rows(theta, samples)])
+        rows = np.array([self.residuals.rows(lasting, samples), self.residuals.rows(theta, samples)])
         usual, found = np.sum((rows - np.median(rows, axis=1, keepdims=True)) ** 2, axis=(1, 2))
         return bool(found < _FAR_LESS * usual)
 

@@ -63,12 +63,12 @@ def make_supervisor(
         names = tuple(scenario.sampling.derivatives)
         late = _through_actuators(scenario, plant)
         inputs = [f"{plant.name}.{name}" for name in plant.inputs]
-        diagnosis = Diagnosis(whitened, names, whitened.noise, scenario.diagnosis, space, late, inputs)
+        diagnosis = Diagnosis(whitened, names, scenario.diagnosis, late, inputs)
     retuner = _retuner(scenario, estimator, plant, held, rng, stack, whitened, live, diagnosis)
     support: DataSupport | NoDataSupport = NoDataSupport()
     if whitened is not None:
-        rows = whitened.rows if diagnosis is None else diagnosis.rows
-        slopes = whitened.slope_rows if diagnosis is None else diagnosis.slopes
+        rows = whitened.rows if diagnosis is None else diagnosis.residuals.rows
+        slopes = whitened.slope_rows if diagnosis is None else diagnosis.residuals.slopes
         support = DataSupport(rows, space, len(whitened.noise), max(scenario.estimation.window, _FEWEST), slopes)
     variables = {} if running is None else written_variables(scenario, running.slaves)
     refusal = WriteCheck(rule, variables)

@@ -61,7 +61,7 @@ class Run:
         channels = tuple(range(self.n_channels))
         whitened = DerivativeResidual(self.model or self.plant, SPACE, channels, (SIGMA,) * self.n_channels)
         self.names = tuple(f"der{i}" for i in channels)
-        self.diagnosis = Diagnosis(whitened, self.names, whitened.noise, self.settings, SPACE)
+        self.diagnosis = Diagnosis(whitened, self.names, self.settings)
         begins, self.held, self.k = InnovationSettings(), TRUE, 0
         search = STARTS[self.estimator](SPACE, TRUE, np.random.default_rng(self.seed + 1))
         budget, length = Budget(30, 3), 10
@@ -475,10 +475,11 @@ def test_parameters_that_change_as_a_disturbance_begins_are_found(estimator):
 def test_residuals_are_less_the_known_disturbance_for_all_who_ask():
     run = Run("least-squares", 3).go(100).go(60, TRUE, PUSH[3])
     clean = Sample(0.0, (0.5,), (0.2,), tuple(np.array(three_channels((0.5,), (0.2,), *TRUE)) + PUSH[3]))
-    assert np.abs(run.diagnosis.residual(TRUE, clean)).max() < 2.0
-    corrected = run.diagnosis.corrected(clean)
+    residuals = run.diagnosis.residuals
+    corrected = residuals.corrected(clean)
+    assert np.abs(residuals.scaled(TRUE, corrected)).max() < 2.0
     assert_allclose(corrected.xdot, three_channels((0.5,), (0.2,), *TRUE), atol=2.0 * SIGMA)
-    assert_array_equal(run.diagnosis.scaled(TRUE, corrected), run.diagnosis.residual(TRUE, clean))
+    assert_array_equal(residuals.scaled(TRUE, corrected), residuals.rows(TRUE, [clean])[0])
 
 
 # --- what nothing explains -----------------------------------------------------------------------------------------
@@ -903,7 +904,8 @@ def test_a_known_lag_goes_on_from_a_snapshot():
     run.diagnosis.restore(before)
     run.diagnosis.observe(sample, run.held)
     assert run.diagnosis.summary()["input_lag"] == after["input_lag"]
-    assert_allclose(run.diagnosis.residual(TRUE, sample), run.diagnosis.rows(TRUE, [sample])[0])
+    residuals = run.diagnosis.residuals
+    assert_allclose(residuals.scaled(TRUE, residuals.corrected(sample)), residuals.rows(TRUE, [sample])[0])
 
 
 def coloured(n_channels, size, seed=1):

@@ -36,7 +36,7 @@ class Loop:
             [],
         )
         whitened = DerivativeResidual(model, SPACE, (0, 1, 2), (SIGMA,) * 3)
-        diagnosis = Diagnosis(whitened, ("f", "g", "h"), whitened.noise, DiagnosisSettings(), SPACE)
+        diagnosis = Diagnosis(whitened, ("f", "g", "h"), DiagnosisSettings())
         search = TargetVector(SPACE, TRUE, np.random.default_rng(seed + 1))
         made = diagnosis if is_diagnosed else None
         self.retuner = make_retuner(search, whitened, InnovationSettings(), Budget(30, 3), 10, diagnosis=made)

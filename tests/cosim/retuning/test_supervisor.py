@@ -216,9 +216,9 @@ def test_a_search_that_fails_does_not_return_to_what_the_guard_has_reverted():
     """a changes to 4; from the 48th sample on a sine is added, which nothing explains, and the error grows."""
     model = RememberingModel(lambda x, u, a: [a * x[0]])
     residual = DerivativeResidual(model, SPACE, (0,), (SIGMA,))
-    diagnosis = Diagnosis(residual, ("plant.der(x)",), residual.noise, DiagnosisSettings(), SPACE)
+    diagnosis = Diagnosis(residual, ("plant.der(x)",), DiagnosisSettings())
     retuner = make_retuner(Slope([]), residual, InnovationSettings(), Budget(20), 5, diagnosis=diagnosis)
-    support = DataSupport(diagnosis.rows, SPACE, 1, 30)
+    support = DataSupport(diagnosis.residuals.rows, SPACE, 1, 30)
     guard = Guard(GuardSettings(tolerance=0.5, rate=1.0), SPACE, START, 100.0, support)
     supervisor = Supervisor("mine", retuner, support, None, guard, model=model)
     held, rng, told = START, np.random.default_rng(0), []

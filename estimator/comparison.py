@@ -3,7 +3,7 @@
 See `hypotheses` for the evidence, and `diagnosis` for what follows from it.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
@@ -26,7 +26,6 @@ from .hypotheses import (
 )
 from .jump import jump_to
 from .residual_scale import spread_of
-from .samples import DerivativeResidual
 from .space import Vector
 from .standardised_residuals import StandardisedResiduals
 
@@ -34,6 +33,8 @@ WINDOW: Final = 20
 """Largest number of samples on which hypotheses are compared."""
 QUIET: Final = 5
 """Number of newest samples that the parameters in force must explain for a suspicion to end."""
+LONG: Final = 6
+"""Least number of samples since the onset on which parameters, or a lag, are accepted."""
 FEWEST: Final = 3
 """Least number of samples that name a disturbance, or its end."""
 _LENGTHS: Final = (5, 4, 3, 2, 1)
@@ -51,36 +52,25 @@ _RENEWED: Final = 5
 
 
 class HypothesisComparison:
-    """Comparison on the newest samples."""
+    """Comparison on the newest samples; what it finds is evidence for the record."""
 
-    def __init__(
-        self,
-        declared: DerivativeResidual,
-        names: Sequence[str],
-        may_lag: Sequence[int] | None = None,
-        inputs: Sequence[str] = (),
-    ) -> None:
-        """declared: residual (c,) in standard deviations of the declared noise; names (c,): of the channels; may_lag:
-        places in the input of what actuators may delay, by default all; inputs (p,): names."""
-        self._names, self._inputs = tuple(names), tuple(inputs)
-        self._state = DiagnosisState.at_start(len(self._names), may_lag)
-        self.residuals = StandardisedResiduals(declared, self._state)
-        self._space = declared.space
-        self.evidence = Evidence()
+    def __init__(self, state: DiagnosisState, residuals: StandardisedResiduals, evidence: Evidence) -> None:
+        self._state, self._residuals, self._evidence = state, residuals, evidence
+        self._space = residuals.space
 
     def judge(self, theta: Vector, held: Vector) -> Judgement:
         """Return whether parameters theta (d,) in place of those in force are warranted by the newest samples."""
         state = self._state
         if not state.n_since:
             n = min(len(state.samples), QUIET)
-            return "warranted" if plain_fit(self.residuals.of_newest(theta, n), 0).is_explained else "refuted"
+            return "warranted" if plain_fit(self._residuals.of_newest(theta, n), 0).is_explained else "refuted"
         is_due = state.n_samples >= state.found_at + (_RENEWED if state.verdict == "warranted" else 1)
         if is_due or state.found_at < state.n_samples - state.n_since:
             self._weigh(theta, held)
         if state.verdict == "refuted":
             return "refuted"
-        now = self.residuals.of_newest(theta, 1)
-        if plain_fit(now, 0).is_explained or np.sum(now**2) < BETTER * np.sum(self.residuals.of_newest(held, 1) ** 2):
+        now = self._residuals.of_newest(theta, 1)
+        if plain_fit(now, 0).is_explained or np.sum(now**2) < BETTER * np.sum(self._residuals.of_newest(held, 1) ** 2):
             return state.verdict
         return "refuted"
 
@@ -89,7 +79,7 @@ class HypothesisComparison:
         state = self._state
         if not state.n_since or state.verdict == "refuted":
             return False
-        return not plain_fit(self.residuals.of_newest(theta, min(state.n_explained, FEWEST)), 0).is_explained
+        return not plain_fit(self._residuals.of_newest(theta, min(state.n_explained, FEWEST)), 0).is_explained
 
     def jump(self, held: Vector, *, is_filter: bool) -> Estimate | None:
         """Return the parameters that explain the samples since the onset and are determined by them; None without such.
@@ -106,16 +96,15 @@ class HypothesisComparison:
         z = self._space.to_unit(reference)
         lengths = (state.n_since, state.n_explained) if is_filter else (state.n_since,)
         may_be_exact = not is_filter and state.n_since <= len(self._space) and self._all_contradict(reference)
-        found = jump_to(self.residuals.at_newest, dict.fromkeys(lengths), z, self._space, may_be_exact=may_be_exact)
+        found = jump_to(self._residuals.at_newest, dict.fromkeys(lengths), z, self._space, may_be_exact=may_be_exact)
         restless = min(state.n_samples - state.restless_since, 4 * WINDOW)
         state.next_jump = state.n_samples + max(state.n_since, restless) // 4 if found is None else 0
         return found if found is None or is_filter or all(found.is_identifiable) else None
 
     def _all_contradict(self, theta: Vector) -> bool:
         """Return whether each sample since the onset contradicts parameters theta (d,), not only an outlier."""
-        return all(
-            not plain_fit(row[None], 0).is_explained for row in self.residuals.of_newest(theta, self._state.n_since)
-        )
+        rows = self._residuals.of_newest(theta, self._state.n_since)
+        return all(not plain_fit(row[None], 0).is_explained for row in rows)
 
     @property
     def is_tested(self) -> bool:
@@ -136,23 +125,23 @@ class HypothesisComparison:
         """Return the disturbance (c,), in the derivatives' units, that may act in place of changed parameters."""
         state = self._state
         if not state.n_since:
-            return state.offset * self.residuals.sigma
+            return state.offset * self._residuals.sigma
         reference = state.reference_or(held)
-        found = disturbance_of(self.residuals.of_newest(reference, min(state.n_since, QUIET)))
-        return (state.offset + found.newest * state.scale.effective) * self.residuals.sigma
+        found = disturbance_of(self._residuals.of_newest(reference, min(state.n_since, QUIET)))
+        return (state.offset + found.newest * state.scale.effective) * self._residuals.sigma
 
     def _weigh(self, theta: Vector, held: Vector) -> None:
         """Compare the hypotheses on the newest samples since the onset, fewer of them where nothing explains more."""
         state, space = self._state, self._space
         state.found_at, state.verdict = state.n_samples, "refuted"
         reference = state.reference_or(held)
-        there = self.residuals.of_newest(theta, state.n_since)
+        there = self._residuals.of_newest(theta, state.n_since)
         for n in _shorter(state.n_since):
             if self._wins(plain_fit(there[-n:], len(space)), reference, n):
                 return
         z = space.to_unit(theta) if state.changed is None else state.changed
         for n in [n for n in _LENGTHS if n <= state.n_since]:
-            found = changed_parameters(self.residuals.at_newest(n), z)
+            found = changed_parameters(self._residuals.at_newest(n), z)
             if found.rate <= _RATE and self._wins(found.fit, reference, n):
                 state.changed = found.z
                 return
@@ -162,10 +151,10 @@ class HypothesisComparison:
         is_recorded = n == min(self._state.n_since, _LENGTHS[0])
         if not (parameters.is_possible or is_recorded):
             return False
-        before = self.residuals.of_newest(reference, n)
+        before = self._residuals.of_newest(reference, n)
         weighing = Weighing(parameters, disturbance_of(before).fit, plain_fit(before, 0))
         if weighing.are_parameters_possible or is_recorded:
-            self.evidence.note(n, **vars(weighing))
+            self._evidence.note(n, **vars(weighing))
         if weighing.are_parameters_possible:
             self._state.n_explained = n
             self._state.n_spare = parameters.n_values - parameters.n_free
@@ -174,34 +163,34 @@ class HypothesisComparison:
             self._state.verdict = "warranted" if weighing.are_parameters_proven else unproven
         return weighing.are_parameters_possible
 
-    def _best(self, held: Vector, n: int, *, may_drift: bool) -> ChangedParameters:
+    def best(self, held: Vector, n: int, *, may_drift: bool) -> ChangedParameters:
         """Return the parameters that explain the newest n samples best, whatever the search has found."""
         changed = self._state.changed
         z = self._space.to_unit(held) if changed is None else changed
-        return changed_parameters(self.residuals.at_newest(n), z, may_drift=may_drift)
+        return changed_parameters(self._residuals.at_newest(n), z, may_drift=may_drift)
 
-    def _is_changing(self, held: Vector, n: int) -> bool:
+    def is_changing(self, held: Vector, n: int) -> bool:
         """Return whether parameters, constant ones or slowly changing, explain the newest n samples."""
-        found = self._best(held, n, may_drift=True)
-        self.evidence.note(n, parameters=found.fit)
+        found = self.best(held, n, may_drift=True)
+        self._evidence.note(n, parameters=found.fit)
         return found.fit.is_explained and found.rate <= _RATE
 
-    def _both(self, held: Vector, n: int) -> Disturbance | None:
+    def with_disturbance(self, held: Vector, n: int) -> Disturbance | None:
         """Return the constant disturbance that explains the newest n samples together with changed parameters."""
         space = self._space
 
         def left(z: Vector) -> Vector:
-            rows = self.residuals.of_newest(space.beyond(z), n)
+            rows = self._residuals.of_newest(space.beyond(z), n)
             return rows - rows.mean(axis=-2, keepdims=True)
 
         best = changed_parameters(OfMany(left), space.to_unit(held), may_drift=False)
-        rows = self.residuals.of_newest(space.beyond(best.z), n)
+        rows = self._residuals.of_newest(space.beyond(best.z), n)
         n_channels, mean = n_channels_of(rows), rows.mean(axis=0)
-        fit = plain_fit(best.rows, self._n_free + n_channels, n * n_channels)
-        self.evidence.note(n, both=fit)
+        fit = plain_fit(best.rows, len(space) + n_channels, n * n_channels)
+        self._evidence.note(n, both=fit)
         return Disturbance(mean, np.abs(mean), fit, True) if fit.is_explained else None
 
-    def _is_noise(self, held: Vector) -> bool:
+    def adopt_noise(self, held: Vector) -> bool:
         """Adopt a larger noise where that explains the samples since the onset, with those in force or the best ones.
 
         Noise is what differs from sample to sample by as much as in the whole: what a model lacks is smooth.
@@ -210,9 +199,9 @@ class HypothesisComparison:
         if state.n_since < _NOISY:
             return False
         few = min(state.n_since, WINDOW // 2)
-        best = self._best(held, few, may_drift=False).z
+        best = self.best(held, few, may_drift=False).z
         for n, z, least in ((state.n_since, self._space.to_unit(held), _MUCH_LARGER), (few, best, _LARGER)):
-            rows_at = self.residuals.at_newest(n)
+            rows_at = self._residuals.at_newest(n)
             rows = rows_at(z)
             larger = np.maximum(spread_of(rows), 1.0)
             if not np.all(np.isfinite(rows)) or np.all(larger < least):
@@ -222,10 +211,6 @@ class HypothesisComparison:
                 state.scale.enlarge(larger)
                 return True
         return False
-
-    @property
-    def _n_free(self) -> int:
-        return len(self._space)
 
 
 def _shorter(n: int) -> Iterator[int]:

@@ -152,7 +152,7 @@ class DiagnosingRetuner(_Counting):
     def _judged(self, t: float, proposal: Proposal, held: Vector) -> Proposal:
         """Return the proposal as far as it is warranted."""
         diagnosis, verdict = self._diagnosis, self._verdict(proposal, held)
-        if self._jumps and proposal.estimate is not None and diagnosis.lags(proposal.estimate.theta):
+        if self._jumps and proposal.estimate is not None and diagnosis.comparison.lags(proposal.estimate.theta):
             proposal, verdict = self._jumped(proposal, verdict, held)
         theta = proposal.theta
         best = None if proposal.estimate is None else proposal.estimate.theta
@@ -164,12 +164,12 @@ class DiagnosingRetuner(_Counting):
         if has_ended and verdict == "refuted":
             self._retuner.distrust()
         has_ended |= self._is_endless and diagnosis.n_since >= _PATIENCE
-        if has_ended and diagnosis.n_since >= _FEWEST and diagnosis.has_failed:
+        if has_ended and diagnosis.n_since >= _FEWEST and diagnosis.comparison.has_failed:
             failed = diagnosis.fail(t, best, held)
             if failed is not None:
                 return self._ended(t, proposal, failed.undo, held, failed.events)
             self._retuner.forget()  # the noise may be larger
-        if has_ended and diagnosis.is_suspicious and best is not None and not diagnosis.has_failed:
+        if has_ended and diagnosis.is_suspicious and best is not None and not diagnosis.comparison.has_failed:
             settled = diagnosis.succeed(t, best)
             if settled is not None:
                 return self._ended(t, proposal, settled.undo, held, settled.events)
@@ -180,9 +180,9 @@ class DiagnosingRetuner(_Counting):
         if proposal.estimate is not None:
             diagnosis.expect(proposal.estimate.is_identifiable)
         is_warranted = verdict == "warranted"
-        if is_warranted and not diagnosis.may_be_disturbed:
+        if is_warranted and not diagnosis.comparison.may_be_disturbed:
             return proposal
-        return replace(proposal, possible_disturbance=diagnosis.disturbance(held), is_warranted=is_warranted)
+        return replace(proposal, possible_disturbance=diagnosis.comparison.disturbance(held), is_warranted=is_warranted)
 
     def _moved(self, proposal: Proposal, held: Vector) -> Proposal:
         """Return a filter's proposal while nothing contradicts the parameters in force, held (d,).
@@ -204,7 +204,7 @@ class DiagnosingRetuner(_Counting):
         if proposal.estimate is None:
             return "refuted"
         diagnosis, theta = self._diagnosis, proposal.theta
-        verdict = diagnosis.judge(proposal.estimate.theta if theta is None else theta, held)
+        verdict = diagnosis.comparison.judge(proposal.estimate.theta if theta is None else theta, held)
         is_at_bound = theta is not None and diagnosis.is_at_unseen_bound(theta, proposal.estimate.std, held)
         return "refuted" if is_at_bound else verdict
 
@@ -213,9 +213,9 @@ class DiagnosingRetuner(_Counting):
 
         A filter's own parameters are not written where no parameters explain more than can always be explained.
         """
-        jump = self._diagnosis.jump(held, is_filter=self._is_endless)
+        jump = self._diagnosis.comparison.jump(held, is_filter=self._is_endless)
         if jump is None:
-            return proposal, "refuted" if self._is_endless and not self._diagnosis.is_tested else verdict
+            return proposal, "refuted" if self._is_endless and not self._diagnosis.comparison.is_tested else verdict
         if self._is_endless:
             self._retuner.jump(jump)
         proposal = _moving(replace(proposal, theta=jump.theta, estimate=jump), held, self._space)

@@ -14,16 +14,22 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from .comparison import FEWEST, QUIET, WINDOW
-from .diagnosis_settings import FORGOTTEN, MOST_NAMED, PATIENCE, DiagnosisSettings, is_at_unseen_bound
+from .comparison import FEWEST, LONG, QUIET, WINDOW, HypothesisComparison
+from .diagnosis_record import DiagnosisRecord
+from .diagnosis_settings import FORGOTTEN, PATIENCE, DiagnosisSettings, is_at_unseen_bound
 from .diagnosis_state import DiagnosisState
-from .effect_comparison import LONG
-from .effect_diagnosis import EffectDiagnosis, Settled
+from .effect_diagnosis import EffectDiagnosis
 from .events import Event
+from .evidence import Evidence
+from .friction_comparison import FrictionComparison
 from .hypotheses import FALSE_ALARM, MARGIN, Disturbance, disturbance_of, n_channels_of, plain_fit
+from .lag_comparison import LagComparison
+from .lasting import LastingParameters
 from .samples import DerivativeResidual, Sample
+from .settled import Settled
 from .significance import chi2_limit
 from .space import Vector
+from .standardised_residuals import StandardisedResiduals
 from .wandering import agree
 
 _SURE: Final = 10
@@ -33,7 +39,7 @@ _SPARE: Final = 10
 """Least number of explained values in excess of the fitted ones that makes good for a search in vain."""
 
 
-class Diagnosis(EffectDiagnosis):
+class Diagnosis:
     """Diagnosis on sampled derivatives: onset and end of a suspicion, disturbances and rests."""
 
     def __init__(
@@ -44,9 +50,19 @@ class Diagnosis(EffectDiagnosis):
         may_lag: Sequence[int] | None = None,
         inputs: Sequence[str] = (),
     ) -> None:
-        """See `HypothesisComparison`; settings: of false alarms and rests."""
-        super().__init__(declared, names, may_lag, inputs)
-        self._settings = settings
+        """declared: residual (c,) in standard deviations of the declared noise; names (c,): of the channels; settings:
+        of false alarms and rests; may_lag: places in the input of what actuators may delay, by default all; inputs
+        (p,): names."""
+        self._settings, self._space = settings, declared.space
+        self._state = state = DiagnosisState.at_start(len(names), may_lag)
+        self.residuals = residuals = StandardisedResiduals(declared, state)
+        self.evidence = evidence = Evidence()
+        self.comparison = HypothesisComparison(state, residuals, evidence)
+        self._lag = LagComparison(state, residuals, evidence)
+        self._friction = FrictionComparison(state, residuals, evidence)
+        self._lasting = LastingParameters(state, residuals)
+        self._record = DiagnosisRecord(state, residuals, names, inputs)
+        self._effects = EffectDiagnosis(state, residuals, self._lag, self._friction, self._lasting, self._record)
 
     @property
     def is_suspicious(self) -> bool:
@@ -73,8 +89,7 @@ class Diagnosis(EffectDiagnosis):
 
     def summary(self) -> dict[str, Any]:
         """Return what is known of each channel, and the number of events of each kind, as JSON values."""
-        found = self._state.summary(self._names, self.residuals.sigma)
-        return found | {"known_friction": self._friction_summary()}
+        return self._record.summary()
 
     def observe(self, sample: Sample, held: Vector) -> bool:
         """Take a sample, with the parameters in force (d,); return whether residuals are to be computed anew."""
@@ -89,14 +104,14 @@ class Diagnosis(EffectDiagnosis):
             state.rested.append(self.residuals.declared(held, state.friction.without(sample)))
             state.resting = state.resting.take(np.where(state.is_resting, state.rested[-1] - state.offset, 0.0))
             if state.resting.is_outgrown:
-                self.evidence.outgrown(self._names, state.resting)
+                self.evidence.outgrown(self._record.names, state.resting)
                 state.wake_early()
                 has_woken = True
         missing = int(np.count_nonzero(state.is_resting | np.isnan(corrected.xdot)))
         is_contradictory = not self._is_usual(declared / state.scale.values, len(declared) - missing)
         state.keep(sample, WINDOW)
         state.keep_since_lasting(sample)
-        if is_contradictory and not state.n_since and (self._is_lag_again(held) or self._is_friction_again(held)):
+        if is_contradictory and not state.n_since and (self._lag.take_again(held) or self._friction.take_again(held)):
             is_contradictory, has_woken = False, True
         if state.n_since or is_contradictory:
             if not state.n_since:
@@ -122,45 +137,47 @@ class Diagnosis(EffectDiagnosis):
         """End the suspicion where one hypothesis has won, from the samples since the onset; None where it goes on."""
         state = self._state
         n = state.n_since
-        settled = self._late_effect(t, held)
+        settled = self._effects.late(t, held)
         if settled is not None:
             state.largest_in_vain = None  # it was this
             return settled
         if not n:
             return self._passed_since(t)
         reference = state.reference_or(held)
-        if self._is_friction_over(reference, min(n, QUIET)):
-            return self._with_friction(t, None)
+        if self._friction.end(reference, min(n, QUIET)):
+            return self._effects.adopt_friction(t, None)
         is_changed = not np.array_equal(reference, held)
         here = self.residuals.of_newest(held, n)
         is_explained = n >= QUIET and plain_fit(here[-QUIET:], 0).is_explained
         if is_explained and not is_changed:
             return self._explained(t, held, n)
         there = self.residuals.of_newest(reference, n) if is_changed else here
-        if self._is_over(here, there, is_changed, is_explained) and not (is_explained and self._is_changing(held, n)):
+        if self._is_over(here, there, is_changed, is_explained) and not (
+            is_explained and self.comparison.is_changing(held, n)
+        ):
             return self._passed(t, reference, there, is_changed)
         if n < LONG:
             return None
-        if self._is_worse_than_lasting(held, here):
+        if self._lasting.are_better(held, here):
             return self.give_up(t)
         disturbance = disturbance_of(there, may_drift=False)
-        parameters, nothing = plain_fit(here, self._n_free), plain_fit(there, 0)
+        parameters, nothing = plain_fit(here, len(self._space)), plain_fit(there, 0)
         self.evidence.note(n, nothing=nothing, disturbance=disturbance.fit)
         if is_changed and nothing.is_explained and nothing.score <= min(parameters.score, disturbance.fit.score):
-            return self._larger_noise(reference, held, n)
+            return self._effects.larger_noise(reference, held, n)
         if is_changed and is_explained and parameters.is_explained:
             self.evidence.note(n, parameters=parameters)
             return self._changed(t, held) if disturbance.fit.score >= parameters.score + MARGIN else None
-        late = self._late_inputs(reference, n) if self._is_due() else None
+        late = self._lag.newest(reference, n) if self._lag.is_due else None
         if late is not None:
-            best = self._best(held, late.n, may_drift=True).fit
+            best = self.comparison.best(held, late.n, may_drift=True).fit
             if late.fit.score + (MARGIN if late.n < _SURE else 0.0) <= best.score:
-                return self._adopted(t, late)
+                return self._effects.adopt(t, late)
         is_named = disturbance.fit.is_explained and disturbance.fit.score + MARGIN <= nothing.score
-        if is_named and n % 2 == 0 and not self._is_changing(held, n):
-            before = self._before(reference, n)
+        if is_named and n % 2 == 0 and not self.comparison.is_changing(held, n):
+            before = self._lasting.before(reference, n)
             events = self._name(t, disturbance_of(self.residuals.of_newest(before, n), may_drift=False))
-            return Settled(self._undone(before), events, True)
+            return Settled(self._lasting.undone(before), events, True)
         return None
 
     def _explained(self, t: float, held: Vector, n: int) -> Settled:
@@ -208,26 +225,28 @@ class Diagnosis(EffectDiagnosis):
         The third time, or where it rests at once, all channels rest.
         """
         state = self._state
-        before = state.lasting if state.reference is None else self._accepted(state.reference)
-        found = None if before is None else self._lacking(before)
+        before = state.lasting if state.reference is None else self._lasting.accepted(state.reference)
+        found = None if before is None else self._effects.lacking(before)
         if found is None and before is not None and state.n_since >= LONG:
-            found = self._late_inputs(before, state.n_since)
+            found = self._lag.newest(before, state.n_since)
         if found is not None:
-            return self._adopted(t, found)
+            return self._effects.adopt(t, found)
         state.end_suspicion()
         state.way = state.way.begin(None if before is None else self._space.to_unit(before))
         if before is not None:
-            self._doubt_friction(before)
+            self._friction.doubt(before)
         every = ~state.is_resting
-        names = self._of(every)
-        reason = f"parameters explain {', '.join(names)} for a few samples only"
-        state.counts["unexplained"] += 1
-        event = Event(t, "unexplained", {"channels": names, "reason": reason})
+        event = self._record.unexplained(t, every, "parameters explain {} for a few samples only")
         state.n_failures = max(state.n_failures + 1, PATIENCE if rests else 0)
         if state.n_failures < PATIENCE:
             return Settled(before, (event,), True)
         state.findings = state.findings.forget()
         return Settled(before, (event, self._rest(t, every)), True)
+
+    def accept(self, theta: Vector) -> None:
+        """Take parameters (d,) that are warranted and in force for those that the next ones are compared with."""
+        if self._state.n_since:
+            self._state.reference, self._state.n_calm = theta, 0
 
     def expect(self, is_identifiable: Sequence[bool]) -> None:
         """Take a proposal that is passed on, with which of its parameters (d,) the samples determine."""
@@ -272,35 +291,34 @@ class Diagnosis(EffectDiagnosis):
         if plain_fit(rows, 0).score <= found.fit.score:  # a false alarm
             state.end_suspicion()
             return None
-        late = self._late_inputs(reference, state.n_since) if state.n_since >= LONG else None
+        late = self._lag.newest(reference, state.n_since) if state.n_since >= LONG else None
         if late is not None:
-            return self._adopted(t, late)
-        if (self._is_changing(held, n) and not state.is_resting.any()) or self._is_noise(held):
+            return self._effects.adopt(t, late)
+        if (self.comparison.is_changing(held, n) and not state.is_resting.any()) or self.comparison.adopt_noise(held):
             return None
-        explaining = [d for d in (found, self._both(held, n)) if d is not None and d.fit.is_explained]
-        before = self._before(reference, n)
+        explaining = [
+            d for d in (found, self.comparison.with_disturbance(held, n)) if d is not None and d.fit.is_explained
+        ]
+        before = self._lasting.before(reference, n)
         if n >= QUIET and explaining:
             best = min(explaining, key=lambda d: d.fit.score)
             if best is found:
                 best = disturbance_of(self.residuals.of_newest(before, n))
             events = self._name(t, best)
-            return Settled(self._undone(before), events, True)
+            return Settled(self._lasting.undone(before), events, True)
         state.largest_in_vain = _largest(self.residuals.of_newest(before, state.n_since))
         state.end_suspicion()
-        self._doubt_friction(before)
+        self._friction.doubt(before)
         lacks = self._lacking_channels(rows if theta is None else self.residuals.of_newest(theta, n))
-        names = self._of(lacks)
-        reason = f"no parameters explain {', '.join(names)}"
-        event = Event(t, "unexplained", {"channels": names, "reason": reason})
-        state.counts["unexplained"] += 1
+        event = self._record.unexplained(t, lacks, "no parameters explain {}")
         events = (event, *self._in_vain(t, lacks))
-        return Settled(self._undone(before), events, True)
+        return Settled(self._lasting.undone(before), events, True)
 
     def _lacking_channels(self, rows: Vector) -> NDArray[np.bool_]:
         """Return the channels (c,) that residuals (n, c) are too large on; all that do not rest where there is none."""
         with np.errstate(over="ignore", invalid="ignore"):
             squares = np.nan_to_num(np.sum(rows**2, axis=0), nan=np.inf)
-        lacks = squares > chi2_limit(FALSE_ALARM / len(self._names), len(rows))
+        lacks = squares > chi2_limit(FALSE_ALARM / rows.shape[1], len(rows))
         return lacks if lacks.any() else ~self._state.is_resting
 
     def _in_vain(self, t: float, channels: NDArray[np.bool_]) -> tuple[Event, ...]:
@@ -317,7 +335,9 @@ class Diagnosis(EffectDiagnosis):
         if found.is_constant:  # else it is another one in the next sample
             state.offset = offset
         how = "constant" if found.is_constant else "changing"
-        event = self._named(t, offset, acts, f"a {how} disturbance explains the samples, changed parameters do not")
+        event = self._record.disturbance(
+            t, offset, acts, f"a {how} disturbance explains the samples, changed parameters do not"
+        )
         return event, *self._in_vain(t, acts)
 
     def _passed(self, t: float, before: Vector, rows: Vector, is_changed: bool) -> Settled:
@@ -336,12 +356,12 @@ class Diagnosis(EffectDiagnosis):
         if was_known:
             events = (Event(t, "disturbance", {"size": {}, "reason": "the disturbance is over"}),)
         elif is_changed and n_unusual >= FEWEST:
-            events = (self._named(t, largest * state.scale.effective, acts, _PASSED),)
+            events = (self._record.disturbance(t, largest * state.scale.effective, acts, _PASSED),)
         state.offset, state.n_since = np.zeros(len(acts)), 0
         if not is_changed:
             return Settled(None, events, True)
         events = (*events, *self._in_vain(t, acts))
-        return Settled(self._undone(before), events, True)
+        return Settled(self._lasting.undone(before), events, True)
 
     def _passed_since(self, t: float) -> Settled | None:
         """Name a disturbance, the last search being in vain, as the parameters before it explain the samples again."""
@@ -350,16 +370,10 @@ class Diagnosis(EffectDiagnosis):
             return None
         state.largest_in_vain = None
         return Settled(
-            None, (self._named(t, largest * state.scale.effective, _acting(np.abs(largest)), _PASSED),), True
+            None,
+            (self._record.disturbance(t, largest * state.scale.effective, _acting(np.abs(largest)), _PASSED),),
+            True,
         )
-
-    def _named(self, t: float, offset: Vector, acts: NDArray[np.bool_], reason: str) -> Event:
-        """Count a disturbance (c,), in standard deviations of the declared noise; return its event."""
-        state = self._state
-        size = {self._names[i]: float(offset[i] * self.residuals.sigma[i]) for i in np.flatnonzero(acts)}
-        state.counts["disturbance"] += 1
-        state.named = [*state.named, {"t": t, "size": size}][-MOST_NAMED:]
-        return Event(t, "disturbance", {"size": size, "reason": reason})
 
     def succeed(self, t: float, theta: Vector) -> Settled | None:
         """Take the end of a search that has found parameters theta (d,).
@@ -380,9 +394,6 @@ class Diagnosis(EffectDiagnosis):
         state.findings = state.findings.take(state.n_samples, self._space.to_unit(theta))
         return state.findings.are_restless
 
-    def _of(self, channels: NDArray[np.bool_]) -> list[str]:
-        return [self._names[i] for i in np.flatnonzero(channels)]
-
     def _rest(self, t: float, channels: NDArray[np.bool_]) -> Event:
         """Let the channels rest, all of them where some do already, longer each time; return the event."""
         state = self._state
@@ -390,9 +401,7 @@ class Diagnosis(EffectDiagnosis):
         length = self._settings.rest_length(state.n_failures)
         state.rest(channels, length)
         state.largest_in_vain = None
-        names = self._of(channels)
-        reason = f"{state.n_failures} searches in vain: {', '.join(names)} left out for {length} samples"
-        return Event(t, "rest", {"channels": names, "n_samples": length, "reason": reason})
+        return self._record.rest(t, channels, length)
 
     def _is_usual(self, row: Vector, n_sampled: int) -> bool:
         return not n_sampled or float(row @ row) <= chi2_limit(self._settings.false_alarm, n_sampled)

@@ -140,7 +140,6 @@ class DiagnosisState:
         self.is_resting = self.is_resting | channels
         self.rested.clear()
         self.resting = RestingResiduals()
-        self.counts["rest"] += 1
 
     def wake(self) -> bool:
         """End the rests that are over; return whether there was one."""

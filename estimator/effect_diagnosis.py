@@ -1,88 +1,108 @@
 """End of a suspicion as something that the model lacks explains the samples: a lag, friction, or a larger noise."""
 
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from .effect_comparison import Explanation
-from .events import Event
+from .diagnosis_record import DiagnosisRecord
+from .diagnosis_state import DiagnosisState
 from .friction import FoundFriction
+from .friction_comparison import FrictionComparison
 from .hypotheses import MARGIN, NEVER, plain_fit
+from .known_effects import Explanation
+from .lag_comparison import LagComparison
 from .lasting import LastingParameters
+from .settled import Settled
 from .space import Vector
+from .standardised_residuals import StandardisedResiduals
 
-_FRICTION: Final = "friction that the model lacks explains the samples, neither a disturbance nor parameters do"
-
-
-@dataclass(frozen=True)
-class Settled:
-    """End of a suspicion."""
-
-    undo: Vector | None
-    """Parameters (d,) from before the onset, to return to; None where those in force stay."""
-    events: tuple[Event, ...] = ()
-    ends_search: bool = False
-    """True where the search for parameters is at its end, too."""
+_EARLIEST: Final = 16
+"""Least number of samples since the parameters that lasted were contradicted, in which an effect is sought again."""
 
 
-class EffectDiagnosis(LastingParameters):
+class EffectDiagnosis:
     """Diagnosis of what the model lacks, whose size is known then."""
 
-    def _larger_noise(self, reference: Vector, held: Vector, n: int) -> Settled:
+    def __init__(
+        self,
+        state: DiagnosisState,
+        residuals: StandardisedResiduals,
+        lag: LagComparison,
+        friction: FrictionComparison,
+        lasting: LastingParameters,
+        record: DiagnosisRecord,
+    ) -> None:
+        self._state, self._residuals, self._record = state, residuals, record
+        self._lag, self._friction, self._lasting = lag, friction, lasting
+
+    def larger_noise(self, reference: Vector, held: Vector, n: int) -> Settled:
         """End a suspicion as the noise is larger than was known at the onset: nothing has happened since.
 
         What lasted returns where it explains the newest n samples, too; else the reference (d,), a search's own finding
         perhaps, where it explains them better than what is held (d,).
         """
-        state, lasting = self._state, self._state.lasting
-        state.end_suspicion()
-        if lasting is not None and plain_fit(self.residuals.of_newest(lasting, n), 0).is_explained:
+        lasting, of_newest = self._state.lasting, self._residuals.of_newest
+        self._state.end_suspicion()
+        if lasting is not None and plain_fit(of_newest(lasting, n), 0).is_explained:
             return Settled(lasting, ends_search=True)
-        here, there = (float(np.sum(self.residuals.of_newest(theta, n) ** 2)) for theta in (held, reference))
-        return Settled(self._undone(reference) if there < here else None, ends_search=True)
+        here, there = (float(np.sum(of_newest(theta, n) ** 2)) for theta in (held, reference))
+        return Settled(self._lasting.undone(reference) if there < here else None, ends_search=True)
 
-    def _adopted(self, t: float, effect: Explanation) -> Settled:
+    def lacking(self, reference: Vector) -> Explanation | None:
+        """Return the lag or the friction that explains the samples since the parameters that lasted, or None."""
+        late = self._lag.lasting(reference)
+        return self._friction.lasting(reference) if late is None else late
+
+    def adopt(self, t: float, effect: Explanation) -> Settled:
         """End a suspicion as an effect that the model lacks explains the samples, or the end of one does."""
         state, found = self._state, effect.found
         state.offset = effect.offset
         if isinstance(found, FoundFriction):
             state.friction = found.friction
-            return self._with_friction(t, effect.theta)
+            return self.adopt_friction(t, effect.theta)
         state.end_suspicion()
         state.inputs.adopt(found)
-        state.counts["lag"] += 1
-        how = "inputs that arrive late explain the samples" if found.lag else "the inputs arrive in time again"
-        event = Event(t, "lag", {**state.inputs.describe(found.lag), "reason": how})
-        return Settled(self._undone(effect.theta), (event,), True)
+        return Settled(self._lasting.undone(effect.theta), (self._record.lag(t, found.lag),), True)
 
-    def _with_friction(self, t: float, theta: Vector | None) -> Settled:
+    def adopt_friction(self, t: float, theta: Vector | None) -> Settled:
         """End a suspicion, and all rests, as known friction explains the samples; return to theta (d,) where given."""
         state = self._state
-        state.n_since, state.verdict, state.n_failures = 0, "refuted", 0
+        state.end_suspicion()
+        state.n_failures = 0
         state.wake_all()
-        state.counts["friction"] += 1
-        reason = _FRICTION if state.friction else "the friction is over"
-        event = Event(t, "friction", {"terms": self._friction_summary(), "reason": reason})
-        return Settled(None if theta is None else self._undone(theta), (event,), True)
+        event = self._record.friction(t)
+        return Settled(None if theta is None else self._lasting.undone(theta), (event,), True)
 
-    def _late_effect(self, t: float, held: Vector) -> Settled | None:
+    def late(self, t: float, held: Vector) -> Settled | None:
         """Return to the parameters that lasted where what the model lacks explains the samples since.
 
         Other parameters, held (d,), or a constant disturbance have followed it, or channels rest for it.
         """
         state = self._state
-        if state.lasting is None or not self._is_effect_due():
+        if state.lasting is None or not self._is_due():
             return None
         rests = bool(state.is_resting.any())
         is_followed = np.any(state.offset) or not np.array_equal(held, state.lasting)
         if not (rests or is_followed or state.n_since):
             return None
-        followed = NEVER if rests else plain_fit(self.residuals.rows(held, state.every_since_lasting), self._n_free)
+        rows, space = self._residuals.rows, self._residuals.space
+        followed = NEVER if rests else plain_fit(rows(held, state.every_since_lasting), len(space))
         if followed.is_explained:
             return None
-        found = self._friction_long(state.lasting) if state.n_since else self._lacking(state.lasting)
-        if found is None and self._take_friction_beside(held):
-            state.way = state.way.begin(self._space.to_unit(held))
-            return self._with_friction(t, None)
-        return None if found is None or found.fit.score + MARGIN > followed.score else self._adopted(t, found)
+        found = self._friction.lasting(state.lasting) if state.n_since else self.lacking(state.lasting)
+        if found is None and self._friction.take_beside(held):
+            state.way = state.way.begin(space.to_unit(held))
+            return self.adopt_friction(t, None)
+        return None if found is None or found.fit.score + MARGIN > followed.score else self.adopt(t, found)
+
+    def _is_due(self) -> bool:
+        """Return whether an effect is to be sought in the samples since the parameters that lasted were contradicted.
+
+        That is after 16 samples, and then each time after half as many more.
+        """
+        state = self._state
+        n = state.n_samples - state.lasting_at
+        if n < _EARLIEST or state.n_samples < state.next_effect:
+            return False
+        state.next_effect = state.n_samples + n // 2
+        return True

@@ -1,12 +1,13 @@
-"""Known effects on the plant beside its model: a disturbance, late inputs, friction."""
+"""Effects on the plant beside its model: a disturbance, late inputs, friction."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .friction import Friction
-from .input_lag import Inputs
+from .friction import FoundFriction, Friction
+from .hypotheses import Fit
+from .input_lag import FoundLag, Inputs
 from .samples import Sample
 from .space import Vector
 
@@ -28,3 +29,21 @@ class KnownEffects:
         xdot = np.where(self.is_resting, np.nan, np.array(sample.xdot) - self.disturbance)
         left = replace(sample, u=self.arriving.get(sample.t, sample.u), xdot=tuple(xdot.tolist()))
         return self.friction.without(left) if self.friction else left
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Effect on the plant that its model lacks, and that explains samples with parameters and a disturbance."""
+
+    found: FoundLag | FoundFriction
+    theta: Vector
+    """Parameters (d,) with which it does."""
+    offset: Vector
+    """Disturbance (c,) with which it does, in standard deviations of the declared noise."""
+    n: int
+    """Number of samples."""
+
+    @property
+    def fit(self) -> Fit:
+        """Fit to the samples."""
+        return self.found.fit

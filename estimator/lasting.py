@@ -4,10 +4,12 @@ from typing import Final
 
 import numpy as np
 
+from .comparison import LONG
 from .diagnosis_settings import BETTER
-from .effect_comparison import LONG, EffectComparison
+from .diagnosis_state import DiagnosisState
 from .hypotheses import MARGIN, disturbance_of, plain_fit
 from .space import Vector
+from .standardised_residuals import StandardisedResiduals
 
 _ENOUGH: Final = 8
 """Least number of samples, of every fifth one, that show which parameters explain for long."""
@@ -15,20 +17,23 @@ _FAR_LESS: Final = 0.05
 """Share of the sum of squares of the parameters that lasted which better ones may have."""
 
 
-class LastingParameters(EffectComparison):
-    """Comparison that knows which parameters lasted, and which of others to go back to."""
+class LastingParameters:
+    """Choice of the parameters to go back to."""
 
-    def _is_worse_than_lasting(self, held: Vector, here: Vector) -> bool:
-        """Return whether parameters in force (d,) contradict the newest samples, and those that lasted much less so.
+    def __init__(self, state: DiagnosisState, residuals: StandardisedResiduals) -> None:
+        self._state, self._residuals = state, residuals
+
+    def are_better(self, held: Vector, here: Vector) -> bool:
+        """Return whether those that lasted contradict the newest samples much less than the ones in force, held (d,).
 
         Both the newest n, with those that the ones in force have explained before the onset, and the very newest.
-        here: their residuals (n, c).
+        here: residuals (n, c) of the ones in force.
         """
         lasting = self._state.lasting
         if lasting is None or np.array_equal(lasting, held) or plain_fit(here[-LONG:], 0).is_explained:
             return False
         n = min(len(here) + self._state.n_calm, len(self._state.samples))
-        here, there = self.residuals.of_newest(np.array([held, lasting]), n)
+        here, there = self._residuals.of_newest(np.array([held, lasting]), n)
         if np.sum(np.diff(there, axis=0) ** 2) >= np.sum(there**2):  # white noise has twice as much: it is larger
             return False
         return all(
@@ -37,12 +42,7 @@ class LastingParameters(EffectComparison):
             for m in (n, LONG)
         )
 
-    def accept(self, theta: Vector) -> None:
-        """Take parameters (d,) that are warranted and in force for those that the next ones are compared with."""
-        if self._state.n_since:
-            self._state.reference, self._state.n_calm = theta, 0
-
-    def _before(self, reference: Vector, n: int) -> Vector:
+    def before(self, reference: Vector, n: int) -> Vector:
         """Return the parameters (d,) from before the newest n samples: those that lasted, or the reference.
 
         The reference, which a search has found since, only where it explains these, with a disturbance, and those since
@@ -51,10 +51,10 @@ class LastingParameters(EffectComparison):
         lasting = self._state.lasting
         if lasting is None or np.array_equal(lasting, reference) or self._outlasts(reference):
             return reference
-        if not disturbance_of(self.residuals.of_newest(reference, n)).fit.is_explained:
+        if not disturbance_of(self._residuals.of_newest(reference, n)).fit.is_explained:
             return lasting
         n = min(n + self._state.n_calm, len(self._state.samples))
-        found, other = (disturbance_of(self.residuals.of_newest(theta, n)).fit for theta in (reference, lasting))
+        found, other = (disturbance_of(self._residuals.of_newest(theta, n)).fit for theta in (reference, lasting))
         return reference if found.score + MARGIN <= other.score else lasting
 
     def _outlasts(self, theta: Vector) -> bool:
@@ -65,15 +65,15 @@ class LastingParameters(EffectComparison):
         lasting, samples = self._state.lasting, self._state.since_lasting
         if lasting is None or len(samples) < _ENOUGH:
             return False
-        rows = np.array([self.residuals.rows(lasting, samples), self.residuals.rows(theta, samples)])
+        rows = np.array([self._residuals.rows(lasting, samples), self._residuals.rows(theta, samples)])
         usual, found = np.sum((rows - np.median(rows, axis=1, keepdims=True)) ** 2, axis=(1, 2))
         return bool(found < _FAR_LESS * usual)
 
-    def _accepted(self, reference: Vector) -> Vector:
+    def accepted(self, reference: Vector) -> Vector:
         """Return the parameters (d,) that were accepted last: those that lasted, or a reference that does since."""
         lasting = self._state.lasting
         return reference if lasting is None or self._outlasts(reference) else lasting
 
-    def _undone(self, reference: Vector) -> Vector:
+    def undone(self, reference: Vector) -> Vector:
         """Return the parameters (d,) to go back to: the reference, or those accepted last where a channel rests."""
-        return self._accepted(reference) if self._state.is_resting.any() else reference
+        return self.accepted(reference) if self._state.is_resting.any() else reference

@@ -316,7 +316,7 @@ def test_two_samples_are_enough_for_two_parameters_where_both_contradict(truth, 
     for first in (True, False):  # a change stays, a spike does not
         run.diagnosis.observe(run.sample(truth, added if first else 0.0), TRUE)
         run.k += 20
-        found = run.diagnosis.jump(TRUE, is_filter=False)
+        found = run.diagnosis.comparison.jump(TRUE, is_filter=False)
         assert found is None or not first
     assert (found is not None) == is_found
     assert found is None or near(found.theta, CHANGED)
@@ -329,7 +329,7 @@ def test_constant_parameters_are_seldom_sought_while_they_drift(is_filter, most,
     for k in range(40):
         run.diagnosis.observe(run.sample(TRUE + 0.05 * k, 0.0), TRUE)
         run.k += 1
-        found = run.diagnosis.jump(TRUE, is_filter=is_filter)
+        found = run.diagnosis.comparison.jump(TRUE, is_filter=is_filter)
     assert found is None
     assert len(sought) <= most
     assert sought[-1] >= 33
@@ -355,7 +355,7 @@ def test_a_constant_disturbance_is_named_with_its_size_and_its_end(estimator, n_
     ((named, event),) = run.of("disturbance")
     assert named - 150 <= 15
     assert_allclose(sizes(event), push, rtol=0.1)
-    assert_allclose(run.diagnosis.disturbance(run.held), push, rtol=0.1)
+    assert_allclose(run.diagnosis.comparison.disturbance(run.held), push, rtol=0.1)
     assert near(run.held, TRUE, 0.03)
     run.go(60)
     (_, (over, event)) = run.of("disturbance")
@@ -452,7 +452,7 @@ def test_what_was_written_early_stays_where_changed_parameters_win(seed):
 def test_a_disturbance_whose_excitation_begins_anywhere_leaves_the_parameters_in_the_end(seed):
     run = Run("least-squares", 1, seed=seed).go(40 + 23 * seed).go(100, TRUE, PUSH[1])
     assert near(run.held, TRUE)
-    assert_allclose(run.diagnosis.disturbance(run.held), PUSH[1], rtol=0.1)
+    assert_allclose(run.diagnosis.comparison.disturbance(run.held), PUSH[1], rtol=0.1)
 
 
 @CHANNELS
@@ -1013,10 +1013,11 @@ def test_samples_from_before_a_known_lag_show_no_friction():
     run.go(100, TRUE, rubbing(run, "quadratic"))
     known = run.diagnosis.summary()["known_friction"]
     run.diagnosis._state.inputs = InputHistory(lag=Lag(n_late=1))
-    assert not run.diagnosis._is_friction_again(TRUE)
-    assert not run.diagnosis._take_friction_beside(TRUE)
+    friction = run.diagnosis._friction
+    assert not friction.take_again(TRUE)
+    assert not friction.take_beside(TRUE)
     run.go(4, CHANGED, rubbing(run, "quadratic"))
-    assert not run.diagnosis._take_friction_beside(TRUE)
+    assert not friction.take_beside(TRUE)
     assert run.diagnosis.summary()["known_friction"] == known != []
 
 

@@ -7,13 +7,15 @@ from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .contract import Estimate
 from .diagnosis_settings import BETTER, Judgement
-from .diagnosis_state import DiagnosisState
+from .diagnosis_state import WINDOW, DiagnosisState
 from .differences import OfMany
 from .evidence import Evidence
 from .hypotheses import (
+    FALSE_ALARM,
     USUAL_RATE,
     ChangedParameters,
     Disturbance,
@@ -26,11 +28,10 @@ from .hypotheses import (
 )
 from .jump import jump_to
 from .residual_scale import spread_of
+from .significance import chi2_limit
 from .space import Vector
 from .standardised_residuals import StandardisedResiduals
 
-WINDOW: Final = 20
-"""Largest number of samples on which hypotheses are compared."""
 QUIET: Final = 5
 """Number of newest samples that the parameters in force must explain for a suspicion to end."""
 LONG: Final = 6
@@ -52,7 +53,7 @@ _RENEWED: Final = 5
 
 
 class HypothesisComparison:
-    """Comparison on the newest samples; what it finds is evidence for the record."""
+    """Comparison of hypotheses on the newest samples, and the judgement of new parameters by it."""
 
     def __init__(self, state: DiagnosisState, residuals: StandardisedResiduals, evidence: Evidence) -> None:
         self._state, self._residuals, self._evidence = state, residuals, evidence
@@ -189,6 +190,13 @@ class HypothesisComparison:
         fit = plain_fit(best.rows, len(space) + n_channels, n * n_channels)
         self._evidence.note(n, both=fit)
         return Disturbance(mean, np.abs(mean), fit, True) if fit.is_explained else None
+
+    def lacking_channels(self, rows: Vector) -> NDArray[np.bool_]:
+        """Return the channels (c,) that residuals (n, c) are too large on; all that do not rest where there is none."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            squares = np.nan_to_num(np.sum(rows**2, axis=0), nan=np.inf)
+        lacks = squares > chi2_limit(FALSE_ALARM / rows.shape[1], len(rows))
+        return lacks if lacks.any() else ~self._state.is_resting
 
     def adopt_noise(self, held: Vector) -> bool:
         """Adopt a larger noise where that explains the samples since the onset, with those in force or the best ones.

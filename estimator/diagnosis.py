@@ -5,42 +5,41 @@ suspicious   they do not, from an onset on; new parameters are warranted where t
 
 A suspicion ends when the parameters in force, new ones perhaps, explain the samples again; or with a search for
 parameters that has found none: then either a constant disturbance explains them, and is subtracted from now on, or
-nothing does, and the channels concerned rest. See `comparison` for how that is found.
+nothing does, and the channels concerned rest. See `comparison` for how that is found; `effect_diagnosis` and
+`disturbance_diagnosis` for the ends of a suspicion that something beside the model has won.
 """
 
 from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .comparison import FEWEST, LONG, QUIET, WINDOW, HypothesisComparison
+from .comparison import FEWEST, LONG, QUIET, HypothesisComparison
 from .diagnosis_record import DiagnosisRecord
-from .diagnosis_settings import FORGOTTEN, PATIENCE, DiagnosisSettings, is_at_unseen_bound
+from .diagnosis_settings import PATIENCE, DiagnosisSettings, is_at_unseen_bound
 from .diagnosis_state import DiagnosisState
+from .disturbance_diagnosis import DisturbanceDiagnosis
 from .effect_diagnosis import EffectDiagnosis
-from .events import Event
 from .evidence import Evidence
 from .friction_comparison import FrictionComparison
-from .hypotheses import FALSE_ALARM, MARGIN, Disturbance, disturbance_of, n_channels_of, plain_fit
+from .hypotheses import MARGIN, disturbance_of, plain_fit
 from .lag_comparison import LagComparison
 from .lasting import LastingParameters
 from .samples import DerivativeResidual, Sample
 from .settled import Settled
-from .significance import chi2_limit
 from .space import Vector
 from .standardised_residuals import StandardisedResiduals
+from .vain_searches import VainSearches
 from .wandering import agree
 
 _SURE: Final = 10
 """Number of samples on which a lag need not explain better than changed parameters, which have more values."""
-_PASSED: Final = "a disturbance has passed: the parameters before it explain the samples again"
 _SPARE: Final = 10
 """Least number of explained values in excess of the fitted ones that makes good for a search in vain."""
 
 
 class Diagnosis:
-    """Diagnosis on sampled derivatives: onset and end of a suspicion, disturbances and rests."""
+    """Diagnosis on sampled derivatives: decides when a suspicion begins and ends, and which hypothesis has won."""
 
     def __init__(
         self,
@@ -62,7 +61,9 @@ class Diagnosis:
         self._friction = FrictionComparison(state, residuals, evidence)
         self._lasting = LastingParameters(state, residuals)
         self._record = DiagnosisRecord(state, residuals, names, inputs)
+        self._vain = VainSearches(state, settings, self._record)
         self._effects = EffectDiagnosis(state, residuals, self._lag, self._friction, self._lasting, self._record)
+        self._disturbances = DisturbanceDiagnosis(state, residuals, settings, self._lasting, self._vain, self._record)
 
     @property
     def is_suspicious(self) -> bool:
@@ -96,53 +97,47 @@ class Diagnosis:
         state = self._state
         state.n_samples += 1
         state.inputs.take(sample)
-        state.way = state.way.go(self._space.to_unit(held))
-        has_woken = state.wake()
+        z = self._space.to_unit(held)
+        state.way = state.way.go(z)
+        is_anew = state.wake()
         corrected = self.residuals.corrected(sample)
         declared = self.residuals.declared(held, corrected)
-        if state.is_resting.any():
-            state.rested.append(self.residuals.declared(held, state.friction.without(sample)))
-            state.resting = state.resting.take(np.where(state.is_resting, state.rested[-1] - state.offset, 0.0))
-            if state.resting.is_outgrown:
-                self.evidence.outgrown(self._record.names, state.resting)
-                state.wake_early()
-                has_woken = True
+        is_anew |= self._end_outgrown_rest(sample, held)
         missing = int(np.count_nonzero(state.is_resting | np.isnan(corrected.xdot)))
-        is_contradictory = not self._is_usual(declared / state.scale.values, len(declared) - missing)
-        state.keep(sample, WINDOW)
-        state.keep_since_lasting(sample)
+        is_contradictory = not self._settings.is_usual(declared / state.scale.values, len(declared) - missing)
+        state.keep(sample)
         if is_contradictory and not state.n_since and (self._lag.take_again(held) or self._friction.take_again(held)):
-            is_contradictory, has_woken = False, True
+            is_contradictory, is_anew = False, True
         if state.n_since or is_contradictory:
             if not state.n_since:
-                state.reference, state.verdict, state.changed, state.has_moved = held, "refuted", None, False
-                state.largest_in_vain = None
-                if state.lasting is None or state.n_samples >= state.suspected_at + FORGOTTEN:
-                    state.lasting, state.lasting_at, state.since_lasting = held, state.n_samples, []
-                    state.next_effect = 0
-                state.n_calm = state.n_samples - state.suspected_at - 1
-                if state.n_samples >= state.suspected_at + WINDOW:
-                    state.restless_since, state.next_lag = state.n_samples, 0
-                    state.way = state.way.begin(self._space.to_unit(held))
-            state.n_since, state.n_quiet = min(state.n_since + 1, len(state.samples)), 0
-            state.suspected_at = state.n_samples
-            state.has_moved |= state.reference is None or not np.array_equal(held, state.reference)
-            return has_woken
-        state.n_quiet += not state.is_resting.any()
-        if state.n_quiet >= FORGOTTEN:
-            state.n_quiet, state.n_failures = 0, max(state.n_failures - 1, 0)
-        return (not missing and state.scale.learn(declared)) or has_woken
+                state.begin_suspicion(held, z)
+            state.count_suspicious(held)
+            return is_anew
+        state.count_quiet()
+        return (not missing and state.scale.learn(declared)) or is_anew
+
+    def _end_outgrown_rest(self, sample: Sample, held: Vector) -> bool:
+        """Take a sample of a rest; end the rest where residuals have outgrown all before in it, and return whether."""
+        state = self._state
+        if not state.is_resting.any():
+            return False
+        state.rested.append(self.residuals.declared(held, state.friction.without(sample)))
+        state.resting = state.resting.take(np.where(state.is_resting, state.rested[-1] - state.offset, 0.0))
+        if not state.resting.is_outgrown:
+            return False
+        self.evidence.outgrown(self._record.names, state.resting)
+        state.wake_early()
+        return True
 
     def settle(self, t: float, held: Vector) -> Settled | None:
         """End the suspicion where one hypothesis has won, from the samples since the onset; None where it goes on."""
-        state = self._state
-        n = state.n_since
+        state, n = self._state, self._state.n_since
         settled = self._effects.late(t, held)
         if settled is not None:
             state.largest_in_vain = None  # it was this
             return settled
         if not n:
-            return self._passed_since(t)
+            return self._disturbances.passed_since(t)
         reference = state.reference_or(held)
         if self._friction.end(reference, min(n, QUIET)):
             return self._effects.adopt_friction(t, None)
@@ -152,14 +147,23 @@ class Diagnosis:
         if is_explained and not is_changed:
             return self._explained(t, held, n)
         there = self.residuals.of_newest(reference, n) if is_changed else here
-        if self._is_over(here, there, is_changed, is_explained) and not (
-            is_explained and self.comparison.is_changing(held, n)
-        ):
-            return self._passed(t, reference, there, is_changed)
+        is_over = self._disturbances.has_passed(here, there, is_changed, is_explained)
+        if is_over and not (is_explained and self.comparison.is_changing(held, n)):
+            return self._disturbances.passed(t, reference, there, is_changed)
         if n < LONG:
             return None
         if self._lasting.are_better(held, here):
             return self.give_up(t)
+        return self._weighed(t, held, here, there, is_explained)
+
+    def _weighed(self, t: float, held: Vector, here: Vector, there: Vector, is_explained: bool) -> Settled | None:
+        """End a long suspicion where noise, changed parameters, a lag or a disturbance has won; None without a winner.
+
+        here, there: residuals (n, c) of the parameters in force, held (d,), which explain the very newest samples or
+        not, and of the reference.
+        """
+        n, reference = len(here), self._state.reference_or(held)
+        is_changed = there is not here
         disturbance = disturbance_of(there, may_drift=False)
         parameters, nothing = plain_fit(here, len(self._space)), plain_fit(there, 0)
         self.evidence.note(n, nothing=nothing, disturbance=disturbance.fit)
@@ -168,7 +172,7 @@ class Diagnosis:
         if is_changed and is_explained and parameters.is_explained:
             self.evidence.note(n, parameters=parameters)
             return self._changed(t, held) if disturbance.fit.score >= parameters.score + MARGIN else None
-        late = self._lag.newest(reference, n) if self._lag.is_due else None
+        late = self._lag.in_newest(reference, n) if self._lag.is_due else None
         if late is not None:
             best = self.comparison.best(held, late.n, may_drift=True).fit
             if late.fit.score + (MARGIN if late.n < _SURE else 0.0) <= best.score:
@@ -176,8 +180,8 @@ class Diagnosis:
         is_named = disturbance.fit.is_explained and disturbance.fit.score + MARGIN <= nothing.score
         if is_named and n % 2 == 0 and not self.comparison.is_changing(held, n):
             before = self._lasting.before(reference, n)
-            events = self._name(t, disturbance_of(self.residuals.of_newest(before, n), may_drift=False))
-            return Settled(self._lasting.undone(before), events, True)
+            found = disturbance_of(self.residuals.of_newest(before, n), may_drift=False)
+            return self._disturbances.adopt(t, found, before)
         return None
 
     def _explained(self, t: float, held: Vector, n: int) -> Settled:
@@ -190,27 +194,11 @@ class Diagnosis:
         if state.has_moved and lasting is not None and agree(self._space.to_unit(lasting), self._space.to_unit(held)):
             there = self.residuals.of_newest(lasting, n)
             if plain_fit(there[-QUIET:], 0).is_explained:
-                return self._passed(t, lasting, there, True)
+                return self._disturbances.passed(t, lasting, there, True)
         state.n_since = 0
-        rows = self.residuals.of_newest(held, n)
-        if not state.has_moved and sum(not self._is_usual(row, n_channels_of(rows)) for row in rows) >= FEWEST:
+        if not state.has_moved and self._settings.n_unusual(self.residuals.of_newest(held, n)) >= FEWEST:
             state.n_failures += 1
         return Settled(None)
-
-    def _is_over(self, here: Vector, there: Vector, is_changed: bool, is_explained: bool) -> bool:
-        """Return whether the reference explains the newest samples again, and those in force do not explain all.
-
-        here, there: residuals (n, c) since the onset of the parameters in force and of the reference.
-        """
-        state = self._state
-        without = there + np.where(state.is_resting, 0.0, state.offset / state.scale.effective)
-        newest = slice(-QUIET, None) if is_changed else slice(None)
-        before = plain_fit(without[newest], 0)
-        if not before.is_explained:
-            return False
-        if is_explained:
-            return is_changed and not plain_fit(here, 0).is_explained
-        return len(here) >= FEWEST and before.score + MARGIN <= plain_fit(here[newest], 0).score
 
     def _changed(self, t: float, held: Vector) -> Settled:
         """End a suspicion that changed parameters, those in force, have won."""
@@ -228,7 +216,7 @@ class Diagnosis:
         before = state.lasting if state.reference is None else self._lasting.accepted(state.reference)
         found = None if before is None else self._effects.lacking(before)
         if found is None and before is not None and state.n_since >= LONG:
-            found = self._lag.newest(before, state.n_since)
+            found = self._lag.in_newest(before, state.n_since)
         if found is not None:
             return self._effects.adopt(t, found)
         state.end_suspicion()
@@ -241,7 +229,7 @@ class Diagnosis:
         if state.n_failures < PATIENCE:
             return Settled(before, (event,), True)
         state.findings = state.findings.forget()
-        return Settled(before, (event, self._rest(t, every)), True)
+        return Settled(before, (event, self._vain.rest(t, every)), True)
 
     def accept(self, theta: Vector) -> None:
         """Take parameters (d,) that are warranted and in force for those that the next ones are compared with."""
@@ -291,89 +279,30 @@ class Diagnosis:
         if plain_fit(rows, 0).score <= found.fit.score:  # a false alarm
             state.end_suspicion()
             return None
-        late = self._lag.newest(reference, state.n_since) if state.n_since >= LONG else None
+        late = self._lag.in_newest(reference, state.n_since) if state.n_since >= LONG else None
         if late is not None:
             return self._effects.adopt(t, late)
         if (self.comparison.is_changing(held, n) and not state.is_resting.any()) or self.comparison.adopt_noise(held):
             return None
-        explaining = [
-            d for d in (found, self.comparison.with_disturbance(held, n)) if d is not None and d.fit.is_explained
-        ]
+        both = self.comparison.with_disturbance(held, n)
+        explaining = [d for d in (found, both) if d is not None and d.fit.is_explained]
         before = self._lasting.before(reference, n)
         if n >= QUIET and explaining:
             best = min(explaining, key=lambda d: d.fit.score)
             if best is found:
                 best = disturbance_of(self.residuals.of_newest(before, n))
-            events = self._name(t, best)
-            return Settled(self._lasting.undone(before), events, True)
-        state.largest_in_vain = _largest(self.residuals.of_newest(before, state.n_since))
-        state.end_suspicion()
+            return self._disturbances.adopt(t, best, before)
+        return self._in_vain(t, theta, before, rows)
+
+    def _in_vain(self, t: float, theta: Vector | None, before: Vector, rows: Vector) -> Settled:
+        """End a suspicion as nothing explains the newest samples, theta (d,) best; rows (n, c): residuals before it."""
+        self._disturbances.await_end(self.residuals.of_newest(before, self._state.n_since))
+        self._state.end_suspicion()
         self._friction.doubt(before)
-        lacks = self._lacking_channels(rows if theta is None else self.residuals.of_newest(theta, n))
+        lacks = self.comparison.lacking_channels(rows if theta is None else self.residuals.of_newest(theta, len(rows)))
         event = self._record.unexplained(t, lacks, "no parameters explain {}")
-        events = (event, *self._in_vain(t, lacks))
+        events = (event, *self._vain.count(t, lacks))
         return Settled(self._lasting.undone(before), events, True)
-
-    def _lacking_channels(self, rows: Vector) -> NDArray[np.bool_]:
-        """Return the channels (c,) that residuals (n, c) are too large on; all that do not rest where there is none."""
-        with np.errstate(over="ignore", invalid="ignore"):
-            squares = np.nan_to_num(np.sum(rows**2, axis=0), nan=np.inf)
-        lacks = squares > chi2_limit(FALSE_ALARM / rows.shape[1], len(rows))
-        return lacks if lacks.any() else ~self._state.is_resting
-
-    def _in_vain(self, t: float, channels: NDArray[np.bool_]) -> tuple[Event, ...]:
-        """Count a search in vain; return the event of the rest of these channels (c,), where it was one too many."""
-        self._state.n_failures += 1
-        return () if self._state.n_failures < PATIENCE else (self._rest(t, channels),)
-
-    def _name(self, t: float, found: Disturbance) -> tuple[Event, ...]:
-        """Take a disturbance for the explanation; return the events."""
-        state = self._state
-        state.end_suspicion()
-        offset = state.offset + found.newest * state.scale.effective
-        acts = _acting(np.maximum(found.largest, np.abs(offset) / state.scale.effective))
-        if found.is_constant:  # else it is another one in the next sample
-            state.offset = offset
-        how = "constant" if found.is_constant else "changing"
-        event = self._record.disturbance(
-            t, offset, acts, f"a {how} disturbance explains the samples, changed parameters do not"
-        )
-        return event, *self._in_vain(t, acts)
-
-    def _passed(self, t: float, before: Vector, rows: Vector, is_changed: bool) -> Settled:
-        """End a suspicion as the parameters before it (d,), whose residuals are rows (n, c), explain the samples again.
-
-        is_changed: true where others are in force. They are undone, and a disturbance that was not known is named.
-        """
-        state = self._state
-        largest = _largest(rows)
-        acts, was_known = _acting(np.abs(largest)), bool(np.any(state.offset))
-        n_unusual = sum(not self._is_usual(row, n_channels_of(rows)) for row in rows)
-        lasting, n_newest = state.lasting, min(len(rows), QUIET)
-        if lasting is not None and plain_fit(self.residuals.of_newest(lasting, n_newest), 0).is_explained:
-            before = lasting
-        events: tuple[Event, ...] = ()
-        if was_known:
-            events = (Event(t, "disturbance", {"size": {}, "reason": "the disturbance is over"}),)
-        elif is_changed and n_unusual >= FEWEST:
-            events = (self._record.disturbance(t, largest * state.scale.effective, acts, _PASSED),)
-        state.offset, state.n_since = np.zeros(len(acts)), 0
-        if not is_changed:
-            return Settled(None, events, True)
-        events = (*events, *self._in_vain(t, acts))
-        return Settled(self._lasting.undone(before), events, True)
-
-    def _passed_since(self, t: float) -> Settled | None:
-        """Name a disturbance, the last search being in vain, as the parameters before it explain the samples again."""
-        state, largest = self._state, self._state.largest_in_vain
-        if largest is None or state.n_quiet < QUIET or np.any(state.offset):
-            return None
-        state.largest_in_vain = None
-        return Settled(
-            None,
-            (self._record.disturbance(t, largest * state.scale.effective, _acting(np.abs(largest)), _PASSED),),
-            True,
-        )
 
     def succeed(self, t: float, theta: Vector) -> Settled | None:
         """Take the end of a search that has found parameters theta (d,).
@@ -393,26 +322,3 @@ class Diagnosis:
         state = self._state
         state.findings = state.findings.take(state.n_samples, self._space.to_unit(theta))
         return state.findings.are_restless
-
-    def _rest(self, t: float, channels: NDArray[np.bool_]) -> Event:
-        """Let the channels rest, all of them where some do already, longer each time; return the event."""
-        state = self._state
-        channels = ~state.is_resting if state.is_resting.any() else channels
-        length = self._settings.rest_length(state.n_failures)
-        state.rest(channels, length)
-        state.largest_in_vain = None
-        return self._record.rest(t, channels, length)
-
-    def _is_usual(self, row: Vector, n_sampled: int) -> bool:
-        return not n_sampled or float(row @ row) <= chi2_limit(self._settings.false_alarm, n_sampled)
-
-
-def _largest(rows: Vector) -> Vector:
-    """Return the value (c,) of largest size in each column of rows (n, c)."""
-    return rows[np.abs(rows).argmax(axis=0), np.arange(rows.shape[1])]
-
-
-def _acting(largest: Vector) -> NDArray[np.bool_]:
-    """Return which channels (c,) a disturbance acts on, from its largest size (c,) there: one at least."""
-    acts = largest > np.sqrt(chi2_limit(FALSE_ALARM, 1))
-    return acts if acts.any() else largest >= largest.max()

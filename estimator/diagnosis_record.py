@@ -36,6 +36,10 @@ class DiagnosisRecord:
         state.named = [*state.named, {"t": t, "size": size}][-MOST_NAMED:]
         return self._counted(t, "disturbance", {"size": size, "reason": reason})
 
+    def disturbance_over(self, t: float) -> Event:
+        """Return the event of the end of a known disturbance, which is not counted."""
+        return Event(t, "disturbance", {"size": {}, "reason": "the disturbance is over"})
+
     def lag(self, t: float, found: Lag) -> Event:
         """Return the event of a lag of the inputs that is known now, or of its end."""
         how = "inputs that arrive late explain the samples" if found else "the inputs arrive in time again"

@@ -5,6 +5,8 @@ from typing import Final, Literal
 
 import numpy as np
 
+from .hypotheses import n_channels_of
+from .significance import chi2_limit
 from .space import ParameterSpace, Vector
 
 PATIENCE: Final = 3
@@ -47,6 +49,15 @@ class DiagnosisSettings:
             raise ValueError(f"false_alarm must be between 0 and 1, got {self.false_alarm}.")
         if not 1 <= self.rest <= self.longest_rest <= _MOST:
             raise ValueError(f"rest must be from 1 to longest_rest, got {self.rest} and {self.longest_rest}.")
+
+    def is_usual(self, residual: Vector, n_sampled: int) -> bool:
+        """Return whether the residual (c,) of a sample, on n_sampled channels, does not contradict the parameters."""
+        return not n_sampled or float(residual @ residual) <= chi2_limit(self.false_alarm, n_sampled)
+
+    def n_unusual(self, rows: Vector) -> int:
+        """Return how many of n samples contradict the parameters by their residuals (n, c)."""
+        n_sampled = n_channels_of(rows)
+        return sum(not self.is_usual(row, n_sampled) for row in rows)
 
     def rest_length(self, n_failures: int) -> int:
         """Return the number of samples of the rest after so many searches in vain, three or more."""

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from .diagnosis_settings import KINDS, Judgement
+from .diagnosis_settings import FORGOTTEN, KINDS, Judgement
 from .friction import Friction
 from .input_lag import InputHistory
 from .residual_scale import ResidualScale
@@ -18,6 +18,8 @@ from .samples import Sample
 from .space import Vector
 from .wandering import Findings, Way
 
+WINDOW: Final = 20
+"""Largest number of samples on which hypotheses are compared."""
 _EVERY: Final = 5
 """Number of samples of which one is kept for long."""
 _MOST_SINCE: Final = 60
@@ -110,18 +112,42 @@ class DiagnosisState:
         """End the suspicion; what new parameters were judged by is over, too."""
         self.n_since, self.verdict = 0, "refuted"
 
-    def keep(self, sample: Sample, most: int) -> None:
-        """Keep a sample; of those since an onset, where they are more than `most`, every second of the older ones."""
+    def begin_suspicion(self, held: Vector, z: Vector) -> None:
+        """Begin a suspicion of the parameters in force, held (d,), whose place is z (d,)."""
+        self.reference, self.verdict, self.changed, self.has_moved = held, "refuted", None, False
+        self.largest_in_vain = None
+        if self.lasting is None or self.n_samples >= self.suspected_at + FORGOTTEN:
+            self.lasting, self.lasting_at, self.since_lasting = held, self.n_samples, []
+            self.next_effect = 0
+        self.n_calm = self.n_samples - self.suspected_at - 1
+        if self.n_samples >= self.suspected_at + WINDOW:
+            self.restless_since, self.next_lag = self.n_samples, 0
+            self.way = self.way.begin(z)
+
+    def count_suspicious(self, held: Vector) -> None:
+        """Count the newest sample among those since the onset; held (d,): in force."""
+        self.n_since, self.n_quiet = min(self.n_since + 1, len(self.samples)), 0
+        self.suspected_at = self.n_samples
+        self.has_moved |= self.reference is None or not np.array_equal(held, self.reference)
+
+    def count_quiet(self) -> None:
+        """Count a quiet sample; after many of them one search in vain is forgotten."""
+        self.n_quiet += not self.is_resting.any()
+        if self.n_quiet >= FORGOTTEN:
+            self.n_quiet, self.n_failures = 0, max(self.n_failures - 1, 0)
+
+    def keep(self, sample: Sample) -> None:
+        """Keep a sample; of those since an onset, where there are many, every second of the older ones.
+
+        Of those after the parameters that lasted every fifth one is kept for long.
+        """
         self.samples.append(sample)
-        if len(self.samples) > most:
-            if self.n_since < most:
+        if len(self.samples) > WINDOW:
+            if self.n_since < WINDOW:
                 del self.samples[0]
             else:
-                del self.samples[1 : most // 2 : 2]
+                del self.samples[1 : WINDOW // 2 : 2]
                 self.n_since = len(self.samples) - 1
-
-    def keep_since_lasting(self, sample: Sample) -> None:
-        """Keep every fifth sample of those after the parameters that lasted."""
         if self.n_samples % _EVERY == 0:
             self.since_lasting = [*self.since_lasting, sample][-_MOST_SINCE:]
 

@@ -50,8 +50,8 @@ class EffectDiagnosis:
 
     def lacking(self, reference: Vector) -> Explanation | None:
         """Return the lag or the friction that explains the samples since the parameters that lasted, or None."""
-        late = self._lag.lasting(reference)
-        return self._friction.lasting(reference) if late is None else late
+        late = self._lag.since_lasting(reference)
+        return self._friction.since_lasting(reference) if late is None else late
 
     def adopt(self, t: float, effect: Explanation) -> Settled:
         """End a suspicion as an effect that the model lacks explains the samples, or the end of one does."""
@@ -89,7 +89,7 @@ class EffectDiagnosis:
         followed = NEVER if rests else plain_fit(rows(held, state.every_since_lasting), len(space))
         if followed.is_explained:
             return None
-        found = self._friction.lasting(state.lasting) if state.n_since else self.lacking(state.lasting)
+        found = self._friction.since_lasting(state.lasting) if state.n_since else self.lacking(state.lasting)
         if found is None and self._friction.take_beside(held):
             state.way = state.way.begin(space.to_unit(held))
             return self.adopt_friction(t, None)

@@ -31,7 +31,6 @@ from .objective import DIFFERENCE_STEP
 from .residual_scale import ResidualScale
 from .resting import RestingResiduals
 from .samples import Sample
-from .significance import chi2_limit
 from .space import ParameterSpace, Vector
 from .triggers import Trigger
 
@@ -143,7 +142,7 @@ class EpisodeDiagnosis:
             return None
         if self._window.is_extended:
             return _MORE if self._window.is_ready else None
-        if float(residual @ residual) <= chi2_limit(self._settings.false_alarm, len(residual)):
+        if self._settings.is_usual(residual, len(residual)):
             self._quiet(newest)
             return None
         return trigger(sample, tracking_error, theta)

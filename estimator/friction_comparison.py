@@ -33,7 +33,7 @@ class FrictionComparison:
     def __init__(self, state: DiagnosisState, residuals: StandardisedResiduals, evidence: Evidence) -> None:
         self._state, self._residuals, self._evidence = state, residuals, evidence
 
-    def lasting(self, reference: Vector) -> Explanation | None:
+    def since_lasting(self, reference: Vector) -> Explanation | None:
         """Return the friction that explains the samples since the parameters that lasted were contradicted; or None.
 
         With these or with the reference (d,), where neither a smooth disturbance nor constant parameters explain them.

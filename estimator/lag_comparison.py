@@ -31,7 +31,7 @@ class LagComparison:
         """True where a lag is to be sought: half as many restless samples after the last time."""
         return self._state.n_samples >= self._state.next_lag
 
-    def newest(self, reference: Vector, n: int) -> Explanation | None:
+    def in_newest(self, reference: Vector, n: int) -> Explanation | None:
         """Return the lag that explains all samples since it last was quiet, or the newest n; None without one."""
         state = self._state
         restless = state.n_samples - state.restless_since
@@ -40,7 +40,7 @@ class LagComparison:
         found = (self._explaining(state.samples[-m:], reference) for m in dict.fromkeys((max(longest, n), n)))
         return next((late for late in found if late is not None), None)
 
-    def lasting(self, reference: Vector) -> Explanation | None:
+    def since_lasting(self, reference: Vector) -> Explanation | None:
         """Return the lag that explains the samples since other parameters than the reference were tried, or None.
 
         A drift of parameters and a smooth disturbance explain the newest samples of a lag as well.

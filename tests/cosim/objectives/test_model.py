@@ -91,7 +91,7 @@ def test_a_candidate_without_a_value_is_nan_and_the_next_one_is_not(model):
 
 @pytest.mark.parametrize("killed_by", [signal.SIGSEGV, signal.SIGKILL])
 def test_an_fmu_that_dies_on_a_candidate_is_started_anew(model, children, killed_by):
-    """Of itself, and the candidate has no value; or killed from outside, which is no fault of the candidate's."""
+    """A candidate that it dies of has no value; one during which it is killed from outside is made once more."""
     others = children()
     fmu = model("quadrotor")
     (process_id,) = children() - others

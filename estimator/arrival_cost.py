@@ -36,6 +36,10 @@ _FEW: Final = 2
 """Number of parameters that may drift faster before their drift is refuted: more of them follow whatever happens."""
 _STEP: Final = 1e-4
 """Step of the differences, in the unit cube."""
+_MOST: Final = 5
+"""Largest number of Gauss-Newton steps to the least sum of squares of a window."""
+_LITTLE: Final = 0.01
+"""Gain of the sum of squares below which these end: a tenth of a standard deviation."""
 _WIDEST: Final = 0.5
 """Standard deviation of a parameter of which nothing is known, in the unit cube."""
 
@@ -73,6 +77,29 @@ class ArrivalCost:
         s = np.maximum(known.singular_values, 1.0 / _WIDEST)
         zero = np.zeros(len(z))
         return cls(z, (known.directions.T / s**2) @ known.directions, zero, zero, zero, rate, Whiteness(np.empty(0)))
+
+    @classmethod
+    def of_window(cls, z: Vector, residual: Callable[[Vector], Vector], rate: float) -> Self:
+        """Return the arrival cost of a window of samples, about its least sum of squares close to an estimate z (d,).
+
+        residual: (D,) over the window, in standard deviations, at a place (d,); rate: of a drift, at most. About z a
+        parameter of which the samples say nothing has a standard deviation of half the bounds. Gauss-Newton steps with
+        that prior: Bell and Cathey (1993), "The iterated Kalman filter update as a Gauss-Newton method".
+        """
+        prior = _identity(len(z)) / _WIDEST**2
+        at, best, precision, cost = z, z, prior, np.inf
+        for _ in range(_MOST):
+            value, slope = value_and_slope(residual, at, _STEP)
+            away = at - z
+            now = float(value @ value + away @ prior @ away)
+            if not (now < cost and np.isfinite(slope).all()):
+                break
+            gain, best, cost = cost - now, at, now
+            precision = slope.T @ slope / max(1.0, float(value @ value) / max(len(value) - len(z), 1)) + prior
+            at = np.clip(at - np.linalg.solve(slope.T @ slope + prior, slope.T @ value + prior @ away), 0.0, 1.0)
+            if gain < _LITTLE:
+                break
+        return cls.of_estimate(best, information_of_covariance(np.linalg.inv(precision)), rate)
 
     @property
     def information(self) -> Information:

@@ -133,8 +133,11 @@ class Following(AskTell, Protocol):
     arrival_cost: ArrivalCost | None
     """What the samples so far say of the parameters, frozen; None where no estimate has been accepted yet."""
 
-    def remember(self) -> None:
-        """Begin a new arrival cost with the present estimate."""
+    def remember(self, residual: Callable[[Vector], Vector]) -> None:
+        """Begin a new arrival cost with what the episode's samples say about the present estimate.
+
+        residual: (..., D) of theta (..., d) over the window, in standard deviations.
+        """
         ...
 
     def recall(self, arrival_cost: ArrivalCost | None, held: Vector) -> None:

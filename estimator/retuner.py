@@ -150,7 +150,7 @@ class Retuner:
         is_candidate = self._budget.commit == "candidate" and not has_ended
         wanted = held if estimate is None else candidate if is_candidate else estimate.theta
         if has_ended and self._following is not None and estimate is not None:
-            self._following.remember()
+            self._following.remember(self._window_residuals)
             self._searched = estimate.theta
         if has_ended and self._closes:
             self._window.end(wanted)
@@ -251,6 +251,10 @@ class Retuner:
         if estimate is None or np.array_equal(estimate.theta, held):
             return Proposal(latencies=latencies)
         return Proposal(estimate.theta, estimate, latencies=latencies)
+
+    def _window_residuals(self, thetas: Vector) -> Vector:
+        """Return the residuals (..., D) of candidates (..., d) over the window."""
+        return np.asarray(self._window.residuals(thetas))
 
     def _begin(self, held: Vector) -> str | None:
         """Begin an episode; return on which samples, in words, or None for simply the newest ones."""

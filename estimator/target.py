@@ -286,16 +286,18 @@ class TargetVector:
             cost=cost, n_evaluations=self._n_evaluations, reason=reason,
         )  # fmt: skip
 
-    def remember(self) -> None:
-        """Begin a new arrival cost with the present estimate; with none where any parameters explain so few samples."""
-        if self._told().shape[1] < len(self._space):
+    def remember(self, residual: Callable[[Vector], Vector]) -> None:
+        """Begin a new arrival cost with what the episode's samples say about the present estimate.
+
+        With none where any parameters explain so few of them. residual: (..., D) of theta (..., d) over the window.
+        """
+        space = self._space
+        if self._told().shape[1] < len(space):
             self.arrival_cost = None
             return
-        estimate = self.estimate()
-        assert estimate.information is not None
-        self.arrival_cost = ArrivalCost.of_estimate(
-            self._space.to_unit(estimate.theta), estimate.information, self._settings.drift
-        )
+        z = space.to_unit(self.estimate().theta)
+        at = OfMany(lambda places: residual(space.beyond(places)))
+        self.arrival_cost = ArrivalCost.of_window(z, at, self._settings.drift)
 
     def recall(self, arrival_cost: ArrivalCost | None, held: Vector) -> None:
         """Go back to an earlier arrival cost, where it agrees with the parameters held (d,); else to none."""

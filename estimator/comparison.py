@@ -142,7 +142,7 @@ class HypothesisComparison:
                 return
         z = space.to_unit(theta) if state.changed is None else state.changed
         for n in [n for n in _LENGTHS if n <= state.n_since]:
-            found = changed_parameters(self._residuals.at_newest(n), z)
+            found = changed_parameters(self._residuals.at_newest(n), z, self._residuals.times_of_newest(n))
             if found.rate <= _RATE and self._wins(found.fit, reference, n):
                 state.changed = found.z
                 return
@@ -168,7 +168,8 @@ class HypothesisComparison:
         """Return the parameters that explain the newest n samples best, whatever the search has found."""
         changed = self._state.changed
         z = self._space.to_unit(held) if changed is None else changed
-        return changed_parameters(self._residuals.at_newest(n), z, may_drift=may_drift)
+        times = self._residuals.times_of_newest(n) if may_drift else None
+        return changed_parameters(self._residuals.at_newest(n), z, times, may_drift=may_drift)
 
     def is_changing(self, held: Vector, n: int) -> bool:
         """Return whether parameters, constant ones or slowly changing, explain the newest n samples."""
@@ -214,7 +215,8 @@ class HypothesisComparison:
             larger = np.maximum(spread_of(rows), 1.0)
             if not np.all(np.isfinite(rows)) or np.all(larger < least):
                 continue
-            found = changed_parameters(OfMany(lambda z, f=rows_at, larger=larger: f(z) / larger), z)
+            times = self._residuals.times_of_newest(n)
+            found = changed_parameters(OfMany(lambda z, f=rows_at, larger=larger: f(z) / larger), z, times)
             if found.rate <= _RATE and found.fit.is_explained:
                 state.scale.enlarge(larger)
                 return True

@@ -162,12 +162,13 @@ class ChangedParameters:
     fit: Fit
     """Fit of these parameters, or of parameters that change at a constant rate through them."""
     rate: float = 0.0
-    """Largest change of one of them from row to row, as a share of the scaled bounds; 0 for constant ones."""
+    """Largest change of one of them in a sample interval, as a share of the scaled bounds; 0 for constant ones."""
 
 
 def changed_parameters(
     rows_at: Callable[[Vector], Vector],
     z: Vector,
+    times: Vector | None = None,
     *,
     iterations: int = 30,
     step: float = 1e-6,
@@ -178,8 +179,9 @@ def changed_parameters(
 
     Each step is the best of many dampings (Levenberg 1944); parameters at the end of their range stay there.
     Columns of zeros count as missing. step: of differences. may_drift: parameters that change in time are a straight
-    line through the best constant ones, to first order; rows are in the order of time then. beyond: share of the
-    scaled bounds by which they may lie outside of them.
+    line through the best constant ones, to first order; rows are in the order of time then. times (n,): of the rows,
+    in sample intervals; None where each row is an interval after the one before. beyond: share of the scaled bounds by
+    which they may lie outside of them.
     """
     rows = rows_at(z)
     jacobian = np.zeros((rows.size, len(z)))
@@ -199,16 +201,18 @@ def changed_parameters(
     can_tell = n >= 3 and constant.n_values - 2 * d >= _SPARE
     if not (may_drift and can_tell) or constant.is_explained or not np.all(np.isfinite(jacobian)):
         return ChangedParameters(z, rows, constant)
-    tau = np.repeat(np.linspace(-1.0, 1.0, n), rows.shape[1])[:, None]
+    times = np.arange(float(n)) if times is None else times
+    duration = times[-1] - times[0]
+    tau = np.repeat(2.0 * (times - times[0]) / duration - 1.0, rows.shape[1])[:, None]
     both = np.hstack([jacobian, tau * jacobian])
     # Where the rows tell nothing of it a parameter does not change: a prior on the rates, one row each.
-    prior = np.hstack([np.zeros((d, d)), np.eye(d) / (USUAL_RATE * (n - 1) / 2.0)])
+    prior = np.hstack([np.zeros((d, d)), np.eye(d) / (USUAL_RATE * duration / 2.0)])
     moves = np.linalg.lstsq(np.vstack([both, prior]), np.append(rows.reshape(-1), np.zeros(d)), rcond=1e-7)[0]
     left = rows.reshape(-1) - both @ moves
     line = Fit(float(left @ left), 2 * d, constant.n_values)
     if line.score >= constant.score:
         return ChangedParameters(z, rows, constant)
-    return ChangedParameters(z, rows, line, float(np.abs(moves[d:]).max()) * 2.0 / (n - 1))
+    return ChangedParameters(z, rows, line, float(np.abs(moves[d:]).max()) * 2.0 / duration)
 
 
 def _damped_steps(jacobian: Vector, r: Vector, z: Vector, beyond: float) -> Vector:

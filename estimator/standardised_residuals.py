@@ -5,7 +5,7 @@ That is a disturbance, late inputs and friction; channels that rest have none. A
 
 from collections.abc import Sequence
 from operator import is_
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from .differences import OfMany
 from .known_effects import KnownEffects
 from .samples import DerivativeResidual, Sample, Samples
 from .space import Vector
+
+_LONGER: Final = 1.5
+"""Ratio of the longest to the shortest interval between samples from which on some are missing."""
 
 
 class StandardisedResiduals:
@@ -90,6 +93,17 @@ class StandardisedResiduals:
         """Return the residuals (..., n, c) at the newest n samples as a function of places (..., d)."""
         samples = self._newest(n)
         return OfMany(lambda z: self.scaled_rows(self.space.beyond(z), samples))
+
+    def times_of_newest(self, n: int) -> Vector | None:
+        """Return the times (n,) of the newest n samples in sample intervals; None where none between them is missing.
+
+        Older samples of a long suspicion are thinned out.
+        """
+        t = np.array([sample.t for sample in self._state.samples[-n:]])
+        gaps = np.diff(t)
+        if n < 3 or gaps.max() < _LONGER * gaps.min():
+            return None
+        return (t - t[0]) / gaps.min()
 
     def _newest(self, n: int) -> Samples:
         """Return the newest n samples, corrected, always the same ones while nothing new is known."""

@@ -167,7 +167,7 @@ class ArrivalCost:
         """Return the arrival cost with a walk of these variances (d,) at least."""
         if np.all(walk <= self.walk):
             return self
-        return replace(self, walk=np.maximum(self.walk, walk), whiteness=Whiteness(self.whiteness.newest))
+        return replace(self, walk=np.maximum(self.walk, walk), whiteness=Whiteness(np.empty(0)))
 
     def _squared(self, walks: Vector, measured: "Measurement") -> Vector:
         """Return the normalised innovation squared (k,) of a sample where the parameters walk by variances (k, d)."""
@@ -188,22 +188,27 @@ class ArrivalCost:
 
 @dataclass(frozen=True)
 class Whiteness:
-    """Correlation of each innovation with the one before, of the newest samples: white ones have none."""
+    """Correlation of each innovation with the one before, of the newest samples: white ones have none.
+
+    That is the mean cosine of the angle between them. However large innovations are while a filter catches up with a
+    drift, they count as much as others.
+    """
 
     newest: Vector
-    """Innovation (c,) of the newest sample, in its own standard deviations; empty before the first."""
-    power: float = 0.0
-    """Sum of the innovations' squares, fading."""
-    product: float = 0.0
-    """Sum of the products of each innovation with the one before, fading."""
+    """Direction (c,) of the newest innovation in its own standard deviations; empty before the first."""
+    weight: float = 0.0
+    """Sum of the innovations' weights, which fade."""
+    cosines: float = 0.0
+    """Sum of the cosines between each innovation and the one before, fading."""
     n_samples: int = 0
     """Number of samples in them."""
 
     def updated(self, innovation: Vector) -> "Whiteness":
         """Return the correlation with one more innovation (c,)."""
-        product = float(innovation @ self.newest) if len(self.newest) == len(innovation) else 0.0
-        power = _MEMORY * self.power + float(innovation @ innovation)
-        return Whiteness(innovation, power, _MEMORY * self.product + product, self.n_samples + 1)
+        direction = innovation / max(float(np.linalg.norm(innovation)), 1e-300)
+        cosine = float(direction @ self.newest) if len(self.newest) == len(direction) else 0.0
+        weight, cosines = _MEMORY * self.weight + 1.0, _MEMORY * self.cosines + cosine
+        return Whiteness(direction, weight, cosines, self.n_samples + 1)
 
     @property
     def is_refuted(self) -> bool:
@@ -211,7 +216,7 @@ class Whiteness:
         if self.n_samples < _BLOCK:
             return False
         limit = max(_CORRELATED, _N_STD * sqrt((1.0 - _MEMORY) / max(len(self.newest), 1)))
-        return self.product > limit * self.power
+        return self.cosines > limit * self.weight
 
 
 class Measurement(NamedTuple):

@@ -32,7 +32,7 @@ _LITTLE: Final = 0.01
 """The same as a share of the sum."""
 _SINGULAR: Final = 1e-7
 """Share of the largest singular value of the Jacobian below which nothing moves in a direction."""
-_SPARE: Final = 15
+_SPARE: Final = 12
 """Least number of values in excess of those fitted that can tell drifting parameters from whatever changes smoothly."""
 USUAL_RATE: Final = 0.0025
 """Standard deviation of a drifting parameter's change from sample to sample, as a share of the scaled bounds."""

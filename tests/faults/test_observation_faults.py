@@ -192,7 +192,7 @@ def test_for_an_outlier_that_may_be_a_disturbance_nothing_is_written_without_a_g
     for name in ("m", "l"):
         assert result.estimates[name][48] != result.estimates[name][0]
         after = result.estimates[name][48:60]
-        assert np.ptp(after) < 1e-3 * after[0]  # the other samples still refine it
+        assert np.ptp(after) < 2e-3 * after[0]  # the other samples still refine it; the outlier would move it by 0.3
 
 
 @pytest.mark.parametrize(("diagnosis", "n_doubtful"), [("true", 0), ("false", 2)])

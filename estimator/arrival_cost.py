@@ -12,6 +12,7 @@ from math import sqrt
 from typing import Final, NamedTuple, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .differences import value_and_slope
 from .identifiability import Information, information_of_covariance
@@ -32,6 +33,8 @@ _CORRELATED: Final = 0.5
 """Correlation of an innovation with the one before that shows what no parameter explains."""
 _N_STD: Final = 3.5
 """Standard deviations that it must exceed, where there are few channels."""
+_BESIDE: Final = 0.03
+"""Share of a drifting parameter's rate by which the others may drift beside it, unseen."""
 _FEW: Final = 2
 """Number of parameters that may drift faster before their drift is refuted: more of them follow whatever happens."""
 _STEP: Final = 1e-4
@@ -116,9 +119,14 @@ class ArrivalCost:
         """True where drifting parameters do not explain the samples: their innovations are not white (Mehra, 1970)."""
         if not self.whiteness.is_refuted:
             return False
-        walking = self.walk[self.walk > 0.0]
+        walking = self.walk[self._is_drifting]
         is_too_slow = len(walking) <= _FEW and bool(np.any(walking < self.rate**2))
         return len(walking) > 0 and not is_too_slow
+
+    @property
+    def _is_drifting(self) -> NDArray[np.bool_]:
+        """Which parameters (d,) drift by themselves, not beside another."""
+        return self.walk > 1.01 * (_BESIDE * self.rate) ** 2
 
     def updated(self, residual: Callable[[Vector], Vector]) -> Self:
         """Return the arrival cost with one more sample; residual: (c,) in standard deviations at a place (d,).
@@ -141,8 +149,8 @@ class ArrivalCost:
             whiteness=self.whiteness.updated(_normalised(measured.value, spread)),
             cost=float(measured.value @ measured.value),
         )
-        if block.whiteness.is_refuted and np.any(block.walk) and not block.is_refuted:
-            block = block._walking(np.where(block.walk > 0.0, self.rate**2, 0.0))
+        if block.whiteness.is_refuted and np.any(block._is_drifting) and not block.is_refuted:
+            block = block._walking(np.where(block._is_drifting, self.rate**2, 0.0))
         return block if block.n_samples < _BLOCK else block._learnt()
 
     def drifted(self, residual: Callable[[Vector], Vector]) -> Self | None:
@@ -156,7 +164,7 @@ class ArrivalCost:
         limit, d = chi2_limit(_FALSE_ALARM, len(measured.value)), len(self.mean)
         if self._squared(np.zeros((1, d)), measured)[0] <= limit:
             return self._with(measured)
-        walks = self.rate**2 * np.vstack([np.eye(d), np.ones(d)])
+        walks = self.rate**2 * np.vstack([np.maximum(np.eye(d), _BESIDE**2), np.ones(d)])
         squared = self._squared(walks, measured)
         for i in (int(np.argmin(squared[:d])), d):
             if squared[i] <= limit:

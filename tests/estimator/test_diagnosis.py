@@ -640,7 +640,7 @@ def test_what_returns_is_not_what_was_written_a_moment_before(rate, size, n_chan
     """Parameters follow a sine that the model lacks, are found better for a while, and taken back."""
     share = 1.0 if n_channels == 1 else np.array([1.0, -0.7, 0.4])
     run = Run("target", n_channels, is_trusting=True).go(250)
-    for i in range(70):
+    for i in range(round(4.0 * np.pi / rate)):  # two periods
         n = len(run.undone)
         run.go(1, TRUE, size * np.sin(rate * i) * share)
         if len(run.undone) > n:

@@ -27,6 +27,11 @@ class Information:
         """Return the directions (m, d), m <= d, in which change (d,) exceeds n_std standard deviations."""
         return self.directions[self.singular_values * np.abs(self.directions @ change) > n_std]
 
+    def written(self, change: Vector, n_std: float, std: float) -> Vector:
+        """Return the directions (m, d) in which change (d,) is significant, or known to a standard deviation of std."""
+        s = self.singular_values
+        return self.directions[(s * np.abs(self.directions @ change) > n_std) | (s * std > 1.0)]
+
     def distance(self, change: Vector) -> float:
         """Return the length of a change (d,) in standard deviations: Mahalanobis' distance."""
         return float(np.linalg.norm(self.singular_values * (self.directions @ change)))

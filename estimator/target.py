@@ -323,13 +323,21 @@ class TargetVector:
         return True
 
     def filtered(self, held: Vector) -> Estimate | None:
-        """Return the filter's estimate; None where the samples do not tell it from held (d,), or there is no filter."""
-        known, space = self.arrival_cost, self._space
-        if known is None or known.distance(space.to_unit(held)) < _WORTH:
+        """Return the filter's estimate; None where the samples do not tell it from held (d,), or there is no filter.
+
+        Directions that it does not know, and in which it does not differ significantly from held, stay there.
+        """
+        known, space, settings = self.arrival_cost, self._space, self._settings
+        z = space.to_unit(held)
+        if known is None or known.distance(z) < _WORTH:
             return None
-        seen_by_data = known.information
+        seen, away = known.information, known.mean - z
+        moved = seen.written(away, settings.significance, settings.identifiable_below)
+        if not len(moved):
+            return None
+        place = z + moved.T @ (moved @ away)
         return scaled_estimate(
-            space, known.mean, seen_by_data.std(), self._settings.identifiable_below, seen_by_data,
+            space, place, np.minimum(np.hypot(seen.std(), known.mean - place), 1.0), settings.identifiable_below, seen,
             cost=known.cost, n_evaluations=self._n_evaluations, reason="filtered",
         )  # fmt: skip
 

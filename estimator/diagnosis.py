@@ -136,6 +136,9 @@ class Diagnosis:
         if settled is not None:
             state.largest_in_vain = None  # it was this
             return settled
+        settled = self._disturbances.over(t, held)
+        if settled is not None:
+            return settled
         if not n:
             return self._disturbances.passed_since(t)
         reference = state.reference_or(held)

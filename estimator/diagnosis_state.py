@@ -42,6 +42,8 @@ class DiagnosisState:
     """Inputs of the newest samples, and their known lag."""
     friction: Friction = field(default_factory=Friction)
     """Known friction that the model lacks."""
+    undisturbed: Vector | None = None
+    """Parameters (d,) in force when that disturbance became known; None before one did."""
     n_failures: int = 0
     """Number of searches in vain, one soon after the other."""
     largest_in_vain: Vector | None = None

@@ -17,6 +17,8 @@ from .space import Vector
 from .standardised_residuals import StandardisedResiduals
 from .vain_searches import VainSearches
 
+_OVER: Final = 10
+"""Number of newest samples that show that a known disturbance is over."""
 _PASSED: Final = "a disturbance has passed: the parameters before it explain the samples again"
 
 
@@ -42,7 +44,7 @@ class DisturbanceDiagnosis:
         offset = state.offset + found.newest * state.scale.effective
         acts = _acting(np.maximum(found.largest, np.abs(offset) / state.scale.effective))
         if found.is_constant:  # else it is another one in the next sample
-            state.offset = offset
+            state.offset, state.undisturbed = offset, before
         how = "constant" if found.is_constant else "changing"
         reason = f"a {how} disturbance explains the samples, changed parameters do not"
         events = (self._record.disturbance(t, offset, acts, reason), *self._vain.count(t, acts))
@@ -53,8 +55,7 @@ class DisturbanceDiagnosis:
 
         here, there: residuals (n, c) since the onset of the parameters in force and of the reference.
         """
-        state = self._state
-        without = there + np.where(state.is_resting, 0.0, state.offset / state.scale.effective)
+        without = self._undisturbed(there)
         newest = slice(-QUIET, None) if is_changed else slice(None)
         before = plain_fit(without[newest], 0)
         if not before.is_explained:
@@ -84,6 +85,26 @@ class DisturbanceDiagnosis:
             return Settled(None, events, True)
         events = (*events, *self._vain.count(t, acts))
         return Settled(self._lasting.undone(before), events, True)
+
+    def over(self, t: float, held: Vector) -> Settled | None:
+        """Return to the parameters before a known disturbance where they explain the newest samples without it.
+
+        Those in force, held (d,), may have been written as it faded, and explain the difference.
+        """
+        state, before = self._state, self._state.undisturbed
+        if before is None or not np.any(state.offset) or np.array_equal(before, held) or len(state.samples) < _OVER:
+            return None
+        there, here = self._residuals.of_newest(np.array([before, held]), _OVER)
+        there = self._undisturbed(there)
+        fit = plain_fit(there, 0)
+        if not fit.is_explained or fit.score > plain_fit(here, len(held)).score:
+            return None
+        return self.passed(t, before, there, True)
+
+    def _undisturbed(self, rows: Vector) -> Vector:
+        """Return residuals (n, c) as they are without the known disturbance."""
+        state = self._state
+        return rows + np.where(state.is_resting, 0.0, state.offset / state.scale.effective)
 
     def await_end(self, rows: Vector) -> None:
         """Take the residuals (n, c) that a search in vain leaves: those of a disturbance, should they pass."""

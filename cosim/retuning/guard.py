@@ -212,9 +212,15 @@ class Guard:
         return tuple(events)
 
     def _put_on_probation(self, k: int, theta: Vector, error: float, *, is_proven: bool) -> None:
-        """Put a write on probation from point k on, if it is material; error: the larger of present and predicted."""
+        """Put a write on probation from point k on, if it is material; error: the larger of present and predicted.
+
+        One of the last good parameters takes back those on probation: nothing shows any more what these would do.
+        """
         self.counts["written"] += 1
-        if self._is_material(theta):
+        if self._space.are_same(theta, self._good):
+            self._probation.clear()
+            self._anchor = theta
+        elif self._is_material(theta):
             self._anchor = theta
             self._probation.begin(k, theta, self._settings.growth * error, is_proven=is_proven)
 

@@ -235,6 +235,18 @@ def test_the_way_back_leads_to_what_was_confirmed_and_then_to_the_start():
     np.testing.assert_array_equal(watched.step(14, 0.14, 2.0, NOTHING, calm).write, START)
 
 
+def test_what_is_replaced_by_the_last_good_ones_is_never_good():
+    """It was in force for one step: that nothing has happened since says nothing about it."""
+    support = seen(*BOTH)
+    watched = guard(support, probation=10)
+    watched.step(1, 0.01, 0.0, proposed(GOOD), calm)
+    support.append(MUTE)
+    assert watched.step(2, 0.02, 0.0, proposed(START * (1.0 + 1e-15)), calm).write is not None
+    told = [kind for k in range(3, 20) for kind in kinds(watched.step(k, 0.01 * k, 0.0, NOTHING, calm))]
+    assert told == []
+    assert watched.summary()["confirmed"] == 0
+
+
 def test_nothing_is_written_for_a_probation_after_a_revert():
     watched = written(probation=10)
     watched.step(2, 0.02, 1.0, NOTHING, calm)

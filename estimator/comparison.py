@@ -16,6 +16,7 @@ from .differences import OfMany
 from .evidence import Evidence
 from .hypotheses import (
     FALSE_ALARM,
+    MARGIN,
     USUAL_RATE,
     ChangedParameters,
     Disturbance,
@@ -42,6 +43,8 @@ _LENGTHS: Final = (5, 4, 3, 2, 1)
 """Numbers of newest samples on which the hypotheses are compared, until changed parameters explain them."""
 _RATE: Final = 2.0 * USUAL_RATE
 """Largest change of a parameter from sample to sample, as a share of the scaled bounds: faster, it is none."""
+_SPARE: Final = 8
+"""Least number of values in excess of those fitted that show a known disturbance to have changed with parameters."""
 _NOISY: Final = 8
 """Least number of samples since the onset that show a larger noise than the declared one."""
 _LARGER: Final = 1.3
@@ -177,20 +180,54 @@ class HypothesisComparison:
         self._evidence.note(n, parameters=found.fit)
         return found.fit.is_explained and found.rate <= _RATE
 
-    def with_disturbance(self, held: Vector, n: int) -> Disturbance | None:
-        """Return the constant disturbance that explains the newest n samples together with changed parameters."""
-        space = self._space
+    def with_disturbance(self, held: Vector, n: int, channels: NDArray[np.bool_] | None = None) -> Disturbance | None:
+        """Return the constant disturbance that explains the newest n samples together with changed parameters.
+
+        channels (c,): those that it may act on; None for all.
+        """
+        space, acts = self._space, 1.0 if channels is None else channels
 
         def left(z: Vector) -> Vector:
             rows = self._residuals.of_newest(space.beyond(z), n)
-            return rows - rows.mean(axis=-2, keepdims=True)
+            return rows - acts * rows.mean(axis=-2, keepdims=True)
 
         best = changed_parameters(OfMany(left), space.to_unit(held), may_drift=False)
         rows = self._residuals.of_newest(space.beyond(best.z), n)
-        n_channels, mean = n_channels_of(rows), rows.mean(axis=0)
-        fit = plain_fit(best.rows, len(space) + n_channels, n * n_channels)
+        n_channels, mean = n_channels_of(rows), acts * rows.mean(axis=0)
+        n_free = n_channels if channels is None else int(np.count_nonzero(channels & rows.any(axis=0)))
+        fit = plain_fit(best.rows, len(space) + n_free, n * n_channels)
         self._evidence.note(n, both=fit)
         return Disturbance(mean, np.abs(mean), fit, True) if fit.is_explained else None
+
+    def changed_with_disturbance(self, held: Vector) -> Disturbance | None:
+        """Return by how much a known disturbance has changed together with the parameters; None where it has not.
+
+        What a constant force does to a derivative depends on the parameters. Nothing else may explain the samples since
+        the onset nearly as well.
+        """
+        state, n = self._state, self._state.n_since
+        both = self._with_known(held, n) if n >= LONG and n % 2 == 0 else None
+        if both is None or both.fit.n_values - both.fit.n_free < _SPARE:
+            return None
+        parameters = self.best(held, n, may_drift=True).fit
+        if parameters.is_explained:
+            return None
+        before = self._residuals.of_newest(state.reference_or(held), n)
+        others = (parameters, disturbance_of(before).fit, plain_fit(before, 0))
+        return both if both.fit.score + MARGIN <= min(fit.score for fit in others) else None
+
+    def may_change_with_disturbance(self, held: Vector, n: int, other: Fit) -> bool:
+        """Return whether the parameters may have changed, and the known disturbance with them, by the newest n samples.
+
+        other: fit of another disturbance. After many samples since the onset it is that one.
+        """
+        both = self._with_known(held, n) if self._state.n_since < WINDOW // 2 else None
+        return both is not None and both.fit.score < other.score + MARGIN
+
+    def _with_known(self, held: Vector, n: int) -> Disturbance | None:
+        """Return the change of a known disturbance that explains the newest n samples with changed parameters."""
+        acts = (self._state.offset != 0.0) & ~self._state.is_resting
+        return self.with_disturbance(held, n, acts) if acts.any() else None
 
     def lacking_channels(self, rows: Vector) -> NDArray[np.bool_]:
         """Return the channels (c,) that residuals (n, c) are too large on; all that do not rest where there is none."""

@@ -112,7 +112,7 @@ class Diagnosis:
             if not state.n_since:
                 state.begin_suspicion(held, z)
             state.count_suspicious(held)
-            return is_anew
+            return self._disturbances.take_change(self.comparison.changed_with_disturbance(held)) or is_anew
         state.count_quiet()
         return (not missing and state.scale.learn(declared)) or is_anew
 
@@ -181,7 +181,12 @@ class Diagnosis:
             if late.fit.score + (MARGIN if late.n < _SURE else 0.0) <= best.score:
                 return self._effects.adopt(t, late)
         is_named = disturbance.fit.is_explained and disturbance.fit.score + MARGIN <= nothing.score
-        if is_named and n % 2 == 0 and not self.comparison.is_changing(held, n):
+        may_change = self.comparison.may_change_with_disturbance
+        if (
+            is_named
+            and n % 2 == 0
+            and not (self.comparison.is_changing(held, n) or may_change(held, n, disturbance.fit))
+        ):
             before = self._lasting.before(reference, n)
             found = disturbance_of(self.residuals.of_newest(before, n), may_drift=False)
             return self._disturbances.adopt(t, found, before)

@@ -50,6 +50,12 @@ class DisturbanceDiagnosis:
         events = (self._record.disturbance(t, offset, acts, reason), *self._vain.count(t, acts))
         return Settled(self._lasting.undone(before), events, True)  # a channel may have begun to rest
 
+    def take_change(self, change: Disturbance | None) -> bool:
+        """Take a change of the known disturbance that comes with changed parameters; return whether there is one."""
+        if change is not None:
+            self._state.offset = self._state.offset + change.newest * self._state.scale.effective
+        return change is not None
+
     def has_passed(self, here: Vector, there: Vector, is_changed: bool, is_explained: bool) -> bool:
         """Return whether the reference explains the newest samples again, and those in force do not explain all.
 

@@ -474,6 +474,27 @@ def test_parameters_that_change_while_a_disturbance_acts_are_found(estimator, n_
 
 
 @SEARCHES
+@pytest.mark.parametrize("seed", range(3))
+def test_a_disturbance_that_is_larger_with_the_changed_parameters_is_known_anew(estimator, seed):
+    """A constant force, as seen in a derivative, goes with the inverse of a mass, which changes."""
+    push = np.array([0.5, 0.0, 0.0])
+    run = Run(estimator, 3, seed=seed).go(100).go(60, TRUE, push).go(80, CHANGED, 1.6 * push)
+    assert near(run.held, CHANGED, 0.03)
+    assert_allclose(run.known(), 1.6 * push, atol=0.05)
+    assert not run.of("rest", "undo")
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_parameters_that_explain_the_end_of_a_known_disturbance_are_taken_back(seed):
+    """It fades slowly enough for parameters to follow, so that nothing contradicts them any more."""
+    fading = lambda i: 0.6 * np.clip((110 - i) / 50.0, 0.0, 1.0)  # noqa: E731
+    run = Run("target", 1, seed=seed, is_trusting=True).go(100).go(180, TRUE, fading)
+    assert run.of("disturbance")
+    assert_allclose(run.held, TRUE, atol=0.05)
+    assert run.known() == pytest.approx([0.0], abs=0.03) or run.of("rest")
+
+
+@SEARCHES
 def test_parameters_that_change_as_a_disturbance_begins_are_found(estimator):
     run = Run(estimator, 3).go(100).go(120, CHANGED, PUSH[3])
     assert near(run.held, CHANGED, 0.03)

@@ -252,6 +252,14 @@ def test_the_rate_of_a_drifting_parameter_is_found(rate):
     assert (held.rate, held.fit.n_free, held.fit.is_explained) == (0.0, 2, False)
 
 
+@pytest.mark.parametrize("rate", [0.006, -0.004])
+def test_the_rate_is_by_the_times_of_the_rows_where_older_ones_are_missing(rate):
+    all_rows, times = Linear(30, [0.6, 0.4], 2, rate), np.array([*range(0, 16, 4), *range(16, 30)])
+    found = changed_parameters(lambda z: all_rows(z)[times], MIDDLE, times.astype(float))
+    assert_allclose(found.rate, abs(rate), rtol=0.1)
+    assert found.fit.is_explained
+
+
 @pytest.mark.parametrize(("truth", "reached"), [((1.3, 0.5), (1.3, 0.5)), ((3.0, 0.5), (1.5, None))])
 def test_parameters_beyond_the_bounds_are_found_up_to_half_of_their_width(truth, reached):
     found = changed_parameters(Linear(15, truth, 3), MIDDLE, iterations=8, may_drift=False)

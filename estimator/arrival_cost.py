@@ -32,7 +32,7 @@ _MEMORY: Final = 0.95
 _CORRELATED: Final = 0.5
 """Correlation of an innovation with the one before that shows what no parameter explains."""
 _N_STD: Final = 3.5
-"""Standard deviations that it must exceed, where there are few channels."""
+"""Standard deviations of white noise that it must exceed, where there are few samples or channels."""
 _BESIDE: Final = 0.03
 """Share of a drifting parameter's rate by which the others may drift beside it, unseen."""
 _FEW: Final = 2
@@ -102,7 +102,8 @@ class ArrivalCost:
             at = np.clip(at - np.linalg.solve(slope.T @ slope + prior, slope.T @ value + prior @ away), 0.0, 1.0)
             if gain < _LITTLE:
                 break
-        return cls.of_estimate(best, information_of_covariance(np.linalg.inv(precision)), rate)
+        covariance = np.linalg.inv(precision).astype(np.float64)
+        return cls.of_estimate(best, information_of_covariance(covariance), rate)
 
     @property
     def information(self) -> Information:
@@ -125,7 +126,7 @@ class ArrivalCost:
 
     @property
     def _is_drifting(self) -> NDArray[np.bool_]:
-        """Which parameters (d,) drift by themselves, not beside another."""
+        """True for each parameter (d,) that drifts by itself, not beside another."""
         return self.walk > 1.01 * (_BESIDE * self.rate) ** 2
 
     def updated(self, residual: Callable[[Vector], Vector]) -> Self:
@@ -223,8 +224,9 @@ class Whiteness:
         """True where the innovations are correlated, by more than chance and by more than a filter's lag."""
         if self.n_samples < _BLOCK:
             return False
-        limit = max(_CORRELATED, _N_STD * sqrt((1.0 - _MEMORY) / max(len(self.newest), 1)))
-        return self.cosines > limit * self.weight
+        squares = (1.0 - _MEMORY ** (2 * self.n_samples)) / (1.0 - _MEMORY**2)  # sum of the weights' squares
+        std = sqrt(squares / len(self.newest)) / self.weight
+        return self.cosines > max(_CORRELATED, _N_STD * std) * self.weight
 
 
 class Measurement(NamedTuple):

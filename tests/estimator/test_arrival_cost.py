@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 from numpy.testing import assert_allclose
+from scipy.optimize import least_squares
 
-from estimator.arrival_cost import ArrivalCost
+from estimator.arrival_cost import ArrivalCost, Whiteness
 from estimator.identifiability import information
 from estimator.significance import chi2_limit
 
@@ -52,6 +53,57 @@ def test_without_a_drift_it_is_the_least_squares_of_all_samples():
     assert not np.any(known.walk)
     assert_allclose(known.mean, np.linalg.lstsq(J, np.concatenate(targets), rcond=None)[0], rtol=1e-9)
     assert_allclose(known.covariance, np.linalg.inv(J.T @ J), rtol=1e-6, atol=1e-14)
+
+
+def test_a_window_is_its_least_squares_with_a_wide_prior_about_the_estimate():
+    """On a curved model, by SciPy; a direction that the window does not see stays where the estimate is."""
+    rng, z = np.random.default_rng(2), np.array([0.42, 0.63, 0.5])
+    A = 40.0 * rng.standard_normal((30, 3)) * [1.0, 1.0, 0.0]
+    e = rng.standard_normal(30)
+    residual = lambda place: A @ np.sin(place) - A @ np.sin(TRUTH) + e  # noqa: E731
+    best = least_squares(lambda place: np.append(residual(place), (place - z) / 0.5), z, xtol=1e-14)
+    known = ArrivalCost.of_window(z, residual, RATE)
+    std = np.sqrt(np.diag(np.linalg.inv(best.jac.T @ best.jac)))
+    assert np.all(np.abs(known.mean - best.x) < 0.05 * std)
+    seen = known.covariance[:2, :2] / max(1.0, np.sum(residual(best.x) ** 2) / 27.0)
+    assert_allclose(np.sqrt(seen.diagonal()), std[:2], rtol=1e-3)
+    assert_allclose((known.mean[2], np.sqrt(known.covariance[2, 2])), (0.5, 0.5), rtol=1e-6)
+
+
+def test_a_window_that_is_not_explained_is_believed_less():
+    """Residuals of twice the declared noise: the variance is estimated from them, as in linear regression."""
+    rng = np.random.default_rng(3)
+    A, e = 40.0 * rng.standard_normal((400, 3)), 2.0 * rng.standard_normal(400)
+    known = ArrivalCost.of_window(TRUTH, lambda z: A @ (z - TRUTH) + e, RATE)
+    _, squares, _, _ = np.linalg.lstsq(A, e, rcond=None)
+    assert_allclose(known.covariance, np.linalg.inv(A.T @ A) * squares / 397.0, rtol=1e-2, atol=1e-8)
+
+
+def test_a_window_without_values_leaves_the_estimate_with_the_widest_spread():
+    known = ArrivalCost.of_window(TRUTH, lambda z: np.full(4, np.nan), RATE)
+    assert_allclose(known.mean, TRUTH)
+    assert_allclose(known.covariance, np.eye(3) / 4.0)
+
+
+@pytest.mark.parametrize("n_channels", [1, 3, 6])
+def test_white_innovations_are_not_refuted_however_large_those_of_the_beginning(n_channels):
+    """A filter that catches up with a drift has three large ones, all in one direction."""
+    n_refuted = 0
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        innovations = rng.standard_normal((60, n_channels))
+        innovations[:3] = [[8.0], [6.0], [4.0]]
+        whiteness = Whiteness(np.empty(0))
+        refuted = [(whiteness := whiteness.updated(innovation)).is_refuted for innovation in innovations]
+        n_refuted += any(refuted)
+    assert n_refuted <= 4
+
+
+def test_innovations_that_go_on_in_one_direction_are_refuted():
+    whiteness, rng = Whiteness(np.empty(0)), np.random.default_rng(0)
+    for k in range(40):
+        whiteness = whiteness.updated(np.array([3.0, -2.0]) * np.cos(0.02 * k) + rng.standard_normal(2))
+    assert whiteness.is_refuted
 
 
 def test_errors_are_as_large_as_it_says():

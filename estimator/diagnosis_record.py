@@ -29,12 +29,17 @@ class DiagnosisRecord:
         found = self._state.summary(self.names, self._residuals.sigma)
         return found | {"known_friction": self._known_friction()}
 
-    def disturbance(self, t: float, offset: Vector, acts: NDArray[np.bool_], reason: str) -> Event:
-        """Return the event of a disturbance (c,), in standard deviations of the declared noise; acts (c,): where."""
+    def disturbance(
+        self, t: float, offset: Vector, acts: NDArray[np.bool_], reason: str, *, is_known: bool = False
+    ) -> Event:
+        """Return the event of a disturbance (c,), in standard deviations of the declared noise; acts (c,): where.
+
+        is_known: true where it goes on, and is taken off the samples; else it has passed, or is another one soon.
+        """
         state = self._state
         size = {self.names[i]: float(offset[i] * self._residuals.sigma[i]) for i in np.flatnonzero(acts)}
         state.named = [*state.named, {"t": t, "size": size}][-MOST_NAMED:]
-        return self._counted(t, "disturbance", {"size": size, "reason": reason})
+        return self._counted(t, "disturbance", {"size": size, "is_known": is_known, "reason": reason})
 
     def disturbance_over(self, t: float) -> Event:
         """Return the event of the end of a known disturbance, which is not counted."""

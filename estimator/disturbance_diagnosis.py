@@ -47,7 +47,8 @@ class DisturbanceDiagnosis:
             state.offset, state.undisturbed = offset, before
         how = "constant" if found.is_constant else "changing"
         reason = f"a {how} disturbance explains the samples, changed parameters do not"
-        events = (self._record.disturbance(t, offset, acts, reason), *self._vain.count(t, acts))
+        named = self._record.disturbance(t, offset, acts, reason, is_known=found.is_constant)
+        events = (named, *self._vain.count(t, acts))
         return Settled(self._lasting.undone(before), events, True)  # a channel may have begun to rest
 
     def take_change(self, change: Disturbance | None) -> bool:

@@ -210,7 +210,7 @@ class EpisodeDiagnosis:
             reason = "the disturbance is over" if is_over else (
                 "a constant disturbance of the inputs explains the samples, changed parameters do not"
             )  # fmt: skip
-            event = Event(t, "disturbance", {"size": size, "reason": reason})
+            event = Event(t, "disturbance", {"size": size, "is_known": True, "reason": reason})
             state.named = [*state.named, *([] if is_over else [{"t": t, "size": size}])][-MOST_NAMED:]
         else:
             reason = f"no parameters explain {', '.join(self._outputs)}"

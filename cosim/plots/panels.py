@@ -99,7 +99,7 @@ def _disturbances(run: Run, events: Sequence[RecordedEvent]) -> Iterator[AxisLim
     """Yield begin and end [s] of each stretch in which a disturbance is known: from its event to that of its end."""
     begin: float | None = None
     for event in events:
-        if event.get("kind") != "disturbance":
+        if event.get("kind") != "disturbance" or not event.get("is_known", True):
             continue
         t = float(event["t"])
         if begin is None and event.get("size"):

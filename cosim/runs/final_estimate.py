@@ -1,7 +1,7 @@
 """The final estimate of a run, for the report and the result."""
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Final
 
 from estimator import Estimate, ParameterSpace
 from estimator.identifiability import IDENTIFIABLE_BELOW
@@ -10,6 +10,8 @@ from estimator.identifiability_report import findings
 from ..retuning.decision import Decision
 from ..retuning.estimators import find_method
 from ..scenarios.scenario import Scenario
+
+_UNDONE: Final = "It has been taken back: other parameters, or none that have changed, explain the samples."
 
 
 @dataclass(frozen=True)
@@ -53,18 +55,22 @@ class EstimateTracker:
             settings = scenario.estimation.settings(estimator, find_method(estimator, scenario))
             self._identifiable_below = getattr(settings, "identifiable_below", IDENTIFIABLE_BELOW)
         self._newest: tuple[float, Estimate] | None = None
-        self._has_ended = False
+        self._has_ended = self._is_undone = False
 
     def take(self, t: float, decision: Decision) -> None:
         """Take the decision made at t [s]."""
         kinds = {event.kind for event in decision.events}
         is_complete = "end" in kinds or "candidate" not in kinds
         if decision.estimate is not None and (is_complete or not self._has_ended):
-            self._newest, self._has_ended = (t, decision.estimate), is_complete
+            self._newest, self._has_ended, self._is_undone = (t, decision.estimate), is_complete, False
+        self._is_undone |= "undo" in kinds
 
     def final(self) -> FinalEstimate | None:
         """Return the estimate that is kept; None where nothing was estimated."""
-        return None if self._newest is None else final_estimate(*self._newest, self._space, self._identifiable_below)
+        if self._newest is None:
+            return None
+        found = final_estimate(*self._newest, self._space, self._identifiable_below)
+        return replace(found, findings=(_UNDONE,)) if self._is_undone else found
 
 
 def final_estimate(t: float, estimate: Estimate, space: ParameterSpace, identifiable_below: float) -> FinalEstimate:

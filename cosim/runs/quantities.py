@@ -126,7 +126,10 @@ def event_column(events: Sequence[RecordedEvent], key: str, i: int) -> Series:
 
 
 def disturbance_sizes(run: Run, events: Sequence[RecordedEvent]) -> dict[str, Mapping[float, float]]:
-    """Return the known size of the disturbance by channel, from each time [s] on that it changes."""
+    """Return the known size of the disturbance by channel, from each time [s] on that it changes.
+
+    One that is over when it is named is known for a macro step.
+    """
     sizes: dict[str, dict[float, float]] = {}
     for event in events:
         size = event.get("size")
@@ -135,5 +138,9 @@ def disturbance_sizes(run: Run, events: Sequence[RecordedEvent]) -> dict[str, Ma
         for channel in {*sizes, *size}:
             begin = {float(run.time[0]): 0.0} if len(run.time) else {}
             value = size.get(channel, 0.0)
-            sizes.setdefault(channel, begin)[float(event["t"])] = value if isinstance(value, int | float) else np.nan
+            of, t = sizes.setdefault(channel, begin), float(event["t"])
+            before = [*of.values()][-1] if of else 0.0
+            of[t] = value if isinstance(value, int | float) else np.nan
+            if not event.get("is_known", True):
+                of[t + run.scenario.scenario.macro_step] = before
     return {channel: {**of, float(run.time[-1]): [*of.values()][-1]} for channel, of in sizes.items() if len(run.time)}

@@ -16,7 +16,7 @@ RecordedEvent = Mapping[str, Any]
 
 _TYPES: Final[Mapping[str, Any]] = {
     "kind": str, "reason": str, "fault": str, "sensor": str, "cost": int | float, "theta": list, "std": list,
-    "size": dict, "scores": dict, "explained": list, "n_samples": int,
+    "size": dict, "scores": dict, "explained": list, "n_samples": int, "is_known": bool,
 }  # fmt: skip
 """Types of the content that is drawn or told; anything else is left out."""
 

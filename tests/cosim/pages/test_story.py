@@ -8,7 +8,7 @@ import pytest
 from cosim.pages.marks import REFUSALS, SIGNS, reason_of, refusals
 from cosim.pages.plant_changes import plant_changes
 from cosim.pages.story import chapters, verdict
-from cosim.runs.quantities import uncertainty_band
+from cosim.runs.quantities import disturbance_sizes, uncertainty_band
 from estimator.events import Event
 
 NOTICED = {"t": 0.52, "kind": "trigger", "reason": "normalised innovation squared 50 exceeds 24"}
@@ -146,6 +146,15 @@ def test_inputs_that_arrive_late_are_told_with_their_lag(made_up):
     slow = made_up(events=[NOTICED, limited, limited | {"t": 0.7, "rates": [None, None], "reason": "in time"}])
     assert [reason_of(e, slow.run) for e in slow.events[1:]] == ["late; rate limited to 2.5 per second", "in time"]
     assert chapters(slow.run, slow.events)[0].refused == "late inputs named once, inputs in time again once"
+
+
+def test_a_disturbance_that_has_passed_is_known_for_a_step_and_one_that_acts_until_its_end(made_up):
+    acting = {"t": 0.1, "kind": "disturbance", "size": {"plant.phi": 2.0}, "is_known": True}
+    over, passed = acting | {"t": 0.2, "size": {}}, acting | {"t": 0.3, "size": {"plant.phi": 5.0}, "is_known": False}
+    shown = made_up(events=[acting, over, passed])
+    (of,) = disturbance_sizes(shown.run, shown.events).values()
+    at = [list(of.values())[np.searchsorted([*of], t, side="right") - 1] for t in (0.05, 0.15, 0.25, 0.305, 0.32, 0.49)]
+    assert at == [0.0, 2.0, 0.0, 5.0, 0.0, 0.0]
 
 
 def test_the_band_of_what_was_written_ends_where_earlier_parameters_return(made_up):

@@ -110,6 +110,25 @@ def test_a_drift_is_not_refuted(seed):
     assert not {"unexplained", "undo"} & set(loop.events)
 
 
+def both_drift(i):
+    """The second one more slowly."""
+    return CHANGED + np.array([0.0045 * i, 0.0019 * i])
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("moved", [drift, both_drift])
+def test_of_many_drifts_next_to_none_is_refuted_or_searched_for(moved):
+    """Chance of 1 in 20 in each; the error is a standard deviation and a half of what is not worth a write."""
+    n_refuted = n_searched = 0
+    for seed in range(20):
+        loop = Loop(seed).go(100, constant(TRUE)).go(40, constant(CHANGED)).go(200, moved)
+        n_refuted += bool({"unexplained", "undo", "disturbance"} & set(loop.events))
+        n_searched += loop.retuner.n_episodes > 2
+        assert_allclose(loop.held, moved(199), atol=0.06)
+    assert n_refuted <= 1
+    assert n_searched <= 1
+
+
 @SEEDS
 def test_a_second_jump_is_searched_for(seed):
     loop = Loop(seed).go(100, constant(TRUE)).go(60, constant(CHANGED)).go(60, constant(TRUE))

@@ -1,0 +1,59 @@
+"""The benchmark on plants that no scenario has: each plant, its controller, and the comparison of runs."""
+
+import json
+from math import isnan
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from benchmarks import foreign
+from benchmarks.foreign_cases import CASES, tables
+from benchmarks.foreign_fmus import PLANTS, plant_named
+
+EVERY = pytest.mark.parametrize("plant", [plant_named(name) for name in PLANTS], ids=PLANTS)
+
+
+@EVERY
+def test_the_controller_follows_the_reference_where_its_parameters_are_right(plant):
+    """In continuous time, by DOP853: to half a percent of the range of the reference, and worse with the changed ones."""
+    x, _, right = plant.start()
+    end = min(plant.n_steps, 300) * plant.step
+    places = {s.name: i for i, s in enumerate(plant.states)}
+    of = {s.name: i for i, s in enumerate(plant.references)}
+
+    def error(plants_own):
+        def f(t, x):
+            return plant.derivative(tuple(x), plant.control(tuple(x), plant.reference(t), *right), *plants_own)
+
+        times = np.linspace(0.0, end, 200)
+        found = solve_ivp(f, (0.0, end), x, method="DOP853", rtol=1e-9, atol=1e-10, t_eval=times)
+        assert found.success
+        wanted = np.array([plant.reference(t) for t in times])
+        pairs = [(found.y[places[name]], wanted[:, of[ref]]) for name, ref in plant.tracked.items()]
+        return max(np.abs(y - r).max() / np.ptp(r) for y, r in pairs)
+
+    exact, wrong = error(right), error([p.changed for p in plant.parameters])
+    assert exact < 5e-3
+    assert wrong > 3.0 * exact
+
+
+@EVERY
+def test_what_is_left_out_is_a_case_and_the_others_have_scenarios(plant):
+    assert set(plant.omitted) <= set(CASES)
+    for case in set(CASES) - set(plant.omitted):
+        assert tables(plant, case, 0)["scenario"]["name"] == f"{plant.name}-{case}"
+
+
+@pytest.mark.fmu
+def test_runs_are_compared_with_the_nominal_controller_and_the_true_parameters(tmp_path, monkeypatch, capsys):
+    out = tmp_path / "found.json"
+    arguments = ["foreign", "--plants", "ball", "--cases", "none", "change", "--jobs", "1", "--out", str(out)]
+    monkeypatch.setattr("sys.argv", arguments)
+    foreign.main()
+    none, change = json.loads(out.read_text())["rows"]
+    assert (none["ratio"], none["episodes"], none["lost"]) == (1.0, 0.0, 0)
+    assert none["floor ratio"] is None or isnan(none["floor ratio"])
+    assert 0.0 < change["floor ratio"] < change["ratio"] < 0.01
+    assert change["parameter error"] < 0.01
+    assert "2 runs" in capsys.readouterr().out

@@ -220,13 +220,15 @@ class HypothesisComparison:
         others = (parameters, disturbance_of(before).fit, plain_fit(before, 0))
         return both if both.fit.score + MARGIN <= min(fit.score for fit in others) else None
 
-    def may_change_with_disturbance(self, held: Vector, n: int, other: Fit) -> bool:
-        """Return whether the parameters may have changed, and the known disturbance with them, by the newest n samples.
+    def may_be_parameters(self, held: Vector, n: int, disturbance: Fit) -> bool:
+        """Return whether changed parameters may explain the newest n samples that a disturbance explains.
 
-        other: fit of another disturbance. After many samples since the onset it is that one.
+        Alone, or with another size of a disturbance that was known before; the latter not after many samples.
         """
+        if self.is_changing(held, n):
+            return True
         both = self._with_known(held, n) if self._state.n_since < WINDOW // 2 else None
-        return both is not None and both.fit.score < other.score + MARGIN
+        return both is not None and both.fit.score < disturbance.score + MARGIN
 
     def _with_known(self, held: Vector, n: int) -> Disturbance | None:
         """Return the change of a known disturbance that explains the newest n samples with changed parameters."""

@@ -181,12 +181,7 @@ class Diagnosis:
             if late.fit.score + (MARGIN if late.n < _SURE else 0.0) <= best.score:
                 return self._effects.adopt(t, late)
         is_named = disturbance.fit.is_explained and disturbance.fit.score + MARGIN <= nothing.score
-        may_change = self.comparison.may_change_with_disturbance
-        if (
-            is_named
-            and n % 2 == 0
-            and not (self.comparison.is_changing(held, n) or may_change(held, n, disturbance.fit))
-        ):
+        if is_named and n % 2 == 0 and not self.comparison.may_be_parameters(held, n, disturbance.fit):
             before = self._lasting.before(reference, n)
             found = disturbance_of(self.residuals.of_newest(before, n), may_drift=False)
             return self._disturbances.adopt(t, found, before)

@@ -16,7 +16,7 @@ EVERY = pytest.mark.parametrize("plant", [plant_named(name) for name in PLANTS],
 
 @EVERY
 def test_the_controller_follows_the_reference_where_its_parameters_are_right(plant):
-    """In continuous time, by DOP853: to half a percent of the range of the reference, and worse with the changed ones."""
+    """In continuous time, by DOP853: to half a percent of its range, and worse with the changed ones."""
     x, _, right = plant.start()
     end = min(plant.n_steps, 300) * plant.step
     places = {s.name: i for i, s in enumerate(plant.states)}

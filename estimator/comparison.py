@@ -78,16 +78,12 @@ class HypothesisComparison:
             return state.verdict
         return "refuted"
 
-    def lags(self, theta: Vector, *, is_filter: bool) -> bool:
-        """Return whether an estimate theta (d,) does not explain the newest samples, which other parameters may.
-
-        Of a search, all samples since the onset.
-        """
+    def lags(self, theta: Vector) -> bool:
+        """Return whether an estimate theta (d,) does not explain the newest samples, which other parameters may."""
         state = self._state
         if not state.n_since or state.verdict == "refuted":
             return False
-        n = min(state.n_explained, FEWEST) if is_filter else state.n_since
-        return not plain_fit(self._residuals.of_newest(theta, n), 0).is_explained
+        return not plain_fit(self._residuals.of_newest(theta, min(state.n_explained, FEWEST)), 0).is_explained
 
     def jump(self, held: Vector, *, is_filter: bool) -> Estimate | None:
         """Return the parameters that explain the samples since the onset and are determined by them; None without such.

@@ -140,10 +140,6 @@ class Following(AskTell, Protocol):
         """
         ...
 
-    def jump(self, estimate: Estimate) -> None:
-        """Begin a new arrival cost with an estimate that has its information."""
-        ...
-
     def recall(self, arrival_cost: ArrivalCost | None, held: Vector) -> None:
         """Go back to an earlier arrival cost, where it agrees with the parameters held (d,); else to none."""
         ...

@@ -29,8 +29,6 @@ _PATIENCE: Final = 20
 _DOUBTFUL: Final = "the samples that they were found on are doubtful"
 _AS_BEFORE: Final = "the parameters of before explain the samples as well"
 """Reasons of an undo that no other event has."""
-_MANY: Final = 3
-"""Number of values a parameter on which one that was found is near enough to the truth for a filter to go on from."""
 _TOLD_APART: Final = 1.5
 """Distance from the parameters in force, in standard deviations, at which a filter's estimate is told apart."""
 
@@ -154,9 +152,8 @@ class DiagnosingRetuner(_Counting):
     def _judged(self, t: float, proposal: Proposal, held: Vector) -> Proposal:
         """Return the proposal as far as it is warranted."""
         diagnosis, verdict = self._diagnosis, self._verdict(proposal, held)
-        lags = partial(diagnosis.comparison.lags, is_filter=self._is_endless)
-        if self._jumps and proposal.estimate is not None and lags(proposal.estimate.theta):
-            proposal, verdict = self._jumped(t, proposal, verdict, held)
+        if self._jumps and proposal.estimate is not None and diagnosis.comparison.lags(proposal.estimate.theta):
+            proposal, verdict = self._jumped(proposal, verdict, held)
         theta = proposal.theta
         best = None if proposal.estimate is None else proposal.estimate.theta
         if self._is_endless and not diagnosis.is_suspicious and verdict != "refuted":
@@ -211,10 +208,8 @@ class DiagnosingRetuner(_Counting):
         is_at_bound = theta is not None and diagnosis.is_at_unseen_bound(theta, proposal.estimate.std, held)
         return "refuted" if is_at_bound else verdict
 
-    def _jumped(self, t: float, proposal: Proposal, verdict: Judgement, held: Vector) -> tuple[Proposal, Judgement]:
+    def _jumped(self, proposal: Proposal, verdict: Judgement, held: Vector) -> tuple[Proposal, Judgement]:
         """Return a proposal that lags behind a jump of the plant's parameters after it has caught up, where it can.
-
-        A search is at its end where these parameters are warranted, and the samples have many more values.
 
         A filter's own parameters are not written where no parameters explain more than can always be explained.
         """
@@ -224,11 +219,7 @@ class DiagnosingRetuner(_Counting):
         if self._is_endless:
             self._retuner.jump(jump)
         proposal = _moving(replace(proposal, theta=jump.theta, estimate=jump), held, self._space)
-        verdict = self._verdict(proposal, held)
-        n_values = self._diagnosis.n_since * len(self._diagnosis.residuals.sigma)
-        if verdict == "warranted" and not self._is_endless and n_values >= _MANY * len(self._space):
-            proposal = replace(proposal, events=(*proposal.events, *self._retuner.conclude(t, jump)))
-        return proposal, verdict
+        return proposal, self._verdict(proposal, held)
 
     def _ended(
         self,

@@ -144,7 +144,9 @@ class Retuner:
         latencies[-1] += perf_counter() - begun - sum(latencies)
         has_ended = self._remaining == 0
         if has_ended:
-            events.append(self._end(t, estimate))
+            cost = None if estimate is None else estimate.cost
+            known = {} if estimate is None else estimate_as_json(estimate)
+            events.append(Event(t, "end", {"episode": self.n_episodes, "cost": cost} | known))
         is_candidate = self._budget.commit == "candidate" and not has_ended
         wanted = held if estimate is None else candidate if is_candidate else estimate.theta
         if has_ended and self._following is not None and estimate is not None:
@@ -178,22 +180,6 @@ class Retuner:
             self._estimator.jump(estimate)
         else:
             self._estimator.restart(estimate.theta)
-
-    def conclude(self, t: float, estimate: Estimate) -> tuple[Event, ...]:
-        """End the search, as other means have found what it was for, where there is a filter that goes on from there.
-
-        Returns the event of its end.
-        """
-        if self._following is None or not self._remaining:
-            return ()
-        self._following.jump(estimate)
-        self._remaining, self._searched = 0.0, estimate.theta
-        return (self._end(t, estimate),)
-
-    def _end(self, t: float, estimate: Estimate | None) -> Event:
-        cost = None if estimate is None else estimate.cost
-        known = {} if estimate is None else estimate_as_json(estimate)
-        return Event(t, "end", {"episode": self.n_episodes, "cost": cost} | known)
 
     def reverted(self, theta: Vector) -> None:
         """Take a return to earlier parameters theta (d,): what the filter knows is doubtful."""

@@ -299,12 +299,6 @@ class TargetVector:
         at = OfMany(lambda places: residual(space.beyond(places)))
         self.arrival_cost = ArrivalCost.of_window(z, at, self._settings.drift)
 
-    def jump(self, estimate: Estimate) -> None:
-        """Begin a new arrival cost with an estimate that has its information."""
-        assert estimate.information is not None
-        z, drift = self._space.to_unit(estimate.theta), self._settings.drift
-        self.arrival_cost = ArrivalCost.of_estimate(z, estimate.information, drift)
-
     def recall(self, arrival_cost: ArrivalCost | None, held: Vector) -> None:
         """Go back to an earlier arrival cost, where it agrees with the parameters held (d,); else to none."""
         agrees = arrival_cost is not None and arrival_cost.distance(self._space.to_unit(held)) < _AGREES * len(held)

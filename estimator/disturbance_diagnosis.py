@@ -16,6 +16,7 @@ from .significance import chi2_limit
 from .space import Vector
 from .standardised_residuals import StandardisedResiduals
 from .vain_searches import VainSearches
+from .wandering import agree
 
 _OVER: Final = 10
 """Number of newest samples that show that a known disturbance is over."""
@@ -99,7 +100,10 @@ class DisturbanceDiagnosis:
         Those in force, held (d,), may have been written as it faded, and explain the difference.
         """
         state, before = self._state, self._state.undisturbed
-        if before is None or not np.any(state.offset) or np.array_equal(before, held) or len(state.samples) < _OVER:
+        if before is None or not np.any(state.offset) or len(state.samples) < _OVER:
+            return None
+        to_unit = self._residuals.space.to_unit
+        if agree(to_unit(before), to_unit(held)):
             return None
         there, here = self._residuals.of_newest(np.array([before, held]), _OVER)
         there = self._undisturbed(there)

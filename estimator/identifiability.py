@@ -30,7 +30,7 @@ class Information:
     def written(self, change: Vector, n_std: float, std: float) -> Vector:
         """Return the directions (m, d) in which change (d,) is significant, or known to a standard deviation of std."""
         s = self.singular_values
-        return self.directions[(s * np.abs(self.directions @ change) > n_std) | (s * std > 1.0)]
+        return self.directions[(s * np.abs(change @ self.directions.T) > n_std) | (s * std > 1.0)]
 
     def distance(self, change: Vector) -> float:
         """Return the length of a change (d,) in standard deviations: Mahalanobis' distance."""

@@ -120,9 +120,10 @@ class TargetVector:
        std_j^2 = sum_i V_ij^2 / s_i^2 + (z_ls - z)_j^2, with z_ls the linear least squares; the sum counts D - d times
        where the residual is not explained, since as much as is seen of it may lie along the slopes.
 
-    7. Between episodes `follow` takes each sample by an extended Kalman filter, which begins with the estimate: see
-       `ArrivalCost`. It follows parameters that drift; a search is needed after a jump only. An episode is done when
-       the residual is explained and the expected improvement is below a tenth of a standard deviation, squared.
+    7. Between episodes `follow` takes each sample by an extended Kalman filter, which begins at the least squares of
+       the window about the estimate: see `ArrivalCost`. It follows parameters that drift; a search is needed after a
+       jump only. An episode is done when the residual is explained and the expected improvement is below a tenth of a
+       standard deviation, squared.
 
     Usage, after which target.estimate().theta is (1.75, 0.75) to 1e-4:
 

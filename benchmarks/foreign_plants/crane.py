@@ -6,7 +6,7 @@ from outside is a force on the trolley [N].
 
 from math import cos, sin
 
-from .plant import Estimated, ForeignPlant, Signal, Values, wave
+from .plant import PLACE, Estimated, ForeignPlant, Signal, Values, wave
 
 G = 9.81
 TROLLEY = 1.5
@@ -68,13 +68,7 @@ PLANT = ForeignPlant(
         Signal("omega", "rad/s", "Speed of the rope", -_SHARE * _JERK / G),
     ),
     controls=(Signal("u", "N", "Force on the trolley"),),
-    references=(
-        Signal("x_ref", "m", "Desired place"),
-        Signal("v_ref", "m/s", "Desired speed"),
-        Signal("a_ref", "m/s2", "Desired acceleration"),
-        Signal("jerk_ref", "m/s3", "Desired derivative of the acceleration"),
-        Signal("snap_ref", "m/s4", "Desired second derivative of the acceleration"),
-    ),
+    references=PLACE,
     derivative=derivative,
     control=control,
     reference=reference,

@@ -41,6 +41,16 @@ class Signal:
     """Start value [unit]."""
 
 
+PLACE = (
+    Signal("x_ref", "m", "Desired place"),
+    Signal("v_ref", "m/s", "Desired speed"),
+    Signal("a_ref", "m/s2", "Desired acceleration"),
+    Signal("jerk_ref", "m/s3", "Desired derivative of the acceleration"),
+    Signal("snap_ref", "m/s4", "Desired second derivative of the acceleration"),
+)
+"""References of a body that moves along a line."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class ForeignPlant:
     """A plant with its controller and its reference.

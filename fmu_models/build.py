@@ -152,11 +152,19 @@ def _files(name: str, fmi: int, interface: Interface) -> tuple[str, dict[str, by
         raise ValueError(f"model exchange is for {', '.join(PLANTS)} in FMI 3.0, got {name} in FMI {fmi}.0.")
     stem = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower() + "_fmu"
     values = {"name": name, "module": MODELS[name].__module__, "interface": interface}
+    own = _sources(MODELS[name])
     if fmi == 2:
-        return stem, sources(PACKAGE) | {f"{stem}.py": _ENTRY.format(**values).encode()}
+        return stem, own | {f"{stem}.py": _ENTRY.format(**values).encode()}
     script = f"{stem}3_{interface.lower()}"  # the Slave inside needs the Python part of pythonfmu too
     libraries = sources(Path(pythonfmu.__file__).parent)
-    return script, sources(PACKAGE) | libraries | {f"{script}.py": _ENTRY_3.format(**values).encode()}
+    return script, own | libraries | {f"{script}.py": _ENTRY_3.format(**values).encode()}
+
+
+def _sources(model: type[Slave]) -> dict[str, bytes]:
+    """Return the modules that a model needs: of its plant's folder and the kernel, but of no other plant."""
+    folders = (model.__module__.split(".")[1], "kernel")
+    there = [f"{PACKAGE.name}/__init__.py", *(f"{PACKAGE.name}/{folder}/" for folder in folders)]
+    return {path: text for path, text in sources(PACKAGE).items() if path.startswith(tuple(there))}
 
 
 def _variables(model: type[Slave], interface: Interface) -> tuple[VariableRow, ...]:

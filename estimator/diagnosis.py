@@ -285,8 +285,10 @@ class Diagnosis:
         late = self._lag.in_newest(reference, state.n_since) if state.n_since >= LONG else None
         if late is not None:
             return self._effects.adopt(t, late)
-        if (self.comparison.is_changing(held, n) and not state.is_resting.any()) or self.comparison.adopt_noise(held):
+        if self.comparison.is_changing(held, n) and not state.is_resting.any():
             return None
+        if self.comparison.adopt_noise(held):
+            return self._effects.only_noise(state.n_since)
         both = self.comparison.with_disturbance(held, n)
         explaining = [d for d in (found, both) if d is not None and d.fit.is_explained]
         before = self._lasting.before(reference, n)

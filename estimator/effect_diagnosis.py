@@ -41,12 +41,21 @@ class EffectDiagnosis:
         What lasted returns where it explains the newest n samples, too; else the reference (d,), a search's own finding
         perhaps, where it explains them better than what is held (d,).
         """
-        lasting, of_newest = self._state.lasting, self._residuals.of_newest
+        nothing = self.only_noise(n)
+        if nothing is not None:
+            return nothing
+        of_newest = self._residuals.of_newest
         self._state.end_suspicion()
-        if lasting is not None and plain_fit(of_newest(lasting, n), 0).is_explained:
-            return Settled(lasting, ends_search=True)
         here, there = (float(np.sum(of_newest(theta, n) ** 2)) for theta in (held, reference))
         return Settled(self._lasting.undone(reference) if there < here else None, ends_search=True)
+
+    def only_noise(self, n: int) -> Settled | None:
+        """Return to the parameters that lasted where they explain the newest n samples: nothing has happened."""
+        lasting = self._state.lasting
+        if lasting is None or not plain_fit(self._residuals.of_newest(lasting, n), 0).is_explained:
+            return None
+        self._state.end_suspicion()
+        return Settled(lasting, ends_search=True)
 
     def lacking(self, reference: Vector) -> Explanation | None:
         """Return the lag or the friction that explains the samples since the parameters that lasted, or None."""

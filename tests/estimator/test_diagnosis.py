@@ -722,6 +722,13 @@ def test_noise_ten_times_larger_than_declared_is_not_written_as_parameters(seed,
     assert not run.diagnosis.is_suspicious
 
 
+@SEARCHES
+def test_what_was_written_before_the_noise_is_known_is_taken_back_as_it_is_only_noise(estimator):
+    runs = [Run(estimator, 1, noise=10.0, seed=seed).go(300) for seed in range(12)]
+    assert any(run.writes for run in runs)
+    assert [run.seed for run in runs if not np.array_equal(run.held, TRUE)] == []
+
+
 # --- what cannot be evaluated --------------------------------------------------------------------------------------
 
 

@@ -51,6 +51,8 @@ _LARGER: Final = 1.3
 """Factor by which it must be larger."""
 _MUCH_LARGER: Final = 3.0
 """Factor where the parameters in force stay: they are not fitted, and a smaller one may be what the model lacks."""
+_TOO_SMALL: Final = 10.0
+"""Factor by which a declared noise may be too small, as where it is a sensor's last digit."""
 _RENEWED: Final = 5
 """Number of samples after which a comparison that changed parameters have won is repeated."""
 
@@ -86,12 +88,13 @@ class HypothesisComparison:
         return not plain_fit(self._residuals.of_newest(theta, min(state.n_explained, FEWEST)), 0).is_explained
 
     def jump(self, held: Vector, *, is_filter: bool) -> Estimate | None:
-        """Return the parameters that explain the samples since the onset and are determined by them; None without such.
+        """Return the parameters that explain the samples since the onset and are determined by them, or None.
 
         A filter can go on from parameters that only the newest samples explain, and that they do not determine, too.
-        Others take what as many values as parameters determine, where every sample contradicts what was in force: it is
-        written where it is predicted to do no harm. For them there is nothing while the parameters drift: these seek
-        again after a quarter as many samples as they have drifted for, 20 at most.
+        Others may where every sample contradicts what was in force by far: they take the nearest parameters that
+        explain as few values as there are, which are written where they are predicted to do no harm. For others there
+        is nothing while the parameters drift: they seek again after a quarter as many samples as that has lasted, 20 at
+        most.
         """
         state = self._state
         if not is_filter and state.n_samples < state.next_jump and state.n_since >= QUIET:
@@ -99,15 +102,15 @@ class HypothesisComparison:
         reference = state.reference_or(held)
         z = self._space.to_unit(reference)
         lengths = (state.n_since, state.n_explained) if is_filter else (state.n_since,)
-        may_be_exact = not is_filter and state.n_since <= len(self._space) and self._all_contradict(reference)
-        found = jump_to(self._residuals.at_newest, dict.fromkeys(lengths), z, self._space, may_be_exact=may_be_exact)
+        is_obvious = not is_filter and self._is_obvious(reference)
+        found = jump_to(self._residuals.at_newest, dict.fromkeys(lengths), z, self._space, may_be_exact=is_obvious)
         restless = min(state.n_samples - state.restless_since, 4 * WINDOW)
         state.next_jump = state.n_samples + max(state.n_since, restless) // 4 if found is None else 0
-        return found if found is None or is_filter or all(found.is_identifiable) else None
+        return found if found is None or is_filter or is_obvious or all(found.is_identifiable) else None
 
-    def _all_contradict(self, theta: Vector) -> bool:
-        """Return whether each sample since the onset contradicts parameters theta (d,), not only an outlier."""
-        rows = self._residuals.of_newest(theta, self._state.n_since)
+    def _is_obvious(self, theta: Vector) -> bool:
+        """Return whether each sample since the onset contradicts theta (d,), and would with ten times the noise."""
+        rows = self._residuals.of_newest(theta, self._state.n_since) / _TOO_SMALL
         return all(not plain_fit(row[None], 0).is_explained for row in rows)
 
     @property

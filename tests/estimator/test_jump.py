@@ -70,6 +70,15 @@ def test_as_many_values_of_several_samples_are_enough_where_the_next_one_will_pr
     assert jump_to(rows_at(H, y), (3,), START, SPACE, may_be_exact=True) is None  # beyond the bounds
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_of_all_that_explain_two_samples_those_nearest_to_the_start_are_taken(seed):
+    H, y = measured(2, 1, seed=seed, truth=LOWER + WIDTH * (START + np.array([0.1, -0.1, 0.05])))
+    found = jump_to(rows_at(H, y), (2,), START, SPACE, may_be_exact=True)
+    A, b = H.reshape(2, 3) * WIDTH, (y - H @ (LOWER + WIDTH * START)).reshape(2)
+    assert_allclose(SPACE.to_unit(found.theta), START + np.linalg.pinv(A) @ b, atol=1e-4)
+    assert jump_to(rows_at(H, y), (2,), START, SPACE) is None
+
+
 def test_samples_that_no_parameters_explain_lead_nowhere():
     H, y = measured(8, more=20.0 * SIGMA * np.sin(np.arange(8.0))[:, None])
     assert jump_to(rows_at(H, y), (8,), START, SPACE) is None

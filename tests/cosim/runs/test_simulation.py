@@ -154,6 +154,12 @@ def test_the_controller_is_retuned_to_the_changed_plant(pendulum, tmp_path):
 
 
 @pytest.mark.full
+def test_many_parameters_that_change_at_once_are_corrected_before_the_samples_tell_them_apart():
+    """Five parameters, one sampled derivative: what explains the first samples is written where it does no harm."""
+    true, target = (sum(run("stiction", estimator, seed=0).mse) for estimator in ("true", "target"))
+    assert true < target < 2.0 * true  # 6 times where it waits for as many samples as there are parameters
+
+
 def test_a_count_may_be_written_as_a_float_in_every_table(pendulum):
     counts = {"estimation.budget": "12.0", "estimation.paper.n_initial": "4.0"}
     assert run(pendulum(EARLY_CHANGE | counts), "paper").n_evaluations >= 12

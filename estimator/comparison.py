@@ -91,10 +91,9 @@ class HypothesisComparison:
         """Return the parameters that explain the samples since the onset and are determined by them, or None.
 
         A filter can go on from parameters that only the newest samples explain, and that they do not determine, too.
-        Others may where every sample contradicts what was in force by far: they take the nearest parameters that
-        explain as few values as there are, which are written where they are predicted to do no harm. For others there
-        is nothing while the parameters drift: they seek again after a quarter as many samples as that has lasted, 20 at
-        most.
+        A search can where every sample contradicts what was in force by far: the nearest parameters that explain two
+        samples are written if they are predicted to do no harm. While the parameters drift there is nothing for a
+        search: it seeks again after a quarter as many samples as that has lasted, 20 at most.
         """
         state = self._state
         if not is_filter and state.n_samples < state.next_jump and state.n_since >= QUIET:

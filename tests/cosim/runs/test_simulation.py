@@ -160,6 +160,7 @@ def test_many_parameters_that_change_at_once_are_corrected_before_the_samples_te
     assert true < target < 2.0 * true  # 6 times where it waits for as many samples as there are parameters
 
 
+@pytest.mark.full
 def test_a_count_may_be_written_as_a_float_in_every_table(pendulum):
     counts = {"estimation.budget": "12.0", "estimation.paper.n_initial": "4.0"}
     assert run(pendulum(EARLY_CHANGE | counts), "paper").n_evaluations >= 12

@@ -10,7 +10,7 @@ decision depends on the wall clock.
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import isclose, isfinite
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -20,9 +20,10 @@ from estimator.events import Event
 from estimator.retuner import Proposal
 
 from ..scenarios.schema.guard import GuardSettings
+from ..system.tunables import is_taken
 from .data_support import DataSupport, NoDataSupport, Reason
 from .decision import Point
-from .probation import Probation
+from .probation import Probation, Trial
 
 _FALSE_ALARM = 1e-6
 """Probability of a false alarm: that noise alone makes good parameters seem to contradict a sample."""
@@ -30,8 +31,6 @@ _NO_WORSE = 2.0
 """Largest ratio of a write's sum of squares at the newest sample to that of the parameters held."""
 _POSTPONED = 2
 """Power of `growth` by which the error may pass its limit where the samples contradict what would return more."""
-_READ_BACK = 1e-6
-"""Tolerance of the read-back: a controller may hold single precision."""
 _LITTLE = 0.01
 """Share of the scaled bounds below which a move in an unidentified direction, or an uncertainty, is ignored."""
 _UNDECIDED = "a disturbance explains the samples as well, and the loop is not simulated ahead"
@@ -59,8 +58,8 @@ class Ruling:
 class GuardSnapshot:
     """State of a guard, restored where a write turns out to be due to an outlier."""
 
-    newest: int
-    """Communication point of the newest write on probation; -1 where there is none."""
+    trials: tuple[Trial, ...]
+    """Writes on probation, from old to new."""
     anchor: Vector
     """The last material write (d,)."""
 
@@ -99,7 +98,7 @@ class Guard:
         self._rests_until = -1
         self._refused: tuple[bytes, bool, int] = (b"", False, 0)
         self.counts: Counter[str] = Counter()
-        """Number of proposals written, limited, held in part, vetoed, confirmed, reverted and retracted."""
+        """Number of proposals written, limited, held in part, vetoed, confirmed, reverted, retracted and undone."""
         self.stopped_at: float | None = None
         """Time [s] at which re-tuning stopped; None while it goes on."""
 
@@ -110,11 +109,11 @@ class Guard:
 
     def snapshot(self) -> GuardSnapshot:
         """Return the present state, for `restore`."""
-        return GuardSnapshot(self._probation.since, self._anchor)
+        return GuardSnapshot(self._probation.trials, self._anchor)
 
     def restore(self, snapshot: GuardSnapshot) -> None:
         """Restore a snapshot: the writes since then are retracted."""
-        self._probation.retract(snapshot.newest)
+        self._probation.restore(snapshot.trials)
         self._anchor = snapshot.anchor
         self.counts["retracted"] += 1
 
@@ -130,7 +129,7 @@ class Guard:
         read, held: values read back and written; names: of the variables.
         """
         for name, value, written in zip(names, read, held, strict=True):
-            if not isclose(value, written, rel_tol=_READ_BACK, abs_tol=_READ_BACK):
+            if not is_taken(value, written):
                 self.stopped_at = t
                 reason = f"{name} reads back as {value:.9g}, but {written:.9g} was written: re-tuning stops"
                 return Event(t, "stop", {"reason": reason})
@@ -298,7 +297,8 @@ class Guard:
                 without = f"{stay:.4g}" if stay is not None else "unknown"
                 reason = f"predicted peak of the tracking error {found:.4g}, without the write {without} ({name})"
                 return reason, found
-            expected = max(expected, found)
+            if isfinite(found):  # a loop that diverges either way says nothing of what to expect
+                expected = max(expected, found)
         return None, expected
 
 

@@ -41,14 +41,15 @@ class Probation:
         have changed in them."""
         self._tolerance, self._growth, self._n_steps, self._n_apart = tolerance, growth, n_steps, n_apart
         self._trials: deque[Trial] = deque()
+        self._ended = -1  # communication point of the newest write whose probation has ended
         self._reference: tuple[float, ...] = ()
         self._newest: deque[float] = deque()
         self._usual: deque[float] = deque(maxlen=_MEMORY)
 
     @property
-    def since(self) -> int:
-        """Communication point of the newest write; -1 where there is none."""
-        return self._trials[-1].since if self._trials else -1
+    def trials(self) -> tuple[Trial, ...]:
+        """Writes on probation, from old to new."""
+        return tuple(self._trials)
 
     @property
     def allowed(self) -> float | None:
@@ -95,17 +96,19 @@ class Probation:
         """Return the parameters (d,) whose probation ends at communication point k."""
         ended: list[Vector] = []
         while self._trials and k - self._trials[0].since >= self._n_steps:
-            ended.append(self._trials.popleft().theta)
+            trial = self._trials.popleft()
+            self._ended = trial.since
+            ended.append(trial.theta)
         return ended
 
     def clear(self) -> None:
         """End it for all writes, as they are taken back."""
         self._trials.clear()
 
-    def retract(self, since: int) -> None:
-        """Forget the writes after a communication point."""
-        while self._trials and self._trials[-1].since > since:
-            self._trials.pop()
+    def restore(self, trials: Sequence[Trial]) -> None:
+        """Return to earlier trials, but for those that have ended since: later writes are forgotten, others go on."""
+        present = {trial.since: trial for trial in self._trials}
+        self._trials = deque(present.get(trial.since, trial) for trial in trials if trial.since > self._ended)
 
     def keep(self, theta: Vector) -> None:
         """Forget the writes of any parameters but theta (d,)."""

@@ -9,6 +9,13 @@ from ..variable_name import VariableName
 
 _READ_BACK: Final = 1e-6
 """Relative tolerance of a value read back: an FMU may hold single precision."""
+_SMALLEST: Final = 1.2e-38
+"""Smallest normal number of single precision: what is smaller may read back as 0."""
+
+
+def is_taken(read: float, written: float) -> bool:
+    """Return whether a value read back is the one that was written, as far as single precision holds it."""
+    return isclose(read, written, rel_tol=_READ_BACK, abs_tol=_SMALLEST)
 
 
 class TunableWriter:
@@ -47,6 +54,6 @@ class ReadBackCheck:
         for component, its in written.items():
             for (name, place), value in zip(self._places.get(component, ()), its, strict=False):
                 read = values[place]
-                if not isclose(read, value, rel_tol=_READ_BACK):
+                if not is_taken(read, value):
                     text = f"{name} reads back as {read:.9g}, but {value:.9g} was set"
                     raise ScenarioError(f"{text}: the FMU does not take it")

@@ -343,19 +343,37 @@ def test_what_is_taken_back_is_no_longer_watched_and_what_was_before_it_is():
     assert watched.summary()["retracted"] == 2
 
 
+def test_what_an_outlier_has_taken_off_probation_is_watched_again():
+    watched = guard()
+    step(watched, 1, GOOD)
+    before = watched.snapshot()
+    step(watched, 2, START)  # the last good parameters: nothing is on probation
+    watched.restore(before)
+    watched.held = GOOD
+    assert step(watched, 3, error=0.51) == (["revert"], tuple(START))
+
+
+def test_a_write_into_a_loop_that_diverges_either_way_is_still_watched():
+    watched = guard()
+    peak = Peaks({tuple(START): np.inf, tuple(GOOD): np.inf})
+    assert step(watched, 1, GOOD, peak=peak)[0] == PASSED
+    assert step(watched, 2, error=0.51) == (["revert"], tuple(START))
+
+
 @pytest.mark.parametrize(
     ("read", "is_taken"),
     [
-        ((0.0, 1e4), True),
-        ((9e-7, 1e4 * (1.0 + 9e-7)), True),
-        ((2e-6, 1e4), False),
-        ((0.0, 1e4 * (1.0 + 2e-6)), False),
-        ((0.0, nan), False),
+        ((0.0, 1e-9, 1e4), True),
+        ((1e-39, 1e-9 * (1.0 - 9e-7), 1e4 * (1.0 + 9e-7)), True),
+        ((2e-6, 1e-9, 1e4), False),
+        ((0.0, 5e-7, 1e4), False),
+        ((0.0, 1e-9, 1e4 * (1.0 + 2e-6)), False),
+        ((0.0, 1e-9, nan), False),
     ],
 )
 def test_single_precision_is_no_reason_to_stop(read, is_taken):
-    watched = guard(start=(0.0, 1e4))
-    assert (watched.not_taken(1.0, read, watched.held, ["c.a", "c.b"]) is None) == is_taken
+    watched = guard(start=(0.0, 1e-9, 1e4))
+    assert (watched.not_taken(1.0, read, watched.held, ["c.a", "c.b", "c.c"]) is None) == is_taken
     assert watched.guard.stopped_at == (None if is_taken else 1.0)
 
 

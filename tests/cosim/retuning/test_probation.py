@@ -64,6 +64,23 @@ def test_errors_before_a_proposal_during_a_probation_and_of_no_number_are_not_us
     assert made.tolerated(is_proven=False) == pytest.approx(0.015)
 
 
+def test_trials_of_before_return_as_they_are_now_but_for_those_that_have_ended():
+    made = probation()
+    for k, theta in ((1, START), (50, GOOD)):
+        made.begin(k, theta, 0.0, is_proven=False)
+    before = made.trials
+    made.prove()
+    made.begin(60, START, 0.0, is_proven=True)
+    made.restore(before)
+    assert [(t.since, t.is_proven) for t in made.trials] == [(1, True), (50, True)]
+    made.clear()
+    made.restore(before)
+    assert [(t.since, t.is_proven) for t in made.trials] == [(1, False), (50, False)]
+    made.end(101)
+    made.restore(before)
+    assert [t.since for t in made.trials] == [50]
+
+
 def guard(peak, support=None):
     """A guard of a loop whose error is 0.01, with a prediction; the tolerance is 0.5."""
     support = seen(*BOTH) if support is None else support

@@ -35,7 +35,9 @@ from .space import ParameterSpace, Vector
 from .triggers import Trigger
 
 _ASIDE: Final = 0.01
-"""Step of differences in an input, as a share of its size, or of one where it is smaller."""
+"""First step of differences in an input, as a share of its largest size."""
+_SMALL, _LARGE = 0.01, 10.0
+"""Root mean square moves of the residual, in standard deviations, that such a step may make."""
 _MORE: Final = "parameters and a disturbance explained fewer samples equally well"
 """Reason of an episode on a longer window."""
 
@@ -204,7 +206,7 @@ class EpisodeDiagnosis:
         state.n_failures += 1
         if disturbed.fit.is_explained:
             now = state.inputs + disturbed.inputs
-            is_over = np.all(np.abs(now) <= 0.1 * np.abs(state.inputs).max()) and bool(np.any(state.inputs))
+            is_over = bool(np.any(state.inputs)) and _fit(self._moved(held, -state.inputs), 0).is_explained
             state.inputs = np.zeros(len(now)) if is_over else now
             size = {} if is_over else dict(zip(self._inputs, now.tolist(), strict=True))
             reason = "the disturbance is over" if is_over else (
@@ -269,9 +271,7 @@ class EpisodeDiagnosis:
         residual = self._window.whitened(held)
         if not driven or not np.all(np.isfinite(residual)):
             return _Disturbed(d, NEVER)
-        steps = _ASIDE * np.maximum(np.abs(self._window.largest_inputs()), 1.0)
-        columns = [(self._moved(held, np.diag(steps)[i]) - residual) / steps[i] for i in driven]
-        slopes = np.column_stack(columns)
+        slopes = np.column_stack([self._slope(held, i, residual) for i in driven])
         if not np.all(np.isfinite(slopes)) or not np.any(slopes):
             return _Disturbed(d, NEVER)
         best = _fit(residual, len(driven))
@@ -284,6 +284,21 @@ class EpisodeDiagnosis:
                 break
             d, residual, best = tried, there, fit
         return _Disturbed(d, best)
+
+    def _slope(self, held: Vector, i: int, residual: Vector) -> Vector:
+        """Return the slope (D,) of the residual at held (d,) in input i, by a difference of that input.
+
+        The difference is a hundredth of the largest input. Where that moves the residual by far more or less than
+        noise does, it is taken again, so that input's unit does not matter.
+        """
+        step = _ASIDE * (self._window.largest_inputs()[i] or 1.0)
+        aside = np.eye(len(self._inputs))[i]
+        move = self._moved(held, step * aside) - residual
+        size = float(np.sqrt(np.mean(move**2)))
+        if size > 0.0 and not _SMALL < size < _LARGE:
+            step = step / size if np.isfinite(size) else step * _SMALL
+            move = self._moved(held, step * aside) - residual
+        return move / step
 
     def _moved(self, theta: Vector, inputs: Vector) -> Vector:
         return self._window.with_inputs(theta, inputs)

@@ -27,8 +27,7 @@ class NoisyStartObjective:
         self._noise, self._stack = np.array(noise), ExitStack()
         n_noisy = np.count_nonzero(self._noise)
         self._objective, *self._aside = (self._stack.enter_context(opened()) for _ in range(n_noisy + 1))
-        self._stretch: SampleSequence | None = None
-        self._factor: Vector | None = None
+        self._factor: tuple[Sample, int, Vector] | None = None  # of which first sample and how many steps
 
     def __enter__(self) -> "NoisyStartObjective":
         return self
@@ -63,19 +62,29 @@ class NoisyStartObjective:
         self._objective.accept(theta, stretch)
 
     def evaluate(self, thetas: Sequence[Vector], stretch: SampleSequence) -> list[Evaluation]:
-        """Evaluate the candidates over the stretch; all are whitened by the factor of the first that does not fail."""
+        """Evaluate the candidates over the stretch; all are whitened by the factor of the first that does not fail.
+
+        It stays for later candidates, and for the same stretch with other inputs.
+        """
         found = self._objective.evaluate(thetas, stretch)
         if self._objective.way != "measured":
             return found
-        if stretch is not self._stretch:
-            self._stretch, self._factor = stretch, None
-        if self._factor is None:
+        factor = self._factor_of(stretch)
+        if factor is None:
             known = next((i for i, judged in enumerate(found) if judged.reason is None), None)
             if known is None:
                 return found
             moved = [self._objective.evaluate([thetas[known]], aside)[0].residual for aside in self._moved(stretch)]
-            self._factor = _factor(found[known].residual, moved, stretch.n_steps)
-        return [j if j.reason else _whitened(self._factor, j.residual, stretch.n_steps) for j in found]
+            factor = _factor(found[known].residual, moved, stretch.n_steps)
+            self._factor = stretch.samples[0], stretch.n_steps, factor
+        return [j if j.reason else _whitened(factor, j.residual, stretch.n_steps) for j in found]
+
+    def _factor_of(self, stretch: SampleSequence) -> Vector | None:
+        """Return the factor found before for a stretch of the same start and length, whatever its inputs; or None."""
+        if self._factor is None:
+            return None
+        first, n_steps, factor = self._factor
+        return factor if first is stretch.samples[0] and n_steps == stretch.n_steps else None
 
     def track(self, theta: Vector, stretch: SampleSequence) -> Vector:
         """Return the residual of theta over a stretch that grows; each state's roll-out steps on too."""

@@ -23,9 +23,9 @@ PUSH = 0.3
 LENGTH = 20
 
 
-def after(x, u, theta):
-    """The next state of x0' = a x0 + b u, x1' = 0.7 x1 + 0.5 x0: the plant and its model."""
-    return np.array([theta[0] * x[0] + theta[1] * u, 0.7 * x[1] + 0.5 * x[0]])
+def after(x, u, theta, moment=0.0):
+    """The next state of x0' = a x0 + b u, x1' = 0.7 x1 + 0.5 x0 + 1e4 moment: the plant and its model."""
+    return np.array([theta[0] * x[0] + theta[1] * u, 0.7 * x[1] + 0.5 * x[0] + 1e4 * moment])
 
 
 class Simulated:
@@ -45,7 +45,7 @@ class Simulated:
     def one(self, theta, stretch):
         x, rows = np.array(stretch.origin), []
         for sample in stretch.samples[1:]:
-            x = after(x, sample.u[0], theta)
+            x = after(x, sample.u[0], theta, *sample.u[1:])
             rows.append((x - sample.y) / SIGMA)
         rows = np.array(rows)
         return Evaluation(rows.T.reshape(-1), None, np.sum(rows**2, axis=1))
@@ -83,15 +83,16 @@ class Run:
         self.retuner = make_episodes(search, window, trigger, Budget(24, 6), describe, diagnosis=self.diagnosis)
         self.held, self.k, self.x = TRUE, 0, np.zeros(2)
 
-    def go(self, n, truth=TRUE, push=0.0, drive=None):
+    def go(self, n, truth=TRUE, push=0.0, drive=None, moment=0.0):
         """Take n samples; push: added to the input unseen, a value or a function of the sample's number; drive: the
-        input, where it is constant."""
+        input, where it is constant; moment: of the plant alone."""
         for i in range(n):
             u = float(np.sin(0.35 * self.k) + 0.6 * np.sign(np.sin(0.11 * self.k))) if drive is None else drive
             if self.k:
-                self.x = after(self.x, u + (push(i) if callable(push) else push), truth)
+                self.x = after(self.x, u + (push(i) if callable(push) else push), truth, moment)
             y = self.x + self.noise * SIGMA * self.rng.standard_normal(2)
-            self.take(Sample(0.1 * self.k, tuple(self.x.tolist()), (u,), (), tuple(y.tolist())))
+            inputs = (u, 0.0)[: len(self.inputs)] or (u,)
+            self.take(Sample(0.1 * self.k, tuple(self.x.tolist()), inputs, (), tuple(y.tolist())))
         return self
 
     def take(self, sample):
@@ -176,6 +177,20 @@ def test_a_disturbance_of_the_input_is_named_with_its_size_and_its_end(estimator
     assert over <= 200 + LENGTH + 4
     assert run.diagnosis.summary()["inputs"]["u"] == 0.0
     assert run.of("unexplained", "rest") == []
+
+
+@SEARCHES
+def test_of_two_disturbances_in_different_units_one_goes_on_when_the_other_is_over(estimator):
+    """The moment is a thousandth of a thousandth of what the force is, and its input is zero until then."""
+    moment = 2e-5
+    run = Run(estimator, inputs=("u", "moment")).go(100).go(100, TRUE, PUSH, moment=moment)
+    assert_allclose(list(run.diagnosis.summary()["inputs"].values()), [PUSH, moment], rtol=0.1)
+    run.go(100, TRUE, moment=moment)
+    assert_allclose(run.diagnosis.summary()["inputs"]["moment"], moment, rtol=0.1)
+    assert abs(run.diagnosis.summary()["inputs"]["u"]) < 0.1 * PUSH
+    assert all(event.detail["size"] for _, event in run.of("disturbance"))
+    run.go(100)
+    assert run.diagnosis.summary()["inputs"] == {"u": 0.0, "moment": 0.0}
 
 
 @SEARCHES

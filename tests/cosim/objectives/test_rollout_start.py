@@ -1,12 +1,14 @@
 """Filters on roll-outs that begin in noisy states: the Kalman filter of states and parameters together."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import expm
 
 from cosim.objectives.rollout_start import NoisyStartObjective
-from estimator import EpisodeWindow, Evaluation, Objective, Parameter, ParameterSpace, Sample
+from estimator import EpisodeWindow, Evaluation, Objective, Parameter, ParameterSpace, Sample, SampleSequence
 from estimator.kalman import EnsembleKalman, UnscentedKalman
 
 H, NOISE, START_NOISE, N = 0.05, np.array([0.02, 0.05]), np.array([0.03, 0.08]), 20
@@ -88,3 +90,29 @@ def test_with_noisy_states_it_is_the_kalman_filter_of_states_and_parameters(esti
     estimate, (mean, P) = made.estimate(), kalman(samples, 0.3)
     assert_allclose(estimate.theta, mean, rtol=0.0, atol=WIDTH * 1e-9)
     assert_allclose(estimate.std, np.sqrt(np.diag(P)), rtol=1e-7)
+
+
+class ScaledStart(LinearRollOuts):
+    """Roll-outs from the measured state times the first parameter: what its noise does depends on the candidate."""
+
+    def evaluate(self, thetas, stretch):
+        first, *others = stretch.samples
+        starts = [replace(first, x=tuple(theta[0] * np.array(first.x))) for theta in thetas]
+        scaled = [replace(stretch, samples=(start, *others)) for start in starts]
+        return [super(ScaledStart, self).evaluate([theta], s)[0] for theta, s in zip(thetas, scaled, strict=True)]
+
+
+def test_candidates_are_whitened_alike_whatever_inputs_are_tried_in_between():
+    stretch = SampleSequence(tuple(measured(0)), None)
+    as_with_other_inputs = replace(stretch, samples=tuple(stretch.samples))
+    found = []
+    for between in (False, True):
+        with NoisyStartObjective(ScaledStart, START_NOISE) as objective:
+            objective.evaluate([HELD], stretch)
+            if between:
+                objective.evaluate([2.0 * HELD], as_with_other_inputs)
+            found.append(objective.evaluate([TRUTH], stretch)[0].residual)
+    assert_array_equal(*found)
+    with NoisyStartObjective(ScaledStart, START_NOISE) as objective:
+        (own,) = objective.evaluate([TRUTH], stretch)
+    assert np.abs(own.residual - found[0]).max() > 0.1  # its own factor is another

@@ -168,7 +168,7 @@ class DiagnosingRetuner(_Counting):
             failed = diagnosis.fail(t, best, held)
             if failed is not None:
                 return self._ended(t, proposal, failed.undo, held, failed.events)
-            self._retuner.forget()  # the noise may be larger
+            self._retuner.forget()  # the noise may be larger, or older samples of parameters that have changed since
         if has_ended and diagnosis.is_suspicious and best is not None and not diagnosis.comparison.has_failed:
             settled = diagnosis.succeed(t, best)
             if settled is not None:

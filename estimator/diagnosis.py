@@ -268,8 +268,10 @@ class Diagnosis:
         return state.reference
 
     def fail(self, t: float, theta: Vector | None, held: Vector) -> Settled | None:
-        """Take the end of a search that has found no parameters, theta (d,) being the best; None for a false alarm.
+        """Take the end of a search that has found no parameters, theta (d,) being the best.
 
+        None where the suspicion goes on with newer samples only, or is a false alarm: nothing happened, parameters are
+        still changing, or the noise is larger, which the parameters that lasted do not explain by themselves.
         A disturbance is named where a constant one explains the samples. After the third time, one soon after the
         other, the channels that neither explains rest, longer each time.
         """

@@ -77,4 +77,4 @@ class CubeResidual:
 
     def residuals(self, thetas: Sequence[Vector]) -> list[Vector]:
         """Return the residual (D,) at each theta (d,)."""
-        return [self.residual(theta) for theta in thetas]
+        return [one.r for one in self.many([self._space.to_unit(theta) for theta in thetas])]

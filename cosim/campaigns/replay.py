@@ -103,7 +103,7 @@ def replayed(recorded: Run, estimator: str, seed: int) -> Run:
         n_evaluations=supervisor.n_evaluations, n_episodes=supervisor.n_episodes,
         n_model_calls=supervisor.n_model_calls, latencies=latencies.by_step(),
         latency_steps=latencies.stretches(), objective=supervisor.describe(),
-        wall=perf_counter() - begun, folder=None, final_estimate=None,
+        wall=perf_counter() - begun, folder=None, final_estimate=None, **supervisor.summary(),
     )  # fmt: skip
 
 

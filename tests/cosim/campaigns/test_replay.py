@@ -75,6 +75,12 @@ def test_a_runs_own_estimator_makes_the_same_of_its_samples(
     assert [len(step) for step in again.latencies] == [len(step) for step in original.latencies]
 
 
+def test_a_replay_reports_no_guard_of_the_recorded_run(recorded: Run) -> None:
+    again = replayed(recorded, "least-squares", 5)
+    assert recorded.guard is not None
+    assert again.guard is None
+
+
 @pytest.mark.full
 def test_another_seed_searches_otherwise_on_the_same_samples(recorded: Run) -> None:
     """Without the diagnosis, which finds the same parameters for both."""

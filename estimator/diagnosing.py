@@ -1,34 +1,22 @@
 """Retuner whose proposals are passed on only where a diagnosis warrants them."""
 
-import math
-from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any, Final, Union
+from typing import Any, Final
 
-import numpy as np
-
-from .contract import AskTell, Solver
 from .diagnosis import Diagnosis
 from .diagnosis_settings import Judgement
-from .episode_diagnosis import EpisodeDiagnosis
-from .episode_window import EpisodeWindow
 from .events import Event
-from .objective import LinearForm
-from .retuner import Budget, Proposal, Retuner, RetunerSnapshot
-from .samples import DerivativeResidual, Sample
-from .sliding_window import ResidualWindow
-from .space import ParameterSpace, Vector
-from .triggers import Trigger, TriggerSettings
+from .proposal import DOUBTFUL, Proposal, going_back, without_rounding
+from .retuner import Retuner, RetunerCounts, RetunerSnapshot
+from .samples import Sample
+from .space import Vector
+from .triggers import Trigger
 
 _FEWEST: Final = 5
 """Least number of samples since the onset at which a search fails."""
 _PATIENCE: Final = 20
 """Number of samples after which a search without end counts as failed."""
-_DOUBTFUL: Final = "the samples that they were found on are doubtful"
-_AS_BEFORE: Final = "the parameters of before explain the samples as well"
-"""Reasons of an undo that no other event has."""
 _TOLD_APART: Final = 1.5
 """Distance from the parameters in force, in standard deviations, at which a filter's estimate is told apart."""
 
@@ -55,32 +43,7 @@ class SuspicionTrigger:
         return self.trigger(sample, tracking_error, theta) if self.diagnosis.is_suspicious else None
 
 
-class _Counting:
-    """Counts of the retuner inside."""
-
-    _retuner: Retuner
-
-    def describe(self) -> str:
-        """Return how candidates are scored, in a line."""
-        return self._retuner.describe()
-
-    @property
-    def n_evaluations(self) -> int:
-        """Candidates evaluated so far."""
-        return self._retuner.n_evaluations
-
-    @property
-    def n_episodes(self) -> int:
-        """Episodes begun so far."""
-        return self._retuner.n_episodes
-
-    @property
-    def n_model_calls(self) -> int:
-        """Samples at which a candidate was scored so far."""
-        return self._retuner.n_model_calls
-
-
-class DiagnosingRetuner(_Counting):
+class DiagnosingRetuner(RetunerCounts):
     """Retuner with a diagnosis of sampled derivatives beside it: the same calls, and only warranted proposals."""
 
     def __init__(self, retuner: Retuner, diagnosis: Diagnosis, is_endless: bool, jumps: bool) -> None:
@@ -116,7 +79,7 @@ class DiagnosingRetuner(_Counting):
     def suspend(self, t: float, held: Vector) -> Proposal | None:
         """End the search on samples that turn out to be doubtful, and undo what it wrote; None where there is none."""
         reference = self._diagnosis.suspend()
-        return None if reference is None else self._ended(t, Proposal(), reference, held, (), _DOUBTFUL)
+        return None if reference is None else self._ended(t, Proposal(), reference, held, (), DOUBTFUL)
 
     def step(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
         """Take one communication point's sample, where there is one; return what to write, and why."""
@@ -143,7 +106,7 @@ class DiagnosingRetuner(_Counting):
             return Proposal()
         if sample is not None:
             sample = diagnosis.residuals.corrected(sample)
-        proposal = _moving(self._retuner.step(t, sample, tracking_error, held), held, self._space)
+        proposal = without_rounding(self._retuner.step(t, sample, tracking_error, held), held, self._space)
         if proposal.undo is not None:  # a drift that explains nothing
             settled = diagnosis.give_up(t)
             return self._ended(t, replace(proposal, undo=None), settled.undo, held, settled.events)
@@ -218,7 +181,7 @@ class DiagnosingRetuner(_Counting):
             return proposal, "refuted" if self._is_endless and not self._diagnosis.comparison.is_tested else verdict
         if self._is_endless:
             self._retuner.jump(jump)
-        proposal = _moving(replace(proposal, theta=jump.theta, estimate=jump), held, self._space)
+        proposal = without_rounding(replace(proposal, theta=jump.theta, estimate=jump), held, self._space)
         return proposal, self._verdict(proposal, held)
 
     def _ended(
@@ -236,179 +199,4 @@ class DiagnosingRetuner(_Counting):
             self._retuner.restore(self._solver, back)
             self._solver = None
         self._retuner.abandon(back)
-        return _undone(t, proposal, back, held, events, self._space, reason)
-
-
-@dataclass(frozen=True)
-class EpisodeTrigger:
-    """Trigger that begins an episode only where a sequence of samples contradicts the parameters in force."""
-
-    trigger: Trigger
-    diagnosis: EpisodeDiagnosis
-
-    def __call__(self, sample: Sample, tracking_error: float, theta: Vector) -> str | None:
-        """Return the inner trigger's reason, or None."""
-        return self.diagnosis.reason(self.trigger, sample, tracking_error, theta)
-
-
-AnyRetuner = Union[Retuner, "DiagnosingRetuner", "DiagnosingEpisodes"]
-"""Retuner with or without a diagnosis."""
-
-
-class DiagnosingEpisodes(_Counting):
-    """Retuner with a diagnosis of sequences beside it: the same calls, and only warranted proposals."""
-
-    def __init__(self, retuner: Retuner, diagnosis: EpisodeDiagnosis) -> None:
-        """retuner: on the diagnosis' window, with an `EpisodeTrigger`."""
-        self._retuner, self._diagnosis = retuner, diagnosis
-        self._before: Vector | None = None  # in force at the beginning of the episode
-        self._ended: tuple[Vector, Judgement] | None = None  # what the last episode proposed in the end
-
-    def diagnosis_summary(self) -> dict[str, Any]:
-        """Return what the diagnosis has found as JSON values."""
-        return self._diagnosis.summary()
-
-    def snapshot(self) -> None:
-        """Return None: an episode's window cannot be restored."""
-
-    def restore(self, snapshot: None, held: Vector) -> None:
-        """Do nothing: there is no snapshot."""
-
-    def reverted(self, theta: Vector) -> None:
-        """Take a revert of the guard's to theta (d,): no search that fails returns to what was reverted."""
-        self._before = theta
-
-    def suspend(self, t: float, held: Vector) -> Proposal | None:
-        """End the search on samples that turn out to be doubtful, and undo what it wrote; None where there is none."""
-        if self._before is None or not self._retuner.is_searching:
-            return None
-        self._retuner.abandon(self._before)
-        self._retuner.close(self._before)
-        return _undone(t, Proposal(), self._before, held, (), self._diagnosis.space, _DOUBTFUL)
-
-    def step(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
-        """Take one communication point's sample, where there is one; return what to write, and why."""
-        proposal = self._proposal(t, sample, tracking_error, held)
-        return replace(proposal, events=(*proposal.events, *self._diagnosis.evidence.events(t)))
-
-    def _proposal(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
-        diagnosis = self._diagnosis
-        self._close(held)
-        if sample is not None:
-            sample = diagnosis.corrected(sample)
-        proposal = _moving(self._retuner.step(t, sample, tracking_error, held), held, diagnosis.space)
-        kinds = [event.kind for event in proposal.events]
-        if "trigger" in kinds:
-            self._before = held
-        if proposal.estimate is None and "end" not in kinds:
-            return proposal
-        best = None if proposal.estimate is None else proposal.estimate.theta
-        theta, before = proposal.theta, held if self._before is None else self._before
-        verdict: Judgement = "refuted" if best is None else diagnosis.judge(best if theta is None else theta, before)
-        if proposal.estimate is not None and theta is not None:
-            verdict = "refuted" if diagnosis.is_at_unseen_bound(theta, proposal.estimate.std, held) else verdict
-        if verdict != "refuted":
-            rival = diagnosis.disturbance(before) if verdict == "possible" and theta is not None else None
-            if "end" in kinds:
-                self._ended = (held if theta is None else theta, verdict)
-            return replace(proposal, possible_disturbance=rival, is_warranted=rival is None)
-        if "end" not in kinds:
-            return replace(proposal, theta=None)
-        events = diagnosis.fail(t, before)
-        self._retuner.close(before)
-        return _undone(t, proposal, before, held, events, diagnosis.space)
-
-    def _close(self, held: Vector) -> None:
-        """Close the window of the last episode; wait for more samples where its proposal was possible, and refused."""
-        if self._ended is None:
-            return
-        (proposed, verdict), self._ended = self._ended, None
-        was_refused = not np.array_equal(proposed, held)
-        if verdict == "possible" and was_refused and self._diagnosis.wait():
-            return
-        self._diagnosis.succeed()
-        self._retuner.close(held)
-
-
-def _moving(proposal: Proposal, held: Vector, space: ParameterSpace) -> Proposal:
-    """Return the proposal, without its parameters where those in force, held (d,), are the same but for rounding."""
-    theta = proposal.theta
-    return proposal if theta is None or not space.are_same(theta, held) else replace(proposal, theta=None)
-
-
-def _undone(
-    t: float,
-    proposal: Proposal,
-    before: Vector,
-    held: Vector,
-    events: tuple[Event, ...],
-    space: ParameterSpace,
-    reason: str = "",
-) -> Proposal:
-    """Return the proposal to go back from held (d,) to the parameters before (d,), with further events.
-
-    reason: by default that of the first of these events, which says what the parameters were taken back for.
-    """
-    reason = reason or next((event.detail["reason"] for event in events), _AS_BEFORE)
-    events = (*proposal.events, *events)
-    if space.are_same(before, held):
-        return replace(proposal, theta=None, events=events)
-    undo = Event(t, "undo", {"theta": before.tolist(), "reason": reason})
-    return replace(proposal, theta=None, undo=before, events=(*events, undo))
-
-
-def make_episodes(
-    estimator: AskTell | Solver,
-    window: EpisodeWindow,
-    trigger: TriggerSettings,
-    budget: Budget,
-    describe: Callable[[], str],
-    linear: LinearForm | None = None,
-    diagnosis: EpisodeDiagnosis | None = None,
-) -> AnyRetuner:
-    """Return the loop for an estimator that works on sequences of samples.
-
-    describe: returns how the window scores candidates, in a line. diagnosis: on this window; None to write whatever
-    is proposed.
-    """
-    begins = trigger.trigger(window.innovation if diagnosis is None else diagnosis.innovation)
-    if diagnosis is None:
-        return Retuner(estimator, window, begins, budget, linear, describe)
-    retuner = Retuner(estimator, window, EpisodeTrigger(begins, diagnosis), budget, linear, describe, closes=False)
-    return DiagnosingEpisodes(retuner, diagnosis)
-
-
-def make_retuner(
-    estimator: AskTell | Solver,
-    whitened: DerivativeResidual,
-    trigger: TriggerSettings,
-    budget: Budget,
-    max_length: int,
-    linear: LinearForm | None = None,
-    text: str = "",
-    diagnosis: Diagnosis | None = None,
-    jumps: bool = True,
-) -> AnyRetuner:
-    """Return the loop for an estimator that works with derivatives, on windows of at most max_length samples.
-
-    whitened: the residual in standard deviations of its noise; an estimator in physical units gets those.
-    text: description of the residual, for the report. diagnosis: None to write whatever is proposed. jumps: whether
-    parameters that the diagnosis has found are written in place of an estimate that lags behind.
-    """
-    n = len(whitened.noise)
-    residual = innovation = whitened
-    rows, slopes = whitened.rows, whitened.slope_rows
-    if diagnosis is not None:
-        known = diagnosis.residuals
-        residual, innovation, rows, slopes = known.scaled, known.innovation, known.scaled_rows, known.scaled_slopes
-    if not estimator.is_whitened:
-        residual = replace(whitened, noise=(1.0,) * n)
-        rows, slopes = residual.rows, residual.slope_rows
-    begins = trigger.trigger(innovation)
-    if trigger.is_endless:
-        budget = replace(budget, evaluations=math.inf)
-    elif diagnosis is not None:
-        begins = SuspicionTrigger(begins, diagnosis)
-    window = ResidualWindow(residual, n, max_length, rows, slopes)
-    retuner = Retuner(estimator, window, begins, budget, linear, partial(str, text))
-    return retuner if diagnosis is None else DiagnosingRetuner(retuner, diagnosis, trigger.is_endless, jumps)
+        return going_back(t, proposal, back, held, events, self._space, reason)

@@ -17,33 +17,11 @@ from .arrival_cost import ArrivalCost
 from .contract import AskTell, Batching, Converging, Estimate, Following, Jumping, NoEstimateError, Rescoring, Solver
 from .events import Event
 from .objective import LinearForm, Objective, Window
+from .proposal import Proposal
 from .samples import Sample
 from .sliding_window import ResidualWindow
 from .space import Vector
 from .triggers import Trigger
-
-
-@dataclass(frozen=True)
-class Proposal:
-    """Result of one communication point: parameters to write, and the events that led to them."""
-
-    theta: Vector | None = None
-    """Parameters (d,) to write to the controller; None to leave those in force."""
-    estimate: Estimate | None = None
-    """Estimate on which it is based."""
-    events: tuple[Event, ...] = ()
-    """Events in order: trigger, candidates, end."""
-    latencies: tuple[float, ...] = ()
-    """Wall time of each evaluation [s]: ask, score, tell, any refit; first and last include what is done once."""
-    is_candidate: bool = False
-    """True where theta is a candidate that is tried out, not the estimate."""
-    possible_disturbance: Vector | None = None
-    """Disturbance (c,) of the sampled derivatives that may act in place of theta, in their units; None where theta is
-    certain."""
-    is_warranted: bool = True
-    """False where the disturbance explains the samples as well as theta does."""
-    undo: Vector | None = None
-    """Parameters (d,) from before a search that has failed, to return to; None where they are in force."""
 
 
 @dataclass(frozen=True)
@@ -156,6 +134,12 @@ class Retuner:
             self._window.end(wanted)
         theta = None if np.array_equal(wanted, held) else wanted
         return Proposal(theta, estimate, tuple(events), tuple(latencies), is_candidate)
+
+    def suspend(self, t: float, held: Vector) -> None:
+        """Go on with samples that turn out to be doubtful: without a diagnosis nothing says what to go back to."""
+
+    def diagnosis_summary(self) -> None:
+        """Return None: there is no diagnosis."""
 
     @property
     def is_searching(self) -> bool:
@@ -315,6 +299,31 @@ class Retuner:
             is_growing = isinstance(self._window, ResidualWindow) and not self._window.is_full
             if self._converging is not None and self._converging.is_done and not is_growing:
                 self._remaining = n = 0
+
+
+class RetunerCounts:
+    """Counts of a retuner, for a class that has it inside."""
+
+    _retuner: Retuner
+
+    def describe(self) -> str:
+        """Return how candidates are scored, in a line."""
+        return self._retuner.describe()
+
+    @property
+    def n_evaluations(self) -> int:
+        """Candidates evaluated so far."""
+        return self._retuner.n_evaluations
+
+    @property
+    def n_episodes(self) -> int:
+        """Episodes begun so far."""
+        return self._retuner.n_episodes
+
+    @property
+    def n_model_calls(self) -> int:
+        """Samples at which a candidate was scored so far."""
+        return self._retuner.n_model_calls
 
 
 def estimate_as_json(estimate: Estimate) -> dict[str, Any]:

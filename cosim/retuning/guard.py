@@ -17,7 +17,7 @@ import numpy as np
 
 from estimator import Estimate, ParameterSpace, Vector, chi2_limit
 from estimator.events import Event
-from estimator.retuner import Proposal
+from estimator.proposal import Proposal
 
 from ..scenarios.schema.guard import GuardSettings
 from ..system.tunables import is_taken

@@ -16,9 +16,10 @@ from typing import Any, Protocol
 import numpy as np
 
 from estimator import Sample, Vector
-from estimator.diagnosing import AnyRetuner
 from estimator.events import Event
-from estimator.retuner import Proposal, Retuner, estimate_as_json
+from estimator.proposal import Proposal
+from estimator.retuner import estimate_as_json
+from estimator.retuner_factory import AnyRetuner
 from estimator.samples import RememberingModel
 
 from ..errors import CosimError, ScenarioError, one_line, seconds
@@ -101,10 +102,9 @@ class Supervisor:
 
     def summary(self) -> dict[str, Any]:
         """Return the findings of guard, screen and diagnosis as JSON values; None for any that is missing."""
-        retuner = self._retuner
         others = {
             "observations": None if self._screen is None else self._screen.summary(),
-            "diagnosis": None if isinstance(retuner, Retuner) else retuner.diagnosis_summary(),
+            "diagnosis": self._retuner.diagnosis_summary(),
         }
         if self._guard is None:
             return {"guard": None, **others}
@@ -130,9 +130,7 @@ class Supervisor:
             screened, before = self._screened(point, held)
         in_force = held if before is None else before
         with failing(f"estimator '{self._name}'", point.t):
-            proposal = None
-            if screened.has_failed and not isinstance(self._retuner, Retuner):
-                proposal = self._retuner.suspend(point.t, in_force)
+            proposal = self._retuner.suspend(point.t, in_force) if screened.has_failed else None
             if proposal is None:
                 proposal = self._retuner.step(point.t, screened.sample, point.error, in_force)
         with failing("estimation.model", point.t):

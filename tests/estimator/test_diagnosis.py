@@ -10,7 +10,6 @@ from scipy.integrate import solve_ivp
 
 from estimator import DerivativeResidual, Parameter, ParameterSpace, Sample, TargetVector
 from estimator.baselines import LeastSquares
-from estimator.diagnosing import make_retuner
 from estimator.diagnosis import Diagnosis
 from estimator.diagnosis_settings import DiagnosisSettings
 from estimator.input_lag import InputHistory
@@ -18,6 +17,7 @@ from estimator.jump import jump_to
 from estimator.kalman import UnscentedKalman
 from estimator.lag import Lag
 from estimator.retuner import Budget
+from estimator.retuner_factory import make_retuner
 from estimator.triggers import AlwaysSettings, InnovationSettings
 
 SPACE = ParameterSpace((Parameter("a", 0.5, 5.0), Parameter("b", -4.0, -0.2)))

@@ -8,10 +8,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from estimator import EpisodeWindow, Evaluation, Parameter, ParameterSpace, Sample, TargetVector
 from estimator.baselines import LeastSquares
-from estimator.diagnosing import make_episodes
 from estimator.diagnosis_settings import DiagnosisSettings
 from estimator.episode_diagnosis import EpisodeDiagnosis
 from estimator.retuner import Budget
+from estimator.retuner_factory import make_episodes
 from estimator.triggers import InnovationSettings
 
 SPACE = ParameterSpace((Parameter("a", 0.5, 0.98), Parameter("b", 0.1, 2.0)))

@@ -7,10 +7,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from estimator import DerivativeResidual, Parameter, ParameterSpace, Sample, TargetVector
-from estimator.diagnosing import make_retuner
 from estimator.diagnosis import Diagnosis
 from estimator.diagnosis_settings import DiagnosisSettings
 from estimator.retuner import Budget
+from estimator.retuner_factory import make_retuner
 from estimator.triggers import InnovationSettings
 
 SPACE = ParameterSpace((Parameter("a", 0.5, 5.0), Parameter("b", -4.0, -0.2)))

@@ -1,7 +1,7 @@
 """Recursive least squares, which processes each sample once: an adapter to filterpy's Kalman filter."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import scipy  # its parts, 0.3 s, are loaded when they are used
@@ -14,6 +14,12 @@ from .space import ParameterSpace, Vector
 
 if TYPE_CHECKING:  # filterpy imports scipy.stats
     from filterpy.kalman import KalmanFilter
+
+
+_ROUNDING: Final = 1e-14
+"""Share of the largest variance of a covariance, or of a coefficient, that rounding may make of none."""
+_KNOWN: Final = 1e-6
+"""Standard deviation of a coefficient that is known, as a share of its size."""
 
 
 @dataclass(frozen=True)
@@ -90,8 +96,10 @@ class RecursiveLeastSquares:
         psi = linear.coefficients(self._space.from_unit(self._z))
         cube = scipy.stats.qmc.Halton(len(self._space), scramble=False).random(64)
         anywhere = np.array([linear.coefficients(self._space.from_unit(z)) for z in cube])
-        self._start_std = self._settings.spread * np.std(anywhere, axis=0)
-        return psi, np.diag(self._start_std**2)
+        std, size = self._settings.spread * np.std(anywhere, axis=0), np.abs(psi)
+        is_constant = std <= _ROUNDING * size  # over the bounds: it is known
+        self._start_std = np.where(is_constant, _KNOWN * np.where(size > 0.0, size, 1.0), std)
+        return psi, np.diag(np.where(is_constant, 0.0, std**2))
 
     def _kalman(self, psi: Vector, P: Vector) -> "KalmanFilter":
         from filterpy.kalman import KalmanFilter
@@ -101,7 +109,8 @@ class RecursiveLeastSquares:
         return kalman
 
     def _project(self, linear: LinearForm, psi: Vector, P: Vector) -> None:
-        weight = np.linalg.inv(np.linalg.cholesky(P + 1e-12 * np.trace(P) * np.eye(len(P))))
+        values, directions = _principal(self._start_std, P)
+        weight = (directions / np.sqrt(values)).T / self._start_std
 
         def misfit(z: Vector) -> Vector:
             return weight @ (linear.coefficients(self._space.from_unit(z)) - psi)
@@ -113,6 +122,14 @@ class RecursiveLeastSquares:
 
 def _at_most(std: Vector, P: Vector) -> Vector:
     """Return the covariance P (p, p) with no direction wider than at the start, where it was diag(std^2)."""
-    std = np.maximum(std, np.finfo(float).tiny)  # a coefficient that is constant over the bounds is known
-    values, directions = np.linalg.eigh(P / std / std[:, None])
+    values, directions = _principal(std, P)
     return (directions * np.minimum(values, 1.0)) @ directions.T * std * std[:, None]
+
+
+def _principal(std: Vector, P: Vector) -> tuple[Vector, Vector]:
+    """Return variances (p,) and directions (p, p) of the covariance P (p, p) in units of std (p,).
+
+    Rounding leaves no variance below its own share of the largest: rows a thousand times too large would.
+    """
+    values, directions = np.linalg.eigh(P / std / std[:, None])
+    return np.maximum(values, max(_ROUNDING * values[-1], np.finfo(float).tiny)), directions

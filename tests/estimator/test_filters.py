@@ -1,5 +1,7 @@
 """Recursive estimators against batch least squares and the ordinary Kalman filter."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -145,6 +147,17 @@ def test_a_coefficient_that_is_constant_over_the_bounds_is_known():
         mine, its = take(whole, sample, with_constant), take(reduced, sample)
         assert_allclose(mine.theta, its.theta, rtol=1e-5)  # of the projection, an iteration
         assert_allclose(mine.std, its.std, rtol=1e-5)
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e6, 1e9])
+def test_samples_that_are_far_too_large_are_no_end(factor):
+    """As where a sensor is wrong by its unit: the covariance then has no Cholesky factor any more."""
+    estimator = RecursiveLeastSquares(PLANE, START, RNG(0))
+    for k, sample in enumerate(plane_samples(40)):
+        x = tuple(factor * value for value in sample.x) if k >= 20 else sample.x
+        estimate = take(estimator, replace(sample, x=x, xdot=(factor * sample.xdot[0],) if k >= 20 else sample.xdot))
+    assert np.all(np.isfinite(estimate.theta))
+    assert np.all(np.isfinite(estimate.std))
 
 
 def test_a_parameter_that_is_not_excited_is_not_identifiable():

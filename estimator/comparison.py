@@ -28,7 +28,7 @@ from .hypotheses import (
     plain_fit,
 )
 from .jump import jump_to
-from .residual_scale import spread_of
+from .residual_scale import LARGER, MUCH_LARGER, NOISY, spread_of
 from .significance import chi2_limit
 from .space import Vector
 from .standardised_residuals import StandardisedResiduals
@@ -45,12 +45,6 @@ _RATE: Final = 2.0 * USUAL_RATE
 """Largest change of a parameter from sample to sample, as a share of the scaled bounds: faster, it is none."""
 _SPARE: Final = 8
 """Least number of values in excess of those fitted that show a known disturbance to have changed with parameters."""
-_NOISY: Final = 8
-"""Least number of samples since the onset that show a larger noise than the declared one."""
-_LARGER: Final = 1.3
-"""Factor by which it must be larger."""
-_MUCH_LARGER: Final = 3.0
-"""Factor where the parameters in force stay: they are not fitted, and a smaller one may be what the model lacks."""
 _TOO_SMALL: Final = 10.0
 """Factor by which a declared noise may be too small, as where it is a sensor's last digit."""
 _RENEWED: Final = 5
@@ -111,6 +105,15 @@ class HypothesisComparison:
         """Return whether each sample since the onset contradicts theta (d,), and would with ten times the noise."""
         rows = self._residuals.of_newest(theta, self._state.n_since) / _TOO_SMALL
         return all(not plain_fit(row[None], 0).is_explained for row in rows)
+
+    def if_noise(self, held: Vector) -> Vector | None:
+        """Return the reference (d,) where noise of ten times the known size explains the samples since the onset.
+
+        held (d,): in force, for want of a reference. None where they are no noise.
+        """
+        reference = self._state.reference_or(held)
+        rows = self._residuals.of_newest(reference, self._state.n_since) / _TOO_SMALL
+        return reference if plain_fit(rows, 0).is_explained else None
 
     @property
     def is_tested(self) -> bool:
@@ -246,11 +249,11 @@ class HypothesisComparison:
         Noise is what differs from sample to sample by as much as in the whole: what a model lacks is smooth.
         """
         state = self._state
-        if state.n_since < _NOISY:
+        if state.n_since < NOISY:
             return False
         few = min(state.n_since, WINDOW // 2)
         best = self.best(held, few, may_drift=False).z
-        for n, z, least in ((state.n_since, self._space.to_unit(held), _MUCH_LARGER), (few, best, _LARGER)):
+        for n, z, least in ((state.n_since, self._space.to_unit(held), MUCH_LARGER), (few, best, LARGER)):
             rows_at = self._residuals.at_newest(n)
             rows = rows_at(z)
             larger = np.maximum(spread_of(rows), 1.0)

@@ -142,10 +142,11 @@ class DiagnosingRetuner(RetunerCounts):
             return replace(proposal, theta=None)
         if proposal.estimate is not None:
             diagnosis.expect(proposal.estimate.is_identifiable)
-        is_warranted = verdict == "warranted"
-        if is_warranted and not diagnosis.comparison.may_be_disturbed:
+        comparison, is_warranted = diagnosis.comparison, verdict == "warranted"
+        if is_warranted and not comparison.may_be_disturbed:
             return proposal
-        return replace(proposal, possible_disturbance=diagnosis.comparison.disturbance(held), is_warranted=is_warranted)
+        if_noise, rival = comparison.if_noise(held), comparison.disturbance(held)
+        return replace(proposal, if_noise=if_noise, possible_disturbance=rival, is_warranted=is_warranted)
 
     def _moved(self, proposal: Proposal, held: Vector) -> Proposal:
         """Return a filter's proposal while nothing contradicts the parameters in force, held (d,).

@@ -25,6 +25,7 @@ from .friction_comparison import FrictionComparison
 from .hypotheses import MARGIN, disturbance_of, plain_fit
 from .lag_comparison import LagComparison
 from .lasting import LastingParameters
+from .residual_scale import NOISY
 from .samples import DerivativeResidual, Sample
 from .settled import Settled
 from .space import Vector
@@ -277,6 +278,8 @@ class Diagnosis:
         """
         state = self._state
         n = min(state.n_since, QUIET)
+        if state.n_since < NOISY and self.comparison.if_noise(held) is not None:  # as where a filter gives few samples
+            return None
         reference = state.reference_or(held)
         rows = self.residuals.of_newest(reference, n)
         found = disturbance_of(rows)

@@ -28,7 +28,7 @@ from .events import Event
 from .evidence import Evidence
 from .hypotheses import NEVER, Fit, Weighing, changed_parameters, plain_fit
 from .objective import DIFFERENCE_STEP
-from .residual_scale import ResidualScale
+from .residual_scale import LARGER, MUCH_LARGER, NOISY, ResidualScale, is_rough, spread_of
 from .resting import RestingResiduals
 from .samples import Sample
 from .space import ParameterSpace, Vector
@@ -198,9 +198,14 @@ class EpisodeDiagnosis:
         """Return the disturbance (p,) of the inputs that may act in place of changed parameters."""
         return self._state.inputs + self._disturbed(held).inputs
 
-    def fail(self, t: float, held: Vector) -> tuple[Event, ...]:
-        """Take the end of a search that has found no parameters; return the events."""
+    def fail(self, t: float, theta: Vector | None, held: Vector) -> tuple[Event, ...]:
+        """Take the end of a search that has found no parameters, theta (d,) being the best; return the events.
+
+        None where the noise is larger than was known, and nothing has happened.
+        """
         state = self._state
+        if self._adopt_noise(theta, held):
+            return ()
         disturbed = self._disturbed(held)
         self._note(disturbance=disturbed.fit)
         state.n_failures += 1
@@ -230,6 +235,25 @@ class EpisodeDiagnosis:
         state.resting = RestingResiduals()
         reason = f"{state.n_failures} searches in vain: re-tuning rests for {length} samples"
         return event, Event(t, "rest", {"channels": list(self._outputs), "n_samples": length, "reason": reason})
+
+    def _adopt_noise(self, theta: Vector | None, held: Vector) -> bool:
+        """Adopt a larger noise where that explains the sequence, with the parameters in force or the best ones.
+
+        Noise is what differs from sample to sample by as much as in the whole: what a model lacks is smooth.
+        """
+        for candidate, least in ((held, MUCH_LARGER), (theta, LARGER)):
+            residual = np.empty(0) if candidate is None else self._window.whitened(candidate)
+            if len(residual) % len(self._outputs) or len(residual) < NOISY * len(self._outputs):
+                continue
+            rows = residual.reshape(len(self._outputs), -1).T
+            if not np.all(np.isfinite(rows)) or not is_rough(rows):
+                continue
+            larger = np.maximum(spread_of(rows), 1.0)
+            if larger.max() >= least and plain_fit(rows / larger, 0).is_explained:
+                self._state.scale.enlarge(larger)
+                self._window.weights = 1.0 / self._state.scale.effective
+                return True
+        return False
 
     def _is_rest_over(self) -> bool:
         """Return whether a rest ends with another scale of the residuals; early where something has happened."""

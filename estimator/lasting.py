@@ -8,6 +8,7 @@ from .comparison import LONG
 from .diagnosis_settings import BETTER
 from .diagnosis_state import DiagnosisState
 from .hypotheses import MARGIN, disturbance_of, plain_fit
+from .residual_scale import is_rough
 from .space import Vector
 from .standardised_residuals import StandardisedResiduals
 
@@ -34,7 +35,7 @@ class LastingParameters:
             return False
         n = min(len(here) + self._state.n_calm, len(self._state.samples))
         here, there = self._residuals.of_newest(np.array([held, lasting]), n)
-        if np.sum(np.diff(there, axis=0) ** 2) >= np.sum(there**2):  # white noise has twice as much: it is larger
+        if is_rough(there):  # the noise is larger
             return False
         return all(
             not plain_fit(here[-m:], 0).is_explained

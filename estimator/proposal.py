@@ -29,6 +29,9 @@ class Proposal:
     possible_disturbance: Vector | None = None
     """Disturbance (c,) of the sampled derivatives that may act in place of theta, in their units; None where theta is
     certain."""
+    if_noise: Vector | None = None
+    """Parameters (d,) of the plant if the samples contradict them by noise only, be it ten times the declared one; None
+    where that does not explain the samples."""
     is_warranted: bool = True
     """False where the disturbance explains the samples as well as theta does."""
     undo: Vector | None = None

@@ -19,6 +19,12 @@ _STEP: Final = 1.2
 """Factor by which an estimate must differ from the scale in use to replace it."""
 _MAD: Final = 1.4826
 """Ratio of a normal variable's standard deviation to its median absolute deviation."""
+NOISY: Final = 8
+"""Least number of samples that show a larger noise than the declared one."""
+LARGER: Final = 1.3
+"""Factor by which it must be larger."""
+MUCH_LARGER: Final = 3.0
+"""Factor where the parameters in force stay: they are not fitted, and a smaller one may be what the model lacks."""
 
 
 class ResidualScale:
@@ -99,6 +105,12 @@ class ResidualScale:
 
     def _count_correlations(self) -> None:
         self.effective = self.values * np.sqrt((1.0 + self.correlations) / (1.0 - self.correlations))
+
+
+def is_rough(rows: Vector) -> bool:
+    """Return whether rows (n, c) change from one to the next by as much as noise does: of white noise the squares of
+    the differences are twice its own, von Neumann (1941), of what changes smoothly they are less than once."""
+    return bool(np.sum(np.diff(rows, axis=0) ** 2) >= np.sum(rows**2))
 
 
 def spread_of(rows: Vector) -> Vector:

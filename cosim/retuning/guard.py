@@ -278,21 +278,20 @@ class Guard:
         """
         expected = 0.0
         growth = self._settings.growth
-        plants: list[tuple[str, Vector, Vector | None]] = [
-            (name, plant, None)
-            for name, plant in self._support.plausible_parameters(estimate.theta, self._settings.n_std, _LITTLE)
-        ]
+        tolerated = max(growth * error, self._probation.tolerated(is_proven=False))
+        plants: list[tuple[str, Vector, Vector | None, float]] = []
+        if proposal.if_noise is not None:
+            plants.append(("noise larger than declared", proposal.if_noise, None, tolerated))
         if proposal.possible_disturbance is not None:
-            plants.insert(0, ("parameters held, and a disturbance", held, proposal.possible_disturbance))
-        for name, plant, disturbance in plants:
+            plants.append(("parameters held, and a disturbance", held, proposal.possible_disturbance, tolerated))
+        plausible = self._support.plausible_parameters(estimate.theta, self._settings.n_std, _LITTLE)
+        plants += [(name, plant, None, growth * error) for name, plant in plausible]
+        for name, plant, disturbance, harmless in plants:
             found = peak(theta, plant, disturbance)
             if found is None:
                 if disturbance is not None and not proposal.is_warranted:
                     return "a disturbance explains the samples as well, and its effect cannot be predicted", expected
                 continue
-            harmless = growth * error
-            if disturbance is not None:
-                harmless = max(harmless, self._probation.tolerated(is_proven=False))
             if found > harmless and found > growth * ((stay := peak(held, plant, disturbance)) or 0.0):
                 without = f"{stay:.4g}" if stay is not None else "unknown"
                 reason = f"predicted peak of the tracking error {found:.4g}, without the write {without} ({name})"

@@ -49,11 +49,13 @@ class Run:
     settings: DiagnosisSettings = field(default_factory=DiagnosisSettings)
     model: object = None
     actuator: object = None  # what it makes of time and input; none: the input arrives as it is
+    n_search: int = 10  # samples that a search lasts
     is_trusting: bool = False  # writes what a disturbance would explain as well
     events: list = field(default_factory=list)
     writes: list = field(default_factory=list)  # (k, theta)
     undone: list = field(default_factory=list)  # k
     unsure: list = field(default_factory=list)  # (k, rival)
+    if_noise: list = field(default_factory=list)  # what holds if it is noise, of each proposal that is not certain
 
     def __post_init__(self):
         self.rng = np.random.default_rng(self.seed)
@@ -64,11 +66,9 @@ class Run:
         self.diagnosis = Diagnosis(whitened, self.names, self.settings)
         begins, self.held, self.k = InnovationSettings(), TRUE, 0
         search = STARTS[self.estimator](SPACE, TRUE, np.random.default_rng(self.seed + 1))
-        budget, length = Budget(30, 3), 10
+        budget, length = Budget(3 * self.n_search, 3), 10
         if self.estimator == "ukf":
             begins, budget, length = AlwaysSettings(), Budget(30, 1), 1
-        elif self.estimator == "least-squares":
-            budget = Budget(30, 3)
         self.retuner = make_retuner(search, whitened, begins, budget, length, diagnosis=self.diagnosis)
 
     def sample(self, truth, added):
@@ -91,6 +91,8 @@ class Run:
     def take(self, sample):
         proposal = self.retuner.step(sample.t, sample, 0.0, self.held)
         self.events += [(self.k, event) for event in proposal.events]
+        if proposal.possible_disturbance is not None:
+            self.if_noise.append(proposal.if_noise)
         if not proposal.is_warranted:
             self.unsure.append((self.k, proposal.possible_disturbance))
         if proposal.theta is not None and (self.is_trusting or proposal.is_warranted):
@@ -698,6 +700,24 @@ def test_a_change_that_is_larger_than_what_the_model_lacks_is_found_after_the_re
     assert max(scales) < (1.1 if n_channels == 1 else 2.3) * size / SIGMA / np.sqrt(2.0)
     run.go(150, changed, lambda i: lacks(i + 700))
     assert near(run.held, changed, 0.1)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_larger_noise_would_explain_is_said_with_a_proposal_and_an_obvious_change_is_none(seed):
+    noisy = Run("least-squares", 1, noise=10.0, seed=seed).go(30)
+    assert np.mean([theta is not None for theta in noisy.if_noise]) > 0.8
+    changed = Run("least-squares", 1, seed=seed).go(40).go(20, CHANGED)
+    assert changed.if_noise[0] is None
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_search_on_fewer_samples_than_show_a_larger_noise_is_not_in_vain(seed):
+    """As where a filter gives a sample every few points: nothing rests, and the noise is found by the next search."""
+    run = Run("least-squares", 3, noise=10.0, seed=seed, n_search=6).go(60)
+    assert run.of("rest") == []
+    assert len(run.of("unexplained", "disturbance")) <= 1
+    assert_allclose(run.diagnosis._state.scale.values, 10.0, rtol=1.0)
+    assert near(run.held, TRUE, 0.05)
 
 
 @pytest.mark.parametrize("noise", [2.0, 10.0])

@@ -261,6 +261,19 @@ def test_after_a_rest_changed_parameters_are_found_again():
     assert near(run.held, CHANGED)
 
 
+@SEARCHES
+@pytest.mark.parametrize("seed", range(4))
+def test_noise_much_larger_than_declared_is_known_after_a_search_or_two(estimator, seed):
+    run = Run(estimator, noise=10.0, seed=seed).go(200)
+    assert run.of("disturbance", "rest") == []
+    assert len(run.of("unexplained")) <= 1
+    assert run.retuner.n_episodes <= 2
+    assert_allclose(run.diagnosis._state.scale.values, 10.0, rtol=0.5)
+    assert_array_equal(run.held, TRUE)
+    run.go(80, CHANGED)
+    assert near(run.held, CHANGED, 0.2)
+
+
 @pytest.mark.parametrize("noise", [2.0, 10.0])
 def test_noise_larger_than_declared_is_learnt_within_two_rests(noise):
     settings = DiagnosisSettings(rest=100, longest_rest=100)

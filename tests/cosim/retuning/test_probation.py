@@ -107,6 +107,18 @@ def test_parameters_that_may_be_the_old_ones_are_written_where_the_error_stays_u
     assert kinds(guard(peak), 100, 0.001, PROVEN, peak) == []
 
 
+@pytest.mark.parametrize(("found", "told"), [(0.0149, []), (0.0151, ["veto"])])
+def test_parameters_that_noise_may_have_made_are_written_where_the_error_stays_usual(found, told):
+    """In a plant that still has the parameters of before, and no disturbance."""
+    noisy = replace(LIKELY, if_noise=START)
+
+    def peak(controller, plant, disturbance):
+        return found if plant is START and disturbance is None and controller is not START else 0.01
+
+    assert kinds(guard(peak), 100, 0.001, noisy, peak) == told
+    assert kinds(guard(peak), 100, 0.001, LIKELY, peak) == []
+
+
 def test_an_unusual_error_takes_them_back_until_they_are_proven():
     peak = predicted(0.01)
     for proof, told in ((POSSIBLE, ["revert"]), (PROVEN, [])):

@@ -29,6 +29,8 @@ from .shared_library import SharedLibrary, read_shared_library
 
 _EXIT_OF_PYTHONFMU = "GLIBC_TUNABLES=glibc.malloc.tcache_count=65535"  # its library uses freed memory as it is unloaded
 
+_UNLOADABLE = "No importer can load it as it is: build the FMU anew for this platform."
+
 
 @dataclass(frozen=True)
 class Requirement:
@@ -86,7 +88,8 @@ def diagnose(fmu: Path) -> Examination:
             findings.append(_modules(script))
     tool = one_line(description.generationTool or "") or "a tool that it does not name"
     title = f"{fmu}: FMI {description.fmiVersion} for {_kind(description)}, made by {tool}"
-    return Examination(title, tuple(findings), _advice(is_python, libpython, "pythonfmu" in tool.lower()))
+    advice = _advice(is_python, libpython, "pythonfmu" in tool.lower()) if findings[0].is_well else _UNLOADABLE
+    return Examination(title, tuple(findings), advice)
 
 
 def _kind(description: ModelDescription) -> str:

@@ -19,6 +19,7 @@ from estimator.space import Scale
 from ..errors import CosimError, WiringError
 from ..fmi.component import Component, read_component
 from ..fmi.ports import Catalogue
+from ..fmi.table import is_table
 from ..fmi.types import is_real
 from .finer_step import FinerStep, finer_step
 from .forgotten_inputs import forgotten_inputs
@@ -223,6 +224,8 @@ class Understood(NamedTuple):
 
 def understand(request: Request) -> Understood:
     """Read the FMU's description and the logs of a request. Raises CosimError in one line for what is refused."""
+    if is_table(request.fmu):
+        raise EstimateError(f"{request.fmu} is a table, not an FMU: the FMU comes first, then its logs.")
     component = read_component(request.fmu)
     space, nominal = _space(request, component)
     windows, warnings = _windows(request, _signals(request, component), component)

@@ -69,6 +69,8 @@ class LogWindow:
     """Number of first rows, which parameters are fitted to; the others are held out."""
     log: Path = Path()
     """The log's file."""
+    time_unit: str = "s"
+    """Unit that its time stamps were taken to be in."""
 
 
 def windows_of(
@@ -79,7 +81,7 @@ def windows_of(
     cuts: parts of the log to use, all of it where there are none; holdout: share of the rows, the last ones, that is
     held out. Raises LogError.
     """
-    time, table, warnings = _table(log, signals, component)
+    time, table, warnings, unit = _table(log, signals, component)
     limits = list(cuts) or [(float(time[0]), float(time[-1]))]
     windows: list[LogWindow] = []
     for low, high in limits:
@@ -104,6 +106,7 @@ def windows_of(
                     table["start"][part],
                     len(part),
                     log.path,
+                    unit,
                 )
             )
     for i, (variable, column) in enumerate(signals.measured.items()):
@@ -120,8 +123,9 @@ def unused_columns(log: Log, signals: LogColumns) -> list[str]:
     return [name for name in log.columns if name not in used]
 
 
-def _table(log: Log, signals: LogColumns, component: Component) -> tuple[Vector, dict[str, Vector], list[str]]:
-    """Return increasing time stamps (n,), columns (n, k) by role in the FMU's units, and warnings. Raises LogError."""
+def _table(log: Log, signals: LogColumns, component: Component) -> tuple[Vector, dict[str, Vector], list[str], str]:
+    """Return increasing time stamps (n,) [s], columns (n, k) by role in the FMU's units, warnings, and the unit that
+    the stamps were in. Raises LogError."""
     if signals.time is None:
         log = log.on_one_raster(signals.inputs.values(), [*signals.measured.values(), *signals.start.values()])
     stamps = log.time_column(signals.time)
@@ -150,7 +154,7 @@ def _table(log: Log, signals: LogColumns, component: Component) -> tuple[Vector,
     if n := np.count_nonzero(~last):
         warnings.append(f"{log.path}: {n} repeated time stamps; of rows with the same one the last is used.")
         time, table = time[last], {role: values[last] for role, values in table.items()}
-    return time, table, warnings
+    return time, table, warnings, stamps.unit or "s"
 
 
 def _check_epoch(log: Log, stamps: Column) -> None:
@@ -180,8 +184,8 @@ def _columns(log: Log, columns: Mapping[str, str], component: Component, n: int)
         converted = _converted(log.column(name), declared, f"{log.path}: column '{name}' for {variable}", unit_of)
         if len(converted) != n:
             raise LogError(f"{log.path}: column '{name}' has {len(converted)} values, time has {n}.")
-        values[:, i] = np.where(np.isfinite(converted), converted, np.nan)
-        largest = float(np.max(np.abs(values[:, i]), where=np.isfinite(values[:, i]), initial=0.0))
+        values[:, i] = converted
+        largest = float(np.max(np.abs(converted), where=~np.isnan(converted), initial=0.0))
         if largest > LARGEST:
             raise LogError(f"{log.path}: column '{name}' for {variable} has values up to {largest:.3g}: too large.")
     return values

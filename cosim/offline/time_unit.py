@@ -7,6 +7,8 @@ from typing import Final
 import numpy as np
 
 from ..fmi.component import Component
+from ..unit_text import understood
+from ..units import conversion
 from .log_windows import LogWindow
 from .logs import LogError
 
@@ -16,8 +18,10 @@ FAR: Final = 100.0
 """Ratio of the rows' distance to the step of the FMU's experiment from which on something is wrong."""
 FAR_SPAN: Final = 500.0
 """Ratio of spans, for an FMU that declares no step: a log is often longer than an experiment."""
+_LONGER: Final = 1.001
+"""Ratio of a step to the rows' distance that is more than rounding."""
 _PER_SECOND: Final[Mapping[str, float]] = {
-    "ms": 1e3, "us": 1e6, "ns": 1e9, "min": 1 / 60.0, "h": 1 / 3600.0, "d": 1 / 86400.0,
+    "s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9, "min": 1 / 60.0, "h": 1 / 3600.0, "d": 1 / 86400.0,
 }  # fmt: skip
 
 
@@ -29,6 +33,12 @@ def check_time(windows: Sequence[LogWindow], component: Component, step: float |
     """
     for window in windows:
         span = float(window.time[-1] - window.time[0])
+        distance = float(np.median(np.diff(window.time)))
+        if step is not None and step > distance * _LONGER and window.inputs.shape[1]:
+            raise LogError(
+                f"{window.name}: a --step of {step:g} s passes over inputs, which are {distance:g} s apart: "
+                f"it may be {distance:g} s at most."
+            )
         if step is not None and span / step > MOST_STEPS:
             n = f"{span / step:.2g} steps of {step:g} s"
             raise LogError(f"{window.name}: its {span:g} s are {n}; at most {MOST_STEPS:g} are simulated.")
@@ -53,5 +63,7 @@ def _misfit(window: LogWindow, component: Component) -> str | None:
     if 1.0 / far < ratio < far:
         return None
     text = f"{what} {own:g} s {of} {expected:g} s".replace("its", f"{name}'s", 1)
-    unit = min(_PER_SECOND, key=lambda u: abs(log(ratio / _PER_SECOND[u])))
-    return f"{text}: is its time in {unit}? Give --time-unit {unit}, or --time-unit s where it is right."
+    taken = window.time_unit
+    ratio *= conversion(understood("s"), understood(taken)).factor  # as if the stamps were in seconds
+    unit = min(_PER_SECOND.keys() - {taken}, key=lambda u: (abs(log(ratio / _PER_SECOND[u])), u))
+    return f"{text}: is its time in {unit}? Give --time-unit {unit}, or --time-unit {taken} where it is right."

@@ -60,7 +60,7 @@ def diagnosed(found: Mapping[str, Any], lacking: str = _OF_A_MODEL) -> list[str]
         sizes = ", ".join(f"{name} {size:.3g}" for name, size in last["size"].items())
         lines.append(
             f"{counted(found['disturbance'], 'disturbance')} named, the last at t = {last['t']:g} s ({sizes}): "
-            "what was written for them is undone"
+            "what was written for them, if anything, is undone"
         )
     lines += _late(found.get("input_lag", {})) + _rubbing(found.get("known_friction", ()))
     if found["unexplained"]:
@@ -129,7 +129,7 @@ def _first_change(time: Series, values: Series, begin: float, end: float | None)
 def _untriggered(run: Run) -> Iterator[str]:
     """Yield a line where no episode began, and one on each signal that is no larger than its declared noise."""
     trigger = run.scenario.estimation.trigger
-    if run.n_episodes or not run.guard or run.guard["written"]:
+    if run.n_episodes or not run.guard or run.guard["written"] or not len(run.time):
         return
     error = np.sqrt(sum(e * e for e in run.errors.values()))
     if trigger.kind == "tracking" and np.all(error < trigger.threshold):

@@ -98,6 +98,13 @@ def write_manifest(folder: Path, content: Mapping[str, Any], is_own: bool, name:
     write_json(folder / name, {**content, _SEAL: seal, _SIGNATURE: signature})
 
 
+def check_whole(folder: Path) -> None:
+    """Raise FolderError where a file of a run that has ended is not as it was written; of any kind of run."""
+    digests = read_json(folder, MANIFEST, dict[str, Any]).get("sha256", {})
+    for name in digests:
+        check_file(folder, name, digests)
+
+
 def check_file(folder: Path, name: str, digests: Mapping[str, str]) -> None:
     """Raise FolderError for a file that has not the SHA-256 of the manifest; a file without one there always passes."""
     try:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..errors import FolderError, NotResumableError
+from ..errors import CosimError, FolderError, NotResumableError
 from ..files import sha256
 from ..system.fmu_cache import fmu_paths
 from .append_file import EMPTY, Prefix
@@ -22,6 +22,15 @@ def has_begun(folder: Path) -> bool:
 def has_ended(folder: Path) -> bool:
     """Return whether the folder holds a run that is complete. Raises FolderError."""
     return has_begun(folder) and read_manifest(folder).status in ("done", "diverged")
+
+
+def why_not_resumable(folder: Path) -> str | None:
+    """Return the reason why the run of a folder cannot be resumed, without a full stop; None where it can."""
+    try:
+        read_unfinished(folder)
+    except CosimError as e:
+        return str(e).rstrip(".")
+    return None
 
 
 @dataclass(frozen=True)

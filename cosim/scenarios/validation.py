@@ -21,15 +21,21 @@ _JARGON: Final = (
      r"\2 must be one of \3, got \1"),
 )  # fmt: skip
 """What pydantic says of containers, and how a TOML file's author would."""
+_CONTAINERS: Final = {tuple: "tuple[", dict: "dict[", list: "list["}
+"""How pydantic's path names these types."""
 _UNKNOWN: Final = ("extra_forbidden", "unexpected_keyword_argument")
 """Pydantic's types of an unknown key: of a table, of a dataclass."""
 
 
 def first_error(error: ValidationError, root: type[Table]) -> str:
     """Return key and rule of the first error, in one line; root: the table that was validated."""
-    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
     details = sorted(error.errors(), key=lambda found: found["type"] not in _UNKNOWN)  # what is missing is misspelt
-    text = _text(details[0], root)
+    places = [tuple(_place(found["loc"], root)[0]) for found in details]
+    first = places[0]  # of a value of several types there is an error for each: the one that reaches deepest fits best
+    its = [found for found, place in zip(details, places, strict=True) if place[: len(first)] == first]
+    n_more = len({place for place in places if place[: len(first)] != first})
+    more = f" (and {n_more} more)" if n_more else ""
+    text = _text(max(its, key=lambda found: len(found["loc"])), root)
     end = "" if text.endswith("?") else "."
     return f"{text}{more}{end}"
 
@@ -63,6 +69,10 @@ def _place(path: Sequence[int | str], root: type[Table]) -> tuple[list[str], typ
     keys: list[str] = []
     kind: Any = root
     for part in path:
+        types = _alternatives(kind)
+        if types:
+            kind = next((one for one in types if str(part).startswith(_CONTAINERS.get(get_origin(one), "-"))), None)
+            continue
         tagged = next((table for table in _tables(kind) if part in _tags(table)), None)
         if tagged is not None:
             kind = tagged
@@ -71,6 +81,16 @@ def _place(path: Sequence[int | str], root: type[Table]) -> tuple[list[str], typ
             kind = _item(kind, part)
     tables = _tables(kind)
     return keys, tables[0] if len(tables) == 1 else None
+
+
+def _alternatives(kind: Any) -> list[Any]:
+    """Return the types that a value may have where there are several and none is a table: pydantic's path names one."""
+    if get_origin(kind) is Annotated:
+        return _alternatives(get_args(kind)[0])
+    if get_origin(kind) not in (Union, UnionType) or _tables(kind):
+        return []
+    types = [one for one in get_args(kind) if one is not type(None)]
+    return types if len(types) > 1 else []
 
 
 def _tables(kind: Any) -> list[type[Any]]:

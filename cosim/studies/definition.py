@@ -132,6 +132,17 @@ class StudyDefinition(Table):
         return self
 
     @model_validator(mode="after")
+    def _factors_differ(self) -> Self:
+        for scenario in self.study.scenarios:
+            setters: dict[str, str] = {}
+            for name, factor in self.at(scenario).factors.items():
+                for key in sorted(factor.keys):
+                    if key in setters:
+                        raise ValueError(f"factors: '{setters[key]}' and '{name}' both set {key}: make them one")
+                    setters[key] = name
+        return self
+
+    @model_validator(mode="after")
     def _factors_fit(self) -> Self:
         for name in (n for n in self.factor_names if n in RESERVED or n.startswith(("mse ", "error "))):
             raise ValueError(f"factors: '{name}' is a column of the table already: give it another name")

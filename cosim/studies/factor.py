@@ -11,6 +11,8 @@ from ..scenarios.schema.table import Table
 
 Number = float | int
 Span = tuple[Number, Number]
+_MOST_VALUES: Final = 1_000_000
+"""Largest number of values of a grid or a range."""
 DISTRIBUTIONS: Final = ("uniform", "log_uniform", "normal")
 
 
@@ -64,8 +66,10 @@ class Factor(Table):
             raise ValueError("must have 'set', and choices, which have their keys, none")
         if isinstance(self.setting, dict) and any("{}" not in form for form in self.setting.values()):
             raise ValueError("set: each text must have {} where the value stands")
-        if (self.grid and self.grid[2] < 1) or (self.span and not self._reaches_its_end()):
-            raise ValueError(f"{given[0]} has no values, got {list(self.grid or self.span or ())}")
+        n = self._n_given()
+        if not 0 < n <= _MOST_VALUES:
+            found = "no values" if n <= 0 else f"{n:.3g} values, at most {_MOST_VALUES:g} are made"
+            raise ValueError(f"{given[0]} has {found}, got {list(self.grid or self.span or ())}")
         for name, bounds, least in (("uniform", self.uniform, -math.inf), ("log-uniform", self.log_uniform, 0.0)):
             if bounds is not None and not least < bounds[0] < bounds[1]:
                 above = "0 < " if least == 0.0 else ""
@@ -74,9 +78,19 @@ class Factor(Table):
             raise ValueError(f"normal must have a standard deviation above 0, got {self.normal[1]:g}")
         return self
 
-    def _reaches_its_end(self) -> bool:
-        first, last, step = self.span or (0, 0, 0)
-        return step != 0 and (last - first) / step >= 0 and (last - first) / step < 1e6
+    def _n_given(self) -> float:
+        """Return the number of values of a grid or a range; 1 for any other factor."""
+        if self.grid:
+            return self.grid[2]
+        first, last, step = self.span or (0, 0, 1)
+        return (last - first) / step + 1 if step != 0 else 0
+
+    @property
+    def keys(self) -> set[str]:
+        """Keys that it sets."""
+        if self.choices is not None:
+            return {key for chosen in self.choices.values() for key in chosen}
+        return set(self.setting) if isinstance(self.setting, dict) else {str(self.setting)}
 
 
 def toml_text(value: Any) -> str:

@@ -10,7 +10,7 @@ from ..objectives.choice import chosen
 from ..runs.record import recording
 from ..runs.report import ending, report
 from ..runs.result import Run
-from ..runs.resumable import has_begun
+from ..runs.resumable import has_begun, why_not_resumable
 from ..runs.simulation import StepProgress
 from ..scenarios.scenario import Scenario
 from .exit_codes import DONE, UNFINISHED
@@ -30,8 +30,8 @@ def tell(folder: Path, runs: Mapping[Path, Run], is_json: bool, is_drawn: bool) 
         with recording(folder):
             draw_run(result, baselines)
     print(to_json(result.summary()) if is_json else report(result, baselines))
-    if not is_json:
-        tell_next(*_next_step(folder, result))
+    if not is_json and (next_step := _next_step(folder, result)):
+        tell_next(*next_step)
     if why := ending(result):
         print(f"retune: {why}", file=sys.stderr)
         return UNFINISHED
@@ -39,9 +39,9 @@ def tell(folder: Path, runs: Mapping[Path, Run], is_json: bool, is_drawn: bool) 
 
 
 def _next_step(folder: Path, result: Run) -> tuple[object, ...]:
-    """Return the command that follows on a run."""
+    """Return the command that follows on a run; nothing where none does."""
     if result.status == "faulted":
-        return "resume", folder
+        return ("resume", folder) if why_not_resumable(folder) is None else ()
     others = ("ukf", "target") if chosen(result.scenario).kind == "derivative" else ("least-squares", "target")
     return "replay", folder, "--estimator", next(name for name in others if name != result.estimator)
 
@@ -54,7 +54,9 @@ def telling_how_to_resume(folder: Path) -> Generator[None]:
     except KeyboardInterrupt as e:
         if not has_begun(folder):
             raise
-        raise KeyboardInterrupt(f"what was recorded is in {folder}; {line_of('resume', folder)} goes on") from e
+        lacking = why_not_resumable(folder)
+        then = f"it cannot be resumed: {lacking}" if lacking else f"{line_of('resume', folder)} goes on"
+        raise KeyboardInterrupt(f"what was recorded is in {folder}; {then}") from e
 
 
 def simulated(scenario: Scenario, estimator: str, simulate: Callable[[StepProgress], Run]) -> Run:

@@ -240,6 +240,7 @@ def test_a_file_that_is_no_library_is_told(tmp_path, content):
     diagnosis = diagnose(zipped(tmp_path / "Native.fmu", files))
     assert not diagnosis.is_well
     assert finding(diagnosis, "binary").text == "binaries/linux64/Native.so is no shared library for Linux"
+    assert diagnosis.advice == "No importer can load it as it is: build the FMU anew for this platform."
 
 
 BROKEN = {

@@ -269,6 +269,42 @@ def test_time_stamps_in_another_unit_are_told(plant, oracles, tmp_path, monkeypa
     assert capsys.readouterr().err == f"retune: log.csv: {text}: {question}\n"
 
 
+def test_a_wrong_unit_in_the_header_is_told_with_the_right_one(plant, oracles, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    fmu = with_experiment(plant, tmp_path / "Timed.fmu", "step")
+    columns = {name.replace("[s]", "[ms]"): values for name, values in oracles.measure(0).items()}
+    log = oracles.write_log(tmp_path / "log.csv", columns)
+    assert main(["estimate", str(fmu), str(log), *SOUGHT, *ROLES]) == 2
+    told = capsys.readouterr().err
+    assert told.endswith("is its time in s? Give --time-unit s, or --time-unit ms where it is right.\n")
+
+
+@pytest.mark.parametrize("mode", [[], ["--online"]], ids=["offline", "online"])
+def test_a_log_in_place_of_the_fmu_is_told(plant, oracles, tmp_path, monkeypatch, capsys, mode):
+    monkeypatch.chdir(tmp_path)
+    log = oracles.write_log(Path("log.csv"), oracles.measure(0))
+    assert main(["estimate", str(log), str(plant), *SOUGHT, *ROLES, *mode]) == 2
+    assert capsys.readouterr().err == "retune: log.csv is a table, not an FMU: the FMU comes first, then its logs.\n"
+
+
+@pytest.mark.parametrize("mode", [[], ["--online"]], ids=["offline", "online"])
+def test_a_step_that_passes_over_inputs_is_refused(command, capsys, mode):
+    assert command(*SOUGHT, *ROLES, "--step", "0.02", *mode) == 2
+    reason = "a --step of 0.02 s passes over inputs, which are 0.01 s apart: it may be 0.01 s at most."
+    assert capsys.readouterr().err == f"retune: log.csv: {reason}\n"
+
+
+@pytest.mark.parametrize("value", [np.inf, -np.inf])
+def test_an_infinite_value_is_none_that_is_missing(plant, oracles, tmp_path, monkeypatch, capsys, value):
+    monkeypatch.chdir(tmp_path)
+    columns = oracles.measure(0)
+    columns["x [m]"] = columns["x [m]"].copy()
+    columns["x [m]"][5] = value
+    log = oracles.write_log(tmp_path / "log.csv", columns)
+    assert main(["estimate", str(plant), str(log), *SOUGHT, *ROLES]) == 2
+    assert capsys.readouterr().err == f"retune: {log}: column 'x' for x has values up to inf: too large.\n"
+
+
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_the_unit_that_is_given_is_taken(plant, oracles, tmp_path, monkeypatch, capsys, experiment):
     monkeypatch.chdir(tmp_path)

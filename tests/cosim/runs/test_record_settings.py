@@ -56,3 +56,9 @@ def test_a_long_run_has_its_csv_when_asked_for(pendulum, tmp_path, capsys):
     assert mine.read_text() == "mine"
     assert main(["csv", str(tmp_path)]) == 2
     assert "has no readable series.arrow" in capsys.readouterr().err
+    with (small / "events.jsonl").open("a") as file:
+        file.write("x\n")
+    for more in ([], ["-o", str(tmp_path / "new.csv")]):
+        assert main(["csv", str(small), *more]) == 2
+        assert capsys.readouterr().err == f"retune: {small} is damaged: events.jsonl is not as it was written.\n"
+    assert not (tmp_path / "new.csv").exists()

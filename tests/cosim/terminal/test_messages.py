@@ -12,6 +12,7 @@ import pytest
 
 from cosim.cli import main
 from cosim.names import did_you_mean
+from cosim.terminal.run_output import telling_how_to_resume
 
 ROOT = Path(__file__).parents[3]
 SHORT = ["--set", "scenario.stop_time=0.05", "--only"]
@@ -79,6 +80,14 @@ def test_a_run_ends_with_the_line_that_replays_it(workplace, called, estimator, 
 def test_json_is_followed_by_nothing(workplace, called):
     for arguments in (["run", "pendulum", *SHORT, "--estimator", "none"], ["compare", "pendulum", "--help"]):
         assert "next:" not in called(*arguments, "--json")[1]
+
+
+@pytest.mark.fmu
+def test_an_interrupt_says_why_a_run_cannot_be_resumed(workplace, called):
+    assert called("run", "pendulum", *SHORT, "--estimator", "none", "--only", "--out", "run")[0] == 0
+    with pytest.raises(KeyboardInterrupt) as e, telling_how_to_resume(Path("run")):
+        raise KeyboardInterrupt
+    assert str(e.value) == "what was recorded is in run; it cannot be resumed: it is done"
 
 
 @pytest.mark.full

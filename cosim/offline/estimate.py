@@ -27,7 +27,7 @@ from .log_windows import Cut, LogColumns, LogWindow, unused_columns, windows_of
 from .logs import LogError, read_log
 from .rollout import RolloutResidual, Rollouts, SimulatedPlant, noise_of
 from .swapped_columns import swapped_columns
-from .time_unit import check_time
+from .time_unit import check_time, passed_over
 
 HOLDOUT = 0.25
 """Share of each log's rows, the last ones, that parameters are not fitted to."""
@@ -230,6 +230,7 @@ def understand(request: Request) -> Understood:
     space, nominal = _space(request, component)
     windows, warnings = _windows(request, _signals(request, component), component)
     check_time(windows, component, request.step, request.time_unit is not None)
+    warnings += passed_over(windows, request.step)
     return Understood(component, space, nominal, windows, _noise(request, windows), warnings)
 
 

@@ -85,6 +85,7 @@ class DiagnosingEpisodes(RetunerCounts):
             return replace(proposal, possible_disturbance=rival, is_warranted=rival is None)
         if "end" not in kinds:
             return replace(proposal, theta=None)
+        before = diagnosis.accepted(before)
         events = diagnosis.fail(t, best, before)
         self._retuner.close(before)
         return going_back(t, proposal, before, held, events, diagnosis.space)

@@ -26,7 +26,7 @@ from .diagnosis_state import channel_summary
 from .episode_window import EpisodeWindow
 from .events import Event
 from .evidence import Evidence
-from .hypotheses import NEVER, Fit, Weighing, changed_parameters, plain_fit
+from .hypotheses import MARGIN, NEVER, Fit, Weighing, changed_parameters, plain_fit
 from .objective import DIFFERENCE_STEP
 from .residual_scale import LARGER, MUCH_LARGER, NOISY, ResidualScale, is_rough, spread_of
 from .resting import RestingResiduals
@@ -49,6 +49,10 @@ class _State:
     scale: ResidualScale
     inputs: Vector
     """Known disturbance (p,) of the plant's inputs."""
+    lasting: Vector | None = None
+    """Parameters (d,) in force when the samples contradicted them after a long time; None before that."""
+    suspected_at: int = 0
+    """Number of the last sample that contradicted those in force."""
     n_failures: int = 0
     n_quiet: int = 0
     n_samples: int = 0
@@ -147,6 +151,9 @@ class EpisodeDiagnosis:
         if self._settings.is_usual(residual, len(residual)):
             self._quiet(newest)
             return None
+        if state.lasting is None or state.n_samples >= state.suspected_at + FORGOTTEN:
+            state.lasting = theta
+        state.suspected_at = state.n_samples
         return trigger(sample, tracking_error, theta)
 
     def innovation(self, theta: Vector, sample: Sample) -> Vector:
@@ -197,6 +204,17 @@ class EpisodeDiagnosis:
     def disturbance(self, held: Vector) -> Vector:
         """Return the disturbance (p,) of the inputs that may act in place of changed parameters."""
         return self._state.inputs + self._disturbed(held).inputs
+
+    def accepted(self, before: Vector) -> Vector:
+        """Return the parameters (d,) to go back to from a search in vain: those before it, or those that lasted.
+
+        The latter where they explain the sequence better: a search has followed something that came and went.
+        """
+        lasting = self._state.lasting
+        if lasting is None or self.space.are_same(lasting, before):
+            return before
+        squares = [_fit(self._window.whitened(theta), 0).score for theta in (lasting, before)]
+        return lasting if squares[0] + MARGIN <= squares[1] else before
 
     def fail(self, t: float, theta: Vector | None, held: Vector) -> tuple[Event, ...]:
         """Take the end of a search that has found no parameters, theta (d,) being the best; return the events.

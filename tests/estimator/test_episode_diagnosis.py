@@ -253,6 +253,21 @@ def test_a_model_that_lacks_a_sine_rests_after_three_searches_in_vain(estimator)
     assert all(row["is_resting"] for row in summary["channels"].values())
 
 
+@SEARCHES
+def test_a_search_in_vain_returns_to_what_lasted_where_that_explains_more(estimator):
+    """Parameters that were written while something came and went are not what the next search goes back to."""
+    run = Run(estimator).go(100)
+    for i in range(60):
+        run.go(1, TRUE, sine(i))
+        if run.of("unexplained"):
+            break
+    run.held = CHANGED
+    run.go(60, TRUE, sine)
+    assert_array_equal(run.held, TRUE)
+    reasons = {event.detail["reason"] for _, event in run.of("undo")}
+    assert reasons == {"no parameters explain y0, y1"}
+
+
 def test_after_a_rest_changed_parameters_are_found_again():
     settings = DiagnosisSettings(rest=100, longest_rest=100)
     run = Run("least-squares", settings=settings).go(100).go(80, TRUE, sine)

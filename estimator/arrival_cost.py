@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from .differences import value_and_slope
 from .identifiability import Information, information_of_covariance
-from .significance import chi2_limit
+from .significance import FALSE_ALARM, chi2_limit
 from .space import Vector
 
 _BLOCK: Final = 10
@@ -25,8 +25,6 @@ _TOO_LARGE: Final = 9.0
 """Square of a correction, in variances, that shows a drift: three standard deviations."""
 _FADING: Final = 0.25
 """Factor of the walk's variance after a block whose correction is less than a standard deviation."""
-_FALSE_ALARM: Final = 1e-4
-"""Probability that a sample of drifting parameters is taken for a jump."""
 _MEMORY: Final = 0.95
 """Factor by which the innovations' sums fade from sample to sample."""
 _CORRELATED: Final = 0.5
@@ -162,7 +160,7 @@ class ArrivalCost:
         measured = measurement(residual, self.mean)
         if measured is None:
             return None
-        limit, d = chi2_limit(_FALSE_ALARM, len(measured.value)), len(self.mean)
+        limit, d = chi2_limit(FALSE_ALARM, len(measured.value)), len(self.mean)
         if self._squared(np.zeros((1, d)), measured)[0] <= limit:
             return self._with(measured)
         walks = self.rate**2 * np.vstack([np.maximum(np.eye(d), _BESIDE**2), np.ones(d)])

@@ -15,7 +15,6 @@ from .diagnosis_state import WINDOW, DiagnosisState
 from .differences import OfMany
 from .evidence import Evidence
 from .hypotheses import (
-    FALSE_ALARM,
     MARGIN,
     USUAL_RATE,
     ChangedParameters,
@@ -29,7 +28,7 @@ from .hypotheses import (
 )
 from .jump import jump_to
 from .residual_scale import LARGER, MUCH_LARGER, NOISY, spread_of
-from .significance import chi2_limit
+from .significance import FALSE_ALARM, chi2_limit
 from .space import Vector
 from .standardised_residuals import StandardisedResiduals
 

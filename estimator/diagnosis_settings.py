@@ -6,7 +6,7 @@ from typing import Final, Literal
 import numpy as np
 
 from .hypotheses import n_channels_of
-from .significance import chi2_limit
+from .significance import SAMPLE_FALSE_ALARM, chi2_limit
 from .space import ParameterSpace, Vector
 
 PATIENCE: Final = 3
@@ -37,7 +37,7 @@ class DiagnosisSettings:
 
     enabled: bool = True
     """True to write parameters only where they explain the samples and nothing else does as well."""
-    false_alarm: float = field(default=1e-6, metadata={"gt": 0.0, "lt": 1.0})
+    false_alarm: float = field(default=SAMPLE_FALSE_ALARM, metadata={"gt": 0.0, "lt": 1.0})
     """Probability that a sample seems to contradict the parameters in force although nothing has changed."""
     rest: int = field(default=1000, metadata={"ge": 1, "le": _MOST})
     """Number of samples for which channels rest that nothing explained three times; each further time twice as many."""

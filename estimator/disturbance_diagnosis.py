@@ -9,10 +9,10 @@ from .comparison import FEWEST, QUIET
 from .diagnosis_record import DiagnosisRecord
 from .diagnosis_settings import DiagnosisSettings
 from .diagnosis_state import DiagnosisState
-from .hypotheses import FALSE_ALARM, MARGIN, Disturbance, plain_fit
+from .hypotheses import MARGIN, Disturbance, plain_fit
 from .lasting import LastingParameters
 from .settled import Settled
-from .significance import chi2_limit
+from .significance import FALSE_ALARM, chi2_limit
 from .space import Vector
 from .standardised_residuals import StandardisedResiduals
 from .vain_searches import VainSearches

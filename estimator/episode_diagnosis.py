@@ -6,7 +6,6 @@ moved aside. Otherwise as `diagnosis`.
 
 from collections import Counter
 from collections.abc import Collection
-from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -103,17 +102,6 @@ class EpisodeDiagnosis:
         self._judged: object = None  # the sequence that the verdict is about
         self._searched: object = None  # the sequence on which other parameters than the estimator's were tried
 
-    def snapshot(self) -> Any:
-        """Return the present state, for `restore`."""
-        other = copy(self._state)
-        other.scale, other.rested = other.scale.copy(), [*other.rested]
-        other.counts = Counter(other.counts)
-        return other
-
-    def restore(self, state: Any) -> None:
-        """Go back to a snapshot, which is used up."""
-        self._state = state
-
     def summary(self) -> dict[str, Any]:
         """Return what is known of each output and input, and the number of events of each kind, as JSON values."""
         state = self._state
@@ -136,8 +124,7 @@ class EpisodeDiagnosis:
         residual = self._newest = self._window.track(theta)
         if not len(residual):  # a simulation has failed, if there are samples
             return trigger(sample, tracking_error, theta) if self._window.n_tracked else None
-        is_by_output = len(residual) % len(self._outputs) == 0
-        newest = residual.reshape(len(self._outputs), -1)[:, -1] if is_by_output else residual[-1:]
+        newest = residual.reshape(len(self._outputs), -1)[:, -1]
         newest = newest if self._window.weights is None else newest / self._window.weights
         if state.n_samples < state.rests_until:
             if np.all(np.isfinite(newest)):
@@ -195,11 +182,6 @@ class EpisodeDiagnosis:
     def is_at_unseen_bound(self, theta: Vector, std: Vector, held: Vector) -> bool:
         """Return whether a parameter would move to a bound although its standard deviation is as wide as the bounds."""
         return is_at_unseen_bound(self.space, theta, std, held)
-
-    @property
-    def has_failed(self) -> bool:
-        """True where changed parameters do not explain the sequence."""
-        return self._verdict == "refuted"
 
     def disturbance(self, held: Vector) -> Vector:
         """Return the disturbance (p,) of the inputs that may act in place of changed parameters."""

@@ -10,8 +10,6 @@ from .samples import Sample
 from .significance import chi2_limit, is_explained
 from .space import Vector
 
-FALSE_ALARM: Final = 1e-4
-"""Probability that samples fail the chi-square test of the parameters that produced them."""
 _ALLOWANCE: Final = 0.01
 """Probability that a step's residuals exceed the allowance of the cumulative sum where nothing has changed."""
 _LONGEST: Final = 4
@@ -140,7 +138,7 @@ class EpisodeWindow:
             self.n_model_calls += past.n_steps
             weighted = self._weighted(found.residual)
             is_long = found.reason is None and past.n_steps >= self._max_length
-            if is_long and is_explained(weighted, FALSE_ALARM):
+            if is_long and is_explained(weighted):
                 self._judged[theta.tobytes()] = found
                 self._stretch, self._is_filling = past, False
                 return f"the last {past.n_steps}, which the parameters in force explain"

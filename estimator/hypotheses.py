@@ -13,11 +13,9 @@ from typing import Final
 import numpy as np
 
 from .differences import OfMany, forward_differences
-from .significance import chi2_limit
+from .significance import FALSE_ALARM, chi2_limit
 from .space import Vector
 
-FALSE_ALARM: Final = 1e-4
-"""Probability that samples fail the chi-square test of the hypothesis that is true."""
 _BEYOND: Final = 0.5
 """Share of the scaled bounds by which the parameters that explain may lie outside of them."""
 _LONGEST: Final = 0.5

@@ -22,8 +22,6 @@ _LITTLE: Final = 0.1
 """Step, in standard deviations after it, at which the iteration ends."""
 _MOST: Final = 20
 """Largest number of iterations."""
-_FALSE_ALARM: Final = 1e-4
-"""Probability that residuals that are noise are taken for a misfit."""
 
 
 @dataclass(frozen=True)
@@ -228,7 +226,7 @@ def _inside(found: Normal) -> Normal:
 def widened(found: Normal, prior: Normal, residual: Vector) -> Reached:
     """Return the distribution, wider by the misfit where residuals (D,) are more than noise, but not than before."""
     cost, spare = float(residual @ residual), max(len(residual) - len(found.mean), 1)
-    if is_explained(residual, _FALSE_ALARM):
+    if is_explained(residual):
         return Reached(found, cost)
     wide = Normal(found.mean, found.root * np.sqrt(cost / spare))
     eye = np.eye(len(found.mean))

@@ -27,8 +27,8 @@ class Proposal:
     is_candidate: bool = False
     """True where theta is a candidate that is tried out, not the estimate."""
     possible_disturbance: Vector | None = None
-    """Disturbance (c,) of the sampled derivatives that may act in place of theta, in their units; None where theta is
-    certain."""
+    """Disturbance that may act in place of theta, in its own units: (c,) of the sampled derivatives, or (p,) of the
+    plant's inputs, of sequences of samples. None where theta is certain."""
     if_noise: Vector | None = None
     """Parameters (d,) of the plant if the samples contradict them by noise only, be it ten times the declared one; None
     where that does not explain the samples."""

@@ -8,6 +8,8 @@ import scipy  # its parts, 0.3 s, are loaded when they are used
 from .identifiability import information
 from .space import Vector
 
+_MEAN_STEPS = 8
+"""Largest number of Gauss-Newton steps to a minimiser of the surrogate's mean."""
 _ENOUGH = 1e-4
 """Change of the sum of squares, in variances of the noise, at which a minimisation ends."""
 
@@ -53,14 +55,14 @@ def principal_components(residuals: Vector, n_outputs: int) -> Vector:
     return U[:, :k] * s[:k]
 
 
-def least_squares_of_mean(posterior: VectorPosterior, z: Vector, n_iterations: int = 8) -> Vector:
+def least_squares_of_mean(posterior: VectorPosterior, z: Vector) -> Vector:
     """Return a minimiser of |posterior mean|^2 in the unit cube, by damped Gauss-Newton steps from z (d,).
 
     Levenberg (1944), Marquardt (1963).
     """
     damping = 1e-3
     r, slope = posterior.mean_and_jacobian(z)
-    for _ in range(n_iterations):
+    for _ in range(_MEAN_STEPS):
         H = slope.T @ slope
         scale = H.diagonal() + 1e-9 * H.trace() + 1e-12
         H.reshape(-1)[:: len(z) + 1] += damping * scale

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .samples import Sample
-from .significance import chi2_limit
+from .significance import FALSE_ALARM, chi2_limit
 from .space import Vector
 
 
@@ -154,10 +154,10 @@ class ResidualWindow:
         """Take all samples for unexplained yet: they wait for a better incumbent, none is dropped."""
         self._is_explained = [False] * len(self._lengths)
 
-    def explain(self, theta: Vector, patient: bool = True, false_alarm: float = 1e-4) -> None:
+    def explain(self, theta: Vector, patient: bool = True) -> None:
         """Restart, at the newest sample, each channel that stopped agreeing with the incumbent theta.
 
-        A channel is explained while its sum of squared residuals passes a chi-square test of level false_alarm.
+        A channel is explained while its sum of squared residuals passes a chi-square test.
         One that was explained and no longer is shows a jump or a drift, and its past samples mislead. So a
         drifting parameter is tracked with the newest sample, while channels of constant parameters average. One that
         was not explained yet waits for a better incumbent, unless patient is False.
@@ -167,10 +167,10 @@ class ResidualWindow:
         for c, n in enumerate(self._lengths):
             mine = residual[first : first + n]
             first += n
-            is_explained = float(mine @ mine) <= chi2_limit(false_alarm, n)
+            is_explained = float(mine @ mine) <= chi2_limit(FALSE_ALARM, n)
             if not is_explained and n > 1 and (self._is_explained[c] or not patient):
                 self._lengths[c] = 1
-                is_explained = float(mine[-1] ** 2) <= chi2_limit(false_alarm, 1)
+                is_explained = float(mine[-1] ** 2) <= chi2_limit(FALSE_ALARM, 1)
             self._is_explained[c] = is_explained
 
 

@@ -26,7 +26,7 @@ from .search import (
     one_at_a_time,
     principal_components,
 )
-from .significance import chi2_limit
+from .significance import FALSE_ALARM, chi2_limit
 from .sobol import sobol_points
 from .space import ParameterSpace, Vector
 
@@ -53,8 +53,6 @@ _AT_BOUND = 0.01
 """Distance from a bound, in the unit cube, that is none."""
 _LITTLE = float(np.log(0.1**2))
 """Logarithm of an expected decrease of the sum of squares that is not worth an evaluation."""
-_FALSE_ALARM = 1e-4
-"""Probability that the residual of the true parameters does not count as explained."""
 _AGREES = 4.0
 """Squared distance, in standard deviations and by parameter, up to which a filtered estimate is that of a write."""
 _WORTH = 1.0
@@ -181,7 +179,7 @@ class TargetVector:
         if self._queue or self._residuals is None or self._gain > _LITTLE:
             return False
         costs = self._costs()
-        return float(costs.min()) <= chi2_limit(_FALSE_ALARM, self._residuals.shape[1])
+        return float(costs.min()) <= chi2_limit(FALSE_ALARM, self._residuals.shape[1])
 
     def restart(self, start: Vector) -> None:
         """Begin an episode at theta (d,): keep the first candidates, the best ones, and the GPs' lengthscales."""
@@ -277,9 +275,9 @@ class TargetVector:
         n_spare = self._told().shape[1] - len(z)
         std, away = hold.information.std(), hold.least_squares - z
         is_known = n_spare > 0 and bool(np.all(np.hypot(std, away) <= self._settings.identifiable_below))
-        if is_known and cost <= chi2_limit(_FALSE_ALARM, n_spare):
+        if is_known and cost <= chi2_limit(FALSE_ALARM, n_spare):
             self._known = z
-        if n_spare > 1 and hold.least > chi2_limit(_FALSE_ALARM, n_spare):
+        if n_spare > 1 and hold.least > chi2_limit(FALSE_ALARM, n_spare):
             std *= n_spare**0.5  # of what is not explained, as much may lie along the slopes: Cauchy and Schwarz
         std = np.minimum(np.hypot(std, away), 1.0)
         return scaled_estimate(
@@ -445,7 +443,7 @@ class TargetVector:
         """
         residuals, best = self._told(), int(np.argmin(model.costs))
         cost, n = float(model.costs[best]), residuals.shape[1]
-        is_stuck = cost > chi2_limit(_FALSE_ALARM, n) and self._gain <= np.log(cost / n)
+        is_stuck = cost > chi2_limit(FALSE_ALARM, n) and self._gain <= np.log(cost / n)
         if not is_stuck or n <= _MAJORITY * len(self._start):
             return None
         known, chosen = self._space.to_unit(self._theta), residuals[self._modelled(residuals)]

@@ -9,7 +9,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Final, Literal, Protocol, get_args
 
-from . import Sample, Vector, chi2_limit
+from .samples import Sample
+from .significance import SAMPLE_FALSE_ALARM, chi2_limit
+from .space import Vector
 
 
 class Trigger(Protocol):
@@ -100,7 +102,7 @@ class InnovationSettings:
     kind: Literal["innovation"] = "innovation"
     """innovation"""
     false_alarm: float = field(
-        default=1e-6,
+        default=SAMPLE_FALSE_ALARM,
         metadata=_limited(
             "Probability that a sample begins an episode of estimation although nothing has changed", gt=0.0, lt=1.0
         ),

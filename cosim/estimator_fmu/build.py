@@ -1,4 +1,4 @@
-"""Builder of estimator FMUs: `estimator_slave` with a scenario's settings, and all that it imports."""
+"""Builder of estimator FMUs: the slave of `slave.py` with a scenario's settings, and all that it imports."""
 
 import ast
 import re

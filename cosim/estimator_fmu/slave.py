@@ -1,4 +1,4 @@
-"""The estimator as an FMU: the loop of `reconfigure` behind the FMI calls of `fmu_models.kernel.slave`.
+"""The estimator as an FMU: the loop of `loop.py` behind the FMI calls of `fmu_models.kernel.slave`.
 
 It is shipped inside the FMU, and imports only the standard library and pythonfmu until it has checked that the other
 packages are there. One communication point is one sample: inputs are the plant's outputs at that time.

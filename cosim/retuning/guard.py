@@ -18,6 +18,7 @@ import numpy as np
 from estimator import Estimate, ParameterSpace, Vector, chi2_limit
 from estimator.events import Event
 from estimator.proposal import Proposal
+from estimator.significance import SAMPLE_FALSE_ALARM
 
 from ..scenarios.schema.guard import GuardSettings
 from ..system.tunables import is_taken
@@ -25,8 +26,6 @@ from .data_support import DataSupport, NoDataSupport, Reason
 from .decision import Point
 from .probation import Probation, Trial
 
-_FALSE_ALARM = 1e-6
-"""Probability of a false alarm: that noise alone makes good parameters seem to contradict a sample."""
 _NO_WORSE = 2.0
 """Largest ratio of a write's sum of squares at the newest sample to that of the parameters held."""
 _POSTPONED = 2
@@ -38,7 +37,7 @@ _UNDECIDED = "a disturbance explains the samples as well, and the loop is not si
 
 
 PredictedPeak = Callable[[Vector, Vector, Vector | None], float | None]
-"""Function of theta (d,) in controller and in plant, and of a disturbance of the sampled derivatives (c,) or None:
+"""Function of theta (d,) in controller and in plant, and of a `Proposal.possible_disturbance` or None:
 largest norm of the tracking error, or None if unknown."""
 
 
@@ -199,7 +198,7 @@ class Guard:
     @property
     def _limit(self) -> float:
         """Sum of squares at the newest sample that noise alone may reach."""
-        return chi2_limit(_FALSE_ALARM, self._support.n_channels)
+        return chi2_limit(SAMPLE_FALSE_ALARM, self._support.n_channels)
 
     def _confirmed(self, k: int, t: float) -> tuple[Event, ...]:
         """Confirm the writes whose probation ends at point k; return the events."""

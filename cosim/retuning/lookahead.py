@@ -101,11 +101,6 @@ class Lookahead:
         """Restore the saved count and failure."""
         self.n_rolled, self.failure = saved
 
-    @property
-    def plant_is_modelled(self) -> bool:
-        """True where the scenario's model replaces the plant."""
-        return self._modelled is not None
-
     def prepare(self) -> None:
         """Begin to load the shadows, where they have a process of their own, while the run goes on.
 
@@ -318,7 +313,7 @@ class Prediction:
     def __call__(self, controller: Vector, plant: Vector, disturbance: Vector | None = None) -> float | None:
         """Return the largest norm of the tracking error with theta (d,) in each; None where it is unknown.
 
-        disturbance (c,): of the sampled derivatives, in their units, that goes on.
+        disturbance: a `Proposal.possible_disturbance`, which goes on.
         """
         if not self._snapshots:
             self._snapshots.append(self._lookahead.snapshot(self._measured))

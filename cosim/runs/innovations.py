@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 
 from estimator import DerivativeResidual, chi2_limit
+from estimator.significance import SAMPLE_FALSE_ALARM
 
 from ..errors import CosimError
 from ..objectives.choice import chosen
@@ -47,4 +48,4 @@ def innovations(run: Run) -> Series | None:
 
 def innovation_limit(run: Run) -> float:
     """Return the limit that noise alone exceeds in a millionth of the samples."""
-    return chi2_limit(1e-6, len(run.plant.channels))
+    return chi2_limit(SAMPLE_FALSE_ALARM, len(run.plant.channels))

@@ -353,16 +353,6 @@ def test_samples_without_a_value_in_a_rest_are_not_learnt_from():
     assert near(run.held, CHANGED)
 
 
-def test_a_restored_state_is_that_of_the_snapshot():
-    run = Run("least-squares").go(100)
-    before = run.diagnosis.summary()
-    snapshot = run.diagnosis.snapshot()
-    run.go(60, TRUE, PUSH)
-    assert run.diagnosis.summary() != before
-    run.diagnosis.restore(snapshot)
-    assert run.diagnosis.summary() == before
-
-
 def test_a_plant_without_inputs_has_no_disturbance():
     run = Run("least-squares", inputs=())
     run.go(60).go(60, TRUE, sine)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from estimator import DerivativeResidual, Parameter, ParameterSpace, ResidualWindow, Sample, chi2_limit
+from estimator import DerivativeResidual, Parameter, ParameterSpace, ResidualWindow, Sample, chi2_limit, sliding_window
 
 
 def sample(t, *xdot):
@@ -279,14 +279,15 @@ def test_a_slow_drift_is_noticed_by_the_sum_though_no_sample_stands_out():
     assert lengths == [1, 2, 1, 2]
 
 
-def test_the_false_alarm_rate_is_the_one_asked_for():
+def test_the_false_alarm_rate_is_the_one_asked_for(monkeypatch):
     """2000 windows of five samples of noise; alarms at 5 %: 100 +- 10, five standard deviations allowed."""
+    monkeypatch.setattr(sliding_window, "FALSE_ALARM", 0.05)
     rng, alarms = np.random.default_rng(0), 0
     for _ in range(2000):
         window = ResidualWindow(Offset(), 1)
         for t in range(5):
             window.append(sample(t, rng.standard_normal()))
-        window.explain(np.zeros(1), false_alarm=0.05)
+        window.explain(np.zeros(1))
         alarms += window.lengths == (1,)
     assert abs(alarms - 100) < 5 * np.sqrt(2000 * 0.05 * 0.95)
 

@@ -101,7 +101,6 @@ def independent_peak(x, controller, plant, n_steps):
 @pytest.mark.parametrize("controller", [NOMINAL, CHANGED, np.array([0.2, 0.3])], ids=["nominal", "changed", "weak"])
 def test_the_peak_is_that_of_an_independent_integration(loop, controller, lacking):
     made = loop(lacking)
-    assert made.lookahead.plant_is_modelled == bool(lacking)
     x = [made.value("plant.phi"), made.value("plant.phi_dot")]
     expected = independent_peak(x, controller, CHANGED, 50)
     # 1e-8: two Runge-Kutta steps a macro step, see test_simulation

@@ -1,4 +1,4 @@
-"""The equations of an FMI 2.0 model-exchange FMU, for `IntegratedModel`."""
+"""The equations of an FMI 2.0 model-exchange FMU: see `Equations`."""
 
 from collections.abc import Sequence
 from ctypes import byref, c_double, c_int, c_size_t, c_uint, c_void_p, cast
@@ -14,7 +14,7 @@ from .value_buffers import ScalarVariable, ValueBuffer, buffers_of
 
 
 class Fmi2Equations:
-    """The calls of FMI 2.0, section 3, that integrate one model; arrays are ctypes' of doubles."""
+    """The calls of FMI 2.0, section 3, on one model."""
 
     def __init__(self, fmu: FmuToLoad, on_log: LogListener | None = None) -> None:
         self.name = fmu.instance_name
@@ -22,6 +22,7 @@ class Fmi2Equations:
         self._tolerance = fmu.tolerance
         self._log = MessageLog(fmu.has_plain_log, on_log)
         description = read_model_description(fmu.folder, validate=False)
+        self._derivatives = description.derivatives
         self.n_states = int(description.numberOfContinuousStates)
         self.n_indicators = int(description.numberOfEventIndicators)
         interface = description.modelExchange
@@ -103,10 +104,10 @@ class Fmi2Equations:
         """Fill an array with the continuous states."""
         self._checked("get_continuous_states", self._get_states(self._instance, x, self.n_states))
 
-    def get_rates(self, rates: Any) -> bool:
-        """Fill an array with the states' derivatives; return False where the FMU has none here (discard)."""
+    def get_rates(self, rates: Any, *, may_discard: bool = True) -> bool:
+        """Fill an array with the states' derivatives; return False where the FMU has none here, if it may discard."""
         status = self._get_rates(self._instance, rates, self.n_states)
-        return status != fmi2.fmi2Discard and self._checked("get_derivatives", status)
+        return not (may_discard and status == fmi2.fmi2Discard) and self._checked("get_derivatives", status)
 
     def get_indicators(self, z: Any) -> bool:
         """Fill an array with the event indicators; return False where the FMU has none here (discard)."""
@@ -135,6 +136,20 @@ class Fmi2Equations:
         """Go back to a state that get_state returned."""
         self._keeps_no_state = fmi2.fmi2False
         restore_state(self._fmu, self._call, serialised)
+
+    def state_places(self) -> dict[int, int]:
+        """Return where each state is in x, and its derivative in the rates, by value reference: FMI 2.0.4, 2.2.8."""
+        places: dict[int, int] = {}
+        for place, unknown in enumerate(self._derivatives):
+            rate = unknown.variable
+            if rate is None or rate.derivative is None:
+                raise SlaveError(self.name, "instantiate", None, "failed: a continuous state is not described")
+            places[rate.valueReference] = places[rate.derivative.valueReference] = place
+        return places
+
+    def slope(self, parameter: int) -> list[float]:
+        """Raise SlaveError: in FMI 2.0 a parameter is among the knowns of no derivative."""
+        raise SlaveError(self.name, "get_directional_derivative", self.time, "is not for parameters in FMI 2.0")
 
     def close(self) -> None:
         """Terminate, if it was initialized, and free."""

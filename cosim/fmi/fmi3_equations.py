@@ -1,12 +1,14 @@
-"""The equations of an FMI 3.0 model-exchange FMU, for `IntegratedModel`."""
+"""The equations of an FMI 3.0 model-exchange FMU: see `Equations`."""
 
 from collections.abc import Sequence
-from ctypes import byref, c_bool, c_double, c_size_t, c_void_p
+from ctypes import byref, c_bool, c_double, c_size_t, c_uint, c_void_p
 from typing import Any, Final
 
 from fmpy import fmi3
 
+from ..errors import SlaveError
 from .binding import FmuToLoad, StartValues
+from .elements import handle, of_handle
 from .fmi3_calls import Fmi3Calls
 from .fmu_log import LogListener
 from .value_buffers import ScalarVariable
@@ -16,7 +18,7 @@ _DISCARD: Final = 2
 
 
 class Fmi3Equations:
-    """The calls of FMI 3.0, section 3, that integrate one model; arrays are ctypes' of doubles."""
+    """The calls of FMI 3.0, section 3, on one model."""
 
     def __init__(self, fmu: FmuToLoad, on_log: LogListener | None = None) -> None:
         self._fmi = fmi = Fmi3Calls(fmu, fmi3.FMU3Model, on_log)
@@ -105,9 +107,9 @@ class Fmi3Equations:
         """Fill an array with the continuous states."""
         self._fmi.call("get_continuous_states", self._get_states, x, self.n_states)
 
-    def get_rates(self, rates: Any) -> bool:
-        """Fill an array with the states' derivatives; return False where the FMU has none here (discard)."""
-        return self._filled("get_continuous_state_derivatives", self._get_rates, rates, self.n_states)
+    def get_rates(self, rates: Any, *, may_discard: bool = True) -> bool:
+        """Fill an array with the states' derivatives; return False where the FMU has none here, if it may discard."""
+        return self._filled("get_continuous_state_derivatives", self._get_rates, rates, self.n_states, may_discard)
 
     def get_indicators(self, z: Any) -> bool:
         """Fill an array with the event indicators; return False where the FMU has none here (discard)."""
@@ -134,6 +136,38 @@ class Fmi3Equations:
         self._keeps_no_state = False
         self._fmi.set_state(serialised)
 
+    def state_places(self) -> dict[int, int]:
+        """Return where each element of a state is in x, and its derivative in the rates, by handle."""
+        places: dict[int, int] = {}
+        n = 0
+        for rate in self._rates_described():
+            for element in range(len(self._fmi.start[rate.valueReference])):
+                for variable in (rate, rate.derivative):
+                    places[handle(variable.valueReference, element)] = n
+                n += 1
+        return places
+
+    def slope(self, parameter: int) -> list[float]:
+        """Return the derivatives of all rates by one element of a parameter, a handle: FMI 3.0, section 2.4.8."""
+        reference, element = of_handle(parameter)
+        seed = (c_double * len(self._fmi.start[reference]))()
+        seed[element] = 1.0
+        rates = [rate.valueReference for rate in self._rates_described()]
+        known, unknown = (c_uint * 1)(reference), (c_uint * len(rates))(*rates)
+        sensitivity = (c_double * self.n_states)(*[float("nan")] * self.n_states)
+        self._fmi.call(
+            "get_directional_derivative", self._fmi.raw("fmi3GetDirectionalDerivative", *[c_void_p, c_size_t] * 4),
+            unknown, len(unknown), known, 1, seed, len(seed), sensitivity, len(sensitivity),
+        )  # fmt: skip
+        return list(sensitivity)
+
+    def _rates_described(self) -> list[Any]:
+        """Return the derivatives of the states in the order of the model structure. Raises SlaveError."""
+        rates = [unknown.variable for unknown in self._fmi.description.derivatives]
+        if any(rate is None or rate.derivative is None for rate in rates):
+            raise SlaveError(self.name, "instantiate", None, "failed: a continuous state is not described")
+        return rates
+
     def close(self) -> None:
         """Terminate, if it was initialized, and free."""
         self._fmi.close()
@@ -142,9 +176,9 @@ class Fmi3Equations:
         """Forget the messages so far: none of them is the reason of a later fault."""
         self._fmi.log.clear()
 
-    def _filled(self, name: str, function: Any, values: Any, n: int) -> bool:
+    def _filled(self, name: str, function: Any, values: Any, n: int, may_discard: bool = True) -> bool:
         status = function(self._fmi.instance, values, n)
-        if status == _DISCARD:
+        if may_discard and status == _DISCARD:
             return False
         self._fmi.check(name, status)
         return True

@@ -12,8 +12,7 @@ from typing import Any, Final
 
 from ..errors import SlaveError
 from .binding import FmuToLoad, StartValues
-from .fmi2_equations import Fmi2Equations
-from .fmi3_equations import Fmi3Equations
+from .equations import equations_of, fault, leave_event_mode
 from .fmu_log import LogListener
 from .held_values import MOST_EVENTS, SLACK, HeldValues
 from .value_buffers import ScalarVariable
@@ -32,7 +31,7 @@ class IntegratedModel:
             from .cvode import Cvode, SolverError, doubles, is_finite
         except ImportError as error:
             raise SlaveError(fmu.instance_name, "instantiate", None, f"failed: {error}") from error
-        self._model = model = (Fmi2Equations if fmu.fmi_version == "2.0" else Fmi3Equations)(fmu, on_log)
+        self._model = model = equations_of(fmu, on_log)
         self._solver_error, self._is_finite = SolverError, is_finite
         tolerance = _SHARE * (TOLERANCE if fmu.tolerance is None else fmu.tolerance)
         n = max(model.n_states, 1)  # a model without states has one here that stays
@@ -121,7 +120,7 @@ class IntegratedModel:
             if is_anew:
                 n_at_once = n_at_once + 1 if self._time - last <= slack else 1
                 if n_at_once > MOST_EVENTS:
-                    raise self._fault("do_step", f"had more than {MOST_EVENTS} events at one time")
+                    raise fault(self._model, "do_step", f"had more than {MOST_EVENTS} events at one time")
                 last = self._time
                 self._model.enter_event_mode()
                 self._leave_event_mode()
@@ -140,13 +139,13 @@ class IntegratedModel:
                     self._restart(span)
                 self._time, has_root = solver.step(target)
             except self._solver_error as error:
-                raise self._fault("do_step", f"cannot be integrated: {error}") from error
+                raise fault(model, "do_step", f"cannot be integrated: {error}") from error
         model.set_time(self._time)
         if model.n_states:
             model.set_states(solver.x)
         has_event, is_over = model.completed_step() if model.has_step_events else (False, False)
         if is_over:
-            raise self._fault("completed_integrator_step", "asked to end the simulation")
+            raise fault(model, "completed_integrator_step", "asked to end the simulation")
         return has_root or has_event
 
     def _restart(self, span: float) -> None:
@@ -159,17 +158,9 @@ class IntegratedModel:
         self._solver.restart(self._time, self._nominals, span)
 
     def _leave_event_mode(self) -> None:
-        """Update the discrete states until they have settled, and enter continuous-time mode."""
-        for _ in range(MOST_EVENTS):
-            is_unsettled, is_over, t = self._model.update_discrete_states()
-            if is_over:
-                raise self._fault("update_discrete_states", "asked to end the simulation")
-            if not is_unsettled:
-                break
-        else:
-            raise self._fault("update_discrete_states", f"has not ended after {MOST_EVENTS} calls")
+        """Enter continuous-time mode once the discrete states have settled, and take the time of the next event."""
+        t = leave_event_mode(self._model)
         self._next_event = math.inf if t is None else t
-        self._model.enter_continuous_time_mode()
 
     def _rates_at(self, t: float, x: Any, rates: Any) -> bool:
         model = self._model
@@ -187,6 +178,3 @@ class IntegratedModel:
         if model.n_states:
             model.set_states(x)
         return model.get_indicators(z)
-
-    def _fault(self, function: str, reason: str) -> SlaveError:
-        return SlaveError(self._model.name, function, self._time, reason)

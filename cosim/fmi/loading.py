@@ -11,18 +11,14 @@ def load(fmu: FmuToLoad, on_log: LogListener | None = None) -> Binding:
         from .integrated_model import IntegratedModel
 
         return IntegratedModel(fmu, on_log)
-    if fmu.fmi_version == "2.0":
-        if fmu.interface == "derivatives":
-            from .fmi2_model_exchange import Fmi2ModelExchange
+    if fmu.interface == "derivatives":
+        from .derivative_function import DerivativeFunction
 
-            return Fmi2ModelExchange(fmu, on_log)
+        return DerivativeFunction(fmu, on_log)
+    if fmu.fmi_version == "2.0":
         from .fmi2_co_simulation import Fmi2CoSimulation
 
         return Fmi2CoSimulation(fmu, on_log)
-    if fmu.interface == "derivatives":
-        from .fmi3_model_exchange import Fmi3ModelExchange
-
-        return Fmi3ModelExchange(fmu, on_log)
     if fmu.has_event_mode:
         from .fmi3_event_mode import Fmi3EventMode
 

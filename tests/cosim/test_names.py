@@ -13,7 +13,6 @@ SHARED = {
     "State": "of each plant's equations",
     "Gains": "of each plant's controller",
     "Fmi3CoSimulation": "an interface, seen by an importer and by the FMU itself",
-    "Fmi3ModelExchange": "an interface, seen by an importer and by the FMU itself",
 }
 """Names that may stand twice, and why."""
 RIDDLES = ("Of ", "What ", "Which ", "Whether ", "Why ", "How ", "As ", "Who ", "Where ", "That ")

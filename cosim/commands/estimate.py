@@ -5,11 +5,10 @@ import sys
 from pathlib import Path
 
 from ..files import to_json, write_text
-from ..offline.estimate import Estimation, FailedError, estimate, with_profiles
+from ..offline.estimate import Estimation, FailedError
 from ..offline.estimate_options import request_of
-from ..offline.fit_plot import draw_fit
-from ..offline.fit_report import estimates_ssv, report, ssv_files, summary, write_files
-from ..offline.profile_plot import draw_profiles
+from ..offline.fit_folder import estimate_into, profile_into
+from ..offline.fit_report import estimates_ssv, report, ssv_files, summary
 from ..runs.record import recording
 from ..terminal.exit_codes import DONE, INTERRUPTED, UNFINISHED
 from ..terminal.folders import must_be_new, new_folder
@@ -33,13 +32,10 @@ def command(options: argparse.Namespace) -> int:
     try:
         with new_folder(f"{request.fmu.stem}-estimate", options.out) as folder:
             with progress_bar(request.fmu.stem, "{n_fmt} of {total_fmt} candidates", state) as progress:
-                found = estimate(request, progress)
-            with recording(folder):
-                write_files(found, folder)
-                draw_fit(found, folder / "fit.png")
+                found = estimate_into(folder, request, progress)
             there = f"the estimate, without profiles, is in {folder}"
             if options.profile:
-                found = _profiled(found, folder)
+                found = _profiled(folder, found)
     except FailedError as e:
         print(f"retune: {e}", file=sys.stderr)
         return UNFINISHED
@@ -56,12 +52,8 @@ def command(options: argparse.Namespace) -> int:
     return DONE
 
 
-def _profiled(found: Estimation, folder: Path) -> Estimation:
-    """Return the estimation with its profiles, which are written too. Raises UnfinishedError."""
+def _profiled(folder: Path, found: Estimation) -> Estimation:
+    """Return the estimation with its profiles, showing a progress bar meanwhile."""
     n = len(found.space)
     with progress_bar(found.request.fmu.stem, "{n_fmt} of {total_fmt} profiles", lambda k: (k, n, "")) as progress:
-        found = with_profiles(found, progress)
-    with recording(folder):
-        write_files(found, folder)
-        draw_profiles(found, folder / "profiles.png")
-    return found
+        return profile_into(folder, found, progress)

@@ -9,13 +9,10 @@ from estimator.space import Scale
 
 from ..blas_threads import one_thread
 from ..runs.lock import new_locked_folder
-from ..runs.record import recording
 from .estimate import Estimation, Request, Sought, with_profiles
 from .estimate import estimate as estimate_from
-from .fit_plot import draw_fit
-from .fit_report import write_files
+from .fit_folder import estimate_into, profile_into
 from .log_windows import Cut
-from .profile_plot import draw_profiles
 
 Bounds = tuple[float, float] | tuple[float, float, Scale]
 """Lower bound, upper bound and, where it is not "linear", the scale of the search: "log"."""
@@ -102,16 +99,8 @@ def estimate(
             found = estimate_from(request, progress)
             return with_profiles(found) if profile else found
         with new_locked_folder(request.fmu.stem, Path(out)) as folder:
-            found = estimate_from(request, progress)
-            with recording(folder):
-                write_files(found, folder)
-                draw_fit(found, folder / "fit.png")
-            if profile:
-                found = with_profiles(found)
-                with recording(folder):
-                    write_files(found, folder)
-                    draw_profiles(found, folder / "profiles.png")
-    return found
+            found = estimate_into(folder, request, progress)
+            return profile_into(folder, found) if profile else found
 
 
 def sought(name: str, bounds: Bounds) -> Sought:

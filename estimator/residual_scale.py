@@ -110,7 +110,7 @@ class ResidualScale:
 def is_rough(rows: Vector) -> bool:
     """Return whether rows (n, c) change from one to the next by as much as noise does: of white noise the squares of
     the differences are twice its own, von Neumann (1941), of what changes smoothly they are less than once."""
-    return bool(np.sum(np.diff(rows, axis=0) ** 2) >= np.sum(rows**2))
+    return bool(np.sum((rows[1:] - rows[:-1]) ** 2) >= np.sum(rows**2))
 
 
 def spread_of(rows: Vector) -> Vector:

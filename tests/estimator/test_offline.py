@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.optimize import curve_fit
 
 from estimator import Parameter, ParameterSpace
+from estimator.evaluated import CubeResidual
 from estimator.offline import OFFLINE, NoFitError, fit
 
 X = np.linspace(0.0, 4.0, 200)
@@ -93,3 +95,20 @@ def test_a_valley_beside_the_first_one_is_found():
     space = ParameterSpace((Parameter("w", 0.5, 6.0),))
     found = fit(Counted(lambda w: (np.sin(w * t) - y) / 0.05), space, np.array([4.0]), n_evaluations=60)
     assert abs(found.theta[0] - 2.0) < 4.0 * found.std[0]
+
+
+def test_the_places_of_differences_are_simulated_together():
+    """As many at a time as there are jobs: one call, not one a place."""
+    batches = []
+
+    class Counted:
+        n_evaluations = 0
+
+        def many(self, thetas):
+            batches.append(len(thetas))
+            return [np.array([theta[0] - 1.0]) for theta in thetas]
+
+    space = ParameterSpace((Parameter("a", 0.0, 2.0),))
+    found = CubeResidual(Counted(), space, lambda n, cost: None).residuals([np.array([v]) for v in (0.5, 1.0, 1.5)])
+    assert batches == [3]
+    assert_allclose(np.concatenate(found), [-0.5, 0.0, 0.5], atol=1e-12)

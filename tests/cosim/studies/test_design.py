@@ -173,7 +173,7 @@ def test_fewer_estimators_and_seeds_are_a_part_of_the_study():
         ({"factors": {"m": M | {"liste": [1]}}}, r"factors\.m\.liste: unknown key; did you mean 'list'"),
         ({"factors": {"m": M | {"uniform": [1, 2]}}, "study": {"samples": 100}}, "power of two for sobol, such as 128"),
         ({"study": {"seeds": [1, 1]}}, "seeds must be different ones"),
-        ({"study": {"seeds": 0}}, r"study\.seeds"),
+        ({"study": {"seeds": 0}}, r"study\.seeds: input should be greater than or equal to 1, got 0\.$"),
         ({"study": {"seeds": {"none": 1}}}, "seeds of pendulum must be those of none, true, target, got those of none"),
         ({"study": {"seeds": {"none": 1, "true": 1, "target": 1, "ukf": 1}}}, "got those of none, true, target, ukf"),
         ({"scenarios": {"pendulun": {}}}, "scenarios: 'pendulun' is none of the study's scenarios, which are pendulum"),

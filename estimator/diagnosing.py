@@ -43,7 +43,7 @@ class SuspicionTrigger:
         return self.trigger(sample, tracking_error, theta) if self.diagnosis.is_suspicious else None
 
 
-class DiagnosingRetuner(RetunerCounts):
+class DiagnosingRetuner(RetunerCounts[Retuner]):
     """Retuner with a diagnosis of sampled derivatives beside it: the same calls, and only warranted proposals."""
 
     def __init__(self, retuner: Retuner, diagnosis: Diagnosis, is_endless: bool, jumps: bool) -> None:

@@ -26,7 +26,7 @@ class EpisodeTrigger:
         return self.diagnosis.reason(self.trigger, sample, tracking_error, theta)
 
 
-class DiagnosingEpisodes(RetunerCounts):
+class DiagnosingEpisodes(RetunerCounts[Retuner]):
     """Retuner with a diagnosis of sequences beside it: the same calls, and only warranted proposals."""
 
     def __init__(self, retuner: Retuner, diagnosis: EpisodeDiagnosis) -> None:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from copy import deepcopy
 from dataclasses import dataclass
 from time import perf_counter
-from typing import Any, Literal, cast
+from typing import Any, Generic, Literal, Protocol, TypeVar, cast
 
 import numpy as np
 
@@ -301,10 +301,25 @@ class Retuner:
                 self._remaining = n = 0
 
 
-class RetunerCounts:
+class Counting(Protocol):
+    """Counts of a retuner, or of what has one inside."""
+
+    @property
+    def n_evaluations(self) -> int: ...
+    @property
+    def n_episodes(self) -> int: ...
+    @property
+    def n_model_calls(self) -> int: ...
+    def describe(self) -> str: ...
+
+
+_Inside = TypeVar("_Inside", bound=Counting)
+
+
+class RetunerCounts(Generic[_Inside]):
     """Counts of a retuner, for a class that has it inside."""
 
-    _retuner: Retuner
+    _retuner: _Inside
 
     def describe(self) -> str:
         """Return how candidates are scored, in a line."""

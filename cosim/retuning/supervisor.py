@@ -18,7 +18,7 @@ import numpy as np
 from estimator import Sample, Vector
 from estimator.events import Event
 from estimator.proposal import Proposal
-from estimator.retuner import estimate_as_json
+from estimator.retuner import RetunerCounts, estimate_as_json
 from estimator.retuner_factory import AnyRetuner
 from estimator.samples import RememberingModel
 
@@ -61,7 +61,7 @@ class ReadBack:
     """Values of the parameters (n,), by the estimated ones (d,)."""
 
 
-class Supervisor:
+class Supervisor(RetunerCounts[AnyRetuner]):
     """Supervisor that re-tunes one controller. It owns retuner, screen and guard; the caller stores the parameters."""
 
     def __init__(
@@ -80,25 +80,6 @@ class Supervisor:
         self._name, self._retuner, self._support, self._model = name, retuner, support, model
         self._screen, self._guard, self._read_back, self._lookahead = screen, guard, read_back, lookahead
         self._snapshot: _Snapshot | None = None
-
-    @property
-    def n_evaluations(self) -> int:
-        """Candidates evaluated so far."""
-        return self._retuner.n_evaluations
-
-    @property
-    def n_episodes(self) -> int:
-        """Episodes begun so far."""
-        return self._retuner.n_episodes
-
-    @property
-    def n_model_calls(self) -> int:
-        """Samples at which a candidate was scored so far."""
-        return self._retuner.n_model_calls
-
-    def describe(self) -> str:
-        """Return a description of the objective, in a line."""
-        return self._retuner.describe()
 
     def summary(self) -> dict[str, Any]:
         """Return the findings of guard, screen and diagnosis as JSON values; None for any that is missing."""

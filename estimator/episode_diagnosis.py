@@ -195,13 +195,13 @@ class EpisodeDiagnosis:
         lasting = self._state.lasting
         if lasting is None or self.space.are_same(lasting, before):
             return before
-        squares = [_fit(self._window.whitened(theta), 0).score for theta in (lasting, before)]
-        return lasting if squares[0] + MARGIN <= squares[1] else before
+        of_lasting, of_before = (_fit(self._window.whitened(theta), 0).score for theta in (lasting, before))
+        return lasting if of_lasting + MARGIN <= of_before else before
 
     def fail(self, t: float, theta: Vector | None, held: Vector) -> tuple[Event, ...]:
         """Take the end of a search that has found no parameters, theta (d,) being the best; return the events.
 
-        None where the noise is larger than was known, and nothing has happened.
+        There is none where the noise is larger than was known, and nothing has happened.
         """
         state = self._state
         if self._adopt_noise(theta, held):

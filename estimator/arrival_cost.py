@@ -71,6 +71,8 @@ class ArrivalCost:
     """Number of samples in the present block."""
     cost: float = 0.0
     """Sum of squared residuals of the newest sample, at the mean before it."""
+    innovation_squared: float = 0.0
+    """Normalised innovation squared of the newest sample."""
 
     @classmethod
     def of_estimate(cls, z: Vector, known: Information, rate: float) -> Self:
@@ -138,6 +140,7 @@ class ArrivalCost:
     def _with(self, measured: "Measurement") -> Self:
         before = self.covariance + self.walk * _identity(len(self.walk))
         moved, after, spread = corrected(before, measured)
+        innovation = _normalised(measured.value, spread)
         block = replace(
             self,
             mean=np.minimum(np.maximum(self.mean + moved, 0.0), 1.0),
@@ -145,8 +148,9 @@ class ArrivalCost:
             correction=self.correction + moved,
             expected=self.expected + (before - after).diagonal(),
             n_samples=self.n_samples + 1,
-            whiteness=self.whiteness.updated(_normalised(measured.value, spread)),
+            whiteness=self.whiteness.updated(innovation),
             cost=float(measured.value @ measured.value),
+            innovation_squared=float(innovation @ innovation),
         )
         if block.whiteness.is_refuted and np.any(block._is_drifting) and not block.is_refuted:
             block = block._walking(np.where(block._is_drifting, self.rate**2, 0.0))

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from .arrival_cost import ArrivalCost
 from .contract import Estimate
 from .diagnosis_settings import BETTER, Judgement
 from .diagnosis_state import WINDOW, DiagnosisState
@@ -26,7 +27,7 @@ from .hypotheses import (
     n_channels_of,
     plain_fit,
 )
-from .jump import jump_to
+from .jump import followed_jump, jump_to
 from .residual_scale import LARGER, MUCH_LARGER, NOISY, spread_of
 from .significance import FALSE_ALARM, chi2_limit
 from .space import Vector
@@ -94,16 +95,36 @@ class HypothesisComparison:
         reference = state.reference_or(held)
         z = self._space.to_unit(reference)
         lengths = (state.n_since, state.n_explained) if is_filter else (state.n_since,)
-        is_obvious = not is_filter and self._is_obvious(reference)
+        is_obvious = not is_filter and self._n_obvious(reference) == state.n_since
+        if not (is_filter or is_obvious) and state.n_since < 2:
+            return None
         found = jump_to(self._residuals.at_newest, dict.fromkeys(lengths), z, self._space, may_be_exact=is_obvious)
         restless = min(state.n_samples - state.restless_since, 4 * WINDOW)
         state.next_jump = state.n_samples + max(state.n_since, restless) // 4 if found is None else 0
         return found if found is None or is_filter or is_obvious or all(found.is_identifiable) else None
 
-    def _is_obvious(self, theta: Vector) -> bool:
-        """Return whether each sample since the onset contradicts theta (d,), and would with ten times the noise."""
+    def followed_jump(self, held: Vector) -> ArrivalCost | None:
+        """Return what the samples after a jump of the parameters say of them, while they drift; None without a jump.
+
+        Each of these samples contradicts what was in force by far, and nothing else explains them nearly as well.
+        """
+        state, space = self._state, self._space
+        reference = state.reference_or(held)
+        n = 0 if state.is_resting.any() else self._n_obvious(reference)
+        if not 1 < n <= QUIET:
+            return None
+        found = followed_jump(self._residuals.at_newest(n), n, space.to_unit(reference), USUAL_RATE)
+        if found is None:
+            return None
+        before = self._residuals.of_newest(reference, n)
+        weighing = Weighing(found[1], disturbance_of(before).fit, plain_fit(before, 0))
+        return found[0] if weighing.are_parameters_proven else None
+
+    def _n_obvious(self, theta: Vector) -> int:
+        """Return how many newest samples since the onset contradict theta (d,), each even with ten times the noise."""
         rows = self._residuals.of_newest(theta, self._state.n_since) / _TOO_SMALL
-        return all(not plain_fit(row[None], 0).is_explained for row in rows)
+        are_explained = [plain_fit(row[None], 0).is_explained for row in rows[::-1]]
+        return are_explained.index(True) if True in are_explained else len(rows)
 
     def if_noise(self, held: Vector) -> Vector | None:
         """Return the reference (d,) where noise of ten times the known size explains the samples since the onset.

@@ -106,11 +106,19 @@ class DiagnosingRetuner(RetunerCounts[Retuner]):
             return Proposal()
         if sample is not None:
             sample = diagnosis.residuals.corrected(sample)
-        proposal = without_rounding(self._retuner.step(t, sample, tracking_error, held), held, self._space)
+        proposal = without_rounding(self._stepped(t, sample, tracking_error, held), held, self._space)
         if proposal.undo is not None:  # a drift that explains nothing
             settled = diagnosis.give_up(t)
             return self._ended(t, replace(proposal, undo=None), settled.undo, held, settled.events)
         return self._judged(t, proposal, held)
+
+    def _stepped(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
+        """Return the retuner's proposal: a filter's in the place of its search, where one has followed a jump."""
+        if sample is not None and self._retuner.may_follow_jump:
+            known = self._diagnosis.comparison.followed_jump(held)
+            if known is not None:
+                return self._retuner.follow_jump(t, sample, known, held)
+        return self._retuner.step(t, sample, tracking_error, held)
 
     def _judged(self, t: float, proposal: Proposal, held: Vector) -> Proposal:
         """Return the proposal as far as it is warranted."""
@@ -124,7 +132,7 @@ class DiagnosingRetuner(RetunerCounts[Retuner]):
         if verdict == "warranted" and theta is not None:
             self._warranted = theta.tobytes()
         has_ended = any(event.kind == "end" for event in proposal.events)
-        if has_ended and verdict == "refuted":
+        if has_ended and best is not None and verdict == "refuted":
             self._retuner.distrust()
         has_ended |= self._is_endless and diagnosis.n_since >= _PATIENCE
         if has_ended and diagnosis.n_since >= _FEWEST and diagnosis.comparison.has_failed:

@@ -7,18 +7,22 @@ systems", section III.
 """
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
+from .arrival_cost import ArrivalCost
 from .contract import Estimate, scaled_estimate
 from .differences import OfMany, forward_differences
-from .hypotheses import changed_parameters, plain_fit
-from .identifiability import IDENTIFIABLE_BELOW, information
+from .hypotheses import Fit, changed_parameters, n_channels_of, plain_fit
+from .identifiability import IDENTIFIABLE_BELOW, Information, information
 from .space import ParameterSpace, Vector
 
 _STEP: Final = 1e-6
 """Step of differences in the unit cube."""
+_AFTER_JUMP: Final = 0.1
+"""Share of a drift's rate at which parameters may walk after a jump, until the filter's corrections show less."""
 
 
 def jump_to(
@@ -49,3 +53,27 @@ def jump_to(
                 reason=f"parameters that explain the newest {n} samples",
             )  # fmt: skip
     return None
+
+
+def followed_jump(rows_at: OfMany, n: int, z: Vector, rate: float) -> tuple[ArrivalCost, Fit] | None:
+    """Return what n samples after a jump say of the parameters, and the fit of parameters that drift since then.
+
+    The first sample, which has more values than parameters, is explained by those nearest to z (d,), the others by a
+    filter that goes on from there. None where they are not. rows_at: returns residuals (..., n, c) at places (..., d);
+    rate: of a drift, at most. About z a parameter has a standard deviation of half the bounds before the first sample.
+    """
+    first = changed_parameters(OfMany(lambda places: rows_at(places)[..., :1, :]), z, may_drift=False, beyond=0.0)
+    slope = forward_differences(OfMany(lambda places: rows_at(places)[..., 0, :]), first.z, first.rows[0], _STEP)
+    if not (first.fit.is_explained and np.all(np.isfinite(slope))):
+        return None
+    unknown = ArrivalCost.of_estimate(z, Information(np.zeros(len(z)), np.eye(len(z))), rate)
+    measured = unknown.updated(OfMany(lambda places: first.rows[0] + (places - first.z) @ slope.T))
+    at_first = ArrivalCost.of_estimate(measured.mean, measured.information, rate)
+    known: ArrivalCost | None = replace(at_first, walk=np.full(len(z), (_AFTER_JUMP * rate) ** 2))
+    squares = first.fit.squares
+    for i in range(1, n):
+        known = known.drifted(OfMany(lambda places, i=i: rows_at(places)[..., i, :]))
+        if known is None:
+            return None
+        squares += known.innovation_squared
+    return known, Fit(squares, len(z), n * n_channels_of(rows_at(known.mean)))

@@ -135,6 +135,31 @@ class Retuner:
         theta = None if np.array_equal(wanted, held) else wanted
         return Proposal(theta, estimate, tuple(events), tuple(latencies), is_candidate)
 
+    @property
+    def may_follow_jump(self) -> bool:
+        """True where a search is under way, in whose place a filter may go on."""
+        return self._following is not None and self._remaining > 0
+
+    def follow_jump(self, t: float, sample: Sample, known: ArrivalCost, held: Vector) -> Proposal:
+        """End the search, as a filter has followed the parameters since they jumped; it goes on.
+
+        known: of the samples since then, the newest one among them; held (d,): the controller's parameters.
+        """
+        assert self._following is not None
+        begun = perf_counter()
+        self._window.append(sample)
+        self._remaining = 0.0
+        self._following.arrival_cost = known
+        estimate = self._following.filtered(held)
+        wanted = held if estimate is None else estimate.theta
+        self._searched = wanted
+        told = {} if estimate is None else estimate_as_json(estimate)
+        event = Event(
+            t, "end", {"episode": self.n_episodes, "cost": None if estimate is None else estimate.cost} | told
+        )
+        theta = None if np.array_equal(wanted, held) else wanted
+        return Proposal(theta, estimate, (event,), (perf_counter() - begun,))
+
     def suspend(self, t: float, held: Vector) -> None:
         """Go on with samples that turn out to be doubtful: without a diagnosis nothing says what to go back to."""
 

@@ -120,8 +120,9 @@ class TargetVector:
 
     7. Between episodes `follow` takes each sample by an extended Kalman filter, which begins at the least squares of
        the window about the estimate: see `ArrivalCost`. It follows parameters that drift; a search is needed after a
-       jump only. An episode is done when the residual is explained and the expected improvement is below a tenth of a
-       standard deviation, squared.
+       jump only, and ends where the loop's diagnosis has followed the parameters since then (`followed_jump`). An
+       episode is done when the residual is explained and the expected improvement is below a tenth of a standard
+       deviation, squared.
 
     Usage, after which target.estimate().theta is (1.75, 0.75) to 1e-4:
 

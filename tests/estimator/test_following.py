@@ -70,6 +70,16 @@ def drift(i):
     return CHANGED + np.array([0.0045 * i, 0.0])
 
 
+def fast(i):
+    """0.25 % of the bounds of the first parameter a sample."""
+    return CHANGED + np.array([0.01125 * i, 0.0])
+
+
+def slow(i):
+    """0.13 % of the bounds of the first parameter a sample."""
+    return CHANGED + np.array([0.006 * i, 0.0])
+
+
 def least_squares(samples):
     """The estimate of all samples, in closed form: the model is linear in its parameters."""
     rows = [r for s in samples for r in ([s.u[0], s.x[0]], [s.x[0] * s.u[0], 0.0], [0.0, s.x[0]])]
@@ -93,6 +103,41 @@ def test_a_search_ends_when_nothing_is_to_be_gained(seed):
     loop = Loop(seed).go(100, constant(TRUE)).go(60, constant(CHANGED))
     assert 3 <= loop.retuner.n_evaluations < 30
     assert loop.events.count("end") == loop.events.count("trigger") == 1
+
+
+@SEEDS
+def test_a_jump_into_a_drift_is_followed_from_its_second_sample_on(seed):
+    """No constant parameters explain two samples there; a search does it in thirty evaluations, if at all."""
+    loop = Loop(seed).go(100, constant(TRUE)).go(2, fast)
+    assert_allclose(loop.held, fast(1), atol=0.05)
+    loop.go(40, fast)
+    assert loop.retuner.n_evaluations <= 6
+    assert_allclose(loop.held, fast(39), atol=0.05)
+
+
+@pytest.mark.full
+def test_a_slow_drift_after_a_jump_is_not_refuted():
+    """Of 12, two were while the filter that has followed the jump took the parameters for constant."""
+    for seed in range(12):
+        loop = Loop(seed).go(100, constant(TRUE)).go(100, slow)
+        assert not {"unexplained", "undo"} & set(loop.events), seed
+
+
+@SEEDS
+def test_a_push_is_not_followed_as_a_jump(seed):
+    loop = Loop(seed).go(100, constant(TRUE)).go(10, constant(TRUE), lambda i: np.array([0.8, -0.7, 0.9]))
+    assert loop.retuner.n_evaluations > 6
+
+
+@SEEDS
+def test_a_jump_is_not_followed_while_a_disturbance_explains_it_as_well(seed):
+    """At rest, where state and input do not change, a force and other parameters look the same."""
+    loop = Loop(seed).go(100, constant(TRUE))
+    x, u = (0.7,), (0.9,)
+    for i in range(4):
+        xdot = np.array(model(x, u, *CHANGED)) + SIGMA * loop.rng.standard_normal(3)
+        loop.take(Sample(5.0 + 0.05 * i, x, u, tuple(xdot.tolist())))
+    assert loop.retuner.n_evaluations == 12
 
 
 @SEEDS

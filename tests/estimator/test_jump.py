@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 
 from estimator import Objective, Parameter, ParameterSpace, ResidualWindow, Sample
 from estimator.differences import OfMany
-from estimator.jump import jump_to
+from estimator.jump import followed_jump, jump_to
 from estimator.kalman import EnsembleKalman, EnsembleSettings, UnscentedKalman, UnscentedSettings
 from estimator.moving_horizon import MovingHorizon, MovingHorizonSettings
 
@@ -49,6 +49,47 @@ def test_a_jump_is_to_the_least_squares_of_the_samples_with_its_deviations(seed)
     assert found.is_identifiable == tuple(np.sqrt(covariance.diagonal()) <= 0.05)
     residuals = rows_at(H, y)(8)(z)
     assert_allclose(found.cost, np.sum(residuals**2), rtol=1e-6)
+
+
+def with_prior(H, y):
+    """Parameters (d,) and their covariance (d, d) in the unit cube, where each is START to half the bounds at first."""
+    A = np.vstack([H.reshape(-1, 3) * WIDTH / SIGMA, np.eye(3) / 0.5])
+    b = np.append((y - H @ LOWER).reshape(-1) / SIGMA, START / 0.5)
+    return np.linalg.lstsq(A, b, rcond=None)[0], np.linalg.inv(A.T @ A)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_followed_jump_has_what_all_samples_since_then_say(seed):
+    H, y = measured(4, c=6, seed=seed)
+    known, fit = followed_jump(rows_at(H, y)(4), 4, START, 1e-9)  # they do not drift
+    z, covariance = with_prior(H, y)
+    assert_allclose(known.mean, z, atol=1e-6)
+    assert_allclose(known.covariance, covariance, rtol=1e-4, atol=1e-12)
+    assert (fit.n_free, fit.n_values) == (3, 24)
+    # what the samples together leave unexplained; the prior is so wide that it takes no part
+    assert_allclose(fit.squares, np.sum(rows_at(H, y)(4)(z) ** 2), atol=0.05)
+
+
+def test_a_jump_is_followed_while_the_parameters_drift():
+    """A second sample that the first one's parameters miss by many standard deviations, within the usual rate."""
+    H, y = measured(3, c=6)
+    moving = TRUTH + np.array([0.0, 0.015, 0.03])[:, None] * np.array([1.0, 0.0, 0.0])
+    y = np.einsum("ncd,nd->nc", H, moving) + 1e-3 / SIGMA * (y - H @ TRUTH)
+    sharp = OfMany(lambda z: (y - np.einsum("ncd,...d->...nc", H, LOWER + WIDTH * z)) / 1e-3)
+    assert jump_to(lambda n: sharp, (3,), START, SPACE) is None
+    known, fit = followed_jump(sharp, 3, START, 0.0025)
+    assert_allclose(LOWER + WIDTH * known.mean, moving[-1], atol=3e-3)
+    assert fit.is_explained
+
+
+@pytest.mark.parametrize(
+    ("c", "more"),
+    [(3, 0.0), (6, np.linspace(-2.0, 2.0, 6)), (6, np.array([0.0, 2.0, 0.0])[:, None] * np.linspace(-1.0, 1.0, 6))],
+    ids=["as many values as parameters", "a disturbance from the first on", "a disturbance from the second on"],
+)
+def test_samples_that_prove_no_parameters_are_not_followed(c, more):
+    H, y = measured(3, c=c, more=more)
+    assert followed_jump(rows_at(H, y)(3), 3, START, 0.0025) is None
 
 
 @pytest.mark.parametrize(("n", "c"), [(1, 2), (1, 3), (3, 1)])

@@ -445,6 +445,24 @@ def test_the_quadrotor_flies_its_reference_with_true_parameters():
     assert np.all(np.abs(correlation - np.eye(6)) < 5.0 / math.sqrt(101))
 
 
+@pytest.mark.full
+@pytest.mark.parametrize("seed", [0, 13])
+def test_no_write_makes_any_parameter_of_the_quadrotor_much_worse(seed):
+    """By 20 % of its true value at most, but for the first three samples after a jump; and few evaluations find it."""
+    result = run(Scenario.load("quadrotor", {"scenario.stop_time": "6.5"}), "target", seed=seed)
+    names = ("m", "J_x", "J_y", "J_z")
+    true = np.array([result[f"plant.{name}"] for name in names])
+    error = np.abs(np.array([result[f"controller.{name}"] for name in names]) / true - 1.0)
+    has_jumped = np.any(np.abs(np.diff(true, axis=1)) > 0.05 * true[:, 1:], axis=0)
+    jumps = np.append(0, 1 + np.flatnonzero(has_jumped))
+    assert len(jumps) == 3
+    first_three = {k + i for k in jumps for i in range(5)}
+    worse = np.diff(error, axis=1).max(axis=0)
+    assert max(w for k, w in enumerate(worse, 1) if k not in first_three) < 0.2
+    assert error[:, -1].max() < 0.02
+    assert result.n_evaluations < 80
+
+
 # As others call it.
 
 

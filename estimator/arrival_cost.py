@@ -211,6 +211,8 @@ class Whiteness:
     """Sum of the innovations' weights, which fade."""
     cosines: float = 0.0
     """Sum of the cosines between each innovation and the one before, fading."""
+    squares: float = 0.0
+    """Sum of the innovations' mean squares over their channels, fading."""
     n_samples: int = 0
     """Number of samples in them."""
 
@@ -219,12 +221,16 @@ class Whiteness:
         direction = innovation / max(float(np.linalg.norm(innovation)), 1e-300)
         cosine = float(direction @ self.newest) if len(self.newest) == len(direction) else 0.0
         weight, cosines = _MEMORY * self.weight + 1.0, _MEMORY * self.cosines + cosine
-        return Whiteness(direction, weight, cosines, self.n_samples + 1)
+        squares = _MEMORY * self.squares + float(innovation @ innovation) / len(innovation)
+        return Whiteness(direction, weight, cosines, squares, self.n_samples + 1)
 
     @property
     def is_refuted(self) -> bool:
-        """True where the innovations are correlated, by more than chance and by more than a filter's lag."""
-        if self.n_samples < _BLOCK:
+        """True where the innovations are correlated, by more than chance and by more than a filter's lag.
+
+        Not where they are smaller than white noise would be, as with a noise that is declared too large.
+        """
+        if self.n_samples < _BLOCK or self.squares < self.weight:
             return False
         squares = (1.0 - _MEMORY ** (2 * self.n_samples)) / (1.0 - _MEMORY**2)  # sum of the weights' squares
         std = sqrt(squares / len(self.newest)) / self.weight

@@ -106,6 +106,15 @@ def test_innovations_that_go_on_in_one_direction_are_refuted():
     assert whiteness.is_refuted
 
 
+@pytest.mark.parametrize(("size", "is_refuted"), [(0.3, False), (3.0, True)])
+def test_innovations_smaller_than_the_declared_noise_are_not_refuted_though_they_are_correlated(size, is_refuted):
+    """As where the noise is declared ten times too large, and a filter follows a drift late."""
+    whiteness, rng = Whiteness(np.empty(0)), np.random.default_rng(1)
+    for _ in range(40):
+        whiteness = whiteness.updated(size * np.array([0.8, -0.6]) + 0.1 * rng.standard_normal(2))
+    assert whiteness.is_refuted == is_refuted
+
+
 def test_errors_are_as_large_as_it_says():
     """Normalised errors squared over 300 seeds: chi-square of 3 each, constant parameters."""
     total = 0.0

@@ -117,7 +117,7 @@ def test_a_jump_into_a_drift_is_followed_from_its_second_sample_on(seed):
 
 @pytest.mark.full
 def test_a_slow_drift_after_a_jump_is_not_refuted():
-    """Of 12, two were while the filter that has followed the jump took the parameters for constant."""
+    """A filter that takes the parameters for constant right after a jump refutes this drift in two of twelve seeds."""
     for seed in range(12):
         loop = Loop(seed).go(100, constant(TRUE)).go(100, slow)
         assert not {"unexplained", "undo"} & set(loop.events), seed

@@ -34,7 +34,7 @@ from cosim.scenarios.scenario import Scenario
 from cosim.studies.folder import RUNS
 from cosim.studies.ledger import LEDGER, open_ledger
 from estimator import ParameterSpace, Vector
-from estimator.baselines import LeastSquaresSettings
+from estimator.baselines.solvers import LeastSquaresSettings
 
 FROZEN = {"pendulum": (3.35, 30, 1), "quadrotor": (5.0, 10, 5), "stiction": (4.0, 100, 1), "rigid-body": (2.6, 10, 5)}
 """Time of the newest sample [s], number of samples and macro steps between them, for each scenario."""

@@ -38,7 +38,7 @@ from estimator import (
     Sample,
     Vector,
 )
-from estimator.baselines import LeastSquaresSettings
+from estimator.baselines.solvers import LeastSquaresSettings
 
 CLOSED_FORM = "closed-form"
 """Name of linear least squares on the model's linear form: what a search is measured against where there is one."""

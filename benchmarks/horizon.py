@@ -30,9 +30,9 @@ from cosim.runs.simulation import run
 from cosim.scenarios.scenario import Scenario
 from cosim.user_code import load
 from estimator import DerivativeResidual, Sample, Vector
-from estimator.moving_horizon import MovingHorizonSettings
-from estimator.retuner import Budget
-from estimator.retuner_factory import make_retuner
+from estimator.baselines.moving_horizon import MovingHorizonSettings
+from estimator.retuning.factory import make_retuner
+from estimator.retuning.retuner import Budget
 
 OURS = ("mhe", "ukf", "enkf", "target")
 STREAMS: dict[str, tuple[float, Callable[..., Any], int, int]] = {

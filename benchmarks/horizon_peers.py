@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from estimator import ParameterSpace, Sample, Vector
-from estimator.moving_horizon import MovingHorizonSettings
+from estimator.baselines.moving_horizon import MovingHorizonSettings
 
 Symbols = Callable[[Any, Any, Any], list[Any]]
 """Derivatives of the sampled channels = f(x, u, theta), of CasADi's symbols."""

@@ -1,5 +1,9 @@
 """Bayesian estimation of parameters from residual vectors. Independent of FMI, plants and controllers."""
 
+from .bayesian.paper import PaperBO as PaperBO
+from .bayesian.paper import PaperSettings as PaperSettings
+from .bayesian.target import TargetSettings as TargetSettings
+from .bayesian.target import TargetVector as TargetVector
 from .contract import AskTell as AskTell
 from .contract import Batching as Batching
 from .contract import Estimate as Estimate
@@ -16,8 +20,6 @@ from .methods import Method as Method
 from .objective import LinearForm as LinearForm
 from .objective import Objective as Objective
 from .objective import Window as Window
-from .paper import PaperBO as PaperBO
-from .paper import PaperSettings as PaperSettings
 from .samples import DerivativeResidual as DerivativeResidual
 from .samples import Model as Model
 from .samples import Sample as Sample
@@ -26,5 +28,3 @@ from .sliding_window import ResidualWindow as ResidualWindow
 from .space import Parameter as Parameter
 from .space import ParameterSpace as ParameterSpace
 from .space import Vector as Vector
-from .target import TargetSettings as TargetSettings
-from .target import TargetVector as TargetVector

@@ -4,12 +4,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
-from .baselines import LeastSquares, LeastSquaresSettings, NoisyNorm, NormSettings
-from .filters import RecursiveLeastSquares, RecursiveSettings
-from .kalman import EnsembleKalman, EnsembleSettings, UnscentedKalman, UnscentedSettings
-from .moving_horizon import MovingHorizon, MovingHorizonSettings
-from .paper import PaperBO, PaperSettings
-from .target import TargetSettings, TargetVector
+from .baselines.kalman import EnsembleKalman, EnsembleSettings, UnscentedKalman, UnscentedSettings
+from .baselines.moving_horizon import MovingHorizon, MovingHorizonSettings
+from .baselines.recursive_least_squares import RecursiveLeastSquares, RecursiveSettings
+from .baselines.solvers import LeastSquares, LeastSquaresSettings, NoisyNorm, NormSettings
+from .bayesian.paper import PaperBO, PaperSettings
+from .bayesian.target import TargetSettings, TargetVector
 
 
 @dataclass(frozen=True)

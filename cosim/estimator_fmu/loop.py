@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from estimator import DerivativeResidual, LinearForm, Parameter, ParameterSpace, Sample
-from estimator.diagnosis import Diagnosis
-from estimator.diagnosis_settings import DiagnosisSettings
+from estimator.diagnosis.sample_diagnosis import Diagnosis
+from estimator.diagnosis.settings import DiagnosisSettings
 from estimator.methods import method_named
-from estimator.retuner import Budget
-from estimator.retuner_factory import make_retuner
+from estimator.retuning.factory import make_retuner
+from estimator.retuning.retuner import Budget
 from estimator.triggers import TRIGGERS
 
 from ..scenarios.tuning_rule import TuningRule

@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator import Parameter, ParameterSpace, Vector
-from estimator.evaluated import FitProgress
-from estimator.offline import OFFLINE, NoFitError, OfflineFit, fit
-from estimator.profile_likelihood import Profile, profile
-from estimator.robust_loss import Loss
+from estimator.offline.evaluated import FitProgress
+from estimator.offline.fit import OFFLINE, NoFitError, OfflineFit, fit
+from estimator.offline.profile_likelihood import Profile, profile
+from estimator.offline.robust_loss import Loss
 from estimator.space import Scale
 
 from ..errors import CosimError, WiringError

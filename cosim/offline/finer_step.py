@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from estimator.identifiability import IDENTIFIABLE_BELOW, information
-from estimator.offline import OfflineFit
+from estimator.offline.fit import OfflineFit
 from estimator.space import ParameterSpace, Vector
 
 from ..fmi.component import Component

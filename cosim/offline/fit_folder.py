@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from estimator.evaluated import FitProgress
+from estimator.offline.evaluated import FitProgress
 
 from ..runs.record import recording
 from .estimate import Estimation, Request, estimate, with_profiles

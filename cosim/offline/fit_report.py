@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from estimator.identifiability_report import findings
+from estimator.offline.identifiability_report import findings
 
 from ..files import write_json, write_text
 from ..runs.run_files import ESTIMATES

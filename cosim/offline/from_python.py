@@ -4,7 +4,7 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from estimator.evaluated import FitProgress
+from estimator.offline.evaluated import FitProgress
 from estimator.space import Scale
 
 from ..blas_threads import one_thread

@@ -14,11 +14,11 @@ import numpy as np
 
 from estimator import METHODS, EpisodeWindow, ParameterSpace, Sample, Vector
 from estimator.contract import Rescoring
-from estimator.diagnosis_settings import DiagnosisSettings
-from estimator.episode_diagnosis import EpisodeDiagnosis
+from estimator.diagnosis.episode_diagnosis import EpisodeDiagnosis
+from estimator.diagnosis.settings import DiagnosisSettings
 from estimator.events import Event
-from estimator.retuner import Budget
-from estimator.retuner_factory import make_episodes
+from estimator.retuning.factory import make_episodes
+from estimator.retuning.retuner import Budget
 from estimator.triggers import InnovationSettings
 
 from ..errors import ScenarioError, WiringError

@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from estimator.profile_likelihood import LIMIT
+from estimator.offline.profile_likelihood import LIMIT
 
 from ..plots.canvas import label, new_figure, save_png, set_linear, tidy, top_legend
 from ..plots.palette import BLACK, BLUE, VERMILION

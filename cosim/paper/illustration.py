@@ -12,9 +12,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from estimator.acquisition import expected_improvement
+from estimator.bayesian.acquisition import expected_improvement
+from estimator.bayesian.surrogate import MaternBounds, ScalarSurrogate
 from estimator.space import Vector
-from estimator.surrogate import MaternBounds, ScalarSurrogate
 
 from ..plots.canvas import new_figure, save_png, tidy, top_legend
 from ..plots.palette import BLACK, BLUE, GREEN, GREY, PURPLE, SKY, VERMILION, YELLOW

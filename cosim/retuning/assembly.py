@@ -10,10 +10,10 @@ from typing import Final
 import numpy as np
 
 from estimator import DerivativeResidual, EpisodeWindow, LinearForm, Method, Sample, Vector
-from estimator.diagnosis import Diagnosis
-from estimator.episode_diagnosis import EpisodeDiagnosis
-from estimator.retuner import Budget
-from estimator.retuner_factory import AnyRetuner, make_episodes, make_retuner
+from estimator.diagnosis.episode_diagnosis import EpisodeDiagnosis
+from estimator.diagnosis.sample_diagnosis import Diagnosis
+from estimator.retuning.factory import AnyRetuner, make_episodes, make_retuner
+from estimator.retuning.retuner import Budget
 from estimator.samples import RememberingModel
 
 from ..errors import CosimError, ScenarioError

@@ -17,7 +17,7 @@ import numpy as np
 
 from estimator import Estimate, ParameterSpace, Vector, chi2_limit
 from estimator.events import Event
-from estimator.proposal import Proposal
+from estimator.retuning.proposal import Proposal
 from estimator.significance import SAMPLE_FALSE_ALARM
 
 from ..scenarios.schema.guard import GuardSettings

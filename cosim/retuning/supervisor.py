@@ -17,9 +17,9 @@ import numpy as np
 
 from estimator import Sample, Vector
 from estimator.events import Event
-from estimator.proposal import Proposal
-from estimator.retuner import RetunerCounts, estimate_as_json
-from estimator.retuner_factory import AnyRetuner
+from estimator.retuning.factory import AnyRetuner
+from estimator.retuning.proposal import Proposal
+from estimator.retuning.retuner import RetunerCounts, estimate_as_json
 from estimator.samples import RememberingModel
 
 from ..errors import CosimError, ScenarioError, one_line, seconds

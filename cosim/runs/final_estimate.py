@@ -5,7 +5,7 @@ from typing import Any, Final
 
 from estimator import Estimate, ParameterSpace
 from estimator.identifiability import IDENTIFIABLE_BELOW
-from estimator.identifiability_report import findings
+from estimator.offline.identifiability_report import findings
 
 from ..retuning.decision import Decision
 from ..retuning.estimators import find_method

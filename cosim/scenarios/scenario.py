@@ -8,7 +8,7 @@ from typing import Any, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from estimator.diagnosis_settings import DiagnosisSettings
+from estimator.diagnosis.settings import DiagnosisSettings
 
 from ..errors import ScenarioError, one_line
 from ..names import did_you_mean

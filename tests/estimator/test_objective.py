@@ -21,7 +21,7 @@ from estimator import (
     Sample,
     Solver,
 )
-from estimator.retuner import Budget, Retuner
+from estimator.retuning.retuner import Budget, Retuner
 from estimator.triggers import AlwaysTrigger, TrackingTrigger
 from fmu_models import pendulum
 

@@ -27,7 +27,7 @@ from cosim.slaves.slave import open_slave
 from cosim.system.fmu_cache import find_fmu
 from cosim.system.plant import plant_of
 from estimator import EpisodeWindow, Sample, SampleSequence
-from estimator.episode_diagnosis import EpisodeDiagnosis
+from estimator.diagnosis.episode_diagnosis import EpisodeDiagnosis
 
 pytestmark = pytest.mark.fmu
 slow = pytest.mark.slow

@@ -9,7 +9,7 @@ from scipy.linalg import expm
 
 from cosim.objectives.rollout_start import NoisyStartObjective
 from estimator import EpisodeWindow, Evaluation, Objective, Parameter, ParameterSpace, Sample, SampleSequence
-from estimator.kalman import EnsembleKalman, UnscentedKalman
+from estimator.baselines.kalman import EnsembleKalman, UnscentedKalman
 
 H, NOISE, START_NOISE, N = 0.05, np.array([0.02, 0.05]), np.array([0.03, 0.08]), 20
 SPACE = ParameterSpace((Parameter("force", -4.0, 4.0), Parameter("wind", -2.0, 6.0)))

@@ -10,7 +10,7 @@ from cosim.retuning.decision import Point
 from cosim.retuning.guard import Guard, outside, within_rate
 from cosim.scenarios.schema.guard import GuardSettings
 from estimator import Estimate, Parameter, ParameterSpace, Sample
-from estimator.proposal import Proposal
+from estimator.retuning.proposal import Proposal
 from tests.cosim.retuning.linear_plant import BETTER, GOOD, SIGMA, SPACE, START, Watched, seen
 
 BOTH = ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0))

@@ -9,7 +9,7 @@ from cosim.retuning.data_support import DataSupport, NoDataSupport
 from cosim.retuning.guard import Guard, within_rate
 from cosim.scenarios.schema.guard import GuardSettings
 from estimator import Estimate, Sample
-from estimator.proposal import Proposal
+from estimator.retuning.proposal import Proposal
 from tests.cosim.retuning.linear_plant import BETTER, GOOD, SPACE, START, Watched, linear_rows, seen
 
 NOTHING = Proposal()

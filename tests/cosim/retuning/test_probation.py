@@ -10,7 +10,7 @@ from cosim.retuning.guard import Guard
 from cosim.retuning.probation import Probation
 from cosim.scenarios.schema.guard import GuardSettings
 from estimator import Estimate, Sample
-from estimator.proposal import Proposal
+from estimator.retuning.proposal import Proposal
 from tests.cosim.retuning.linear_plant import GOOD, SPACE, START, Watched, seen
 
 N_APART = 10

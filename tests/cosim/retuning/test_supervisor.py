@@ -14,10 +14,10 @@ from cosim.retuning.supervisor import ReadBack, Supervisor
 from cosim.sampling.screen import Screened
 from cosim.scenarios.schema.guard import GuardSettings
 from estimator import DerivativeResidual, Estimate, Parameter, ParameterSpace, Sample
-from estimator.diagnosis import Diagnosis
-from estimator.diagnosis_settings import DiagnosisSettings
-from estimator.retuner import Budget
-from estimator.retuner_factory import make_retuner
+from estimator.diagnosis.sample_diagnosis import Diagnosis
+from estimator.diagnosis.settings import DiagnosisSettings
+from estimator.retuning.factory import make_retuner
+from estimator.retuning.retuner import Budget
 from estimator.samples import RememberingModel
 from estimator.triggers import InnovationSettings
 

@@ -1,0 +1,188 @@
+"""Moving-horizon estimator on the newest samples and an arrival cost."""
+
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import numpy as np
+import scipy  # its parts, 0.3 s, are loaded when they are used
+
+from ..arrival_cost import Measurement, corrected, measurement
+from ..contract import Estimate, scaled_estimate
+from ..differences import OfMany
+from ..identifiability import IDENTIFIABLE_BELOW, information_of_covariance
+from ..objective import Objective
+from ..positive import must_be_positive
+from ..samples import Sample
+from ..space import ParameterSpace, Vector
+from .counted_residual import FAILED, CountedResidual, SpentError
+from .linearisation import Normal, root_of, solved, widened
+
+_LITTLE = 1e-3
+"""Move, in standard deviations, at which the iteration ends."""
+_STEP = 1e-4
+"""Step of the differences of an episode's residuals, in the unit cube."""
+
+
+@dataclass(frozen=True)
+class MovingHorizonSettings:
+    """Settings of `MovingHorizon`; lengths are shares of the scaled bounds."""
+
+    horizon: int = 10
+    """Number of newest samples whose residuals are evaluated anew; those before are in the arrival cost."""
+    walk: float = 0.003
+    """Standard deviation of a parameter's step from sample to sample."""
+    spread: float = 0.05
+    """Standard deviation of each parameter at the start."""
+    iterations: int = 4
+    """Largest number of Gauss-Newton steps a sample."""
+    jump: float = 0.3
+    """On roll-outs, standard deviation of each parameter's distance from the one in force when an episode begins."""
+    identifiable_below: float = IDENTIFIABLE_BELOW
+    """A parameter counts as identifiable when its standard deviation is below this share of the scaled bounds."""
+
+    def __post_init__(self) -> None:
+        must_be_positive(self, "horizon", "walk", "spread", "iterations", "jump", "identifiable_below")
+
+
+@dataclass(frozen=True)
+class _Step:
+    """Sample of the horizon, with the parameters at that time."""
+
+    sample: Sample
+    place: Vector
+    """Present estimate (d,) in the unit cube."""
+
+
+@dataclass(frozen=True)
+class _Belief:
+    """Normal distribution of the parameters."""
+
+    mean: Vector
+    """Mean (d,) in the unit cube."""
+    covariance: Vector
+    """Covariance (d, d)."""
+
+    def updated(self, measured: Measurement | None, place: Vector) -> "_Belief":
+        """Return the belief after a measurement that was linearised at a place (d,)."""
+        if measured is None:
+            return self
+        there = Measurement(measured.value + measured.slope @ (self.mean - place), measured.slope)
+        moved, covariance, _ = corrected(self.covariance, there)
+        return _Belief(self.mean + moved, covariance)
+
+    def widened(self, walk: float) -> "_Belief":
+        """Return the belief one sample later, with parameters that walk by this standard deviation."""
+        return _Belief(self.mean, self.covariance + walk**2 * np.eye(len(self.mean)))
+
+
+class MovingHorizon:
+    """Moving-horizon estimator with the parameters as random walks in the unit cube.
+
+    It minimises |z_1 - m|^2 / P + sum |r_k(z_k)|^2 + sum |z_k+1 - z_k|^2 / walk^2 over the newest samples; m and P, the
+    arrival cost, are of the samples before: Rao, Rawlings, Lee (2001). A Gauss-Newton step is a Kalman smoother of
+    the linearised residuals: Bell (1994), "The iterated Kalman smoother as a Gauss-Newton method".
+
+    On roll-outs an episode is the horizon, of parameters that may have jumped when it began and are constant from then
+    on: least squares of its residuals and of the distance from those in force, by SciPy's trust region.
+    """
+
+    is_whitened = True
+
+    def __init__(
+        self,
+        space: ParameterSpace,
+        start: Vector,
+        rng: np.random.Generator,
+        settings: MovingHorizonSettings | None = None,
+    ) -> None:
+        self._space, self._settings = space, settings or MovingHorizonSettings()
+        self.restart(start)
+
+    def restart(self, start: Vector) -> None:
+        """Begin at theta (d,), with all samples forgotten."""
+        z = self._space.to_unit(start)
+        self._arrival = _Belief(z, self._settings.spread**2 * np.eye(len(z)))
+        self._now, self._steps = self._arrival, tuple[_Step, ...]()
+        self._cost, self._n_evaluations = np.inf, 0
+
+    def jump(self, estimate: Estimate) -> None:
+        """Go on from an estimate that has its information."""
+        assert estimate.information is not None
+        covariance = estimate.information.covariance(self._settings.spread)
+        self._arrival = _Belief(self._space.to_unit(estimate.theta), covariance)
+        self._now, self._steps = self._arrival, ()
+
+    def solve(self, objective: Objective) -> None:
+        """Take the newest sample, or an episode's. One sample at which the model has no value is left out."""
+        if not objective.has_samples:
+            self._take_episode(objective)
+            return
+        steps = (*self._steps, _Step(objective.newest, self._now.mean))
+        if len(steps) > self._settings.horizon:
+            oldest, *rest = steps
+            left = self._measured(objective, oldest)
+            self._arrival = self._arrival.updated(left, oldest.place).widened(self._settings.walk)
+            steps = tuple(rest)
+        newest = self._measured(objective, steps[-1])
+        self._cost = np.inf if newest is None else float(newest.value @ newest.value)
+        for _ in range(self._settings.iterations):
+            measured = [self._measured(objective, step) for step in steps]
+            places, self._now = self._smoothed(steps, measured)
+            moved = np.abs(places - [step.place for step in steps])
+            steps = tuple(replace(step, place=place) for step, place in zip(steps, places, strict=True))
+            if np.all(moved <= _LITTLE * np.sqrt(self._now.covariance.diagonal())):
+                break
+        self._steps, self._n_evaluations = steps, self._n_evaluations + objective.n_evaluations
+
+    def estimate(self) -> Estimate:
+        """Return the parameters at the newest sample; cost: its sum of squared residuals at those before it."""
+        known = information_of_covariance(self._now.covariance)
+        # Less than half of the start's: else the data have added nothing to the assumption.
+        below = min(self._settings.identifiable_below, 0.5 * self._settings.spread)
+        return scaled_estimate(
+            self._space, self._now.mean, np.minimum(known.std(), 1.0), below, known,
+            cost=self._cost, n_evaluations=self._n_evaluations, reason="moving-horizon estimate",
+        )  # fmt: skip
+
+    def _take_episode(self, objective: Objective) -> None:
+        d, settings = len(self._space), self._settings
+        prior = Normal(self._now.mean, settings.jump * np.eye(d))
+        search = CountedResidual(self._space, objective, np.inf, prior.mean, settings.jump, _STEP)
+        is_converged = False
+        with suppress(SpentError):
+            scipy.optimize.least_squares(
+                search.residual, np.clip(prior.mean, 0.0, 1.0), jac=cast(Any, search.differences), bounds=(0.0, 1.0)
+            )
+            is_converged = True
+        self._n_evaluations += objective.n_evaluations
+        if search.linearised is None or search.cost >= FAILED:
+            self._now, self._cost = _Belief(prior.mean, prior.covariance), np.inf
+            return
+        at, r, slopes = search.linearised
+        precision = slopes.T @ slopes
+        z, residual = search.z, search.least
+        step = solved(precision, slopes.T @ r)  # the last one, below SciPy's tolerance
+        if is_converged and np.all((at > step) & (at < 1.0 + step)):
+            z, residual = at - step, r - slopes @ step
+        now, self._cost = widened(Normal(z, root_of(solved(precision, np.eye(d)))), prior, residual[:-d])
+        self._now = _Belief(now.mean, now.covariance)
+
+    def _measured(self, objective: Objective, step: _Step) -> Measurement | None:
+        with np.errstate(all="ignore"):  # where the model overflows
+            at = OfMany(lambda z: objective.residual_at(self._space.from_unit(z), step.sample))
+            return measurement(at, step.place)
+
+    def _smoothed(self, steps: tuple[_Step, ...], measured: list[Measurement | None]) -> tuple[Vector, _Belief]:
+        """Return the most likely places (n, d) of the linearised residuals, and the belief at the newest sample."""
+        walk, before = self._settings.walk, [self._arrival]
+        after: list[_Belief] = []
+        for step, found in zip(steps, measured, strict=True):
+            after.append(before[-1].updated(found, step.place))
+            before.append(after[-1].widened(walk))
+        places = [after[-1].mean]
+        for k in range(len(steps) - 2, -1, -1):
+            gain = np.linalg.solve(before[k + 1].covariance, after[k].covariance).T
+            places.insert(0, after[k].mean + gain @ (places[0] - before[k + 1].mean))
+        newest = _Belief(np.clip(after[-1].mean, 0.0, 1.0), after[-1].covariance)
+        return np.clip(np.array(places), 0.0, 1.0), newest

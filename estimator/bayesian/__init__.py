@@ -1,0 +1,1 @@
+"""Bayesian optimisation: surrogates of residuals, acquisition functions, and the searches with them."""

@@ -1,0 +1,294 @@
+"""Comparison of hypotheses on sampled derivatives: changed parameters, a disturbance, larger noise, or nothing.
+
+See `hypotheses` for the evidence, and `diagnosis` for what follows from it.
+"""
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrival_cost import ArrivalCost
+from ..contract import Estimate
+from ..differences import OfMany
+from ..hypotheses import (
+    MARGIN,
+    USUAL_RATE,
+    ChangedParameters,
+    Disturbance,
+    Fit,
+    Weighing,
+    changed_parameters,
+    disturbance_of,
+    n_channels_of,
+    plain_fit,
+)
+from ..significance import FALSE_ALARM, chi2_limit
+from ..space import Vector
+from .evidence import Evidence
+from .jump import followed_jump, jump_to
+from .residual_scale import LARGER, MUCH_LARGER, NOISY, spread_of
+from .settings import BETTER, Judgement
+from .standardised_residuals import StandardisedResiduals
+from .state import WINDOW, DiagnosisState
+
+QUIET: Final = 5
+"""Number of newest samples that the parameters in force must explain for a suspicion to end."""
+LONG: Final = 6
+"""Least number of samples since the onset on which parameters, or a lag, are accepted."""
+FEWEST: Final = 3
+"""Least number of samples that name a disturbance, or its end."""
+_LENGTHS: Final = (5, 4, 3, 2, 1)
+"""Numbers of newest samples on which the hypotheses are compared, until changed parameters explain them."""
+_RATE: Final = 2.0 * USUAL_RATE
+"""Largest change of a parameter from sample to sample, as a share of the scaled bounds: faster, it is none."""
+_SPARE: Final = 8
+"""Least number of values in excess of those fitted that show a known disturbance to have changed with parameters."""
+_TOO_SMALL: Final = 10.0
+"""Factor by which a declared noise may be too small, as where it is a sensor's last digit."""
+_RENEWED: Final = 5
+"""Number of samples after which a comparison that changed parameters have won is repeated."""
+
+
+class HypothesisComparison:
+    """Comparison of hypotheses on the newest samples, and the judgement of new parameters by it."""
+
+    def __init__(self, state: DiagnosisState, residuals: StandardisedResiduals, evidence: Evidence) -> None:
+        self._state, self._residuals, self._evidence = state, residuals, evidence
+        self._space = residuals.space
+
+    def judge(self, theta: Vector, held: Vector) -> Judgement:
+        """Return whether parameters theta (d,) in place of those in force are warranted by the newest samples."""
+        state = self._state
+        if not state.n_since:
+            n = min(len(state.samples), QUIET)
+            return "warranted" if plain_fit(self._residuals.of_newest(theta, n), 0).is_explained else "refuted"
+        is_due = state.n_samples >= state.found_at + (_RENEWED if state.verdict == "warranted" else 1)
+        if is_due or state.found_at < state.n_samples - state.n_since:
+            self._weigh(theta, held)
+        if state.verdict == "refuted":
+            return "refuted"
+        now = self._residuals.of_newest(theta, 1)
+        if plain_fit(now, 0).is_explained or np.sum(now**2) < BETTER * np.sum(self._residuals.of_newest(held, 1) ** 2):
+            return state.verdict
+        return "refuted"
+
+    def lags(self, theta: Vector) -> bool:
+        """Return whether an estimate theta (d,) does not explain the newest samples, which other parameters may."""
+        state = self._state
+        if not state.n_since or state.verdict == "refuted":
+            return False
+        return not plain_fit(self._residuals.of_newest(theta, min(state.n_explained, FEWEST)), 0).is_explained
+
+    def jump(self, held: Vector, *, is_filter: bool) -> Estimate | None:
+        """Return the parameters that explain the samples since the onset and are determined by them, or None.
+
+        A filter can go on from parameters that only the newest samples explain, and that they do not determine, too.
+        A search can where every sample contradicts what was in force by far: the nearest parameters that explain two
+        samples are written if they are predicted to do no harm. While the parameters drift there is nothing for a
+        search: it seeks again after a quarter as many samples as that has lasted, 20 at most.
+        """
+        state = self._state
+        if not is_filter and state.n_samples < state.next_jump and state.n_since >= QUIET:
+            return None
+        reference = state.reference_or(held)
+        z = self._space.to_unit(reference)
+        lengths = (state.n_since, state.n_explained) if is_filter else (state.n_since,)
+        is_obvious = not is_filter and self._n_obvious(reference) == state.n_since
+        if not (is_filter or is_obvious) and state.n_since < 2:
+            return None
+        found = jump_to(self._residuals.at_newest, dict.fromkeys(lengths), z, self._space, may_be_exact=is_obvious)
+        restless = min(state.n_samples - state.restless_since, 4 * WINDOW)
+        state.next_jump = state.n_samples + max(state.n_since, restless) // 4 if found is None else 0
+        return found if found is None or is_filter or is_obvious or all(found.is_identifiable) else None
+
+    def followed_jump(self, held: Vector) -> ArrivalCost | None:
+        """Return what the samples after a jump of the parameters say of them, while they drift; None without a jump.
+
+        Each of these samples contradicts what was in force by far, and nothing else explains them nearly as well.
+        """
+        state, space = self._state, self._space
+        reference = state.reference_or(held)
+        n = 0 if state.is_resting.any() else self._n_obvious(reference)
+        if not 1 < n <= QUIET:
+            return None
+        found = followed_jump(self._residuals.at_newest(n), n, space.to_unit(reference), USUAL_RATE)
+        if found is None:
+            return None
+        before = self._residuals.of_newest(reference, n)
+        weighing = Weighing(found[1], disturbance_of(before).fit, plain_fit(before, 0))
+        return found[0] if weighing.are_parameters_proven else None
+
+    def _n_obvious(self, theta: Vector) -> int:
+        """Return how many newest samples since the onset contradict theta (d,), each even with ten times the noise."""
+        rows = self._residuals.of_newest(theta, self._state.n_since) / _TOO_SMALL
+        are_explained = [plain_fit(row[None], 0).is_explained for row in rows[::-1]]
+        return are_explained.index(True) if True in are_explained else len(rows)
+
+    def if_noise(self, held: Vector) -> Vector | None:
+        """Return the reference (d,) where noise of ten times the known size explains the samples since the onset.
+
+        held (d,): in force, for want of a reference. None where they are no noise.
+        """
+        reference = self._state.reference_or(held)
+        rows = self._residuals.of_newest(reference, self._state.n_since) / _TOO_SMALL
+        return reference if plain_fit(rows, 0).is_explained else None
+
+    @property
+    def is_tested(self) -> bool:
+        """True where the hypothesis of changed parameters has been proven, or could have been refuted."""
+        return self._state.verdict == "warranted" or self._state.n_spare > 0
+
+    @property
+    def may_be_disturbed(self) -> bool:
+        """True where a disturbance is to be thought of when parameters are written that are warranted."""
+        return self._state.n_since > 0 and not self._state.is_certain
+
+    @property
+    def has_failed(self) -> bool:
+        """True where changed parameters do not explain the newest samples, however few."""
+        return self._state.verdict == "refuted" or self._state.n_explained < FEWEST
+
+    def disturbance(self, held: Vector) -> Vector:
+        """Return the disturbance (c,), in the derivatives' units, that may act in place of changed parameters."""
+        state = self._state
+        if not state.n_since:
+            return state.offset * self._residuals.sigma
+        reference = state.reference_or(held)
+        found = disturbance_of(self._residuals.of_newest(reference, min(state.n_since, QUIET)))
+        return (state.offset + found.newest * state.scale.effective) * self._residuals.sigma
+
+    def _weigh(self, theta: Vector, held: Vector) -> None:
+        """Compare the hypotheses on the newest samples since the onset, fewer of them where nothing explains more."""
+        state, space = self._state, self._space
+        state.found_at, state.verdict = state.n_samples, "refuted"
+        reference = state.reference_or(held)
+        there = self._residuals.of_newest(theta, state.n_since)
+        for n in _shorter(state.n_since):
+            if self._wins(plain_fit(there[-n:], len(space)), reference, n):
+                return
+        z = space.to_unit(theta) if state.changed is None else state.changed
+        for n in [n for n in _LENGTHS if n <= state.n_since]:
+            found = changed_parameters(self._residuals.at_newest(n), z, self._residuals.times_of_newest(n))
+            if found.rate <= _RATE and self._wins(found.fit, reference, n):
+                state.changed = found.z
+                return
+
+    def _wins(self, parameters: Fit, reference: Vector, n: int) -> bool:
+        """Set the verdict where changed parameters are possible by their fit to the newest n samples."""
+        is_recorded = n == min(self._state.n_since, _LENGTHS[0])
+        if not (parameters.is_possible or is_recorded):
+            return False
+        before = self._residuals.of_newest(reference, n)
+        weighing = Weighing(parameters, disturbance_of(before).fit, plain_fit(before, 0))
+        if weighing.are_parameters_possible or is_recorded:
+            self._evidence.note(n, **vars(weighing))
+        if weighing.are_parameters_possible:
+            self._state.n_explained = n
+            self._state.n_spare = parameters.n_values - parameters.n_free
+            self._state.is_certain = weighing.are_parameters_certain
+            unproven: Judgement = "refuted" if self._state.is_resting.any() else "possible"
+            self._state.verdict = "warranted" if weighing.are_parameters_proven else unproven
+        return weighing.are_parameters_possible
+
+    def best(self, held: Vector, n: int, *, may_drift: bool) -> ChangedParameters:
+        """Return the parameters that explain the newest n samples best, whatever the search has found."""
+        changed = self._state.changed
+        z = self._space.to_unit(held) if changed is None else changed
+        times = self._residuals.times_of_newest(n) if may_drift else None
+        return changed_parameters(self._residuals.at_newest(n), z, times, may_drift=may_drift)
+
+    def is_changing(self, held: Vector, n: int) -> bool:
+        """Return whether parameters, constant ones or slowly changing, explain the newest n samples."""
+        found = self.best(held, n, may_drift=True)
+        self._evidence.note(n, parameters=found.fit)
+        return found.fit.is_explained and found.rate <= _RATE
+
+    def with_disturbance(self, held: Vector, n: int, channels: NDArray[np.bool_] | None = None) -> Disturbance | None:
+        """Return the constant disturbance that explains the newest n samples together with changed parameters.
+
+        channels (c,): those that it may act on; None for all.
+        """
+        space, acts = self._space, 1.0 if channels is None else channels
+
+        def left(z: Vector) -> Vector:
+            rows = self._residuals.of_newest(space.beyond(z), n)
+            return rows - acts * rows.mean(axis=-2, keepdims=True)
+
+        best = changed_parameters(OfMany(left), space.to_unit(held), may_drift=False)
+        rows = self._residuals.of_newest(space.beyond(best.z), n)
+        n_channels, mean = n_channels_of(rows), acts * rows.mean(axis=0)
+        n_free = n_channels if channels is None else int(np.count_nonzero(channels & rows.any(axis=0)))
+        fit = plain_fit(best.rows, len(space) + n_free, n * n_channels)
+        self._evidence.note(n, both=fit)
+        return Disturbance(mean, np.abs(mean), fit, True) if fit.is_explained else None
+
+    def changed_with_disturbance(self, held: Vector) -> Disturbance | None:
+        """Return by how much a known disturbance has changed together with the parameters; None where it has not.
+
+        What a constant force does to a derivative depends on the parameters. Nothing else may explain the samples since
+        the onset nearly as well.
+        """
+        state, n = self._state, self._state.n_since
+        both = self._with_known(held, n) if n >= LONG and n % 2 == 0 else None
+        if both is None or both.fit.n_values - both.fit.n_free < _SPARE:
+            return None
+        parameters = self.best(held, n, may_drift=True).fit
+        if parameters.is_explained:
+            return None
+        before = self._residuals.of_newest(state.reference_or(held), n)
+        others = (parameters, disturbance_of(before).fit, plain_fit(before, 0))
+        return both if both.fit.score + MARGIN <= min(fit.score for fit in others) else None
+
+    def may_be_parameters(self, held: Vector, n: int, disturbance: Fit) -> bool:
+        """Return whether changed parameters may explain the newest n samples that a disturbance explains.
+
+        Alone, or with another size of a disturbance that was known before; the latter not after many samples.
+        """
+        if self.is_changing(held, n):
+            return True
+        both = self._with_known(held, n) if self._state.n_since < WINDOW // 2 else None
+        return both is not None and both.fit.score < disturbance.score + MARGIN
+
+    def _with_known(self, held: Vector, n: int) -> Disturbance | None:
+        """Return the change of a known disturbance that explains the newest n samples with changed parameters."""
+        acts = (self._state.offset != 0.0) & ~self._state.is_resting
+        return self.with_disturbance(held, n, acts) if acts.any() else None
+
+    def lacking_channels(self, rows: Vector) -> NDArray[np.bool_]:
+        """Return the channels (c,) that residuals (n, c) are too large on; all that do not rest where there is none."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            squares = np.nan_to_num(np.sum(rows**2, axis=0), nan=np.inf)
+        lacks = squares > chi2_limit(FALSE_ALARM / rows.shape[1], len(rows))
+        return lacks if lacks.any() else ~self._state.is_resting
+
+    def adopt_noise(self, held: Vector) -> bool:
+        """Adopt a larger noise where that explains the samples since the onset, with those in force or the best ones.
+
+        Noise is what differs from sample to sample by as much as in the whole: what a model lacks is smooth.
+        """
+        state = self._state
+        if state.n_since < NOISY:
+            return False
+        few = min(state.n_since, WINDOW // 2)
+        best = self.best(held, few, may_drift=False).z
+        for n, z, least in ((state.n_since, self._space.to_unit(held), MUCH_LARGER), (few, best, LARGER)):
+            rows_at = self._residuals.at_newest(n)
+            rows = rows_at(z)
+            larger = np.maximum(spread_of(rows), 1.0)
+            if not np.all(np.isfinite(rows)) or np.all(larger < least):
+                continue
+            times = self._residuals.times_of_newest(n)
+            found = changed_parameters(OfMany(lambda z, f=rows_at, larger=larger: f(z) / larger), z, times)
+            if found.rate <= _RATE and found.fit.is_explained:
+                state.scale.enlarge(larger)
+                return True
+        return False
+
+
+def _shorter(n: int) -> Iterator[int]:
+    """Yield numbers of newest samples from n down to 6, each two thirds of the one before."""
+    while n > _LENGTHS[0]:
+        yield n
+        n = 2 * n // 3

@@ -1,0 +1,142 @@
+"""End of a suspicion as a disturbance explains the samples, or has passed."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..hypotheses import MARGIN, Disturbance, plain_fit
+from ..significance import FALSE_ALARM, chi2_limit
+from ..space import Vector
+from .comparison import FEWEST, QUIET
+from .lasting import LastingParameters
+from .record import DiagnosisRecord
+from .settings import DiagnosisSettings
+from .settled import Settled
+from .standardised_residuals import StandardisedResiduals
+from .state import DiagnosisState
+from .vain_searches import VainSearches
+from .wandering import agree
+
+_OVER: Final = 10
+"""Number of newest samples that show that a known disturbance is over."""
+_PASSED: Final = "a disturbance has passed: the parameters before it explain the samples again"
+
+
+class DisturbanceDiagnosis:
+    """Diagnosis of disturbances: a constant one is known then, and whatever has passed is named."""
+
+    def __init__(
+        self,
+        state: DiagnosisState,
+        residuals: StandardisedResiduals,
+        settings: DiagnosisSettings,
+        lasting: LastingParameters,
+        vain: VainSearches,
+        record: DiagnosisRecord,
+    ) -> None:
+        self._state, self._residuals, self._settings = state, residuals, settings
+        self._lasting, self._vain, self._record = lasting, vain, record
+
+    def adopt(self, t: float, found: Disturbance, before: Vector) -> Settled:
+        """End a suspicion as a disturbance explains the samples, with the parameters before them (d,)."""
+        state = self._state
+        state.end_suspicion()
+        offset = state.offset + found.newest * state.scale.effective
+        acts = _acting(np.maximum(found.largest, np.abs(offset) / state.scale.effective))
+        if found.is_constant:  # else it is another one in the next sample
+            state.offset, state.undisturbed = offset, before
+        how = "constant" if found.is_constant else "changing"
+        reason = f"a {how} disturbance explains the samples, changed parameters do not"
+        named = self._record.disturbance(t, offset, acts, reason, is_known=found.is_constant)
+        events = (named, *self._vain.count(t, acts))
+        return Settled(self._lasting.undone(before), events, True)  # a channel may have begun to rest
+
+    def take_change(self, change: Disturbance | None) -> bool:
+        """Take a change of the known disturbance that comes with changed parameters; return whether there is one."""
+        if change is not None:
+            self._state.offset = self._state.offset + change.newest * self._state.scale.effective
+        return change is not None
+
+    def has_passed(self, here: Vector, there: Vector, is_changed: bool, is_explained: bool) -> bool:
+        """Return whether the reference explains the newest samples again, and those in force do not explain all.
+
+        here, there: residuals (n, c) since the onset of the parameters in force and of the reference.
+        """
+        without = self._undisturbed(there)
+        newest = slice(-QUIET, None) if is_changed else slice(None)
+        before = plain_fit(without[newest], 0)
+        if not before.is_explained:
+            return False
+        if is_explained:
+            return is_changed and not plain_fit(here, 0).is_explained
+        return len(here) >= FEWEST and before.score + MARGIN <= plain_fit(here[newest], 0).score
+
+    def passed(self, t: float, before: Vector, rows: Vector, is_changed: bool) -> Settled:
+        """End a suspicion as the parameters before it (d,), whose residuals are rows (n, c), explain the samples again.
+
+        is_changed: true where others are in force. They are undone, and a disturbance that was not known is named.
+        """
+        state, lasting = self._state, self._state.lasting
+        largest = _largest(rows)
+        acts = _acting(np.abs(largest))
+        newest = min(len(rows), QUIET)
+        if lasting is not None and plain_fit(self._residuals.of_newest(lasting, newest), 0).is_explained:
+            before = lasting
+        events = ()
+        if np.any(state.offset):
+            events = (self._record.disturbance_over(t),)
+        elif is_changed and self._settings.n_unusual(rows) >= FEWEST:
+            events = (self._record.disturbance(t, largest * state.scale.effective, acts, _PASSED),)
+        state.offset, state.n_since = np.zeros(len(acts)), 0
+        if not is_changed:
+            return Settled(None, events, True)
+        events = (*events, *self._vain.count(t, acts))
+        return Settled(self._lasting.undone(before), events, True)
+
+    def over(self, t: float, held: Vector) -> Settled | None:
+        """Return to the parameters before a known disturbance where they explain the newest samples without it.
+
+        Those in force, held (d,), may have been written as it faded, and explain the difference.
+        """
+        state, before = self._state, self._state.undisturbed
+        if before is None or not np.any(state.offset) or len(state.samples) < _OVER:
+            return None
+        to_unit = self._residuals.space.to_unit
+        if agree(to_unit(before), to_unit(held)):
+            return None
+        there, here = self._residuals.of_newest(np.array([before, held]), _OVER)
+        there = self._undisturbed(there)
+        fit = plain_fit(there, 0)
+        if not fit.is_explained or fit.score > plain_fit(here, len(held)).score:
+            return None
+        return self.passed(t, before, there, True)
+
+    def _undisturbed(self, rows: Vector) -> Vector:
+        """Return residuals (n, c) as they are without the known disturbance."""
+        state = self._state
+        return rows + np.where(state.is_resting, 0.0, state.offset / state.scale.effective)
+
+    def await_end(self, rows: Vector) -> None:
+        """Take the residuals (n, c) that a search in vain leaves: those of a disturbance, should they pass."""
+        self._state.largest_in_vain = _largest(rows)
+
+    def passed_since(self, t: float) -> Settled | None:
+        """Name a disturbance, the last search being in vain, as the parameters before it explain the samples again."""
+        state, largest = self._state, self._state.largest_in_vain
+        if largest is None or state.n_quiet < QUIET or np.any(state.offset):
+            return None
+        state.largest_in_vain = None
+        event = self._record.disturbance(t, largest * state.scale.effective, _acting(np.abs(largest)), _PASSED)
+        return Settled(None, (event,), True)
+
+
+def _largest(rows: Vector) -> Vector:
+    """Return the value (c,) of largest size in each column of rows (n, c)."""
+    return rows[np.abs(rows).argmax(axis=0), np.arange(rows.shape[1])]
+
+
+def _acting(largest: Vector) -> NDArray[np.bool_]:
+    """Return which channels (c,) a disturbance acts on, from its largest size (c,) there: one at least."""
+    acts = largest > np.sqrt(chi2_limit(FALSE_ALARM, 1))
+    return acts if acts.any() else largest >= largest.max()

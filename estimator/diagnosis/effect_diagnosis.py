@@ -1,0 +1,117 @@
+"""End of a suspicion as something that the model lacks explains the samples: a lag, friction, or a larger noise."""
+
+from typing import Final
+
+import numpy as np
+
+from ..effects.friction import FoundFriction
+from ..effects.known_effects import Explanation
+from ..hypotheses import MARGIN, NEVER, plain_fit
+from ..space import Vector
+from .friction_comparison import FrictionComparison
+from .lag_comparison import LagComparison
+from .lasting import LastingParameters
+from .record import DiagnosisRecord
+from .settled import Settled
+from .standardised_residuals import StandardisedResiduals
+from .state import DiagnosisState
+
+_EARLIEST: Final = 16
+"""Least number of samples since the parameters that lasted were contradicted, in which an effect is sought again."""
+
+
+class EffectDiagnosis:
+    """Diagnosis of what the model lacks, whose size is known then."""
+
+    def __init__(
+        self,
+        state: DiagnosisState,
+        residuals: StandardisedResiduals,
+        lag: LagComparison,
+        friction: FrictionComparison,
+        lasting: LastingParameters,
+        record: DiagnosisRecord,
+    ) -> None:
+        self._state, self._residuals, self._record = state, residuals, record
+        self._lag, self._friction, self._lasting = lag, friction, lasting
+
+    def larger_noise(self, reference: Vector, held: Vector, n: int) -> Settled:
+        """End a suspicion as the noise is larger than was known at the onset: nothing has happened since.
+
+        What lasted returns where it explains the newest n samples, too; else the reference (d,), a search's own finding
+        perhaps, where it explains them better than what is held (d,).
+        """
+        nothing = self.only_noise(n)
+        if nothing is not None:
+            return nothing
+        of_newest = self._residuals.of_newest
+        self._state.end_suspicion()
+        here, there = (float(np.sum(of_newest(theta, n) ** 2)) for theta in (held, reference))
+        return Settled(self._lasting.undone(reference) if there < here else None, ends_search=True)
+
+    def only_noise(self, n: int) -> Settled | None:
+        """Return to the parameters that lasted where they explain the newest n samples: nothing has happened."""
+        lasting = self._state.lasting
+        if lasting is None or not plain_fit(self._residuals.of_newest(lasting, n), 0).is_explained:
+            return None
+        self._state.end_suspicion()
+        return Settled(lasting, ends_search=True)
+
+    def lacking(self, reference: Vector) -> Explanation | None:
+        """Return the lag or the friction that explains the samples since the parameters that lasted, or None."""
+        late = self._lag.since_lasting(reference)
+        return self._friction.since_lasting(reference) if late is None else late
+
+    def adopt(self, t: float, effect: Explanation) -> Settled:
+        """End a suspicion as an effect that the model lacks explains the samples, or the end of one does."""
+        state, found = self._state, effect.found
+        state.offset = effect.offset
+        if isinstance(found, FoundFriction):
+            state.friction = found.friction
+            return self.adopt_friction(t, effect.theta)
+        state.end_suspicion()
+        state.inputs.adopt(found)
+        return Settled(self._lasting.undone(effect.theta), (self._record.lag(t, found.lag),), True)
+
+    def adopt_friction(self, t: float, theta: Vector | None) -> Settled:
+        """End a suspicion, and all rests, as known friction explains the samples; return to theta (d,) where given."""
+        state = self._state
+        state.end_suspicion()
+        state.n_failures = 0
+        state.wake_all()
+        event = self._record.friction(t)
+        return Settled(None if theta is None else self._lasting.undone(theta), (event,), True)
+
+    def late(self, t: float, held: Vector) -> Settled | None:
+        """Return to the parameters that lasted where what the model lacks explains the samples since.
+
+        Other parameters, held (d,), or a constant disturbance have followed it, or channels rest for it.
+        """
+        state = self._state
+        if state.lasting is None or not self._is_due():
+            return None
+        rests = bool(state.is_resting.any())
+        is_followed = np.any(state.offset) or not np.array_equal(held, state.lasting)
+        if not (rests or is_followed or state.n_since):
+            return None
+        rows, space = self._residuals.rows, self._residuals.space
+        followed = NEVER if rests else plain_fit(rows(held, state.every_since_lasting), len(space))
+        if followed.is_explained:
+            return None
+        found = self._friction.since_lasting(state.lasting) if state.n_since else self.lacking(state.lasting)
+        if found is None and self._friction.take_beside(held):
+            state.way = state.way.begin(space.to_unit(held))
+            return self.adopt_friction(t, None)
+        return None if found is None or found.fit.score + MARGIN > followed.score else self.adopt(t, found)
+
+    def _is_due(self) -> bool:
+        """Return whether an effect is to be sought in the samples since the parameters that lasted were contradicted.
+
+        That is after 16 samples, and then each time after half as many more.
+        """
+        state = self._state
+        n = state.n_samples - state.lasting_at
+        if n < _EARLIEST or state.n_samples < state.next_effect:
+            return False
+        state.next_effect = state.n_samples + n // 2
+        return True

@@ -1,0 +1,332 @@
+"""Diagnosis for objectives that judge whole sequences of samples: simulations, and functions of the user's.
+
+The lumped disturbance is a constant added to each of the plant's inputs; its effect is found by simulating with inputs
+moved aside. Otherwise as `diagnosis`.
+"""
+
+from collections import Counter
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+import numpy as np
+
+from ..episode_window import EpisodeWindow
+from ..events import Event
+from ..hypotheses import MARGIN, NEVER, Fit, Weighing, changed_parameters, plain_fit
+from ..objective import DIFFERENCE_STEP
+from ..samples import Sample
+from ..space import ParameterSpace, Vector
+from ..triggers import Trigger
+from .evidence import Evidence
+from .residual_scale import LARGER, MUCH_LARGER, NOISY, ResidualScale, is_rough, spread_of
+from .resting import RestingResiduals
+from .settings import (
+    BETTER,
+    FORGOTTEN,
+    KINDS,
+    MOST_NAMED,
+    PATIENCE,
+    DiagnosisSettings,
+    Judgement,
+    is_at_unseen_bound,
+)
+from .state import channel_summary
+
+_ASIDE: Final = 0.01
+"""First step of differences in an input, as a share of its largest size."""
+_SMALL, _LARGE = 0.01, 10.0
+"""Root mean square moves of the residual, in standard deviations, that such a step may make."""
+_MORE: Final = "parameters and a disturbance explained fewer samples equally well"
+"""Reason of an episode on a longer window."""
+
+
+@dataclass
+class _State:
+    """All that changes from sample to sample; arrays are replaced, never changed."""
+
+    scale: ResidualScale
+    inputs: Vector
+    """Known disturbance (p,) of the plant's inputs."""
+    lasting: Vector | None = None
+    """Parameters (d,) in force when the samples contradicted them after a long time; None before that."""
+    suspected_at: int = 0
+    """Number of the last sample that contradicted those in force."""
+    n_failures: int = 0
+    n_quiet: int = 0
+    n_samples: int = 0
+    rests_until: int = 0
+    counts: Counter[str] = field(default_factory=Counter[str])
+    """Number of events of each kind."""
+    named: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
+    """The newest disturbances with their times [s] and sizes; replaced, never changed."""
+    rested: list[Vector] = field(default_factory=list[Vector])
+    """Residuals (c,) at the parameters in force since the last rest began."""
+    resting: RestingResiduals = field(default_factory=RestingResiduals)
+    """Their sizes."""
+
+
+@dataclass(frozen=True)
+class _Disturbed:
+    """Sequence explained by the parameters in force and a constant disturbance of the inputs."""
+
+    inputs: Vector
+    """Disturbance (p,)."""
+    fit: Fit
+
+
+class EpisodeDiagnosis:
+    """Diagnosis on an `EpisodeWindow`."""
+
+    def __init__(
+        self,
+        window: EpisodeWindow,
+        outputs: tuple[str, ...],
+        inputs: tuple[str, ...],
+        settings: DiagnosisSettings,
+        space: ParameterSpace,
+        driven: Collection[str] | None = None,
+    ) -> None:
+        """outputs: names of the channels; one for a function of the user's; inputs: names of the plant's.
+
+        driven: those of the inputs that disturbances are added to; others may do the same as they; by default all.
+        """
+        self._driven = [i for i, name in enumerate(inputs) if driven is None or name in driven]
+        self._window, self._outputs, self._inputs = window, outputs, inputs
+        self._settings, self.space = settings, space
+        self.evidence = Evidence()
+        self._state = _State(ResidualScale(len(outputs)), np.zeros(len(inputs)))
+        self._known: tuple[object, bytes, _Disturbed] | None = None
+        self._newest: Vector = np.empty(0)
+        self._verdict: Judgement = "refuted"
+        self._judged: object = None  # the sequence that the verdict is about
+        self._searched: object = None  # the sequence on which other parameters than the estimator's were tried
+
+    def summary(self) -> dict[str, Any]:
+        """Return what is known of each output and input, and the number of events of each kind, as JSON values."""
+        state = self._state
+        rests = state.n_samples < state.rests_until
+        channels = {n: row | {"is_resting": rests} for n, row in channel_summary(self._outputs, state.scale)}
+        inputs = dict(zip(self._inputs, state.inputs.tolist(), strict=True))
+        counts = {kind: state.counts[kind] for kind in KINDS}
+        return {"channels": channels, "inputs": inputs, "disturbances": state.named} | counts
+
+    def corrected(self, sample: Sample) -> Sample:
+        """Return the sample with the known disturbance added to its inputs."""
+        if not np.any(self._state.inputs):
+            return sample
+        return replace(sample, u=tuple((np.array(sample.u) + self._state.inputs).tolist()))
+
+    def reason(self, trigger: Trigger, sample: Sample, tracking_error: float, theta: Vector) -> str | None:
+        """Return the trigger's reason to begin an episode; None where the samples do not contradict theta (d,)."""
+        state = self._state
+        state.n_samples += 1
+        residual = self._newest = self._window.track(theta)
+        if not len(residual):  # a simulation has failed, if there are samples
+            return trigger(sample, tracking_error, theta) if self._window.n_tracked else None
+        newest = residual.reshape(len(self._outputs), -1)[:, -1]
+        newest = newest if self._window.weights is None else newest / self._window.weights
+        if state.n_samples < state.rests_until:
+            if np.all(np.isfinite(newest)):
+                state.rested.append(newest)
+                state.resting = state.resting.take(newest)
+            if self._is_rest_over():
+                self._window.weights = 1.0 / state.scale.effective
+            return None
+        if self._window.is_extended:
+            return _MORE if self._window.is_ready else None
+        if self._settings.is_usual(residual, len(residual)):
+            self._quiet(newest)
+            return None
+        if state.lasting is None or state.n_samples >= state.suspected_at + FORGOTTEN:
+            state.lasting = theta
+        state.suspected_at = state.n_samples
+        return trigger(sample, tracking_error, theta)
+
+    def innovation(self, theta: Vector, sample: Sample) -> Vector:
+        """Return the residual (D,) that `reason` has computed for this sample: a simulation is not continued twice."""
+        return self._newest
+
+    def judge(self, theta: Vector, held: Vector) -> Judgement:
+        """Return whether parameters theta (d,) in place of those in force are warranted by the sequence."""
+        window, space = self._window, self.space
+        if window.sequence is not self._judged:
+            self._judged, self._verdict = window.sequence, "refuted"
+        here = _fit(window.whitened(held), 0)
+        there = _fit(window.whitened(theta), len(space))
+        self._note(nothing=here, parameters=there)
+        if there.is_explained:
+            self._compare(there, here, held)
+        elif self._verdict == "refuted" and window.sequence is not self._searched:
+            self._searched = window.sequence
+            rows_at = lambda z: window.whitened(space.from_unit(np.clip(z, 0.0, 1.0)))[:, None]  # noqa: E731
+            found = changed_parameters(
+                rows_at, space.to_unit(theta), iterations=8, step=DIFFERENCE_STEP, may_drift=False
+            )
+            self._note(parameters=found.fit)
+            if found.fit.is_explained:
+                self._compare(found.fit, here, held)
+        is_better = there.is_explained or there.squares < BETTER * here.squares
+        return self._verdict if is_better else "refuted"
+
+    def _compare(self, parameters: Fit, nothing: Fit, held: Vector) -> None:
+        weighing = Weighing(parameters, self._disturbed(held).fit, nothing)
+        self._note(**vars(weighing))
+        if weighing.are_parameters_possible:
+            self._verdict = "warranted" if weighing.are_parameters_proven else "possible"
+
+    def _note(self, **fits: Fit) -> None:
+        if self._window.sequence is not None:
+            self.evidence.note(self._window.sequence.n_steps, **fits)
+
+    def is_at_unseen_bound(self, theta: Vector, std: Vector, held: Vector) -> bool:
+        """Return whether a parameter would move to a bound although its standard deviation is as wide as the bounds."""
+        return is_at_unseen_bound(self.space, theta, std, held)
+
+    def disturbance(self, held: Vector) -> Vector:
+        """Return the disturbance (p,) of the inputs that may act in place of changed parameters."""
+        return self._state.inputs + self._disturbed(held).inputs
+
+    def accepted(self, before: Vector) -> Vector:
+        """Return the parameters (d,) to go back to from a search in vain: those before it, or those that lasted.
+
+        The latter where they explain the sequence better: a search has followed something that came and went.
+        """
+        lasting = self._state.lasting
+        if lasting is None or self.space.are_same(lasting, before):
+            return before
+        of_lasting, of_before = (_fit(self._window.whitened(theta), 0).score for theta in (lasting, before))
+        return lasting if of_lasting + MARGIN <= of_before else before
+
+    def fail(self, t: float, theta: Vector | None, held: Vector) -> tuple[Event, ...]:
+        """Take the end of a search that has found no parameters, theta (d,) being the best; return the events.
+
+        There is none where the noise is larger than was known, and nothing has happened.
+        """
+        state = self._state
+        if self._adopt_noise(theta, held):
+            return ()
+        disturbed = self._disturbed(held)
+        self._note(disturbance=disturbed.fit)
+        state.n_failures += 1
+        if disturbed.fit.is_explained:
+            now = state.inputs + disturbed.inputs
+            is_over = bool(np.any(state.inputs)) and _fit(self._moved(held, -state.inputs), 0).is_explained
+            state.inputs = np.zeros(len(now)) if is_over else now
+            size = {} if is_over else dict(zip(self._inputs, now.tolist(), strict=True))
+            reason = "the disturbance is over" if is_over else (
+                "a constant disturbance of the inputs explains the samples, changed parameters do not"
+            )  # fmt: skip
+            event = Event(t, "disturbance", {"size": size, "is_known": True, "reason": reason})
+            state.named = [*state.named, *([] if is_over else [{"t": t, "size": size}])][-MOST_NAMED:]
+        else:
+            reason = f"no parameters explain {', '.join(self._outputs)}"
+            event = Event(t, "unexplained", {"channels": list(self._outputs), "reason": reason})
+        state.counts[event.kind] += 1
+        if state.n_failures < PATIENCE:
+            return (event,)
+        state.counts["rest"] += 1
+        if len(state.rested) > 1:
+            state.scale.admit(np.array(state.rested))
+            self._window.weights = 1.0 / state.scale.effective
+        length = self._settings.rest_length(state.n_failures)
+        state.rests_until = state.n_samples + length
+        state.rested.clear()
+        state.resting = RestingResiduals()
+        reason = f"{state.n_failures} searches in vain: re-tuning rests for {length} samples"
+        return event, Event(t, "rest", {"channels": list(self._outputs), "n_samples": length, "reason": reason})
+
+    def _adopt_noise(self, theta: Vector | None, held: Vector) -> bool:
+        """Adopt a larger noise where that explains the sequence, with the parameters in force or the best ones.
+
+        Noise is what differs from sample to sample by as much as in the whole: what a model lacks is smooth.
+        """
+        for candidate, least in ((held, MUCH_LARGER), (theta, LARGER)):
+            residual = np.empty(0) if candidate is None else self._window.whitened(candidate)
+            if len(residual) % len(self._outputs) or len(residual) < NOISY * len(self._outputs):
+                continue
+            rows = residual.reshape(len(self._outputs), -1).T
+            if not np.all(np.isfinite(rows)) or not is_rough(rows):
+                continue
+            larger = np.maximum(spread_of(rows), 1.0)
+            if larger.max() >= least and plain_fit(rows / larger, 0).is_explained:
+                self._state.scale.enlarge(larger)
+                self._window.weights = 1.0 / self._state.scale.effective
+                return True
+        return False
+
+    def _is_rest_over(self) -> bool:
+        """Return whether a rest ends with another scale of the residuals; early where something has happened."""
+        state = self._state
+        if state.resting.is_outgrown:
+            self.evidence.outgrown(self._outputs, state.resting)
+            state.rests_until = state.n_samples
+            return state.scale.admit(np.array(state.rested[: state.resting.n_usual - state.resting.n_samples]))
+        return state.n_samples == state.rests_until - 1 and state.scale.wake(np.array(state.rested))
+
+    def wait(self) -> bool:
+        """Wait for more samples, on which the next episode begins; return False where there are many already."""
+        return self._window.extend()
+
+    def succeed(self) -> None:
+        """Take the end of a search that has found parameters: earlier failures count less."""
+        self._state.n_failures = max(self._state.n_failures - 1, 0)
+
+    def _quiet(self, newest: Vector) -> None:
+        state = self._state
+        state.n_quiet += 1
+        if state.n_quiet >= FORGOTTEN:
+            state.n_quiet, state.n_failures = 0, max(state.n_failures - 1, 0)
+        if np.all(np.isfinite(newest)) and state.scale.learn(newest):
+            self._window.weights = 1.0 / state.scale.effective
+
+    def _disturbed(self, held: Vector) -> _Disturbed:
+        """Return the disturbance of the inputs that explains the sequence best, by two Gauss-Newton steps."""
+        window = self._window
+        key = (window.sequence, held.tobytes())
+        if self._known is not None and self._known[0] is key[0] and self._known[1] == key[1]:
+            return self._known[2]
+        found = self._search_disturbance(held)
+        self._known = (*key, found)
+        return found
+
+    def _search_disturbance(self, held: Vector) -> _Disturbed:
+        d, driven = np.zeros(len(self._inputs)), self._driven
+        residual = self._window.whitened(held)
+        if not driven or not np.all(np.isfinite(residual)):
+            return _Disturbed(d, NEVER)
+        slopes = np.column_stack([self._slope(held, i, residual) for i in driven])
+        if not np.all(np.isfinite(slopes)) or not np.any(slopes):
+            return _Disturbed(d, NEVER)
+        best = _fit(residual, len(driven))
+        for _ in range(2):
+            tried = d.copy()
+            tried[driven] -= np.linalg.lstsq(slopes, residual, rcond=1e-7)[0]
+            there = self._moved(held, tried)
+            fit = _fit(there, len(driven))
+            if not fit.squares < best.squares:
+                break
+            d, residual, best = tried, there, fit
+        return _Disturbed(d, best)
+
+    def _slope(self, held: Vector, i: int, residual: Vector) -> Vector:
+        """Return the slope (D,) of the residual at held (d,) in input i, by a difference of that input.
+
+        The difference is a hundredth of the largest input. Where that moves the residual by far more or less than
+        noise does, it is taken again, so that input's unit does not matter.
+        """
+        step = _ASIDE * (self._window.largest_inputs()[i] or 1.0)
+        aside = np.eye(len(self._inputs))[i]
+        move = self._moved(held, step * aside) - residual
+        size = float(np.sqrt(np.mean(move**2)))
+        if size > 0.0 and not _SMALL < size < _LARGE:
+            step = step / size if np.isfinite(size) else step * _SMALL
+            move = self._moved(held, step * aside) - residual
+        return move / step
+
+    def _moved(self, theta: Vector, inputs: Vector) -> Vector:
+        return self._window.with_inputs(theta, inputs)
+
+
+def _fit(residual: Vector, n_free: int) -> Fit:
+    return plain_fit(residual, n_free, len(residual))

@@ -1,0 +1,49 @@
+"""Evidence of a diagnosis for the record: the hypotheses that it has compared, and why it has ended a rest."""
+
+from collections.abc import Sequence
+from math import isfinite
+
+import numpy as np
+
+from ..events import Event
+from ..hypotheses import Fit
+from .resting import RestingResiduals
+
+
+class Evidence:
+    """Fits of the hypotheses that were compared last, until they are recorded.
+
+    `nothing`: the parameters in force; `parameters`: changed ones; `disturbance`: one with the parameters before it;
+    `both`: changed parameters and a constant disturbance; `lag`: inputs that arrive late.
+    """
+
+    def __init__(self) -> None:
+        self._n_samples = 0
+        self._fits: dict[str, Fit] = {}
+        self._outgrown: tuple[str, float] | None = None
+
+    def outgrown(self, names: Sequence[str], residuals: RestingResiduals) -> None:
+        """Take the end of a rest whose residuals have outgrown all before in it; names (c,): of the channels."""
+        largest = int(np.argmax(residuals.growth))
+        self._outgrown = names[largest], float(residuals.growth[largest])
+
+    def note(self, n_samples: int, **fits: Fit) -> None:
+        """Take fits of hypotheses to the newest n samples, in place of any to another number of samples."""
+        known = self._fits if n_samples == self._n_samples else {}
+        self._n_samples, self._fits = n_samples, known | fits
+
+    def events(self, t: float) -> tuple[Event, ...]:
+        """Return the events at t [s]: a rest's end, a comparison of parameters with a disturbance; begin anew."""
+        n_samples, fits, outgrown = self._n_samples, self._fits, self._outgrown
+        self._n_samples, self._fits, self._outgrown = 0, {}, None
+        ended = () if outgrown is None else (_end_of_rest(t, *outgrown),)
+        if not {"parameters", "disturbance"} <= fits.keys():
+            return ended
+        scores = {name: fit.score if isfinite(fit.score) else None for name, fit in fits.items()}
+        explained = [name for name, fit in fits.items() if fit.is_explained]
+        return (*ended, Event(t, "evidence", {"n_samples": n_samples, "scores": scores, "explained": explained}))
+
+
+def _end_of_rest(t: float, name: str, growth: float) -> Event:
+    reason = f"the residual of {name} is {growth:.2g} times as large as any before in the rest, which ends"
+    return Event(t, "rest", {"channels": [name], "n_samples": 0, "reason": reason})

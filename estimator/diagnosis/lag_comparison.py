@@ -1,0 +1,98 @@
+"""Comparison of late inputs with the other hypotheses: a lag must explain samples that no disturbance explains.
+
+It has one value, and what arrives first where that is not known.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import inf
+
+import numpy as np
+
+from ..effects.input_lag import NO_LAG, FoundLag
+from ..effects.known_effects import Explanation
+from ..hypotheses import MARGIN, disturbance_of
+from ..samples import Sample, Samples
+from ..space import Vector
+from .comparison import LONG, QUIET
+from .evidence import Evidence
+from .standardised_residuals import StandardisedResiduals
+from .state import DiagnosisState
+
+
+class LagComparison:
+    """Search for the lag that explains samples better than a disturbance, constant or changing smoothly."""
+
+    def __init__(self, state: DiagnosisState, residuals: StandardisedResiduals, evidence: Evidence) -> None:
+        self._state, self._residuals, self._evidence = state, residuals, evidence
+
+    @property
+    def is_due(self) -> bool:
+        """True where a lag is to be sought: half as many restless samples after the last time."""
+        return self._state.n_samples >= self._state.next_lag
+
+    def in_newest(self, reference: Vector, n: int) -> Explanation | None:
+        """Return the lag that explains all samples since it last was quiet, or the newest n; None without one."""
+        state = self._state
+        restless = state.n_samples - state.restless_since
+        state.next_lag = state.n_samples + max(n // 2, restless // 2)
+        longest = min(restless + 1, len(state.samples))
+        found = (self._explaining(state.samples[-m:], reference) for m in dict.fromkeys((max(longest, n), n)))
+        return next((late for late in found if late is not None), None)
+
+    def since_lasting(self, reference: Vector) -> Explanation | None:
+        """Return the lag that explains the samples since other parameters than the reference were tried, or None.
+
+        A drift of parameters and a smooth disturbance explain the newest samples of a lag as well.
+        """
+        samples = [s for s in self._state.since_lasting if s.t >= self._state.inputs.begin]
+        return self._explaining(samples, reference, is_long=True) if len(samples) >= LONG else None
+
+    def take_again(self, held: Vector) -> bool:
+        """Take a better value of a lag that is known, where with it nothing contradicts parameters (d,) any more."""
+        state = self._state
+        samples = [sample for sample in state.samples if sample.t >= state.inputs.begin] if state.inputs.lag else []
+        lag = self._best(held, samples, state.offset) if len(samples) >= QUIET else NO_LAG
+        if not lag.lag or not lag.fit.is_explained:
+            return False
+        state.inputs.adopt(lag)
+        return True
+
+    def _explaining(self, samples: Sequence[Sample], reference: Vector, *, is_long: bool = False) -> Explanation | None:
+        """Return the lag that explains samples which no disturbance explains, or as well if these are many; or None.
+
+        With the reference (d,), with the parameters that lasted, or with these and no disturbance known.
+        """
+        state, n = self._state, len(samples)
+        disturbance = disturbance_of(self._residuals.rows(reference, samples)).fit
+        is_over = disturbance.is_explained and not is_long  # then, a known lag at most
+        if is_over and not state.inputs.lag:
+            return None
+        lasting = reference if state.lasting is None else state.lasting
+        bases = [(reference, state.offset), (lasting, state.offset), (lasting, np.zeros_like(state.offset))]
+        for theta, offset in {(theta.tobytes(), offset.tobytes()): (theta, offset) for theta, offset in bases}.values():
+            found = self._best(theta, samples, offset)
+            self._evidence.note(n, lag=found.fit)
+            if not (found.lag or state.inputs.lag):  # no lag, before or now
+                continue
+            margin = MARGIN if not is_over else inf if found.lag else 0.0
+            if found.fit.is_explained and found.fit.score + margin <= disturbance.score:
+                return Explanation(found, theta, offset, n)
+        return None
+
+    def _best(self, theta: Vector, samples: Sequence[Sample], offset: Vector) -> FoundLag:
+        """Return the lag of the inputs, or none, that explains samples with parameters (d,).
+
+        offset (c,): known disturbance, in standard deviations of the declared noise.
+        """
+        history, friction, residuals = self._state.inputs, self._state.friction, self._residuals
+        if samples[0].t < history.begin:
+            return NO_LAG
+        known = replace(residuals.known, disturbance=offset * residuals.sigma, arriving={})
+        corrected = Samples(known.without(sample) for sample in samples)
+        lost = np.array([friction.without(replace(s, u=(0.0,) * len(s.u))).u for s in samples]) if friction else 0.0
+
+        def rows_with(inputs: Vector) -> Vector:
+            return residuals.scaled_rows_with(inputs + lost, theta, corrected)
+
+        return history.search(rows_with, [sample.t for sample in samples])

@@ -1,0 +1,126 @@
+"""Residual scale: the size of what the model leaves unexplained, learnt while nothing happens."""
+
+from collections import deque
+from typing import Final
+
+import numpy as np
+
+from ..space import Vector
+
+_MEMORY: Final = 200
+"""Number of samples that the scale is estimated from."""
+_FEWEST: Final = 100
+"""Least number of samples that give an estimate."""
+_DEAD_BAND: Final = 1.5
+"""Scale below which the declared noise stands: a median of so few samples is no better."""
+_AT_ONCE: Final = 30
+"""Least number of samples that give an estimate after a rest."""
+_STEP: Final = 1.2
+"""Factor by which an estimate must differ from the scale in use to replace it."""
+_MAD: Final = 1.4826
+"""Ratio of a normal variable's standard deviation to its median absolute deviation."""
+NOISY: Final = 8
+"""Least number of samples that show a larger noise than the declared one."""
+LARGER: Final = 1.3
+"""Factor by which it must be larger."""
+MUCH_LARGER: Final = 3.0
+"""Factor where the parameters in force stay: they are not fitted, and a smaller one may be what the model lacks."""
+
+
+class ResidualScale:
+    """Scale s (c,) >= 1 of whitened residuals, and their correlation from one sample to the next, channel by channel.
+
+    s = 1.4826 median |r| while the parameters in force are accepted: Mehra (1970), "On the identification of variances
+    and adaptive Kalman filtering", with a median in place of the mean, which outliers would move. A residual that
+    drifts is no noise: while nothing has been found wanting the spread is that of the differences from sample to
+    sample, |r_k - r_(k-1)| / sqrt(2), which a slow change of a parameter leaves as it is.
+    """
+
+    def __init__(self, n_channels: int) -> None:
+        self.values = np.ones(n_channels)
+        """s (c,), in standard deviations of the declared noise."""
+        self.correlations = np.zeros(n_channels)
+        """Correlation rho (c,) of the residual with that of the sample before, at least 0."""
+        self.effective = np.ones(n_channels)
+        """Scale (c,) that counts samples as if they were independent: s sqrt((1 + rho) / (1 - rho))."""
+        self._admitted = np.zeros(n_channels)  # what the model lacks, noise apart
+        self.observed: Vector | None = None
+        """Spread (c,) of the residuals at the last estimate, which may be below one; None before the first."""
+        self._rows: deque[Vector] = deque(maxlen=_MEMORY)
+        self._since_update = 0
+
+    def copy(self) -> "ResidualScale":
+        """Return an independent copy."""
+        other = ResidualScale(len(self.values))
+        other.values, other.correlations, other.observed = self.values, self.correlations, self.observed
+        other.effective, other._admitted = self.effective, self._admitted
+        other._rows, other._since_update = deque(self._rows, maxlen=_MEMORY), self._since_update
+        return other
+
+    def learn(self, row: Vector) -> bool:
+        """Take the residual (c,) of a sample at which nothing happened; return whether the scale has changed."""
+        self._rows.append(row)
+        self._since_update += 1
+        if len(self._rows) < _FEWEST or self._since_update < _FEWEST:
+            return False
+        self._since_update = 0
+        rows = np.array(self._rows)
+        spread = spread_of(rows)
+        # What was learnt of a lacking model is kept as long as the residuals are of that size.
+        known = np.minimum(self._admitted, _MAD * np.median(np.abs(rows), axis=0))
+        self.observed = np.maximum(spread, known)
+        return self._adopt(self.observed, rows)
+
+    def enlarge(self, factors: Vector) -> None:
+        """Multiply the scale by factors (c,)."""
+        self.values = self.values * factors
+        self._count_correlations()
+        self._rows.clear()
+
+    def admit(self, rows: Vector) -> bool:
+        """Take residuals (n, c) that no parameters explain for the model's usual error; return whether it changed."""
+        self._rows.clear()
+        self._since_update = 0
+        if len(rows) < 2:
+            return False
+        self._admitted = np.maximum(self._admitted, np.sqrt(np.mean(rows**2, axis=0)))
+        return self._adopt(np.maximum(self.values, self._admitted), rows)
+
+    def wake(self, rows: Vector) -> bool:
+        """Take the residuals (n, c) of a rest, of which only the noise is believed; return whether it changed."""
+        if len(rows) < _AT_ONCE:
+            return False
+        return self._adopt(np.maximum(self.values, spread_of(rows)), rows)
+
+    def _adopt(self, found: Vector, rows: Vector) -> bool:
+        found = np.where(found < _DEAD_BAND, 1.0, found)
+        ratio = np.maximum(found / self.values, self.values / found)
+        if np.all(ratio < _STEP):
+            return False
+        self.values = np.where(ratio < _STEP, self.values, found)
+        found = np.where(np.any(rows != 0.0, axis=0), _lag_one(rows), self.correlations)
+        self.correlations = np.where(self.values > 1.0, found, 0.0)
+        self._count_correlations()
+        return True
+
+    def _count_correlations(self) -> None:
+        self.effective = self.values * np.sqrt((1.0 + self.correlations) / (1.0 - self.correlations))
+
+
+def is_rough(rows: Vector) -> bool:
+    """Return whether rows (n, c) change from one to the next by as much as noise does: of white noise the squares of
+    the differences are twice its own, von Neumann (1941), of what changes smoothly they are less than once."""
+    return bool(np.sum((rows[1:] - rows[:-1]) ** 2) >= np.sum(rows**2))
+
+
+def spread_of(rows: Vector) -> Vector:
+    """Return the standard deviation (c,) of white noise in rows (n, c), from their differences: robust, and blind to
+    whatever changes slowly."""
+    return _MAD * np.median(np.abs(np.diff(rows, axis=0)), axis=0) / np.sqrt(2.0)
+
+
+def _lag_one(rows: Vector) -> Vector:
+    """Return the correlation (c,) of each channel of rows (n, c) with itself a sample earlier, in [0, 0.95]."""
+    total = np.sum(rows**2, axis=0)
+    shared = np.sum(rows[1:] * rows[:-1], axis=0)
+    return np.clip(np.divide(shared, total, out=np.zeros(len(total)), where=total > 0.0), 0.0, 0.95)

@@ -1,0 +1,65 @@
+"""Residuals of a rest: whether they have grown far beyond what they long were in it, so that something has happened."""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from ..space import Vector
+
+_NEWEST: Final = 5
+"""Number of newest residuals whose median size is compared."""
+_FEWEST: Final = 30
+"""Least number of residuals before them: fewer are no measure of what the model lacks."""
+_LONGER: Final = 1.25
+"""Ratio of the numbers of residuals at which their largest one is taken over."""
+_FAR: Final = 3.0
+"""Ratio to the largest one before that is no course of what the model lacks."""
+
+
+@dataclass(frozen=True)
+class RestingResiduals:
+    """Sizes of residuals (c,) at the parameters in force since the rest began.
+
+    The newest are compared with the first two thirds or so: what has happened may have grown slowly.
+    """
+
+    n_samples: int = 0
+    """Number of residuals."""
+    n_usual: int = _FEWEST
+    """Number of the first ones, which the newest are compared with."""
+    n_later: int = int(_LONGER * _FEWEST)
+    """Number of the first ones at some later time."""
+    usual: Vector | float = 0.0
+    """Largest size (c,) of the first ones."""
+    later: Vector | float = 0.0
+    """Largest size (c,) of those that will be among them next."""
+    since: Vector | float = 0.0
+    """Largest size (c,) after these."""
+    newest: tuple[Vector, ...] = ()
+    """Newest sizes, each (c,)."""
+
+    def take(self, residual: Vector) -> "RestingResiduals":
+        """Return the sizes with one more residual (c,); NaN is none."""
+        size = np.nan_to_num(np.abs(residual), nan=0.0)
+        n, newest = self.n_samples + 1, (*self.newest, size)[-_NEWEST:]
+        if n <= self.n_usual:
+            return replace(self, n_samples=n, newest=newest, usual=np.maximum(self.usual, size))
+        if n <= self.n_later:
+            return replace(self, n_samples=n, newest=newest, later=np.maximum(self.later, size))
+        since = np.maximum(self.since, size)
+        n_next = int(_LONGER * self.n_later)
+        if n < n_next:
+            return replace(self, n_samples=n, newest=newest, since=since)
+        usual = np.maximum(self.usual, self.later)
+        return RestingResiduals(n, self.n_later, n_next, usual, since, 0.0, newest)
+
+    @property
+    def growth(self) -> Vector:
+        """Ratio (c,) of the newest sizes' median to the largest usual one, or to a standard deviation."""
+        return np.median(self.newest, axis=0) / np.maximum(self.usual, 1.0)
+
+    @property
+    def is_outgrown(self) -> bool:
+        """True where a channel's newest residuals are far larger than the usual ones."""
+        return self.n_samples >= _FEWEST + _NEWEST and bool(np.any(self.growth > _FAR))

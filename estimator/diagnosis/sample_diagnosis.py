@@ -1,0 +1,334 @@
+"""Diagnosis of samples that contradict the parameters in force: changed parameters, a disturbance, or neither.
+
+quiet        the parameters in force explain the samples; the residuals' true size is learnt
+suspicious   they do not, from an onset on; new parameters are warranted where they explain the samples since then
+
+A suspicion ends when the parameters in force, new ones perhaps, explain the samples again; or with a search for
+parameters that has found none: then either a constant disturbance explains them, and is subtracted from now on, or
+nothing does, and the channels concerned rest. See `comparison` for how that is found; `effect_diagnosis` and
+`disturbance_diagnosis` for the ends of a suspicion that something beside the model has won.
+"""
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from ..hypotheses import MARGIN, disturbance_of, plain_fit
+from ..samples import DerivativeResidual, Sample
+from ..space import Vector
+from .comparison import FEWEST, LONG, QUIET, HypothesisComparison
+from .disturbance_diagnosis import DisturbanceDiagnosis
+from .effect_diagnosis import EffectDiagnosis
+from .evidence import Evidence
+from .friction_comparison import FrictionComparison
+from .lag_comparison import LagComparison
+from .lasting import LastingParameters
+from .record import DiagnosisRecord
+from .residual_scale import NOISY
+from .settings import PATIENCE, DiagnosisSettings, is_at_unseen_bound
+from .settled import Settled
+from .standardised_residuals import StandardisedResiduals
+from .state import DiagnosisState
+from .vain_searches import VainSearches
+from .wandering import agree
+
+_SURE: Final = 10
+"""Number of samples on which a lag need not explain better than changed parameters, which have more values."""
+_SPARE: Final = 10
+"""Least number of explained values in excess of the fitted ones that makes good for a search in vain."""
+
+
+class Diagnosis:
+    """Diagnosis on sampled derivatives: decides when a suspicion begins and ends, and which hypothesis has won."""
+
+    def __init__(
+        self,
+        declared: DerivativeResidual,
+        names: Sequence[str],
+        settings: DiagnosisSettings,
+        may_lag: Sequence[int] | None = None,
+        inputs: Sequence[str] = (),
+    ) -> None:
+        """declared: residual (c,) in standard deviations of the declared noise; names (c,): of the channels; settings:
+        of false alarms and rests; may_lag: places in the input of what actuators may delay, by default all; inputs
+        (p,): names."""
+        self._settings, self._space = settings, declared.space
+        self._state = state = DiagnosisState.at_start(len(names), may_lag)
+        self.residuals = residuals = StandardisedResiduals(declared, state)
+        self.evidence = evidence = Evidence()
+        self.comparison = HypothesisComparison(state, residuals, evidence)
+        self._lag = LagComparison(state, residuals, evidence)
+        self._friction = FrictionComparison(state, residuals, evidence)
+        self._lasting = LastingParameters(state, residuals)
+        self._record = DiagnosisRecord(state, residuals, names, inputs)
+        self._vain = VainSearches(state, settings, self._record)
+        self._effects = EffectDiagnosis(state, residuals, self._lag, self._friction, self._lasting, self._record)
+        self._disturbances = DisturbanceDiagnosis(state, residuals, settings, self._lasting, self._vain, self._record)
+
+    @property
+    def is_suspicious(self) -> bool:
+        """True where the samples contradict the parameters in force."""
+        return self._state.n_since > 0
+
+    @property
+    def is_resting(self) -> bool:
+        """True where every channel rests."""
+        return bool(self._state.is_resting.all())
+
+    @property
+    def n_since(self) -> int:
+        """Number of samples since the onset of the suspicion, at most 20; 0 while quiet."""
+        return self._state.n_since
+
+    def snapshot(self) -> DiagnosisState:
+        """Return the present state, for `restore`."""
+        return self._state.copy()
+
+    def restore(self, state: DiagnosisState) -> None:
+        """Go back to a snapshot, which is used up."""
+        self._state.restore(state)
+
+    def summary(self) -> dict[str, Any]:
+        """Return what is known of each channel, and the number of events of each kind, as JSON values."""
+        return self._record.summary()
+
+    def observe(self, sample: Sample, held: Vector) -> bool:
+        """Take a sample, with the parameters in force (d,); return whether residuals are to be computed anew."""
+        state = self._state
+        state.n_samples += 1
+        state.inputs.take(sample)
+        z = self._space.to_unit(held)
+        state.way = state.way.go(z)
+        is_anew = state.wake()
+        corrected = self.residuals.corrected(sample)
+        declared = self.residuals.declared(held, corrected)
+        is_anew |= self._end_outgrown_rest(sample, held)
+        missing = int(np.count_nonzero(state.is_resting | np.isnan(corrected.xdot)))
+        is_contradictory = not self._settings.is_usual(declared / state.scale.values, len(declared) - missing)
+        state.keep(sample)
+        if is_contradictory and not state.n_since and (self._lag.take_again(held) or self._friction.take_again(held)):
+            is_contradictory, is_anew = False, True
+        if state.n_since or is_contradictory:
+            if not state.n_since:
+                state.begin_suspicion(held, z)
+            state.count_suspicious(held)
+            return self._disturbances.take_change(self.comparison.changed_with_disturbance(held)) or is_anew
+        state.count_quiet()
+        return (not missing and state.scale.learn(declared)) or is_anew
+
+    def _end_outgrown_rest(self, sample: Sample, held: Vector) -> bool:
+        """Take a sample of a rest; end the rest where residuals have outgrown all before in it, and return whether."""
+        state = self._state
+        if not state.is_resting.any():
+            return False
+        state.rested.append(self.residuals.declared(held, state.friction.without(sample)))
+        state.resting = state.resting.take(np.where(state.is_resting, state.rested[-1] - state.offset, 0.0))
+        if not state.resting.is_outgrown:
+            return False
+        self.evidence.outgrown(self._record.names, state.resting)
+        state.wake_early()
+        return True
+
+    def settle(self, t: float, held: Vector) -> Settled | None:
+        """End the suspicion where one hypothesis has won, from the samples since the onset; None where it goes on."""
+        state, n = self._state, self._state.n_since
+        settled = self._effects.late(t, held)
+        if settled is not None:
+            state.largest_in_vain = None  # it was this
+            return settled
+        settled = self._disturbances.over(t, held)
+        if settled is not None:
+            return settled
+        if not n:
+            return self._disturbances.passed_since(t)
+        reference = state.reference_or(held)
+        if self._friction.end(reference, min(n, QUIET)):
+            return self._effects.adopt_friction(t, None)
+        is_changed = not np.array_equal(reference, held)
+        here = self.residuals.of_newest(held, n)
+        is_explained = n >= QUIET and plain_fit(here[-QUIET:], 0).is_explained
+        if is_explained and not is_changed:
+            return self._explained(t, held, n)
+        there = self.residuals.of_newest(reference, n) if is_changed else here
+        is_over = self._disturbances.has_passed(here, there, is_changed, is_explained)
+        if is_over and not (is_explained and self.comparison.is_changing(held, n)):
+            return self._disturbances.passed(t, reference, there, is_changed)
+        if n < LONG:
+            return None
+        if self._lasting.are_better(held, here):
+            return self.give_up(t)
+        return self._weighed(t, held, here, there, is_explained)
+
+    def _weighed(self, t: float, held: Vector, here: Vector, there: Vector, is_explained: bool) -> Settled | None:
+        """End a long suspicion where noise, changed parameters, a lag or a disturbance has won; None without a winner.
+
+        here, there: residuals (n, c) of the parameters in force, held (d,), which explain the very newest samples or
+        not, and of the reference.
+        """
+        n, reference = len(here), self._state.reference_or(held)
+        is_changed = there is not here
+        disturbance = disturbance_of(there, may_drift=False)
+        parameters, nothing = plain_fit(here, len(self._space)), plain_fit(there, 0)
+        self.evidence.note(n, nothing=nothing, disturbance=disturbance.fit)
+        if is_changed and nothing.is_explained and nothing.score <= min(parameters.score, disturbance.fit.score):
+            return self._effects.larger_noise(reference, held, n)
+        if is_changed and is_explained and parameters.is_explained:
+            self.evidence.note(n, parameters=parameters)
+            return self._changed(t, held) if disturbance.fit.score >= parameters.score + MARGIN else None
+        late = self._lag.in_newest(reference, n) if self._lag.is_due else None
+        if late is not None:
+            best = self.comparison.best(held, late.n, may_drift=True).fit
+            if late.fit.score + (MARGIN if late.n < _SURE else 0.0) <= best.score:
+                return self._effects.adopt(t, late)
+        is_named = disturbance.fit.is_explained and disturbance.fit.score + MARGIN <= nothing.score
+        if is_named and n % 2 == 0 and not self.comparison.may_be_parameters(held, n, disturbance.fit):
+            before = self._lasting.before(reference, n)
+            found = disturbance_of(self.residuals.of_newest(before, n), may_drift=False)
+            return self._disturbances.adopt(t, found, before)
+        return None
+
+    def _explained(self, t: float, held: Vector, n: int) -> Settled:
+        """End a suspicion, n samples long, as the parameters in force explain the samples again.
+
+        Where searches have gone from those that lasted and have come back to them, a disturbance has passed. Where
+        several samples contradicted those in force, and nothing else was tried, that counts as a search in vain.
+        """
+        state, lasting = self._state, self._state.lasting
+        if state.has_moved and lasting is not None and agree(self._space.to_unit(lasting), self._space.to_unit(held)):
+            there = self.residuals.of_newest(lasting, n)
+            if plain_fit(there[-QUIET:], 0).is_explained:
+                return self._disturbances.passed(t, lasting, there, True)
+        state.n_since = 0
+        if not state.has_moved and self._settings.n_unusual(self.residuals.of_newest(held, n)) >= FEWEST:
+            state.n_failures += 1
+        return Settled(None)
+
+    def _changed(self, t: float, held: Vector) -> Settled:
+        """End a suspicion that changed parameters, those in force, have won."""
+        if self._is_restless(held):
+            return self.give_up(t, rests=True)
+        self._state.n_since, self._state.reference = 0, held
+        return Settled(None)
+
+    def give_up(self, t: float, *, rests: bool = False) -> Settled:
+        """Return to the parameters that lasted, as others explain the samples for a while only.
+
+        The third time, or where it rests at once, all channels rest.
+        """
+        state = self._state
+        before = state.lasting if state.reference is None else self._lasting.accepted(state.reference)
+        found = None if before is None else self._effects.lacking(before)
+        if found is None and before is not None and state.n_since >= LONG:
+            found = self._lag.in_newest(before, state.n_since)
+        if found is not None:
+            return self._effects.adopt(t, found)
+        state.end_suspicion()
+        state.way = state.way.begin(None if before is None else self._space.to_unit(before))
+        if before is not None:
+            self._friction.doubt(before)
+        every = ~state.is_resting
+        event = self._record.unexplained(t, every, "parameters explain {} for a few samples only")
+        state.n_failures = max(state.n_failures + 1, PATIENCE if rests else 0)
+        if state.n_failures < PATIENCE:
+            return Settled(before, (event,), True)
+        state.findings = state.findings.forget()
+        return Settled(before, (event, self._vain.rest(t, every)), True)
+
+    def accept(self, theta: Vector) -> None:
+        """Take parameters (d,) that are warranted and in force for those that the next ones are compared with."""
+        if self._state.n_since:
+            self._state.reference, self._state.n_calm = theta, 0
+
+    def expect(self, is_identifiable: Sequence[bool]) -> None:
+        """Take a proposal that is passed on, with which of its parameters (d,) the samples determine."""
+        state = self._state
+        state.way = state.way.expect(np.array(is_identifiable) if state.n_since else None)
+
+    def is_wandering(self, held: Vector) -> bool:
+        """Return whether parameters have gone to and fro on the way to those in force (d,).
+
+        By half of their bounds in excess of that way, each time determined by the samples: no change of the plant's
+        does that.
+        """
+        return self._state.n_since > 0 and self._state.way.is_to_and_fro(self._space.to_unit(held))
+
+    def is_at_unseen_bound(self, theta: Vector, std: Vector, held: Vector) -> bool:
+        """Return whether a parameter would move to a bound although its standard deviation is as wide as the bounds.
+
+        Or anywhere, while channels rest.
+        """
+        return is_at_unseen_bound(self._space, theta, std, held, not self._state.is_resting.any())
+
+    def suspend(self) -> Vector | None:
+        """End the suspicion, whose samples are doubtful; return the parameters (d,) to go back to, None without one."""
+        state = self._state
+        if not state.n_since:
+            return None
+        state.end_suspicion()
+        return state.reference
+
+    def fail(self, t: float, theta: Vector | None, held: Vector) -> Settled | None:
+        """Take the end of a search that has found no parameters, theta (d,) being the best.
+
+        None where the suspicion goes on with newer samples only, or is a false alarm: nothing happened, parameters are
+        still changing, or the noise is larger, which the parameters that lasted do not explain by themselves.
+        A disturbance is named where a constant one explains the samples. After the third time, one soon after the
+        other, the channels that neither explains rest, longer each time.
+        """
+        state = self._state
+        n = min(state.n_since, QUIET)
+        if state.n_since < NOISY and self.comparison.if_noise(held) is not None:  # as where a filter gives few samples
+            return None
+        reference = state.reference_or(held)
+        rows = self.residuals.of_newest(reference, n)
+        found = disturbance_of(rows)
+        self.evidence.note(n, nothing=plain_fit(rows, 0), disturbance=found.fit)
+        if plain_fit(rows, 0).score <= found.fit.score:  # a false alarm
+            state.end_suspicion()
+            return None
+        late = self._lag.in_newest(reference, state.n_since) if state.n_since >= LONG else None
+        if late is not None:
+            return self._effects.adopt(t, late)
+        if self.comparison.is_changing(held, n) and not state.is_resting.any():
+            return None
+        if self.comparison.adopt_noise(held):
+            return self._effects.only_noise(state.n_since)
+        both = self.comparison.with_disturbance(held, n)
+        explaining = [d for d in (found, both) if d is not None and d.fit.is_explained]
+        before = self._lasting.before(reference, n)
+        if n >= QUIET and explaining:
+            best = min(explaining, key=lambda d: d.fit.score)
+            if best is found:
+                best = disturbance_of(self.residuals.of_newest(before, n))
+            return self._disturbances.adopt(t, best, before)
+        return self._in_vain(t, theta, before, rows)
+
+    def _in_vain(self, t: float, theta: Vector | None, before: Vector, rows: Vector) -> Settled:
+        """End a suspicion as nothing explains the newest samples, theta (d,) best; rows (n, c): residuals before it."""
+        self._disturbances.await_end(self.residuals.of_newest(before, self._state.n_since))
+        self._state.end_suspicion()
+        self._friction.doubt(before)
+        lacks = self.comparison.lacking_channels(rows if theta is None else self.residuals.of_newest(theta, len(rows)))
+        event = self._record.unexplained(t, lacks, "no parameters explain {}")
+        events = (event, *self._vain.count(t, lacks))
+        return Settled(self._lasting.undone(before), events, True)
+
+    def succeed(self, t: float, theta: Vector) -> Settled | None:
+        """Take the end of a search that has found parameters theta (d,).
+
+        Earlier failures count less, if that proves anything. But parameters that are never proven and move on from
+        search to search, by more than they may drift, explain nothing: the third time they are undone.
+        """
+        state = self._state
+        if self._is_restless(theta):
+            return self.give_up(t, rests=True)
+        if state.n_spare >= _SPARE and not state.findings.has_moved:
+            state.n_failures = max(state.n_failures - 1, 0)
+        return None
+
+    def _is_restless(self, theta: Vector) -> bool:
+        """Take parameters (d,) that were found; return whether three of five such, soon one after the other, differ."""
+        state = self._state
+        state.findings = state.findings.take(state.n_samples, self._space.to_unit(theta))
+        return state.findings.are_restless

@@ -1,0 +1,237 @@
+"""State of a diagnosis of sampled derivatives: all that changes from sample to sample."""
+
+from collections import Counter
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..effects.friction import Friction
+from ..effects.input_lag import InputHistory
+from ..samples import Sample
+from ..space import Vector
+from .residual_scale import ResidualScale
+from .resting import RestingResiduals
+from .settings import FORGOTTEN, KINDS, Judgement
+from .wandering import Findings, Way
+
+WINDOW: Final = 20
+"""Largest number of samples on which hypotheses are compared."""
+_EVERY: Final = 5
+"""Number of samples of which one is kept for long."""
+_MOST_SINCE: Final = 60
+"""Largest number of them."""
+
+
+@dataclass
+class DiagnosisState:
+    """State of a diagnosis, one object that all its parts share: copied for a snapshot, restored in place."""
+
+    samples: list[Sample]
+    """The newest samples, from old to new; during a suspicion the older ones are thinned out."""
+    scale: ResidualScale
+    offset: Vector
+    """Known disturbance (c,), in standard deviations of the declared noise."""
+    rests_until: NDArray[np.intp]
+    """Number of the sample (c,) at which a channel's rest ends."""
+    is_resting: NDArray[np.bool_]
+    inputs: InputHistory = field(default_factory=InputHistory)
+    """Inputs of the newest samples, and their known lag."""
+    friction: Friction = field(default_factory=Friction)
+    """Known friction that the model lacks."""
+    undisturbed: Vector | None = None
+    """Parameters (d,) in force when that disturbance became known; None before one did."""
+    n_failures: int = 0
+    """Number of searches in vain, one soon after the other."""
+    largest_in_vain: Vector | None = None
+    """Largest residuals (c,) of the last search in vain; None before one, and since samples were suspicious again."""
+    n_quiet: int = 0
+    """Number of quiet samples in a row."""
+    findings: Findings = field(default_factory=Findings)
+    """Parameters that searches have found although a disturbance explains the samples as well."""
+    suspected_at: int = 0
+    """Number of the last sample that was suspicious."""
+    way: Way = field(default_factory=Way)
+    """Way of the parameters in force since the samples last were quiet for long."""
+    lasting: Vector | None = None
+    """Parameters (d,) that the samples have not contradicted for long; None before the first onset."""
+    lasting_at: int = 0
+    """Number of the sample at which these were contradicted."""
+    since_lasting: list[Sample] = field(default_factory=list[Sample])
+    """Samples since these were in force, every fifth one."""
+    counts: Counter[str] = field(default_factory=Counter[str])
+    """Number of events of each kind."""
+    named: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
+    """The newest disturbances with their times [s] and sizes; replaced, never changed."""
+    rested: list[Vector] = field(default_factory=list[Vector])
+    """Residuals (c,) at the parameters in force since the first channel rests, with a known disturbance in them."""
+    resting: RestingResiduals = field(default_factory=RestingResiduals)
+    """Their sizes since the last rest began."""
+    n_samples: int = 0
+    n_since: int = 0
+    """Number of samples since the onset of the suspicion; 0 while quiet."""
+    n_calm: int = 0
+    """Number of samples before the onset that the reference has explained."""
+    reference: Vector | None = None
+    """Parameters (d,) in force at the onset, or accepted since."""
+    has_moved: bool = False
+    """True where other parameters have been in force since the onset."""
+    changed: Vector | None = None
+    """Place (d,) of the parameters that explained the samples last."""
+    verdict: Judgement = "refuted"
+    is_certain: bool = False
+    """True where it says that parameters are warranted, and could hardly have done so by chance."""
+    n_spare: int = 0
+    """Number of its values in excess of those fitted."""
+    n_explained: int = 0
+    """Number of newest samples that the verdict is about."""
+    found_at: int = 0
+    """Number of the sample at which the verdict was found."""
+    restless_since: int = 0
+    """Number of the first sample of a suspicion that began after some quiet."""
+    next_lag: int = 0
+    """Number of the sample from which on a lag is sought again, none having explained the samples."""
+    next_effect: int = 0
+    """Number of the sample from which on an effect that the model lacks is sought again in all since `lasting_at`."""
+    next_jump: int = 0
+    """Number of the sample from which on constant parameters are sought again, none having explained the samples."""
+
+    @classmethod
+    def at_start(cls, n_channels: int, may_lag: Sequence[int] | None) -> "DiagnosisState":
+        """Return the state before the first sample; may_lag: places of inputs that may be late, None for all."""
+        none = np.zeros(n_channels)
+        known = InputHistory(None if may_lag is None else tuple(may_lag))
+        return cls([], ResidualScale(n_channels), none, none.astype(np.intp), none.astype(bool), known)
+
+    def reference_or(self, held: Vector) -> Vector:
+        """Return the reference (d,); the parameters in force, held (d,), where there is none."""
+        return held if self.reference is None else self.reference
+
+    def end_suspicion(self) -> None:
+        """End the suspicion; what new parameters were judged by is over, too."""
+        self.n_since, self.verdict = 0, "refuted"
+
+    def begin_suspicion(self, held: Vector, z: Vector) -> None:
+        """Begin a suspicion of the parameters in force, held (d,), whose place is z (d,)."""
+        self.reference, self.verdict, self.changed, self.has_moved = held, "refuted", None, False
+        self.largest_in_vain = None
+        if self.lasting is None or self.n_samples >= self.suspected_at + FORGOTTEN:
+            self.lasting, self.lasting_at, self.since_lasting = held, self.n_samples, []
+            self.next_effect = 0
+        self.n_calm = self.n_samples - self.suspected_at - 1
+        if self.n_samples >= self.suspected_at + WINDOW:
+            self.restless_since, self.next_lag = self.n_samples, 0
+            self.way = self.way.begin(z)
+
+    def count_suspicious(self, held: Vector) -> None:
+        """Count the newest sample among those since the onset; held (d,): in force."""
+        self.n_since, self.n_quiet = min(self.n_since + 1, len(self.samples)), 0
+        self.suspected_at = self.n_samples
+        self.has_moved |= self.reference is None or not np.array_equal(held, self.reference)
+
+    def count_quiet(self) -> None:
+        """Count a quiet sample; after many of them one search in vain is forgotten."""
+        self.n_quiet += not self.is_resting.any()
+        if self.n_quiet >= FORGOTTEN:
+            self.n_quiet, self.n_failures = 0, max(self.n_failures - 1, 0)
+
+    def keep(self, sample: Sample) -> None:
+        """Keep a sample; of those since an onset, where there are many, every second of the older ones.
+
+        Of those after the parameters that lasted every fifth one is kept for long.
+        """
+        self.samples.append(sample)
+        if len(self.samples) > WINDOW:
+            if self.n_since < WINDOW:
+                del self.samples[0]
+            else:
+                del self.samples[1 : WINDOW // 2 : 2]
+                self.n_since = len(self.samples) - 1
+        if self.n_samples % _EVERY == 0:
+            self.since_lasting = [*self.since_lasting, sample][-_MOST_SINCE:]
+
+    @property
+    def every_since_lasting(self) -> list[Sample]:
+        """Samples that are kept of those since the parameters that lasted were contradicted, from old to new."""
+        long = self.since_lasting
+        newest = [s for s in self.samples if long and s.t > long[0].t]
+        return [*(s for s in long if not newest or s.t < newest[0].t), *newest]
+
+    def rest(self, channels: NDArray[np.bool_], n: int) -> None:
+        """Let the channels (c,) rest for n samples."""
+        if len(self.rested) > 1:
+            self._admit(self.rested, channels)
+        self.rests_until = np.where(channels, self.n_samples + n, self.rests_until)
+        self.is_resting = self.is_resting | channels
+        self.rested.clear()
+        self.resting = RestingResiduals()
+
+    def wake(self) -> bool:
+        """End the rests that are over; return whether there was one."""
+        over = self.is_resting & (self.n_samples >= self.rests_until)
+        if not over.any():
+            return False
+        self.is_resting = self.is_resting & ~over
+        self.n_since = 0
+        rested = np.array(self.rested).reshape(-1, len(over))
+        self.scale.wake(np.where(over, rested[np.isfinite(rested).all(axis=1)], 0.0))
+        return True
+
+    def wake_early(self) -> None:
+        """End all rests, as something has happened: what residuals were until then is what the model lacks."""
+        self._admit(self.rested[: self.resting.n_usual - self.resting.n_samples], self.is_resting)
+        self.is_resting = np.zeros_like(self.is_resting)
+        self.n_since = 0
+
+    def wake_all(self) -> None:
+        """End all rests, as what the channels rested for is known."""
+        self.rests_until, self.is_resting = np.zeros_like(self.rests_until), np.zeros_like(self.is_resting)
+        self.rested.clear()
+        self.resting = RestingResiduals()
+
+    def _admit(self, residuals: Sequence[Vector], channels: NDArray[np.bool_]) -> None:
+        """Take residuals (n, c) of these channels (c,) for what the model lacks.
+
+        A known disturbance is forgotten where they are smaller without it.
+        """
+        rows = np.array(residuals)
+        rows = rows[np.isfinite(rows).all(axis=1)]
+        is_wrong = channels & (np.sum(rows**2, axis=0) < np.sum((rows - self.offset) ** 2, axis=0))
+        self.offset = np.where(is_wrong, 0.0, self.offset)
+        self.scale.admit(np.where(channels, rows - self.offset, 0.0))
+
+    def copy(self) -> "DiagnosisState":
+        """Return an independent copy; arrays are replaced, never changed."""
+        other = copy(self)
+        other.samples, other.scale, other.inputs = [*self.samples], self.scale.copy(), self.inputs.copy()
+        other.rested, other.counts = [*self.rested], Counter(self.counts)
+        return other
+
+    def restore(self, other: "DiagnosisState") -> None:
+        """Go back to a copy, which is used up: no part has to be given another state."""
+        vars(self).update(vars(other))
+
+    def summary(self, names: Sequence[str], sigma: Vector) -> dict[str, Any]:
+        """Return what is known of each channel, and the number of events of each kind, as JSON values.
+
+        names, sigma (c,): of the channels, and their declared noise.
+        """
+        known = zip(channel_summary(names, self.scale), self.offset * sigma, self.is_resting, strict=True)
+        channels = {name: row | {"disturbance": float(d), "is_resting": bool(r)} for (name, row), d, r in known}
+        lag = {"input_lag": self.inputs.summary()}
+        return {"channels": channels, "disturbances": self.named} | lag | {kind: self.counts[kind] for kind in KINDS}
+
+
+def channel_summary(names: Sequence[str], scale: ResidualScale) -> list[tuple[str, dict[str, Any]]]:
+    """Return, for each channel, its name and what is known of its residuals' true size, as JSON values.
+
+    noise_ratio: what the model leaves unexplained in quiet, in standard deviations of the declared noise, or None.
+    """
+    observed = [None] * len(names) if scale.observed is None else scale.observed.tolist()
+    return [
+        (name, {"noise_ratio": ratio, "scale": float(s), "correlation": float(rho)})
+        for name, ratio, s, rho in zip(names, observed, scale.values, scale.correlations, strict=True)
+    ]

@@ -1,0 +1,96 @@
+"""Signs that parameters follow something that the model lacks: they go to and fro, or never stay where they are found.
+
+No change of the plant's does that. Places (d,) are in the scaled bounds; values are frozen, and a step gives the next.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..hypotheses import USUAL_RATE
+from ..space import Vector
+from .settings import FORGOTTEN, PATIENCE
+
+_TO_AND_FRO: Final = 0.5
+"""Distance by which parameters may be moved in excess of the way there."""
+_FAR: Final = 0.1
+"""Distance that counts as a move: noise that is larger than declared makes many small ones."""
+_REMEMBERED: Final = 5
+"""Number of searches, one soon after the other, that are compared with each other."""
+_AGREE: Final = 0.02
+"""Distance of parameters that agree, beside their drift."""
+
+
+def agree(z: Vector, other: Vector) -> bool:
+    """Return whether two places are the same parameters."""
+    return bool(np.all(np.abs(z - other) <= _AGREE))
+
+
+@dataclass(frozen=True)
+class Way:
+    """Way of the parameters in force, as far as the samples determined their moves."""
+
+    start: Vector | None = None
+    """Place before the first move; None before any."""
+    here: Vector | None = None
+    """Place at the newest sample."""
+    length: Vector | float = 0.0
+    """Length of the way (d,)."""
+    awaited: NDArray[np.bool_] | None = None
+    """True for each parameter that the last proposal determines; None where nothing is proposed."""
+
+    def begin(self, z: Vector | None) -> "Way":
+        """Return the way that begins at z."""
+        return replace(self, start=z, length=0.0)
+
+    def expect(self, is_determined: NDArray[np.bool_] | None) -> "Way":
+        """Return the way with a proposal that the controller may take; None where there is none."""
+        return replace(self, awaited=is_determined)
+
+    def go(self, z: Vector) -> "Way":
+        """Return the way to z, where the controller has been taken."""
+        if self.awaited is None or self.here is None:
+            return replace(self, here=z, awaited=None)
+        moved = np.abs(z - self.here)
+        length = self.length + np.where(self.awaited & (moved > _FAR), moved, 0.0)
+        return replace(self, here=z, awaited=None, length=length)
+
+    def is_to_and_fro(self, z: Vector) -> bool:
+        """Return whether it is longer, by half of the bounds, than from its start to z."""
+        return self.start is not None and bool(np.any(self.length - np.abs(z - self.start) > _TO_AND_FRO))
+
+
+@dataclass(frozen=True)
+class Findings:
+    """Parameters that searches have found, one soon after the other."""
+
+    n_samples: int = -FORGOTTEN
+    """Number of the sample at which the last ones were found."""
+    last: Vector | None = None
+    """Their place; None before the first."""
+    moves: tuple[bool, ...] = ()
+    """True for each of the last searches that has found other parameters than the one before."""
+
+    def take(self, n_samples: int, z: Vector) -> "Findings":
+        """Return the findings with parameters that are found at sample n_samples."""
+        n_passed = n_samples - self.n_samples
+        if self.last is None or n_passed >= FORGOTTEN:
+            return Findings(n_samples, z)
+        has_moved = bool(np.any(np.abs(z - self.last) > _AGREE + USUAL_RATE * n_passed))
+        return Findings(n_samples, z, (*self.moves, has_moved)[-_REMEMBERED:])
+
+    def forget(self) -> "Findings":
+        """Return the findings without the moves so far."""
+        return replace(self, moves=())
+
+    @property
+    def has_moved(self) -> bool:
+        """True where the last search has found other parameters than the one before."""
+        return any(self.moves[-1:])
+
+    @property
+    def are_restless(self) -> bool:
+        """True where several of the last searches have found other parameters."""
+        return sum(self.moves) >= PATIENCE

@@ -1,0 +1,1 @@
+"""Effects on the plant that its model lacks: late inputs, and friction."""

@@ -1,0 +1,159 @@
+"""Inputs of the newest samples, what arrives of them at the plant, and the lag that explains samples."""
+
+from collections.abc import Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, field
+from math import inf, isfinite
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..hypotheses import NEVER, Fit, plain_fit
+from ..samples import Sample
+from ..space import Vector
+from .lag import Lag, arriving
+from .lag_search import LEAST, RowsWith, TriedLag, best_lag, with_fitted_start
+
+_KEPT: Final = 120
+"""Number of inputs that are kept: what came before has faded to less than one in a hundred of the longest lag."""
+_ASIDE: Final = 0.01
+"""Step of differences in an input, as a share of its size."""
+Inputs = Mapping[float, tuple[float, ...]]
+"""Inputs (p,) that arrive at the plant, by the time of the sample [s]."""
+
+
+@dataclass(frozen=True)
+class FoundLag:
+    """Lag that explains samples best."""
+
+    lag: Lag
+    arriving: Inputs
+    """Inputs that arrive at the plant then, from some time on."""
+    fit: Fit
+
+
+NO_LAG: Final = FoundLag(Lag(), {}, NEVER)
+
+
+@dataclass
+class InputHistory:
+    """Newest inputs, and what arrives at the plant where a lag is known."""
+
+    may_lag: tuple[int, ...] | None = None
+    """Places of the inputs that actuators may delay, all by the same; None for all. The others are measured."""
+    lag: Lag = field(default_factory=Lag)
+    """Known lag."""
+    _times: list[float] = field(default_factory=list[float])
+    _inputs: list[tuple[float, ...]] = field(default_factory=list[tuple[float, ...]])
+    _arriving: dict[float, tuple[float, ...]] = field(default_factory=dict[float, tuple[float, ...]])
+
+    def copy(self) -> "InputHistory":
+        """Return an independent copy."""
+        other = copy(self)
+        other._times, other._inputs, other._arriving = [*self._times], [*self._inputs], dict(self._arriving)
+        return other
+
+    def take(self, sample: Sample) -> None:
+        """Take the input of a sample."""
+        self._times.append(sample.t)
+        self._inputs.append(sample.u)
+        if self.lag and len(self._times) > 1:
+            self._arriving[sample.t] = self._arrives()
+        if len(self._times) > _KEPT:
+            self._forget(1)
+
+    def _arrives(self) -> tuple[float, ...]:
+        """Return what arrives with the newest input, by the known lag."""
+        n = self.lag.n_late
+        start = self._inputs[-1 - n] if 0 < n < len(self._inputs) else self._arriving[self._times[-2]]
+        newest = slice(-1, None) if n else slice(-2, None)
+        made = self._made([self.lag], *map(np.array, (self._times[newest], self._inputs[newest], start)))
+        return tuple(made[0, -1].tolist())
+
+    def _made(self, lags: Sequence[Lag], times: Vector, inputs: Vector, start: Vector) -> Vector:
+        """Return what arrives of inputs (n, p) with each of k lags (k, n, p): the measured ones as they are."""
+        places = self._places(inputs)
+        made = np.repeat(inputs[None], len(lags), axis=0)
+        made[..., places] = arriving(lags, times, inputs[:, places], start[places])
+        return made
+
+    def _places(self, inputs: Vector) -> list[int]:
+        return [*range(inputs.shape[1])] if self.may_lag is None else [*self.may_lag]
+
+    def _forget(self, n: int) -> None:
+        for t in self._times[:n]:
+            self._arriving.pop(t, None)
+        del self._times[:n], self._inputs[:n]
+
+    @property
+    def arriving(self) -> Inputs:
+        """Inputs that arrive at the plant, by time; none where those that were sent do."""
+        return self._arriving
+
+    @property
+    def begin(self) -> float:
+        """Time of the first input that is kept [s]; infinite without any."""
+        return self._times[0] if self._times else inf
+
+    def summary(self) -> dict[str, Any]:
+        """Return the known lag as JSON values, in seconds."""
+        return self.describe(self.lag)
+
+    def describe(self, lag: Lag) -> dict[str, Any]:
+        """Return a lag as JSON values, in seconds."""
+        step = float(np.median(np.diff(self._times))) if lag.n_late else 0.0
+        rates = [rate if isfinite(rate) else None for rate in lag.rates]
+        return {"time_constant": lag.time_constant, "dead_time": lag.n_late * step, "rates": rates}
+
+    def adopt(self, found: FoundLag) -> None:
+        """Take a lag for known."""
+        self.lag, self._arriving = found.lag, dict(found.arriving)
+        if self._arriving:
+            self._forget(self._times.index(next(iter(self._arriving))))
+
+    def search(self, rows_with: RowsWith, times: Sequence[float]) -> FoundLag:
+        """Return the lag that explains best: none, one of all inputs that are kept, or of those since the first sample.
+
+        rows_with: residuals of n samples with what arrives at the plant; times (n,): theirs [s], all of them kept.
+        """
+        places = np.searchsorted(self._times, times)
+        none = FoundLag(Lag(), {}, plain_fit(rows_with(np.array(self._inputs)[None, places])[0], 0))
+        if self.may_lag == () or len(self._times) < LEAST or not np.any(np.diff(self._inputs, axis=0)):
+            return none
+        known = self._best(rows_with, places, none.fit, 0, is_free=False)
+        found = [none, known]
+        if not known.fit.is_explained:
+            found.append(self._best(rows_with, places, none.fit, int(places[0]), is_free=True))
+        return min(found, key=lambda one: one.fit.score)
+
+    def _best(self, rows_with: RowsWith, places: NDArray[np.intp], none: Fit, first: int, *, is_free: bool) -> FoundLag:
+        """Return the best lag of the inputs from the first one on; is_free: what arrives then is fitted, too.
+
+        places (n,): of the samples' inputs among those that are kept; none: fit without a lag.
+        """
+        if len(self._times) - first < LEAST:
+            return NO_LAG
+        times, inputs = np.array(self._times[first:]), np.array(self._inputs[first:])
+        start = np.array(self._arriving.get(self._times[first], self._inputs[first]))
+        seen, may_lag = places - first, self._places(inputs)
+        aside = np.diag(_ASIDE * np.maximum(np.abs(inputs).max(axis=0), 1e-6))[may_lag] if is_free else None
+
+        def fits(lags: Sequence[Lag]) -> list[TriedLag]:
+            made = self._made(lags, times, inputs, start)
+            rows = rows_with(made[:, seen])
+            if aside is not None:
+                fading = np.array([lag.fading(times) for lag in lags])
+                made = with_fitted_start(made, fading[:, None, :, None] * aside[:, None], rows, seen, rows_with)
+                rows = rows_with(made[:, seen])
+            tried = zip(lags, made, rows, strict=True)
+            n_start = is_free * len(may_lag)
+            return [TriedLag(lag, arrives, plain_fit(left, lag.n_values + n_start)) for lag, arrives, left in tried]
+
+        return self._found(best_lag(fits, times, inputs[:, may_lag], none, is_free=is_free), first)
+
+    def _found(self, best: TriedLag | None, first: int) -> FoundLag:
+        """Return a lag that was tried on the inputs from the first one on, as what is found."""
+        if best is None:
+            return NO_LAG
+        return FoundLag(best.lag, dict(zip(self._times[first:], map(tuple, best.made.tolist()), strict=True)), best.fit)

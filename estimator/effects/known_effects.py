@@ -1,0 +1,49 @@
+"""Effects on the plant beside its model: a disturbance, late inputs, friction."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..hypotheses import Fit
+from ..samples import Sample
+from ..space import Vector
+from .friction import FoundFriction, Friction
+from .input_lag import FoundLag, Inputs
+
+
+@dataclass(frozen=True)
+class KnownEffects:
+    """Known effects, which are taken out of a sample before the model is compared with it."""
+
+    disturbance: Vector
+    """Constant disturbance (c,) of the sampled derivatives, in their units."""
+    arriving: Inputs
+    """Inputs that arrive at the plant where they are not those that were sent."""
+    friction: Friction
+    is_resting: NDArray[np.bool_]
+    """True for each channel (c,) that is left out."""
+
+    def without(self, sample: Sample) -> Sample:
+        """Return the sample without them; NaN for channels that rest, or whose friction is not known."""
+        xdot = np.where(self.is_resting, np.nan, np.array(sample.xdot) - self.disturbance)
+        left = replace(sample, u=self.arriving.get(sample.t, sample.u), xdot=tuple(xdot.tolist()))
+        return self.friction.without(left) if self.friction else left
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Effect on the plant that its model lacks, and that explains samples with parameters and a disturbance."""
+
+    found: FoundLag | FoundFriction
+    theta: Vector
+    """Parameters (d,) with which it does."""
+    offset: Vector
+    """Disturbance (c,) with which it does, in standard deviations of the declared noise."""
+    n: int
+    """Number of samples."""
+
+    @property
+    def fit(self) -> Fit:
+        """Fit to the samples."""
+        return self.found.fit

@@ -1,0 +1,125 @@
+"""Search for the lag of the inputs that explains samples: a dead time, a first-order lag, or limited rates."""
+
+from collections.abc import Callable, Sequence
+from math import inf
+from typing import Final, NamedTuple
+
+import numpy as np
+import scipy  # its parts, 0.3 s, are loaded when they are used
+from numpy.typing import NDArray
+
+from ..hypotheses import Fit
+from ..space import Vector
+from .lag import Lag
+
+_TIME_CONSTANTS: Final = np.geomspace(0.25, 20.0, 10)
+"""Time constants that are tried, in intervals of sampling, before the best one is refined."""
+_MOST_LATE: Final = 16
+"""Longest dead time that is tried, in samples."""
+_RATES: Final = np.geomspace(0.02, 0.98, 14)
+"""Limits of the rate that are tried, as shares of the fastest change of an input."""
+_PROMISING: Final = 0.5
+"""Share of the sum of squares without a lag that one must go below to be refined."""
+_PRECISION: Final = 1e-4
+"""Relative precision of the time constant, and of a limited rate."""
+LEAST: Final = 3
+"""Least number of inputs that show a lag."""
+
+RowsWith = Callable[[Vector], Vector]
+"""Residuals (k, n, c) of n samples with each of k sets of inputs (k, n, p) that arrive at the plant."""
+
+
+class TriedLag(NamedTuple):
+    """Lag that was tried."""
+
+    lag: Lag
+    made: Vector
+    """What arrives at the plant with it (N, p)."""
+    fit: Fit
+
+
+Fits = Callable[[Sequence[Lag]], list[TriedLag]]
+"""Function that tries lags."""
+
+
+def best_lag(fits: Fits, times: Vector, inputs: Vector, none: Fit, *, is_free: bool) -> TriedLag | None:
+    """Return the best of all lags of inputs (n, q), held up to times (n,) [s], or None.
+
+    none: fit without a lag. is_free: whether what arrives first is fitted, too; rates are not limited then.
+    """
+    most = min(_MOST_LATE, len(times) // 2 if is_free else len(times) - LEAST)
+    late = fits([Lag(n_late=n) for n in range(1, most + 1)]) if most > 0 else []
+    found = [_inner(late)]
+    if found[0] is not None and found[0].fit.is_explained:
+        return found[0]
+    step = float(np.median(np.diff(times)))
+    slow = fits([Lag(tau) for tau in (step * _TIME_CONSTANTS).tolist()])
+    best = _inner(slow)
+    if best is not None and best.fit.squares <= _PROMISING * none.squares:
+        found.append(_refined(fits, best, lambda tau: Lag(tau), best.lag.time_constant, _TIME_CONSTANTS))
+    is_late = min(one.fit.squares for one in [*late, *slow]) <= _PROMISING * none.squares
+    if is_late and not is_free and not any(one is not None and one.fit.is_explained for one in found):
+        found.append(_limited(fits, times, inputs, none))
+    return min((one for one in found if one is not None), key=lambda one: one.fit.score, default=None)
+
+
+def _inner(tried: Sequence[TriedLag]) -> TriedLag | None:
+    """Return the best one, or None where that is the longest: such a lag is a gain, or no input at all."""
+    best = min(tried, key=lambda one: one.fit.squares, default=None)
+    return None if best is None or best is tried[-1] else best
+
+
+def _refined(fits: Fits, best: TriedLag, lag_of: Callable[[float], Lag], value: float, tried: Vector) -> TriedLag:
+    """Return the best lag_of(v) for v between the values that were tried beside the best one, or that one."""
+    ratio, found = tried[1] / tried[0], dict[float, TriedLag]()
+
+    def squares(log_value: float) -> float:
+        (one,) = fits([lag_of(float(np.exp(log_value)))])
+        found[log_value] = one
+        return one.fit.squares
+
+    bounds = np.log(value * np.array([1.0 / ratio, ratio]))
+    options = {"xatol": _PRECISION}
+    refined = scipy.optimize.minimize_scalar(squares, bounds=bounds, method="bounded", options=options)
+    return min(best, found[refined.x], key=lambda one: one.fit.squares)
+
+
+def _limited(fits: Fits, times: Vector, inputs: Vector, none: Fit) -> TriedLag | None:
+    """Return the best limits of the inputs' rates, or None: first one share of all, then each by itself."""
+    fastest = np.abs(np.diff(inputs, axis=0) / np.diff(times)[:, None]).max(axis=0)
+    fastest = np.where(fastest > 0.0, fastest, inf)
+    best = _inner(fits([Lag(rates=tuple(rates.tolist())) for rates in _RATES[:, None] * fastest]))
+    if best is None or best.fit.squares > _PROMISING * none.squares:
+        return None
+    for j in np.flatnonzero(np.isfinite(fastest)).tolist():
+        best = _limited_at(fits, best, j, float(fastest[j]))
+    return best
+
+
+def _limited_at(fits: Fits, best: TriedLag, j: int, fastest: float) -> TriedLag:
+    """Return the best limit of the rate of input j, or none, beside the others' limits."""
+
+    def limited(rate: float) -> Lag:
+        rates = best.lag.rates
+        return Lag(rates=(*rates[:j], rate, *rates[j + 1 :]))
+
+    tried = [best, *fits([limited(rate) for rate in [*(_RATES * fastest).tolist(), inf]])]
+    found = min(tried, key=lambda one: one.fit.score)
+    rate = found.lag.rates[j]
+    return found if rate == inf else _refined(fits, found, limited, rate, _RATES)
+
+
+def with_fitted_start(made: Vector, moved: Vector, rows: Vector, seen: NDArray[np.intp], rows_with: RowsWith) -> Vector:
+    """Return what arrives with each of k lags (k, N, p), what arrives first being fitted to the samples.
+
+    moved (k, q, N, p): changes of it; rows (k, n, c): residuals before; seen (n,): places of the samples' inputs.
+    """
+    k, q, _, p = moved.shape
+    aside = rows_with((made[:, None] + moved)[:, :, seen].reshape(k * q, len(seen), p))
+    slopes = (aside.reshape(k, q, -1) - rows.reshape(k, 1, -1)).transpose(0, 2, 1)
+    fitted = made.copy()
+    for i, slope in enumerate(slopes):
+        if np.all(np.isfinite(slope)):
+            steps = np.linalg.lstsq(slope, rows[i].reshape(-1), rcond=1e-7)[0]
+            fitted[i] -= np.tensordot(steps, moved[i], 1)
+    return fitted

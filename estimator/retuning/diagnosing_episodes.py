@@ -1,0 +1,102 @@
+"""Retuner on sequences of samples whose proposals are passed on only where a diagnosis warrants them."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ..diagnosis.episode_diagnosis import EpisodeDiagnosis
+from ..diagnosis.settings import Judgement
+from ..samples import Sample
+from ..space import Vector
+from ..triggers import Trigger
+from .proposal import DOUBTFUL, Proposal, going_back, without_rounding
+from .retuner import Retuner, RetunerCounts
+
+
+@dataclass(frozen=True)
+class EpisodeTrigger:
+    """Trigger that begins an episode only where a sequence of samples contradicts the parameters in force."""
+
+    trigger: Trigger
+    diagnosis: EpisodeDiagnosis
+
+    def __call__(self, sample: Sample, tracking_error: float, theta: Vector) -> str | None:
+        """Return the inner trigger's reason, or None."""
+        return self.diagnosis.reason(self.trigger, sample, tracking_error, theta)
+
+
+class DiagnosingEpisodes(RetunerCounts[Retuner]):
+    """Retuner with a diagnosis of sequences beside it: the same calls, and only warranted proposals."""
+
+    def __init__(self, retuner: Retuner, diagnosis: EpisodeDiagnosis) -> None:
+        """retuner: on the diagnosis' window, with an `EpisodeTrigger`."""
+        self._retuner, self._diagnosis = retuner, diagnosis
+        self._before: Vector | None = None  # in force at the beginning of the episode
+        self._ended: tuple[Vector, Judgement] | None = None  # what the last episode proposed in the end
+
+    def diagnosis_summary(self) -> dict[str, Any]:
+        """Return what the diagnosis has found as JSON values."""
+        return self._diagnosis.summary()
+
+    def snapshot(self) -> None:
+        """Return None: an episode's window cannot be restored."""
+
+    def restore(self, snapshot: None, held: Vector) -> None:
+        """Do nothing: there is no snapshot."""
+
+    def reverted(self, theta: Vector) -> None:
+        """Take a revert of the guard's to theta (d,): no search that fails returns to what was reverted."""
+        self._before = theta
+
+    def suspend(self, t: float, held: Vector) -> Proposal | None:
+        """End the search on samples that turn out to be doubtful, and undo what it wrote; None where there is none."""
+        if self._before is None or not self._retuner.is_searching:
+            return None
+        self._retuner.abandon(self._before)
+        self._retuner.close(self._before)
+        return going_back(t, Proposal(), self._before, held, (), self._diagnosis.space, DOUBTFUL)
+
+    def step(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
+        """Take one communication point's sample, where there is one; return what to write, and why."""
+        proposal = self._proposal(t, sample, tracking_error, held)
+        return replace(proposal, events=(*proposal.events, *self._diagnosis.evidence.events(t)))
+
+    def _proposal(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
+        diagnosis = self._diagnosis
+        self._close(held)
+        if sample is not None:
+            sample = diagnosis.corrected(sample)
+        proposal = without_rounding(self._retuner.step(t, sample, tracking_error, held), held, diagnosis.space)
+        kinds = [event.kind for event in proposal.events]
+        if "trigger" in kinds:
+            self._before = held
+        if proposal.estimate is None and "end" not in kinds:
+            return proposal
+        best = None if proposal.estimate is None else proposal.estimate.theta
+        theta, before = proposal.theta, held if self._before is None else self._before
+        verdict: Judgement = "refuted" if best is None else diagnosis.judge(best if theta is None else theta, before)
+        if proposal.estimate is not None and theta is not None:
+            verdict = "refuted" if diagnosis.is_at_unseen_bound(theta, proposal.estimate.std, held) else verdict
+        if verdict != "refuted":
+            rival = diagnosis.disturbance(before) if verdict == "possible" and theta is not None else None
+            if "end" in kinds:
+                self._ended = (held if theta is None else theta, verdict)
+            return replace(proposal, possible_disturbance=rival, is_warranted=rival is None)
+        if "end" not in kinds:
+            return replace(proposal, theta=None)
+        before = diagnosis.accepted(before)
+        events = diagnosis.fail(t, best, before)
+        self._retuner.close(before)
+        return going_back(t, proposal, before, held, events, diagnosis.space)
+
+    def _close(self, held: Vector) -> None:
+        """Close the window of the last episode; wait for more samples where its proposal was possible, and refused."""
+        if self._ended is None:
+            return
+        (proposed, verdict), self._ended = self._ended, None
+        was_refused = not np.array_equal(proposed, held)
+        if verdict == "possible" and was_refused and self._diagnosis.wait():
+            return
+        self._diagnosis.succeed()
+        self._retuner.close(held)

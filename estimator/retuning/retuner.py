@@ -1,0 +1,376 @@
+"""Re-tuning loop: idle until triggered, then an episode of evaluations that ends in new parameters.
+
+Khan and Chatterjee (2020), section III-C and algorithm 1. It uses no FMU and stores no parameters of the
+controller: those in force are an argument, those to be written are returned.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from copy import deepcopy
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any, Generic, Literal, Protocol, TypeVar, cast
+
+import numpy as np
+
+from ..arrival_cost import ArrivalCost
+from ..contract import AskTell, Batching, Converging, Estimate, Following, Jumping, NoEstimateError, Rescoring, Solver
+from ..events import Event
+from ..objective import LinearForm, Objective, Window
+from ..samples import Sample
+from ..sliding_window import ResidualWindow
+from ..space import Vector
+from ..triggers import Trigger
+from .proposal import Proposal
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Number of evaluations, and choice of the parameters written to the controller. Counts, never wall time."""
+
+    evaluations: float = 30
+    """Number N of evaluations an episode; infinite where one episode lasts the run."""
+    evaluations_per_step: int = 1
+    """Number of evaluations a macro step; a solver's one solve counts as so many, so that all episodes last as long."""
+    commit: Literal["incumbent", "candidate"] = "incumbent"
+    """Parameters that are written: the best so far, or each candidate."""
+
+
+@dataclass(frozen=True)
+class RetunerSnapshot:
+    """State of a retuner before a sample that may be an outlier."""
+
+    window: ResidualWindow
+    remaining: float
+    believed: Vector | None
+    solver: Solver | None
+    arrival_cost: ArrivalCost | None
+    before: ArrivalCost | None
+    searched: Vector | None
+    is_waiting: bool
+
+
+class Retuner:
+    """Loop that monitors samples, and in an episode evaluates candidates and proposes the best so far.
+
+    One call a communication point: `proposal = retuner.step(t, sample, tracking_error, held)`.
+    """
+
+    def __init__(
+        self,
+        estimator: AskTell | Solver,
+        window: Window,
+        trigger: Trigger,
+        budget: Budget,
+        linear: LinearForm | None = None,
+        describe: Callable[[], str] = str,
+        closes: bool = True,
+    ) -> None:
+        """describe: returns how the window scores candidates, in a line; closes: False where the caller calls `close`
+        when an episode has ended."""
+        self._closes = closes
+        self.describe = describe
+        self._estimator, self._window, self._trigger, self._budget = estimator, window, trigger, budget
+        self._solver = estimator if isinstance(estimator, Solver) else None  # 20 us to ask a protocol
+        self._rescoring = estimator if isinstance(estimator, Rescoring) else None
+        is_batching = isinstance(estimator, Batching) and not window.is_rescoring_cheap
+        self._batching = cast(Batching, estimator) if is_batching else None
+        is_following = isinstance(estimator, Following) and isinstance(window, ResidualWindow)
+        self._following = cast(Following, estimator) if is_following else None
+        self._converging = estimator if isinstance(estimator, Converging) else None
+        self._is_waiting = False  # whether the newest episode began on a window that waits
+        self._before: ArrivalCost | None = None  # at the beginning of the newest episode
+        self._searched: Vector | None = None  # where the newest search ended
+        self._linear = linear
+        self._believed: Vector | None = None  # the newest estimate of the present episode
+        self._remaining = 0.0
+        self.n_evaluations = 0
+        self.n_episodes = 0
+
+    def step(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
+        """Take one communication point's sample, where there is one; return what to write, and why.
+
+        held (d,): the controller's parameters. A filter gives a sample only every few points, of a time before t: a
+        search continues between them.
+        """
+        begun = perf_counter()
+        if sample is not None:
+            self._window.append(sample)
+        elif not self._remaining or self._solver is not None:  # an equal window has nothing new to solve
+            return Proposal()
+        events: list[Event] = []
+        if sample is not None and not self._remaining:
+            reason = self._trigger(sample, tracking_error, held)
+            followed = self._follow(held, reason is not None)
+            if followed is not None or reason is None:
+                return followed or Proposal()
+            samples = self._begin(held)
+            on = {} if samples is None else {"samples": samples}
+            events.append(Event(t, "trigger", {"reason": reason, "episode": self.n_episodes, **on}))
+        elif sample is not None and self._estimator.is_whitened and self._believed is not None:
+            self._window.explain(self._believed)  # before the evaluations, which outdated samples would bias
+        if not self._window.is_ready:
+            return Proposal(events=tuple(events))
+        latencies: list[float] = []
+        candidate = held
+        for candidate, cost, seconds in self._evaluate(held):
+            latencies.append(seconds)
+            why = self._window.why_failed(candidate)
+            failed = {} if why is None else {"failed": why}
+            events.append(Event(t, "candidate", {"theta": candidate.tolist(), "cost": cost, **failed}))
+        estimate = self._estimate()
+        latencies[-1] += perf_counter() - begun - sum(latencies)
+        has_ended = self._remaining == 0
+        if has_ended:
+            cost = None if estimate is None else estimate.cost
+            known = {} if estimate is None else estimate_as_json(estimate)
+            events.append(Event(t, "end", {"episode": self.n_episodes, "cost": cost} | known))
+        is_candidate = self._budget.commit == "candidate" and not has_ended
+        wanted = held if estimate is None else candidate if is_candidate else estimate.theta
+        if has_ended and self._following is not None and estimate is not None:
+            self._following.remember(self._window_residuals)
+            self._searched = estimate.theta
+        if has_ended and self._closes:
+            self._window.end(wanted)
+        theta = None if np.array_equal(wanted, held) else wanted
+        return Proposal(theta, estimate, tuple(events), tuple(latencies), is_candidate)
+
+    @property
+    def may_follow_jump(self) -> bool:
+        """True where a search is under way, in whose place a filter may go on."""
+        return self._following is not None and self._remaining > 0
+
+    def follow_jump(self, t: float, sample: Sample, known: ArrivalCost, held: Vector) -> Proposal:
+        """End the search, as a filter has followed the parameters since they jumped; it goes on.
+
+        known: of the samples since then, the newest one among them; held (d,): the controller's parameters.
+        """
+        assert self._following is not None
+        begun = perf_counter()
+        self._window.append(sample)
+        self._remaining = 0.0
+        self._following.arrival_cost = known
+        estimate = self._following.filtered(held)
+        wanted = held if estimate is None else estimate.theta
+        self._searched = wanted
+        told = {} if estimate is None else estimate_as_json(estimate)
+        event = Event(
+            t, "end", {"episode": self.n_episodes, "cost": None if estimate is None else estimate.cost} | told
+        )
+        theta = None if np.array_equal(wanted, held) else wanted
+        return Proposal(theta, estimate, (event,), (perf_counter() - begun,))
+
+    def suspend(self, t: float, held: Vector) -> None:
+        """Go on with samples that turn out to be doubtful: without a diagnosis nothing says what to go back to."""
+
+    def diagnosis_summary(self) -> None:
+        """Return None: there is no diagnosis."""
+
+    @property
+    def is_searching(self) -> bool:
+        """True where an episode is under way."""
+        return self._remaining > 0
+
+    def close(self, theta: Vector) -> None:
+        """Close the window of an episode that has ended with theta (d,) in force."""
+        self._window.end(theta)
+
+    def abandon(self, held: Vector) -> None:
+        """End the episode, if there is one, and forget its samples; what was known of held (d,) is known again."""
+        if self._solver is None or self._remaining != math.inf:
+            self._remaining = 0.0
+        if self._following is not None:
+            self._following.recall(self._before, held)
+        self.forget()
+
+    def jump(self, estimate: Estimate) -> None:
+        """Let a filter go on from an estimate, as after a jump of the plant's parameters."""
+        if isinstance(self._estimator, Jumping):
+            self._estimator.jump(estimate)
+        else:
+            self._estimator.restart(estimate.theta)
+
+    def reverted(self, theta: Vector) -> None:
+        """Take a return to earlier parameters theta (d,): what the filter knows is doubtful."""
+        self.distrust()
+
+    def distrust(self) -> None:
+        """Forget what the samples so far say of the parameters: the next samples are followed after a search only."""
+        if self._following is not None:
+            self._following.arrival_cost = self._before = None
+
+    def forget(self) -> None:
+        """Forget the samples, whose residuals are no longer valid."""
+        if isinstance(self._window, ResidualWindow):
+            self._window.clear()
+
+    def snapshot(self) -> RetunerSnapshot | None:
+        """Return the snapshot that `restore` needs; None where the window, an episode's own, cannot be restored."""
+        if not isinstance(self._window, ResidualWindow):
+            return None
+        known = None if self._following is None else self._following.arrival_cost
+        return RetunerSnapshot(
+            self._window.copy(), self._remaining, self._believed, deepcopy(self._solver),
+            known, self._before, self._searched, self._is_waiting,
+        )  # fmt: skip
+
+    def restore(self, snapshot: RetunerSnapshot, held: Vector) -> None:
+        """Go back to a snapshot, which is used up; held (d,): the controller's parameters then.
+
+        Evaluations made since stay counted.
+        """
+        snapshot.window.n_model_calls = self._window.n_model_calls
+        self._window, self._remaining, self._believed = snapshot.window, snapshot.remaining, snapshot.believed
+        self._before, self._searched, self._is_waiting = snapshot.before, snapshot.searched, snapshot.is_waiting
+        if self._following is not None:
+            self._following.arrival_cost = snapshot.arrival_cost
+        if snapshot.solver is not None:
+            self._solver = self._estimator = snapshot.solver
+        elif self._rescoring is None:
+            self._estimator.restart(held)
+
+    @property
+    def n_model_calls(self) -> int:
+        """Number of samples at which a candidate was evaluated, re-scoring included."""
+        return self._window.n_model_calls
+
+    def _estimate(self) -> Estimate | None:
+        """Return the present estimate; None before any candidate has succeeded."""
+        try:
+            estimate = self._estimator.estimate()
+        except NoEstimateError:
+            return None
+        self._believed = estimate.theta
+        if self._estimator.is_whitened:
+            self._window.explain(estimate.theta)
+        return estimate
+
+    def _follow(self, held: Vector, is_triggered: bool) -> Proposal | None:
+        """Take the newest sample between two episodes; return None where there is nothing to go on from."""
+        if self._following is None or not isinstance(self._window, ResidualWindow):
+            return None
+        begun = perf_counter()
+        if not self._following.follow(self._window.newest_residual, is_triggered):
+            return None
+        estimate, known = self._following.filtered(held), self._following.arrival_cost
+        latencies = (perf_counter() - begun,)
+        if known is not None and known.is_refuted:
+            self.distrust()
+            return Proposal(undo=self._searched, latencies=latencies)
+        if estimate is None or np.array_equal(estimate.theta, held):
+            return Proposal(latencies=latencies)
+        return Proposal(estimate.theta, estimate, latencies=latencies)
+
+    def _window_residuals(self, thetas: Vector) -> Vector:
+        """Return the residuals (..., D) of candidates (..., d) over the window."""
+        return np.asarray(self._window.residuals(thetas))
+
+    def _begin(self, held: Vector) -> str | None:
+        """Begin an episode; return on which samples, in words, or None for simply the newest ones."""
+        self.n_episodes += 1
+        self._remaining = self._budget.evaluations
+        self._estimator.restart(held)
+        if self._following is not None:
+            self._before = self._following.arrival_cost
+        if self._rescoring is not None and not self._window.is_rescoring_cheap:
+            # Their residuals belong to other samples: marked as failures, they are dropped.
+            self._rescoring.rescore(np.full((len(self._rescoring.candidates), 1), np.nan))
+        samples = self._window.begin(held)
+        self._believed = held
+        window = self._window
+        waits = isinstance(window, ResidualWindow) and self._searched is not None and not window.is_full
+        if isinstance(window, ResidualWindow) and waits and not self._is_waiting:
+            window.wait()  # what was found on fewer samples may have been wrong, the plant still the same
+        elif self._estimator.is_whitened:
+            window.explain(held, patient=False)
+        self._is_waiting = waits and not self._is_waiting
+        return samples
+
+    def _evaluate(self, held: Vector) -> Iterator[tuple[Vector, float, float]]:
+        """Evaluate this step's candidates: yield (theta, |residual|^2, wall time [s]) of each."""
+        if self._solver is not None:
+            return self._solve(self._solver)
+        return self._search(cast(AskTell, self._estimator), held)
+
+    def _solve(self, solver: Solver) -> Iterator[tuple[Vector, float, float]]:
+        begun = perf_counter()
+        is_cheap = self._window.is_rescoring_cheap  # else a solve is an episode: its samples stay, and it cannot pause
+        objective = Objective(self._window, self._linear, math.inf if is_cheap else self._budget.evaluations)
+        solver.solve(objective)
+        self._window.keep(())
+        self._remaining = max(self._remaining - self._budget.evaluations_per_step, 0) if is_cheap else 0
+        self.n_evaluations += objective.n_evaluations
+        estimate = solver.estimate()
+        yield estimate.theta, estimate.cost, perf_counter() - begun
+
+    def _search(self, search: AskTell, held: Vector) -> Iterator[tuple[Vector, float, float]]:
+        begun = perf_counter()
+        if self._rescoring is None:
+            self._window.keep([held])  # it would keep the residuals of every candidate of the run
+        elif self._window.is_rescoring_cheap and len(candidates := self._rescoring.candidates):
+            self._rescoring.rescore(np.asarray(self._window.residuals(candidates)))
+        n = int(min(self._budget.evaluations_per_step, self._remaining))
+        while n > 0:
+            thetas = [search.ask()] if self._batching is None else self._batching.ask_many(n)
+            n -= len(thetas)
+            residuals = [self._window.residual(thetas[0])] if len(thetas) == 1 else self._window.residuals(thetas)
+            for theta, residual in zip(thetas, residuals, strict=True):
+                search.tell(theta, residual)
+                self._remaining -= 1
+                self.n_evaluations += 1
+                now = perf_counter()
+                yield theta, float(residual @ residual), now - begun
+                begun = now
+            is_growing = isinstance(self._window, ResidualWindow) and not self._window.is_full
+            if self._converging is not None and self._converging.is_done and not is_growing:
+                self._remaining = n = 0
+
+
+class Counting(Protocol):
+    """Counts of a retuner, or of what has one inside."""
+
+    @property
+    def n_evaluations(self) -> int: ...
+    @property
+    def n_episodes(self) -> int: ...
+    @property
+    def n_model_calls(self) -> int: ...
+    def describe(self) -> str: ...
+
+
+_Inside = TypeVar("_Inside", bound=Counting)
+
+
+class RetunerCounts(Generic[_Inside]):
+    """Counts of a retuner, for a class that has it inside."""
+
+    _retuner: _Inside
+
+    def describe(self) -> str:
+        """Return how candidates are scored, in a line."""
+        return self._retuner.describe()
+
+    @property
+    def n_evaluations(self) -> int:
+        """Candidates evaluated so far."""
+        return self._retuner.n_evaluations
+
+    @property
+    def n_episodes(self) -> int:
+        """Episodes begun so far."""
+        return self._retuner.n_episodes
+
+    @property
+    def n_model_calls(self) -> int:
+        """Samples at which a candidate was scored so far."""
+        return self._retuner.n_model_calls
+
+
+def estimate_as_json(estimate: Estimate) -> dict[str, Any]:
+    """Return an estimate as JSON values."""
+    return {
+        "theta": estimate.theta.tolist(),
+        "std": estimate.std.tolist(),
+        "is_identifiable": list(estimate.is_identifiable),
+        "reason": estimate.reason,
+    }

@@ -36,6 +36,8 @@ class Case:
     """Noise over the declared one."""
     has_change: bool = False
     """True where the parameters change: a controller that is told them has the least error."""
+    fault: Mapping[str, Any] | None = None
+    """Fault of the sensor of the first derivative, from some time on; a `size` is in standard deviations."""
     loop: str = ""
     """Case in which a loop that is not re-tuned does the same, by whatever seed: the samples alone differ."""
 
@@ -89,6 +91,16 @@ def _coloured(plant: ForeignPlant, seed: int) -> Changes:
     return found
 
 
+def _faults(plant: ForeignPlant, fault: Mapping[str, Any] | None) -> list[dict[str, Any]]:
+    """Return the faults of a scenario file."""
+    if fault is None:
+        return []
+    name, sigma = next(iter(plant.noise.items()))
+    size = {"size": fault["size"] * sigma} if "size" in fault else {}
+    begun = {"sensor": f"plant.der({name})", "start": round(_CHANGE * plant.n_steps) * plant.step}
+    return [{**fault, **size, **begun}]
+
+
 def _lag(plant: ForeignPlant) -> Changes:
     return {"tau_u": _LATE * plant.step}
 
@@ -113,6 +125,15 @@ CASES: Final[Mapping[str, Case]] = {
         "the same, and the parameters jump", lambda p, _: _changed(p), 10.0, has_change=True, loop="change"
     ),
     "coloured": Case("coloured noise of three times the declared size is added", _coloured, loop="none"),
+    "bias": Case(
+        "a derivative is sampled with a bias of ten standard deviations, from some time on",
+        _nothing,
+        fault={"kind": "bias", "size": 10.0},
+        loop="none",
+    ),
+    "sign": Case(
+        "a derivative is sampled with the wrong sign, from some time on", _nothing, fault={"kind": "sign"}, loop="none"
+    ),
     "sine": Case("a slow sinusoidal disturbance", _sine),
     "drift": Case("the first parameter grows by 30 % over the run", _drift, has_change=True),
 }
@@ -146,6 +167,7 @@ def tables(plant: ForeignPlant, case: str, seed: int) -> dict[str, Any]:
         "tracking": {f"plant.{name}": f"reference.{ref}" for name, ref in plant.tracked.items()},
         "sampling": {
             "noise_ratio": CASES[case].noise_ratio,
+            "faults": _faults(plant, CASES[case].fault),
             "derivatives": {f"plant.der({name})": {"noise": sigma} for name, sigma in plant.noise.items()},
         },
         "estimation": {

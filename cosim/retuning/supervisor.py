@@ -111,7 +111,7 @@ class Supervisor(RetunerCounts[AnyRetuner]):
             screened, before = self._screened(point, held)
         in_force = held if before is None else before
         with failing(f"estimator '{self._name}'", point.t):
-            proposal = self._retuner.suspend(point.t, in_force) if screened.has_failed else None
+            proposal = self._retuner.suspend(point.t, in_force, screened.n_doubtful) if screened.n_doubtful else None
             if proposal is None:
                 proposal = self._retuner.step(point.t, screened.sample, point.error, in_force)
         with failing("estimation.model", point.t):

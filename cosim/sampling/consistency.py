@@ -13,11 +13,14 @@ from numpy.typing import NDArray
 from estimator import Sample, Vector
 
 from .medians import column_medians
+from .sensor_checks import SUMMED
 
-_LENGTH: Final = 20
-"""Samples over which derivatives are summed."""
 _FEWEST: Final = 5
 """Least number of samples whose scatter is an estimate of the noise."""
+_STILL: Final = 0.5
+"""Share of the limit above which a derivative that was inconsistent still is."""
+_SHY: Final = 3
+"""Number of consistent samples that make good for an inconsistent one."""
 
 
 class Consistency:
@@ -26,7 +29,9 @@ class Consistency:
     A sample at the end of a step belongs to the input that was held over it. So the rectangle rule errs by h/2 times
     the change of the derivative over the step, whose size the model predicts. The limit is the sum of that of the
     noise, declared or observed, whichever is larger, of twice that error, and of h/2 sum |xdot_i - xdot_(i-1)|, the
-    last counted twice, so that a spike is no bias.
+    last counted twice, so that a spike is no bias. A channel that was inconsistent is so until it
+    has been below half of it for three times as many samples, at most 20: a derivative with the wrong sign fits, too,
+    where it is small, and a spike of the state is over soon.
     """
 
     def __init__(
@@ -47,6 +52,7 @@ class Consistency:
         self._rows = np.empty((0, 4, len(channels)))
         self._noises: dict[int, Vector] = {}  # limits of the declared noise, by the number of changes
         self._last: Sample | None = None
+        self._distrust = np.zeros(len(channels), dtype=np.intp)  # number of samples for which it is inconsistent yet
 
     def step(self, sample: Sample, theta: Vector) -> NDArray[np.intp]:
         """Return the channels whose derivative does not fit the state's motion; a gap in time restarts the check.
@@ -60,22 +66,27 @@ class Consistency:
         moved = [sample.x[i] - last.x[i] for i in self._channels]
         drift = [abs(now[i] - before[i]) for i in self._channels]
         changes = [abs(a - b) for a, b in zip(sample.xdot, last.xdot, strict=True)]
-        self._rows = np.concatenate([self._rows[-_LENGTH:], [[moved, sample.xdot, drift, changes]]])
+        self._rows = np.concatenate([self._rows[-SUMMED:], [[moved, sample.xdot, drift, changes]]])
         if len(self._rows) <= _FEWEST:
             return np.empty(0, dtype=np.intp)
-        return self._inconsistent(self._rows[1:])
+        is_beyond = self._are_beyond(self._rows[1:])
+        self._distrust = np.clip(self._distrust + np.where(is_beyond, _SHY, -1), 0, SUMMED)
+        return np.flatnonzero(self._distrust)
 
-    def _inconsistent(self, rows: Vector) -> NDArray[np.intp]:
-        """Return the channels whose derivative does not fit, from what is known of each sample (n, 4, c)."""
+    def _are_beyond(self, rows: Vector) -> NDArray[np.bool_]:
+        """Return which channels are beyond their limits, from what is known of each sample (n, 4, c)."""
         moved, xdot, drift, changes = rows.sum(axis=0)
         n, h = len(rows), self._h
         differs, newest = np.abs(moved - h * xdot), rows[-1, 3]
         if n not in self._noises:
             self._noises[n] = self._limit_of_noise(self._noise, n)
-        if (differs <= self._noises[n] + h * drift + 0.5 * h * (changes + newest)).all():
-            return np.empty(0, dtype=np.intp)  # the observed noise only widens the limits
+        of_motion = h * drift + 0.5 * h * (changes + newest)
+        share = np.where(self._distrust > 0, _STILL, 1.0)
+        is_beyond = differs > share * (self._noises[n] + of_motion)
+        if not is_beyond.any():  # the observed noise only widens the limits
+            return is_beyond
         sigma = np.maximum(self._noise, 1.05 * column_medians(rows[:, 3]))  # of a difference: 0.954 sigma
-        return np.flatnonzero(differs > self._limit_of_noise(sigma, n) + h * drift + 0.5 * h * (changes + newest))
+        return differs > share * (self._limit_of_noise(sigma, n) + of_motion)
 
     def _limit_of_noise(self, sigma: Vector, n: int) -> Vector:
         h = self._h

@@ -57,8 +57,8 @@ class Screened(NamedTuple):
     """True where the sample before, a suspect, was not confirmed and must be retracted."""
     events: tuple[Event, ...] = ()
     """Events to record."""
-    has_failed: bool = False
-    """True where a sensor turns out to have failed: the samples before are doubtful."""
+    n_doubtful: int = 0
+    """Number of samples before this one that turn out to be doubtful, as a sensor is found to be faulty."""
 
 
 class SampleScreen:
@@ -90,13 +90,12 @@ class SampleScreen:
         is_kept_out = not bad <= {*channels} or bad >= {*channels} or n_inconsistent > 1 or len(self._health.failed) > 1
         is_suspect, outliers = (False, []) if bad else self._outliers.step(sample, theta)
         self._n_kept_out += bool(bad) + bool(outliers)
-        n_failed = len(self._health.failed)
         events = self._health.take(t, found | {("outlier", name) for name in outliers})
         if bad and not is_kept_out:
             pairs = zip(sample.xdot, channels, strict=True)
             sample = replace(sample, xdot=tuple(nan if name in bad else value for value, name in pairs))
-        has_failed = len(self._health.failed) > n_failed
-        return Screened(None if is_kept_out else sample, is_suspect, bool(outliers), tuple(events), has_failed)
+        n_doubtful = self._health.n_doubtful(events)
+        return Screened(None if is_kept_out else sample, is_suspect, bool(outliers), tuple(events), n_doubtful)
 
     def summary(self) -> dict[str, Any]:
         """Return the counts as JSON values; failed: sensors that have failed at the end."""
@@ -138,9 +137,8 @@ class OutputScreen:
             nan if is_useless or name in bad else value for name, value in zip(self._names, sample.y, strict=True)
         )
         self._n_kept_out += bool(found) or is_useless
-        n_failed = len(self._health.failed)
         events = tuple(self._health.take(t, found))
-        return Screened(replace(sample, t=t, y=y), events=events, has_failed=len(self._health.failed) > n_failed)
+        return Screened(replace(sample, t=t, y=y), events=events, n_doubtful=self._health.n_doubtful(events))
 
     def summary(self) -> dict[str, Any]:
         """Return the counts as `SampleScreen` does; kept_out: samples with at least one value kept out."""

@@ -12,6 +12,8 @@ from ..scenarios.schema.sampling import ObservationSettings
 INPUT: Final = "input"
 """Name for all held inputs."""
 LATE: Final = ("late", "sample")
+SUMMED: Final = 20
+"""Number of samples over which derivatives are summed, to be compared with the change of their states."""
 
 
 class SensorChecks:
@@ -68,6 +70,15 @@ class SensorHealth:
                 events.append(Event(t, "observation", {"fault": kind, "sensor": name}))
         self._bad.append(frozenset(now))
         return [*events, *self._judged(t, {name: kind for kind, name in now})]
+
+    def n_doubtful(self, events: Iterable[Event]) -> int:
+        """Return on how many samples before the newest one its events, from `take`, cast doubt.
+
+        A derivative that begins to be inconsistent has been wrong in some of those that were summed.
+        """
+        if any(event.kind == "sensor" and event.detail["sensor"] in self.failed for event in events):
+            return self._patience
+        return SUMMED if any(event.detail.get("fault") == "inconsistent" for event in events) else 0
 
     def _judged(self, t: float, now: dict[str, str]) -> Iterator[Event]:
         for name in {**now, **self.failed}:

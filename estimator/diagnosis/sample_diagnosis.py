@@ -260,13 +260,17 @@ class Diagnosis:
         """
         return is_at_unseen_bound(self._space, theta, std, held, not self._state.is_resting.any())
 
-    def suspend(self) -> Vector | None:
-        """End the suspicion, whose samples are doubtful; return the parameters (d,) to go back to, None without one."""
+    def suspend(self, n: int) -> Vector | None:
+        """End the suspicion, whose samples are doubtful, the newest n of all; return the parameters (d,) to go back to.
+
+        Those that lasted, where only doubtful samples have contradicted them. None where nothing was found on these.
+        """
         state = self._state
-        if not state.n_since:
+        is_recent = state.lasting is not None and state.n_samples < state.lasting_at + n
+        if not state.n_since and not is_recent:
             return None
         state.end_suspicion()
-        return state.reference
+        return state.lasting if is_recent else state.reference
 
     def fail(self, t: float, theta: Vector | None, held: Vector) -> Settled | None:
         """Take the end of a search that has found no parameters, theta (d,) being the best.

@@ -76,9 +76,9 @@ class DiagnosingRetuner(RetunerCounts[Retuner]):
         self._diagnosis.accept(theta)
         self._retuner.distrust()
 
-    def suspend(self, t: float, held: Vector) -> Proposal | None:
-        """End the search on samples that turn out to be doubtful, and undo what it wrote; None where there is none."""
-        reference = self._diagnosis.suspend()
+    def suspend(self, t: float, held: Vector, n: int) -> Proposal | None:
+        """Undo what was found on samples that turn out to be doubtful, the newest n; None where nothing was."""
+        reference = self._diagnosis.suspend(n)
         return None if reference is None else self._ended(t, Proposal(), reference, held, (), DOUBTFUL)
 
     def step(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:

@@ -49,7 +49,7 @@ class DiagnosingEpisodes(RetunerCounts[Retuner]):
         """Take a revert of the guard's to theta (d,): no search that fails returns to what was reverted."""
         self._before = theta
 
-    def suspend(self, t: float, held: Vector) -> Proposal | None:
+    def suspend(self, t: float, held: Vector, n: int) -> Proposal | None:
         """End the search on samples that turn out to be doubtful, and undo what it wrote; None where there is none."""
         if self._before is None or not self._retuner.is_searching:
             return None

@@ -160,7 +160,7 @@ class Retuner:
         theta = None if np.array_equal(wanted, held) else wanted
         return Proposal(theta, estimate, (event,), (perf_counter() - begun,))
 
-    def suspend(self, t: float, held: Vector) -> None:
+    def suspend(self, t: float, held: Vector, n: int) -> None:
         """Go on with samples that turn out to be doubtful: without a diagnosis nothing says what to go back to."""
 
     def diagnosis_summary(self) -> None:

@@ -301,7 +301,7 @@ def test_a_suspect_waits_for_the_next_sample_that_is_sound():
 def inconsistent(n=60, bias=0.0, rates=None, times=None, inputs=None, noise=SIGMA, state_noise=0.0, model=slope):
     """Numbers of the samples that are inconsistent; rates: of the state, 1 where there are none."""
     watched = Consistency((0,), (noise,), (state_noise,), model, 8.0, H)
-    rates = np.ones(n) if rates is None else np.array(rates, dtype=float)
+    rates = np.ones(max(n, np.size(bias))) if rates is None else np.array(rates, dtype=float)
     biases = np.broadcast_to(bias, len(rates))
     x, odd = H * np.cumsum(rates), []
     for k, rate in enumerate(rates):
@@ -348,6 +348,27 @@ def test_a_jump_of_the_motion_is_consistent():
     assert inconsistent(rates=[0.0] * 30 + [5.0] * 30) == []
 
 
+@pytest.mark.parametrize(("rest", "last"), [(0.0095, 89), (0.0088, 67)])
+def test_what_was_inconsistent_is_so_until_it_has_been_below_half_of_the_limit_for_20_samples(rest, last):
+    """20 bias H > 4 SIGMA H sqrt(20) + H/4 (0.03 - rest), the last for the change while it is among the newest 20."""
+    odd = inconsistent(bias=[0.03] * 30 + [rest] * 60)
+    assert odd == [*range(odd[0], last + 1)]
+    assert inconsistent(bias=rest) == []
+
+
+def test_a_wrong_sign_does_not_fit_where_the_derivative_is_small_either():
+    rates = np.sin(2.0 * np.pi * np.arange(400) / 200)
+    assert inconsistent(400, rates=rates, bias=-2.0 * rates) == [*range(5, 400)]
+
+
+def test_after_a_spike_of_the_state_its_derivative_is_trusted_again_in_three_samples():
+    """The spike is in the sum of 20 motions when it begins, at 30, and by its end alone at 50."""
+    watched, odd = Consistency((0,), (SIGMA,), (0.0,), slope, 8.0, H), []
+    for k in range(60):
+        odd += [k] * len(watched.step(Sample(k * H, (k * H + (k == 30),), (1.0,), (1.0,)), THETA))
+    assert odd == [30, 31, 32, 50, 51, 52]
+
+
 def test_one_spike_is_no_bias():
     assert inconsistent(bias=[5.0 * (k == 30) for k in range(60)]) == []
 
@@ -365,6 +386,17 @@ def test_what_is_inconsistent_is_kept_out_and_what_is_missing_is_not_summed():
     samples[8] = replace(samples[8], xdot=(nan,))
     watched = screen()
     assert [found(watched, s)[0] for s in samples][8:10] == [{"missing der(x)"}, set()]
+
+
+def test_samples_before_a_sensor_is_found_to_be_faulty_are_doubtful():
+    """Those that were summed, as a derivative begins to be inconsistent; then all of which half were bad."""
+    watched = screen(patience=20)
+    doubtful = [seen.n_doubtful for seen in steps(watched, [replace(s, xdot=(2.0,)) for s in moving(40)])]
+    assert {k: n for k, n in enumerate(doubtful) if n} == {5: 20, 15: 20}
+    assert watched.summary()["failed"] == ["der(x)"]
+    watched = screen(patience=20)
+    seen = steps(watched, [replace(s, xdot=(nan,) if k > 20 else s.xdot) for k, s in enumerate(moving(40))])
+    assert {k: s.n_doubtful for k, s in enumerate(seen) if s.n_doubtful} == {31: 20}
 
 
 def test_limits_are_those_of_the_settings():

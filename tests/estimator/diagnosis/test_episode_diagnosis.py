@@ -153,13 +153,13 @@ def test_changed_parameters_are_found_whatever_the_noise(seed):
 
 def test_a_search_on_samples_that_turn_out_to_be_doubtful_ends_and_is_undone():
     run = Run("target").go(100)
-    assert run.retuner.suspend(10.0, run.held) is None
+    assert run.retuner.suspend(10.0, run.held, 20) is None
     while not run.writes:
         run.go(1, CHANGED)
-    proposal = run.retuner.suspend(13.0, run.held)
+    proposal = run.retuner.suspend(13.0, run.held, 20)
     assert_array_equal(proposal.undo, TRUE)
     run.held = TRUE
-    assert run.retuner.suspend(13.1, TRUE) is None
+    assert run.retuner.suspend(13.1, TRUE, 20) is None
     run.go(80, CHANGED)
     assert near(run.held, CHANGED)
 

@@ -74,11 +74,12 @@ class SensorHealth:
     def n_doubtful(self, events: Iterable[Event]) -> int:
         """Return on how many samples before the newest one its events, from `take`, cast doubt.
 
-        A derivative that begins to be inconsistent has been wrong in some of those that were summed.
+        A derivative that begins to be inconsistent has been wrong in some of those that were summed; a sensor that has
+        failed perhaps for some time before that was seen.
         """
         if any(event.kind == "sensor" and event.detail["sensor"] in self.failed for event in events):
-            return self._patience
-        return SUMMED if any(event.detail.get("fault") == "inconsistent" for event in events) else 0
+            return 2 * self._patience
+        return 3 * SUMMED if any(event.detail.get("fault") == "inconsistent" for event in events) else 0
 
     def _judged(self, t: float, now: dict[str, str]) -> Iterator[Event]:
         for name in {**now, **self.failed}:

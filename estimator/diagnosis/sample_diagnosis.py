@@ -31,7 +31,7 @@ from .settled import Settled
 from .standardised_residuals import StandardisedResiduals
 from .state import DiagnosisState
 from .vain_searches import VainSearches
-from .wandering import agree
+from .wandering import InForce, agree
 
 _SURE: Final = 10
 """Number of samples on which a lag need not explain better than changed parameters, which have more values."""
@@ -99,7 +99,7 @@ class Diagnosis:
         state.n_samples += 1
         state.inputs.take(sample)
         z = self._space.to_unit(held)
-        state.way = state.way.go(z)
+        state.way, state.in_force = state.way.go(z), state.in_force.take(state.n_samples, held)
         is_anew = state.wake()
         corrected = self.residuals.corrected(sample)
         declared = self.residuals.declared(held, corrected)
@@ -261,16 +261,25 @@ class Diagnosis:
         return is_at_unseen_bound(self._space, theta, std, held, not self._state.is_resting.any())
 
     def suspend(self, n: int) -> Vector | None:
-        """End the suspicion, whose samples are doubtful, the newest n of all; return the parameters (d,) to go back to.
+        """End the suspicion, as the newest n samples are doubtful; return the parameters (d,) to go back to.
 
-        Those that lasted, where only doubtful samples have contradicted them. None where nothing was found on these.
+        Those that lasted, where only doubtful samples have contradicted them, else those in force before these. None
+        where there is no suspicion, and they are in force still.
         """
-        state = self._state
-        is_recent = state.lasting is not None and state.n_samples < state.lasting_at + n
-        if not state.n_since and not is_recent:
+        state, to_unit = self._state, self._space.to_unit
+        if not state.in_force.changes:
+            return None
+        before, now = state.in_force.at(state.n_samples - n), state.in_force.changes[-1][1]
+        if state.lasting is not None and state.n_samples < state.lasting_at + n:
+            before = state.lasting
+        if not state.n_since and agree(to_unit(before), to_unit(now)):
             return None
         state.end_suspicion()
-        return state.lasting if is_recent else state.reference
+        return before
+
+    def returned(self, theta: Vector) -> None:
+        """Take a return to earlier parameters (d,): what was in force before is over, too."""
+        self._state.in_force = InForce(((self._state.n_samples, theta),))
 
     def fail(self, t: float, theta: Vector | None, held: Vector) -> Settled | None:
         """Take the end of a search that has found no parameters, theta (d,) being the best.

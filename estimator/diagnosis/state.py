@@ -16,7 +16,7 @@ from ..space import Vector
 from .residual_scale import ResidualScale
 from .resting import RestingResiduals
 from .settings import FORGOTTEN, KINDS, Judgement
-from .wandering import Findings, Way
+from .wandering import Findings, InForce, Way
 
 WINDOW: Final = 20
 """Largest number of samples on which hypotheses are compared."""
@@ -56,6 +56,8 @@ class DiagnosisState:
     """Number of the last sample that was suspicious."""
     way: Way = field(default_factory=Way)
     """Way of the parameters in force since the samples last were quiet for long."""
+    in_force: InForce = field(default_factory=InForce)
+    """Parameters in force at the newest samples."""
     lasting: Vector | None = None
     """Parameters (d,) that the samples have not contradicted for long; None before the first onset."""
     lasting_at: int = 0

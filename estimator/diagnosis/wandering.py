@@ -1,6 +1,7 @@
 """Signs that parameters follow something that the model lacks: they go to and fro, or never stay where they are found.
 
-No change of the plant's does that. Places (d,) are in the scaled bounds; values are frozen, and a step gives the next.
+No change of the plant's does that. Beside these, which parameters were in force at which sample. Places (d,) are in the
+scaled bounds; values are frozen, and a step gives the next.
 """
 
 from dataclasses import dataclass, replace
@@ -19,6 +20,8 @@ _FAR: Final = 0.1
 """Distance that counts as a move: noise that is larger than declared makes many small ones."""
 _REMEMBERED: Final = 5
 """Number of searches, one soon after the other, that are compared with each other."""
+_MOST_CHANGES: Final = 500
+"""Largest number of changes of the parameters in force that are remembered."""
 _AGREE: Final = 0.02
 """Distance of parameters that agree, beside their drift."""
 
@@ -94,3 +97,21 @@ class Findings:
     def are_restless(self) -> bool:
         """True where several of the last searches have found other parameters."""
         return sum(self.moves) >= PATIENCE
+
+
+@dataclass(frozen=True)
+class InForce:
+    """Parameters in force at the newest samples, since earlier ones last returned."""
+
+    changes: tuple[tuple[int, Vector], ...] = ()
+    """Number of the first sample at which parameters (d,) were in force, and these, from old to new."""
+
+    def take(self, n: int, theta: Vector) -> "InForce":
+        """Return what was in force up to sample n, at which theta (d,) is."""
+        if self.changes and np.array_equal(theta, self.changes[-1][1]):
+            return self
+        return InForce((*self.changes, (n, theta))[-_MOST_CHANGES:])
+
+    def at(self, n: int) -> Vector:
+        """Return the parameters (d,) in force at sample n, or the earliest that are known."""
+        return next((theta for first, theta in reversed(self.changes) if first <= n), self.changes[0][1])

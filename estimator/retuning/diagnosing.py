@@ -74,6 +74,7 @@ class DiagnosingRetuner(RetunerCounts[Retuner]):
     def reverted(self, theta: Vector) -> None:
         """Take a revert of the guard's to theta (d,): no search that fails returns to what was reverted."""
         self._diagnosis.accept(theta)
+        self._diagnosis.returned(theta)
         self._retuner.distrust()
 
     def suspend(self, t: float, held: Vector, n: int) -> Proposal | None:
@@ -208,4 +209,5 @@ class DiagnosingRetuner(RetunerCounts[Retuner]):
             self._retuner.restore(self._solver, back)
             self._solver = None
         self._retuner.abandon(back)
+        self._diagnosis.returned(back)
         return going_back(t, proposal, back, held, events, self._space, reason)

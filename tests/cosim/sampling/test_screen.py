@@ -389,14 +389,14 @@ def test_what_is_inconsistent_is_kept_out_and_what_is_missing_is_not_summed():
 
 
 def test_samples_before_a_sensor_is_found_to_be_faulty_are_doubtful():
-    """Those that were summed, as a derivative begins to be inconsistent; then all of which half were bad."""
+    """Three times as many as are summed, as a derivative begins to be inconsistent; then twice all that are judged."""
     watched = screen(patience=20)
     doubtful = [seen.n_doubtful for seen in steps(watched, [replace(s, xdot=(2.0,)) for s in moving(40)])]
-    assert {k: n for k, n in enumerate(doubtful) if n} == {5: 20, 15: 20}
+    assert {k: n for k, n in enumerate(doubtful) if n} == {5: 60, 15: 40}
     assert watched.summary()["failed"] == ["der(x)"]
     watched = screen(patience=20)
     seen = steps(watched, [replace(s, xdot=(nan,) if k > 20 else s.xdot) for k, s in enumerate(moving(40))])
-    assert {k: s.n_doubtful for k, s in enumerate(seen) if s.n_doubtful} == {31: 20}
+    assert {k: s.n_doubtful for k, s in enumerate(seen) if s.n_doubtful} == {31: 40}
 
 
 def test_limits_are_those_of_the_settings():

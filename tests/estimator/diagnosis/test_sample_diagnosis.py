@@ -415,12 +415,12 @@ def test_a_gust_that_parameters_were_written_for_is_told_and_undone_when_it_has_
 def test_what_was_written_is_undone_where_the_samples_turn_out_to_be_doubtful(estimator):
     run = Run(estimator, 1, is_trusting=True).go(100).go(4, TRUE, PUSH[1])
     assert run.writes
-    proposal = run.retuner.suspend(5.2, run.held, 0)
+    proposal = run.retuner.suspend(5.2, run.held, 20)
     assert_array_equal(proposal.undo, TRUE)
     assert [event.kind for event in proposal.events] == ["undo"]
     assert proposal.events[0].detail["reason"] == "the samples that they were found on are doubtful"
     assert not run.diagnosis.is_suspicious
-    assert run.retuner.suspend(5.25, TRUE, 0) is None
+    assert run.retuner.suspend(5.25, TRUE, 20) is None
     run.held = TRUE
     run.go(60)
     assert near(run.held, TRUE)
@@ -450,7 +450,7 @@ def test_parameters_in_force_are_neither_written_nor_undone_for_a_rounding_error
     assert not [theta for _, theta in run.writes if np.allclose(theta, TRUE, rtol=1e-14, atol=0.0)]
     run = Run(estimator, 1).go(100)
     run.go(4, TRUE, PUSH[1])
-    assert run.retuner.suspend(5.2, np.nextafter(TRUE, np.inf), 0).undo is None
+    assert run.retuner.suspend(5.2, np.nextafter(TRUE, np.inf), 20).undo is None
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -73,6 +73,8 @@ class ArrivalCost:
     """Sum of squared residuals of the newest sample, at the mean before it."""
     innovation_squared: float = 0.0
     """Normalised innovation squared of the newest sample."""
+    deviance: float = 0.0
+    """-2 log likelihood of the newest sample given those before, a constant aside."""
 
     @classmethod
     def of_estimate(cls, z: Vector, known: Information, rate: float) -> Self:
@@ -141,6 +143,7 @@ class ArrivalCost:
         before = self.covariance + self.walk * _identity(len(self.walk))
         moved, after, spread = corrected(before, measured)
         innovation = _normalised(measured.value, spread)
+        squared = float(innovation @ innovation)
         block = replace(
             self,
             mean=np.minimum(np.maximum(self.mean + moved, 0.0), 1.0),
@@ -150,7 +153,8 @@ class ArrivalCost:
             n_samples=self.n_samples + 1,
             whiteness=self.whiteness.updated(innovation),
             cost=float(measured.value @ measured.value),
-            innovation_squared=float(innovation @ innovation),
+            innovation_squared=squared,
+            deviance=squared + float(np.linalg.slogdet(spread)[1]),
         )
         if block.whiteness.is_refuted and np.any(block._is_drifting) and not block.is_refuted:
             block = block._walking(np.where(block._is_drifting, self.rate**2, 0.0))

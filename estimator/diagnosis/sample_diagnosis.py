@@ -14,11 +14,13 @@ from typing import Any, Final
 
 import numpy as np
 
+from ..arrival_cost import ArrivalCost
 from ..hypotheses import MARGIN, disturbance_of, plain_fit
 from ..samples import DerivativeResidual, Sample
 from ..space import Vector
 from .comparison import FEWEST, LONG, QUIET, HypothesisComparison
 from .disturbance_diagnosis import DisturbanceDiagnosis
+from .drift_rival import DriftRival
 from .effect_diagnosis import EffectDiagnosis
 from .evidence import Evidence
 from .friction_comparison import FrictionComparison
@@ -29,7 +31,7 @@ from .residual_scale import NOISY
 from .settings import PATIENCE, DiagnosisSettings, is_at_unseen_bound
 from .settled import Settled
 from .standardised_residuals import StandardisedResiduals
-from .state import DiagnosisState
+from .state import WINDOW, DiagnosisState
 from .vain_searches import VainSearches
 from .wandering import InForce, agree
 
@@ -234,6 +236,22 @@ class Diagnosis:
             return Settled(before, (event,), True)
         state.findings = state.findings.forget()
         return Settled(before, (event, self._vain.rest(t, every)), True)
+
+    def refutes_drift(self, known: ArrivalCost, sample: Sample) -> bool:
+        """Return whether parameters that a filter lets drift do not explain what it has followed, up to a sample.
+
+        known: by the filter; sample: the newest one, corrected. Where it has begun to follow, the newest 20 samples say
+        what disturbance there is beside the parameters that lasted.
+        """
+        state = self._state
+        if state.lasting is None:
+            return known.is_refuted
+        rival = state.drift_rival
+        if rival is None or rival.n_samples != state.n_samples - 1:
+            rows = self.residuals.of_newest(state.lasting, min(len(state.samples), WINDOW))
+            rival = DriftRival.of_rows(rows[:-1], state.n_samples - 1)
+        state.drift_rival = rival.updated(self.residuals.scaled(state.lasting, sample), known)
+        return state.drift_rival.refutes(known)
 
     def accept(self, theta: Vector) -> None:
         """Take parameters (d,) that are warranted and in force for those that the next ones are compared with."""

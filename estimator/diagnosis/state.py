@@ -13,6 +13,7 @@ from ..effects.friction import Friction
 from ..effects.input_lag import InputHistory
 from ..samples import Sample
 from ..space import Vector
+from .drift_rival import DriftRival
 from .residual_scale import ResidualScale
 from .resting import RestingResiduals
 from .settings import FORGOTTEN, KINDS, Judgement
@@ -94,6 +95,8 @@ class DiagnosisState:
     """Number of the sample at which the verdict was found."""
     restless_since: int = 0
     """Number of the first sample of a suspicion that began after some quiet."""
+    drift_rival: DriftRival | None = None
+    """What a walking disturbance explains of the samples since parameters have been followed; None before."""
     next_lag: int = 0
     """Number of the sample from which on a lag is sought again, none having explained the samples."""
     next_effect: int = 0

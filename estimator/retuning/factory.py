@@ -74,5 +74,7 @@ def make_retuner(
     elif diagnosis is not None:
         begins = SuspicionTrigger(begins, diagnosis)
     window = ResidualWindow(residual, n, max_length, rows, slopes)
-    retuner = Retuner(estimator, window, begins, budget, linear, partial(str, text))
-    return retuner if diagnosis is None else DiagnosingRetuner(retuner, diagnosis, trigger.is_endless, jumps)
+    if diagnosis is None:
+        return Retuner(estimator, window, begins, budget, linear, partial(str, text))
+    retuner = Retuner(estimator, window, begins, budget, linear, partial(str, text), refutes=diagnosis.refutes_drift)
+    return DiagnosingRetuner(retuner, diagnosis, trigger.is_endless, jumps)

@@ -65,10 +65,12 @@ class Retuner:
         linear: LinearForm | None = None,
         describe: Callable[[], str] = str,
         closes: bool = True,
+        refutes: Callable[[ArrivalCost, Sample], bool] = lambda known, sample: known.is_refuted,
     ) -> None:
         """describe: returns how the window scores candidates, in a line; closes: False where the caller calls `close`
-        when an episode has ended."""
-        self._closes = closes
+        when an episode has ended; refutes: returns whether a drift that has been followed explains nothing, from what
+        the filter knows of the samples and the newest of them."""
+        self._closes, self._refutes = closes, refutes
         self.describe = describe
         self._estimator, self._window, self._trigger, self._budget = estimator, window, trigger, budget
         self._solver = estimator if isinstance(estimator, Solver) else None  # 20 us to ask a protocol
@@ -101,7 +103,7 @@ class Retuner:
         events: list[Event] = []
         if sample is not None and not self._remaining:
             reason = self._trigger(sample, tracking_error, held)
-            followed = self._follow(held, reason is not None)
+            followed = self._follow(sample, held, reason is not None)
             if followed is not None or reason is None:
                 return followed or Proposal()
             samples = self._begin(held)
@@ -245,7 +247,7 @@ class Retuner:
             self._window.explain(estimate.theta)
         return estimate
 
-    def _follow(self, held: Vector, is_triggered: bool) -> Proposal | None:
+    def _follow(self, sample: Sample, held: Vector, is_triggered: bool) -> Proposal | None:
         """Take the newest sample between two episodes; return None where there is nothing to go on from."""
         if self._following is None or not isinstance(self._window, ResidualWindow):
             return None
@@ -253,8 +255,9 @@ class Retuner:
         if not self._following.follow(self._window.newest_residual, is_triggered):
             return None
         estimate, known = self._following.filtered(held), self._following.arrival_cost
+        is_refuted = known is not None and self._refutes(known, sample)
         latencies = (perf_counter() - begun,)
-        if known is not None and known.is_refuted:
+        if is_refuted:
             self.distrust()
             return Proposal(undo=self._searched, latencies=latencies)
         if estimate is None or np.array_equal(estimate.theta, held):

@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from math import inf, isfinite
+from math import inf, isnan
 from typing import Final
 
 from estimator.events import Event
@@ -14,6 +14,8 @@ INPUT: Final = "input"
 LATE: Final = ("late", "sample")
 SUMMED: Final = 20
 """Number of samples over which derivatives are summed, to be compared with the change of their states."""
+_LARGEST: Final = 1e100
+"""Largest size of a value that counts as finite: the squares of larger ones may not be."""
 
 
 class SensorChecks:
@@ -39,7 +41,7 @@ class SensorChecks:
             yield LATE
             return
         named = [*zip(self._names, values, strict=True), *((INPUT, value) for value in u)]
-        bad = [(("missing" if value != value else "infinite"), name) for name, value in named if not isfinite(value)]
+        bad = [("missing" if isnan(value) else "infinite", name) for name, value in named if not abs(value) <= _LARGEST]
         yield from bad
         if self._previous:
             pairs = zip(self._n_same, values, self._previous, strict=True)

@@ -56,7 +56,9 @@ def told(seen, kind="observation"):
 # A sample by itself, and beside the one before.
 
 
-@pytest.mark.parametrize(("value", "kind"), [(nan, "missing"), (inf, "infinite"), (-inf, "infinite")])
+@pytest.mark.parametrize(
+    ("value", "kind"), [(nan, "missing"), (inf, "infinite"), (-inf, "infinite"), (1e200, "infinite")]
+)
 @pytest.mark.parametrize(("key", "name"), [("xdot", "der(x)"), ("x", "x"), ("u", "input")])
 def test_what_is_no_finite_number_is_kept_out(key, name, value, kind):
     watched = screen()

@@ -69,7 +69,9 @@ def _change_function(
     if not isinstance(change, tuple):
         return _named(name, change, defined)
     times = [row[0] for row in change]
-    if not times or any(b <= a for a, b in pairwise(times)):
+    if not times:
+        raise ValueError(f"{name}: has no rows [time, value]")
+    if any(b <= a for a, b in pairwise(times)):
         raise ValueError(f"{name}: the times of a change must rise, got {times}")
     pieces = [_named(name, row[1], defined) for row in change]
 

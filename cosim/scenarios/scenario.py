@@ -144,6 +144,9 @@ class Scenario(Table):
                 if reference.component not in self.components:
                     hint = did_you_mean(reference.component, self.components)
                     raise ValueError(f"{table}: '{reference}': no component '{reference.component}'{hint}")
+        for reference, other in self.tracking.items():
+            if reference == other:
+                raise ValueError(f"tracking: '{reference}' is tracked against itself")
         self.scenario.check_size(sum(c.fmu is not None for c in self.components.values()))
         self.change_functions()
         return self

@@ -16,7 +16,9 @@ _JARGON: Final = (
     (re.compile(r"(?:Dictionary|Tuple|List) should have at least (\d+) items? after validation, not (\d+)"),
      r"must have \1 at least, got \2"),
     (re.compile(r"Input should be a valid (?:tuple|list)"), "must be a list"),
-    (re.compile(r"Input should be a valid dictionary.*"), "must be a table"),
+    (re.compile(r"Input should be a (?:valid )?dictionary.*"), "must be a table"),
+    (re.compile(r"Unable to extract tag using discriminator '(\w+)'"), r"\1 is missing"),
+    (re.compile(r"Field required"), "is missing"),
     (re.compile(r"Input tag ('.*') found using '(\w+)' does not match any of the expected tags: (.*)"),
      r"\2 must be one of \3, got \1"),
 )  # fmt: skip

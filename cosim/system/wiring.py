@@ -30,14 +30,18 @@ def wire(scenario: Scenario, slaves: Mapping[str, Described]) -> tuple[dict[str,
         (disturbances if reference in disturbed else tunables)[component].append(variable)
     outputs = {name: numeric_outputs(slave) for name, slave in slaves.items()}
     known = {name: set(own) for name, own in outputs.items()}
-    read = [*scenario.connections.values(), *scenario.tracking, *scenario.tracking.values()]
     sampling = scenario.sampling
     measured = [] if sampling.filter else sampling.derivatives
-    for reference in [*read, *measured, *sampling.outputs, *sampling.states]:
-        component, variable = reference.parts
-        if variable not in known[component]:
-            hint = did_you_mean(variable, outputs[component]) or "."
-            raise WiringError(f"'{reference}' is no output of {component}{hint}")
+    read = {
+        "connections": scenario.connections.values(),
+        "tracking": [*scenario.tracking, *scenario.tracking.values()],
+        "sampling": [*measured, *sampling.outputs, *sampling.states],
+    }
+    for table, references in read.items():
+        for component, variable in (reference.parts for reference in references):
+            if variable not in known[component]:
+                hint = did_you_mean(variable, outputs[component]) or "."
+                raise WiringError(f"{table}: '{component}.{variable}' is no output of {component}{hint}")
     conversions = unit_conversions(scenario, {name: slave.description for name, slave in slaves.items()})
     wiring = {
         name: Wiring(

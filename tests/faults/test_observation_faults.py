@@ -264,12 +264,22 @@ def test_faults_leave_the_noise_what_it_is(tmp_path):
         ),
         ([fault("dropout", "motor.u")], "no component 'motor'"),
         ([fault("late", RATE)], "a whole sample is late"),
-        ([fault("bias", RATE)], "'size' belongs to bias"),
-        ([fault("dropout", RATE, size=1.0)], "'size' belongs to bias"),
+        ([fault("bias", RATE)], "bias needs 'size'"),
+        ([fault("dropout", RATE, size=1.0)], "dropout has no 'size'"),
+        ([fault("dropout", RATE, start=5.0, stop=2.0)], "stop must be after start"),
         ([fault("dropout", RATE, probability=1.5)], "less than or equal to 1"),
         ([fault("broken", RATE)], "should be 'dropout'"),
     ],
-    ids=["unknown sensor", "unknown component", "late sensor", "no size", "size of what", "probability", "kind"],
+    ids=[
+        "unknown sensor",
+        "unknown component",
+        "late sensor",
+        "no size",
+        "size of what",
+        "times",
+        "probability",
+        "kind",
+    ],
 )
 def test_a_fault_that_makes_no_sense_is_refused_in_one_line(faults, message, tmp_path):
     from cosim.errors import CosimError

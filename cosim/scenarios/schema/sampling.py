@@ -1,10 +1,13 @@
 """Tables of a scenario file on measurement: sensors, their faults, the filter, checks of samples."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Final, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
 from .table import MOST, Reference, Table
+
+_SMALLEST: Final = 1e-100
+"""Smallest standard deviation of a noise: the squares of residuals divided by it stay finite."""
 
 
 class Noise(Table):
@@ -12,6 +15,13 @@ class Noise(Table):
 
     noise: float = Field(default=0.0, ge=0.0)
     """Standard deviation, in the variable's unit."""
+
+    @field_validator("noise")
+    @classmethod
+    def _can_be_divided_by(cls, noise: float) -> float:
+        if 0.0 < noise < _SMALLEST:
+            raise ValueError(f"must be 0 or at least {_SMALLEST:g}, got {noise:g}")
+        return noise
 
 
 class Derivative(Noise):
@@ -81,7 +91,9 @@ class SensorFault(Table):
             raise ValueError("a whole sample is late: leave out 'sensor'")
         needs_size = self.kind in ("bias", "noise", "spikes", "scale")
         if needs_size != ("size" in self.model_fields_set and (needs_size or self.size != 0.0)):  # a manifest has all
-            raise ValueError(f"'size' belongs to bias, noise, spikes and scale, which need it, got kind '{self.kind}'")
+            raise ValueError(f"{self.kind} needs 'size'" if needs_size else f"{self.kind} has no 'size'")
+        if self.stop is not None and self.stop <= self.start:
+            raise ValueError(f"stop must be after start, got {self.stop:g} s and {self.start:g} s")
         return self
 
     def is_in_force(self, t: float) -> bool:

@@ -13,7 +13,7 @@ MOST_COMPONENTS: Final = 64
 class SimulationSettings(Table):
     """Times, steps and coupling of the co-simulation, and the treatment of its FMUs."""
 
-    name: str = Field(min_length=1, pattern=r"^[A-Za-z0-9_-]+$")
+    name: str = Field(min_length=1, max_length=100, pattern=r"^[A-Za-z0-9_-]+$")
     """Name of the scenario, and of its run folders."""
     description: str = ""
     """One line for the report."""
@@ -27,8 +27,8 @@ class SimulationSettings(Table):
     """Sequential: controllers step first, and the others use their outputs at once. Parallel: all step together."""
     isolation: Literal["process", "none"] = "process"
     """Each FMU in a process of its own, or all of them in this process."""
-    timeout: float = Field(default=10.0, gt=0.0, le=MOST)
-    """Longest time that one call of an FMU may take [s]."""
+    timeout: float = Field(default=10.0, ge=0.001, le=MOST)
+    """Longest time that one call of an FMU may take [s], at least 1 ms."""
     checkpoint: int = Field(default=500, ge=0, le=MOST)
     """Communication points from one checkpoint of a run folder to the next, for `retune resume`; 0: none."""
     memory_limit: float = Field(default=0.0, ge=0.0)

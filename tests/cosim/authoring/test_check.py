@@ -36,6 +36,7 @@ def test_nothing_is_found_in_a_sound_scenario_of_foreign_fmus(axis, capsys):
 
 
 REMOVED = "nothing is said"
+FAULT = '[[sampling.faults]]\nkind = "dropout"\n'
 CASES = {
     "no such input": (('"controller.sRef" =', '"controller.s_ref" ='), "connections.controller.s_ref",
         "error: no variable 's_ref' in AxisController.fmu"),
@@ -78,7 +79,7 @@ CASES = {
         "error: 'controller.m' is set twice: a parameter is either changed, or written by one estimate"),
     "written and true": (('true = "plant.mass.m"', 'true = "controller.m"'), "scenario",
         "error: 'controller.m' is written: 'true' of 'm' must name the plant's parameter"),
-    "no bounds": (("lower = 0.5\n", ""), "estimation.parameters.0.lower", "error: field required"),
+    "no bounds": (("lower = 0.5\n", ""), "estimation.parameters.0.lower", "error: is missing"),
     "no limits in the FMU": (('unit = "kg"\nwrites = "controller.m"', 'unit = "N/m"\nwrites = "controller.c"'),
         "estimation.parameters", "warning: AxisController.fmu declares neither min nor max of m: only lower"),
     "a guard that takes nothing back": (("[estimation]\n", "[guard]\ntolerance = 1.0\n[estimation]\n"),
@@ -94,6 +95,14 @@ CASES = {
     "no such FMU": (('"Axis.fmu"', '"Axle.fmu"'), "components.plant", "error: no FMU 'Axle.fmu'"),
     "a table that ends": (("stop_time = 1.0", "stop_time = 2.0"), "components.reference",
         "warning: its rows cover 0 to 1 s"),
+    "a change after the end": (("[0.3, 3.0]]", "[1.3, 3.0]]"), 'changes."plant.mass.m"',
+        "warning: changes at 1.300 s, but the run ends at 1.000 s"),
+    "a fault after the end": (("[estimation]\n", f"{FAULT}start = 1.0\n[estimation]\n"), "sampling.faults.0",
+        "warning: starts at 1.000 s, but the run ends at 1.000 s"),
+    "a fault before the start": (("[estimation]\n", f"{FAULT}start = -2.0\nstop = 0.0\n[estimation]\n"),
+        "sampling.faults.0", "warning: stops at 0.000 s, before the run starts"),
+    "instants outside of the run": (("[estimation]\n", "[estimation]\ninstants = [-1.0, 0.5, 2.0]\n"),
+        "estimation.instants", "warning: -1.000, 2.000 s: the run is from 0.000 to 1.000 s"),
     "no loop through a state": (('"plant.mass.v"', '"plant.der(mass.s)"'), REMOVED, ""),
     "no module": (('"axis_model:derivative"', '"axle_model:derivative"'), "estimation.model",
         "error: cannot load 'axle_model:derivative': ModuleNotFoundError"),

@@ -44,11 +44,16 @@ def test_a_row_begins_at_its_communication_point_however_the_product_is_rounded(
 
 
 @pytest.mark.parametrize(
-    "rows", [((0.0, 1.0), (0.0, 2.0)), ((3.0, 1.0), (1.0, 2.0)), ()], ids=["equal times", "falling times", "no rows"]
+    "rows", [((0.0, 1.0), (0.0, 2.0)), ((3.0, 1.0), (1.0, 2.0))], ids=["equal times", "falling times"]
 )
 def test_the_times_of_rows_must_rise(rows):
     with pytest.raises(ValueError, match=r"plant\.m: the times of a change must rise"):
         change(rows)
+
+
+def test_a_change_without_rows_is_refused():
+    with pytest.raises(ValueError, match=r"plant\.m: has no rows"):
+        change(())
 
 
 def test_a_definition_may_use_those_before_it():

@@ -74,7 +74,7 @@ def test_no_value_is_a_reason_in_one_line(formula, reason):
 HEAD = """
 scenario = { name = "s", stop_time = 1.0, macro_step = 0.1 }
 components = { plant = { fmu = "Pendulum" }, controller = { fmu = "PendulumController" } }
-tracking = { "plant.phi" = "plant.phi" }
+tracking = { "plant.phi" = "plant.phi_dot" }
 sampling.derivatives = { "plant.der(phi_dot)" = { noise = 1e-3 } }
 """
 PARAMETER = """

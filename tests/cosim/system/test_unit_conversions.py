@@ -95,6 +95,7 @@ def test_fmus_own_definitions_say_the_factor(described, tmp_path, unit, factor):
     sensor = (
         f'<ScalarVariable name="y" valueReference="0" causality="output"><Real unit="{unit}"/></ScalarVariable>'
         '<ScalarVariable name="z" valueReference="1" causality="output"><Real unit="m"/></ScalarVariable>'
+        '<ScalarVariable name="r" valueReference="2" causality="output"><Real unit="m"/></ScalarVariable>'
     )
     user = '<ScalarVariable name="s" valueReference="0" causality="input"><Real unit="m" start="0"/></ScalarVariable>'
     paths = {"plant": described(sensor, name="Sensor"), "controller": described(user, name="User")}
@@ -110,7 +111,7 @@ def written_for(folder: Path) -> Scenario:
         scenario = { name = "two", stop_time = 1.0, macro_step = 0.1 }
         components = { plant = { fmu = "Sensor.fmu" }, controller = { fmu = "User.fmu" } }
         connections = { "controller.s" = "plant.y" }
-        tracking = { "plant.z" = "plant.z" }
+        tracking = { "plant.z" = "plant.r" }
         sampling = { outputs = { "plant.z" = { noise = 1.0 } } }
         estimation.model = "a:b"
         estimation.trigger = { kind = "innovation" }

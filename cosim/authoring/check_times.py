@@ -1,0 +1,30 @@
+"""Check of the times that a scenario names: what lies outside of its run never happens."""
+
+from collections.abc import Iterator
+
+from ..errors import seconds
+from ..findings import Finding, warning
+from ..scenarios.scenario import Scenario
+from .check_wiring import Components
+
+
+def check_times(scenario: Scenario, _: Components) -> Iterator[Finding]:
+    """Yield changes and sensor faults that come too late for the run, and instants outside of it."""
+    start, stop = scenario.scenario.start_time, scenario.scenario.stop_time
+    for reference, change in scenario.changes.items():
+        late = [row[0] for row in change if row[0] >= stop] if isinstance(change, tuple) else []
+        if late:  # of a single row the value holds from the start on
+            yield warning(f'changes."{reference}"', f"changes at {seconds(late[0])} s, but {_ends(stop)}")
+    for i, fault in enumerate(scenario.sampling.faults):
+        if fault.start >= stop:
+            yield warning(f"sampling.faults.{i}", f"starts at {seconds(fault.start)} s, but {_ends(stop)}")
+        elif fault.stop is not None and fault.stop <= start:
+            yield warning(f"sampling.faults.{i}", f"stops at {seconds(fault.stop)} s, before the run starts")
+    outside = [t for t in scenario.estimation.instants if not start <= t <= stop]
+    if outside:
+        times = f"the run is from {seconds(start)} to {seconds(stop)} s"
+        yield warning("estimation.instants", f"{', '.join(map(seconds, outside))} s: {times}")
+
+
+def _ends(stop: float) -> str:
+    return f"the run ends at {seconds(stop)} s"

@@ -1,10 +1,8 @@
 """Interfaces of the estimators, and the estimate that they return."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from .arrival_cost import ArrivalCost
 from .identifiability import Information
 from .objective import Objective
 from .space import ParameterSpace, Vector
@@ -123,36 +121,6 @@ class Converging(AskTell, Protocol):
     @property
     def is_done(self) -> bool:
         """True where the residual is explained, and nothing worth a tenth of a standard deviation is to be gained."""
-        ...
-
-
-@runtime_checkable
-class Following(AskTell, Protocol):
-    """Ask-tell estimator that goes on with single samples between its episodes."""
-
-    arrival_cost: ArrivalCost | None
-    """What the samples so far say of the parameters, frozen; None where no estimate has been accepted yet."""
-
-    def remember(self, residual: Callable[[Vector], Vector]) -> None:
-        """Begin a new arrival cost with what the episode's samples say about the present estimate.
-
-        residual: (..., D) of theta (..., d) over the window, in standard deviations.
-        """
-        ...
-
-    def recall(self, arrival_cost: ArrivalCost | None, held: Vector) -> None:
-        """Go back to an earlier arrival cost, where it agrees with the parameters held (d,); else to none."""
-        ...
-
-    def follow(self, residual: Callable[[Vector], Vector], is_triggered: bool) -> bool:
-        """Take one more sample; return False where a search is needed.
-
-        residual: (..., c) of theta (..., d), in standard deviations; is_triggered: true where a search would begin.
-        """
-        ...
-
-    def filtered(self, held: Vector) -> Estimate | None:
-        """Return the estimate after the newest sample; None where the samples do not tell it from held (d,)."""
         ...
 
 

@@ -8,11 +8,10 @@ import numpy as np
 import scipy  # its parts, 0.3 s, are loaded when they are used
 from numpy.typing import NDArray
 
-from ..arrival_cost import ArrivalCost
 from ..contract import Estimate, NoEstimateError, scaled_estimate
-from ..differences import OfMany
 from ..hypotheses import USUAL_RATE
 from ..identifiability import IDENTIFIABLE_BELOW, Information, information
+from ..parameter_filter import ParameterFilter
 from ..positive import must_be_positive
 from ..significance import FALSE_ALARM, chi2_limit
 from ..space import ParameterSpace, Vector
@@ -53,10 +52,6 @@ _AT_BOUND = 0.01
 """Distance from a bound, in the unit cube, that is none."""
 _LITTLE = float(np.log(0.1**2))
 """Logarithm of an expected decrease of the sum of squares that is not worth an evaluation."""
-_AGREES = 4.0
-"""Squared distance, in standard deviations and by parameter, up to which a filtered estimate is that of a write."""
-_WORTH = 1.0
-"""Squared distance, in standard deviations, of a filtered estimate that is worth a write."""
 
 
 @dataclass(frozen=True)
@@ -118,9 +113,9 @@ class TargetVector:
        std_j^2 = sum_i V_ij^2 / s_i^2 + (z_ls - z)_j^2, with z_ls the linear least squares; the sum counts D - d times
        where the residual is not explained, since as much as is seen of it may lie along the slopes.
 
-    7. Between episodes `follow` takes each sample by an extended Kalman filter, which begins at the least squares of
-       the window about the estimate: see `ArrivalCost`. It follows parameters that drift; a search is needed after a
-       jump only, and ends where the loop's diagnosis has followed the parameters since then (`followed_jump`). An
+    7. Between episodes `filter` takes each sample, an extended Kalman filter, which begins at the least squares of
+       the window about the estimate: see `ParameterFilter`. It follows parameters that drift; a search is needed after
+       a jump only, and ends where the loop's diagnosis has followed the parameters since then (`followed_jump`). An
        episode is done when the residual is explained and the expected improvement is below a tenth of a standard
        deviation, squared.
 
@@ -156,8 +151,10 @@ class TargetVector:
         self._residuals: Vector | None = None
         self._model_now: _Model | None = None
         self._asks_since_fit = 0
-        self.arrival_cost: ArrivalCost | None = None
-        """What the samples so far say of the parameters, in the unit cube; None before an estimate."""
+        self.filter = ParameterFilter(
+            space, self._settings.drift, self._settings.significance, self._settings.identifiable_below
+        )
+        """Filter that goes on with single samples between episodes."""
         self.restart(start)
 
     @property
@@ -287,59 +284,15 @@ class TargetVector:
         )  # fmt: skip
 
     def remember(self, residual: Callable[[Vector], Vector]) -> None:
-        """Begin a new arrival cost with what the episode's samples say about the present estimate.
+        """Begin the filter with what the episode's samples say about the present estimate.
 
-        With none where any parameters explain so few of them. residual: (..., D) of theta (..., d) over the window.
+        It does not begin where any parameters explain so few of them. residual: (..., D) of theta (..., d) over the
+        window, in standard deviations.
         """
-        space = self._space
-        if self._told().shape[1] < len(space):
-            self.arrival_cost = None
-            return
-        z = space.to_unit(self.estimate().theta)
-        at = OfMany(lambda places: residual(space.beyond(places)))
-        self.arrival_cost = ArrivalCost.of_window(z, at, self._settings.drift)
-
-    def recall(self, arrival_cost: ArrivalCost | None, held: Vector) -> None:
-        """Go back to an earlier arrival cost, where it agrees with the parameters held (d,); else to none."""
-        agrees = arrival_cost is not None and arrival_cost.distance(self._space.to_unit(held)) < _AGREES * len(held)
-        self.arrival_cost = arrival_cost if agrees else None
-
-    def follow(self, residual: Callable[[Vector], Vector], is_triggered: bool) -> bool:
-        """Take one more sample by an extended Kalman filter; return False where a search is needed.
-
-        residual: (..., c) of theta (..., d), in standard deviations; is_triggered: true where a search would begin.
-        """
-        known, space = self.arrival_cost, self._space
-        if known is None:
-            return False
-
-        def at(z: Vector) -> Vector:
-            return residual(space.beyond(z))
-
-        known = known.drifted(OfMany(at)) if is_triggered else known.updated(OfMany(at))
-        if known is None:
-            return False
-        self.arrival_cost = known
-        return True
-
-    def filtered(self, held: Vector) -> Estimate | None:
-        """Return the filter's estimate; None where the samples do not tell it from held (d,), or there is no filter.
-
-        Directions that it does not know, and in which it does not differ significantly from held, stay there.
-        """
-        known, space, settings = self.arrival_cost, self._space, self._settings
-        z = space.to_unit(held)
-        if known is None or known.distance(z) < _WORTH:
-            return None
-        seen, away = known.information, known.mean - z
-        moved = seen.written(away, settings.significance, settings.identifiable_below)
-        if not len(moved):
-            return None
-        place = z + moved.T @ (moved @ away)
-        return scaled_estimate(
-            space, place, np.minimum(np.hypot(seen.std(), known.mean - place), 1.0), settings.identifiable_below, seen,
-            cost=known.cost, n_evaluations=self._n_evaluations, reason="filtered",
-        )  # fmt: skip
+        if self._told().shape[1] < len(self._space):
+            self.filter.arrival_cost = None
+        else:
+            self.filter.begin(self.estimate().theta, residual)
 
     def _hold(self, model: "_Model") -> "_Hold":
         """Return the place with insignificant changes of the best candidate undone, and what is expected there."""

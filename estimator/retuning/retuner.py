@@ -14,9 +14,10 @@ from typing import Any, Generic, Literal, Protocol, TypeVar, cast
 import numpy as np
 
 from ..arrival_cost import ArrivalCost
-from ..contract import AskTell, Batching, Converging, Estimate, Following, Jumping, NoEstimateError, Rescoring, Solver
+from ..contract import AskTell, Batching, Converging, Estimate, Jumping, NoEstimateError, Rescoring, Solver
 from ..events import Event
 from ..objective import LinearForm, Objective, Window
+from ..parameter_filter import Following
 from ..samples import Sample
 from ..sliding_window import ResidualWindow
 from ..space import Vector
@@ -45,7 +46,7 @@ class RetunerSnapshot:
     believed: Vector | None
     solver: Solver | None
     arrival_cost: ArrivalCost | None
-    before: ArrivalCost | None
+    before_search: ArrivalCost | None
     searched: Vector | None
     is_waiting: bool
 
@@ -79,9 +80,9 @@ class Retuner:
         self._batching = cast(Batching, estimator) if is_batching else None
         is_following = isinstance(estimator, Following) and isinstance(window, ResidualWindow)
         self._following = cast(Following, estimator) if is_following else None
+        self._filter = None if self._following is None else self._following.filter
         self._converging = estimator if isinstance(estimator, Converging) else None
         self._is_waiting = False  # whether the newest episode began on a window that waits
-        self._before: ArrivalCost | None = None  # at the beginning of the newest episode
         self._searched: Vector | None = None  # where the newest search ended
         self._linear = linear
         self._believed: Vector | None = None  # the newest estimate of the present episode
@@ -124,9 +125,7 @@ class Retuner:
         latencies[-1] += perf_counter() - begun - sum(latencies)
         has_ended = self._remaining == 0
         if has_ended:
-            cost = None if estimate is None else estimate.cost
-            known = {} if estimate is None else estimate_as_json(estimate)
-            events.append(Event(t, "end", {"episode": self.n_episodes, "cost": cost} | known))
+            events.append(self._end(t, estimate))
         is_candidate = self._budget.commit == "candidate" and not has_ended
         wanted = held if estimate is None else candidate if is_candidate else estimate.theta
         if has_ended and self._following is not None and estimate is not None:
@@ -140,25 +139,22 @@ class Retuner:
     @property
     def may_follow_jump(self) -> bool:
         """True where a search is under way, in whose place a filter may go on."""
-        return self._following is not None and self._remaining > 0
+        return self._filter is not None and self._remaining > 0
 
     def follow_jump(self, t: float, sample: Sample, known: ArrivalCost, held: Vector) -> Proposal:
         """End the search, as a filter has followed the parameters since they jumped; it goes on.
 
         known: of the samples since then, the newest one among them; held (d,): the controller's parameters.
         """
-        assert self._following is not None
+        assert self._filter is not None
         begun = perf_counter()
         self._window.append(sample)
         self._remaining = 0.0
-        self._following.arrival_cost = known
-        estimate = self._following.filtered(held)
+        self._filter.arrival_cost = known
+        estimate = self._filter.estimate(held)
         wanted = held if estimate is None else estimate.theta
         self._searched = wanted
-        told = {} if estimate is None else estimate_as_json(estimate)
-        event = Event(
-            t, "end", {"episode": self.n_episodes, "cost": None if estimate is None else estimate.cost} | told
-        )
+        event = self._end(t, estimate)
         theta = None if np.array_equal(wanted, held) else wanted
         return Proposal(theta, estimate, (event,), (perf_counter() - begun,))
 
@@ -181,8 +177,8 @@ class Retuner:
         """End the episode, if there is one, and forget its samples; what was known of held (d,) is known again."""
         if self._solver is None or self._remaining != math.inf:
             self._remaining = 0.0
-        if self._following is not None:
-            self._following.recall(self._before, held)
+        if self._filter is not None:
+            self._filter.recall(held)
         self.forget()
 
     def jump(self, estimate: Estimate) -> None:
@@ -198,8 +194,8 @@ class Retuner:
 
     def distrust(self) -> None:
         """Forget what the samples so far say of the parameters: the next samples are followed after a search only."""
-        if self._following is not None:
-            self._following.arrival_cost = self._before = None
+        if self._filter is not None:
+            self._filter.forget()
 
     def forget(self) -> None:
         """Forget the samples, whose residuals are no longer valid."""
@@ -210,10 +206,10 @@ class Retuner:
         """Return the snapshot that `restore` needs; None where the window, an episode's own, cannot be restored."""
         if not isinstance(self._window, ResidualWindow):
             return None
-        known = None if self._following is None else self._following.arrival_cost
+        known = (None, None) if self._filter is None else (self._filter.arrival_cost, self._filter.before_search)
         return RetunerSnapshot(
             self._window.copy(), self._remaining, self._believed, deepcopy(self._solver),
-            known, self._before, self._searched, self._is_waiting,
+            *known, self._searched, self._is_waiting,
         )  # fmt: skip
 
     def restore(self, snapshot: RetunerSnapshot, held: Vector) -> None:
@@ -223,9 +219,9 @@ class Retuner:
         """
         snapshot.window.n_model_calls = self._window.n_model_calls
         self._window, self._remaining, self._believed = snapshot.window, snapshot.remaining, snapshot.believed
-        self._before, self._searched, self._is_waiting = snapshot.before, snapshot.searched, snapshot.is_waiting
-        if self._following is not None:
-            self._following.arrival_cost = snapshot.arrival_cost
+        self._searched, self._is_waiting = snapshot.searched, snapshot.is_waiting
+        if self._filter is not None:
+            self._filter.arrival_cost, self._filter.before_search = snapshot.arrival_cost, snapshot.before_search
         if snapshot.solver is not None:
             self._solver = self._estimator = snapshot.solver
         elif self._rescoring is None:
@@ -235,6 +231,11 @@ class Retuner:
     def n_model_calls(self) -> int:
         """Number of samples at which a candidate was evaluated, re-scoring included."""
         return self._window.n_model_calls
+
+    def _end(self, t: float, estimate: Estimate | None) -> Event:
+        """Return the event of an episode's end at t [s]."""
+        found = {"cost": None} if estimate is None else {"cost": estimate.cost} | estimate_as_json(estimate)
+        return Event(t, "end", {"episode": self.n_episodes} | found)
 
     def _estimate(self) -> Estimate | None:
         """Return the present estimate; None before any candidate has succeeded."""
@@ -249,12 +250,12 @@ class Retuner:
 
     def _follow(self, sample: Sample, held: Vector, is_triggered: bool) -> Proposal | None:
         """Take the newest sample between two episodes; return None where there is nothing to go on from."""
-        if self._following is None or not isinstance(self._window, ResidualWindow):
+        if self._filter is None or not isinstance(self._window, ResidualWindow):
             return None
         begun = perf_counter()
-        if not self._following.follow(self._window.newest_residual, is_triggered):
+        if not self._filter.follow(self._window.newest_residual, is_triggered):
             return None
-        estimate, known = self._following.filtered(held), self._following.arrival_cost
+        estimate, known = self._filter.estimate(held), self._filter.arrival_cost
         is_refuted = known is not None and self._refutes(known, sample)
         latencies = (perf_counter() - begun,)
         if is_refuted:
@@ -273,8 +274,8 @@ class Retuner:
         self.n_episodes += 1
         self._remaining = self._budget.evaluations
         self._estimator.restart(held)
-        if self._following is not None:
-            self._before = self._following.arrival_cost
+        if self._filter is not None:
+            self._filter.before_search = self._filter.arrival_cost
         if self._rescoring is not None and not self._window.is_rescoring_cheap:
             # Their residuals belong to other samples: marked as failures, they are dropped.
             self._rescoring.rescore(np.full((len(self._rescoring.candidates), 1), np.nan))

@@ -223,5 +223,5 @@ def test_an_estimate_from_fewer_values_than_parameters_is_not_followed():
         search.tell(theta, np.array([theta[0] - theta[1] - 5.0]) / SIGMA)
     assert search.estimate().cost < 1.0
     search.remember(lambda theta: (theta[..., :1] - theta[..., 1:] - 5.0) / SIGMA)
-    assert search.arrival_cost is None
-    assert not search.follow(lambda theta: np.zeros(1), False)
+    assert search.filter.arrival_cost is None
+    assert not search.filter.follow(lambda theta: np.zeros(1), False)

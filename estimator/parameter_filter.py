@@ -1,0 +1,97 @@
+"""Extended Kalman filter that follows parameters between searches, from sample to sample."""
+
+from collections.abc import Callable
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from .arrival_cost import ArrivalCost
+from .contract import AskTell, Estimate, scaled_estimate
+from .differences import OfMany
+from .identifiability import IDENTIFIABLE_BELOW
+from .space import ParameterSpace, Vector
+
+_AGREES = 4.0
+"""Squared distance, in standard deviations and by parameter, up to which a filtered estimate is that of a write."""
+_WORTH = 1.0
+"""Squared distance, in standard deviations, of a filtered estimate that is worth a write."""
+
+
+class ParameterFilter:
+    """Filter of parameters that drift; a jump is for a search to find, which gives it a new beginning."""
+
+    def __init__(
+        self, space: ParameterSpace, drift: float, significance: float, identifiable_below: float = IDENTIFIABLE_BELOW
+    ) -> None:
+        """drift: standard deviation of a parameter's change from sample to sample, as a share of the scaled bounds;
+        significance: standard deviations by which an unknown direction must differ to be written; identifiable_below:
+        share of the scaled bounds below which the standard deviation of a known one is."""
+        self._space, self._drift = space, drift
+        self._significance, self._identifiable_below = significance, identifiable_below
+        self.arrival_cost: ArrivalCost | None = None
+        """What the samples so far say of the parameters, in the unit cube, frozen; None before an estimate."""
+        self.before_search: ArrivalCost | None = None
+        """What they said when the newest search began."""
+
+    def begin(self, theta: Vector, residual: Callable[[Vector], Vector]) -> None:
+        """Begin with the least squares of a window about theta (d,).
+
+        residual: (..., D) of theta (..., d) over the window, in standard deviations.
+        """
+        at = OfMany(lambda places: residual(self._space.beyond(places)))
+        self.arrival_cost = ArrivalCost.of_window(self._space.to_unit(theta), at, self._drift)
+
+    def follow(self, residual: Callable[[Vector], Vector], is_triggered: bool) -> bool:
+        """Take one more sample; return False where a search is needed.
+
+        residual: (..., c) of theta (..., d), in standard deviations; is_triggered: true where a search would begin.
+        """
+        if self.arrival_cost is None:
+            return False
+        at = OfMany(lambda z: residual(self._space.beyond(z)))
+        known = self.arrival_cost.drifted(at) if is_triggered else self.arrival_cost.updated(at)
+        self.arrival_cost = self.arrival_cost if known is None else known
+        return known is not None
+
+    def estimate(self, held: Vector) -> Estimate | None:
+        """Return the estimate after the newest sample; None where the samples do not tell it from held (d,).
+
+        Directions that it does not know, and in which it does not differ significantly from held, stay there.
+        """
+        known, z = self.arrival_cost, self._space.to_unit(held)
+        if known is None or known.distance(z) < _WORTH:
+            return None
+        seen, away = known.information, known.mean - z
+        moved = seen.written(away, self._significance, self._identifiable_below)
+        if not len(moved):
+            return None
+        place = z + moved.T @ (moved @ away)
+        std = np.minimum(np.hypot(seen.std(), known.mean - place), 1.0)
+        return scaled_estimate(
+            self._space, place, std, self._identifiable_below, seen,
+            cost=known.cost, n_evaluations=0, reason="filtered",
+        )  # fmt: skip
+
+    def recall(self, held: Vector) -> None:
+        """Go back to what was known before the newest search, where it agrees with the parameters held (d,)."""
+        known = self.before_search
+        agrees = known is not None and known.distance(self._space.to_unit(held)) < _AGREES * len(held)
+        self.arrival_cost = known if agrees else None
+
+    def forget(self) -> None:
+        """Forget what the samples so far say of the parameters."""
+        self.arrival_cost = self.before_search = None
+
+
+@runtime_checkable
+class Following(AskTell, Protocol):
+    """Ask-tell estimator whose filter goes on with single samples between its episodes."""
+
+    filter: ParameterFilter
+
+    def remember(self, residual: Callable[[Vector], Vector]) -> None:
+        """Begin the filter with what the episode's samples say about the present estimate.
+
+        residual: (..., D) of theta (..., d) over the window, in standard deviations.
+        """
+        ...

@@ -18,7 +18,7 @@ from .sensor_checks import SUMMED
 _FEWEST: Final = 5
 """Least number of samples whose scatter is an estimate of the noise."""
 _STILL: Final = 0.5
-"""Share of the limit above which a derivative that was inconsistent still is."""
+"""Share of the noise's limit above which a derivative that was inconsistent still is."""
 _SHY: Final = 3
 """Number of consistent samples that make good for an inconsistent one."""
 
@@ -29,9 +29,9 @@ class Consistency:
     A sample at the end of a step belongs to the input that was held over it. So the rectangle rule errs by h/2 times
     the change of the derivative over the step, whose size the model predicts. The limit is the sum of that of the
     noise, declared or observed, whichever is larger, of twice that error, and of h/2 sum |xdot_i - xdot_(i-1)|, the
-    last counted twice, so that a spike is no bias. A channel that was inconsistent is so until it
-    has been below half of it for three times as many samples, at most 20: a derivative with the wrong sign fits, too,
-    where it is small, and a spike of the state is over soon.
+    last counted twice, so that a spike is no bias. A channel that was inconsistent is so until it has been below this,
+    with half of the noise's part, for three times as many samples, at most 20: a derivative with the wrong sign fits,
+    too, where it is small, and a spike of the state is over soon.
     """
 
     def __init__(
@@ -82,11 +82,11 @@ class Consistency:
             self._noises[n] = self._limit_of_noise(self._noise, n)
         of_motion = h * drift + 0.5 * h * (changes + newest)
         share = np.where(self._distrust > 0, _STILL, 1.0)
-        is_beyond = differs > share * (self._noises[n] + of_motion)
+        is_beyond = differs > share * self._noises[n] + of_motion
         if not is_beyond.any():  # the observed noise only widens the limits
             return is_beyond
         sigma = np.maximum(self._noise, 1.05 * column_medians(rows[:, 3]))  # of a difference: 0.954 sigma
-        return differs > share * (self._limit_of_noise(sigma, n) + of_motion)
+        return differs > share * self._limit_of_noise(sigma, n) + of_motion
 
     def _limit_of_noise(self, sigma: Vector, n: int) -> Vector:
         h = self._h

@@ -352,10 +352,18 @@ def test_a_jump_of_the_motion_is_consistent():
 
 @pytest.mark.parametrize(("rest", "last"), [(0.0095, 89), (0.0088, 67)])
 def test_what_was_inconsistent_is_so_until_it_has_been_below_half_of_the_limit_for_20_samples(rest, last):
-    """20 bias H > 4 SIGMA H sqrt(20) + H/4 (0.03 - rest), the last for the change while it is among the newest 20."""
+    """20 bias H > 4 SIGMA H sqrt(20) + H/2 (0.03 - rest), the last for the change while it is among the newest 20."""
     odd = inconsistent(bias=[0.03] * 30 + [rest] * 60)
     assert odd == [*range(odd[0], last + 1)]
     assert inconsistent(bias=rest) == []
+
+
+def test_spikes_do_not_keep_a_derivative_inconsistent():
+    """Two neighbours of one sign, which are inconsistent, then one every 15 samples: 20 samples later it fits again."""
+    spikes = [5.0 * (k in (30, 31) or (k > 31 and k % 15 == 0)) for k in range(200)]
+    odd = inconsistent(bias=spikes)
+    assert odd == [*range(31, odd[-1] + 1)]
+    assert odd[-1] <= 31 + 2 * 20
 
 
 def test_a_wrong_sign_does_not_fit_where_the_derivative_is_small_either():

@@ -144,7 +144,7 @@ def _parameters(settings: Mapping[str, Any]) -> list[VariableRow]:
     )
     for name, text, least in counts:
         table.append(_fixed(name, None, loop[name], text, type="Integer", min=least, max=_LARGEST_INTEGER))
-    for name, text in (("rest", "First rest after three searches in vain"), ("longest_rest", "Longest rest")):
+    for name, text in (("rest", "First rest after three failed searches"), ("longest_rest", "Longest rest")):
         options = {"type": "Integer", "min": 1, "max": _LARGEST_INTEGER}
         table.append(_fixed(f"diagnosis_{name}", None, known[name], f"{text}, in samples", **options))
     text = "Take the input tracking_error instead of the difference of tracked outputs and references"

@@ -1,4 +1,4 @@
-"""Lines of the report on what the diagnosis found: the residuals' size, disturbances, searches in vain, and rests."""
+"""Lines of the report on what the diagnosis found: the residuals' size, disturbances, failed searches, and rests."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
@@ -65,7 +65,7 @@ def diagnosed(found: Mapping[str, Any], lacking: str = _OF_A_MODEL) -> list[str]
     lines += _late(found.get("input_lag", {})) + _rubbing(found.get("known_friction", ()))
     if found["unexplained"]:
         lines.append(
-            f"searches in vain: {found['unexplained']}, no parameters explain the samples; {lacking}, or a sensor is "
+            f"failed searches: {found['unexplained']}, no parameters explain the samples; {lacking}, or a sensor is "
             "wrong"
         )
     return lines

@@ -75,7 +75,7 @@ class Run:
     observations: Mapping[str, Any] | None = None
     """Counts of samples that were kept out, by fault; None without a screen."""
     diagnosis: Mapping[str, Any] | None = None
-    """Findings of the diagnosis: what the model leaves unexplained by channel, disturbances, searches in vain."""
+    """Findings of the diagnosis: what the model leaves unexplained by channel, disturbances, failed searches."""
     final_estimate: FinalEstimate | None = None
     """Final estimate; None where nothing was estimated."""
     latency_steps: tuple[tuple[int, int], ...] = ()

@@ -164,9 +164,9 @@ class HypothesisComparison:
         state, space = self._state, self._space
         state.found_at, state.verdict = state.n_samples, "refuted"
         reference = state.reference_or(held)
-        there = self._residuals.of_newest(theta, state.n_since)
+        residuals = self._residuals.of_newest(theta, state.n_since)
         for n in _shorter(state.n_since):
-            if self._wins(plain_fit(there[-n:], len(space)), reference, n):
+            if self._wins(plain_fit(residuals[-n:], len(space)), reference, n):
                 return
         z = space.to_unit(theta) if state.changed is None else state.changed
         for n in [n for n in _LENGTHS if n <= state.n_since]:

@@ -9,13 +9,13 @@ from ..hypotheses import MARGIN, Disturbance, plain_fit
 from ..significance import FALSE_ALARM, chi2_limit
 from ..space import Vector
 from .comparison import FEWEST, QUIET
+from .failed_searches import FailedSearches
 from .lasting import LastingParameters
 from .record import DiagnosisRecord
 from .settings import DiagnosisSettings
 from .settled import Settled
 from .standardised_residuals import StandardisedResiduals
 from .state import DiagnosisState
-from .vain_searches import VainSearches
 from .wandering import agree
 
 _OVER: Final = 10
@@ -32,11 +32,11 @@ class DisturbanceDiagnosis:
         residuals: StandardisedResiduals,
         settings: DiagnosisSettings,
         lasting: LastingParameters,
-        vain: VainSearches,
+        failed_searches: FailedSearches,
         record: DiagnosisRecord,
     ) -> None:
         self._state, self._residuals, self._settings = state, residuals, settings
-        self._lasting, self._vain, self._record = lasting, vain, record
+        self._lasting, self._failed_searches, self._record = lasting, failed_searches, record
 
     def adopt(self, t: float, found: Disturbance, before: Vector) -> Settled:
         """End a suspicion as a disturbance explains the samples, with the parameters before them (d,)."""
@@ -49,7 +49,7 @@ class DisturbanceDiagnosis:
         how = "constant" if found.is_constant else "changing"
         reason = f"a {how} disturbance explains the samples, changed parameters do not"
         named = self._record.disturbance(t, offset, acts, reason, is_known=found.is_constant)
-        events = (named, *self._vain.count(t, acts))
+        events = (named, *self._failed_searches.count(t, acts))
         return Settled(self._lasting.undone(before), events, True)  # a channel may have begun to rest
 
     def take_change(self, change: Disturbance | None) -> bool:
@@ -58,19 +58,19 @@ class DisturbanceDiagnosis:
             self._state.offset = self._state.offset + change.newest * self._state.scale.effective
         return change is not None
 
-    def has_passed(self, here: Vector, there: Vector, is_changed: bool, is_explained: bool) -> bool:
+    def has_passed(self, of_held: Vector, of_reference: Vector, is_changed: bool, is_explained: bool) -> bool:
         """Return whether the reference explains the newest samples again, and those in force do not explain all.
 
-        here, there: residuals (n, c) since the onset of the parameters in force and of the reference.
+        of_held, of_reference: residuals (n, c) since the onset of the parameters in force and of the reference.
         """
-        without = self._undisturbed(there)
+        without = self._undisturbed(of_reference)
         newest = slice(-QUIET, None) if is_changed else slice(None)
         before = plain_fit(without[newest], 0)
         if not before.is_explained:
             return False
         if is_explained:
-            return is_changed and not plain_fit(here, 0).is_explained
-        return len(here) >= FEWEST and before.score + MARGIN <= plain_fit(here[newest], 0).score
+            return is_changed and not plain_fit(of_held, 0).is_explained
+        return len(of_held) >= FEWEST and before.score + MARGIN <= plain_fit(of_held[newest], 0).score
 
     def passed(self, t: float, before: Vector, rows: Vector, is_changed: bool) -> Settled:
         """End a suspicion as the parameters before it (d,), whose residuals are rows (n, c), explain the samples again.
@@ -91,7 +91,7 @@ class DisturbanceDiagnosis:
         state.offset, state.n_since = np.zeros(len(acts)), 0
         if not is_changed:
             return Settled(None, events, True)
-        events = (*events, *self._vain.count(t, acts))
+        events = (*events, *self._failed_searches.count(t, acts))
         return Settled(self._lasting.undone(before), events, True)
 
     def over(self, t: float, held: Vector) -> Settled | None:
@@ -105,12 +105,12 @@ class DisturbanceDiagnosis:
         to_unit = self._residuals.space.to_unit
         if agree(to_unit(before), to_unit(held)):
             return None
-        there, here = self._residuals.of_newest(np.array([before, held]), _OVER)
-        there = self._undisturbed(there)
-        fit = plain_fit(there, 0)
-        if not fit.is_explained or fit.score > plain_fit(here, len(held)).score:
+        of_before, of_held = self._residuals.of_newest(np.array([before, held]), _OVER)
+        of_before = self._undisturbed(of_before)
+        fit = plain_fit(of_before, 0)
+        if not fit.is_explained or fit.score > plain_fit(of_held, len(held)).score:
             return None
-        return self.passed(t, before, there, True)
+        return self.passed(t, before, of_before, True)
 
     def _undisturbed(self, rows: Vector) -> Vector:
         """Return residuals (n, c) as they are without the known disturbance."""
@@ -118,15 +118,15 @@ class DisturbanceDiagnosis:
         return rows + np.where(state.is_resting, 0.0, state.offset / state.scale.effective)
 
     def await_end(self, rows: Vector) -> None:
-        """Take the residuals (n, c) that a search in vain leaves: those of a disturbance, should they pass."""
-        self._state.largest_in_vain = _largest(rows)
+        """Take the residuals (n, c) that a failed search leaves: those of a disturbance, should they pass."""
+        self._state.largest_unexplained = _largest(rows)
 
     def passed_since(self, t: float) -> Settled | None:
-        """Name a disturbance, the last search being in vain, as the parameters before it explain the samples again."""
-        state, largest = self._state, self._state.largest_in_vain
+        """Name a disturbance, as the last search has failed and the parameters before it explain the samples again."""
+        state, largest = self._state, self._state.largest_unexplained
         if largest is None or state.n_quiet < QUIET or np.any(state.offset):
             return None
-        state.largest_in_vain = None
+        state.largest_unexplained = None
         event = self._record.disturbance(t, largest * state.scale.effective, _acting(np.abs(largest)), _PASSED)
         return Settled(None, (event,), True)
 

@@ -46,8 +46,8 @@ class EffectDiagnosis:
             return nothing
         of_newest = self._residuals.of_newest
         self._state.end_suspicion()
-        here, there = (float(np.sum(of_newest(theta, n) ** 2)) for theta in (held, reference))
-        return Settled(self._lasting.undone(reference) if there < here else None, ends_search=True)
+        with_held, with_reference = (float(np.sum(of_newest(theta, n) ** 2)) for theta in (held, reference))
+        return Settled(self._lasting.undone(reference) if with_reference < with_held else None, ends_search=True)
 
     def only_noise(self, n: int) -> Settled | None:
         """Return to the parameters that lasted where they explain the newest n samples: nothing has happened."""
@@ -82,7 +82,7 @@ class EffectDiagnosis:
         event = self._record.friction(t)
         return Settled(None if theta is None else self._lasting.undone(theta), (event,), True)
 
-    def late(self, t: float, held: Vector) -> Settled | None:
+    def since_lasting(self, t: float, held: Vector) -> Settled | None:
         """Return to the parameters that lasted where what the model lacks explains the samples since.
 
         Other parameters, held (d,), or a constant disturbance have followed it, or channels rest for it.
@@ -100,7 +100,7 @@ class EffectDiagnosis:
             return None
         found = self._friction.since_lasting(state.lasting) if state.n_since else self.lacking(state.lasting)
         if found is None and self._friction.take_beside(held):
-            state.way = state.way.begin(space.to_unit(held))
+            state.path = state.path.begin(space.to_unit(held))
             return self.adopt_friction(t, None)
         return None if found is None or found.fit.score + MARGIN > followed.score else self.adopt(t, found)
 

@@ -152,11 +152,11 @@ class EpisodeDiagnosis:
         window, space = self._window, self.space
         if window.sequence is not self._judged:
             self._judged, self._verdict = window.sequence, "refuted"
-        here = _fit(window.whitened(held), 0)
-        there = _fit(window.whitened(theta), len(space))
-        self._note(nothing=here, parameters=there)
-        if there.is_explained:
-            self._compare(there, here, held)
+        of_held = _fit(window.whitened(held), 0)
+        of_theta = _fit(window.whitened(theta), len(space))
+        self._note(nothing=of_held, parameters=of_theta)
+        if of_theta.is_explained:
+            self._compare(of_theta, of_held, held)
         elif self._verdict == "refuted" and window.sequence is not self._searched:
             self._searched = window.sequence
             rows_at = lambda z: window.whitened(space.from_unit(np.clip(z, 0.0, 1.0)))[:, None]  # noqa: E731
@@ -165,8 +165,8 @@ class EpisodeDiagnosis:
             )
             self._note(parameters=found.fit)
             if found.fit.is_explained:
-                self._compare(found.fit, here, held)
-        is_better = there.is_explained or there.squares < BETTER * here.squares
+                self._compare(found.fit, of_held, held)
+        is_better = of_theta.is_explained or of_theta.squares < BETTER * of_held.squares
         return self._verdict if is_better else "refuted"
 
     def _compare(self, parameters: Fit, nothing: Fit, held: Vector) -> None:
@@ -188,7 +188,7 @@ class EpisodeDiagnosis:
         return self._state.inputs + self._disturbed(held).inputs
 
     def accepted(self, before: Vector) -> Vector:
-        """Return the parameters (d,) to go back to from a search in vain: those before it, or those that lasted.
+        """Return the parameters (d,) to go back to from a failed search: those before it, or those that lasted.
 
         The latter where they explain the sequence better: a search has followed something that came and went.
         """
@@ -233,7 +233,7 @@ class EpisodeDiagnosis:
         state.rests_until = state.n_samples + length
         state.rested.clear()
         state.resting = RestingResiduals()
-        reason = f"{state.n_failures} searches in vain: re-tuning rests for {length} samples"
+        reason = f"{state.n_failures} failed searches: re-tuning rests for {length} samples"
         return event, Event(t, "rest", {"channels": list(self._outputs), "n_samples": length, "reason": reason})
 
     def _adopt_noise(self, theta: Vector | None, held: Vector) -> bool:
@@ -302,11 +302,11 @@ class EpisodeDiagnosis:
         for _ in range(2):
             tried = d.copy()
             tried[driven] -= np.linalg.lstsq(slopes, residual, rcond=1e-7)[0]
-            there = self._moved(held, tried)
-            fit = _fit(there, len(driven))
+            residual_there = self._moved(held, tried)
+            fit = _fit(residual_there, len(driven))
             if not fit.squares < best.squares:
                 break
-            d, residual, best = tried, there, fit
+            d, residual, best = tried, residual_there, fit
         return _Disturbed(d, best)
 
     def _slope(self, held: Vector, i: int, residual: Vector) -> Vector:

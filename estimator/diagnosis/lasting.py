@@ -24,22 +24,22 @@ class LastingParameters:
     def __init__(self, state: DiagnosisState, residuals: StandardisedResiduals) -> None:
         self._state, self._residuals = state, residuals
 
-    def are_better(self, held: Vector, here: Vector) -> bool:
+    def are_better(self, held: Vector, of_held: Vector) -> bool:
         """Return whether those that lasted contradict the newest samples much less than the ones in force, held (d,).
 
         Both the newest n, with those that the ones in force have explained before the onset, and the very newest.
-        here: residuals (n, c) of the ones in force.
+        of_held: residuals (n, c) of the ones in force.
         """
         lasting = self._state.lasting
-        if lasting is None or np.array_equal(lasting, held) or plain_fit(here[-LONG:], 0).is_explained:
+        if lasting is None or np.array_equal(lasting, held) or plain_fit(of_held[-LONG:], 0).is_explained:
             return False
-        n = min(len(here) + self._state.n_calm, len(self._state.samples))
-        here, there = self._residuals.of_newest(np.array([held, lasting]), n)
-        if is_rough(there):  # the noise is larger
+        n = min(len(of_held) + self._state.n_calm, len(self._state.samples))
+        of_held, of_lasting = self._residuals.of_newest(np.array([held, lasting]), n)
+        if is_rough(of_lasting):  # the noise is larger
             return False
         return all(
-            not plain_fit(here[-m:], 0).is_explained
-            and np.sum(there[-m:] ** 2) + MARGIN <= BETTER * np.sum(here[-m:] ** 2)
+            not plain_fit(of_held[-m:], 0).is_explained
+            and np.sum(of_lasting[-m:] ** 2) + MARGIN <= BETTER * np.sum(of_held[-m:] ** 2)
             for m in (n, LONG)
         )
 

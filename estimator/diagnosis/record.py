@@ -64,7 +64,7 @@ class DiagnosisRecord:
     def rest(self, t: float, channels: NDArray[np.bool_], length: int) -> Event:
         """Return the event of a rest of channels (c,) for so many samples."""
         names = self._names_of(channels)
-        reason = f"{self._state.n_failures} searches in vain: {', '.join(names)} left out for {length} samples"
+        reason = f"{self._state.n_failures} failed searches: {', '.join(names)} left out for {length} samples"
         return self._counted(t, "rest", {"channels": names, "n_samples": length, "reason": reason})
 
     def _counted(self, t: float, kind: EventKind, detail: dict[str, Any]) -> Event:

@@ -23,6 +23,7 @@ from .disturbance_diagnosis import DisturbanceDiagnosis
 from .drift_rival import DriftRival
 from .effect_diagnosis import EffectDiagnosis
 from .evidence import Evidence
+from .failed_searches import FailedSearches
 from .friction_comparison import FrictionComparison
 from .lag_comparison import LagComparison
 from .lasting import LastingParameters
@@ -32,13 +33,12 @@ from .settings import PATIENCE, DiagnosisSettings, is_at_unseen_bound
 from .settled import Settled
 from .standardised_residuals import StandardisedResiduals
 from .state import WINDOW, DiagnosisState
-from .vain_searches import VainSearches
 from .wandering import InForce, agree
 
 _SURE: Final = 10
 """Number of samples on which a lag need not explain better than changed parameters, which have more values."""
 _SPARE: Final = 10
-"""Least number of explained values in excess of the fitted ones that makes good for a search in vain."""
+"""Least number of explained values in excess of the fitted ones that makes good for a failed search."""
 
 
 class Diagnosis:
@@ -64,9 +64,11 @@ class Diagnosis:
         self._friction = FrictionComparison(state, residuals, evidence)
         self._lasting = LastingParameters(state, residuals)
         self._record = DiagnosisRecord(state, residuals, names, inputs)
-        self._vain = VainSearches(state, settings, self._record)
+        self._failed_searches = FailedSearches(state, settings, self._record)
         self._effects = EffectDiagnosis(state, residuals, self._lag, self._friction, self._lasting, self._record)
-        self._disturbances = DisturbanceDiagnosis(state, residuals, settings, self._lasting, self._vain, self._record)
+        self._disturbances = DisturbanceDiagnosis(
+            state, residuals, settings, self._lasting, self._failed_searches, self._record
+        )
 
     @property
     def is_suspicious(self) -> bool:
@@ -101,7 +103,7 @@ class Diagnosis:
         state.n_samples += 1
         state.inputs.take(sample)
         z = self._space.to_unit(held)
-        state.way, state.in_force = state.way.go(z), state.in_force.take(state.n_samples, held)
+        state.path, state.in_force = state.path.moved_to(z), state.in_force.take(state.n_samples, held)
         is_anew = state.wake()
         corrected = self.residuals.corrected(sample)
         declared = self.residuals.declared(held, corrected)
@@ -135,9 +137,9 @@ class Diagnosis:
     def settle(self, t: float, held: Vector) -> Settled | None:
         """End the suspicion where one hypothesis has won, from the samples since the onset; None where it goes on."""
         state, n = self._state, self._state.n_since
-        settled = self._effects.late(t, held)
+        settled = self._effects.since_lasting(t, held)
         if settled is not None:
-            state.largest_in_vain = None  # it was this
+            state.largest_unexplained = None  # it was this
             return settled
         settled = self._disturbances.over(t, held)
         if settled is not None:
@@ -148,30 +150,32 @@ class Diagnosis:
         if self._friction.end(reference, min(n, QUIET)):
             return self._effects.adopt_friction(t, None)
         is_changed = not np.array_equal(reference, held)
-        here = self.residuals.of_newest(held, n)
-        is_explained = n >= QUIET and plain_fit(here[-QUIET:], 0).is_explained
+        of_held = self.residuals.of_newest(held, n)
+        is_explained = n >= QUIET and plain_fit(of_held[-QUIET:], 0).is_explained
         if is_explained and not is_changed:
             return self._explained(t, held, n)
-        there = self.residuals.of_newest(reference, n) if is_changed else here
-        is_over = self._disturbances.has_passed(here, there, is_changed, is_explained)
+        of_reference = self.residuals.of_newest(reference, n) if is_changed else of_held
+        is_over = self._disturbances.has_passed(of_held, of_reference, is_changed, is_explained)
         if is_over and not (is_explained and self.comparison.is_changing(held, n)):
-            return self._disturbances.passed(t, reference, there, is_changed)
+            return self._disturbances.passed(t, reference, of_reference, is_changed)
         if n < LONG:
             return None
-        if self._lasting.are_better(held, here):
+        if self._lasting.are_better(held, of_held):
             return self.give_up(t)
-        return self._weighed(t, held, here, there, is_explained)
+        return self._weighed(t, held, of_held, of_reference, is_explained)
 
-    def _weighed(self, t: float, held: Vector, here: Vector, there: Vector, is_explained: bool) -> Settled | None:
+    def _weighed(
+        self, t: float, held: Vector, of_held: Vector, of_reference: Vector, is_explained: bool
+    ) -> Settled | None:
         """End a long suspicion where noise, changed parameters, a lag or a disturbance has won; None without a winner.
 
-        here, there: residuals (n, c) of the parameters in force, held (d,), which explain the very newest samples or
-        not, and of the reference.
+        of_held, of_reference: residuals (n, c) of the parameters in force, held (d,), which explain the very newest
+        samples or not, and of the reference.
         """
-        n, reference = len(here), self._state.reference_or(held)
-        is_changed = there is not here
-        disturbance = disturbance_of(there, may_drift=False)
-        parameters, nothing = plain_fit(here, len(self._space)), plain_fit(there, 0)
+        n, reference = len(of_held), self._state.reference_or(held)
+        is_changed = of_reference is not of_held
+        disturbance = disturbance_of(of_reference, may_drift=False)
+        parameters, nothing = plain_fit(of_held, len(self._space)), plain_fit(of_reference, 0)
         self.evidence.note(n, nothing=nothing, disturbance=disturbance.fit)
         if is_changed and nothing.is_explained and nothing.score <= min(parameters.score, disturbance.fit.score):
             return self._effects.larger_noise(reference, held, n)
@@ -194,13 +198,13 @@ class Diagnosis:
         """End a suspicion, n samples long, as the parameters in force explain the samples again.
 
         Where searches have gone from those that lasted and have come back to them, a disturbance has passed. Where
-        several samples contradicted those in force, and nothing else was tried, that counts as a search in vain.
+        several samples contradicted those in force, and nothing else was tried, that counts as a failed search.
         """
         state, lasting = self._state, self._state.lasting
         if state.has_moved and lasting is not None and agree(self._space.to_unit(lasting), self._space.to_unit(held)):
-            there = self.residuals.of_newest(lasting, n)
-            if plain_fit(there[-QUIET:], 0).is_explained:
-                return self._disturbances.passed(t, lasting, there, True)
+            of_reference = self.residuals.of_newest(lasting, n)
+            if plain_fit(of_reference[-QUIET:], 0).is_explained:
+                return self._disturbances.passed(t, lasting, of_reference, True)
         state.n_since = 0
         if not state.has_moved and self._settings.n_unusual(self.residuals.of_newest(held, n)) >= FEWEST:
             state.n_failures += 1
@@ -226,7 +230,7 @@ class Diagnosis:
         if found is not None:
             return self._effects.adopt(t, found)
         state.end_suspicion()
-        state.way = state.way.begin(None if before is None else self._space.to_unit(before))
+        state.path = state.path.begin(None if before is None else self._space.to_unit(before))
         if before is not None:
             self._friction.doubt(before)
         every = ~state.is_resting
@@ -235,7 +239,7 @@ class Diagnosis:
         if state.n_failures < PATIENCE:
             return Settled(before, (event,), True)
         state.findings = state.findings.forget()
-        return Settled(before, (event, self._vain.rest(t, every)), True)
+        return Settled(before, (event, self._failed_searches.rest(t, every)), True)
 
     def refutes_drift(self, known: ArrivalCost, sample: Sample) -> bool:
         """Return whether parameters that a filter lets drift do not explain what it has followed, up to a sample.
@@ -261,7 +265,7 @@ class Diagnosis:
     def expect(self, is_identifiable: Sequence[bool]) -> None:
         """Take a proposal that is passed on, with which of its parameters (d,) the samples determine."""
         state = self._state
-        state.way = state.way.expect(np.array(is_identifiable) if state.n_since else None)
+        state.path = state.path.expect(np.array(is_identifiable) if state.n_since else None)
 
     def is_wandering(self, held: Vector) -> bool:
         """Return whether parameters have gone to and fro on the way to those in force (d,).
@@ -269,7 +273,7 @@ class Diagnosis:
         By half of their bounds in excess of that way, each time determined by the samples: no change of the plant's
         does that.
         """
-        return self._state.n_since > 0 and self._state.way.is_to_and_fro(self._space.to_unit(held))
+        return self._state.n_since > 0 and self._state.path.is_to_and_fro(self._space.to_unit(held))
 
     def is_at_unseen_bound(self, theta: Vector, std: Vector, held: Vector) -> bool:
         """Return whether a parameter would move to a bound although its standard deviation is as wide as the bounds.
@@ -333,16 +337,16 @@ class Diagnosis:
             if best is found:
                 best = disturbance_of(self.residuals.of_newest(before, n))
             return self._disturbances.adopt(t, best, before)
-        return self._in_vain(t, theta, before, rows)
+        return self._nothing_explains(t, theta, before, rows)
 
-    def _in_vain(self, t: float, theta: Vector | None, before: Vector, rows: Vector) -> Settled:
+    def _nothing_explains(self, t: float, theta: Vector | None, before: Vector, rows: Vector) -> Settled:
         """End a suspicion as nothing explains the newest samples, theta (d,) best; rows (n, c): residuals before it."""
         self._disturbances.await_end(self.residuals.of_newest(before, self._state.n_since))
         self._state.end_suspicion()
         self._friction.doubt(before)
         lacks = self.comparison.lacking_channels(rows if theta is None else self.residuals.of_newest(theta, len(rows)))
         event = self._record.unexplained(t, lacks, "no parameters explain {}")
-        events = (event, *self._vain.count(t, lacks))
+        events = (event, *self._failed_searches.count(t, lacks))
         return Settled(self._lasting.undone(before), events, True)
 
     def succeed(self, t: float, theta: Vector) -> Settled | None:

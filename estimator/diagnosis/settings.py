@@ -10,9 +10,9 @@ from ..significance import SAMPLE_FALSE_ALARM, chi2_limit
 from ..space import ParameterSpace, Vector
 
 PATIENCE: Final = 3
-"""Number of searches in vain, one soon after the other, after which re-tuning rests."""
+"""Number of failed searches, one soon after the other, after which re-tuning rests."""
 FORGOTTEN: Final = 200
-"""Number of quiet samples after which one search in vain is forgotten."""
+"""Number of quiet samples after which one failed search is forgotten."""
 BETTER: Final = 0.5
 """Share of the sum of squares of the parameters in force, at the newest samples, that better ones may have."""
 _LITTLE: Final = 1e-6
@@ -60,7 +60,7 @@ class DiagnosisSettings:
         return sum(not self.is_usual(row, n_sampled) for row in rows)
 
     def rest_length(self, n_failures: int) -> int:
-        """Return the number of samples of the rest after so many searches in vain, three or more."""
+        """Return the number of samples of the rest after so many failed searches, three or more."""
         return min(self.rest * 2 ** min(n_failures - PATIENCE, 20), self.longest_rest)
 
 

@@ -17,7 +17,7 @@ from .drift_rival import DriftRival
 from .residual_scale import ResidualScale
 from .resting import RestingResiduals
 from .settings import FORGOTTEN, KINDS, Judgement
-from .wandering import Findings, InForce, Way
+from .wandering import Findings, InForce, ParameterPath
 
 WINDOW: Final = 20
 """Largest number of samples on which hypotheses are compared."""
@@ -46,17 +46,17 @@ class DiagnosisState:
     undisturbed: Vector | None = None
     """Parameters (d,) in force when that disturbance became known; None before one did."""
     n_failures: int = 0
-    """Number of searches in vain, one soon after the other."""
-    largest_in_vain: Vector | None = None
-    """Largest residuals (c,) of the last search in vain; None before one, and since samples were suspicious again."""
+    """Number of failed searches, one soon after the other."""
+    largest_unexplained: Vector | None = None
+    """Largest residuals (c,) of the last failed search; None before one, and since samples were suspicious again."""
     n_quiet: int = 0
     """Number of quiet samples in a row."""
     findings: Findings = field(default_factory=Findings)
     """Parameters that searches have found although a disturbance explains the samples as well."""
     suspected_at: int = 0
     """Number of the last sample that was suspicious."""
-    way: Way = field(default_factory=Way)
-    """Way of the parameters in force since the samples last were quiet for long."""
+    path: ParameterPath = field(default_factory=ParameterPath)
+    """Path of the parameters in force since the samples last were quiet for long."""
     in_force: InForce = field(default_factory=InForce)
     """Parameters in force at the newest samples."""
     lasting: Vector | None = None
@@ -122,14 +122,14 @@ class DiagnosisState:
     def begin_suspicion(self, held: Vector, z: Vector) -> None:
         """Begin a suspicion of the parameters in force, held (d,), whose place is z (d,)."""
         self.reference, self.verdict, self.changed, self.has_moved = held, "refuted", None, False
-        self.largest_in_vain = None
+        self.largest_unexplained = None
         if self.lasting is None or self.n_samples >= self.suspected_at + FORGOTTEN:
             self.lasting, self.lasting_at, self.since_lasting = held, self.n_samples, []
             self.next_effect = 0
         self.n_calm = self.n_samples - self.suspected_at - 1
         if self.n_samples >= self.suspected_at + WINDOW:
             self.restless_since, self.next_lag = self.n_samples, 0
-            self.way = self.way.begin(z)
+            self.path = self.path.begin(z)
 
     def count_suspicious(self, held: Vector) -> None:
         """Count the newest sample among those since the onset; held (d,): in force."""
@@ -138,7 +138,7 @@ class DiagnosisState:
         self.has_moved |= self.reference is None or not np.array_equal(held, self.reference)
 
     def count_quiet(self) -> None:
-        """Count a quiet sample; after many of them one search in vain is forgotten."""
+        """Count a quiet sample; after many of them one failed search is forgotten."""
         self.n_quiet += not self.is_resting.any()
         if self.n_quiet >= FORGOTTEN:
             self.n_quiet, self.n_failures = 0, max(self.n_failures - 1, 0)

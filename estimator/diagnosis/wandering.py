@@ -32,33 +32,33 @@ def agree(z: Vector, other: Vector) -> bool:
 
 
 @dataclass(frozen=True)
-class Way:
-    """Way of the parameters in force, as far as the samples determined their moves."""
+class ParameterPath:
+    """Path of the parameters in force, as far as the samples determined their moves."""
 
     start: Vector | None = None
     """Place before the first move; None before any."""
-    here: Vector | None = None
+    now: Vector | None = None
     """Place at the newest sample."""
     length: Vector | float = 0.0
-    """Length of the way (d,)."""
+    """Length of the path (d,)."""
     awaited: NDArray[np.bool_] | None = None
     """True for each parameter that the last proposal determines; None where nothing is proposed."""
 
-    def begin(self, z: Vector | None) -> "Way":
-        """Return the way that begins at z."""
+    def begin(self, z: Vector | None) -> "ParameterPath":
+        """Return the path that begins at z."""
         return replace(self, start=z, length=0.0)
 
-    def expect(self, is_determined: NDArray[np.bool_] | None) -> "Way":
-        """Return the way with a proposal that the controller may take; None where there is none."""
+    def expect(self, is_determined: NDArray[np.bool_] | None) -> "ParameterPath":
+        """Return the path with a proposal that the controller may take; None where there is none."""
         return replace(self, awaited=is_determined)
 
-    def go(self, z: Vector) -> "Way":
-        """Return the way to z, where the controller has been taken."""
-        if self.awaited is None or self.here is None:
-            return replace(self, here=z, awaited=None)
-        moved = np.abs(z - self.here)
+    def moved_to(self, z: Vector) -> "ParameterPath":
+        """Return the path to z, where the controller has been taken."""
+        if self.awaited is None or self.now is None:
+            return replace(self, now=z, awaited=None)
+        moved = np.abs(z - self.now)
         length = self.length + np.where(self.awaited & (moved > _FAR), moved, 0.0)
-        return replace(self, here=z, awaited=None, length=length)
+        return replace(self, now=z, awaited=None, length=length)
 
     def is_to_and_fro(self, z: Vector) -> bool:
         """Return whether it is longer, by half of the bounds, than from its start to z."""

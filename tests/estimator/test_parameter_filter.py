@@ -65,7 +65,7 @@ def test_what_the_samples_do_not_see_stays_where_it_is_held():
     assert estimate.is_identifiable == (True, False)
 
 
-def test_after_a_search_in_vain_it_knows_again_what_agrees_with_the_parameters_held():
+def test_after_a_failed_search_it_knows_again_what_agrees_with_the_parameters_held():
     known, _ = begun()
     before = known.arrival_cost
     known.before_search = before

@@ -107,4 +107,4 @@ def test_a_rest_is_told_with_its_end_and_with_what_changed_in_it(tmp_path):
 
 def test_of_the_plant_s_own_fmu_it_is_not_said_that_the_model_lacks_something():
     (line,) = diagnosed(found() | {"unexplained": 2}, "something acts on the plant that its inputs do not hold")
-    assert line.startswith("searches in vain: 2, no parameters explain the samples; something acts on the plant")
+    assert line.startswith("failed searches: 2, no parameters explain the samples; something acts on the plant")

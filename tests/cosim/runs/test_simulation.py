@@ -294,7 +294,7 @@ def test_a_fault_ends_the_run_in_one_line_and_keeps_the_rows(faulty, tmp_path):
 def test_a_fault_before_the_first_step_is_a_run_without_rows(pendulum, tmp_path):
     out = tmp_path / "run"
     out.mkdir()
-    result = run(pendulum({"scenario.timeout": "1e-6"}), "none", out=out)
+    result = run(pendulum({"scenario.timeout": "0.001"}), "none", out=out)
     assert result.status == "faulted"
     assert len(result.time) == 0
     assert math.isnan(result.max_error)

@@ -240,7 +240,7 @@ def test_parameters_that_change_while_a_disturbance_acts_are_found(estimator):
 
 
 @SEARCHES
-def test_a_model_that_lacks_a_sine_rests_after_three_searches_in_vain(estimator):
+def test_a_model_that_lacks_a_sine_rests_after_three_failed_searches(estimator):
     run = Run(estimator).go(100).go(400, TRUE, sine)
     assert len(run.of("unexplained")) == 3
     ((k, event),) = run.of("rest")
@@ -254,7 +254,7 @@ def test_a_model_that_lacks_a_sine_rests_after_three_searches_in_vain(estimator)
 
 
 @SEARCHES
-def test_a_search_in_vain_returns_to_what_lasted_where_that_explains_more(estimator):
+def test_a_failed_search_returns_to_what_lasted_where_that_explains_more(estimator):
     """Parameters that were written while something came and went are not what the next search goes back to."""
     run = Run(estimator).go(100)
     for i in range(60):

@@ -243,7 +243,7 @@ def test_after_parameters_that_have_moved_the_right_ones_are_written(n_channels,
 
 
 @CHANNELS
-def test_what_has_passed_before_anything_was_written_counts_as_a_search_in_vain(n_channels):
+def test_what_has_passed_before_anything_was_written_counts_as_a_failed_search(n_channels):
     """So that correlated noise, which comes and goes, ends in a rest; two outliers count for nothing."""
     run = Run("least-squares", n_channels)
     for n_bad, n_counted in ((2, 0), (4, 1), (3, 2)):
@@ -533,10 +533,10 @@ def test_residuals_are_less_the_known_disturbance_for_all_who_ask():
 
 
 @pytest.mark.parametrize(("estimator", "n_channels"), [("target", 3), ("least-squares", 3), ("least-squares", 1)])
-def test_a_model_that_lacks_a_sine_rests_after_three_searches_in_vain(estimator, n_channels):
+def test_a_model_that_lacks_a_sine_rests_after_three_failed_searches(estimator, n_channels):
     run = Run(estimator, n_channels).go(100).go(300, TRUE, sine)
-    in_vain = [event for _, event in run.of("unexplained", "disturbance") if event.detail.get("size") != {}]
-    assert len(in_vain) == 3  # beside the end of a disturbance
+    failed = [event for _, event in run.of("unexplained", "disturbance") if event.detail.get("size") != {}]
+    assert len(failed) == 3  # beside the end of a disturbance
     assert len(run.of("rest")) == 1
     assert_array_equal(run.held, TRUE)
     assert run.diagnosis.is_resting
@@ -573,7 +573,7 @@ def test_a_changing_disturbance_is_named_without_being_subtracted(rate):
 
 @pytest.mark.parametrize("phase", [0.0, 0.5, 3.0, 4.0])
 def test_a_changing_disturbance_that_passes_through_zero_lets_its_channel_rest(phase):
-    """21 samples a period: the third search in vain may end where the sine is zero."""
+    """21 samples a period: the third failed search may end where the sine is zero."""
     run = Run("least-squares", 3).go(20)
     run.go(60, TRUE, lambda i: np.array([0.0, 0.0, 0.2]) * np.sin(0.3 * i + phase))
     assert run.of("rest")

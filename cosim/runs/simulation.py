@@ -1,6 +1,7 @@
 """Simulation of a scenario, from its FMUs to a result."""
 
-from contextlib import ExitStack
+from collections.abc import Generator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from time import perf_counter
 
@@ -11,7 +12,7 @@ from ..fmi.table import TableSlave, is_table
 from ..retuning.estimators import check_estimator
 from ..scenarios.scenario import Scenario
 from ..scenarios.trust import check_trust, trusted, with_own
-from ..slaves.slave import open_slave
+from ..slaves.slave import Slave, open_slave
 from ..slaves.supervision.fork_server import forked_processes
 from ..system.aliases import as_the_fmus_have_it
 from ..system.fmu_cache import fmu_paths
@@ -84,16 +85,7 @@ def _simulated(
     hold_those_of(paths.values())
     with one_thread(), ExitStack() as stack:  # the number of BLAS threads changes bits
         begun = perf_counter()
-        settings = scenario.scenario
-        with forked_processes():  # Python starts once for all of them
-            slaves = {
-                name: stack.enter_context(
-                    TableSlave(path, name)
-                    if is_table(path)
-                    else open_slave(path, name, **settings.slave_options, tolerance=scenario.components[name].tolerance)
-                )
-                for name, path in paths.items()
-            }
+        slaves = _opened(scenario, paths, stack)
         scenario = as_the_fmus_have_it(scenario, slaves)
         loop = open_loop(scenario, slaves, paths, estimator, seed, begun, stack)
         fault = loop.initialize()
@@ -103,17 +95,13 @@ def _simulated(
                 raise NotResumableError((fault or "").rstrip("."))
             loop.go_to(old.checkpoint, start)
         if out is not None:
-            if old is None and not has_begun(out):
-                new_run_folder(settings.name, out)
-            stack.enter_context(locked(out))
-            if old is None and has_begun(out):
-                raise FolderError(f"{out} holds a run already.")
+            stack.enter_context(_locked_folder(out, scenario.scenario.name, is_new=old is None))
         with recording(out):
             if out is not None:
                 begin_folder(out, scenario, estimator, seed, paths, loop.plant)
             recorder = Recorder(out, loop.columns, old and old.place)
         stack.callback(recorder.release)
-        checkpoints = Checkpoints(out, settings.checkpoint, start)
+        checkpoints = Checkpoints(out, scenario.scenario.checkpoint, start)
         status, error = ("faulted", fault) if fault else loop.execute(recorder, checkpoints, progress)
         wall = perf_counter() - loop.begun
         policy = loop.policy
@@ -124,10 +112,40 @@ def _simulated(
                 **policy.summary(), final_estimate=loop.estimates.final(), latency_steps=loop.latencies.stretches(),
             )  # fmt: skip
             if out is not None:
-                declared = [s.description.unitDefinitions for s in slaves.values()]
-                units = {k: u for d in declared for k, u in defined_units(d).items()}
-                of_formulas = written_variables(scenario, slaves)
-                end_folder(result, out, units, {k: attribute(v, "unit") for k, v in of_formulas.items()})
+                _end_folder(result, out, slaves)
     if status == "interrupted":
         raise KeyboardInterrupt
     return result
+
+
+def _opened(scenario: Scenario, paths: Mapping[str, Path], stack: ExitStack) -> dict[str, Slave | TableSlave]:
+    """Return the slave of each component, which the stack closes."""
+    options = scenario.scenario.slave_options
+    with forked_processes():  # Python starts once for all of them
+        return {
+            name: stack.enter_context(
+                TableSlave(path, name)
+                if is_table(path)
+                else open_slave(path, name, **options, tolerance=scenario.components[name].tolerance)
+            )
+            for name, path in paths.items()
+        }
+
+
+@contextmanager
+def _locked_folder(out: Path, name: str, is_new: bool) -> Generator[None]:
+    """Lock a run folder, which is made where the run is new. Raises FolderError where that holds a run already."""
+    if is_new and not has_begun(out):
+        new_run_folder(name, out)
+    with locked(out):
+        if is_new and has_begun(out):
+            raise FolderError(f"{out} holds a run already.")
+        yield
+
+
+def _end_folder(result: Run, out: Path, slaves: Mapping[str, Slave | TableSlave]) -> None:
+    """Write what a run folder has at the end, with the units that the FMUs define."""
+    declared = [slave.description.unitDefinitions for slave in slaves.values()]
+    units = {name: unit for d in declared for name, unit in defined_units(d).items()}
+    of_formulas = written_variables(result.scenario, slaves)
+    end_folder(result, out, units, {name: attribute(v, "unit") for name, v in of_formulas.items()})

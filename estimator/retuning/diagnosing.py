@@ -127,11 +127,27 @@ class DiagnosingRetuner(RetunerCounts[Retuner]):
         if self._jumps and proposal.estimate is not None and diagnosis.comparison.lags(proposal.estimate.theta):
             proposal, verdict = self._jumped(proposal, verdict, held)
         theta = proposal.theta
-        best = None if proposal.estimate is None else proposal.estimate.theta
         if self._is_endless and not diagnosis.is_suspicious and verdict != "refuted":
             return self._moved(proposal, held)
         if verdict == "warranted" and theta is not None:
             self._warranted = theta.tobytes()
+        ended = self._search_ended(t, proposal, verdict, held)
+        if ended is not None or theta is None:
+            return ended or proposal
+        if verdict == "refuted":
+            return replace(proposal, theta=None)
+        if proposal.estimate is not None:
+            diagnosis.expect(proposal.estimate.is_identifiable)
+        comparison, is_warranted = diagnosis.comparison, verdict == "warranted"
+        if is_warranted and not comparison.may_be_disturbed:
+            return proposal
+        if_noise, rival = comparison.if_noise(held), comparison.disturbance(held)
+        return replace(proposal, if_noise=if_noise, possible_disturbance=rival, is_warranted=is_warranted)
+
+    def _search_ended(self, t: float, proposal: Proposal, verdict: Judgement, held: Vector) -> Proposal | None:
+        """Return what the end of a search leads to, where the diagnosis ends its suspicion then; else None."""
+        diagnosis = self._diagnosis
+        best = None if proposal.estimate is None else proposal.estimate.theta
         has_ended = any(event.kind == "end" for event in proposal.events)
         if has_ended and best is not None and verdict == "refuted":
             self._retuner.distrust()
@@ -145,17 +161,7 @@ class DiagnosingRetuner(RetunerCounts[Retuner]):
             settled = diagnosis.succeed(t, best)
             if settled is not None:
                 return self._ended(t, proposal, settled.undo, held, settled.events)
-        if theta is None:
-            return proposal
-        if verdict == "refuted":
-            return replace(proposal, theta=None)
-        if proposal.estimate is not None:
-            diagnosis.expect(proposal.estimate.is_identifiable)
-        comparison, is_warranted = diagnosis.comparison, verdict == "warranted"
-        if is_warranted and not comparison.may_be_disturbed:
-            return proposal
-        if_noise, rival = comparison.if_noise(held), comparison.disturbance(held)
-        return replace(proposal, if_noise=if_noise, possible_disturbance=rival, is_warranted=is_warranted)
+        return None
 
     def _moved(self, proposal: Proposal, held: Vector) -> Proposal:
         """Return a filter's proposal while nothing contradicts the parameters in force, held (d,).

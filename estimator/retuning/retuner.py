@@ -99,40 +99,29 @@ class Retuner:
         begun = perf_counter()
         if sample is not None:
             self._window.append(sample)
-        elif not self._remaining or self._solver is not None:  # an equal window has nothing new to solve
+        elif not self.is_searching or self._solver is not None:  # an equal window has nothing new to solve
             return Proposal()
         events: list[Event] = []
-        if sample is not None and not self._remaining:
+        if sample is not None and not self.is_searching:
             reason = self._trigger(sample, tracking_error, held)
             followed = self._follow(sample, held, reason is not None)
             if followed is not None or reason is None:
                 return followed or Proposal()
-            samples = self._begin(held)
-            on = {} if samples is None else {"samples": samples}
-            events.append(Event(t, "trigger", {"reason": reason, "episode": self.n_episodes, **on}))
+            events.append(self._begin(t, held, reason))
         elif sample is not None and self._estimator.is_whitened and self._believed is not None:
             self._window.explain(self._believed)  # before the evaluations, which outdated samples would bias
         if not self._window.is_ready:
             return Proposal(events=tuple(events))
-        latencies: list[float] = []
-        candidate = held
+        candidate, latencies = held, list[float]()
         for candidate, cost, seconds in self._evaluate(held):
             latencies.append(seconds)
-            why = self._window.why_failed(candidate)
-            failed = {} if why is None else {"failed": why}
-            events.append(Event(t, "candidate", {"theta": candidate.tolist(), "cost": cost, **failed}))
+            events.append(self._evaluated(t, candidate, cost))
         estimate = self._estimate()
         latencies[-1] += perf_counter() - begun - sum(latencies)
-        has_ended = self._remaining == 0
-        if has_ended:
-            events.append(self._end(t, estimate))
-        is_candidate = self._budget.commit == "candidate" and not has_ended
+        is_candidate = self._budget.commit == "candidate" and self.is_searching
         wanted = held if estimate is None else candidate if is_candidate else estimate.theta
-        if has_ended and self._following is not None and estimate is not None:
-            self._following.remember(self._window_residuals)
-            self._searched = estimate.theta
-        if has_ended and self._closes:
-            self._window.end(wanted)
+        if not self.is_searching:
+            events.append(self._end(t, estimate, wanted))
         theta = None if np.array_equal(wanted, held) else wanted
         return Proposal(theta, estimate, tuple(events), tuple(latencies), is_candidate)
 
@@ -154,7 +143,7 @@ class Retuner:
         estimate = self._filter.estimate(held)
         wanted = held if estimate is None else estimate.theta
         self._searched = wanted
-        event = self._end(t, estimate)
+        event = self._end_event(t, estimate)
         theta = None if np.array_equal(wanted, held) else wanted
         return Proposal(theta, estimate, (event,), (perf_counter() - begun,))
 
@@ -232,8 +221,22 @@ class Retuner:
         """Number of samples at which a candidate was evaluated, re-scoring included."""
         return self._window.n_model_calls
 
-    def _end(self, t: float, estimate: Estimate | None) -> Event:
-        """Return the event of an episode's end at t [s]."""
+    def _evaluated(self, t: float, candidate: Vector, cost: float) -> Event:
+        """Return the event of an evaluation at t [s]."""
+        why = self._window.why_failed(candidate)
+        failed = {} if why is None else {"failed": why}
+        return Event(t, "candidate", {"theta": candidate.tolist(), "cost": cost, **failed})
+
+    def _end(self, t: float, estimate: Estimate | None, wanted: Vector) -> Event:
+        """End an episode with the parameters wanted (d,); return its event at t [s]."""
+        if self._following is not None and estimate is not None:
+            self._following.remember(self._window_residuals)
+            self._searched = estimate.theta
+        if self._closes:
+            self._window.end(wanted)
+        return self._end_event(t, estimate)
+
+    def _end_event(self, t: float, estimate: Estimate | None) -> Event:
         found = {"cost": None} if estimate is None else {"cost": estimate.cost} | estimate_as_json(estimate)
         return Event(t, "end", {"episode": self.n_episodes} | found)
 
@@ -269,8 +272,8 @@ class Retuner:
         """Return the residuals (..., D) of candidates (..., d) over the window."""
         return np.asarray(self._window.residuals(thetas))
 
-    def _begin(self, held: Vector) -> str | None:
-        """Begin an episode; return on which samples, in words, or None for simply the newest ones."""
+    def _begin(self, t: float, held: Vector, reason: str) -> Event:
+        """Begin an episode; return its event at t [s], with its samples in words, if not simply the newest ones."""
         self.n_episodes += 1
         self._remaining = self._budget.evaluations
         self._estimator.restart(held)
@@ -288,7 +291,8 @@ class Retuner:
         elif self._estimator.is_whitened:
             window.explain(held, patient=False)
         self._is_waiting = waits and not self._is_waiting
-        return samples
+        on = {} if samples is None else {"samples": samples}
+        return Event(t, "trigger", {"reason": reason, "episode": self.n_episodes, **on})
 
     def _evaluate(self, held: Vector) -> Iterator[tuple[Vector, float, float]]:
         """Evaluate this step's candidates: yield (theta, |residual|^2, wall time [s]) of each."""

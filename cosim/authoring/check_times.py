@@ -12,8 +12,12 @@ def check_times(scenario: Scenario, _: Components) -> Iterator[Finding]:
     """Yield changes and sensor faults that come too late for the run, and instants outside of it."""
     start, stop = scenario.scenario.start_time, scenario.scenario.stop_time
     for reference, change in scenario.changes.items():
-        late = [row[0] for row in change if row[0] >= stop] if isinstance(change, tuple) else []
-        if late:  # of a single row the value holds from the start on
+        rows = change if isinstance(change, tuple) else ()
+        late = [since for since, _ in rows if since >= stop]
+        if late and len(late) == len(rows):
+            text = f"its first row, at {seconds(late[0])} s, holds from the start on: {_ends(stop)}"
+            yield warning(f'changes."{reference}"', text)
+        elif late:
             yield warning(f'changes."{reference}"', f"changes at {seconds(late[0])} s, but {_ends(stop)}")
     for i, fault in enumerate(scenario.sampling.faults):
         if fault.start >= stop:

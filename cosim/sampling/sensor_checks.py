@@ -8,14 +8,13 @@ from typing import Final
 from estimator.events import Event
 
 from ..scenarios.schema.sampling import ObservationSettings
+from ..scenarios.schema.toml_types import LARGEST
 
 INPUT: Final = "input"
 """Name for all held inputs."""
 LATE: Final = ("late", "sample")
 SUMMED: Final = 20
 """Number of samples over which derivatives are summed, to be compared with the change of their states."""
-_LARGEST: Final = 1e100
-"""Largest size of a value that counts as finite: the squares of larger ones may not be."""
 
 
 class SensorChecks:
@@ -41,7 +40,7 @@ class SensorChecks:
             yield LATE
             return
         named = [*zip(self._names, values, strict=True), *((INPUT, value) for value in u)]
-        bad = [("missing" if isnan(value) else "infinite", name) for name, value in named if not abs(value) <= _LARGEST]
+        bad = [("missing" if isnan(value) else "infinite", name) for name, value in named if not abs(value) <= LARGEST]
         yield from bad
         if self._previous:
             pairs = zip(self._n_same, values, self._previous, strict=True)

@@ -7,7 +7,7 @@ from types import UnionType
 from typing import Annotated, Any, Final, Union, get_args, get_origin, get_type_hints
 
 _WORDS: Final[Mapping[type, str]] = {float: "a number", int: "a whole number", bool: "true or false"}
-_LARGEST: Final = 1e100
+LARGEST: Final = 1e100
 """Largest size of a number: squares and products stay finite."""
 
 
@@ -21,8 +21,8 @@ def check_types(types: Mapping[str, Any], table: Mapping[str, Any], place: str =
         scalars = [kind for kind in kinds if kind in _WORDS]
         if scalars == kinds and kinds and _is_other(value, kinds):
             raise ValueError(f"{place}{key}: must be {' or '.join(_WORDS[kind] for kind in kinds)}, got {value!r}")
-        if float in kinds and isinstance(value, float) and _LARGEST < abs(value) < inf:
-            raise ValueError(f"{place}{key}: must be at most {_LARGEST:g} in size, got {value!r}")
+        if float in kinds and isinstance(value, float) and LARGEST < abs(value) < inf:
+            raise ValueError(f"{place}{key}: must be at most {LARGEST:g} in size, got {value!r}")
         if isinstance(value, Mapping):
             for kind in kinds:
                 if is_dataclass(kind) and _is_meant(kind, value):

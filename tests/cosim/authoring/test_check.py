@@ -97,6 +97,8 @@ CASES = {
         "warning: its rows cover 0 to 1 s"),
     "a change after the end": (("[0.3, 3.0]]", "[1.3, 3.0]]"), 'changes."plant.mass.m"',
         "warning: changes at 1.300 s, but the run ends at 1.000 s"),
+    "only a change after the end": (("[[0.0, 2.0], [0.3, 3.0]]", "[[1.3, 3.0]]"), 'changes."plant.mass.m"',
+        "warning: its first row, at 1.300 s, holds from the start on: the run ends at 1.000 s"),
     "a fault after the end": (("[estimation]\n", f"{FAULT}start = 1.0\n[estimation]\n"), "sampling.faults.0",
         "warning: starts at 1.000 s, but the run ends at 1.000 s"),
     "a fault before the start": (("[estimation]\n", f"{FAULT}start = -2.0\nstop = 0.0\n[estimation]\n"),

@@ -31,7 +31,7 @@ def deviances(rows, walks, monkeypatch):
 
 
 def covariance(n, walk):
-    """Of n samples of a disturbance of variance 100 that walks, with noise of variance 1, by its definition."""
+    """Covariance (n, n) of samples of a disturbance of variance 100 that walks, with noise of variance 1."""
     i = np.arange(1, n + 1)
     return 100.0 + walk * np.minimum.outer(i, i) + np.eye(n)
 

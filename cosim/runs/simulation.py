@@ -80,14 +80,16 @@ def _simulated(
 ) -> Run:
     """Simulate for `run` or, with old, an earlier record to be continued, for `resume`."""
     check_trust(scenario, estimator)
-    check_estimator(estimator, scenario)
-    paths = fmu_paths(scenario)
-    hold_those_of(paths.values())
+    is_isolated = scenario.scenario.isolation == "process"
     with one_thread(), ExitStack() as stack:  # the number of BLAS threads changes bits
-        begun = perf_counter()
-        slaves = _opened(scenario, paths, stack)
-        scenario = as_the_fmus_have_it(scenario, slaves)
-        loop = open_loop(scenario, slaves, paths, estimator, seed, begun, stack)
+        with forked_processes(scenario.scenario.environment if is_isolated else None):
+            check_estimator(estimator, scenario)
+            paths = fmu_paths(scenario)
+            hold_those_of(paths.values())
+            begun = perf_counter()
+            slaves = _opened(scenario, paths, stack)
+            scenario = as_the_fmus_have_it(scenario, slaves)
+            loop = open_loop(scenario, slaves, paths, estimator, seed, begun, stack)
         fault = loop.initialize()
         start = None if out is None or fault is not None else StartObjects(loop)
         if old is not None and old.checkpoint is not None:
@@ -121,15 +123,14 @@ def _simulated(
 def _opened(scenario: Scenario, paths: Mapping[str, Path], stack: ExitStack) -> dict[str, Slave | TableSlave]:
     """Return the slave of each component, which the stack closes."""
     options = scenario.scenario.slave_options
-    with forked_processes():  # Python starts once for all of them
-        return {
-            name: stack.enter_context(
-                TableSlave(path, name)
-                if is_table(path)
-                else open_slave(path, name, **options, tolerance=scenario.components[name].tolerance)
-            )
-            for name, path in paths.items()
-        }
+    return {
+        name: stack.enter_context(
+            TableSlave(path, name)
+            if is_table(path)
+            else open_slave(path, name, **options, tolerance=scenario.components[name].tolerance)
+        )
+        for name, path in paths.items()
+    }
 
 
 @contextmanager

@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Any, Final
 
 VARIABLE: Final = "FMU_RETUNE_PROCESS"
+NO_MARK: Final = "0" * 16
+"""Mark of a process that runs no FMU."""
 _PR_SET_CHILD_SUBREAPER: Final = 36
 _MOST_LOOKS: Final = 20
 

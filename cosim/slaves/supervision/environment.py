@@ -1,9 +1,13 @@
 """Environment of an FMU's process: the variables that FMUs need. The others, such as access keys, it never sees."""
 
+import os
 import sys
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import Final
+
+from ...blas_threads import ONE_THREAD
+from .descendants import VARIABLE
 
 PASSED: Final[Sequence[str]] = (
     "PATH", "HOME", "USER", "LOGNAME", "SHELL", "TZ", "TZDIR", "LANG", "LANGUAGE", "LC_*", "TMPDIR", "TEMP", "TMP",
@@ -19,6 +23,11 @@ PASSED_ON_WINDOWS: Final[Sequence[str]] = (
     "USERNAME", "USERPROFILE", "HOMEDRIVE", "HOMEPATH", "APPDATA", "LOCALAPPDATA",
 )  # fmt: skip
 """Names that Windows and its C library need, in capitals, as they are there."""
+
+
+def variables(more: Sequence[str], mark: str) -> dict[str, str]:
+    """Return the environment of an FMU's process; more: as for `passed_on`, mark: of what it starts."""
+    return passed_on(os.environ, more) | ONE_THREAD | {VARIABLE: mark}
 
 
 def passed_on(environment: Mapping[str, str], more: Sequence[str] = ()) -> dict[str, str]:

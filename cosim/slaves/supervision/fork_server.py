@@ -3,8 +3,9 @@
     with forked_processes():        # within it, and in this thread, SupervisedProcess takes them from here
         ...
 
-A fresh interpreter takes 60 ms to start and to import what serves an FMU; a copy of one that has done so, 3 ms. No FMU
-has been loaded where the copies come from, so that none finds anything of an earlier one. A copy is made twice over, so
+A fresh interpreter takes 60 ms to start and to import what serves an FMU; a copy of one that has done so, 3 ms. It
+starts while the caller goes on. No FMU has been loaded where the copies come from, so that none finds anything of an
+earlier one. A copy is made twice over, so
 that the kernel hands it to this process: it is a child of ours, like one that we have started. It begins when it is
 told to, which follows once it is known here. Linux only.
 """
@@ -17,7 +18,7 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from io import RawIOBase
@@ -25,7 +26,8 @@ from typing import Any, Final
 
 from ..boot import boot_command
 from ..channel import ChildEnd
-from .descendants import VARIABLE
+from .descendants import NO_MARK, VARIABLE
+from .environment import variables
 from .fork_server_child import GO
 from .placement import same_addresses
 
@@ -37,35 +39,39 @@ _ADOPTION: Final = threading.Lock()  # it is a property of the whole process
 
 
 @contextmanager
-def forked_processes() -> Generator[None]:
+def forked_processes(environment: Sequence[str] | None = None) -> Generator[None]:
     """Take FMUs' processes from servers in this context, which run until its end; where there are none it does nothing.
 
-    Within another such context it is those of that one. Nothing but time depends on it.
+    environment: names of the variables of those for which a server begins to start now; None for none. Within another
+    such context the servers are those of that one. Nothing but time depends on it.
     """
-    outer = _SERVERS.get()
-    if not _is_possible() or (outer is not None and outer.are_ours):
+    if not _is_possible():
         yield
         return
-    servers = ForkServers()
+    outer = _SERVERS.get()
+    servers = outer if outer is not None and outer.are_ours else ForkServers()
     token = _SERVERS.set(servers)
     try:
+        if environment is not None:
+            servers.begin(variables(environment, NO_MARK))
         yield
     finally:
         _SERVERS.reset(token)
-        servers.close()
+        if servers is not outer:
+            servers.close()
 
 
-def forked(program: str, end: ChildEnd, variables: Mapping[str, str], output: int) -> "ForkedProcess | None":
+def forked(program: str, end: ChildEnd, environment: Mapping[str, str], output: int) -> "ForkedProcess | None":
     """Return a new process of this context's server for a program; None where it has none.
 
-    end: its end of the channel; variables: its environment; output: descriptor of its standard error.
+    end: its end of the channel; output: descriptor of its standard error.
     """
     servers = _SERVERS.get()
-    return None if servers is None or not end.is_packet else servers.process(program, end, variables, output)
+    return None if servers is None or not end.is_packet else servers.process(program, end, environment, output)
 
 
 class ForkServers:
-    """The servers of one process, one for each program and environment, started on first use."""
+    """The servers of one process, one for each environment, started on first use."""
 
     def __init__(self) -> None:
         self._owner = os.getpid()
@@ -77,24 +83,33 @@ class ForkServers:
         """False in a fork of the process that has started them, whose requests would mix with its own."""
         return os.getpid() == self._owner
 
-    def process(self, program: str, end: ChildEnd, variables: Mapping[str, str], output: int) -> "ForkedProcess | None":
+    def begin(self, environment: Mapping[str, str]) -> None:
+        """Begin to start the server of processes with this environment, whatever their mark is."""
+        with self._lock, suppress(OSError):
+            self._server(environment)
+
+    def process(
+        self, program: str, end: ChildEnd, environment: Mapping[str, str], output: int
+    ) -> "ForkedProcess | None":
         """Return a new process; None where the server has died or does not answer."""
         if not self.are_ours:
             return None
-        common = {**variables, VARIABLE: "0" * len(variables[VARIABLE])}
-        key = json.dumps([program, common, sys.path])
         with self._lock:
             try:
-                server = self._servers.get(key)
-                if server is None:
-                    server = self._servers[key] = _ForkServer(program, common)
-                return server.process(end, variables[VARIABLE], output)
+                return self._server(environment).process(program, end, environment[VARIABLE], output)
             except BaseException as error:  # its answer may still come: whoever asks next would take it for theirs
-                if (server := self._servers.pop(key, None)) is not None:
+                if (server := self._servers.pop(_key(environment), None)) is not None:
                     server.close()
                 if isinstance(error, OSError | ValueError):
                     return None
                 raise
+
+    def _server(self, environment: Mapping[str, str]) -> "_ForkServer":
+        """Return the server of processes with this environment. Raises OSError."""
+        key = _key(environment)
+        if key not in self._servers:
+            self._servers[key] = _ForkServer({**environment, VARIABLE: NO_MARK})
+        return self._servers[key]
 
     def close(self) -> None:
         """End the servers; processes that they have made go on."""
@@ -104,29 +119,34 @@ class ForkServers:
         self._servers.clear()
 
 
-class _ForkServer:
-    """One server: an interpreter that has imported a program, and copies itself."""
+def _key(environment: Mapping[str, str]) -> str:
+    """Return what tells a server from others."""
+    return json.dumps([{**environment, VARIABLE: NO_MARK}, sys.path])
 
-    def __init__(self, program: str, variables: Mapping[str, str]) -> None:
+
+class _ForkServer:
+    """One server: an interpreter that has imported what serves an FMU, and copies itself."""
+
+    def __init__(self, environment: Mapping[str, str]) -> None:
         self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._socket.settimeout(_START_TIMEOUT_S)
         with theirs, same_addresses():
             self._process = subprocess.Popen[bytes](
-                boot_command("cosim.slaves.supervision.fork_server_child", str(theirs.fileno()), program),
+                boot_command("cosim.slaves.supervision.fork_server_child", str(theirs.fileno())),
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
-                env=dict(variables),
+                env=dict(environment),
                 process_group=0,
                 pass_fds=(theirs.fileno(),),
             )
 
-    def process(self, end: ChildEnd, mark: str, output: int) -> "ForkedProcess":
-        """Return a copy of the server that serves the program. Raises OSError, ValueError."""
+    def process(self, program: str, end: ChildEnd, mark: str, output: int) -> "ForkedProcess":
+        """Return a copy of the server that serves a program. Raises OSError, ValueError."""
         theirs, ours = os.pipe()
         lifeline = os.fdopen(ours, "wb", buffering=0)
         try:
-            order = json.dumps([mark, _working_folder()]).encode()
+            order = json.dumps([program, mark, _working_folder()]).encode()
             with _children_adopted():
                 socket.send_fds(self._socket, [order], [theirs, end.handle, output])
                 pid = int(self._socket.recv(64))

@@ -1,4 +1,4 @@
-"""The program of a fork server: it imports another program, and copies itself for each process that is asked for."""
+"""The program of a fork server: it imports what serves an FMU, and copies itself for each process that is asked for."""
 
 import ctypes
 import gc
@@ -16,6 +16,8 @@ from .descendants import VARIABLE
 
 GO: Final = b"g"
 """Byte on its standard input that a copy waits for before it serves."""
+_IMPORTED: Final = "cosim.slaves.child"
+"""Program that is imported in the server; the others, which import the most of it too, in their copies."""
 _OF_PYTHONFMU: Final = (
     "argparse", "ctypes", "datetime", "hashlib", "inspect", "logging", "tempfile", "uuid", "xml.dom.minidom",
     "xml.etree.ElementTree", "zipfile",
@@ -23,14 +25,13 @@ _OF_PYTHONFMU: Final = (
 """Modules of the standard library that an FMU made by pythonfmu imports; nothing else of an FMU's is loaded here."""
 
 
-def main(control: str, program: str) -> NoReturn:
+def main(control: str) -> NoReturn:
     """Serve the process at the other end of a socket until that is closed.
 
-    A request has the mark and the working folder of a new process, and its standard input, channel and standard error;
-    the answer is its process id.
+    A request has the program, the mark and the working folder of a new process, and its standard input, channel and
+    standard error; the answer is its process id.
     """
-    serve: Callable[[str], NoReturn] = importlib.import_module(program).main
-    for name in _OF_PYTHONFMU:
+    for name in (_IMPORTED, *_OF_PYTHONFMU):
         importlib.import_module(name)
     place = _place_of_mark()
     gc.freeze()  # a collection in a copy would copy every page
@@ -39,16 +40,16 @@ def main(control: str, program: str) -> NoReturn:
             order, descriptors, _, _ = socket.recv_fds(requests, 1 << 16, 3)
             if not order:
                 os._exit(0)
-            mark, folder = json.loads(order)
-            requests.send(str(_copy(requests, serve, place, mark, folder, descriptors)).encode())
+            program, mark, folder = json.loads(order)
+            requests.send(str(_copy(requests, place, program, mark, folder, descriptors)).encode())
             for descriptor in descriptors:
                 os.close(descriptor)
 
 
 def _copy(
     requests: socket.socket,
-    serve: Callable[[str], NoReturn],
     place: int,
+    program: str,
     mark: str,
     folder: str | None,
     descriptors: Sequence[int],
@@ -62,7 +63,7 @@ def _copy(
                 os.close(reading)
                 os.close(writing)
                 requests.close()
-                _become(serve, place, mark, folder, *descriptors)
+                _become(place, program, mark, folder, *descriptors)
             with suppress(OSError):  # both do, whichever comes first
                 os.setpgid(copy, copy)
             os.write(writing, str(copy).encode())
@@ -76,10 +77,8 @@ def _copy(
         os.close(reading)
 
 
-def _become(
-    serve: Callable[[str], NoReturn], place: int, mark: str, folder: str | None, stdin: int, channel: int, stderr: int
-) -> NoReturn:
-    """Take over the standard streams, and serve."""
+def _become(place: int, program: str, mark: str, folder: str | None, stdin: int, channel: int, stderr: int) -> NoReturn:
+    """Take over the standard streams, and serve a program."""
     try:
         os.dup2(stdin, 0)
         os.dup2(stderr, 2)
@@ -87,6 +86,7 @@ def _become(
         os.close(stderr)
         ctypes.memmove(place, mark.encode(), len(mark))
         os.environ[VARIABLE] = mark
+        serve: Callable[[str], NoReturn] = importlib.import_module(program).main
         if folder is not None:
             os.chdir(folder)
         if os.read(0, len(GO)) == GO:

@@ -11,11 +11,10 @@ from math import inf
 from time import perf_counter
 from typing import IO, Any, Protocol
 
-from ...blas_threads import ONE_THREAD
 from ..boot import boot_command
 from ..channel import ChildEnd
-from .descendants import VARIABLE, end_marked, new_mark
-from .environment import passed_on
+from .descendants import end_marked, new_mark
+from .environment import variables
 from .fork_server import forked
 from .memory_watchdog import MemoryWatchdog, half_of_memory
 from .output import OutputRelay
@@ -50,8 +49,7 @@ class SupervisedProcess:
         self._mark = new_mark()
         self._output = OutputRelay(name)
         try:
-            variables = passed_on(os.environ, environment) | ONE_THREAD | {VARIABLE: self._mark}
-            self._process = _start(program, end, variables, self._output.descriptor)
+            self._process = _start(program, end, variables(environment, self._mark), self._output.descriptor)
         except BaseException:
             self._output.abandon()
             raise
@@ -126,9 +124,9 @@ class _Process(Protocol):
     def kill(self) -> None: ...
 
 
-def _start(program: str, end: ChildEnd, variables: Mapping[str, str], output: int) -> _Process:
+def _start(program: str, end: ChildEnd, environment: Mapping[str, str], output: int) -> _Process:
     """Start the process in a group of its own, so that Ctrl-C does not reach it."""
-    if (process := forked(program, end, variables, output)) is not None:
+    if (process := forked(program, end, environment, output)) is not None:
         return process
     group: dict[str, Any] = {} if sys.platform == "win32" else {"process_group": 0}
     with same_addresses():
@@ -137,7 +135,7 @@ def _start(program: str, end: ChildEnd, variables: Mapping[str, str], output: in
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=output,
-            env=variables,
+            env=environment,
             **group,
             **end.popen_arguments(),
         )

@@ -10,10 +10,12 @@ from pathlib import Path
 
 import pytest
 
+from cosim import Scenario, run
 from cosim.errors import SlaveError
 from cosim.slaves.slave import open_slave
 from cosim.slaves.supervision import fork_server
 from cosim.slaves.supervision.fork_server import forked_processes
+from cosim.system.fmu_cache import fmu_paths
 
 pytestmark = [pytest.mark.fmu, pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")]
 
@@ -101,6 +103,31 @@ def test_a_context_within_another_takes_them_from_its_server_and_leaves_it(count
                 assert outputs_of(slave)["n"] == 1.0
         assert len(servers()) == 1
     assert servers() == set()
+
+
+def test_a_server_that_begins_at_once_is_the_one_that_is_used(counting, servers):
+    with forked_processes(()):
+        begun = servers()
+        assert len(begun) == 1
+        with open_slave(counting, "a") as slave:
+            assert outputs_of(slave)["n"] == 1.0
+        assert servers() == begun
+    assert servers() == set()
+
+
+def test_a_run_starts_python_once_for_its_fmus_and_for_the_loop_ahead(monkeypatch):
+    started = []
+
+    class Counted(subprocess.Popen):
+        def __init__(self, command, **kwargs):
+            started.append(command)
+            super().__init__(command, **kwargs)
+
+    scenario = Scenario.load("pendulum", {"scenario.stop_time": "0.05"})
+    fmu_paths(scenario)  # which may have to be built, in processes
+    monkeypatch.setattr(subprocess, "Popen", Counted)
+    assert run(scenario, "target").status == "done"
+    assert len(started) == 1
 
 
 def test_processes_go_on_after_their_server(counting, servers):
@@ -212,6 +239,7 @@ import os, signal, sys
 from cosim.slaves.slave import open_slave
 from cosim.slaves.supervision import fork_server
 from cosim.slaves.supervision.fork_server import forked_processes
+from cosim.system.fmu_cache import fmu_paths
 with forked_processes(), open_slave({str(counting)!r}, "a") as slave:
     slave.bind(outputs=["n"])
     slave.initialize({{}})

@@ -7,6 +7,7 @@ and Fault-Tolerant Control", chapter 6. Residuals are in standard deviations of 
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from math import inf, isfinite, log
 from typing import Final
 
@@ -73,8 +74,9 @@ NEVER: Final = Fit(inf, 0, 1)
 
 def plain_fit(rows: Vector, n_free: int, n_values: int | None = None) -> Fit:
     """Return the fit of rows (n, c) that n_free values were fitted to; columns of zeros count as missing."""
-    squares = float((rows**2).sum())
-    n = len(rows) * n_channels_of(rows) if n_values is None else n_values
+    by_channel = np.einsum("n...,n...->...", rows, rows)
+    squares = float(by_channel.sum())
+    n = len(rows) * int(np.count_nonzero(by_channel)) if n_values is None else n_values
     return Fit(squares, n_free, n) if isfinite(squares) else NEVER
 
 
@@ -107,11 +109,19 @@ def disturbance_of(rows: Vector, *, may_drift: bool = True) -> Disturbance:
     for order in range(1, min(_ORDER, (n - 1) // 2) + 1) if may_drift else ():
         if found[-1].fit.is_explained:
             break
-        powers = np.linspace(-1.0, 1.0, n)[:, None] ** np.arange(order + 1)
-        left = rows - powers @ np.linalg.lstsq(powers, rows, rcond=None)[0]
+        left = rows - _polynomial(n, order) @ rows
         fit = plain_fit(left, (order + 1) * n_channels, n * n_channels)
         found.append(Disturbance(rows[-1] - left[-1], np.abs(rows - left).max(axis=0), fit, False))
     return min(found, key=lambda d: d.fit.score)
+
+
+@cache
+def _polynomial(n: int, order: int) -> Vector:
+    """Return the matrix (n, n) that makes of n values those of their least-squares polynomial."""
+    powers = np.linspace(-1.0, 1.0, n)[:, None] ** np.arange(order + 1)
+    fitted: Vector = powers @ np.linalg.pinv(powers)
+    fitted.flags.writeable = False
+    return fitted
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,8 @@ class DriftRival:
         faded = _WEIGHED * self.unlikeliness
         unlikeliness = faded + found
         gain = np.where(is_seen, before / spread, 0.0)
-        deviance = float(np.sum(_mixed(unlikeliness) - _mixed(faded)))
+        after, before_it = _mixed(np.stack([unlikeliness, faded]))
+        deviance = float((after - before_it).sum())
         mean, variance = self.mean + gain * innovation, before * (1.0 - gain)
         return replace(
             self, mean=mean, variance=variance, unlikeliness=unlikeliness - unlikeliness.min(axis=0)
@@ -87,7 +88,7 @@ class DriftRival:
 
 
 def _mixed(unlikeliness: Vector) -> Vector:
-    """Return the -2 log likelihood (c,) of equally probable models (k, c), each with its own."""
-    least = unlikeliness.min(axis=0)
-    found: Vector = least - 2.0 * np.log(np.mean(np.exp(-0.5 * (unlikeliness - least)), axis=0))
-    return found
+    """Return the -2 log likelihood (..., c) of equally probable models (..., k, c), each with its own."""
+    least = unlikeliness.min(axis=-2, keepdims=True)
+    mean = np.exp(-0.5 * (unlikeliness - least)).sum(axis=-2) / unlikeliness.shape[-2]
+    return least[..., 0, :] - 2.0 * np.log(mean)

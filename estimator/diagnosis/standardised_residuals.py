@@ -25,7 +25,7 @@ class StandardisedResiduals:
     0 for a channel that rests or was not sampled.
     """
 
-    made_anew: ClassVar = ("_basis", "_of_basis")
+    made_anew: ClassVar = ("_basis", "_of_basis", "_known_rows")
     """Attributes that are in no checkpoint."""
 
     def __init__(self, declared: DerivativeResidual, state: DiagnosisState) -> None:
@@ -36,6 +36,9 @@ class StandardisedResiduals:
         """Declared noise (c,)."""
         self._basis: tuple[Any, ...] = ()  # of the newest samples that are corrected
         self._of_basis: dict[int, Samples] = {}  # these, by their number
+        self._known_rows: dict[
+            tuple[tuple[int, ...], bytes], Vector
+        ] = {}  # declared residuals at the most of them asked for, by candidates
 
     @property
     def known(self) -> KnownEffects:
@@ -87,7 +90,11 @@ class StandardisedResiduals:
 
     def of_newest(self, theta: Vector, n: int) -> Vector:
         """Return the residuals (..., n, c) of theta (..., d) at the newest n samples, from old to new."""
-        return self.scaled_rows(theta, self._newest(n))
+        samples, of = self._newest(n), (theta.shape, theta.tobytes())
+        known = self._known_rows.get(of)
+        if known is None or known.shape[-2] < len(samples):
+            known = self._known_rows[of] = self.declared.rows(theta, samples)
+        return known[..., known.shape[-2] - len(samples) :, :] / self._state.scale.effective
 
     def at_newest(self, n: int) -> OfMany:
         """Return the residuals (..., n, c) at the newest n samples as a function of places (..., d)."""
@@ -111,7 +118,7 @@ class StandardisedResiduals:
         inputs = state.inputs
         basis = state.samples[-1], inputs.lag, inputs.arriving, state.friction, state.offset, state.is_resting
         if not (self._basis and all(map(is_, basis, self._basis))):
-            self._basis, self._of_basis = basis, {}
+            self._basis, self._of_basis, self._known_rows = basis, {}, {}
         if n not in self._of_basis:
             known = self.known if self._is_correcting else None
             samples = state.samples[-n:]

@@ -1,7 +1,7 @@
 """Search for the lag of the inputs that explains samples: a dead time, a first-order lag, or limited rates."""
 
 from collections.abc import Callable, Sequence
-from math import inf
+from math import inf, isfinite
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -9,6 +9,7 @@ import scipy  # its parts, 0.3 s, are loaded when they are used
 from numpy.typing import NDArray
 
 from ..hypotheses import Fit
+from ..significance import FALSE_ALARM, chi2_limit
 from ..space import Vector
 from .lag import Lag
 
@@ -19,7 +20,11 @@ _MOST_LATE: Final = 16
 _RATES: Final = np.geomspace(0.02, 0.98, 14)
 """Limits of the rate that are tried, as shares of the fastest change of an input."""
 _PROMISING: Final = 0.5
-"""Share of the sum of squares without a lag that one must go below to be refined."""
+"""Share of the sum of squares without a lag below which the rates are worth a trial."""
+_NEAR: Final = 0.12
+"""Share below which a lag is refined: one that explains has less beside it, a quarter of its time constant away."""
+_EXPLAINING: Final = 4.0
+"""Sum of squares by the chi-square limit up to which it is refined, too: of a lag that hardly shows."""
 _PRECISION: Final = 1e-4
 """Relative precision of the time constant, and of a limited rate."""
 LEAST: Final = 3
@@ -55,7 +60,7 @@ def best_lag(fits: Fits, times: Vector, inputs: Vector, none: Fit, *, is_free: b
     step = float(np.median(np.diff(times)))
     slow = fits([Lag(tau) for tau in (step * _TIME_CONSTANTS).tolist()])
     best = _inner(slow)
-    if best is not None and best.fit.squares <= _PROMISING * none.squares:
+    if best is not None and _is_near(best, none):
         found.append(_refined(fits, best, lambda tau: Lag(tau), best.lag.time_constant, _TIME_CONSTANTS))
     is_late = min(one.fit.squares for one in [*late, *slow]) <= _PROMISING * none.squares
     if is_late and not is_free and not any(one is not None and one.fit.is_explained for one in found):
@@ -67,6 +72,11 @@ def _inner(tried: Sequence[TriedLag]) -> TriedLag | None:
     """Return the best one, or None where that is the longest: such a lag is a gain, or no input at all."""
     best = min(tried, key=lambda one: one.fit.squares, default=None)
     return None if best is None or best is tried[-1] else best
+
+
+def _is_near(tried: TriedLag, none: Fit) -> bool:
+    """Return whether a lag beside one that was tried may explain the samples; none: fit without a lag."""
+    return tried.fit.squares <= max(_NEAR * none.squares, _EXPLAINING * chi2_limit(FALSE_ALARM, none.n_values))
 
 
 def _refined(fits: Fits, best: TriedLag, lag_of: Callable[[float], Lag], value: float, tried: Vector) -> TriedLag:
@@ -91,22 +101,30 @@ def _limited(fits: Fits, times: Vector, inputs: Vector, none: Fit) -> TriedLag |
     best = _inner(fits([Lag(rates=tuple(rates.tolist())) for rates in _RATES[:, None] * fastest]))
     if best is None or best.fit.squares > _PROMISING * none.squares:
         return None
-    for j in np.flatnonzero(np.isfinite(fastest)).tolist():
+    limited = [j for j, most in enumerate(fastest) if isfinite(most)]
+    for j in limited:
         best = _limited_at(fits, best, j, float(fastest[j]))
+    if _is_near(best, none):
+        for j in limited:
+            best = _refined_at(fits, best, j)
     return best
 
 
+def _with_rate(lag: Lag, j: int, rate: float) -> Lag:
+    """Return a lag with another limit of the rate of input j, beside the others' limits."""
+    return Lag(rates=(*lag.rates[:j], rate, *lag.rates[j + 1 :]))
+
+
 def _limited_at(fits: Fits, best: TriedLag, j: int, fastest: float) -> TriedLag:
-    """Return the best limit of the rate of input j, or none, beside the others' limits."""
+    """Return the best of those limits of the rate of input j that are tried, or none, beside the others' limits."""
+    tried = fits([_with_rate(best.lag, j, rate) for rate in [*(_RATES * fastest).tolist(), inf]])
+    return min([best, *tried], key=lambda one: one.fit.score)
 
-    def limited(rate: float) -> Lag:
-        rates = best.lag.rates
-        return Lag(rates=(*rates[:j], rate, *rates[j + 1 :]))
 
-    tried = [best, *fits([limited(rate) for rate in [*(_RATES * fastest).tolist(), inf]])]
-    found = min(tried, key=lambda one: one.fit.score)
-    rate = found.lag.rates[j]
-    return found if rate == inf else _refined(fits, found, limited, rate, _RATES)
+def _refined_at(fits: Fits, best: TriedLag, j: int) -> TriedLag:
+    """Return the best limit of the rate of input j close to the one it has, if any, beside the others' limits."""
+    rate = best.lag.rates[j]
+    return best if rate == inf else _refined(fits, best, lambda r: _with_rate(best.lag, j, r), rate, _RATES)
 
 
 def with_fitted_start(made: Vector, moved: Vector, rows: Vector, seen: NDArray[np.intp], rows_with: RowsWith) -> Vector:

@@ -43,6 +43,8 @@ _LENGTHS: Final = (5, 4, 3, 2, 1)
 """Numbers of newest samples on which the hypotheses are compared, until changed parameters explain them."""
 _RATE: Final = 2.0 * USUAL_RATE
 """Largest change of a parameter from sample to sample, as a share of the scaled bounds: faster, it is none."""
+_DRIFT: Final = WINDOW * USUAL_RATE
+"""Longest move of a parameter that drifts over as many samples as are compared, as a share of the scaled bounds."""
 _SPARE: Final = 8
 """Least number of values in excess of those fitted that show a known disturbance to have changed with parameters."""
 _TOO_SMALL: Final = 10.0
@@ -63,7 +65,8 @@ class HypothesisComparison:
         state = self._state
         if not state.n_since:
             n = min(len(state.samples), QUIET)
-            return "warranted" if plain_fit(self._residuals.of_newest(theta, n), 0).is_explained else "refuted"
+            is_explained = plain_fit(self._residuals.of_newest(theta, n), 0).is_explained
+            return "warranted" if is_explained and self._may_replace(theta, held) else "refuted"
         is_due = state.n_samples >= state.found_at + (_RENEWED if state.verdict == "warranted" else 1)
         if is_due or state.found_at < state.n_samples - state.n_since:
             self._weigh(theta, held)
@@ -73,6 +76,23 @@ class HypothesisComparison:
         if plain_fit(now, 0).is_explained or np.sum(now**2) < BETTER * np.sum(self._residuals.of_newest(held, 1) ** 2):
             return state.verdict
         return "refuted"
+
+    def _may_replace(self, theta: Vector, held: Vector) -> bool:
+        """Return whether parameters theta (d,) may replace those in force, held (d,), although these are not refuted.
+
+        A move that is too long for a drift must be proven, where no other parameters were in force since the onset, and
+        no true size of the residuals is known.
+        """
+        state = self._state
+        moved = np.abs(self._space.to_unit(theta) - self._space.to_unit(held)).max()
+        if moved <= _DRIFT or state.has_moved or np.any(state.scale.values > 1.0):
+            return True
+        for n in _shorter(len(state.samples)):
+            before = self._residuals.of_newest(held, n)
+            parameters = plain_fit(self._residuals.of_newest(theta, n), len(self._space))
+            if Weighing(parameters, disturbance_of(before).fit, plain_fit(before, 0)).are_parameters_proven:
+                return True
+        return False
 
     def lags(self, theta: Vector) -> bool:
         """Return whether an estimate theta (d,) does not explain the newest samples, which other parameters may."""

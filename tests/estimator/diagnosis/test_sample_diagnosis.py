@@ -242,6 +242,20 @@ def test_after_parameters_that_have_moved_the_right_ones_are_written(n_channels,
     assert near(run.held, CHANGED, 0.03)
 
 
+@pytest.mark.parametrize(("share", "judgement"), [(0.03, "warranted"), (0.1, "refuted")])
+def test_a_move_too_long_for_a_drift_must_be_proven_although_nothing_contradicts_what_is_in_force(share, judgement):
+    """In a direction in which the samples, all of them alike, say nothing: both explain them equally well."""
+    run = Run("least-squares", 1)
+    run.k = 7
+    for _ in range(10):
+        sample = run.sample(TRUE, 0.0)
+        run.diagnosis.observe(sample, TRUE)
+    comparison, blind = run.diagnosis.comparison, np.array([sample.x[0], -sample.u[0]])
+    move = share * blind / np.abs(SPACE.to_unit(TRUE + blind) - SPACE.to_unit(TRUE)).max()
+    assert not run.diagnosis.is_suspicious
+    assert comparison.judge(TRUE + move, TRUE) == judgement
+
+
 @CHANNELS
 def test_what_has_passed_before_anything_was_written_counts_as_a_failed_search(n_channels):
     """So that correlated noise, which comes and goes, ends in a rest; two outliers count for nothing."""

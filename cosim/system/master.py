@@ -80,7 +80,10 @@ class Master:
             slave.bind((*w.sources, *w.disturbances), w.tunables, w.outputs)
         for name, slave in self._slaves.items():
             start = slave.enter_initialization if is_propagated else slave.initialize
-            start(self._wiring[name].start, start_time, stop_time)
+            try:
+                start(self._wiring[name].start, start_time, stop_time)
+            except WiringError as e:
+                raise WiringError(f"components.{name}.start: {e}") from None
         if is_propagated:
             self._propagate()
         for name, slave in self._slaves.items():

@@ -383,7 +383,7 @@ REFUSED = [
     ("no such FMU", "none", {"components.plant.fmu": "Pendulm"}, ScenarioError, "did you mean 'Pendulum'"),
     ("no such parameter", "none", {'changes."plant.mm"': "1"}, WiringError, "no variable 'mm' in Pendulum.fmu"),
     ("a parameter that is an output", "none", {'changes."plant.phi"': "1"}, WiringError, "not a tunable parameter"),
-    ("no such start value", "none", {"components.plant.start.phj": "1"}, WiringError, "did you mean 'phi'"),
+    ("no such start value", "none", {"components.plant.start.phj": "1"}, WiringError, "components.plant.start: .*phi"),
     ("a start value of another type", "none", {"components.plant.start.phi": "text"}, WiringError, "'text'"),
     ("a start value out of range", "none", {"components.plant.start.m": "-3"}, WiringError, "must be within"),
     ("no such source", "none", {'connections."plant.u"': "controller.v"}, WiringError, "no output of controller"),
@@ -456,7 +456,7 @@ def test_no_write_makes_any_parameter_of_the_quadrotor_much_worse(seed):
     has_jumped = np.any(np.abs(np.diff(true, axis=1)) > 0.05 * true[:, 1:], axis=0)
     jumps = np.append(0, 1 + np.flatnonzero(has_jumped))
     assert len(jumps) == 3
-    first_three = {k + i for k in jumps for i in range(5)}
+    first_three = {k + i for k in jumps for i in range(2 + 3)}  # a write after a jump is in force two rows later
     worse = np.diff(error, axis=1).max(axis=0)
     assert max(w for k, w in enumerate(worse, 1) if k not in first_three) < 0.2
     assert error[:, -1].max() < 0.02

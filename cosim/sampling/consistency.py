@@ -19,6 +19,8 @@ _FEWEST: Final = 5
 """Least number of samples whose scatter is an estimate of the noise."""
 _STILL: Final = 0.5
 """Share of the noise's limit above which a derivative that was inconsistent still is."""
+_BURST: Final = 3
+"""Largest number of spikes in a row that are no fault of the derivative once they are over."""
 _SHY: Final = 3
 """Number of consistent samples that make good for an inconsistent one."""
 
@@ -29,9 +31,9 @@ class Consistency:
     A sample at the end of a step belongs to the input that was held over it. So the rectangle rule errs by h/2 times
     the change of the derivative over the step, whose size the model predicts. The limit is the sum of that of the
     noise, declared or observed, whichever is larger, of twice that error, and of h/2 sum |xdot_i - xdot_(i-1)|, the
-    last counted twice, so that a spike is no bias. A channel that was inconsistent is so until it has been below this,
-    with half of the noise's part, for three times as many samples, at most 20: a derivative with the wrong sign fits,
-    too, where it is small, and a spike of the state is over soon.
+    last counted twice, so that a spike is no bias; nor are a few in a row, once they are over. A channel that was
+    inconsistent is so until it has been below this, with half of the noise's part, for three times as many samples, at
+    most 20: a derivative with the wrong sign fits, too, where it is small, and a spike of the state is over soon.
     """
 
     def __init__(
@@ -75,18 +77,34 @@ class Consistency:
 
     def _are_beyond(self, rows: Vector) -> NDArray[np.bool_]:
         """Return which channels are beyond their limits, from what is known of each sample (n, 4, c)."""
-        moved, xdot, drift, changes = rows.sum(axis=0)
-        n, h = len(rows), self._h
-        differs, newest = np.abs(moved - h * xdot), rows[-1, 3]
+        n = len(rows)
         if n not in self._noises:
             self._noises[n] = self._limit_of_noise(self._noise, n)
-        of_motion = h * drift + 0.5 * h * (changes + newest)
-        share = np.where(self._distrust > 0, _STILL, 1.0)
-        is_beyond = differs > share * self._noises[n] + of_motion
+        is_beyond = self._differ(rows, self._noises[n])
         if not is_beyond.any():  # the observed noise only widens the limits
             return is_beyond
         sigma = np.maximum(self._noise, 1.05 * column_medians(rows[:, 3]))  # of a difference: 0.954 sigma
-        return differs > share * self._limit_of_noise(sigma, n) + of_motion
+        limit = self._limit_of_noise(sigma, n)
+        return self._differ(rows, limit) & self._differ(self._without_bursts(rows, sigma), limit)
+
+    def _differ(self, rows: Vector, of_noise: Vector) -> NDArray[np.bool_]:
+        """Return in which channels the motion differs by more than the step and noise, by its limit (c,), explain."""
+        moved, xdot, drift, changes = rows.sum(axis=0)
+        h, share = self._h, np.where(self._distrust > 0, _STILL, 1.0)
+        of_motion = h * drift + 0.5 * h * (changes + rows[-1, 3])
+        return np.abs(moved - h * xdot) > share * of_noise + of_motion
+
+    def _without_bursts(self, rows: Vector, sigma: Vector) -> Vector:
+        """Return the rows without up to three spikes in a row that are over, and without the way back from them."""
+        moved, xdot, drift, _ = rows.transpose(1, 0, 2)
+        is_odd = np.abs(moved - self._h * xdot) > self._limit_of_noise(sigma, 1) + self._h * drift
+        left = rows.copy()
+        for channel, odd in enumerate(is_odd.T):
+            for first, end in np.flatnonzero(np.diff(odd, prepend=False, append=False)).reshape(-1, 2):
+                if end - first <= _BURST and end < len(rows):
+                    left[first:end, :, channel] = 0.0
+                    left[end, 3, channel] = 0.0
+        return left
 
     def _limit_of_noise(self, sigma: Vector, n: int) -> Vector:
         h = self._h

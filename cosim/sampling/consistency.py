@@ -95,13 +95,19 @@ class Consistency:
         return np.abs(moved - h * xdot) > share * of_noise + of_motion
 
     def _without_bursts(self, rows: Vector, sigma: Vector) -> Vector:
-        """Return the rows without up to three spikes in a row that are over, and without the way back from them."""
-        moved, xdot, drift, _ = rows.transpose(1, 0, 2)
-        is_odd = np.abs(moved - self._h * xdot) > self._limit_of_noise(sigma, 1) + self._h * drift
+        """Return the rows without up to three spikes in a row that are over, and without the way back from them.
+
+        Spikes come and go at once; a wrong sign, which fits where the derivative is small, does not.
+        """
+        moved, xdot, drift, changes = rows.transpose(1, 0, 2)
+        differs = np.abs(moved - self._h * xdot)
+        is_odd = differs > self._limit_of_noise(sigma, 1) + self._h * drift
+        is_step = self._h * changes > 0.5 * np.maximum(differs, np.roll(differs, 1, axis=0))
+        is_step[0] = True  # it began before these rows
         left = rows.copy()
         for channel, odd in enumerate(is_odd.T):
             for first, end in np.flatnonzero(np.diff(odd, prepend=False, append=False)).reshape(-1, 2):
-                if end - first <= _BURST and end < len(rows):
+                if end - first <= _BURST and end < len(rows) and is_step[[first, end], channel].all():
                     left[first:end, :, channel] = 0.0
                     left[end, 3, channel] = 0.0
         return left

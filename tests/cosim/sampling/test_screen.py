@@ -360,7 +360,7 @@ def test_what_was_inconsistent_is_so_until_it_has_been_below_half_of_the_limit_f
 
 @pytest.mark.parametrize("n", [2, 3])
 def test_after_a_few_spikes_in_a_row_a_derivative_is_trusted_again_at_once(n):
-    """Of one sign they are inconsistent while they last, and three times as long; single ones every 15 samples not."""
+    """From the second on, and for three samples more for each; single spikes every 15 samples are not inconsistent."""
     spikes = [5.0 * (30 <= k < 30 + n or (k > 40 and k % 15 == 0)) for k in range(200)]
     assert inconsistent(bias=spikes) == [*range(31, 31 + 4 * (n - 1) - 1)]
 
@@ -376,11 +376,18 @@ def test_a_wrong_sign_does_not_fit_where_the_derivative_is_small_either():
     assert inconsistent(400, rates=rates, bias=-2.0 * rates) == [*range(5, 400)]
 
 
+def test_a_wrong_sign_that_fits_but_for_a_few_samples_is_no_burst_of_spikes():
+    """The derivative is large for a few samples of each half wave of ten, and neither comes nor goes at once."""
+    rates = 0.05 * np.sin(2.0 * np.pi * np.arange(200) / 20) ** 3
+    assert len(inconsistent(200, rates=rates, bias=-2.0 * rates)) >= 29  # 19 where they are left out as spikes
+
+
 def test_after_a_spike_of_the_state_its_derivative_is_trusted_again_in_three_samples():
+    """The spike is in the sum of 20 motions when it begins, at 30, and by its end alone at 50."""
     watched, odd = Consistency((0,), (SIGMA,), (0.0,), slope, 8.0, H), []
     for k in range(60):
         odd += [k] * len(watched.step(Sample(k * H, (k * H + (k == 30),), (1.0,), (1.0,)), THETA))
-    assert odd == [30, 31, 32]
+    assert odd == [30, 31, 32, 50, 51, 52]
 
 
 def test_one_spike_is_no_bias():

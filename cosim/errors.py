@@ -1,7 +1,8 @@
 """Exceptions of the package; the message of each is one line."""
 
 import errno
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from typing import Final
 
 _LONGEST_REASON = 400  # characters; an FMU may log a whole page
@@ -31,6 +32,16 @@ class WiringError(CosimError):
 
 class ScenarioError(CosimError):
     """Error for a scenario that is not valid."""
+
+
+@contextmanager
+def told_at(place: str) -> Generator[None]:
+    """Put a place, a scenario's key or its file, before what an error about it says."""
+    try:
+        yield
+    except (ModelDescriptionError, ScenarioError, WiringError) as e:
+        e.args = (f"{place}: {e}",)  # the same error: its traceback and cause stay
+        raise
 
 
 class SspError(CosimError):

@@ -50,7 +50,7 @@ def _first_problem(scenario: Scenario, reference: VariableName, port: Ports) -> 
         try:
             problem = port.problem([value_of_change(reference, change, t)])
         except ScenarioError as e:
-            return str(e).removeprefix(f"changes.{reference} ").rstrip(".")
+            return str(e).removeprefix(f'changes."{reference}" ').rstrip(".")
         if problem and k < last:  # nothing steps from the last point on
             return f"{problem}, at t = {seconds(t)} s"
     return None

@@ -41,7 +41,7 @@ def check_model(scenario: Scenario, components: Mapping[str, Component]) -> Iter
         true_parameters(scenario, files)
         theta = np.array(first_parameters(scenario, files))
     except CosimError as e:
-        yield Finding("scenario", plain(e))
+        yield split(plain(e))
         return
     yield from check_rule(scenario, files, theta)
     try:

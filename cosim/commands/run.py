@@ -4,7 +4,7 @@ import argparse
 from functools import partial
 from pathlib import Path
 
-from ..errors import SspError
+from ..errors import SspError, told_at
 from ..files import write_bytes
 from ..retuning.estimators import check_estimator
 from ..runs.record import recording
@@ -35,7 +35,7 @@ def command(options: argparse.Namespace) -> int:
     check_estimator(options.estimator, scenario)
     must_be_new(options.ssv, "--ssv")
     is_alone = options.only or options.estimator in BASELINES
-    with new_folder(scenario.scenario.name, options.out) as folder, telling_how_to_resume(folder):
+    with new_folder(scenario.scenario.name, options.out) as folder, telling_how_to_resume(folder), told_at(source):
         estimators = {folder: options.estimator} | ({} if is_alone else {folder / name: name for name in BASELINES})
         for path in estimators:
             path.mkdir(exist_ok=True)  # empty: a run that is still to be made, also by `resume`

@@ -18,7 +18,7 @@ import numpy as np
 
 from estimator import Vector
 
-from ..errors import NotResumableError, ScenarioError, SlaveError, WiringError, seconds
+from ..errors import NotResumableError, ScenarioError, SlaveError, seconds
 from ..fmi.table import TableSlave
 from ..objectives.rollout_fmu import RunningPlant
 from ..retuning.assembly import try_model
@@ -136,8 +136,6 @@ class Loop:
         try:
             self._master.initialize(settings.start_time, settings.stop_time)
         except SlaveError as fault:
-            if fault.function == "set":  # refused before it reached the FMU
-                raise WiringError(f"{fault}.") from fault
             return str(fault)
         for parameter in self._scenario.estimation.parameters:  # a formula may have no value from the start
             self._truth[self._scenario.true_reference(parameter)](settings.start_time)

@@ -6,7 +6,7 @@ from pathlib import Path
 from time import perf_counter
 
 from ..blas_threads import one_thread
-from ..errors import FolderError, NotResumableError
+from ..errors import FolderError, NotResumableError, told_at
 from ..fmi.ports import attribute
 from ..fmi.table import TableSlave, is_table
 from ..retuning.estimators import check_estimator
@@ -123,14 +123,16 @@ def _simulated(
 def _opened(scenario: Scenario, paths: Mapping[str, Path], stack: ExitStack) -> dict[str, Slave | TableSlave]:
     """Return the slave of each component, which the stack closes."""
     options = scenario.scenario.slave_options
-    return {
-        name: stack.enter_context(
-            TableSlave(path, name)
-            if is_table(path)
-            else open_slave(path, name, **options, tolerance=scenario.components[name].tolerance)
-        )
-        for name, path in paths.items()
-    }
+    slaves: dict[str, Slave | TableSlave] = {}
+    for name, path in paths.items():
+        component = scenario.components[name]
+        with told_at(f"components.{name}.{component.file_key}"):
+            slaves[name] = stack.enter_context(
+                TableSlave(path, name)
+                if is_table(path)
+                else open_slave(path, name, **options, tolerance=component.tolerance)
+            )
+    return slaves
 
 
 @contextmanager

@@ -137,7 +137,7 @@ class Scenario(Table):
             "tracking": [*self.tracking, *self.tracking.values()],
             "sampling": [*self.sampling.derivatives, *self.sampling.outputs, *self.sampling.states],
             "sampling.faults": [f.sensor for f in self.sampling.faults if f.sensor is not None],
-            "estimation.parameters": self.written,
+            "estimation.parameters": [*self.written, *(p.true for p in self.estimation.parameters if p.true)],
         }
         for table, references in named.items():
             for reference in references:

@@ -8,7 +8,7 @@ from platformdirs import user_cache_path
 
 from fmu_models.build import NAMES, PLANTS, Interface, build, build_all, guid
 
-from ..errors import FolderError, ScenarioError
+from ..errors import FolderError, ScenarioError, told_at
 from ..files import write_bytes
 from ..fmi.folder import PrivateFolder
 from ..names import did_you_mean
@@ -106,11 +106,15 @@ def _state(built: Path, target: Path) -> str:
 
 def fmu_paths(scenario: Scenario) -> dict[str, Path]:
     """Return the file of each component's FMU, built where need be, or table. Raises ScenarioError."""
-    return {name: component_path(c, scenario.folder) for name, c in scenario.components.items()}
+    paths: dict[str, Path] = {}
+    for name, component in scenario.components.items():
+        with told_at(f"components.{name}.{component.file_key}"):
+            paths[name] = component_path(component, scenario.folder)
+    return paths
 
 
 def component_path(component: ComponentSettings, folder: Path) -> Path:
     """Return the file of a component's FMU, built where need be, or table. Raises ScenarioError."""
     if component.fmu is not None:
         return find_fmu(component.fmu, folder, component.fmi)
-    return find_table(component.table or "", folder)
+    return find_table(component.file, folder)

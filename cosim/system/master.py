@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from ..errors import WiringError
+from ..errors import SlaveError, WiringError, told_at
 from ..fmi.types import Value
 from ..units import IDENTITY, Linear
 
@@ -80,10 +80,13 @@ class Master:
             slave.bind((*w.sources, *w.disturbances), w.tunables, w.outputs)
         for name, slave in self._slaves.items():
             start = slave.enter_initialization if is_propagated else slave.initialize
-            try:
-                start(self._wiring[name].start, start_time, stop_time)
-            except WiringError as e:
-                raise WiringError(f"components.{name}.start: {e}") from None
+            with told_at(f"components.{name}.start"):
+                try:
+                    start(self._wiring[name].start, start_time, stop_time)
+                except SlaveError as fault:
+                    if fault.function == "set":  # refused before it reached the FMU
+                        raise WiringError(f"{fault.reason}.") from fault
+                    raise
         if is_propagated:
             self._propagate()
         for name, slave in self._slaves.items():

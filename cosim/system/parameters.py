@@ -6,7 +6,7 @@ from typing import Any
 
 from estimator import Parameter
 
-from ..errors import ScenarioError, WiringError, seconds
+from ..errors import ScenarioError, WiringError, seconds, told_at
 from ..fmi.component import ModelVariable
 from ..fmi.ports import attribute
 from ..names import did_you_mean
@@ -56,15 +56,23 @@ def check_parameters(scenario: Scenario, slaves: Mapping[str, Described]) -> Non
     """Raise WiringError unless the controller takes every estimate within the bounds, and holds no true value."""
     writes = scenario.written
     for parameter in scenario.estimation.parameters:
-        if (true := scenario.true_reference(parameter)) in writes:
-            raise WiringError(f"'{true}' is written: 'true' of '{parameter.name}' must name the plant's parameter.")
-        for reference in parameter.written:
-            found = _variable(slaves, reference)
-            problem = parameter_problem(parameter, found) if parameter.is_written_as_it_is else None
-            if problem is not None:
-                raise WiringError(problem)
-        if not parameter.is_written_as_it_is and (problem := unit_problem(parameter, true, _variable(slaves, true))):
-            raise WiringError(problem)
+        with told_at(key_of(parameter)):
+            if (true := scenario.true_reference(parameter)) in writes:
+                raise WiringError(f"'{true}' is written: 'true' of '{parameter.name}' must name the plant's parameter.")
+            for reference in parameter.written:
+                found = _variable(slaves, reference)
+                problem = parameter_problem(parameter, found) if parameter.is_written_as_it_is else None
+                if problem is not None:
+                    raise WiringError(problem)
+            if not parameter.is_written_as_it_is:
+                problem = unit_problem(parameter, true, _variable(slaves, true))
+                if problem is not None:
+                    raise WiringError(problem)
+
+
+def key_of(parameter: EstimatedParameter) -> str:
+    """Return the place of a parameter in the scenario's file."""
+    return f"estimation.parameters '{parameter.name}'"
 
 
 def _variable(slaves: Mapping[str, Described], reference: VariableName) -> ModelVariable:
@@ -114,7 +122,8 @@ def true_parameters(scenario: Scenario, slaves: Mapping[str, Described]) -> dict
     for parameter in scenario.estimation.parameters:
         reference = scenario.true_reference(parameter)
         if reference not in truth:
-            truth[reference] = partial(_constant, start_value(scenario, slaves, reference))
+            with told_at(key_of(parameter)):
+                truth[reference] = partial(_constant, start_value(scenario, slaves, reference))
     return truth
 
 
@@ -123,7 +132,7 @@ def value_of_change(name: str, change: Callable[[float], float], t: float) -> fl
     try:
         return change(t)
     except (ArithmeticError, ValueError) as e:
-        raise ScenarioError(f"changes.{name} has no value at t = {seconds(t)} s: {e}.") from e
+        raise ScenarioError(f'changes."{name}" has no value at t = {seconds(t)} s: {e}.') from e
 
 
 def _constant(value: float, t: float) -> float:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from ..errors import WiringError
+from ..errors import WiringError, told_at
 from ..fmi.archive import FmuFile
 from ..fmi.component import outputs_of
 from ..fmi.table import TableSlave
@@ -56,8 +56,12 @@ def plant_of(scenario: Scenario, slave: Described) -> Plant:
     known = {f"{slave.name}.{name}" for name in states}
     for reference in sampling.states:
         if reference not in known:
-            raise WiringError(f"'{reference}' is no state of {slave.name}{did_you_mean(reference, states) or '.'}")
-    channels = [_channel(reference, d, states, declared) for reference, d in sampling.derivatives.items()]
+            problem = f"'{reference}' is no state of {slave.name}{did_you_mean(reference, states) or '.'}"
+            raise WiringError(f'sampling.states."{reference}": {problem}')
+    channels: list[int] = []
+    for reference, d in sampling.derivatives.items():
+        with told_at(f'sampling.derivatives."{reference}"'):
+            channels.append(_channel(reference, d, states, declared))
     inputs = {
         v.name: float(v.start or 0.0)
         for v in variables
@@ -97,7 +101,7 @@ def disturbances_of(scenario: Scenario, slaves: Mapping[str, Described]) -> tupl
     found = tuple(r for r in scenario.changes if r.variable in inputs[r.component])
     for reference in found:
         if reference in scenario.connections:
-            raise WiringError(f"changes: {connected_as_well(scenario, reference)}.")
+            raise WiringError(f'changes."{reference}": {connected_as_well(scenario, reference)}.')
     return found
 
 

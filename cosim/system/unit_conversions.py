@@ -8,6 +8,7 @@ from ..fmi.component import Component, ModelDescription, component_of
 from ..scenarios.scenario import Scenario
 from ..units import IDENTITY, Linear, Unit, conversion
 from ..variable_name import VariableName
+from .parameters import key_of
 
 
 def unit_conversions(scenario: Scenario, descriptions: Mapping[str, ModelDescription]) -> dict[str, dict[str, Linear]]:
@@ -29,7 +30,7 @@ def unit_conversions(scenario: Scenario, descriptions: Mapping[str, ModelDescrip
     compared = [(f'tracking."{tracked}"', reference, tracked) for tracked, reference in scenario.tracking.items()]
     for p in scenario.estimation.parameters:
         if p.is_written_as_it_is:
-            compared += [(f"estimation.parameters '{p.name}'", scenario.true_reference(p), name) for name in p.written]
+            compared += [(key_of(p), scenario.true_reference(p), name) for name in p.written]
     for where, one, other in compared:
         if _conversion(where, one, other, components) != IDENTITY:
             raise WiringError(f"{where}: {different(one, other, components)}, and both must be in one unit.")

@@ -89,9 +89,21 @@ class ComponentSettings(Table):
     def _is_one_of_them(self) -> Self:
         if (self.fmu is None) == (self.table is None):
             raise ValueError("must have either 'fmu' or 'table'")
+        if self.fmu and self.fmu.lower().endswith(".csv"):
+            raise ValueError(f"fmu: must be an FMU; a table is played back by table = '{self.fmu}'")
         if self.table and (self.start or self.tolerance):
             raise ValueError("a table takes no start values, and no tolerance")
         return self
+
+    @property
+    def file(self) -> str:
+        """Its FMU or table."""
+        return self.fmu or self.table or ""
+
+    @property
+    def file_key(self) -> str:
+        """Key that names its file."""
+        return "table" if self.fmu is None else "fmu"
 
 
 class RunLimits(Table):

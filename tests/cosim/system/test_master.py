@@ -278,8 +278,9 @@ def test_a_parallel_loop_is_the_matrix_power_of_the_loop_one_step_late():
 
 def variable(name, causality="output", start=None, derivative=None, unit="1"):
     return SimpleNamespace(
-        name=name, causality=causality, type="Real", start=start, unit=unit, min=None, max=None, derivative=derivative,
-        declaredType=None,
+        name=name, causality=causality, type="Real", valueReference=0,
+        variability="tunable" if causality == "parameter" else "continuous", start=start, unit=unit, min=None, max=None,
+        derivative=derivative, declaredType=None,
     )  # fmt: skip
 
 

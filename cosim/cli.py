@@ -14,7 +14,7 @@ from typing import Final
 
 from .blas_threads import ONE_THREAD
 from .errors import ScenarioError
-from .offline.estimate_file import with_file
+from .offline.estimate_file import by_key, with_file
 from .shadowing import check_packages
 from .terminal.completion import VARIABLE, complete
 from .terminal.exit_codes import INTERRUPTED, REFUSED, UNFINISHED
@@ -54,8 +54,10 @@ def _ended(arguments: Sequence[str] | None) -> int:
     parser = make_parser()
     if VARIABLE in os.environ:
         complete(parser)
+    given = sys.argv[1:] if arguments is None else list(arguments)
     try:
-        options = parser.parse_args(with_file(sys.argv[1:] if arguments is None else arguments))
+        words = with_file(given)
+        options = parser.parse_args(words)
     except ScenarioError as e:
         parser.error(str(e).rstrip("."))
     from .errors import CosimError, is_refusal  # here and below: --help must not wait for NumPy and GPy
@@ -70,7 +72,7 @@ def _ended(arguments: Sequence[str] | None) -> int:
         sys.stdout.flush()
         return code
     except CosimError as e:
-        return _end(options, str(e), REFUSED if is_refusal(e) else UNFINISHED)
+        return _end(options, by_key(str(e), given, words), REFUSED if is_refusal(e) else UNFINISHED)
     except KeyboardInterrupt:
         if options.debug:
             traceback.print_exc()

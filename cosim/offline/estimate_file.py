@@ -1,11 +1,14 @@
 """The command line of `retune estimate` from a TOML file. Imports nothing heavy: --help must not wait."""
 
+import argparse
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NoReturn
 
 from ..errors import ScenarioError
 from ..names import did_you_mean
+from .estimate_options import add_options
 
 _TABLES: Final = {
     "parameters": "--parameter", "measured": "--measured", "inputs": "--input", "start": "--start", "noise": "--noise",
@@ -16,6 +19,20 @@ _VALUES: Final = (
     "time", "time_unit", "holdout", "step", "method", "evaluations", "samples", "evaluations_per_sample", "seed",
     "jobs", "timeout", "loss", "f_scale",
 )  # fmt: skip
+_KEYS: Final = {option: key for key, option in (_TABLES | _LISTS).items()} | {
+    "--" + key.replace("_", "-"): key for key in (*_FLAGS, *_VALUES)
+}
+"""Key of each option."""
+_REQUIRED: Final = ("--parameter", "--measured")
+_ENTRIES: Final = {"parameters": ('[LOW, HIGH] or [LOW, HIGH, "log"]', (2, 3)), "windows": ("[FROM, TO]", (2,))}
+"""Form and lengths of the entries that are lists, by key."""
+
+
+class _Options(argparse.ArgumentParser):
+    """The options of the command, for a file: an error is raised."""
+
+    def error(self, message: str) -> NoReturn:
+        raise ScenarioError(message.removeprefix("argument ").replace("following arguments", "following keys"))
 
 
 def with_file(arguments: Sequence[str]) -> list[str]:
@@ -25,7 +42,28 @@ def with_file(arguments: Sequence[str]) -> list[str]:
     from ..scenarios.scenario import read_tables
 
     path = Path(arguments[1])
-    return ["estimate", *_words(path, read_tables(path)), *arguments[2:]]
+    words = ["estimate", *_words(path, read_tables(path)), *arguments[2:]]
+    parser = _Options(add_help=False, allow_abbrev=False)
+    add_options(parser)
+    try:
+        parser.parse_known_args(words[1:])
+    except ScenarioError as e:
+        if (text := by_key(str(e), arguments, words)) != str(e):  # else the command line is wrong, and told as such
+            raise ScenarioError(text) from None
+    return words
+
+
+def by_key(message: str, arguments: Sequence[str], words: Sequence[str]) -> str:
+    """Return a message on options, those that are the file's, or that it lacks, told as its keys.
+
+    arguments: the command line; words: that `with_file` has made of it.
+    """
+    if words == arguments:
+        return message
+    own = {word.partition("=")[0] for word in arguments}
+    of_file = {*_REQUIRED, *(word.partition("=")[0] for word in words)} - own
+    told = re.sub(r"--[a-z-]+", lambda option: _KEYS[option[0]] if option[0] in of_file else option[0], message)
+    return message if told == message else f"{arguments[1]}: {told}"
 
 
 def _words(path: Path, keys: Mapping[str, Any]) -> Iterator[str]:
@@ -37,9 +75,11 @@ def _words(path: Path, keys: Mapping[str, Any]) -> Iterator[str]:
         option = "--" + key.replace("_", "-")
         if key in _TABLES and isinstance(value, dict):
             for name, entry in _flat(value):
+                _check_form(f"{path}: {key}.{name}", key, entry)
                 yield f"{_TABLES[key]}={name}={_entry(f'{path}: {key}.{name}', entry)}"
         elif key in _LISTS and isinstance(value, list):
             for entry in value:
+                _check_form(f"{path}: {key}", key, entry)
                 yield f"{_LISTS[key]}={_beside(path, entry) if key == 'validate' else _entry(f'{path}: {key}', entry)}"
         elif key in _FLAGS and isinstance(value, bool):
             yield from [option] if value else []
@@ -58,6 +98,12 @@ def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any
             yield from _flat(value, f"{prefix}{key}.")
         else:
             yield f"{prefix}{key}", value
+
+
+def _check_form(what: str, key: str, entry: Any) -> None:
+    """Raise ScenarioError for an entry that must be a list of another length."""
+    if key in _ENTRIES and not (isinstance(entry, list) and len(entry) in _ENTRIES[key][1]):
+        raise ScenarioError(f"{what} must be {_ENTRIES[key][0]}, got {entry!r}.")
 
 
 def _entry(what: str, value: Any) -> str:

@@ -423,8 +423,12 @@ def test_a_file_says_it_for_the_online_mode_too(plant, log, tmp_path):
         ("evaluations", "evaluation", "'evaluation' is no key; did you mean 'evaluations'"),
         ("= 10", "= true", "'evaluations' is of the wrong type"),
         ("= 10", "= ", "not a readable TOML file"),
-        ("[0.5, 4]", "true", "parameters.m must be a number, a name or a list of them, got True"),
-        ("[0.5, 4]", "4", "must be NAME=LOW:HIGH or NAME=LOW:HIGH:log"),
+        ("[0.5, 4]", "true", 'parameters.m must be [LOW, HIGH] or [LOW, HIGH, "log"], got True'),
+        ("[0.5, 4]", "4", 'estimate.toml: parameters.m must be [LOW, HIGH] or [LOW, HIGH, "log"], got 4'),
+        ('"x"', "true", "measured.x must be a number, a name or a list of them, got True"),
+        ("= 10", "= -3", "estimate.toml: evaluations: must be a whole number, got '-3'"),
+        ("= 10", "= 10\nwindows = [5]", "estimate.toml: windows must be [FROM, TO], got 5"),
+        ('[measured]\nx = "x"\nv = "v"', "", "estimate.toml: the following keys are required: measured"),
     ],
 )
 def test_a_bad_file_is_refused_in_one_line(plant, log, capsys, tmp_path, old, new, told):
@@ -434,3 +438,31 @@ def test_a_bad_file_is_refused_in_one_line(plant, log, capsys, tmp_path, old, ne
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert told in error
+
+
+@pytest.mark.parametrize(
+    ("line", "options", "told"),
+    [
+        ("step = -1.0", [], "estimate.toml: step must be positive"),
+        ("windows = [[2, 1]]", [], "estimate.toml: windows must be FROM:TO"),
+        ("samples = 5", [], "estimate.toml: samples must be 1 or more, and goes with --online"),
+        ("samples = 0\nonline = true", [], "estimate.toml: samples must be 1 or more, and goes with online"),
+        ("seed = 1", ["--step", "-1"], "retune: --step must be positive"),
+        ("step = 0.1", ["--step", "-1"], "retune: --step must be positive"),
+    ],
+)
+def test_the_files_part_is_told_by_its_key_and_the_command_lines_by_its_option(
+    plant, log, capsys, tmp_path, line, options, told
+):
+    (tmp_path / "estimate.toml").write_text(f"{line}\n{TOML.format(plant=plant)}")
+    assert main(["estimate", str(tmp_path / "estimate.toml"), *options]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert told in error
+
+
+def test_a_wrong_option_beside_a_file_is_one_of_the_command_line(plant, log, capsys, tmp_path):
+    (tmp_path / "estimate.toml").write_text(TOML.format(plant=plant))
+    with pytest.raises(SystemExit, match="2"):
+        main(["estimate", str(tmp_path / "estimate.toml"), "--seed", "x"])
+    assert "argument --seed: must be a whole number" in capsys.readouterr().err

@@ -3,6 +3,7 @@
 An FMU is read the FMI way: set continuous states, inputs and parameters, get the states' derivatives.
 """
 
+import logging
 from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -28,6 +29,8 @@ from ..system.fmu_cache import find_fmu
 from ..system.parameters import narrower_range
 from ..system.plant import Plant
 from ..user_code import load
+
+_log = logging.getLogger(__name__)
 
 _STEP: Final = 1e-5
 """Step of differences that directional derivatives are compared with, as a share of a parameter."""
@@ -191,12 +194,12 @@ class FmuModel:
             raise NotResumableError(f"{self._fmu} has changed")
 
     def close(self) -> None:
-        """End the FMU and remove its folder; idempotent."""
+        """End the FMU and remove its folder; idempotent. A failure is logged, as one of `Slave.close` is."""
         try:
             if self._process is not None:
                 self._process.close(0.0, is_polite=True)
-        except SlaveError:  # the process has ended already; its results are not affected
-            pass
+        except SlaveError as error:
+            _log.warning("%s", error)
         finally:
             self._process = None
             self._folder.remove()

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from queue import SimpleQueue
 from threading import Event
@@ -189,10 +189,8 @@ class Pool:
         if slave is None:
             return None
         if self._is_restartable:
-            try:
+            with suppress(SlaveError):  # if a new process fails too, the next roll-out reports it
                 slave.restart()
                 return slave
-            except SlaveError:
-                pass  # if a new process fails too, the next roll-out reports it
         slave.close()
         return None

@@ -6,6 +6,7 @@ about it is in supervision/.
 
 import struct
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from time import monotonic
 from typing import Any, Final, Protocol
 
@@ -174,13 +175,11 @@ class FmuProcess:
         """Return the error that the process has reported, in a message that is not trusted."""
         self._log.report(is_fault=True)
         self._end_after_fault()
-        try:
+        with suppress(ValueError, TypeError, OverflowError):  # of another form, which is told
             (its_function, its_t, reason, form), _ = decode(message)
             if message[0] == FAULT:
                 t = t if its_t is None else float(its_t)
                 return SlaveError(self._name, str(its_function or function), t, str(reason), form)
-        except (ValueError, TypeError, OverflowError):
-            pass
         return self._malformed_answer(function, t)
 
     def _malformed_answer(self, function: str, t: float | None) -> SlaveError:

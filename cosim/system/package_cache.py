@@ -121,16 +121,14 @@ def _size(folder: Path) -> int:
 
 
 def _remove(folder: Path) -> None:
-    """Remove a folder that no process uses."""
+    """Remove a folder that no process uses; one that cannot be removed stays, as it harms nobody."""
     lock = _lock(folder, is_shared=False)
     try:
-        if lock is None and (sys.platform != "win32" or folder.stat().st_mtime > time.time() - _DAY_S):
-            return
-        gone = folder.with_name(f".removing-{os.getpid()}-{folder.name.lstrip('.')}")
-        os.rename(folder, gone)  # at once, for another process that wants it
-        shutil.rmtree(gone, ignore_errors=True)
-    except OSError:
-        return
+        with suppress(OSError):
+            if lock is not None or (sys.platform == "win32" and folder.stat().st_mtime <= time.time() - _DAY_S):
+                gone = folder.with_name(f".removing-{os.getpid()}-{folder.name.lstrip('.')}")
+                os.rename(folder, gone)  # at once, for another process that wants it
+                shutil.rmtree(gone, ignore_errors=True)
     finally:
         _give_back(lock)
 

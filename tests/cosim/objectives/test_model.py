@@ -8,7 +8,7 @@ import signal
 import numpy as np
 import pytest
 
-from cosim import ScenarioError, run
+from cosim import ScenarioError, SlaveError, run
 from cosim.objectives.model import FmuModel, opened_model
 from cosim.scenarios.scenario import Scenario
 from cosim.slaves.slave import open_slave
@@ -101,6 +101,19 @@ def test_an_fmu_that_dies_on_a_candidate_is_started_anew(model, children, killed
         with pytest.raises(ValueError, match=r"Quadrotor: .*process was ended by SIGSEGV"):
             fmu(X, U, **THETA)
     assert fmu(X, U, **THETA) == before
+
+
+def test_an_fmu_that_does_not_end_well_is_a_warning(model, monkeypatch, caplog):
+    fmu = model("pendulum")
+    close = fmu._process.close
+
+    def fails(*arguments, **named):
+        close(*arguments, **named)
+        raise SlaveError("pendulum", "terminate", None, "returned error")
+
+    monkeypatch.setattr(fmu._process, "close", fails)
+    fmu.close()
+    assert caplog.messages == ["pendulum: terminate returned error"]
 
 
 @pytest.mark.full

@@ -6,10 +6,12 @@ from typing import Final
 
 from ..errors import ScenarioError, seconds
 from ..findings import Finding, warning
+from ..fmi.component import Component
 from ..fmi.ports import Catalogue, Ports, attribute
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
 from ..scenarios.schema.estimation import EstimatedParameter
+from ..scenarios.schema.sampling import Derivative
 from ..system.parameters import parameter_problem, unit_problem, value_of_change
 from ..system.plant import connected_as_well
 from ..variable_name import VariableName
@@ -82,40 +84,50 @@ def check_tolerance(scenario: Scenario, components: Components) -> Iterator[Find
 
 
 def check_sampling(scenario: Scenario, components: Components) -> Iterator[Finding]:
-    """Yield sampled variables that are neither derivative nor state, and states that cannot be read."""
-    plant = components.get(scenario.plant)
+    """Yield sampled variables that are neither derivative nor state, states and inputs that cannot be read."""
+    plant, sampling = components.get(scenario.plant), scenario.sampling
     if plant is None:
         return
-    derivatives = plant.derivatives
-    is_filtered = scenario.sampling.filter is not None  # `check_filter` looks at its states
-    states = {*derivatives} or {name.variable for name in scenario.sampling.states}
-    for reference, d in () if is_filtered else scenario.sampling.derivatives.items():
-        where, name = f'sampling.derivatives."{reference}"', reference.variable
-        problem = output_refusal(plant, name)
-        if problem:
-            yield Finding(where, problem)
-        elif d.of is None and name not in derivatives.values():
-            hint = did_you_mean(name, derivatives.values()) or f'; say of which: of = "{scenario.plant}.STATE"'
-            yield Finding(where, f"'{name}' is not declared as a state's derivative{hint}")
-        elif d.of is not None and d.of.variable not in states:
-            hint = did_you_mean(d.of.variable, states) or "; name the states in sampling.states"
-            yield Finding(where, f"'{d.of}' is no state{hint}")
-    for reference in () if is_filtered else scenario.sampling.states:
-        component, name = reference.parts
-        if component == scenario.plant and not derivatives:
-            problem = output_refusal(plant, name)
-        else:
-            is_known = component == scenario.plant and name in derivatives
-            problem = None if is_known else f"no state with a declared derivative{did_you_mean(name, derivatives)}"
-        if problem:
-            yield Finding(f'sampling.states."{reference}"', problem)
-    for problem in output_refusals(plant, derivatives if scenario.sampling.derivatives and not is_filtered else ()):
-        yield Finding("sampling", f"the model takes every state: {problem}")
+    if sampling.filter is None:  # else `check_filter` looks at its states
+        for reference, derivative in sampling.derivatives.items():
+            if problem := _derivative_problem(scenario, plant, reference, derivative):
+                yield Finding(f'sampling.derivatives."{reference}"', problem)
+        for reference in sampling.states:
+            if problem := _state_problem(scenario, plant, reference):
+                yield Finding(f'sampling.states."{reference}"', problem)
+        for problem in output_refusals(plant, plant.derivatives if sampling.derivatives else ()):
+            yield Finding("sampling", f"the model takes every state: {problem}")
     for v in plant.having("input"):
         try:
             float(v.start or 0.0)
         except ValueError:
             yield Finding("sampling", f"the input '{v.name}' of {plant.fmu.name} starts as {v.start!r}")
+
+
+def _derivative_problem(
+    scenario: Scenario, plant: Component, reference: VariableName, derivative: Derivative
+) -> str | None:
+    """Return the reason why a derivative cannot be sampled, or of which state it is, is not known; else None."""
+    name, of, declared = reference.variable, derivative.of, plant.derivatives
+    if problem := output_refusal(plant, name):
+        return problem
+    if of is None and name not in declared.values():
+        hint = did_you_mean(name, declared.values()) or f'; say of which: of = "{scenario.plant}.STATE"'
+        return f"'{name}' is not declared as a state's derivative{hint}"
+    states = {*declared} or {state.variable for state in scenario.sampling.states}
+    if of is not None and of.variable not in states:
+        return f"'{of}' is no state{did_you_mean(of.variable, states) or '; name the states in sampling.states'}"
+    return None
+
+
+def _state_problem(scenario: Scenario, plant: Component, reference: VariableName) -> str | None:
+    """Return the reason why a variable is no state that can be sampled, or None."""
+    component, name = reference.parts
+    if component == scenario.plant and not plant.derivatives:
+        return output_refusal(plant, name)
+    if component == scenario.plant and name in plant.derivatives:
+        return None
+    return f"no state with a declared derivative{did_you_mean(name, plant.derivatives)}"
 
 
 def check_parameters(scenario: Scenario, components: Components) -> Iterator[Finding]:

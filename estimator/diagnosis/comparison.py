@@ -28,7 +28,7 @@ from ..significance import FALSE_ALARM, chi2_limit
 from ..space import Vector
 from .evidence import Evidence
 from .jump import followed_jump, jump_to
-from .residual_scale import LARGER, MUCH_LARGER, NOISY, spread_of
+from .residual_scale import LARGER, MUCH_LARGER, NOISY, TOO_SMALL, spread_of
 from .settings import BETTER, Judgement
 from .standardised_residuals import StandardisedResiduals
 from .state import WINDOW, DiagnosisState
@@ -47,8 +47,6 @@ _DRIFT: Final = WINDOW * USUAL_RATE
 """Longest move of a parameter that drifts over as many samples as are compared, as a share of the scaled bounds."""
 _SPARE: Final = 8
 """Least number of values in excess of those fitted that show a known disturbance to have changed with parameters."""
-_TOO_SMALL: Final = 10.0
-"""Factor by which a declared noise may be too small, as where it is a sensor's last digit."""
 _RENEWED: Final = 5
 """Number of samples after which a comparison that changed parameters have won is repeated."""
 
@@ -142,7 +140,7 @@ class HypothesisComparison:
 
     def _n_obvious(self, theta: Vector) -> int:
         """Return how many newest samples since the onset contradict theta (d,), each even with ten times the noise."""
-        rows = self._residuals.of_newest(theta, self._state.n_since) / _TOO_SMALL
+        rows = self._residuals.of_newest(theta, self._state.n_since) / TOO_SMALL
         are_explained = [plain_fit(row[None], 0).is_explained for row in rows[::-1]]
         return are_explained.index(True) if True in are_explained else len(rows)
 
@@ -152,7 +150,7 @@ class HypothesisComparison:
         held (d,): in force, for want of a reference. None where they are no noise.
         """
         reference = self._state.reference_or(held)
-        rows = self._residuals.of_newest(reference, self._state.n_since) / _TOO_SMALL
+        rows = self._residuals.of_newest(reference, self._state.n_since) / TOO_SMALL
         return reference if plain_fit(rows, 0).is_explained else None
 
     @property
@@ -282,6 +280,22 @@ class HypothesisComparison:
             squares = np.nan_to_num(np.sum(rows**2, axis=0), nan=np.inf)
         lacks = squares > chi2_limit(FALSE_ALARM / rows.shape[1], len(rows))
         return lacks if lacks.any() else ~self._state.is_resting
+
+    def admit_noise(self, held: Vector) -> bool:
+        """Take the residuals before the newest sample for noise where nothing that changes smoothly explains them.
+
+        Neither parameters, held (d,) or others, nor a disturbance: the declared noise is too small. Return whether
+        their size has changed.
+        """
+        state, n = self._state, len(self._state.samples)
+        if n <= NOISY:
+            return False
+        rows = self._residuals.of_newest(held, n)[:-1]
+        if plain_fit(rows, 0).is_explained or disturbance_of(rows).fit.is_explained:
+            return False
+        rows_at = self._residuals.at_newest(n)
+        found = changed_parameters(OfMany(lambda z: rows_at(z)[..., :-1, :]), self._space.to_unit(held))
+        return not found.fit.is_explained and state.admit_usual(rows)
 
     def adopt_noise(self, held: Vector) -> bool:
         """Adopt a larger noise where that explains the samples since the onset, with those in force or the best ones.

@@ -17,6 +17,8 @@ _AT_ONCE: Final = 30
 """Least number of samples that give an estimate after a rest."""
 _STEP: Final = 1.2
 """Factor by which an estimate must differ from the scale in use to replace it."""
+TOO_SMALL: Final = 10.0
+"""Factor by which a declared noise may be too small, as where it is a sensor's last digit."""
 _MAD: Final = 1.4826
 """Ratio of a normal variable's standard deviation to its median absolute deviation."""
 NOISY: Final = 8

@@ -146,6 +146,9 @@ class Diagnosis:
             return settled
         if not n:
             return self._disturbances.passed_since(t)
+        if n == 1 and state.has_lasted(held) and self.comparison.admit_noise(held):
+            state.end_suspicion()  # a newest sample that is more than noise begins another
+            return Settled(None, ends_search=True)
         reference = state.reference_or(held)
         if self._friction.end(reference, min(n, QUIET)):
             return self._effects.adopt_friction(t, None)
@@ -206,8 +209,11 @@ class Diagnosis:
             if plain_fit(of_reference[-QUIET:], 0).is_explained:
                 return self._disturbances.passed(t, lasting, of_reference, True)
         state.n_since = 0
-        if not state.has_moved and self._settings.n_unusual(self.residuals.of_newest(held, n)) >= FEWEST:
+        rows = self.residuals.of_newest(held, n)
+        if not state.has_moved and self._settings.n_unusual(rows) >= FEWEST:
             state.n_failures += 1
+            if state.has_lasted(held):
+                state.admit_usual(rows)
         return Settled(None)
 
     def _changed(self, t: float, held: Vector) -> Settled:

@@ -14,7 +14,7 @@ from ..effects.input_lag import InputHistory
 from ..samples import Sample
 from ..space import Vector
 from .drift_rival import DriftRival
-from .residual_scale import ResidualScale
+from .residual_scale import TOO_SMALL, ResidualScale
 from .resting import RestingResiduals
 from .settings import FORGOTTEN, KINDS, Judgement
 from .wandering import Findings, InForce, ParameterPath
@@ -115,6 +115,10 @@ class DiagnosisState:
         """Return the reference (d,); the parameters in force, held (d,), where there is none."""
         return held if self.reference is None else self.reference
 
+    def has_lasted(self, held: Vector) -> bool:
+        """Return whether the parameters in force, held (d,), are those that lasted."""
+        return self.lasting is not None and np.array_equal(held, self.lasting)
+
     def end_suspicion(self) -> None:
         """End the suspicion; what new parameters were judged by is over, too."""
         self.n_since, self.verdict = 0, "refuted"
@@ -207,6 +211,16 @@ class DiagnosisState:
         is_wrong = channels & (np.sum(rows**2, axis=0) < np.sum((rows - self.offset) ** 2, axis=0))
         self.offset = np.where(is_wrong, 0.0, self.offset)
         self.scale.admit(np.where(channels, rows - self.offset, 0.0))
+
+    def admit_usual(self, rows: Vector) -> bool:
+        """Take residuals (n, c) of parameters that explain other samples for their usual size.
+
+        Where they are larger than a declared noise may be too small they are something else. Return whether that size
+        has changed.
+        """
+        declared = rows * self.scale.effective + self.offset
+        is_small = np.sqrt(np.mean(declared**2, axis=0)) < TOO_SMALL
+        return self.scale.admit(np.where(is_small, declared, 0.0))
 
     def copy(self) -> "DiagnosisState":
         """Return an independent copy; arrays are replaced, never changed."""

@@ -589,7 +589,7 @@ def test_a_changing_disturbance_is_named_without_being_subtracted(rate):
 def test_a_changing_disturbance_that_passes_through_zero_lets_its_channel_rest(phase):
     """21 samples a period: the third failed search may end where the sine is zero."""
     run = Run("least-squares", 3).go(20)
-    run.go(60, TRUE, lambda i: np.array([0.0, 0.0, 0.2]) * np.sin(0.3 * i + phase))
+    run.go(60, TRUE, lambda i: np.array([0.0, 0.0, 0.5]) * np.sin(0.3 * i + phase))
     assert run.of("rest")
     assert all(event.detail["channels"] == ["der2"] for _, event in run.of("rest"))
 
@@ -613,19 +613,60 @@ def test_after_a_rest_changed_parameters_are_found_again():
 @pytest.mark.parametrize("seed", [0, 1, 2])
 @SEARCHES
 def test_a_change_far_larger_than_what_the_model_lacks_ends_the_rest_and_is_found(estimator, seed):
-    """The model lacks a sine of six standard deviations; the change is ten times as large, two samples in three."""
-    run = Run(estimator, 3, seed=seed).go(100)
+    """The model lacks a sine of 30 standard deviations; the change is ten times as large, two samples in three."""
+    run, changed = Run(estimator, 3, seed=seed).go(100), np.array([4.6, -3.4])
 
     def small_sine(_):
-        return 6.0 * SIGMA * np.sin(0.3 * run.k)
+        return 30.0 * SIGMA * np.sin(0.3 * run.k)
 
     while not run.diagnosis.is_resting:
         run.go(1, TRUE, small_sine)
         assert run.k < 400
     run.go(100, TRUE, small_sine)
     assert run.diagnosis.is_resting
-    run.go(60, CHANGED, small_sine)
+    run.go(60, changed, small_sine)
     assert [event.detail["n_samples"] for _, event in run.of("rest")][-1] == 0
+    assert near(run.held, changed, 0.1)
+
+
+def observed(n_channels, added):
+    """A diagnosis of samples with these values added, one after the other, while TRUE stays in force."""
+    run = Run("least-squares", n_channels, noise=0.1)
+    for value in added:
+        run.diagnosis.observe(run.sample(TRUE, value), TRUE)
+        run.diagnosis.settle(0.05 * run.k, TRUE)
+        run.k += 1
+    return run.diagnosis
+
+
+@CHANNELS
+@pytest.mark.parametrize(
+    ("size", "n_bad", "is_usual"), [(0.08, 4, True), (0.08, 2, False), (0.3, 4, False)], ids=["usual", "few", "large"]
+)
+def test_what_is_small_and_passes_is_of_the_usual_size(size, n_bad, is_usual, n_channels):
+    """Not two outliers, and not what is larger than a noise ten times that declared."""
+    diagnosis = observed(n_channels, [0.0] * 20 + [size * (-1) ** i for i in range(n_bad)] + [0.0] * 10)
+    assert not diagnosis.is_suspicious
+    assert_array_equal(diagnosis._state.scale.values > 3.0, [is_usual] * n_channels)
+
+
+@CHANNELS
+@pytest.mark.parametrize(("what", "is_noise"), [("noise", True), ("drift", False), ("nothing", False)])
+def test_samples_that_are_larger_than_the_noise_before_a_suspicion_are_noise(what, is_noise, n_channels):
+    """Not where parameters, or a disturbance, that change smoothly explain them."""
+    before = {"noise": [0.03 * (-1) ** i for i in range(19)], "drift": [0.0016 * i for i in range(19)]}
+    diagnosis = observed(n_channels, [*before.get(what, [0.0] * 19), 0.055])
+    assert diagnosis.is_suspicious is not is_noise
+    assert_array_equal(diagnosis._state.scale.values > 2.0, [is_noise] * n_channels)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@SEARCHES
+def test_a_change_is_found_beside_a_small_sine_that_the_model_lacks(estimator, seed):
+    """Of six standard deviations: its passing through zero shows that it is the usual size of the residuals."""
+    run = Run(estimator, 3, seed=seed).go(100).go(300, TRUE, lambda i: 6.0 * SIGMA * np.sin(0.3 * i))
+    assert near(run.held, TRUE)
+    run.go(60, CHANGED, lambda i: 6.0 * SIGMA * np.sin(0.3 * i))
     assert near(run.held, CHANGED, 0.05)
 
 

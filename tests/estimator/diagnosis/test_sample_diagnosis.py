@@ -616,15 +616,15 @@ def test_a_change_far_larger_than_what_the_model_lacks_ends_the_rest_and_is_foun
     """The model lacks a sine of 30 standard deviations; the change is ten times as large, two samples in three."""
     run, changed = Run(estimator, 3, seed=seed).go(100), np.array([4.6, -3.4])
 
-    def small_sine(_):
+    def lacking_sine(_):
         return 30.0 * SIGMA * np.sin(0.3 * run.k)
 
     while not run.diagnosis.is_resting:
-        run.go(1, TRUE, small_sine)
+        run.go(1, TRUE, lacking_sine)
         assert run.k < 400
-    run.go(100, TRUE, small_sine)
+    run.go(100, TRUE, lacking_sine)
     assert run.diagnosis.is_resting
-    run.go(60, changed, small_sine)
+    run.go(60, changed, lacking_sine)
     assert [event.detail["n_samples"] for _, event in run.of("rest")][-1] == 0
     assert near(run.held, changed, 0.1)
 
@@ -663,7 +663,7 @@ def test_samples_that_are_larger_than_the_noise_before_a_suspicion_are_noise(wha
 @pytest.mark.parametrize("seed", range(3))
 @SEARCHES
 def test_a_change_is_found_beside_a_small_sine_that_the_model_lacks(estimator, seed):
-    """Of six standard deviations: its passing through zero shows that it is the usual size of the residuals."""
+    """A sine of six standard deviations passes through zero: it is the usual size of the residuals from then on."""
     run = Run(estimator, 3, seed=seed).go(100).go(300, TRUE, lambda i: 6.0 * SIGMA * np.sin(0.3 * i))
     assert near(run.held, TRUE)
     run.go(60, CHANGED, lambda i: 6.0 * SIGMA * np.sin(0.3 * i))

@@ -294,7 +294,7 @@ def test_the_runs_are_made_in_processes_of_their_own_and_drawn(tmp_path: Path, m
 @pytest.mark.fmu
 @pytest.mark.usefixtures("leaves_nothing")
 def test_a_run_that_is_refused_is_one_line_and_leaves_no_process(tmp_path: Path) -> None:
-    wrong = Scenario.load("quadrotor", {'connections."plant.f"': "controller.g"})
+    wrong = Scenario.load("quadrotor", {'connections."plant.F"': "controller.g"})
     with pytest.raises(StudyError, match=r"quadrotor.*seed 0: .*no output of controller") as caught:
         figures(tmp_path / "out", jobs=2, scenarios=(Scenario.load("pendulum"), wrong))
     assert len(str(caught.value).splitlines()) == 1

@@ -212,8 +212,8 @@ class Diagnosis:
         rows = self.residuals.of_newest(held, n)
         if not state.has_moved and self._settings.n_unusual(rows) >= FEWEST:
             state.n_failures += 1
-            if state.has_lasted(held):
-                state.admit_usual(rows)
+            if state.has_lasted(held) and state.admit_usual(rows):
+                return Settled(None, ends_search=True)  # what was found on these samples was noise
         return Settled(None)
 
     def _changed(self, t: float, held: Vector) -> Settled:

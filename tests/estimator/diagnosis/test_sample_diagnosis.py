@@ -651,6 +651,24 @@ def test_what_is_small_and_passes_is_of_the_usual_size(size, n_bad, is_usual, n_
 
 
 @CHANNELS
+@pytest.mark.parametrize(("size", "is_noise"), [(0.08, True), (0.3, False)], ids=["usual", "large"])
+def test_what_was_found_on_samples_that_prove_to_be_noise_is_forgotten(size, is_noise, n_channels):
+    """A search, and a filter that goes on from it, know nothing of parameters that explain noise."""
+    run = Run("least-squares", n_channels, noise=0.1)
+    for value in [0.0] * 20 + [size * (-1) ** i for i in range(4)]:
+        run.diagnosis.observe(run.sample(TRUE, value), TRUE)
+        run.k += 1
+    ends = []
+    for _ in range(10):
+        run.diagnosis.observe(run.sample(TRUE, 0.0), TRUE)
+        settled = run.diagnosis.settle(0.05 * run.k, TRUE)
+        run.k += 1
+        if settled is not None:
+            ends.append((settled.undo, settled.ends_search))
+    assert ends == [(None, is_noise)]
+
+
+@CHANNELS
 @pytest.mark.parametrize(("what", "is_noise"), [("noise", True), ("drift", False), ("nothing", False)])
 def test_samples_that_are_larger_than_the_noise_before_a_suspicion_are_noise(what, is_noise, n_channels):
     """Not where parameters, or a disturbance, that change smoothly explain them."""

@@ -26,7 +26,7 @@ class ParameterFilter:
         """drift: standard deviation of a parameter's change from sample to sample, as a share of the scaled bounds;
         significance: standard deviations by which an unknown direction must differ to be written; identifiable_below:
         share of the scaled bounds below which the standard deviation of a known one is."""
-        self._space, self._drift = space, drift
+        self._space, self.drift = space, drift
         self._significance, self._identifiable_below = significance, identifiable_below
         self.arrival_cost: ArrivalCost | None = None
         """What the samples so far say of the parameters, in the unit cube, frozen; None before an estimate."""
@@ -39,7 +39,7 @@ class ParameterFilter:
         residual: (..., D) of theta (..., d) over the window, in standard deviations.
         """
         at = OfMany(lambda places: residual(self._space.beyond(places)))
-        self.arrival_cost = ArrivalCost.of_window(self._space.to_unit(theta), at, self._drift)
+        self.arrival_cost = ArrivalCost.of_window(self._space.to_unit(theta), at, self.drift)
 
     def follow(self, residual: Callable[[Vector], Vector], is_triggered: bool) -> bool:
         """Take one more sample; return False where a search is needed.

@@ -121,17 +121,18 @@ class HypothesisComparison:
         state.next_jump = state.n_samples + max(state.n_since, restless) // 4 if found is None else 0
         return found if found is None or is_filter or is_obvious or all(found.is_identifiable) else None
 
-    def followed_jump(self, held: Vector) -> ArrivalCost | None:
+    def followed_jump(self, held: Vector, drift: float) -> ArrivalCost | None:
         """Return what the samples after a jump of the parameters say of them, while they drift; None without a jump.
 
         Each of these samples contradicts what was in force by far, and nothing else explains them nearly as well.
+        drift: standard deviation of a parameter's change from sample to sample, as a share of the scaled bounds.
         """
         state, space = self._state, self._space
         reference = state.reference_or(held)
         n = 0 if state.is_resting.any() else self._n_obvious(reference)
         if not 1 < n <= QUIET:
             return None
-        found = followed_jump(self._residuals.at_newest(n), n, space.to_unit(reference), USUAL_RATE)
+        found = followed_jump(self._residuals.at_newest(n), n, space.to_unit(reference), drift)
         if found is None:
             return None
         before = self._residuals.of_newest(reference, n)

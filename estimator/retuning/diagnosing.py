@@ -115,8 +115,9 @@ class DiagnosingRetuner(RetunerCounts[Retuner]):
 
     def _stepped(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
         """Return the retuner's proposal: a filter's in the place of its search, where one has followed a jump."""
-        if sample is not None and self._retuner.may_follow_jump:
-            known = self._diagnosis.comparison.followed_jump(held)
+        drift = self._retuner.drift_to_follow
+        if sample is not None and drift is not None:
+            known = self._diagnosis.comparison.followed_jump(held, drift)
             if known is not None:
                 return self._retuner.follow_jump(t, sample, known, held)
         return self._retuner.step(t, sample, tracking_error, held)

@@ -126,9 +126,12 @@ class Retuner:
         return Proposal(theta, estimate, tuple(events), tuple(latencies), is_candidate)
 
     @property
-    def may_follow_jump(self) -> bool:
-        """True where a search is under way, in whose place a filter may go on."""
-        return self._filter is not None and self._remaining > 0
+    def drift_to_follow(self) -> float | None:
+        """Rate of a drift, as a share of the scaled bounds, that a filter may follow in the place of a search.
+
+        None where there is no filter, or no search under way.
+        """
+        return None if self._filter is None or not self.is_searching else self._filter.drift
 
     def follow_jump(self, t: float, sample: Sample, known: ArrivalCost, held: Vector) -> Proposal:
         """End the search, as a filter has followed the parameters since they jumped; it goes on.

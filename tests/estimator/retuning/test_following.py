@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from estimator import DerivativeResidual, Parameter, ParameterSpace, Sample, TargetVector
+from estimator import DerivativeResidual, Parameter, ParameterSpace, Sample, TargetSettings, TargetVector
 from estimator.diagnosis.sample_diagnosis import Diagnosis
 from estimator.diagnosis.settings import DiagnosisSettings
 from estimator.retuning.factory import make_retuner
@@ -26,7 +26,7 @@ def model(x, u, a, b):
 class Loop:
     """A loop with three sampled derivatives, whose controller writes what it is told to."""
 
-    def __init__(self, seed=0, is_diagnosed=True):
+    def __init__(self, seed=0, is_diagnosed=True, settings=None):
         self.rng, self.k, self.held, self.events, self.writes, self.samples = (
             np.random.default_rng(seed),
             0,
@@ -37,9 +37,9 @@ class Loop:
         )
         whitened = DerivativeResidual(model, SPACE, (0, 1, 2), (SIGMA,) * 3)
         diagnosis = Diagnosis(whitened, ("f", "g", "h"), DiagnosisSettings())
-        search = TargetVector(SPACE, TRUE, np.random.default_rng(seed + 1))
+        self.search = TargetVector(SPACE, TRUE, np.random.default_rng(seed + 1), settings)
         made = diagnosis if is_diagnosed else None
-        self.retuner = make_retuner(search, whitened, InnovationSettings(), Budget(30, 3), 10, diagnosis=made)
+        self.retuner = make_retuner(self.search, whitened, InnovationSettings(), Budget(30, 3), 10, diagnosis=made)
 
     def go(self, n, truth, added=lambda i: 0.0):
         """Take n samples, of parameters and a disturbance that are functions of the number of the sample."""
@@ -96,6 +96,13 @@ def test_after_a_jump_the_controller_has_what_all_samples_since_then_say(seed):
     off = (loop.held - best) / SIGMA
     assert np.sqrt(off @ (H.T @ H) @ off) < 1.5
     assert loop.retuner.n_episodes == 1
+
+
+def test_a_jump_is_followed_at_the_rate_of_the_setting():
+    loop = Loop(settings=TargetSettings(drift=0.01)).go(100, constant(TRUE)).go(2, fast)
+    known = loop.search.filter.arrival_cost
+    assert known.rate == 0.01
+    assert known.n_samples == 1  # the second one, on which the filter has gone on
 
 
 @SEEDS

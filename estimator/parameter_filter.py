@@ -26,8 +26,10 @@ class ParameterFilter:
         """drift: standard deviation of a parameter's change from sample to sample, as a share of the scaled bounds;
         significance: standard deviations by which an unknown direction must differ to be written; identifiable_below:
         share of the scaled bounds below which the standard deviation of a known one is."""
-        self._space, self.drift = space, drift
+        self._space = space
         self._significance, self._identifiable_below = significance, identifiable_below
+        self.drift = drift
+        """Standard deviation of a parameter's change from sample to sample, as a share of the scaled bounds."""
         self.arrival_cost: ArrivalCost | None = None
         """What the samples so far say of the parameters, in the unit cube, frozen; None before an estimate."""
         self.before_search: ArrivalCost | None = None

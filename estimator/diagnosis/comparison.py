@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..arrival_cost import ArrivalCost
 from ..contract import Estimate
-from ..differences import OfMany
+from ..differences import OfMany, value_and_slope
 from ..hypotheses import (
     MARGIN,
     USUAL_RATE,
@@ -24,6 +24,7 @@ from ..hypotheses import (
     n_channels_of,
     plain_fit,
 )
+from ..identifiability import information
 from ..significance import FALSE_ALARM, chi2_limit
 from ..space import Vector
 from .evidence import Evidence
@@ -47,6 +48,8 @@ _DRIFT: Final = WINDOW * USUAL_RATE
 """Longest move of a parameter that drifts over as many samples as are compared, as a share of the scaled bounds."""
 _SPARE: Final = 8
 """Least number of values in excess of those fitted that show a known disturbance to have changed with parameters."""
+_STEP: Final = 1e-6
+"""Step of differences in the unit cube."""
 _RENEWED: Final = 5
 """Number of samples after which a comparison that changed parameters have won is repeated."""
 
@@ -217,6 +220,15 @@ class HypothesisComparison:
         z = self._space.to_unit(held) if changed is None else changed
         times = self._residuals.times_of_newest(n) if may_drift else None
         return changed_parameters(self._residuals.at_newest(n), z, times, may_drift=may_drift)
+
+    def determined(self, z: Vector) -> Vector:
+        """Return the standard deviation (d,), in the unit cube, to which the samples since the onset determine z (d,).
+
+        At most 1, as where the model has no value close by.
+        """
+        rows_at = self._residuals.at_newest(max(self._state.n_since, 1))
+        _, slope = value_and_slope(rows_at, z, _STEP)
+        return information(slope).std() if np.all(np.isfinite(slope)) else np.ones_like(z)
 
     def is_changing(self, held: Vector, n: int) -> bool:
         """Return whether parameters, constant ones or slowly changing, explain the newest n samples."""

@@ -370,6 +370,6 @@ class Diagnosis:
 
     def _is_restless(self, theta: Vector) -> bool:
         """Take parameters (d,) that were found; return whether three of five such, soon one after the other, differ."""
-        state = self._state
-        state.findings = state.findings.take(state.n_samples, self._space.to_unit(theta))
+        state, z = self._state, self._space.to_unit(theta)
+        state.findings = state.findings.take(state.n_samples, z, self.comparison.determined(z))
         return state.findings.are_restless

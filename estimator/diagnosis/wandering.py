@@ -24,6 +24,8 @@ _MOST_CHANGES: Final = 500
 """Largest number of changes of the parameters in force that are remembered."""
 _AGREE: Final = 0.02
 """Distance of parameters that agree, beside their drift."""
+_N_STD: Final = 3.0
+"""Standard deviations by which parameters that differ must do so."""
 
 
 def agree(z: Vector, other: Vector) -> bool:
@@ -73,16 +75,19 @@ class Findings:
     """Number of the sample at which the last ones were found."""
     last: Vector | None = None
     """Their place; None before the first."""
+    std: Vector | float = 0.0
+    """Standard deviation (d,) to which the samples determined it."""
     moves: tuple[bool, ...] = ()
     """True for each of the last searches that has found other parameters than the one before."""
 
-    def take(self, n_samples: int, z: Vector) -> "Findings":
-        """Return the findings with parameters that are found at sample n_samples."""
+    def take(self, n_samples: int, z: Vector, std: Vector) -> "Findings":
+        """Return the findings with parameters that are found at sample n_samples, determined to a std (d,)."""
         n_passed = n_samples - self.n_samples
         if self.last is None or n_passed >= FORGOTTEN:
-            return Findings(n_samples, z)
-        has_moved = bool(np.any(np.abs(z - self.last) > _AGREE + USUAL_RATE * n_passed))
-        return Findings(n_samples, z, (*self.moves, has_moved)[-_REMEMBERED:])
+            return Findings(n_samples, z, std)
+        allowed = _AGREE + USUAL_RATE * n_passed + _N_STD * np.hypot(std, self.std)
+        has_moved = bool(np.any(np.abs(z - self.last) > allowed))
+        return Findings(n_samples, z, std, (*self.moves, has_moved)[-_REMEMBERED:])
 
     def forget(self) -> "Findings":
         """Return the findings without the moves so far."""

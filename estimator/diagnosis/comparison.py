@@ -127,7 +127,8 @@ class HypothesisComparison:
     def followed_jump(self, held: Vector, drift: float) -> ArrivalCost | None:
         """Return what the samples after a jump of the parameters say of them, while they drift; None without a jump.
 
-        Each of these samples contradicts what was in force by far, and nothing else explains them nearly as well.
+        Each of these samples contradicts what was in force by far, and nothing else explains them nearly as well. The
+        suspicion goes on from the first of them: those before it are of other parameters.
         drift: standard deviation of a parameter's change from sample to sample, as a share of the scaled bounds.
         """
         state, space = self._state, self._space
@@ -140,7 +141,10 @@ class HypothesisComparison:
             return None
         before = self._residuals.of_newest(reference, n)
         weighing = Weighing(found[1], disturbance_of(before).fit, plain_fit(before, 0))
-        return found[0] if weighing.are_parameters_proven else None
+        if not weighing.are_parameters_proven:
+            return None
+        state.n_since = n
+        return found[0]
 
     def _n_obvious(self, theta: Vector) -> int:
         """Return how many newest samples since the onset contradict theta (d,), each even with ten times the noise."""
@@ -297,10 +301,11 @@ class HypothesisComparison:
     def admit_noise(self, held: Vector) -> bool:
         """Take the residuals before the newest sample for noise where nothing that changes smoothly explains them.
 
-        Neither parameters, held (d,) or others, nor a disturbance: the declared noise is too small. Return whether
-        their size has changed.
+        Neither parameters, held (d,) or others, nor a disturbance: the declared noise is too small. They are those of
+        quiet samples, none of which is too large by itself. Return whether their size has changed.
         """
-        state, n = self._state, len(self._state.samples)
+        state = self._state
+        n = min(len(state.samples), state.n_calm + 1)
         if n <= NOISY:
             return False
         rows = self._residuals.of_newest(held, n)[:-1]

@@ -88,7 +88,7 @@ class DisturbanceDiagnosis:
             events = (self._record.disturbance_over(t),)
         elif is_changed and self._settings.n_unusual(rows) >= FEWEST:
             events = (self._record.disturbance(t, largest * state.scale.effective, acts, _PASSED),)
-        if is_changed:
+        if is_changed and state.has_lasted(before):
             state.admit_usual(rows)
         state.offset, state.n_since = np.zeros(len(acts)), 0
         if not is_changed:

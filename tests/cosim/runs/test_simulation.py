@@ -467,6 +467,15 @@ def test_no_write_makes_any_parameter_of_the_quadrotor_much_worse(seed):
     assert result.n_evaluations < 80
 
 
+@pytest.mark.full
+def test_a_jump_at_the_end_of_a_drift_is_neither_noise_nor_undone(tmp_path):
+    """Nor is the turn of the drift, where parameters of a moment before explain the samples again."""
+    result = run(Scenario.load("quadrotor", {"scenario.stop_time": "9.1"}), "target", seed=3, out=tmp_path / "run")
+    scales = [channel["scale"] for channel in result.diagnosis["channels"].values()]
+    assert scales == [1.0] * 6
+    assert not [e for e in events_of(result.folder) if e["t"] > 8.5 and e["kind"] in ("undo", "unexplained")]
+
+
 # As others call it.
 
 

@@ -5,38 +5,36 @@ filter, whose mean and covariance are the arrival cost of the samples to come: R
 linear state estimation: a moving horizon approach"; Jazwinski (1970), section 8.3.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
-from math import sqrt
-from typing import Final, NamedTuple, Self
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .belief import Belief, Measurement, identity, measurement, measurements
 from .differences import value_and_slope
 from .identifiability import Information, information_of_covariance
 from .significance import FALSE_ALARM, chi2_limit
 from .space import Vector
+from .whiteness import Whiteness
 
 _BLOCK: Final = 10
 """Number of samples whose corrections are compared with their variance."""
 _TOO_LARGE: Final = 9.0
 """Square of a correction, in variances, that shows a drift: three standard deviations."""
+_DIFFERENT: Final = 0.2
+"""Probability that older samples of the same parameters seem to be of others."""
+_CONSTANT: Final = 4.0
+"""Lead in -2 log likelihood that shows constant parameters: positive evidence, Kass and Raftery (1995)."""
 _FADING: Final = 0.25
 """Factor of the walk's variance after a block whose correction is less than a standard deviation."""
-_MEMORY: Final = 0.95
-"""Factor by which the innovations' sums fade from sample to sample."""
-_CORRELATED: Final = 0.5
-"""Correlation of an innovation with the one before that shows what no parameter explains."""
-_N_STD: Final = 3.5
-"""Standard deviations of white noise that it must exceed, where there are few samples or channels."""
 _BESIDE: Final = 0.03
 """Share of a drifting parameter's rate by which the others may drift beside it, unseen."""
 _FEW: Final = 2
 """Number of parameters that may drift faster before their drift is refuted: more of them follow whatever happens."""
 _STEP: Final = 1e-4
-"""Step of the differences, in the unit cube."""
+"""Step of the differences over a window, in the unit cube."""
 _MOST: Final = 5
 """Largest number of Gauss-Newton steps to the least sum of squares of a window."""
 _LITTLE: Final = 0.01
@@ -65,8 +63,12 @@ class ArrivalCost:
     """Variance (d,) of that sum, if the walk is right."""
     rate: float
     """Standard deviation of a drifting parameter's change from sample to sample, at most."""
-    whiteness: "Whiteness"
+    whiteness: Whiteness
     """Correlation of the innovations since the parameters walk as they do."""
+    constant: Belief | None = None
+    """What the samples since a jump say of parameters that are constant since then; None where they walk."""
+    lead: float = 0.0
+    """-2 log likelihood of these samples with parameters that walk, less that with constant ones."""
     n_samples: int = 0
     """Number of samples in the present block."""
     cost: float = 0.0
@@ -91,7 +93,7 @@ class ArrivalCost:
         parameter of which the samples say nothing has a standard deviation of half the bounds. Gauss-Newton steps with
         that prior: Bell and Cathey (1993), "The iterated Kalman filter update as a Gauss-Newton method".
         """
-        prior = _identity(len(z)) / _WIDEST**2
+        prior = identity(len(z)) / _WIDEST**2
         at, best, precision, cost = z, z, prior, np.inf
         for _ in range(_MOST):
             value, slope = value_and_slope(residual, at, _STEP)
@@ -106,6 +108,32 @@ class ArrivalCost:
                 break
         covariance = np.linalg.inv(precision).astype(np.float64)
         return cls.of_estimate(best, information_of_covariance(covariance), rate)
+
+    def reaching_back(self, residual: Callable[[Vector], Vector]) -> Self:
+        """Return the arrival cost with older samples, from the newest of them back to the first that contradicts it.
+
+        They are taken in blocks, each twice as long as the one before, up to one that moves a parameter by more than
+        chance does: then it has not been constant for so long. residual: (n, c) at a place (d,), in standard
+        deviations, from old to new.
+        """
+        samples = measurements(residual, self.mean)[::-1]
+        different = chi2_limit(_DIFFERENT / len(self.mean), 1)
+        known, n, length = self.belief, 0, _BLOCK
+        while n < len(samples):
+            longer, n_taken = _with_explained(known, samples[n : n + length])
+            gained = (known.covariance - longer.covariance).diagonal()
+            if np.any((longer.mean - known.mean) ** 2 > different * gained):
+                break
+            known = longer
+            if n_taken < length:
+                break
+            n, length = n + length, 2 * length
+        return replace(self, mean=np.clip(known.mean, 0.0, 1.0), covariance=known.covariance)
+
+    @property
+    def belief(self) -> Belief:
+        """Distribution of the parameters at the newest sample."""
+        return Belief(self.mean, self.covariance)
 
     @property
     def information(self) -> Information:
@@ -139,22 +167,26 @@ class ArrivalCost:
         measured = measurement(residual, self.mean)
         return self if measured is None else self._with(measured)
 
-    def _with(self, measured: "Measurement") -> Self:
-        before = self.covariance + self.walk * _identity(len(self.walk))
-        moved, after, spread = corrected(before, measured)
-        innovation = _normalised(measured.value, spread)
-        squared = float(innovation @ innovation)
+    def _with(self, measured: Measurement) -> Self:
+        before = self.belief.walked(self.walk)
+        after, innovation = before.updated(measured)
+        constant, lead = self.constant, self.lead
+        if constant is not None:
+            constant, of_constant = constant.updated(measured)
+            lead += innovation.deviance - of_constant.deviance
         block = replace(
             self,
-            mean=np.minimum(np.maximum(self.mean + moved, 0.0), 1.0),
-            covariance=after,
-            correction=self.correction + moved,
-            expected=self.expected + (before - after).diagonal(),
+            mean=np.minimum(np.maximum(after.mean, 0.0), 1.0),
+            covariance=after.covariance,
+            correction=self.correction + after.mean - before.mean,
+            expected=self.expected + (before.covariance - after.covariance).diagonal(),
             n_samples=self.n_samples + 1,
-            whiteness=self.whiteness.updated(innovation),
+            whiteness=self.whiteness.updated(innovation.normalised),
             cost=float(measured.value @ measured.value),
-            innovation_squared=squared,
-            deviance=squared + float(np.linalg.slogdet(spread)[1]),
+            innovation_squared=innovation.squared,
+            deviance=innovation.deviance,
+            constant=constant,
+            lead=lead,
         )
         if block.whiteness.is_refuted and np.any(block._is_drifting) and not block.is_refuted:
             block = block._walking(np.where(block._is_drifting, self.rate**2, 0.0))
@@ -182,101 +214,40 @@ class ArrivalCost:
         """Return the arrival cost with a walk of these variances (d,) at least."""
         if np.all(walk <= self.walk):
             return self
-        return replace(self, walk=np.maximum(self.walk, walk), whiteness=Whiteness(np.empty(0)))
+        walk = np.maximum(self.walk, walk)
+        return replace(self, walk=walk, whiteness=Whiteness(np.empty(0)), constant=None, lead=0.0)
 
-    def _squared(self, walks: Vector, measured: "Measurement") -> Vector:
+    def _squared(self, walks: Vector, measured: Measurement) -> Vector:
         """Return the normalised innovation squared (k,) of a sample where the parameters walk by variances (k, d)."""
-        before, H = self.covariance + walks[:, None] * _identity(len(self.mean)), measured.slope
-        innovations = _normalised(measured.value, H @ before @ H.T + _identity(len(H)))
+        before, H = self.covariance + walks[:, None] * identity(len(self.mean)), measured.slope
+        roots = np.linalg.cholesky(H @ before @ H.T + identity(len(H)))
+        innovations = np.linalg.solve(roots, measured.value[:, None])[..., 0]
         return np.array([innovation @ innovation for innovation in innovations])
 
     def _learnt(self) -> Self:
-        """Return the arrival cost at a block's end, with the walk that its correction shows."""
+        """Return the arrival cost at a block's end, with the walk that its corrections show.
+
+        None where constant parameters explain all samples since a jump better.
+        """
+        zero = np.zeros(len(self.walk))
+        begun = replace(self, correction=zero, expected=zero, n_samples=0)
+        if self.constant is not None and self.lead >= _CONSTANT:
+            mean, covariance = np.clip(self.constant.mean, 0.0, 1.0), self.constant.covariance
+            return replace(begun, mean=mean, covariance=covariance, walk=zero, constant=None, lead=0.0)
         squared, known = self.correction**2, self.covariance.diagonal()
         shown = (squared - self.expected) / _BLOCK + self.walk
         walk = np.where(squared > _TOO_LARGE * self.expected, shown, self.walk)
         walk = np.where(squared < self.expected, _FADING * walk, walk)
-        zero = np.zeros(len(walk))
-        walk = np.where(walk < 1e-6 * known, 0.0, walk)
-        return replace(self, walk=walk, correction=zero, expected=zero, n_samples=0)
+        return replace(begun, walk=np.where(walk < 1e-6 * known, 0.0, walk))
 
 
-@dataclass(frozen=True)
-class Whiteness:
-    """Correlation of each innovation with the one before, of the newest samples: white ones have none.
-
-    That is the mean cosine of the angle between them. However large innovations are while a filter catches up with a
-    drift, they count as much as others.
-    """
-
-    newest: Vector
-    """Direction (c,) of the newest innovation in its own standard deviations; empty before the first."""
-    weight: float = 0.0
-    """Sum of the innovations' weights, which fade."""
-    cosines: float = 0.0
-    """Sum of the cosines between each innovation and the one before, fading."""
-    squares: float = 0.0
-    """Sum of the innovations' mean squares over their channels, fading."""
-    n_samples: int = 0
-    """Number of samples in them."""
-
-    def updated(self, innovation: Vector) -> "Whiteness":
-        """Return the correlation with one more innovation (c,)."""
-        direction = innovation / max(float(np.linalg.norm(innovation)), 1e-300)
-        cosine = float(direction @ self.newest) if len(self.newest) == len(direction) else 0.0
-        weight, cosines = _MEMORY * self.weight + 1.0, _MEMORY * self.cosines + cosine
-        squares = _MEMORY * self.squares + float(innovation @ innovation) / len(innovation)
-        return Whiteness(direction, weight, cosines, squares, self.n_samples + 1)
-
-    @property
-    def is_refuted(self) -> bool:
-        """True where the innovations are correlated, by more than chance and by more than a filter's lag.
-
-        Not where they are smaller than white noise would be, as with a noise that is declared too large.
-        """
-        if self.n_samples < _BLOCK or self.squares < self.weight:
-            return False
-        squares = (1.0 - _MEMORY ** (2 * self.n_samples)) / (1.0 - _MEMORY**2)  # sum of the weights' squares
-        std = sqrt(squares / len(self.newest)) / self.weight
-        return self.cosines > max(_CORRELATED, _N_STD * std) * self.weight
-
-
-class Measurement(NamedTuple):
-    """Residual (c,) of a sample at a place, in standard deviations, and its slope (c, d)."""
-
-    value: Vector
-    slope: Vector
-
-
-def measurement(residual: Callable[[Vector], Vector], z: Vector) -> Measurement | None:
-    """Return a sample's residual and slope at z (d,); None without a value, or where it depends on no parameter."""
-    value, slope = value_and_slope(residual, z, _STEP)
-    has_value = np.isfinite(value).all() and np.isfinite(slope).all()
-    return Measurement(value, slope) if has_value and slope.any() else None
-
-
-@cache
-def _identity(n: int) -> Vector:
-    """Return the identity matrix (n, n), always the same one."""
-    identity = np.eye(n)
-    identity.flags.writeable = False
-    return identity
-
-
-def _normalised(innovation: Vector, spread: Vector) -> Vector:
-    """Return the innovation (..., c) in its own standard deviations, from its covariance (..., c, c)."""
-    return np.linalg.solve(np.linalg.cholesky(spread), innovation[:, None])[..., 0].astype(np.float64)
-
-
-def corrected(P: Vector, measured: Measurement) -> tuple[Vector, Vector, Vector]:
-    """Return the correction (d,) of the mean, the covariance (d, d) after a measurement, and that of its value (c, c).
-
-    P (d, d): covariance before it.
-    """
-    value, H = measured
-    seen = H @ P
-    spread: Vector = seen @ H.T + _identity(len(value))
-    gain = np.linalg.solve(spread, seen).T
-    left = _identity(len(P)) - gain @ H
-    after: Vector = left @ P @ left.T + gain @ gain.T  # Joseph's form
-    return -gain @ value, after, spread
+def _with_explained(known: Belief, samples: Sequence[Measurement]) -> tuple[Belief, int]:
+    """Return the belief with samples, up to one that contradicts it, and their number."""
+    for n, sample in enumerate(samples):
+        if not sample.has_value:
+            return known, n
+        after, innovation = known.updated(sample)
+        if innovation.squared > chi2_limit(FALSE_ALARM, len(sample.value)):
+            return known, n
+        known = after
+    return known, len(samples)

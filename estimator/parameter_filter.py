@@ -43,6 +43,15 @@ class ParameterFilter:
         at = OfMany(lambda places: residual(self._space.beyond(places)))
         self.arrival_cost = ArrivalCost.of_window(self._space.to_unit(theta), at, self.drift)
 
+    def reach_back(self, older: Callable[[Vector], Vector]) -> None:
+        """Take older samples than those of the window, too, as far as they agree with it.
+
+        older: residuals (k, n, c) of theta (k, d), in standard deviations, from old to new.
+        """
+        if self.arrival_cost is not None:
+            at = OfMany(lambda places: older(self._space.beyond(places)))
+            self.arrival_cost = self.arrival_cost.reaching_back(at)
+
     def follow(self, residual: Callable[[Vector], Vector], is_triggered: bool) -> bool:
         """Take one more sample; return False where a search is needed.
 

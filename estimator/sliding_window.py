@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 from functools import partial
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,9 @@ from numpy.typing import NDArray
 from .samples import Sample
 from .significance import FALSE_ALARM, chi2_limit
 from .space import Vector
+
+_OLDER: Final = 100
+"""Largest number of samples that have left the window in an episode and are kept."""
 
 
 class ResidualWindow:
@@ -36,6 +40,7 @@ class ResidualWindow:
         self._residual, self._rows_at = residual, rows or partial(_one_by_one, residual)
         self._slopes, self._max_length = slopes, max_length
         self._samples: list[Sample] = []
+        self._older: list[Sample] = []
         self._lengths = [0] * n_channels
         self._is_explained = [True] * n_channels
         self._rows: dict[bytes, list[Vector]] = {}
@@ -63,12 +68,14 @@ class ResidualWindow:
         self._lengths = [min(n + 1, self._max_length) for n in self._lengths]
         excess = len(self._samples) - max(self._lengths)
         if excess:
+            self._older = [*self._older, *self._samples[:excess]][-_OLDER:]
             del self._samples[:excess]
             for rows in self._rows.values():
                 del rows[:excess]
 
     def begin(self, theta: Vector) -> None:
-        """Do nothing: the window slides, whether there is an episode or not."""
+        """Begin an episode: the window slides, whether there is one or not, but what leaves it from now on is kept."""
+        self._older.clear()
 
     def end(self, theta: Vector) -> None:
         """Do nothing, as in `begin`."""
@@ -79,6 +86,7 @@ class ResidualWindow:
     def copy(self) -> "ResidualWindow":
         """Return an independent copy of the window."""
         other = copy(self)
+        other._older = [*self._older]
         other._samples, other._lengths, other._is_explained = [*self._samples], [*self._lengths], [*self._is_explained]
         other._rows = {key: [*rows] for key, rows in self._rows.items()}
         return other
@@ -86,6 +94,7 @@ class ResidualWindow:
     def clear(self) -> None:
         """Remove every sample, as after a jump of the parameters."""
         self._samples.clear()
+        self._older.clear()
         self._rows.clear()
         self._lengths = [0] * len(self._lengths)
 
@@ -104,6 +113,14 @@ class ResidualWindow:
             return self._residual(theta, sample)
         self.n_model_calls += theta.size // theta.shape[-1]
         return self._rows_at(theta, [sample])[..., 0, :]
+
+    def older_residuals(self, thetas: Vector) -> Vector:
+        """Return the residuals (k, n, c) of candidates (k, d) at n samples, from old to new.
+
+        Those that have left the window since the episode began.
+        """
+        self.n_model_calls += len(self._older) * len(thetas)
+        return self._rows_at(thetas, self._older)
 
     def slopes(self, theta: Vector) -> Vector | None:
         """Return the slopes (D, d) of the residuals of theta (d,) in the unit cube; None where the model has none."""

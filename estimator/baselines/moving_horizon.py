@@ -7,7 +7,7 @@ from typing import Any, cast
 import numpy as np
 import scipy  # its parts, 0.3 s, are loaded when they are used
 
-from ..arrival_cost import Measurement, corrected, measurement
+from ..belief import Belief, Measurement, measurement
 from ..contract import Estimate, scaled_estimate
 from ..differences import OfMany
 from ..identifiability import IDENTIFIABLE_BELOW, information_of_covariance
@@ -54,28 +54,6 @@ class _Step:
     """Present estimate (d,) in the unit cube."""
 
 
-@dataclass(frozen=True)
-class _Belief:
-    """Normal distribution of the parameters."""
-
-    mean: Vector
-    """Mean (d,) in the unit cube."""
-    covariance: Vector
-    """Covariance (d, d)."""
-
-    def updated(self, measured: Measurement | None, place: Vector) -> "_Belief":
-        """Return the belief after a measurement that was linearised at a place (d,)."""
-        if measured is None:
-            return self
-        there = Measurement(measured.value + measured.slope @ (self.mean - place), measured.slope)
-        moved, covariance, _ = corrected(self.covariance, there)
-        return _Belief(self.mean + moved, covariance)
-
-    def widened(self, walk: float) -> "_Belief":
-        """Return the belief one sample later, with parameters that walk by this standard deviation."""
-        return _Belief(self.mean, self.covariance + walk**2 * np.eye(len(self.mean)))
-
-
 class MovingHorizon:
     """Moving-horizon estimator with the parameters as random walks in the unit cube.
 
@@ -102,7 +80,7 @@ class MovingHorizon:
     def restart(self, start: Vector) -> None:
         """Begin at theta (d,), with all samples forgotten."""
         z = self._space.to_unit(start)
-        self._arrival = _Belief(z, self._settings.spread**2 * np.eye(len(z)))
+        self._arrival = Belief(z, self._settings.spread**2 * np.eye(len(z)))
         self._now, self._steps = self._arrival, tuple[_Step, ...]()
         self._cost, self._n_evaluations = np.inf, 0
 
@@ -110,7 +88,7 @@ class MovingHorizon:
         """Go on from an estimate that has its information."""
         assert estimate.information is not None
         covariance = estimate.information.covariance(self._settings.spread)
-        self._arrival = _Belief(self._space.to_unit(estimate.theta), covariance)
+        self._arrival = Belief(self._space.to_unit(estimate.theta), covariance)
         self._now, self._steps = self._arrival, ()
 
     def solve(self, objective: Objective) -> None:
@@ -122,13 +100,13 @@ class MovingHorizon:
         if len(steps) > self._settings.horizon:
             oldest, *rest = steps
             left = self._measured(objective, oldest)
-            self._arrival = self._arrival.updated(left, oldest.place).widened(self._settings.walk)
+            self._arrival = self._later(_after(self._arrival, left))
             steps = tuple(rest)
         newest = self._measured(objective, steps[-1])
         self._cost = np.inf if newest is None else float(newest.value @ newest.value)
         for _ in range(self._settings.iterations):
             measured = [self._measured(objective, step) for step in steps]
-            places, self._now = self._smoothed(steps, measured)
+            places, self._now = self._smoothed(measured)
             moved = np.abs(places - [step.place for step in steps])
             steps = tuple(replace(step, place=place) for step, place in zip(steps, places, strict=True))
             if np.all(moved <= _LITTLE * np.sqrt(self._now.covariance.diagonal())):
@@ -157,7 +135,7 @@ class MovingHorizon:
             is_converged = True
         self._n_evaluations += objective.n_evaluations
         if search.linearised is None or search.cost >= FAILED:
-            self._now, self._cost = _Belief(prior.mean, prior.covariance), np.inf
+            self._now, self._cost = Belief(prior.mean, prior.covariance), np.inf
             return
         at, r, slopes = search.linearised
         precision = slopes.T @ slopes
@@ -166,23 +144,31 @@ class MovingHorizon:
         if is_converged and np.all((at > step) & (at < 1.0 + step)):
             z, residual = at - step, r - slopes @ step
         now, self._cost = widened(Normal(z, root_of(solved(precision, np.eye(d)))), prior, residual[:-d])
-        self._now = _Belief(now.mean, now.covariance)
+        self._now = Belief(now.mean, now.covariance)
+
+    def _later(self, known: Belief) -> Belief:
+        """Return a belief one sample later, with parameters that walk."""
+        return known.walked(np.full(len(known.mean), self._settings.walk**2))
 
     def _measured(self, objective: Objective, step: _Step) -> Measurement | None:
         with np.errstate(all="ignore"):  # where the model overflows
             at = OfMany(lambda z: objective.residual_at(self._space.from_unit(z), step.sample))
             return measurement(at, step.place)
 
-    def _smoothed(self, steps: tuple[_Step, ...], measured: list[Measurement | None]) -> tuple[Vector, _Belief]:
+    def _smoothed(self, measured: list[Measurement | None]) -> tuple[Vector, Belief]:
         """Return the most likely places (n, d) of the linearised residuals, and the belief at the newest sample."""
-        walk, before = self._settings.walk, [self._arrival]
-        after: list[_Belief] = []
-        for step, found in zip(steps, measured, strict=True):
-            after.append(before[-1].updated(found, step.place))
-            before.append(after[-1].widened(walk))
+        before, after = [self._arrival], list[Belief]()
+        for found in measured:
+            after.append(_after(before[-1], found))
+            before.append(self._later(after[-1]))
         places = [after[-1].mean]
-        for k in range(len(steps) - 2, -1, -1):
+        for k in range(len(after) - 2, -1, -1):
             gain = np.linalg.solve(before[k + 1].covariance, after[k].covariance).T
             places.insert(0, after[k].mean + gain @ (places[0] - before[k + 1].mean))
-        newest = _Belief(np.clip(after[-1].mean, 0.0, 1.0), after[-1].covariance)
+        newest = Belief(np.clip(after[-1].mean, 0.0, 1.0), after[-1].covariance)
         return np.clip(np.array(places), 0.0, 1.0), newest
+
+
+def _after(known: Belief, measured: Measurement | None) -> Belief:
+    """Return a belief after a measurement, where there is one."""
+    return known if measured is None else known.updated(measured)[0]

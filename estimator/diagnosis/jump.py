@@ -69,7 +69,8 @@ def followed_jump(rows_at: OfMany, n: int, z: Vector, rate: float) -> tuple[Arri
     unknown = ArrivalCost.of_estimate(z, Information(np.zeros(len(z)), np.eye(len(z))), rate)
     measured = unknown.updated(OfMany(lambda places: first.rows[0] + (places - first.z) @ slope.T))
     at_first = ArrivalCost.of_estimate(measured.mean, measured.information, rate)
-    known: ArrivalCost | None = replace(at_first, walk=np.full(len(z), (_AFTER_JUMP * rate) ** 2))
+    walk = np.full(len(z), (_AFTER_JUMP * rate) ** 2)
+    known: ArrivalCost | None = replace(at_first, walk=walk, constant=at_first.belief)
     squares = first.fit.squares
     for i in range(1, n):
         known = known.drifted(OfMany(lambda places, i=i: rows_at(places)[..., i, :]))

@@ -234,6 +234,8 @@ class Retuner:
         """End an episode with the parameters wanted (d,); return its event at t [s]."""
         if self._following is not None and estimate is not None:
             self._following.remember(self._window_residuals)
+            if isinstance(self._window, ResidualWindow):
+                self._following.filter.reach_back(self._window.older_residuals)
             self._searched = estimate.theta
         if self._closes:
             self._window.end(wanted)

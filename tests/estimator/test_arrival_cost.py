@@ -8,9 +8,11 @@ from filterpy.kalman import KalmanFilter
 from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
 
-from estimator.arrival_cost import ArrivalCost, Whiteness
+from estimator.arrival_cost import ArrivalCost
+from estimator.differences import OfMany
 from estimator.identifiability import information
 from estimator.significance import chi2_limit
+from estimator.whiteness import Whiteness
 
 START, TRUTH = np.array([0.45, 0.6, 0.5]), np.array([0.5, 0.55, 0.52])
 RATE = 0.0025
@@ -83,6 +85,84 @@ def test_a_window_without_values_leaves_the_estimate_with_the_widest_spread():
     known = ArrivalCost.of_window(TRUTH, lambda z: np.full(4, np.nan), RATE)
     assert_allclose(known.mean, TRUTH)
     assert_allclose(known.covariance, np.eye(3) / 4.0)
+
+
+def older(seed, truth, n_window=10, n_older=60):
+    """Samples (n, 2, 3), (n, 2) of what truth(k) was k samples ago: slopes and noise; and the window's arrival cost."""
+    rng = np.random.default_rng(seed)
+    H, e = 60.0 * rng.standard_normal((n_window + n_older, 2, 3)), rng.standard_normal((n_window + n_older, 2))
+    moved = np.array([truth(k) - TRUTH for k in range(n_window + n_older, 0, -1)])
+    e -= np.einsum("ncd,nd->nc", H, moved)
+    window = H[n_older:].reshape(-1, 3), e[n_older:].reshape(-1)
+    known = ArrivalCost.of_window(TRUTH, lambda z: window[0] @ (z - TRUTH) + window[1], RATE)
+    rows = OfMany(lambda z: np.einsum("ncd,...d->...nc", H[:n_older], z - TRUTH) + e[:n_older])
+    return H, e, known, known.reaching_back(rows)
+
+
+def fitted(H, e, known):
+    """Least squares of samples in closed form, with what was known before as a prior: mean and covariance."""
+    precision = np.linalg.inv(known.covariance)
+    J, r = H.reshape(-1, 3), e.reshape(-1)
+    covariance = np.linalg.inv(J.T @ J + precision)
+    return covariance @ (precision @ known.mean + J.T @ (J @ TRUTH - r)), covariance
+
+
+def test_older_samples_of_the_same_parameters_give_their_least_squares():
+    H, e, known, longer = older(0, lambda k: TRUTH)
+    mean, covariance = fitted(H[:60], e[:60], known)
+    assert_allclose(longer.mean, mean, rtol=1e-6)
+    assert_allclose(longer.covariance, covariance, rtol=1e-5, atol=1e-12)
+
+
+def test_older_samples_from_before_a_jump_are_left_out():
+    H, e, known, longer = older(1, lambda k: TRUTH + np.array([0.4, 0.3, 0.0]) * (k > 33))
+    mean, covariance = fitted(H[60 - 23 : 60], e[60 - 23 : 60], known)
+    assert_allclose(longer.mean, mean, rtol=1e-6)
+    assert_allclose(longer.covariance, covariance, rtol=1e-5, atol=1e-12)
+
+
+def test_older_samples_of_parameters_that_have_drifted_are_left_out():
+    """Each of them is explained; all of them together move the estimate by many of its standard deviations."""
+    off = []
+    for seed in range(40):
+        longer = older(seed, lambda k: TRUTH - np.array([0.0004 * k, 0.0, 0.0]))[3]
+        off.append((longer.mean - TRUTH) / np.sqrt(longer.covariance.diagonal()))
+    assert np.sqrt(np.mean(np.square(off))) < 2.0
+
+
+def test_older_samples_where_the_model_has_no_value_are_left_out():
+    known = older(2, lambda k: TRUTH)[2]
+    for shape, value in (((5, 2), np.nan), ((0, 2), 0.0)):
+        longer = known.reaching_back(OfMany(lambda z, of=shape, value=value: np.full((*z.shape[:-1], *of), value)))
+        assert_allclose(longer.mean, known.mean)
+        assert_allclose(longer.covariance, known.covariance)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_parameters_that_are_constant_since_a_jump_have_what_all_samples_since_then_say(seed):
+    rng, J = np.random.default_rng(seed), 200.0 * np.eye(3)
+    begin = begun(J)
+    known = replace(begin, walk=np.full(3, RATE**2), constant=begin.belief)
+    rows, targets = [J], [J @ START]
+    for _ in range(40):
+        H, noise, residual = linear(rng, START)
+        known = known.updated(residual)
+        rows.append(H)
+        targets.append(H @ START - noise)
+    A = np.vstack(rows)
+    assert_allclose(known.mean, np.linalg.lstsq(A, np.concatenate(targets), rcond=None)[0], rtol=1e-6)
+    assert_allclose(known.covariance, np.linalg.inv(A.T @ A), rtol=1e-5, atol=1e-14)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_parameters_that_drift_since_a_jump_are_not_taken_for_constant(seed):
+    rng = np.random.default_rng(seed)
+    begin = begun(200.0 * np.eye(3), TRUTH)
+    known = replace(begin, walk=np.full(3, RATE**2), constant=begin.belief)
+    for i in range(10):
+        known = known.updated(linear(rng, TRUTH + 3.0 * drift(i))[2])
+    assert abs(known.mean[0] - TRUTH[0] - 0.027) < 0.01
+    assert known.walk[0] > 0.0
 
 
 @pytest.mark.parametrize("n_channels", [1, 3, 6])

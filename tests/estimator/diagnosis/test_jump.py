@@ -70,6 +70,18 @@ def test_a_followed_jump_has_what_all_samples_since_then_say(seed):
     assert_allclose(fit.squares, np.sum(rows_at(H, y)(4)(z) ** 2), atol=0.05)
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_of_parameters_that_do_not_drift_after_a_jump_all_samples_since_then_are_known(seed):
+    """Though the filter lets them drift until that is known: a rate of 0.1 is wide beside what one sample says."""
+    H, y = measured(20, c=6, seed=seed)
+    known, _ = followed_jump(rows_at(H[:3], y[:3])(3), 3, START, 0.1)
+    for h, measured_now in zip(H[3:], y[3:], strict=True):
+        known = known.updated(OfMany(lambda z, h=h, v=measured_now: (v - (LOWER + WIDTH * z) @ h.T) / SIGMA))
+    z, covariance = with_prior(H, y)
+    assert_allclose(known.mean, z, atol=1e-6)
+    assert_allclose(known.covariance, covariance, rtol=1e-4, atol=1e-12)
+
+
 def test_a_jump_is_followed_while_the_parameters_drift():
     """A second sample that the first one's parameters miss by many standard deviations, within the usual rate."""
     H, y = measured(3, c=6)

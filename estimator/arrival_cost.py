@@ -227,7 +227,7 @@ class ArrivalCost:
     def _learnt(self) -> Self:
         """Return the arrival cost at a block's end, with the walk that its corrections show.
 
-        None where constant parameters explain all samples since a jump better.
+        Where constant parameters explain all samples since a jump better, it goes on from these, without a walk.
         """
         zero = np.zeros(len(self.walk))
         begun = replace(self, correction=zero, expected=zero, n_samples=0)

@@ -1,5 +1,6 @@
 """Residuals of a model on a sliding window of samples."""
 
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 from functools import partial
@@ -40,7 +41,7 @@ class ResidualWindow:
         self._residual, self._rows_at = residual, rows or partial(_one_by_one, residual)
         self._slopes, self._max_length = slopes, max_length
         self._samples: list[Sample] = []
-        self._older: list[Sample] = []
+        self._older: deque[Sample] = deque(maxlen=_OLDER)
         self._lengths = [0] * n_channels
         self._is_explained = [True] * n_channels
         self._rows: dict[bytes, list[Vector]] = {}
@@ -68,7 +69,7 @@ class ResidualWindow:
         self._lengths = [min(n + 1, self._max_length) for n in self._lengths]
         excess = len(self._samples) - max(self._lengths)
         if excess:
-            self._older = [*self._older, *self._samples[:excess]][-_OLDER:]
+            self._older.extend(self._samples[:excess])
             del self._samples[:excess]
             for rows in self._rows.values():
                 del rows[:excess]
@@ -86,7 +87,7 @@ class ResidualWindow:
     def copy(self) -> "ResidualWindow":
         """Return an independent copy of the window."""
         other = copy(self)
-        other._older = [*self._older]
+        other._older = self._older.copy()
         other._samples, other._lengths, other._is_explained = [*self._samples], [*self._lengths], [*self._is_explained]
         other._rows = {key: [*rows] for key, rows in self._rows.items()}
         return other
@@ -120,7 +121,7 @@ class ResidualWindow:
         Those that have left the window since the episode began.
         """
         self.n_model_calls += len(self._older) * len(thetas)
-        return self._rows_at(thetas, self._older)
+        return self._rows_at(thetas, [*self._older])
 
     def slopes(self, theta: Vector) -> Vector | None:
         """Return the slopes (D, d) of the residuals of theta (d,) in the unit cube; None where the model has none."""

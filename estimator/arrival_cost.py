@@ -165,7 +165,7 @@ class ArrivalCost:
         A sample at which the model has no value, or that depends on no parameter, is left out.
         """
         measured = measurement(residual, self.mean)
-        return self if measured is None else self._with(measured)
+        return self._with(measured) if measured.is_informative else self
 
     def _with(self, measured: Measurement) -> Self:
         before = self.belief.walked(self.walk)
@@ -198,11 +198,11 @@ class ArrivalCost:
         The one parameter that explains the sample best drifts from now on, all of them where one is not enough.
         """
         measured = measurement(residual, self.mean)
-        if measured is None:
+        if not measured.has_value:
             return None
         limit, d = chi2_limit(FALSE_ALARM, len(measured.value)), len(self.mean)
         if self._squared(np.zeros((1, d)), measured)[0] <= limit:
-            return self._with(measured)
+            return self._with(measured) if measured.is_informative else self
         walks = self.rate**2 * np.vstack([np.maximum(np.eye(d), _BESIDE**2), np.ones(d)])
         squared = self._squared(walks, measured)
         for i in (int(np.argmin(squared[:d])), d):

@@ -29,6 +29,11 @@ class Measurement(NamedTuple):
         """True where the model has a value and a slope there."""
         return bool(np.isfinite(self.value).all() and np.isfinite(self.slope).all())
 
+    @property
+    def is_informative(self) -> bool:
+        """True where the model has a value that depends on a parameter."""
+        return self.has_value and bool(self.slope.any())
+
 
 class Innovation(NamedTuple):
     """Residual of a sample that the samples before it did not foretell."""
@@ -70,10 +75,9 @@ class Belief:
         return Belief(self.mean - gain @ value, after), Innovation(normalised, squared, deviance)
 
 
-def measurement(residual: Callable[[Vector], Vector], z: Vector) -> Measurement | None:
-    """Return a sample's residual (c,) linearised at z (d,); None without a value, or where no parameter changes it."""
-    measured = Measurement(z, *value_and_slope(residual, z, _STEP))
-    return measured if measured.has_value and measured.slope.any() else None
+def measurement(residual: Callable[[Vector], Vector], z: Vector) -> Measurement:
+    """Return a sample's residual (c,) linearised at z (d,), whether it has a value or not."""
+    return Measurement(z, *value_and_slope(residual, z, _STEP))
 
 
 def measurements(residual: Callable[[Vector], Vector], z: Vector) -> list[Measurement]:

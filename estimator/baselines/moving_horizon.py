@@ -103,7 +103,7 @@ class MovingHorizon:
             self._arrival = self._later(_after(self._arrival, left))
             steps = tuple(rest)
         newest = self._measured(objective, steps[-1])
-        self._cost = np.inf if newest is None else float(newest.value @ newest.value)
+        self._cost = float(newest.value @ newest.value) if newest.has_value else np.inf
         for _ in range(self._settings.iterations):
             measured = [self._measured(objective, step) for step in steps]
             places, self._now = self._smoothed(measured)
@@ -150,12 +150,12 @@ class MovingHorizon:
         """Return a belief one sample later, with parameters that walk."""
         return known.walked(np.full(len(known.mean), self._settings.walk**2))
 
-    def _measured(self, objective: Objective, step: _Step) -> Measurement | None:
+    def _measured(self, objective: Objective, step: _Step) -> Measurement:
         with np.errstate(all="ignore"):  # where the model overflows
             at = OfMany(lambda z: objective.residual_at(self._space.from_unit(z), step.sample))
             return measurement(at, step.place)
 
-    def _smoothed(self, measured: list[Measurement | None]) -> tuple[Vector, Belief]:
+    def _smoothed(self, measured: list[Measurement]) -> tuple[Vector, Belief]:
         """Return the most likely places (n, d) of the linearised residuals, and the belief at the newest sample."""
         before, after = [self._arrival], list[Belief]()
         for found in measured:
@@ -169,6 +169,6 @@ class MovingHorizon:
         return np.clip(np.array(places), 0.0, 1.0), newest
 
 
-def _after(known: Belief, measured: Measurement | None) -> Belief:
-    """Return a belief after a measurement, where there is one."""
-    return known if measured is None else known.updated(measured)[0]
+def _after(known: Belief, measured: Measurement) -> Belief:
+    """Return a belief after a measurement, if that depends on a parameter."""
+    return known.updated(measured)[0] if measured.is_informative else known

@@ -130,6 +130,17 @@ def test_older_samples_of_parameters_that_have_drifted_are_left_out():
     assert np.sqrt(np.mean(np.square(off))) < 2.0
 
 
+def test_a_sample_that_no_parameter_changes_is_no_contradiction_where_it_is_explained():
+    """As of a mass that sticks: it says nothing of the parameters, for or against."""
+    known = begun(10.0 * np.eye(3))
+    still = known.drifted(lambda z: np.array([0.5, -1.0]))
+    assert still is not None
+    assert_allclose(still.mean, known.mean)
+    assert_allclose(still.covariance, known.covariance)
+    assert known.drifted(lambda z: np.array([0.5, -30.0])) is None
+    assert known.drifted(lambda z: np.array([0.5, np.nan])) is None
+
+
 def test_older_samples_where_the_model_has_no_value_are_left_out():
     known = older(2, lambda k: TRUTH)[2]
     for shape, value in (((5, 2), np.nan), ((0, 2), 0.0)):

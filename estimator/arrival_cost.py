@@ -33,6 +33,8 @@ _BESIDE: Final = 0.03
 """Share of a drifting parameter's rate by which the others may drift beside it, unseen."""
 _FEW: Final = 2
 """Number of parameters that may drift faster before their drift is refuted: more of them follow whatever happens."""
+_RELINEARISED_AT: Final = (20, 40, 80)
+"""Numbers of samples at which all of them are linearised anew: about a mean that is far better known than before."""
 _STEP: Final = 1e-4
 """Step of the differences over a window, in the unit cube."""
 _MOST: Final = 5
@@ -69,6 +71,8 @@ class ArrivalCost:
     """What the samples since a jump say of parameters that are constant since then; None where they walk."""
     lead: float = 0.0
     """-2 log likelihood of these samples with parameters that walk, less that with constant ones."""
+    n_known: int = 0
+    """Number of samples that it knows, the newest ones."""
     n_samples: int = 0
     """Number of samples in the present block."""
     cost: float = 0.0
@@ -124,11 +128,32 @@ class ArrivalCost:
             gained = (known.covariance - longer.covariance).diagonal()
             if np.any((longer.mean - known.mean) ** 2 > different * gained):
                 break
-            known = longer
+            known, n = longer, n + n_taken
             if n_taken < length:
                 break
-            n, length = n + length, 2 * length
-        return replace(self, mean=np.clip(known.mean, 0.0, 1.0), covariance=known.covariance)
+            length *= 2
+        mean = np.clip(known.mean, 0.0, 1.0)
+        return replace(self, mean=mean, covariance=known.covariance, n_known=self.n_known + n)
+
+    def relinearised(self, residual: Callable[[Vector], Vector]) -> Self:
+        """Return the arrival cost with all that it knows linearised anew, about its mean, where that explains all.
+
+        A filter linearises each sample about what was known then, which biases it where little was: Bell (1994), "The
+        iterated Kalman smoother as a Gauss-Newton method". residual: (n, c) at a place (d,), in standard deviations,
+        from old to new, of the samples that it knows.
+        """
+        samples = measurements(residual, self.mean)
+        known, n = _with_explained(Belief(self.mean, _WIDEST**2 * identity(len(self.mean))), samples)
+        mean = np.clip(known.mean, 0.0, 1.0)
+        before, after = np.array([sample.value for sample in samples]), residual(mean[None])[0]
+        if n < len(samples) or not np.sum(after**2) <= np.sum(before**2):
+            return self
+        return replace(self, mean=mean, covariance=known.covariance)
+
+    @property
+    def is_to_be_relinearised(self) -> bool:
+        """True where constant parameters are known from so many samples more that `relinearised` is worth its time."""
+        return self.n_known in _RELINEARISED_AT and self.constant is None and not self.walk.any()
 
     @property
     def belief(self) -> Belief:
@@ -165,9 +190,11 @@ class ArrivalCost:
         A sample at which the model has no value, or that depends on no parameter, is left out.
         """
         measured = measurement(residual, self.mean)
-        return self._with(measured) if measured.is_informative else self
+        return self._with(measured)
 
     def _with(self, measured: Measurement) -> Self:
+        if not measured.is_informative:
+            return replace(self, n_known=self.n_known + 1)
         before = self.belief.walked(self.walk)
         after, innovation = before.updated(measured)
         constant, lead = self.constant, self.lead
@@ -187,6 +214,7 @@ class ArrivalCost:
             deviance=innovation.deviance,
             constant=constant,
             lead=lead,
+            n_known=self.n_known + 1,
         )
         if block.whiteness.is_refuted and np.any(block._is_drifting) and not block.is_refuted:
             block = block._walking(np.where(block._is_drifting, self.rate**2, 0.0))
@@ -202,7 +230,7 @@ class ArrivalCost:
             return None
         limit, d = chi2_limit(FALSE_ALARM, len(measured.value)), len(self.mean)
         if self._squared(np.zeros((1, d)), measured)[0] <= limit:
-            return self._with(measured) if measured.is_informative else self
+            return self._with(measured)
         walks = self.rate**2 * np.vstack([np.maximum(np.eye(d), _BESIDE**2), np.ones(d)])
         squared = self._squared(walks, measured)
         for i in (int(np.argmin(squared[:d])), d):

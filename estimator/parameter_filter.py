@@ -1,6 +1,7 @@
 """Extended Kalman filter that follows parameters between searches, from sample to sample."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -43,14 +44,24 @@ class ParameterFilter:
         at = OfMany(lambda places: residual(self._space.beyond(places)))
         self.arrival_cost = ArrivalCost.of_window(self._space.to_unit(theta), at, self.drift)
 
-    def reach_back(self, older: Callable[[Vector], Vector]) -> None:
-        """Take older samples than those of the window, too, as far as they agree with it.
+    def reach_back(self, older: Callable[[Vector], Vector], n: int) -> None:
+        """Take older samples than the window's n, too, as far as they agree with it.
 
-        older: residuals (k, n, c) of theta (k, d), in standard deviations, from old to new.
+        older: residuals (k, m, c) of theta (k, d), in standard deviations, from old to new.
         """
         if self.arrival_cost is not None:
             at = OfMany(lambda places: older(self._space.beyond(places)))
-            self.arrival_cost = self.arrival_cost.reaching_back(at)
+            self.arrival_cost = replace(self.arrival_cost, n_known=n).reaching_back(at)
+
+    def relinearise(self, newest: Callable[[Vector, int], Vector]) -> None:
+        """Linearise all samples since the parameters changed anew, where it is time to.
+
+        newest: returns the residuals (k, n, c) of theta (k, d) at the newest n samples, in standard deviations.
+        """
+        known = self.arrival_cost
+        if known is not None and known.is_to_be_relinearised:
+            at = OfMany(lambda places: newest(self._space.beyond(places), known.n_known))
+            self.arrival_cost = known.relinearised(at)
 
     def follow(self, residual: Callable[[Vector], Vector], is_triggered: bool) -> bool:
         """Take one more sample; return False where a search is needed.

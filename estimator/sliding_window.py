@@ -59,6 +59,11 @@ class ResidualWindow:
         return max(self._lengths) == self._max_length
 
     @property
+    def n_kept(self) -> int:
+        """Number of samples in the window, and of those kept that have left it."""
+        return len(self._older) + len(self._samples)
+
+    @property
     def newest(self) -> Sample:
         """The newest sample. Raises IndexError where there is none."""
         return self._samples[-1]
@@ -122,6 +127,12 @@ class ResidualWindow:
         """
         self.n_model_calls += len(self._older) * len(thetas)
         return self._rows_at(thetas, [*self._older])
+
+    def newest_residuals(self, thetas: Vector, n: int) -> Vector:
+        """Return the residuals (k, n, c) of candidates (k, d) at the newest n samples, of those kept, old to new."""
+        samples = [*self._older, *self._samples][-n:]
+        self.n_model_calls += len(samples) * len(thetas)
+        return self._rows_at(thetas, samples)
 
     def slopes(self, theta: Vector) -> Vector | None:
         """Return the slopes (D, d) of the residuals of theta (d,) in the unit cube; None where the model has none."""

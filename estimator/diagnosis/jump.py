@@ -70,7 +70,7 @@ def followed_jump(rows_at: OfMany, n: int, z: Vector, rate: float) -> tuple[Arri
     measured = unknown.updated(OfMany(lambda places: first.rows[0] + (places - first.z) @ slope.T))
     at_first = ArrivalCost.of_estimate(measured.mean, measured.information, rate)
     walk = np.full(len(z), (_AFTER_JUMP * rate) ** 2)
-    known: ArrivalCost | None = replace(at_first, walk=walk, constant=at_first.belief)
+    known: ArrivalCost | None = replace(at_first, walk=walk, constant=at_first.belief, n_known=1)
     squares = first.fit.squares
     for i in range(1, n):
         known = known.drifted(OfMany(lambda places, i=i: rows_at(places)[..., i, :]))

@@ -235,7 +235,7 @@ class Retuner:
         if self._following is not None and estimate is not None:
             self._following.remember(self._window_residuals)
             if isinstance(self._window, ResidualWindow):
-                self._following.filter.reach_back(self._window.older_residuals)
+                self._following.filter.reach_back(self._window.older_residuals, max(self._window.lengths))
             self._searched = estimate.theta
         if self._closes:
             self._window.end(wanted)
@@ -263,6 +263,9 @@ class Retuner:
         begun = perf_counter()
         if not self._filter.follow(self._window.newest_residual, is_triggered):
             return None
+        known = self._filter.arrival_cost
+        if known is not None and known.n_known <= self._window.n_kept:
+            self._filter.relinearise(self._window.newest_residuals)
         estimate, known = self._filter.estimate(held), self._filter.arrival_cost
         is_refuted = known is not None and self._refutes(known, sample)
         latencies = (perf_counter() - begun,)

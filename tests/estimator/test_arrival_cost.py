@@ -130,6 +130,65 @@ def test_older_samples_of_parameters_that_have_drifted_are_left_out():
     assert np.sqrt(np.mean(np.square(off))) < 2.0
 
 
+def curved(seed, n=60, off=0.0):
+    """Function of places that returns residuals (..., n, 2) of a model that is curved in them."""
+    rng = np.random.default_rng(seed)
+    A, e = 6.0 * rng.standard_normal((n, 2, 3)), rng.standard_normal((n, 2))
+    e[n // 2] += off
+    model = lambda z: np.exp(np.einsum("ncd,...d->...nc", A, z - TRUTH) / 3.0) * 8.0  # noqa: E731
+    return OfMany(lambda z: model(z) - model(TRUTH) + e)
+
+
+def one_by_one(rows, n, z):
+    """What a filter knows of the first n samples, with a deviation of 0.1 about z before them."""
+    known = begun(10.0 * np.eye(3), z)
+    for k in range(n):
+        known = known.updated(OfMany(lambda z, k=k: rows(z)[..., k, :]))
+    return known
+
+
+def test_samples_linearised_anew_are_closer_to_their_least_squares():
+    """SciPy's, of the curved model: a filter has linearised the first ones far from it."""
+    before, after = [], []
+    for seed in range(20):
+        rows = curved(seed)
+        known = one_by_one(rows, 60, TRUTH + 0.1)
+        best = least_squares(lambda z, rows=rows: rows(z).ravel(), TRUTH, xtol=1e-12)
+        std = np.sqrt(np.diag(np.linalg.inv(best.jac.T @ best.jac)))
+        anew = known.relinearised(rows)
+        before.append((known.mean - best.x) / std)
+        after.append((anew.mean - best.x) / std)
+        assert_allclose(np.sqrt(anew.covariance.diagonal()), std, rtol=0.1)
+    assert np.sqrt(np.mean(np.square(before))) > 0.3
+    assert np.sqrt(np.mean(np.square(after))) < 0.03
+
+
+def test_samples_that_the_parameters_do_not_explain_are_not_linearised_anew():
+    known = one_by_one(curved(0), 60, TRUTH)
+    assert known.relinearised(curved(0, off=20.0)) is known
+    assert known.relinearised(OfMany(lambda z: np.full((*z.shape[:-1], 60, 2), np.nan))) is known
+
+
+def test_samples_are_not_linearised_anew_where_that_leads_away_from_them():
+    """As where the model's mode depends on the parameters: its slope says nothing of the other mode."""
+    rows = curved(0)
+    known = one_by_one(rows, 60, TRUTH)
+    other = OfMany(lambda z: rows(z) + 5.0 * (np.abs(z - known.mean).max(axis=-1) > 2e-4)[..., None, None])
+    assert known.relinearised(other) is known
+
+
+def test_it_is_time_to_linearise_anew_after_each_doubling_while_nothing_drifts():
+    known, due = begun(10.0 * np.eye(3)), []
+    rng = np.random.default_rng(4)
+    for n in range(1, 170):
+        known = known.updated(linear(rng, TRUTH)[2])
+        assert known.n_known == n
+        due += [n] if known.is_to_be_relinearised else []
+    assert due == [20, 40, 80]
+    drifting = replace(known, n_known=20, walk=np.array([0.0, 1e-6, 0.0]))
+    assert not drifting.is_to_be_relinearised
+
+
 def test_a_sample_that_no_parameter_changes_is_no_contradiction_where_it_is_explained():
     """As of a mass that sticks: it says nothing of the parameters, for or against."""
     known = begun(10.0 * np.eye(3))
@@ -277,6 +336,9 @@ def test_what_no_parameter_explains_is_no_drift(seed):
 
 def test_a_sample_that_depends_on_no_parameter_says_nothing():
     known = replace(begun(np.eye(3)), walk=np.full(3, 1e-4))
-    assert known.updated(lambda z: np.zeros(2)) is known
-    assert known.updated(lambda z: np.full(2, np.nan)) is known
+    for value in (0.0, np.nan):
+        same = known.updated(lambda z, value=value: np.full(2, value))
+        assert same.n_known == 1
+        assert same.mean is known.mean
+        assert same.covariance is known.covariance
     assert known.drifted(lambda z: np.full(2, np.nan)) is None

@@ -43,20 +43,18 @@ PLANT = ForeignPlant(
     name="heater",
     title="Heater and vessel",
     parameters=(
-        Estimated("C", "N.m", 2000.0, 3000.0, "Heat capacity of the vessel, by kelvin"),
-        Estimated("G", "N.m/s", 12.0, 18.0, "Loss coefficient, by kelvin"),
+        Estimated("C", "J/K", 2000.0, 3000.0, "Heat capacity of the vessel"),
+        Estimated("G", "W/K", 12.0, 18.0, "Loss coefficient"),
     ),
     states=(
-        Signal(
-            "T_1", None, "Temperature of the heater, in K above the room", _T + (2000.0 * _RATE + 12.0 * _T) / THROUGH
-        ),
-        Signal("T_2", None, "Temperature of the vessel, in K above the room", _T),
+        Signal("T_1", "K", "Temperature of the heater above the room", _T + (2000.0 * _RATE + 12.0 * _T) / THROUGH),
+        Signal("T_2", "K", "Temperature of the vessel above the room", _T),
     ),
-    controls=(Signal("u", "N.m/s", "Power"),),
+    controls=(Signal("u", "W", "Power"),),
     references=(
-        Signal("T_ref", None, "Desired temperature of the vessel"),
-        Signal("T_dot_ref", None, "Its derivative"),
-        Signal("T_ddot_ref", None, "Its second derivative"),
+        Signal("T_ref", "K", "Desired temperature of the vessel"),
+        Signal("T_dot_ref", "K/s", "Its derivative"),
+        Signal("T_ddot_ref", "K/s2", "Its second derivative"),
     ),
     derivative=derivative,
     control=control,

@@ -120,15 +120,21 @@ def output(
 
 
 _BASE_UNITS: Mapping[str, Mapping[str, int]] = {
-    "1": {}, "kg": {"kg": 1}, "m": {"m": 1}, "s": {"s": 1}, "A": {"A": 1}, "rad": {"rad": 1},
-    "N": {"kg": 1, "m": 1, "s": -2},
+    "1": {}, "kg": {"kg": 1}, "m": {"m": 1}, "s": {"s": 1}, "A": {"A": 1}, "K": {"K": 1}, "mol": {"mol": 1},
+    "cd": {"cd": 1}, "rad": {"rad": 1}, "N": {"kg": 1, "m": 1, "s": -2}, "Pa": {"kg": 1, "m": -1, "s": -2},
+    "J": {"kg": 1, "m": 2, "s": -2}, "W": {"kg": 1, "m": 2, "s": -3}, "C": {"A": 1, "s": 1},
+    "V": {"kg": 1, "m": 2, "s": -3, "A": -1}, "F": {"kg": -1, "m": -2, "s": 4, "A": 2},
+    "Ohm": {"kg": 1, "m": 2, "s": -3, "A": -2}, "H": {"kg": 1, "m": 2, "s": -2, "A": -2},
+    "T": {"kg": 1, "s": -2, "A": -1}, "Wb": {"kg": 1, "m": 2, "s": -2, "A": -1},
 }  # fmt: skip
+_IN_ORDER = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")  # of FMI's attributes
 
 
 def base_unit(unit: str) -> dict[str, int]:
     """Return the exponents of the SI base units in an FMI unit string: "N.m/rad" -> kg 1, m 2, s -2, rad -1.
 
-    Factors are joined with dots; everything after the only slash divides. Raises ValueError for other text.
+    Factors are joined with dots; everything after the only slash divides. Raises ValueError for other text, and for
+    units that are no product of the base units, such as km, h or degC.
     """
     exponents: Counter[str] = Counter()
     numerator, slash, denominator = unit.partition("/")
@@ -139,7 +145,7 @@ def base_unit(unit: str) -> dict[str, int]:
                 raise ValueError(f"unit {unit!r} must be made of {', '.join(_BASE_UNITS)}, got {factor!r}.")
             for base, exponent in _BASE_UNITS[match[1]].items():
                 exponents[base] += sign * exponent * int(match[2] or 1)
-    return {base: exponents[base] for base in ("kg", "m", "s", "A", "rad") if exponents[base]}
+    return {base: exponents[base] for base in _IN_ORDER if exponents[base]}
 
 
 TIME = VariableRow(

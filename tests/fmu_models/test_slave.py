@@ -136,13 +136,24 @@ def initialized(model, start_time=0.0, **values):
         ("N.s2/m", {"kg": 1}),
         ("1/s", {"s": -1}),
         ("N.m2/A2", {"kg": 1, "m": 3, "s": -2, "A": -2}),
+        ("K/s", {"s": -1, "K": 1}),
+        ("mol/m3", {"m": -3, "mol": 1}),
+        ("V.A", {"kg": 1, "m": 2, "s": -3}),
+        ("V/Ohm", {"A": 1}),
+        ("W.s/J", {}),
+        ("Pa.m2/N", {}),
+        ("F.V/C", {}),
+        ("H.A/Wb", {}),
+        ("T.m2/Wb", {}),
+        ("Wb/s", {"kg": 1, "m": 2, "s": -3, "A": -1}),
+        ("cd/m2", {"m": -2, "cd": 1}),
     ],
 )
 def test_a_unit_is_the_product_of_its_base_units(unit, exponents):
     assert base_unit(unit) == exponents
 
 
-@pytest.mark.parametrize("unit", ["furlong", "kg*m", "m^2", "", "m//s"])
+@pytest.mark.parametrize("unit", ["furlong", "kg*m", "m^2", "", "m//s", "km", "degC"])
 def test_an_unknown_unit_is_refused(unit):
     with pytest.raises(ValueError, match="must be made of"):
         base_unit(unit)

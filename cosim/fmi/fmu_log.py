@@ -16,9 +16,12 @@ LogListener = Callable[[int, str], None]
 """Called with status and text of each message, while the FMU's call goes on."""
 
 _WARNING, _ERROR = 1, 3
+_LONGEST = 4000  # characters of a message in the log, where a traceback is whole
 _log: Final = logging.getLogger(__name__)
 # PythonFMU's words when the model has logged something, an exception's traceback for example, before it raised.
 _UNKNOWN: Final = re.compile(rb"Fatal py exception encountered.*\sunknown error\s*", re.DOTALL)
+# A frame of a traceback; one in the FMUs' own kernel, which refuses values, is not where the mistake is.
+_FRAME: Final = re.compile(r'  File "(?P<folder>(?:.*[/\\])?)(?P<file>[^"/\\]+)", line (?P<line>\d+)')
 
 
 def log_message(name: str, status: int, text: str, is_fault: bool = False) -> None:
@@ -39,7 +42,7 @@ class Messages:
 
     def add(self, status: int, message: bytes) -> None:
         if self._on_log is not None:
-            self._on_log(status, one_line(message.decode("utf-8", "replace")))
+            self._on_log(status, one_line(message.decode("utf-8", "replace"), _LONGEST))
         if status < self._status or (self._status >= _ERROR and _UNKNOWN.fullmatch(message)):
             return
         self.text = message.decode("utf-8", "replace")
@@ -49,11 +52,13 @@ class Messages:
         self.text, self._status = "", -1
 
     def reason(self) -> str:
-        """Return the message in one line: what follows the frames of a traceback, or PythonFMU's exception alone."""
+        """Return the message in one line, of a traceback the exception and its place, PythonFMU's exception alone."""
         lines = [line for line in self.text.splitlines() if line.strip()]
         if any(line.startswith("Traceback (most recent call last)") for line in lines):
             after_frames = [*takewhile(lambda line: not line[0].isspace(), reversed(lines))]
-            lines = after_frames[::-1] or lines[-1:]
+            places = [match for line in lines if (match := _FRAME.match(line)) and "kernel" not in match["folder"]]
+            place = [f"({places[-1]['file']}, line {places[-1]['line']})"] if places else []
+            lines = (after_frames[::-1] or lines[-1:]) + place
         elif len(lines) > 1 and lines[0].startswith("Fatal py exception encountered"):
             lines = lines[1:]
         return one_line(" ".join(lines))

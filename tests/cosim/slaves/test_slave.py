@@ -490,6 +490,13 @@ def test_a_plain_log_text_is_not_taken_for_a_format():
 
 
 TRACEBACK = b"Traceback (most recent call last):\n  File ...\n    f()\nValueError: x\nand y\n"
+PLACED = (
+    b'Traceback (most recent call last):\n  File "/tmp/x/resources/slave.py", line 30, in call\n    return f()\n'
+    b'  File "C:\\\\x\\\\resources\\\\plant.py", line 9, in helper\n    {}["a"]\nKeyError: \'a\'\n'
+)
+REFUSED = PLACED.replace(b"C:\\\\x\\\\resources\\\\plant.py", b"/x/fmu_models/kernel/slave.py").replace(
+    b"resources/", b"kernel/"
+)
 UNKNOWN = b"Fatal py exception encountered: [doStep] PyObject_CallMethod\nunknown error"
 
 
@@ -501,12 +508,26 @@ UNKNOWN = b"Fatal py exception encountered: [doStep] PyObject_CallMethod\nunknow
         ([(3, b"first"), (3, b"second")], "second"),
         ([(4, b"Fatal py exception encountered: [doStep] PyObject_CallMethod\nValueError('x')")], "ValueError('x')"),
         ([(3, TRACEBACK)], "ValueError: x and y"),
+        ([(3, PLACED)], "KeyError: 'a' (plant.py, line 9)"),
+        ([(3, REFUSED)], "KeyError: 'a'"),
         ([(3, TRACEBACK), (4, UNKNOWN)], "ValueError: x and y"),
         ([(0, b"on my way"), (4, UNKNOWN)], "unknown error"),
         ([(3, b"singular matrix"), (4, b"integrator failed")], "integrator failed"),
         ([(3, b"\xff\n\x1b[2J")], "\ufffd [2J"),
     ],
-    ids=["none", "gravest", "newest", "PythonFMU", "traceback", "unknown", "unknown alone", "known", "rubbish"],
+    ids=[
+        "none",
+        "gravest",
+        "newest",
+        "PythonFMU",
+        "traceback",
+        "placed",
+        "refused",
+        "unknown",
+        "unknown alone",
+        "known",
+        "rubbish",
+    ],
 )
 def test_the_reason_is_the_gravest_message_in_one_line(messages, reason):
     log = MessageLog(has_plain_text=True)

@@ -16,6 +16,7 @@ folder, for `retune run DIR/ball-gust.toml --seed 3` in the working directory of
 
 import argparse
 import json
+import sys
 import tempfile
 import time
 from collections import Counter
@@ -72,9 +73,10 @@ def measured(task: Task) -> Row:
         events = _events(out)
         if not task.is_kept:
             rmtree(out, ignore_errors=True)
-    truth = {name: float(values[-1]) for name, values in run.true_parameters.items()}
-    errors = [abs(float(values[-1]) / truth[name] - 1.0) for name, values in run.estimates.items()]
-    figures = {"status": run.status, "error": run.error, "mse": sum(run.mse), "parameter error": max(errors)}
+    truth = {name: float(values[-1]) for name, values in run.true_parameters.items() if len(values)}
+    errors = [abs(float(run.estimates[name][-1]) / value - 1.0) for name, value in truth.items()]
+    error = max(errors, default=nan)  # a run that fails at the start has none
+    figures = {"status": run.status, "error": run.error, "mse": sum(run.mse), "parameter error": error}
     return row | figures | _counts(events) | {"wall": time.perf_counter() - begun}
 
 
@@ -161,8 +163,8 @@ def _cell(row: Row) -> str:
     return " ".join(filter(None, (both, lost, "*" if row["nominal lost"] else "")))
 
 
-def main() -> None:
-    """Make the runs, print the table, and write all of it where --out says."""
+def main() -> int:
+    """Make the runs, print the table, and write all of it where --out says; return 1 where one has raised."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--plants", nargs="+", choices=PLANTS, default=None, metavar="PLANT", help=", ".join(PLANTS))
     parser.add_argument("--cases", nargs="+", choices=list(CASES), default=None, metavar="CASE", help=", ".join(CASES))
@@ -203,7 +205,8 @@ def main() -> None:
         write_text(
             options.out, report.to_lines(content | {"rows": rows, "references": [*found.values()], "runs": runs})
         )
+    return int(any(run["status"] == "raised" for run in [*found.values(), *runs]))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -2,6 +2,7 @@
 
 import json
 from math import isnan
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -57,3 +58,21 @@ def test_runs_are_compared_with_the_nominal_controller_and_the_true_parameters(t
     assert 0.0 < change["floor ratio"] < change["ratio"] < 0.01
     assert change["parameter error"] < 0.01
     assert "2 runs" in capsys.readouterr().out
+
+
+def test_a_run_that_fails_at_the_start_is_a_row_with_its_reason(tmp_path, monkeypatch):
+    empty = {"m": np.empty(0)}
+    run = SimpleNamespace(status="faulted", error="plant: refused", mse=(0.0,), true_parameters=empty, estimates=empty)
+    monkeypatch.setattr(foreign.cosim, "run", lambda *_: run)
+    row = foreign.measured(foreign.Task("ball", "none", 0, "target", tmp_path, is_kept=False))
+    assert (row["status"], row["error"]) == ("faulted", "plant: refused")
+    assert isnan(row["parameter error"])
+
+
+@pytest.mark.fmu
+def test_a_run_that_raises_is_told_and_is_an_error(monkeypatch, capsys):
+    monkeypatch.setattr(
+        "sys.argv", ["foreign", "--plants", "ball", "--cases", "none", "--jobs", "1", "--estimator", "x:Y"]
+    )
+    assert foreign.main() == 1
+    assert "ball none seed 0 x:Y: Traceback" in capsys.readouterr().out

@@ -2,38 +2,27 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import scipy  # its parts, 0.3 s, are loaded when they are used
-from numpy.typing import NDArray
 
-from ..contract import Estimate, NoEstimateError, scaled_estimate
+from ..contract import Estimate, scaled_estimate
 from ..hypotheses import USUAL_RATE
-from ..identifiability import IDENTIFIABLE_BELOW, Information, information
+from ..identifiability import IDENTIFIABLE_BELOW
 from ..parameter_filter import ParameterFilter
 from ..positive import must_be_positive
 from ..significance import FALSE_ALARM, chi2_limit
 from ..space import ParameterSpace, Vector
 from .acquisition import log_target_vector_improvement
+from .candidates import Candidates, is_near
 from .gpy_surrogate import Surrogate, vector_surrogate
+from .hold import Hold, Model, hold_directions
 from .kernels import OwnKernel, check_kernel
 from .leap import Leap, leap
-from .search import (
-    VectorPosterior,
-    best_that_differ,
-    least_change,
-    least_squares_of_mean,
-    one_at_a_time,
-    principal_components,
-)
+from .search import VectorPosterior, least_squares_of_mean, one_at_a_time, principal_components
 from .sobol import sobol_points
 
-_FAR = 50.0
-"""Root mean square residual [standard deviations] above which old candidates, which lie where the optimum was, say
-little of the slopes: they are found again."""
-_MOST = 128
-"""Largest number of stored candidates, evaluated again at each sample, however long an episode lasts."""
 _APART = 3e-4
 """Distance in the unit cube between candidates of one batch; nearer ones are equivalent."""
 _LOCAL_RADII = np.repeat([[0.2], [0.05], [0.01], [0.002]], 16, axis=0)
@@ -42,8 +31,6 @@ _SAME = 0.003
 """Distance in the unit cube, a parameter, below which a candidate stands for the place with directions held."""
 _NEAR_RADII = np.repeat([[0.003], [0.0005]], 8, axis=0)
 """Standard deviation in the unit cube of each candidate drawn around the minimiser of the surrogate's mean."""
-
-
 _SURE = 0.01
 """Variance of what the surrogate expects, as a share of the least sum of squares, up to which it is sure."""
 _MAJORITY = 15
@@ -144,12 +131,10 @@ class TargetVector:
         self._space, self._rng, self._settings = space, rng, settings or TargetSettings()
         d = len(space)
         self._step = self._settings.initial_step / max(d, 2)
-        self._n_modelled = self._settings.n_modelled or 3 * d + 2
         self._global = sobol_points(128, d, rng)
         self._surrogate = vector_surrogate(d, self._settings.surrogate, self._settings.kernel, kernel)
-        self._theta = np.empty((0, d))
-        self._residuals: Vector | None = None
-        self._model_now: _Model | None = None
+        self._candidates = Candidates(space, self._settings.n_modelled or 3 * d + 2)
+        self._model_now: Model | None = None
         self._asks_since_fit = 0
         self.filter = ParameterFilter(
             space, self._settings.drift, self._settings.significance, self._settings.identifiable_below
@@ -160,7 +145,7 @@ class TargetVector:
     @property
     def candidates(self) -> Vector:
         """Stored candidates (n, d), in the parameters' units."""
-        return self._theta
+        return self._candidates.theta
 
     @property
     def model(self) -> Any:
@@ -174,10 +159,10 @@ class TargetVector:
     @property
     def is_done(self) -> bool:
         """True where the residual is explained, and nothing worth a tenth of a standard deviation is to be gained."""
-        if self._queue or self._residuals is None or self._gain > _LITTLE:
+        stored = self._candidates
+        if self._queue or stored.is_empty or self._gain > _LITTLE:
             return False
-        costs = self._costs()
-        return float(costs.min()) <= chi2_limit(FALSE_ALARM, self._residuals.shape[1])
+        return float(stored.costs.min()) <= chi2_limit(FALSE_ALARM, stored.residuals.shape[1])
 
     def restart(self, start: Vector) -> None:
         """Begin an episode at theta (d,): keep the first candidates, the best ones, and the GPs' lengthscales."""
@@ -187,8 +172,7 @@ class TargetVector:
         self._gain = np.inf
         self._queue = [self._start]
         self._leap: Leap | None = None  # that is being evaluated
-        self._failed = np.empty((0, len(self._start)))
-        self._forget()
+        self._candidates.begin_episode()
         self._model_now = None
 
     def ask(self) -> Vector:
@@ -199,7 +183,7 @@ class TargetVector:
         """
         if self._queue:
             return self._space.from_unit(self._queue.pop(0))
-        if self._residuals is None:  # every candidate has failed
+        if self._candidates.is_empty:  # all have failed
             return self._space.from_unit(self._rng.random(len(self._space)))
         return self._space.from_unit(self._most_promising(self._fitted()))
 
@@ -209,53 +193,45 @@ class TargetVector:
         Each is chosen as if those before it had turned out as the surrogate expects (the kriging believer of
         Ginsbourger, Le Riche, Carraro (2010)).
         """
-        if self._queue or self._residuals is None:
+        if self._queue or self._candidates.is_empty:
             return [self.ask() for _ in range(min(n, max(len(self._queue), 1)))]
         model, places = self._fitted(), list[Vector]()
         for _ in range(n):
             places.append(self._most_promising(model, places))
             Z, mean = np.vstack([model.Z, places[-1]]), model.posterior.predict(places[-1][None])[0]
             Y = np.vstack([model.Y, mean])
-            model = _Model(Z, Y, np.sum(Y * Y, axis=1), self._surrogate.condition(Z, Y))
+            model = Model(Z, Y, np.sum(Y * Y, axis=1), self._surrogate.condition(Z, Y))
         return [self._space.from_unit(z) for z in places]
 
     def tell(self, theta: Vector, residual: Vector) -> None:
         """Record the residual (D,) of a candidate. Places nearer to a failed, non-finite one are not proposed."""
         self._n_evaluations += 1
+        stored = self._candidates
         if not np.all(np.isfinite(residual)):
-            self._failed = np.vstack([self._failed, self._space.to_unit(theta)])
+            stored.fail(theta)
             return
-        row = np.atleast_2d(np.asarray(residual, dtype=float))
-        is_known = len(self._theta) > len(theta) and _is_near(residual)
-        if self._residuals is None or (self._n_evaluations == 1 and not is_known):
+        has_slopes = len(stored) > len(theta) and is_near(residual)
+        if stored.is_empty or (self._n_evaluations == 1 and not has_slopes):
             self._queue = one_at_a_time(self._space.to_unit(theta), self._step)
-        if self._leap is not None and self._leap.has_succeeded(self._space.to_unit(theta), row[0]):
-            # what lies on the other side of the jump says little of the slopes here
-            self._theta, self._residuals, self._queue, self._leap = self._theta[:0], None, self._leap.about, None
-        self._theta = np.vstack([self._theta, theta])
-        self._residuals = row if self._residuals is None else np.vstack([self._residuals, row])
-        if len(self._theta) > _MOST:
-            self._forget()
+        if self._leap is not None and self._leap.has_succeeded(self._space.to_unit(theta), residual):
+            stored.clear()  # what lies on the other side of the jump says little of the slopes here
+            self._queue, self._leap = self._leap.about, None
+        stored.add(theta, residual)
         self._model_now = None
 
     def rescore(self, residuals: Vector) -> None:
         """Replace the residuals of the stored candidates by residuals (n, D); failed candidates are dropped."""
-        if not len(self._theta):
+        stored = self._candidates
+        if not len(stored):
             return
         if self._known is not None:
             self._start, self._known = self._known, None
-        was_near = self._residuals is not None and _is_near(self._residuals[int(np.argmin(self._costs()))])
-        finite = np.all(np.isfinite(residuals), axis=1)
-        self._theta, self._residuals = self._theta[finite], residuals[finite]
+        was_near = stored.are_near
+        stored.rescore(residuals)
         self._model_now = None
-        if not len(self._theta):
-            self._residuals = None
-            return
-        best = int(np.argmin(self._costs()))
-        if was_near and not self._queue and not _is_near(self._residuals[best]):  # the plant's parameters have jumped
-            self._queue = one_at_a_time(self._space.to_unit(self._theta[best]), self._step)
-        if len(self._theta) > _MOST:
-            self._forget()
+        have_jumped = was_near and not stored.is_empty and not stored.are_near  # the plant's parameters
+        if have_jumped and not self._queue:
+            self._queue = one_at_a_time(stored.place(stored.best), self._step)
 
     def estimate(self) -> Estimate:
         """Return the best candidate, with the directions that the data do not determine held.
@@ -264,22 +240,23 @@ class TargetVector:
         std is the root mean square error: the data's standard deviation, and the distance of the estimate from the
         least squares of the linearised mean, because candidates are finite or because directions are held.
         """
-        hold = self._hold(self._model())
-        if not hold.n_held:
-            z, cost, reason = hold.best, hold.least, "incumbent"
+        held = self._hold(self._model())
+        if not held.n_held:
+            z, cost, reason = held.best, held.least, "incumbent"
         else:
-            z, cost = (hold.place, hold.expected) if hold.is_sure else self._nearest_that_fits(hold)
-            reason = f"incumbent, {hold.n_held} of {len(z)} directions held"
-        n_spare = self._told().shape[1] - len(z)
-        std, away = hold.information.std(), hold.least_squares - z
+            near = (held.place, held.expected) if held.is_sure else self._candidates.nearest(self._start, held.allowed)
+            z, cost = near
+            reason = f"incumbent, {held.n_held} of {len(z)} directions held"
+        n_spare = self._candidates.residuals.shape[1] - len(z)
+        std, away = held.information.std(), held.least_squares - z
         is_known = n_spare > 0 and bool(np.all(np.hypot(std, away) <= self._settings.identifiable_below))
         if is_known and cost <= chi2_limit(FALSE_ALARM, n_spare):
             self._known = z
-        if n_spare > 1 and hold.least > chi2_limit(FALSE_ALARM, n_spare):
+        if n_spare > 1 and held.least > chi2_limit(FALSE_ALARM, n_spare):
             std *= n_spare**0.5  # of what is not explained, as much may lie along the slopes: Cauchy and Schwarz
         std = np.minimum(np.hypot(std, away), 1.0)
         return scaled_estimate(
-            self._space, z, std, self._settings.identifiable_below, hold.information,
+            self._space, z, std, self._settings.identifiable_below, held.information,
             cost=cost, n_evaluations=self._n_evaluations, reason=reason,
         )  # fmt: skip
 
@@ -289,83 +266,45 @@ class TargetVector:
         It does not begin where any parameters explain so few of them. residual: (..., D) of theta (..., d) over the
         window, in standard deviations.
         """
-        if self._told().shape[1] < len(self._space):
+        if self._candidates.residuals.shape[1] < len(self._space):
             self.filter.arrival_cost = None
         else:
             self.filter.begin(self.estimate().theta, residual)
 
-    def _hold(self, model: "_Model") -> "_Hold":
-        """Return the place with insignificant changes of the best candidate undone, and what is expected there."""
-        best = int(np.argmin(model.costs))
-        z, least = model.Z[best], float(model.costs[best])
-        misfit = max(1.0, np.sqrt(least / max(self._told().shape[1] - len(z), 1)))
-        mean, jacobian = model.posterior.mean_and_jacobian(z)
-        seen_by_data = information(jacobian / misfit)
-        least_squares = z + seen_by_data.step(jacobian.T @ mean / misfit**2)
-        moved = seen_by_data.significant(z - self._start, self._settings.significance)
-        place, expected = z, least
-        if len(moved) < len(z):
-            place = self._start
-            if len(moved):
-                place = least_change(model.posterior, place + moved.T @ moved @ (z - place), len(moved))
-            mean, variance = model.posterior.predict(place[None])
-            expected = float(np.sum(mean * mean + variance))
-        allowed = least + (self._settings.significance * misfit) ** 2
-        return _Hold(z, least, seen_by_data, least_squares, len(z) - len(moved), place, expected, allowed)
+    def _hold(self, model: Model) -> Hold:
+        """Return the best candidate with directions held that the samples do not determine."""
+        return hold_directions(model, self._start, self._candidates.residuals.shape[1], self._settings.significance)
 
-    def _nearest_that_fits(self, hold: "_Hold") -> tuple[Vector, float]:
-        """Return the candidate nearest to the start of those that cost no more than allowed, and its cost."""
-        costs = self._costs()
-        fitting = np.flatnonzero(costs <= max(hold.allowed, float(costs.min())))
-        Z = self._space.to_unit(self._theta[fitting])
-        nearest = int(np.argmin(np.sum((Z - self._start) ** 2, axis=1)))
-        return Z[nearest], float(costs[fitting[nearest]])
-
-    def _is_to_be_tried(self, hold: "_Hold") -> bool:
+    def _is_to_be_tried(self, held: Hold) -> bool:
         """Return whether the place with directions held needs an evaluation: the surrogate is unsure, none was near."""
-        if not hold.n_held or hold.is_sure:
+        if not held.n_held or held.is_sure or self._candidates.has_failed_near(held.place, _SAME):
             return False
-        if len(self._failed) and np.abs(self._failed - hold.place).max(axis=1).min() < _SAME:
-            return False
-        return bool(np.abs(self._nearest_that_fits(hold)[0] - hold.place).max() >= _SAME)
+        nearest, _ = self._candidates.nearest(self._start, held.allowed)
+        return bool(np.abs(nearest - held.place).max() >= _SAME)
 
-    def _forget(self) -> None:
-        """Keep the first candidates, the best that differ, and the newest."""
-        if self._residuals is not None:
-            first = min(len(self._start) + 1, len(self._theta))
-            kept = np.concatenate([np.arange(first), first + self._modelled(self._residuals[first:])])
-            self._theta, self._residuals = self._theta[kept], self._residuals[kept]
-
-    def _told(self) -> Vector:
-        if self._residuals is None:
-            raise NoEstimateError("no candidate has succeeded yet: tell the residual of one first.")
-        return self._residuals
-
-    def _costs(self) -> Vector:
-        return np.sum(self._told() ** 2, axis=1)
-
-    def _model(self) -> "_Model":
+    def _model(self) -> Model:
         if self._model_now is None:
-            chosen = self._modelled(self._told())
-            Z = self._space.to_unit(self._theta[chosen])
-            Y = principal_components(self._told()[chosen], self._settings.n_outputs)
-            self._model_now = _Model(Z, Y, self._costs()[chosen], self._surrogate.condition(Z, Y))
+            stored = self._candidates
+            chosen = stored.modelled
+            Z = stored.place(chosen)
+            Y = principal_components(stored.residuals[chosen], self._settings.n_outputs)
+            self._model_now = Model(Z, Y, stored.costs[chosen], self._surrogate.condition(Z, Y))
         return self._model_now
 
-    def _fitted(self) -> "_Model":
+    def _fitted(self) -> Model:
         """Return the model, with its lengthscales refitted every few asks."""
         self._asks_since_fit += 1
-        if self._asks_since_fit >= max(2, len(self._theta) // 5):
+        if self._asks_since_fit >= max(2, len(self._candidates) // 5):
             model = self._model()
             self._surrogate.fit(model.Z, model.Y)
             self._model_now, self._asks_since_fit = None, 0
         return self._model()
 
-    def _most_promising(self, model: "_Model", others: Sequence[Vector] = ()) -> Vector:
+    def _most_promising(self, model: Model, others: Sequence[Vector] = ()) -> Vector:
         """Return the place (d,) of largest expected improvement, away from the others of its batch."""
         costs = np.sum(model.Y * model.Y, axis=1)
         best = int(np.argmin(costs))
-        pool = self._hopeful(self._pool(model.posterior, model.Z[best]), model.Z)
+        pool = self._candidates.hopeful(self._pool(model.posterior, model.Z[best]), model.Z)
         if others:
             apart = pool[scipy.spatial.distance.cdist(pool, np.array(others)).min(axis=1) > _APART]
             pool = apart if len(apart) else pool
@@ -377,53 +316,38 @@ class TargetVector:
             return unexpected
         return pool[int(np.argmax(gain))]
 
-    def _unexpected(self, model: "_Model") -> Vector | None:
+    def _unexpected(self, model: Model) -> Vector | None:
         """Return the place (d,) whose evaluation decides what the surrogate does not know; None where none does.
 
         Where less than a standard deviation is to be gained, that is the place with directions held; else one beyond a
         jump of the model.
         """
         if self._gain < 0.0:
-            hold = self._hold(model)
-            if self._is_to_be_tried(hold):
-                return hold.place
+            held = self._hold(model)
+            if self._is_to_be_tried(held):
+                return held.place
         self._leap = self._possible_leap(model)
         return None if self._leap is None else self._leap.place
 
-    def _possible_leap(self, model: "_Model") -> Leap | None:
+    def _possible_leap(self, model: Model) -> Leap | None:
         """Return a leap where the best candidate does not explain the samples, and the surrogate knows none that does.
 
         The surrogate has to be sure of the place; where it is not, that is for the acquisition to weigh.
         """
-        residuals, best = self._told(), int(np.argmin(model.costs))
+        residuals, best = self._candidates.residuals, model.best
         cost, n = float(model.costs[best]), residuals.shape[1]
         is_stuck = cost > chi2_limit(FALSE_ALARM, n) and self._gain <= np.log(cost / n)
         if not is_stuck or n <= _MAJORITY * len(self._start):
             return None
-        known, chosen = self._space.to_unit(self._theta), residuals[self._modelled(residuals)]
+        chosen = residuals[self._candidates.modelled]
         _, slope = model.posterior.mean_and_jacobian(model.Z[best])
         axes = np.linalg.lstsq(model.Y, chosen)[0]  # principal components (k, D)
         found = leap(model.Z[best], chosen[best], axes.T @ slope)
         if np.any(np.abs(np.array([found.place, model.Z[best]]) - 0.5) > 0.5 - _AT_BOUND):
             return None  # it is the bound that hinders, not a jump
         _, variance = model.posterior.predict(found.place[None])
-        is_new = np.abs(np.vstack([known, self._failed]) - found.place).max(axis=1).min() >= _SAME
+        is_new = self._candidates.is_new(found.place, _SAME)
         return found if is_new and variance.sum() < _SURE * cost else None
-
-    def _modelled(self, residuals: Vector) -> NDArray[np.intp]:
-        """Return the sorted indices of the best candidates that differ, and of the newest, bad ones included."""
-        newest = np.arange(len(residuals))[-len(self._start) :]
-        return np.union1d(np.array(best_that_differ(residuals, self._n_modelled), dtype=np.intp), newest)
-
-    def _hopeful(self, pool: Vector, Z: Vector) -> Vector:
-        """Return those of the pool that are nearer to a candidate in Z (n, d) than to a failed one; all, if none is."""
-        if not len(self._failed):
-            return pool
-        hopeful = pool[
-            scipy.spatial.distance.cdist(pool, Z).min(axis=1)
-            <= scipy.spatial.distance.cdist(pool, self._failed).min(axis=1)
-        ]
-        return hopeful if len(hopeful) else pool
 
     def _pool(self, posterior: VectorPosterior, best: Vector) -> Vector:
         """Return candidates to choose from: over the whole cube, around the incumbent, around the mean's minimiser."""
@@ -433,45 +357,3 @@ class TargetVector:
         local, near = draws[: len(_LOCAL_RADII)], draws[len(_LOCAL_RADII) :]
         pool = np.vstack([self._global, best + _LOCAL_RADII * local, minimiser, minimiser + _NEAR_RADII * near])
         return np.minimum(np.maximum(pool, 0.0), 1.0)
-
-
-def _is_near(residual: Vector) -> bool:
-    return float(residual @ residual) <= _FAR**2 * len(residual)
-
-
-class _Model(NamedTuple):
-    """Surrogate of the best and newest candidates so far."""
-
-    Z: Vector
-    """Candidates (n, d), in the unit cube."""
-    Y: Vector
-    """Their residuals' principal components (n, k)."""
-    costs: Vector
-    """Their sums of squared residuals (n,)."""
-    posterior: VectorPosterior
-
-
-class _Hold(NamedTuple):
-    """Best candidate with its insignificant changes from the start undone. Places (d,) are in the unit cube."""
-
-    best: Vector
-    """The best candidate."""
-    least: float
-    """Sum of squared residuals of the best candidate."""
-    information: Information
-    """Sensitivity there, in standard deviations of the misfit."""
-    least_squares: Vector
-    """Place of the linearised mean's least square; may lie outside the cube."""
-    n_held: int
-    """Number of directions that are held."""
-    place: Vector
-    """Place with these directions held; the best candidate where none is."""
-    expected: float
-    """Sum of squared residuals that the surrogate expects there, its variances included."""
-    allowed: float
-    """Largest sum of squared residuals that is allowed there."""
-
-    @property
-    def is_sure(self) -> bool:
-        """True where the surrogate expects the place to be within the allowance."""
-        return self.expected <= self.allowed

@@ -4,6 +4,7 @@ See `hypotheses` for the evidence, and `diagnosis` for what follows from it.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -33,6 +34,7 @@ from .residual_scale import LARGER, MUCH_LARGER, NOISY, TOO_SMALL, spread_of
 from .settings import BETTER, Judgement
 from .standardised_residuals import StandardisedResiduals
 from .state import WINDOW, DiagnosisState
+from .verdict import Verdict
 
 QUIET: Final = 5
 """Number of newest samples that the parameters in force must explain for a suspicion to end."""
@@ -68,14 +70,15 @@ class HypothesisComparison:
             n = min(len(state.samples), QUIET)
             is_explained = plain_fit(self._residuals.of_newest(theta, n), 0).is_explained
             return "warranted" if is_explained and self._may_replace(theta, held) else "refuted"
-        is_due = state.n_samples >= state.found_at + (_RENEWED if state.verdict == "warranted" else 1)
-        if is_due or state.found_at < state.n_samples - state.n_since:
+        found_at = state.verdict.found_at
+        is_due = state.n_samples >= found_at + (_RENEWED if state.verdict.is_warranted else 1)
+        if is_due or found_at < state.n_samples - state.n_since:
             self._weigh(theta, held)
-        if state.verdict == "refuted":
+        if state.verdict.is_refuted:
             return "refuted"
         now = self._residuals.of_newest(theta, 1)
         if plain_fit(now, 0).is_explained or np.sum(now**2) < BETTER * np.sum(self._residuals.of_newest(held, 1) ** 2):
-            return state.verdict
+            return state.verdict.judgement
         return "refuted"
 
     def _may_replace(self, theta: Vector, held: Vector) -> bool:
@@ -98,9 +101,9 @@ class HypothesisComparison:
     def lags(self, theta: Vector) -> bool:
         """Return whether an estimate theta (d,) does not explain the newest samples, which other parameters may."""
         state = self._state
-        if not state.n_since or state.verdict == "refuted":
+        if not state.n_since or state.verdict.is_refuted:
             return False
-        return not plain_fit(self._residuals.of_newest(theta, min(state.n_explained, FEWEST)), 0).is_explained
+        return not plain_fit(self._residuals.of_newest(theta, min(state.verdict.n_explained, FEWEST)), 0).is_explained
 
     def jump(self, held: Vector, *, is_filter: bool) -> Estimate | None:
         """Return the parameters that explain the samples since the onset and are determined by them, or None.
@@ -115,7 +118,7 @@ class HypothesisComparison:
             return None
         reference = state.reference_or(held)
         z = self._space.to_unit(reference)
-        lengths = (state.n_since, state.n_explained) if is_filter else (state.n_since,)
+        lengths = (state.n_since, state.verdict.n_explained) if is_filter else (state.n_since,)
         is_obvious = not is_filter and self._n_obvious(reference) == state.n_since
         if not (is_filter or is_obvious) and state.n_since < 2:
             return None
@@ -164,17 +167,17 @@ class HypothesisComparison:
     @property
     def is_tested(self) -> bool:
         """True where the hypothesis of changed parameters has been proven, or could have been refuted."""
-        return self._state.verdict == "warranted" or self._state.n_spare > 0
+        return self._state.verdict.is_warranted or self._state.verdict.n_spare > 0
 
     @property
     def may_be_disturbed(self) -> bool:
         """True where a disturbance is to be thought of when parameters are written that are warranted."""
-        return self._state.n_since > 0 and not self._state.is_certain
+        return self._state.n_since > 0 and not self._state.verdict.is_certain
 
     @property
     def has_failed(self) -> bool:
         """True where changed parameters do not explain the newest samples, however few."""
-        return self._state.verdict == "refuted" or self._state.n_explained < FEWEST
+        return self._state.verdict.is_refuted or self._state.verdict.n_explained < FEWEST
 
     def disturbance(self, held: Vector) -> Vector:
         """Return the disturbance (c,), in the derivatives' units, that may act in place of changed parameters."""
@@ -188,7 +191,7 @@ class HypothesisComparison:
     def _weigh(self, theta: Vector, held: Vector) -> None:
         """Compare the hypotheses on the newest samples since the onset, fewer of them where nothing explains more."""
         state, space = self._state, self._space
-        state.found_at, state.verdict = state.n_samples, "refuted"
+        state.verdict = replace(state.verdict, found_at=state.n_samples, judgement="refuted")
         reference = state.reference_or(held)
         residuals = self._residuals.of_newest(theta, state.n_since)
         for n in _shorter(state.n_since):
@@ -211,11 +214,14 @@ class HypothesisComparison:
         if weighing.are_parameters_possible or is_recorded:
             self._evidence.note(n, **vars(weighing))
         if weighing.are_parameters_possible:
-            self._state.n_explained = n
-            self._state.n_spare = parameters.n_values - parameters.n_free
-            self._state.is_certain = weighing.are_parameters_certain
             unproven: Judgement = "refuted" if self._state.is_resting.any() else "possible"
-            self._state.verdict = "warranted" if weighing.are_parameters_proven else unproven
+            self._state.verdict = Verdict(
+                "warranted" if weighing.are_parameters_proven else unproven,
+                weighing.are_parameters_certain,
+                n_spare=parameters.n_values - parameters.n_free,
+                n_explained=n,
+                found_at=self._state.n_samples,
+            )
         return weighing.are_parameters_possible
 
     def best(self, held: Vector, n: int, *, may_drift: bool) -> ChangedParameters:

@@ -364,7 +364,7 @@ class Diagnosis:
         state = self._state
         if self._is_restless(theta):
             return self.give_up(t, rests=True)
-        if state.n_spare >= _SPARE and not state.findings.has_moved:
+        if state.verdict.n_spare >= _SPARE and not state.findings.has_moved:
             state.n_failures = max(state.n_failures - 1, 0)
         return None
 

@@ -16,7 +16,8 @@ from ..space import Vector
 from .drift_rival import DriftRival
 from .residual_scale import TOO_SMALL, ResidualScale
 from .resting import RestingResiduals
-from .settings import FORGOTTEN, KINDS, Judgement
+from .settings import FORGOTTEN, KINDS
+from .verdict import Verdict
 from .wandering import Findings, InForce, ParameterPath
 
 WINDOW: Final = 20
@@ -84,15 +85,8 @@ class DiagnosisState:
     """True where other parameters have been in force since the onset."""
     changed: Vector | None = None
     """Place (d,) of the parameters that explained the samples last."""
-    verdict: Judgement = "refuted"
-    is_certain: bool = False
-    """True where it says that parameters are warranted, and could hardly have done so by chance."""
-    n_spare: int = 0
-    """Number of its values in excess of those fitted."""
-    n_explained: int = 0
-    """Number of newest samples that the verdict is about."""
-    found_at: int = 0
-    """Number of the sample at which the verdict was found."""
+    verdict: Verdict = field(default_factory=Verdict)
+    """Whether changed parameters explain the newest samples of the suspicion."""
     restless_since: int = 0
     """Number of the first sample of a suspicion that began after some quiet."""
     drift_rival: DriftRival | None = None
@@ -121,12 +115,12 @@ class DiagnosisState:
 
     def end_suspicion(self) -> None:
         """End the suspicion; what new parameters were judged by is over, too."""
-        self.n_since, self.verdict = 0, "refuted"
+        self.n_since, self.verdict = 0, self.verdict.refuted()
 
     def begin_suspicion(self, held: Vector, z: Vector) -> None:
         """Begin a suspicion of the parameters in force, held (d,), whose place is z (d,)."""
-        self.reference, self.verdict, self.changed, self.has_moved = held, "refuted", None, False
-        self.largest_unexplained = None
+        self.reference, self.changed, self.has_moved = held, None, False
+        self.verdict, self.largest_unexplained = self.verdict.refuted(), None
         if self.lasting is None or self.n_samples >= self.suspected_at + FORGOTTEN:
             self.lasting, self.lasting_at, self.since_lasting = held, self.n_samples, []
             self.next_effect = 0

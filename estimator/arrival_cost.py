@@ -184,6 +184,17 @@ class ArrivalCost:
         """True for each parameter (d,) that drifts by itself, not beside another."""
         return self.walk > 1.01 * (_BESIDE * self.rate) ** 2
 
+    def expects(self, residual: Callable[[Vector], Vector]) -> bool:
+        """Return whether constant parameters, as uncertain as they are known, explain a sample.
+
+        residual: (c,) in standard deviations at a place (d,).
+        """
+        measured = measurement(residual, self.mean)
+        if self.walk.any() or not measured.has_value:
+            return False
+        limit = chi2_limit(FALSE_ALARM, len(measured.value))
+        return float(self._squared(np.zeros((1, len(self.mean))), measured)[0]) <= limit
+
     def updated(self, residual: Callable[[Vector], Vector]) -> Self:
         """Return the arrival cost with one more sample; residual: (c,) in standard deviations at a place (d,).
 

@@ -66,6 +66,14 @@ class ParameterFilter:
             at = OfMany(lambda places: newest(self._space.beyond(places), known.n_known))
             self.arrival_cost = known.relinearised(at)
 
+    def expects(self, residual: Callable[[Vector], Vector]) -> bool:
+        """Return whether the parameters that it knows, which do not drift, explain a sample that others may not.
+
+        residual: (..., c) of theta (..., d), in standard deviations.
+        """
+        known = self.arrival_cost
+        return known is not None and known.expects(OfMany(lambda z: residual(self._space.beyond(z))))
+
     def follow(self, residual: Callable[[Vector], Vector], is_triggered: bool) -> bool:
         """Take one more sample; return False where a search is needed.
 
@@ -114,9 +122,10 @@ class Following(AskTell, Protocol):
 
     filter: ParameterFilter
 
-    def remember(self, residual: Callable[[Vector], Vector]) -> None:
+    def remember(self, residual: Callable[[Vector], Vector], held: Vector) -> None:
         """Begin the filter with what the episode's samples say about the present estimate.
 
-        residual: (..., D) of theta (..., d) over the window, in standard deviations.
+        Or about the parameters in force, held (d,), where they explain these better. residual: (..., D) of theta
+        (..., d) over the window, in standard deviations.
         """
         ...

@@ -260,16 +260,18 @@ class TargetVector:
             cost=cost, n_evaluations=self._n_evaluations, reason=reason,
         )  # fmt: skip
 
-    def remember(self, residual: Callable[[Vector], Vector]) -> None:
+    def remember(self, residual: Callable[[Vector], Vector], held: Vector) -> None:
         """Begin the filter with what the episode's samples say about the present estimate.
 
-        It does not begin where any parameters explain so few of them. residual: (..., D) of theta (..., d) over the
-        window, in standard deviations.
+        Or about the parameters in force, held (d,), where they explain these better. It does not begin where any
+        parameters explain so few of them. residual: (..., D) of theta (..., d) over the window, in standard deviations.
         """
         if self._candidates.residuals.shape[1] < len(self._space):
             self.filter.arrival_cost = None
         else:
-            self.filter.begin(self.estimate().theta, residual)
+            places = np.array([self.estimate().theta, held])
+            costs = np.sum(residual(places) ** 2, axis=1)
+            self.filter.begin(places[int(costs[1] < costs[0])], residual)
 
     def _hold(self, model: Model) -> Hold:
         """Return the best candidate with directions held that the samples do not determine."""

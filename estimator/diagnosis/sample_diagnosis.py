@@ -9,7 +9,7 @@ nothing does, and the channels concerned rest. See `comparison` for how that is 
 `disturbance_diagnosis` for the ends of a suspicion that something beside the model has won.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -97,8 +97,11 @@ class Diagnosis:
         """Return what is known of each channel, and the number of events of each kind, as JSON values."""
         return self._record.summary()
 
-    def observe(self, sample: Sample, held: Vector) -> bool:
-        """Take a sample, with the parameters in force (d,); return whether residuals are to be computed anew."""
+    def observe(self, sample: Sample, held: Vector, expects: Callable[[Sample], bool] = lambda sample: False) -> bool:
+        """Take a sample, with the parameters in force (d,); return whether residuals are to be computed anew.
+
+        expects: returns whether a filter explains a corrected sample that these contradict.
+        """
         state = self._state
         state.n_samples += 1
         state.inputs.take(sample)
@@ -113,12 +116,15 @@ class Diagnosis:
         state.keep(sample)
         if is_contradictory and not state.n_since and (self._lag.take_again(held) or self._friction.take_again(held)):
             is_contradictory, is_anew = False, True
-        if state.n_since or is_contradictory:
+        is_expected = is_contradictory and not state.n_since and expects(corrected)
+        if state.n_since or (is_contradictory and not is_expected):
             if not state.n_since:
                 state.begin_suspicion(held, z)
             state.count_suspicious(held)
             return self._disturbances.take_change(self.comparison.changed_with_disturbance(held)) or is_anew
         state.count_quiet()
+        if is_expected:
+            return is_anew
         return (not missing and state.scale.learn(declared)) or is_anew
 
     def _end_outgrown_rest(self, sample: Sample, held: Vector) -> bool:

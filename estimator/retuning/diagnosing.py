@@ -92,7 +92,7 @@ class DiagnosingRetuner(RetunerCounts[Retuner]):
         diagnosis = self._diagnosis
         if sample is not None:
             was_suspicious = diagnosis.is_suspicious
-            if diagnosis.observe(sample, held):
+            if diagnosis.observe(sample, held, self._retuner.expects):
                 self._retuner.forget()
             if diagnosis.is_suspicious and not was_suspicious:
                 self._solver = self._retuner.snapshot() if self._is_endless else None
@@ -150,7 +150,7 @@ class DiagnosingRetuner(RetunerCounts[Retuner]):
         diagnosis = self._diagnosis
         best = None if proposal.estimate is None else proposal.estimate.theta
         has_ended = any(event.kind == "end" for event in proposal.events)
-        if has_ended and best is not None and verdict == "refuted":
+        if has_ended and best is not None and verdict == "refuted" and not self._retuner.explains_newest:
             self._retuner.distrust()
         has_ended |= self._is_endless and diagnosis.n_since >= _PATIENCE
         if has_ended and diagnosis.n_since >= _FEWEST and diagnosis.comparison.has_failed:

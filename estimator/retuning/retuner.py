@@ -121,7 +121,7 @@ class Retuner:
         is_candidate = self._budget.commit == "candidate" and self.is_searching
         wanted = held if estimate is None else candidate if is_candidate else estimate.theta
         if not self.is_searching:
-            events.append(self._end(t, estimate, wanted))
+            events.append(self._end(t, estimate, wanted, held))
         theta = None if np.array_equal(wanted, held) else wanted
         return Proposal(theta, estimate, tuple(events), tuple(latencies), is_candidate)
 
@@ -149,6 +149,18 @@ class Retuner:
         event = self._end_event(t, estimate)
         theta = None if np.array_equal(wanted, held) else wanted
         return Proposal(theta, estimate, (event,), (perf_counter() - begun,))
+
+    def expects(self, sample: Sample) -> bool:
+        """Return whether a sample is as a filter expects it, which knows more than the parameters in force say."""
+        window = self._window
+        if self._filter is None or self.is_searching or not isinstance(window, ResidualWindow):
+            return False
+        return self._filter.expects(lambda theta: window.residual_at(theta, sample))
+
+    @property
+    def explains_newest(self) -> bool:
+        """True where the filter, if it goes on, explains the newest sample."""
+        return isinstance(self._window, ResidualWindow) and self.expects(self._window.newest)
 
     def suspend(self, t: float, held: Vector, n: int) -> None:
         """Go on with samples that turn out to be doubtful: without a diagnosis nothing says what to go back to."""
@@ -230,10 +242,10 @@ class Retuner:
         failed = {} if why is None else {"failed": why}
         return Event(t, "candidate", {"theta": candidate.tolist(), "cost": cost, **failed})
 
-    def _end(self, t: float, estimate: Estimate | None, wanted: Vector) -> Event:
-        """End an episode with the parameters wanted (d,); return its event at t [s]."""
+    def _end(self, t: float, estimate: Estimate | None, wanted: Vector, held: Vector) -> Event:
+        """End an episode with the parameters wanted (d,), others, held (d,), in force; return its event at t [s]."""
         if self._following is not None and estimate is not None:
-            self._following.remember(self._window_residuals)
+            self._following.remember(self._window_residuals, held)
             if isinstance(self._window, ResidualWindow):
                 self._following.filter.reach_back(self._window.older_residuals, max(self._window.lengths))
             self._searched = estimate.theta

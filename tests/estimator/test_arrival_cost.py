@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from estimator.arrival_cost import ArrivalCost
 from estimator.differences import OfMany
 from estimator.identifiability import information
-from estimator.significance import chi2_limit
+from estimator.significance import FALSE_ALARM, chi2_limit
 from estimator.whiteness import Whiteness
 
 START, TRUTH = np.array([0.45, 0.6, 0.5]), np.array([0.5, 0.55, 0.52])
@@ -342,3 +342,15 @@ def test_a_sample_that_depends_on_no_parameter_says_nothing():
         assert same.mean is known.mean
         assert same.covariance is known.covariance
     assert known.drifted(lambda z: np.full(2, np.nan)) is None
+
+
+def test_it_expects_a_sample_within_its_own_uncertainty_and_the_noise():
+    """The normalised innovation squared, by hand: a slope of 30 and a deviation of 0.1 make 3 beside the noise's 1."""
+    known, limit = begun(10.0 * np.eye(3)), chi2_limit(FALSE_ALARM, 1) ** 0.5
+    for share, is_expected in ((0.99, True), (1.01, False)):
+        value = share * limit * 10.0**0.5
+        assert known.expects(lambda z, v=value: v + 30.0 * (z[:1] - START[:1])) is is_expected
+    assert known.expects(lambda z: np.array([0.99 * limit]))
+    assert not known.expects(lambda z: np.array([1.01 * limit]))
+    assert not known.expects(lambda z: np.array([np.nan]))
+    assert not replace(known, walk=np.array([0.0, 1e-6, 0.0])).expects(lambda z: np.zeros(1))

@@ -257,6 +257,27 @@ def test_a_move_too_long_for_a_drift_must_be_proven_although_nothing_contradicts
 
 
 @CHANNELS
+def test_a_sample_that_a_filter_expects_is_no_contradiction_and_no_noise(n_channels):
+    """It is the parameters in force that lag behind what the filter knows."""
+    run, expected = Run("least-squares", n_channels), []
+
+    def expects(sample):
+        expected.append(sample)
+        return len(expected) <= 100
+
+    for i in range(100):
+        run.k += 1
+        run.diagnosis.observe(run.sample(TRUE, 0.09 * (-1) ** i), TRUE, expects)
+        assert not run.diagnosis.is_suspicious
+    assert_array_equal(run.diagnosis._state.scale.values, np.ones(n_channels))
+    assert len(expected) == 100
+    run.diagnosis.observe(run.sample(TRUE, 0.0), TRUE, expects)
+    assert len(expected) == 100, "it is asked only where the parameters in force are contradicted"
+    run.diagnosis.observe(run.sample(TRUE, 0.09), TRUE, expects)
+    assert run.diagnosis.is_suspicious
+
+
+@CHANNELS
 def test_what_has_passed_before_anything_was_written_counts_as_a_failed_search(n_channels):
     """So that correlated noise, which comes and goes, ends in a rest; two outliers count for nothing."""
     run = Run("least-squares", n_channels)

@@ -200,8 +200,7 @@ class ArrivalCost:
 
         A sample at which the model has no value, or that depends on no parameter, is left out.
         """
-        measured = measurement(residual, self.mean)
-        return self._with(measured)
+        return self._with(measurement(residual, self.mean))
 
     def _with(self, measured: Measurement) -> Self:
         if not measured.is_informative:

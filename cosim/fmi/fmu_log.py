@@ -20,8 +20,8 @@ _LONGEST = 4000  # characters of a message in the log, where a traceback is whol
 _log: Final = logging.getLogger(__name__)
 # PythonFMU's words when the model has logged something, an exception's traceback for example, before it raised.
 _UNKNOWN: Final = re.compile(rb"Fatal py exception encountered.*\sunknown error\s*", re.DOTALL)
-# A frame of a traceback; one in the FMUs' own kernel, which refuses values, is not where the mistake is.
-_FRAME: Final = re.compile(r'  File "(?P<folder>(?:.*[/\\])?)(?P<file>[^"/\\]+)", line (?P<line>\d+)')
+# A frame of a traceback, but for those in the FMUs' own kernel, which refuses values: the mistake is not there.
+_FRAME: Final = re.compile(r'  File "(?:.*[/\\])?(?P<file>(?<!\bkernel[/\\])[^"/\\]+)", line (?P<line>\d+)')
 
 
 def log_message(name: str, status: int, text: str, is_fault: bool = False) -> None:
@@ -56,7 +56,7 @@ class Messages:
         lines = [line for line in self.text.splitlines() if line.strip()]
         if any(line.startswith("Traceback (most recent call last)") for line in lines):
             after_frames = [*takewhile(lambda line: not line[0].isspace(), reversed(lines))]
-            places = [match for line in lines if (match := _FRAME.match(line)) and "kernel" not in match["folder"]]
+            places = [match for line in lines if (match := _FRAME.match(line))]
             place = [f"({places[-1]['file']}, line {places[-1]['line']})"] if places else []
             lines = (after_frames[::-1] or lines[-1:]) + place
         elif len(lines) > 1 and lines[0].startswith("Fatal py exception encountered"):

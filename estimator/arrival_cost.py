@@ -40,7 +40,7 @@ _STEP: Final = 1e-4
 _MOST: Final = 5
 """Largest number of Gauss-Newton steps to the least sum of squares of a window."""
 _LITTLE: Final = 0.01
-"""Gain of the sum of squares below which these end: a tenth of a standard deviation."""
+"""Difference of sums of squares that is none: a tenth of a standard deviation, squared."""
 _WIDEST: Final = 0.5
 """Standard deviation of a parameter of which nothing is known, in the unit cube."""
 
@@ -146,7 +146,7 @@ class ArrivalCost:
         known, n = _with_explained(Belief(self.mean, _WIDEST**2 * identity(len(self.mean))), samples)
         mean = np.clip(known.mean, 0.0, 1.0)
         before, after = np.array([sample.value for sample in samples]), residual(mean[None])[0]
-        if n < len(samples) or not np.sum(after**2) <= np.sum(before**2):
+        if n < len(samples) or not np.sum(after**2) <= np.sum(before**2) + _LITTLE:
             return self
         return replace(self, mean=mean, covariance=known.covariance)
 

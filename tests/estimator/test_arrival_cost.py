@@ -177,6 +177,17 @@ def test_samples_are_not_linearised_anew_where_that_leads_away_from_them():
     assert known.relinearised(other) is known
 
 
+def test_samples_without_noise_are_linearised_anew_though_their_residual_grows_by_a_rounding():
+    """Else roundings would decide what is known of the parameters, and so when they are written."""
+    A = np.random.default_rng(0).standard_normal((60, 2, 3))
+    known = begun(10.0 * np.eye(3), TRUTH + 1e-14)
+    rounding = lambda z: 1e-12 * (z != known.mean).any(axis=-1)[..., None, None]  # noqa: E731
+    exact = OfMany(lambda z: np.einsum("ncd,...d->...nc", A, z - TRUTH) + rounding(z))
+    anew = known.relinearised(exact)
+    assert anew is not known
+    assert_allclose(anew.covariance, np.linalg.inv(np.einsum("ncd,nce->de", A, A) + 4.0 * np.eye(3)), rtol=1e-6)
+
+
 def test_it_is_time_to_linearise_anew_after_each_doubling_while_nothing_drifts():
     known, due = begun(10.0 * np.eye(3)), []
     rng = np.random.default_rng(4)

@@ -10,12 +10,16 @@ from .arrival_cost import ArrivalCost
 from .contract import AskTell, Estimate, scaled_estimate
 from .differences import OfMany
 from .identifiability import IDENTIFIABLE_BELOW
+from .significance import chi2_limit, is_explained
+from .sliding_window import ResidualWindow
 from .space import ParameterSpace, Vector
 
 _AGREES = 4.0
 """Squared distance, in standard deviations and by parameter, up to which a filtered estimate is that of a write."""
 _WORTH = 1.0
 """Squared distance, in standard deviations, of a filtered estimate that is worth a write."""
+_DRIFTING = 0.01
+"""Probability that parameters seem to have drifted since a search began, though they are constant."""
 
 
 class ParameterFilter:
@@ -44,17 +48,47 @@ class ParameterFilter:
 
         residual: (..., D) of theta (..., d) over the window, in standard deviations.
         """
-        at = OfMany(lambda places: residual(self._space.beyond(places)))
-        self.arrival_cost = ArrivalCost.of_window(self._space.to_unit(theta), at, self.drift)
+        self.arrival_cost = self._least_squares(theta, residual)
 
-    def reach_back(self, older: Callable[[Vector], Vector], n: int) -> None:
-        """Take older samples than the window's n, too, as far as they agree with it.
+    def begin_after_search(self, places: Vector, window: ResidualWindow) -> None:
+        """Begin with what the samples of a search say, close to that of places (k, d) which explains them best.
 
-        older: residuals (k, m, c) of theta (k, d), in standard deviations, from old to new.
+        These are all samples since the search began, where constant parameters explain them. Else those of the window,
+        and older ones as far as they agree; it does not begin where any parameters explain so few of them.
         """
-        if self.arrival_cost is not None:
-            at = OfMany(lambda places: older(self._space.beyond(places)))
-            self.arrival_cost = replace(self.arrival_cost, n_known=n).reaching_back(at)
+        residuals = window.residuals(places)
+        costs = np.sum(residuals**2, axis=1)
+        best_first, d = places[np.argsort(costs, kind="stable")], len(self._space)
+        limit = float(costs.min()) + chi2_limit(_DRIFTING, d)
+        of_all = (self._least_squares_of_all(place, window, limit) for place in best_first)
+        known, n = next((known for known in of_all if known is not None), None), window.n_since_begin
+        if known is None and residuals.shape[1] >= d:
+            known = self._least_squares(best_first[0], lambda thetas: window.residuals([*thetas]))
+            n = max(window.lengths)
+        if known is not None:
+            before = slice(0, window.n_kept - n)
+            at = OfMany(lambda z: window.newest_residuals(self._space.beyond(z), window.n_kept)[:, before])
+            known = replace(known, n_known=n).reaching_back(at)
+        self.arrival_cost = known
+
+    def _least_squares(self, theta: Vector, residual: Callable[[Vector], Vector]) -> ArrivalCost:
+        at = OfMany(lambda places: residual(self._space.beyond(places)))
+        return ArrivalCost.of_window(self._space.to_unit(theta), at, self.drift)
+
+    def _least_squares_of_all(self, theta: Vector, window: ResidualWindow, limit: float) -> ArrivalCost | None:
+        """Return what all samples since a search began say close to theta (d,); None where they are not explained.
+
+        limit: of the sum of squares over the window, which is larger where the parameters have drifted since then.
+        """
+
+        def residual(thetas: Vector) -> Vector:
+            return window.newest_residuals(thetas, window.n_since_begin).reshape(len(thetas), -1)
+
+        known = self._least_squares(theta, residual)
+        found = self._space.from_unit(known.mean)
+        (of_all,), of_window = residual(found[None]), window.residual(found)
+        is_known = len(of_all) >= len(theta) and is_explained(of_all) and of_window @ of_window <= limit
+        return known if is_known else None
 
     def relinearise(self, newest: Callable[[Vector, int], Vector]) -> None:
         """Linearise all samples since the parameters changed anew, where it is time to.
@@ -121,11 +155,3 @@ class Following(AskTell, Protocol):
     """Ask-tell estimator whose filter goes on with single samples between its episodes."""
 
     filter: ParameterFilter
-
-    def remember(self, residual: Callable[[Vector], Vector], held: Vector) -> None:
-        """Begin the filter with what the episode's samples say about the present estimate.
-
-        Or about the parameters in force, held (d,), where they explain these better. residual: (..., D) of theta
-        (..., d) over the window, in standard deviations.
-        """
-        ...

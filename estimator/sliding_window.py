@@ -42,6 +42,7 @@ class ResidualWindow:
         self._slopes, self._max_length = slopes, max_length
         self._samples: list[Sample] = []
         self._older: deque[Sample] = deque(maxlen=_OLDER)
+        self._n_since_begin = 0
         self._lengths = [0] * n_channels
         self._is_explained = [True] * n_channels
         self._rows: dict[bytes, list[Vector]] = {}
@@ -64,6 +65,11 @@ class ResidualWindow:
         return len(self._older) + len(self._samples)
 
     @property
+    def n_since_begin(self) -> int:
+        """Number of samples kept since the episode began, the one that began it included."""
+        return min(self._n_since_begin, self.n_kept)
+
+    @property
     def newest(self) -> Sample:
         """The newest sample. Raises IndexError where there is none."""
         return self._samples[-1]
@@ -71,6 +77,7 @@ class ResidualWindow:
     def append(self, sample: Sample) -> None:
         """Add a sample, and drop the oldest where the window is full."""
         self._samples.append(sample)
+        self._n_since_begin += 1
         self._lengths = [min(n + 1, self._max_length) for n in self._lengths]
         excess = len(self._samples) - max(self._lengths)
         if excess:
@@ -82,6 +89,7 @@ class ResidualWindow:
     def begin(self, theta: Vector) -> None:
         """Begin an episode: the window slides, whether there is one or not, but what leaves it from now on is kept."""
         self._older.clear()
+        self._n_since_begin = 1
 
     def end(self, theta: Vector) -> None:
         """Do nothing, as in `begin`."""
@@ -119,14 +127,6 @@ class ResidualWindow:
             return self._residual(theta, sample)
         self.n_model_calls += theta.size // theta.shape[-1]
         return self._rows_at(theta, [sample])[..., 0, :]
-
-    def older_residuals(self, thetas: Vector) -> Vector:
-        """Return the residuals (k, n, c) of candidates (k, d) at n samples, from old to new.
-
-        Those that have left the window since the episode began.
-        """
-        self.n_model_calls += len(self._older) * len(thetas)
-        return self._rows_at(thetas, [*self._older])
 
     def newest_residuals(self, thetas: Vector, n: int) -> Vector:
         """Return the residuals (k, n, c) of candidates (k, d) at the newest n samples, of those kept, old to new."""

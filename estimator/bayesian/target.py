@@ -1,6 +1,6 @@
 """Target-vector Bayesian optimisation: a GP for the residual vector, minimising its squared norm."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -259,19 +259,6 @@ class TargetVector:
             self._space, z, std, self._settings.identifiable_below, held.information,
             cost=cost, n_evaluations=self._n_evaluations, reason=reason,
         )  # fmt: skip
-
-    def remember(self, residual: Callable[[Vector], Vector], held: Vector) -> None:
-        """Begin the filter with what the episode's samples say about the present estimate.
-
-        Or about the parameters in force, held (d,), where they explain these better. It does not begin where any
-        parameters explain so few of them. residual: (..., D) of theta (..., d) over the window, in standard deviations.
-        """
-        if self._candidates.residuals.shape[1] < len(self._space):
-            self.filter.arrival_cost = None
-        else:
-            places = np.array([self.estimate().theta, held])
-            costs = np.sum(residual(places) ** 2, axis=1)
-            self.filter.begin(places[int(costs[1] < costs[0])], residual)
 
     def _hold(self, model: Model) -> Hold:
         """Return the best candidate with directions held that the samples do not determine."""

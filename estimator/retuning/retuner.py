@@ -245,9 +245,8 @@ class Retuner:
     def _end(self, t: float, estimate: Estimate | None, wanted: Vector, held: Vector) -> Event:
         """End an episode with the parameters wanted (d,), others, held (d,), in force; return its event at t [s]."""
         if self._following is not None and estimate is not None:
-            self._following.remember(self._window_residuals, held)
-            if isinstance(self._window, ResidualWindow):
-                self._following.filter.reach_back(self._window.older_residuals, max(self._window.lengths))
+            window = cast(ResidualWindow, self._window)
+            self._following.filter.begin_after_search(np.array([estimate.theta, held]), window)
             self._searched = estimate.theta
         if self._closes:
             self._window.end(wanted)
@@ -287,10 +286,6 @@ class Retuner:
         if estimate is None or np.array_equal(estimate.theta, held):
             return Proposal(latencies=latencies)
         return Proposal(estimate.theta, estimate, latencies=latencies)
-
-    def _window_residuals(self, thetas: Vector) -> Vector:
-        """Return the residuals (..., D) of candidates (..., d) over the window."""
-        return np.asarray(self._window.residuals(thetas))
 
     def _begin(self, t: float, held: Vector, reason: str) -> Event:
         """Begin an episode; return its event at t [s], with its samples in words, if not simply the newest ones."""

@@ -235,38 +235,3 @@ def test_an_outlier_takes_the_filter_back():
     loop.retuner.restore(before, held)
     loop.held, loop.k = held, other.k
     assert_array_equal(loop.go(50, constant(CHANGED)).held, other.go(50, constant(CHANGED)).held)
-
-
-def test_an_estimate_from_fewer_values_than_parameters_is_not_followed():
-    """One value is explained by a whole line of parameters: a filter that starts somewhere on it would be too sure."""
-    search = TargetVector(SPACE, TRUE, np.random.default_rng(0))
-    for _ in range(30):
-        theta = search.ask()
-        search.tell(theta, np.array([theta[0] - theta[1] - 5.0]) / SIGMA)
-    assert search.estimate().cost < 1.0
-    search.remember(lambda theta: (theta[..., :1] - theta[..., 1:] - 5.0) / SIGMA, TRUE)
-    assert search.filter.arrival_cost is None
-    assert not search.filter.follow(lambda theta: np.zeros(1), False)
-
-
-@pytest.mark.parametrize("held", [CHANGED, TRUE])
-def test_the_filter_begins_where_the_samples_are_explained_best(held):
-    """A search that has only begun has found nothing as good as the parameters in force; or it has."""
-    rng = np.random.default_rng(0)
-    A, e = 20.0 * rng.standard_normal((30, 2)), rng.standard_normal(30)
-
-    def residual(theta):
-        z = SPACE.to_unit(theta)
-        away = z - SPACE.to_unit(CHANGED)
-        return np.einsum("nd,...d->...n", A, np.sin(20.0 * away)) + e
-
-    search = TargetVector(SPACE, TRUE, rng)
-    for _ in range(3):
-        theta = search.ask()
-        search.tell(theta, residual(theta))
-    search.remember(residual, held)
-    first = np.sum(residual(search.estimate().theta) ** 2)
-    assert np.sum(residual(CHANGED) ** 2) < 0.1 * first <= 0.1 * np.sum(residual(TRUE) ** 2)
-    known = search.filter.arrival_cost
-    assert known is not None
-    assert (known.distance(SPACE.to_unit(CHANGED)) < 16.0) == (held is CHANGED)

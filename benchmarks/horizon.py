@@ -32,7 +32,7 @@ from cosim.user_code import load
 from estimator import DerivativeResidual, Sample, Vector
 from estimator.baselines.moving_horizon import MovingHorizonSettings
 from estimator.retuning.factory import make_retuner
-from estimator.retuning.retuner import Budget
+from estimator.retuning.search import Budget
 
 OURS = ("mhe", "ukf", "enkf", "target")
 STREAMS: dict[str, tuple[float, Callable[..., Any], int, int]] = {

@@ -29,7 +29,8 @@ from cosim.blas_threads import one_thread
 from cosim.runs.simulation import run
 from cosim.scenarios.scenario import Scenario
 from estimator import METHODS, DerivativeResidual, Parameter, ParameterSpace, ResidualWindow, Sample
-from estimator.retuning.retuner import Budget, Retuner
+from estimator.retuning.retuner import Retuner
+from estimator.retuning.search import Budget
 from estimator.triggers import AlwaysTrigger
 
 SIGMA = 1e-3

@@ -1,7 +1,7 @@
 """Interfaces of the estimators, and the estimate that they return."""
 
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 from .identifiability import Information
 from .objective import Objective
@@ -34,6 +34,15 @@ class Estimate:
     """Reason why this value was taken, for the record."""
     information: Information | None = None
     """Sensitivity of the residuals at theta, in standard deviations of the misfit; None where it is not known."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the values and their certainty as JSON values."""
+        return {
+            "theta": self.theta.tolist(),
+            "std": self.std.tolist(),
+            "is_identifiable": list(self.is_identifiable),
+            "reason": self.reason,
+        }
 
 
 def scaled_estimate(

@@ -13,7 +13,7 @@ from estimator.diagnosis.sample_diagnosis import Diagnosis
 from estimator.diagnosis.settings import DiagnosisSettings
 from estimator.methods import method_named
 from estimator.retuning.factory import make_retuner
-from estimator.retuning.retuner import Budget
+from estimator.retuning.search import Budget
 from estimator.triggers import TRIGGERS
 
 from ..scenarios.tuning_rule import TuningRule

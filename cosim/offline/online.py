@@ -18,7 +18,7 @@ from estimator.diagnosis.episode_diagnosis import EpisodeDiagnosis
 from estimator.diagnosis.settings import DiagnosisSettings
 from estimator.events import Event
 from estimator.retuning.factory import make_episodes
-from estimator.retuning.retuner import Budget
+from estimator.retuning.search import Budget
 from estimator.triggers import InnovationSettings
 
 from ..errors import ScenarioError, WiringError

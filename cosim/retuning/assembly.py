@@ -13,7 +13,7 @@ from estimator import DerivativeResidual, EpisodeWindow, LinearForm, Method, Sam
 from estimator.diagnosis.episode_diagnosis import EpisodeDiagnosis
 from estimator.diagnosis.sample_diagnosis import Diagnosis
 from estimator.retuning.factory import AnyRetuner, make_episodes, make_retuner
-from estimator.retuning.retuner import Budget
+from estimator.retuning.search import Budget
 from estimator.samples import RememberingModel
 
 from ..errors import CosimError, ScenarioError

@@ -17,9 +17,9 @@ import numpy as np
 
 from estimator import Sample, Vector
 from estimator.events import Event
+from estimator.retuning.counts import RetunerCounts
 from estimator.retuning.factory import AnyRetuner
 from estimator.retuning.proposal import Proposal
-from estimator.retuning.retuner import RetunerCounts, estimate_as_json
 from estimator.samples import RememberingModel
 
 from ..errors import CosimError, ScenarioError, one_line, seconds
@@ -202,7 +202,7 @@ def _written(t: float, theta: Vector, proposal: Proposal) -> Event:
     """Return the event of a write."""
     assert proposal.estimate is not None
     reason = {"reason": "candidate"} if proposal.is_candidate else {}
-    return Event(t, "write", estimate_as_json(proposal.estimate) | {"theta": theta.tolist()} | reason)
+    return Event(t, "write", proposal.estimate.as_json() | {"theta": theta.tolist()} | reason)
 
 
 @contextmanager

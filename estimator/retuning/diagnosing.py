@@ -10,8 +10,9 @@ from ..events import Event
 from ..samples import Sample
 from ..space import Vector
 from ..triggers import Trigger
+from .counts import RetunerCounts
 from .proposal import DOUBTFUL, Proposal, going_back, without_rounding
-from .retuner import Retuner, RetunerCounts, RetunerSnapshot
+from .retuner import Retuner, RetunerSnapshot
 
 _FEWEST: Final = 5
 """Least number of samples since the onset at which a search fails."""

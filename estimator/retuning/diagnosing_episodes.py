@@ -10,8 +10,9 @@ from ..diagnosis.settings import Judgement
 from ..samples import Sample
 from ..space import Vector
 from ..triggers import Trigger
+from .counts import RetunerCounts
 from .proposal import DOUBTFUL, Proposal, going_back, without_rounding
-from .retuner import Retuner, RetunerCounts
+from .retuner import Retuner
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,8 @@ from ..sliding_window import ResidualWindow
 from ..triggers import TriggerSettings
 from .diagnosing import DiagnosingRetuner, SuspicionTrigger
 from .diagnosing_episodes import DiagnosingEpisodes, EpisodeTrigger
-from .retuner import Budget, Retuner
+from .retuner import Retuner
+from .search import Budget
 
 AnyRetuner = Retuner | DiagnosingRetuner | DiagnosingEpisodes
 """Retuner with or without a diagnosis."""

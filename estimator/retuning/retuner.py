@@ -4,37 +4,24 @@ Khan and Chatterjee (2020), section III-C and algorithm 1. It uses no FMU and st
 controller: those in force are an argument, those to be written are returned.
 """
 
-import math
-from collections.abc import Callable, Iterator
-from copy import deepcopy
+from collections.abc import Callable
 from dataclasses import dataclass
 from time import perf_counter
-from typing import Any, Generic, Literal, Protocol, TypeVar, cast
+from typing import cast
 
 import numpy as np
 
 from ..arrival_cost import ArrivalCost
-from ..contract import AskTell, Batching, Converging, Estimate, Jumping, NoEstimateError, Rescoring, Solver
+from ..contract import AskTell, Estimate, Solver
 from ..events import Event
-from ..objective import LinearForm, Objective, Window
+from ..objective import LinearForm, Window
 from ..parameter_filter import Following
 from ..samples import Sample
 from ..sliding_window import ResidualWindow
 from ..space import Vector
 from ..triggers import Trigger
 from .proposal import Proposal
-
-
-@dataclass(frozen=True)
-class Budget:
-    """Number of evaluations, and choice of the parameters written to the controller. Counts, never wall time."""
-
-    evaluations: float = 30
-    """Number N of evaluations an episode; infinite where one episode lasts the run."""
-    evaluations_per_step: int = 1
-    """Number of evaluations a macro step; a solver's one solve counts as so many, so that all episodes last as long."""
-    commit: Literal["incumbent", "candidate"] = "incumbent"
-    """Parameters that are written: the best so far, or each candidate."""
+from .search import Budget, Search, SearchSnapshot
 
 
 @dataclass(frozen=True)
@@ -42,9 +29,8 @@ class RetunerSnapshot:
     """State of a retuner before a sample that may be an outlier."""
 
     window: ResidualWindow
-    remaining: float
+    search: SearchSnapshot
     believed: Vector | None
-    solver: Solver | None
     arrival_cost: ArrivalCost | None
     before_search: ArrivalCost | None
     searched: Vector | None
@@ -73,21 +59,13 @@ class Retuner:
         the filter knows of the samples and the newest of them."""
         self._closes, self._refutes = closes, refutes
         self.describe = describe
-        self._estimator, self._window, self._trigger, self._budget = estimator, window, trigger, budget
-        self._solver = estimator if isinstance(estimator, Solver) else None  # 20 us to ask a protocol
-        self._rescoring = estimator if isinstance(estimator, Rescoring) else None
-        is_batching = isinstance(estimator, Batching) and not window.is_rescoring_cheap
-        self._batching = cast(Batching, estimator) if is_batching else None
+        self._window, self._trigger, self._is_candidate = window, trigger, budget.commit == "candidate"
+        self._search = Search(estimator, budget, linear)
         is_following = isinstance(estimator, Following) and isinstance(window, ResidualWindow)
-        self._following = cast(Following, estimator) if is_following else None
-        self._filter = None if self._following is None else self._following.filter
-        self._converging = estimator if isinstance(estimator, Converging) else None
+        self._filter = cast(Following, estimator).filter if is_following else None
         self._is_waiting = False  # whether the newest episode began on a window that waits
         self._searched: Vector | None = None  # where the newest search ended
-        self._linear = linear
         self._believed: Vector | None = None  # the newest estimate of the present episode
-        self._remaining = 0.0
-        self.n_evaluations = 0
         self.n_episodes = 0
 
     def step(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
@@ -99,7 +77,7 @@ class Retuner:
         begun = perf_counter()
         if sample is not None:
             self._window.append(sample)
-        elif not self.is_searching or self._solver is not None:  # an equal window has nothing new to solve
+        elif not self.is_searching or self._search.solves:  # an equal window has nothing new to solve
             return Proposal()
         events: list[Event] = []
         if sample is not None and not self.is_searching:
@@ -108,17 +86,17 @@ class Retuner:
             if followed is not None or reason is None:
                 return followed or Proposal()
             events.append(self._begin(t, held, reason))
-        elif sample is not None and self._estimator.is_whitened and self._believed is not None:
+        elif sample is not None and self._search.is_whitened and self._believed is not None:
             self._window.explain(self._believed)  # before the evaluations, which outdated samples would bias
         if not self._window.is_ready:
             return Proposal(events=tuple(events))
         candidate, latencies = held, list[float]()
-        for candidate, cost, seconds in self._evaluate(held):
+        for candidate, cost, seconds in self._search.evaluate(self._window, held, self._is_growing):
             latencies.append(seconds)
             events.append(self._evaluated(t, candidate, cost))
         estimate = self._estimate()
         latencies[-1] += perf_counter() - begun - sum(latencies)
-        is_candidate = self._budget.commit == "candidate" and self.is_searching
+        is_candidate = self._is_candidate and self.is_searching
         wanted = held if estimate is None else candidate if is_candidate else estimate.theta
         if not self.is_searching:
             events.append(self._end(t, estimate, wanted, held))
@@ -141,7 +119,7 @@ class Retuner:
         assert self._filter is not None
         begun = perf_counter()
         self._window.append(sample)
-        self._remaining = 0.0
+        self._search.end()
         self._filter.arrival_cost = known
         estimate = self._filter.estimate(held)
         wanted = held if estimate is None else estimate.theta
@@ -152,15 +130,15 @@ class Retuner:
 
     def expects(self, sample: Sample) -> bool:
         """Return whether a sample is as a filter expects it, which knows more than the parameters in force say."""
-        window = self._window
-        if self._filter is None or self.is_searching or not isinstance(window, ResidualWindow):
+        window = self._sliding
+        if self._filter is None or self.is_searching or window is None:
             return False
         return self._filter.expects(lambda theta: window.residual_at(theta, sample))
 
     @property
     def explains_newest(self) -> bool:
         """True where the filter, if it goes on, explains the newest sample."""
-        return isinstance(self._window, ResidualWindow) and self.expects(self._window.newest)
+        return self._sliding is not None and self.expects(self._sliding.newest)
 
     def suspend(self, t: float, held: Vector, n: int) -> None:
         """Go on with samples that turn out to be doubtful: without a diagnosis nothing says what to go back to."""
@@ -171,7 +149,7 @@ class Retuner:
     @property
     def is_searching(self) -> bool:
         """True where an episode is under way."""
-        return self._remaining > 0
+        return self._search.is_under_way
 
     def close(self, theta: Vector) -> None:
         """Close the window of an episode that has ended with theta (d,) in force."""
@@ -179,18 +157,14 @@ class Retuner:
 
     def abandon(self, held: Vector) -> None:
         """End the episode, if there is one, and forget its samples; what was known of held (d,) is known again."""
-        if self._solver is None or self._remaining != math.inf:
-            self._remaining = 0.0
+        self._search.abandon()
         if self._filter is not None:
             self._filter.recall(held)
         self.forget()
 
     def jump(self, estimate: Estimate) -> None:
         """Let a filter go on from an estimate, as after a jump of the plant's parameters."""
-        if isinstance(self._estimator, Jumping):
-            self._estimator.jump(estimate)
-        else:
-            self._estimator.restart(estimate.theta)
+        self._search.jump(estimate)
 
     def reverted(self, theta: Vector) -> None:
         """Take a return to earlier parameters theta (d,): what the filter knows is doubtful."""
@@ -203,18 +177,17 @@ class Retuner:
 
     def forget(self) -> None:
         """Forget the samples, whose residuals are no longer valid."""
-        if isinstance(self._window, ResidualWindow):
-            self._window.clear()
+        if self._sliding is not None:
+            self._sliding.clear()
 
     def snapshot(self) -> RetunerSnapshot | None:
         """Return the snapshot that `restore` needs; None where the window, an episode's own, cannot be restored."""
-        if not isinstance(self._window, ResidualWindow):
+        if self._sliding is None:
             return None
         known = (None, None) if self._filter is None else (self._filter.arrival_cost, self._filter.before_search)
         return RetunerSnapshot(
-            self._window.copy(), self._remaining, self._believed, deepcopy(self._solver),
-            *known, self._searched, self._is_waiting,
-        )  # fmt: skip
+            self._sliding.copy(), self._search.snapshot(), self._believed, *known, self._searched, self._is_waiting
+        )
 
     def restore(self, snapshot: RetunerSnapshot, held: Vector) -> None:
         """Go back to a snapshot, which is used up; held (d,): the controller's parameters then.
@@ -222,14 +195,16 @@ class Retuner:
         Evaluations made since stay counted.
         """
         snapshot.window.n_model_calls = self._window.n_model_calls
-        self._window, self._remaining, self._believed = snapshot.window, snapshot.remaining, snapshot.believed
+        self._window, self._believed = snapshot.window, snapshot.believed
         self._searched, self._is_waiting = snapshot.searched, snapshot.is_waiting
         if self._filter is not None:
             self._filter.arrival_cost, self._filter.before_search = snapshot.arrival_cost, snapshot.before_search
-        if snapshot.solver is not None:
-            self._solver = self._estimator = snapshot.solver
-        elif self._rescoring is None:
-            self._estimator.restart(held)
+        self._search.restore(snapshot.search, held)
+
+    @property
+    def n_evaluations(self) -> int:
+        """Candidates evaluated so far."""
+        return self._search.n_evaluations
 
     @property
     def n_model_calls(self) -> int:
@@ -244,39 +219,37 @@ class Retuner:
 
     def _end(self, t: float, estimate: Estimate | None, wanted: Vector, held: Vector) -> Event:
         """End an episode with the parameters wanted (d,), others, held (d,), in force; return its event at t [s]."""
-        if self._following is not None and estimate is not None:
-            window = cast(ResidualWindow, self._window)
-            self._following.filter.begin_after_search(np.array([estimate.theta, held]), window)
+        if self._filter is not None and estimate is not None:
+            self._filter.begin_after_search(np.array([estimate.theta, held]), cast(ResidualWindow, self._window))
             self._searched = estimate.theta
         if self._closes:
             self._window.end(wanted)
         return self._end_event(t, estimate)
 
     def _end_event(self, t: float, estimate: Estimate | None) -> Event:
-        found = {"cost": None} if estimate is None else {"cost": estimate.cost} | estimate_as_json(estimate)
+        found = {"cost": None} if estimate is None else {"cost": estimate.cost} | estimate.as_json()
         return Event(t, "end", {"episode": self.n_episodes} | found)
 
     def _estimate(self) -> Estimate | None:
         """Return the present estimate; None before any candidate has succeeded."""
-        try:
-            estimate = self._estimator.estimate()
-        except NoEstimateError:
-            return None
-        self._believed = estimate.theta
-        if self._estimator.is_whitened:
-            self._window.explain(estimate.theta)
+        estimate = self._search.estimate()
+        if estimate is not None:
+            self._believed = estimate.theta
+            if self._search.is_whitened:
+                self._window.explain(estimate.theta)
         return estimate
 
     def _follow(self, sample: Sample, held: Vector, is_triggered: bool) -> Proposal | None:
         """Take the newest sample between two episodes; return None where there is nothing to go on from."""
-        if self._filter is None or not isinstance(self._window, ResidualWindow):
+        window = self._sliding
+        if self._filter is None or window is None:
             return None
         begun = perf_counter()
-        if not self._filter.follow(self._window.newest_residual, is_triggered):
+        if not self._filter.follow(window.newest_residual, is_triggered):
             return None
         known = self._filter.arrival_cost
-        if known is not None and known.n_known <= self._window.n_kept:
-            self._filter.relinearise(self._window.newest_residuals)
+        if known is not None and known.n_known <= window.n_kept:
+            self._filter.relinearise(window.newest_residuals)
         estimate, known = self._filter.estimate(held), self._filter.arrival_cost
         is_refuted = known is not None and self._refutes(known, sample)
         latencies = (perf_counter() - begun,)
@@ -290,110 +263,26 @@ class Retuner:
     def _begin(self, t: float, held: Vector, reason: str) -> Event:
         """Begin an episode; return its event at t [s], with its samples in words, if not simply the newest ones."""
         self.n_episodes += 1
-        self._remaining = self._budget.evaluations
-        self._estimator.restart(held)
         if self._filter is not None:
             self._filter.before_search = self._filter.arrival_cost
-        if self._rescoring is not None and not self._window.is_rescoring_cheap:
-            # Their residuals belong to other samples: marked as failures, they are dropped.
-            self._rescoring.rescore(np.full((len(self._rescoring.candidates), 1), np.nan))
+        self._search.begin(self._window, held)
         samples = self._window.begin(held)
         self._believed = held
-        window = self._window
-        waits = isinstance(window, ResidualWindow) and self._searched is not None and not window.is_full
-        if isinstance(window, ResidualWindow) and waits and not self._is_waiting:
-            window.wait()  # what was found on fewer samples may have been wrong, the plant still the same
-        elif self._estimator.is_whitened:
-            window.explain(held, patient=False)
+        waits = self._searched is not None and self._is_growing
+        if self._sliding is not None and waits and not self._is_waiting:
+            self._sliding.wait()  # what was found on fewer samples may have been wrong, the plant still the same
+        elif self._search.is_whitened:
+            self._window.explain(held, patient=False)
         self._is_waiting = waits and not self._is_waiting
         on = {} if samples is None else {"samples": samples}
         return Event(t, "trigger", {"reason": reason, "episode": self.n_episodes, **on})
 
-    def _evaluate(self, held: Vector) -> Iterator[tuple[Vector, float, float]]:
-        """Evaluate this step's candidates: yield (theta, |residual|^2, wall time [s]) of each."""
-        if self._solver is not None:
-            return self._solve(self._solver)
-        return self._search(cast(AskTell, self._estimator), held)
-
-    def _solve(self, solver: Solver) -> Iterator[tuple[Vector, float, float]]:
-        begun = perf_counter()
-        is_cheap = self._window.is_rescoring_cheap  # else a solve is an episode: its samples stay, and it cannot pause
-        objective = Objective(self._window, self._linear, math.inf if is_cheap else self._budget.evaluations)
-        solver.solve(objective)
-        self._window.keep(())
-        self._remaining = max(self._remaining - self._budget.evaluations_per_step, 0) if is_cheap else 0
-        self.n_evaluations += objective.n_evaluations
-        estimate = solver.estimate()
-        yield estimate.theta, estimate.cost, perf_counter() - begun
-
-    def _search(self, search: AskTell, held: Vector) -> Iterator[tuple[Vector, float, float]]:
-        begun = perf_counter()
-        if self._rescoring is None:
-            self._window.keep([held])  # it would keep the residuals of every candidate of the run
-        elif self._window.is_rescoring_cheap and len(candidates := self._rescoring.candidates):
-            self._rescoring.rescore(np.asarray(self._window.residuals(candidates)))
-        n = int(min(self._budget.evaluations_per_step, self._remaining))
-        while n > 0:
-            thetas = [search.ask()] if self._batching is None else self._batching.ask_many(n)
-            n -= len(thetas)
-            residuals = [self._window.residual(thetas[0])] if len(thetas) == 1 else self._window.residuals(thetas)
-            for theta, residual in zip(thetas, residuals, strict=True):
-                search.tell(theta, residual)
-                self._remaining -= 1
-                self.n_evaluations += 1
-                now = perf_counter()
-                yield theta, float(residual @ residual), now - begun
-                begun = now
-            is_growing = isinstance(self._window, ResidualWindow) and not self._window.is_full
-            if self._converging is not None and self._converging.is_done and not is_growing:
-                self._remaining = n = 0
-
-
-class Counting(Protocol):
-    """Counts of a retuner, or of what has one inside."""
+    @property
+    def _sliding(self) -> ResidualWindow | None:
+        """The window, where it slides."""
+        return self._window if isinstance(self._window, ResidualWindow) else None
 
     @property
-    def n_evaluations(self) -> int: ...
-    @property
-    def n_episodes(self) -> int: ...
-    @property
-    def n_model_calls(self) -> int: ...
-    def describe(self) -> str: ...
-
-
-_Inside = TypeVar("_Inside", bound=Counting)
-
-
-class RetunerCounts(Generic[_Inside]):
-    """Counts of a retuner, for a class that has it inside."""
-
-    _retuner: _Inside
-
-    def describe(self) -> str:
-        """Return how candidates are scored, in a line."""
-        return self._retuner.describe()
-
-    @property
-    def n_evaluations(self) -> int:
-        """Candidates evaluated so far."""
-        return self._retuner.n_evaluations
-
-    @property
-    def n_episodes(self) -> int:
-        """Episodes begun so far."""
-        return self._retuner.n_episodes
-
-    @property
-    def n_model_calls(self) -> int:
-        """Samples at which a candidate was scored so far."""
-        return self._retuner.n_model_calls
-
-
-def estimate_as_json(estimate: Estimate) -> dict[str, Any]:
-    """Return an estimate as JSON values."""
-    return {
-        "theta": estimate.theta.tolist(),
-        "std": estimate.std.tolist(),
-        "is_identifiable": list(estimate.is_identifiable),
-        "reason": estimate.reason,
-    }
+    def _is_growing(self) -> bool:
+        """True where the window will have more samples than it has now."""
+        return self._sliding is not None and not self._sliding.is_full

@@ -21,7 +21,8 @@ from estimator import (
     Sample,
     Solver,
 )
-from estimator.retuning.retuner import Budget, Retuner
+from estimator.retuning.retuner import Retuner
+from estimator.retuning.search import Budget
 from estimator.triggers import AlwaysTrigger, TrackingTrigger
 from fmu_models import pendulum
 

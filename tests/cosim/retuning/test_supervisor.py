@@ -17,7 +17,7 @@ from estimator import DerivativeResidual, Estimate, Parameter, ParameterSpace, S
 from estimator.diagnosis.sample_diagnosis import Diagnosis
 from estimator.diagnosis.settings import DiagnosisSettings
 from estimator.retuning.factory import make_retuner
-from estimator.retuning.retuner import Budget
+from estimator.retuning.search import Budget
 from estimator.samples import RememberingModel
 from estimator.triggers import InnovationSettings
 

@@ -11,7 +11,7 @@ from estimator.baselines.solvers import LeastSquares
 from estimator.diagnosis.episode_diagnosis import EpisodeDiagnosis
 from estimator.diagnosis.settings import DiagnosisSettings
 from estimator.retuning.factory import make_episodes
-from estimator.retuning.retuner import Budget
+from estimator.retuning.search import Budget
 from estimator.triggers import InnovationSettings
 
 SPACE = ParameterSpace((Parameter("a", 0.5, 0.98), Parameter("b", 0.1, 2.0)))

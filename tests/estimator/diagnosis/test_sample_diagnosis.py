@@ -17,7 +17,7 @@ from estimator.diagnosis.settings import DiagnosisSettings
 from estimator.effects.input_lag import InputHistory
 from estimator.effects.lag import Lag
 from estimator.retuning.factory import make_retuner
-from estimator.retuning.retuner import Budget
+from estimator.retuning.search import Budget
 from estimator.triggers import AlwaysSettings, InnovationSettings
 
 SPACE = ParameterSpace((Parameter("a", 0.5, 5.0), Parameter("b", -4.0, -0.2)))

@@ -10,7 +10,7 @@ from estimator import DerivativeResidual, Parameter, ParameterSpace, Sample, Tar
 from estimator.diagnosis.sample_diagnosis import Diagnosis
 from estimator.diagnosis.settings import DiagnosisSettings
 from estimator.retuning.factory import make_retuner
-from estimator.retuning.retuner import Budget
+from estimator.retuning.search import Budget
 from estimator.triggers import InnovationSettings
 
 SPACE = ParameterSpace((Parameter("a", 0.5, 5.0), Parameter("b", -4.0, -0.2)))

@@ -101,10 +101,10 @@ class TargetVector:
        where the residual is not explained, since as much as is seen of it may lie along the slopes.
 
     7. Between episodes `filter` takes each sample, an extended Kalman filter, which begins at the least squares of
-       the window about the estimate: see `ParameterFilter`. It follows parameters that drift; a search is needed after
-       a jump only, and ends where the loop's diagnosis has followed the parameters since then (`followed_jump`). An
-       episode is done when the residual is explained and the expected improvement is below a tenth of a standard
-       deviation, squared.
+       the episode's samples about the estimate: see `ParameterFilter`. It follows parameters that drift; a search is
+       needed after a jump only, and ends where the loop's diagnosis has followed the parameters since then
+       (`followed_jump`). An episode is done when the residual is explained and the expected improvement is below a
+       tenth of a standard deviation, squared.
 
     Usage, after which target.estimate().theta is (1.75, 0.75) to 1e-4:
 

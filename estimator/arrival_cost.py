@@ -41,6 +41,8 @@ _MOST: Final = 5
 """Largest number of Gauss-Newton steps to the least sum of squares of a window."""
 _LITTLE: Final = 0.01
 """Difference of sums of squares that is none: a tenth of a standard deviation, squared."""
+_ROUNDING: Final = 1e-12
+"""Share of a variance that is none."""
 _WIDEST: Final = 0.5
 """Standard deviation of a parameter of which nothing is known, in the unit cube."""
 
@@ -125,7 +127,7 @@ class ArrivalCost:
         known, n, length = self.belief, 0, _BLOCK
         while n < len(samples):
             longer, n_taken = _with_explained(known, samples[n : n + length])
-            gained = (known.covariance - longer.covariance).diagonal()
+            gained = (known.covariance - longer.covariance).diagonal() + _ROUNDING * known.covariance.diagonal()
             if np.any((longer.mean - known.mean) ** 2 > different * gained):
                 break
             known, n = longer, n + n_taken
@@ -204,18 +206,21 @@ class ArrivalCost:
 
     def _with(self, measured: Measurement) -> Self:
         if not measured.is_informative:
-            return replace(self, n_known=self.n_known + 1)
+            squared = float(measured.value @ measured.value) if measured.has_value else 0.0
+            known = replace(self, cost=squared, innovation_squared=squared, deviance=squared)
+            return replace(known, n_known=self.n_known + 1)
         before = self.belief.walked(self.walk)
         after, innovation = before.updated(measured)
         constant, lead = self.constant, self.lead
         if constant is not None:
             constant, of_constant = constant.updated(measured)
             lead += innovation.deviance - of_constant.deviance
+        mean = np.minimum(np.maximum(after.mean, 0.0), 1.0)
         block = replace(
             self,
-            mean=np.minimum(np.maximum(after.mean, 0.0), 1.0),
+            mean=mean,
             covariance=after.covariance,
-            correction=self.correction + after.mean - before.mean,
+            correction=self.correction + mean - before.mean,
             expected=self.expected + (before.covariance - after.covariance).diagonal(),
             n_samples=self.n_samples + 1,
             whiteness=self.whiteness.updated(innovation.normalised),

@@ -71,7 +71,8 @@ class DriftRival:
         return self.lead > _PROOF or (known.is_refuted and self.recent > -_CLEAR)
 
     def _with(self, row: Vector) -> tuple["DriftRival", float]:
-        """Return the rival with a row (c,), 0 for channels without a value, and the row's -2 log likelihood."""
+        """Return the rival with a row (c,), 0 or NaN for channels without a value, and its -2 log likelihood."""
+        row = np.where(np.isfinite(row), row, 0.0)
         is_seen = row != 0.0
         before = self.variance + _WALKS
         spread, innovation = before + 1.0, row - self.mean

@@ -365,3 +365,39 @@ def test_it_expects_a_sample_within_its_own_uncertainty_and_the_noise():
     assert not known.expects(lambda z: np.array([1.01 * limit]))
     assert not known.expects(lambda z: np.array([np.nan]))
     assert not replace(known, walk=np.array([0.0, 1e-6, 0.0])).expects(lambda z: np.zeros(1))
+
+
+def test_a_sample_that_no_parameter_changes_is_as_likely_as_its_residual_says():
+    """Not as the sample before it was; one without a value says nothing."""
+    rng = np.random.default_rng(0)
+    known = begun(10.0 * np.eye(3)).updated(linear(rng, TRUTH)[2])
+    assert known.deviance > 0.0
+    alike = known.updated(lambda z: np.array([0.5, -1.0]))
+    assert alike.deviance == alike.innovation_squared == alike.cost == pytest.approx(1.25)
+    assert known.updated(lambda z: np.full(2, np.nan)).deviance == 0.0
+
+
+def test_at_a_bound_that_holds_the_estimate_back_nothing_drifts():
+    """The truth is 3 % outside, so that each sample would move the estimate out by as much again."""
+    rng = np.random.default_rng(0)
+    known = ArrivalCost.of_estimate(np.array([1.0]), information(np.array([[150.0]])), RATE)
+    for _ in range(400):
+        e = rng.standard_normal(1)
+        known = known.updated(OfMany(lambda z, e=e: 50.0 * (z - 1.03) + e))
+    assert known.mean == pytest.approx(1.0, abs=0.01)
+    assert np.sqrt(known.walk[0]) <= RATE
+    assert not known.is_refuted
+
+
+@pytest.mark.parametrize("size", [1e-5, 1e-8, 0.0])
+def test_older_samples_that_say_next_to_nothing_contradict_nothing(size):
+    """A covariance that they leave as it is differs by roundings only."""
+    reached = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        directions, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+        known = begun(np.diag([300.0, 100.0, 3.0]) @ directions, TRUTH)
+        H, e = size * rng.standard_normal((10, 2, 3)), rng.standard_normal((10, 2))
+        at = OfMany(lambda z, H=H, e=e: np.einsum("ncd,...d->...nc", H, z - TRUTH) + e)
+        reached.append(known.reaching_back(at).n_known)
+    assert sum(n == 10 for n in reached) >= 15  # one in five blocks seems to be of others

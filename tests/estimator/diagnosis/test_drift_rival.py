@@ -111,3 +111,14 @@ def test_one_sample_is_no_proof_however_unlikely():
     rival = DriftRival.of_rows(np.zeros((1, 3)) + 0.1, 0).updated(np.full(3, 0.1), known_of(1e9))
     assert 0.0 < rival.lead <= 2.0
     assert not rival.refutes(known_of())
+
+
+def test_a_row_without_a_value_is_left_out():
+    rows = np.random.default_rng(3).standard_normal((10, 2))
+    rival = DriftRival.of_rows(rows, 0)
+    for missing in (np.nan, 0.0):
+        after = rival.updated(np.full(2, missing), known_of())
+        for row in 3.0 + rows:
+            after = after.updated(row, known_of(100.0))
+        assert after.lead == pytest.approx(20.0)
+        assert after.recent > 10.0

@@ -122,8 +122,7 @@ class FrictionComparison:
 
     def _raw(self, samples: Sequence[Sample]) -> Samples:
         """Return samples with the inputs that arrive, no friction or disturbance known, and all channels."""
-        state, none = self._state, np.zeros_like(self._state.offset)
-        known = replace(self._residuals.known, disturbance=none, friction=Friction(), is_resting=none.astype(bool))
+        state, known = self._state, replace(self._residuals.known.on_all_channels(), friction=Friction())
         return Samples(known.without(s) for s in samples if not state.inputs.lag or s.t >= state.inputs.begin)
 
     def _is_plain(self, theta: Vector, samples: Sequence[Sample], friction: Fit) -> bool:

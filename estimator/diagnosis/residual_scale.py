@@ -60,18 +60,27 @@ class ResidualScale:
         return other
 
     def learn(self, row: Vector) -> bool:
-        """Take the residual (c,) of a sample at which nothing happened; return whether the scale has changed."""
+        """Take the residual (c,) of a sample at which nothing happened; return whether the scale has changed.
+
+        NaN where a channel has no value: one that has too few of them stays as it is.
+        """
         self._rows.append(row)
         self._since_update += 1
         if len(self._rows) < _FEWEST or self._since_update < _FEWEST:
             return False
         self._since_update = 0
         rows = np.array(self._rows)
-        spread = spread_of(rows)
+        of_channels = [column[np.isfinite(column)] for column in rows.T]
+        is_seen = np.array([len(values) >= _FEWEST for values in of_channels])
+        if not is_seen.any():
+            return False
+        spread, size = np.ones_like(self.values), np.ones_like(self.values)
+        for c in np.flatnonzero(is_seen):
+            spread[c], size[c] = spread_of(of_channels[c]), _MAD * np.median(np.abs(of_channels[c]))
         # What was learnt of a lacking model is kept as long as the residuals are of that size.
-        known = np.minimum(self._admitted, _MAD * np.median(np.abs(rows), axis=0))
-        self.observed = np.maximum(spread, known)
-        return self._adopt(self.observed, rows)
+        observed = np.maximum(spread, np.minimum(self._admitted, size))
+        self.observed = np.where(is_seen, observed, self.values if self.observed is None else self.observed)
+        return self._adopt(observed, np.nan_to_num(rows), np.where(is_seen, 1.0, self.values))
 
     def enlarge(self, factors: Vector) -> None:
         """Multiply the scale by factors (c,)."""
@@ -86,16 +95,16 @@ class ResidualScale:
         if len(rows) < 2:
             return False
         self._admitted = np.maximum(self._admitted, np.sqrt(np.mean(rows**2, axis=0)))
-        return self._adopt(np.maximum(self.values, self._admitted), rows)
+        return self._adopt(self._admitted, rows, self.values)
 
     def wake(self, rows: Vector) -> bool:
         """Take the residuals (n, c) of a rest, of which only the noise is believed; return whether it changed."""
         if len(rows) < _AT_ONCE:
             return False
-        return self._adopt(np.maximum(self.values, spread_of(rows)), rows)
+        return self._adopt(spread_of(rows), rows, self.values)
 
-    def _adopt(self, found: Vector, rows: Vector) -> bool:
-        found = np.where(found < _DEAD_BAND, 1.0, found)
+    def _adopt(self, found: Vector, rows: Vector, least: Vector | float = 1.0) -> bool:
+        found = np.maximum(np.where(found < _DEAD_BAND, 1.0, found), least)
         ratio = np.maximum(found / self.values, self.values / found)
         if np.all(ratio < _STEP):
             return False

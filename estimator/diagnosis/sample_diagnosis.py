@@ -111,8 +111,9 @@ class Diagnosis:
         corrected = self.residuals.corrected(sample)
         declared = self.residuals.declared(held, corrected)
         is_anew |= self._end_outgrown_rest(sample, held)
-        missing = int(np.count_nonzero(state.is_resting | np.isnan(corrected.xdot)))
-        is_contradictory = not self._settings.is_usual(declared / state.scale.values, len(declared) - missing)
+        is_missing = state.is_resting | np.isnan(corrected.xdot)
+        n_values = len(declared) - int(np.count_nonzero(is_missing))
+        is_contradictory = not self._settings.is_usual(declared / state.scale.values, n_values)
         state.keep(sample)
         if is_contradictory and not state.n_since and (self._lag.take_again(held) or self._friction.take_again(held)):
             is_contradictory, is_anew = False, True
@@ -125,14 +126,14 @@ class Diagnosis:
         state.count_quiet()
         if is_expected:
             return is_anew
-        return (not missing and state.scale.learn(declared)) or is_anew
+        return state.scale.learn(np.where(is_missing, np.nan, declared)) or is_anew
 
     def _end_outgrown_rest(self, sample: Sample, held: Vector) -> bool:
         """Take a sample of a rest; end the rest where residuals have outgrown all before in it, and return whether."""
         state = self._state
         if not state.is_resting.any():
             return False
-        state.rested.append(self.residuals.declared(held, state.friction.without(sample)))
+        state.rested.append(self.residuals.declared(held, self.residuals.known.on_all_channels().without(sample)))
         state.resting = state.resting.take(np.where(state.is_resting, state.rested[-1] - state.offset, 0.0))
         if not state.resting.is_outgrown:
             return False

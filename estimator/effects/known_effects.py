@@ -24,6 +24,11 @@ class KnownEffects:
     is_resting: NDArray[np.bool_]
     """True for each channel (c,) that is left out."""
 
+    def on_all_channels(self) -> "KnownEffects":
+        """Return the effects without the disturbance, with no channel that rests."""
+        none = np.zeros_like(self.disturbance)
+        return replace(self, disturbance=none, is_resting=none.astype(bool))
+
     def without(self, sample: Sample) -> Sample:
         """Return the sample without them; NaN for channels that rest, or whose friction is not known."""
         xdot = np.where(self.is_resting, np.nan, np.array(sample.xdot) - self.disturbance)

@@ -216,3 +216,38 @@ def test_a_copy_and_its_origin_do_not_know_of_each_other():
         assert scale.learn(row) == twin.learn(row) == other.learn(row)
         assert_array_equal(scale.effective, twin.effective)
         assert_array_equal(other.effective, twin.effective)
+
+
+def test_a_channel_without_values_keeps_its_scale_and_hinders_no_other():
+    rows = noise(0, 400, 4.0, n_channels=2)
+    rows[:, 1] = np.nan
+    scale = ResidualScale(2)
+    scale.enlarge(np.array([1.0, 1.4]))
+    learnt(rows, scale)
+    assert_allclose(scale.values, [4.0, 1.4], rtol=0.2)
+    assert_allclose(scale.observed, [4.0, 1.4], rtol=0.2)
+
+
+def test_values_that_are_missing_now_and_then_are_left_out():
+    """Half of them: the differences are those of the values that there are."""
+    rows = noise(1, 800, 4.0, n_channels=2)
+    rows[::2, 1] = np.nan
+    scale, _ = learnt(rows)
+    assert_allclose(scale.values, 4.0, rtol=0.25)
+
+
+def test_nothing_is_learnt_without_any_values():
+    scale, has_changed = learnt(np.full((400, 1), np.nan))
+    assert not has_changed
+    assert scale.observed is None
+
+
+@pytest.mark.parametrize("take", ["admit", "wake"])
+def test_what_another_channel_has_learnt_stays_where_one_is_admitted(take):
+    """A scale in the dead band, as a search has adopted it: it is only raised."""
+    scale = ResidualScale(2)
+    scale.enlarge(np.array([1.4, 1.0]))
+    rows = np.hstack([np.zeros((40, 1)), noise(2, 40, 5.0)])
+    assert getattr(scale, take)(rows)
+    assert scale.values[0] == pytest.approx(1.4)
+    assert scale.values[1] > 3.0

@@ -123,7 +123,8 @@ class EpisodeDiagnosis:
         state.n_samples += 1
         residual = self._newest = self._window.track(theta)
         if not len(residual):  # a simulation has failed, if there are samples
-            return trigger(sample, tracking_error, theta) if self._window.n_tracked else None
+            is_asked = self._window.n_tracked and state.n_samples >= state.rests_until
+            return trigger(sample, tracking_error, theta) if is_asked else None
         newest = residual.reshape(len(self._outputs), -1)[:, -1]
         newest = newest if self._window.weights is None else newest / self._window.weights
         if state.n_samples < state.rests_until:
@@ -152,14 +153,18 @@ class EpisodeDiagnosis:
         window, space = self._window, self.space
         if window.sequence is not self._judged:
             self._judged, self._verdict = window.sequence, "refuted"
-        of_held = _fit(window.whitened(held), 0)
-        of_theta = _fit(window.whitened(theta), len(space))
+        residual = window.whitened(theta)
+        of_held, of_theta = _fit(window.whitened(held), 0), _fit(residual, len(space))
         self._note(nothing=of_held, parameters=of_theta)
         if of_theta.is_explained:
             self._compare(of_theta, of_held, held)
         elif self._verdict == "refuted" and window.sequence is not self._searched:
             self._searched = window.sequence
-            rows_at = lambda z: window.whitened(space.from_unit(np.clip(z, 0.0, 1.0)))[:, None]  # noqa: E731
+
+            def rows_at(z: Vector) -> Vector:
+                there = window.whitened(space.from_unit(np.clip(z, 0.0, 1.0)))
+                return (there if len(there) == len(residual) else np.full(len(residual), np.nan))[:, None]  # has failed
+
             found = changed_parameters(
                 rows_at, space.to_unit(theta), iterations=8, step=DIFFERENCE_STEP, may_drift=False
             )

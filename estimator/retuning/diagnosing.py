@@ -1,6 +1,5 @@
 """Retuner whose proposals are passed on only where a diagnosis warrants them."""
 
-from copy import deepcopy
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -64,7 +63,8 @@ class DiagnosingRetuner(RetunerCounts[Retuner]):
         inner = self._retuner.snapshot()
         if inner is None:
             return None
-        return DiagnosingSnapshot(inner, self._diagnosis.snapshot(), self._warranted, deepcopy(self._solver))
+        before_search = None if self._solver is None else self._solver.copy()
+        return DiagnosingSnapshot(inner, self._diagnosis.snapshot(), self._warranted, before_search)
 
     def restore(self, snapshot: DiagnosingSnapshot, held: Vector) -> None:
         """Go back to a snapshot, which is used up; held (d,): the controller's parameters then."""

@@ -5,7 +5,8 @@ controller: those in force are an argument, those to be written are returned.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from copy import deepcopy
+from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import cast
 
@@ -35,6 +36,10 @@ class RetunerSnapshot:
     before_search: ArrivalCost | None
     searched: Vector | None
     is_waiting: bool
+
+    def copy(self) -> "RetunerSnapshot":
+        """Return an independent copy, which evaluates the same residuals."""
+        return replace(self, window=self.window.copy(), search=deepcopy(self.search))
 
 
 class Retuner:

@@ -69,6 +69,7 @@ class Run:
     seed: int = 0
     settings: DiagnosisSettings = field(default_factory=DiagnosisSettings)
     inputs: tuple[str, ...] = ("u",)
+    objective: Simulated = field(default_factory=Simulated)
     events: list = field(default_factory=list)
     writes: list = field(default_factory=list)
     undone: list = field(default_factory=list)
@@ -76,7 +77,7 @@ class Run:
 
     def __post_init__(self):
         self.rng = np.random.default_rng(self.seed)
-        window = EpisodeWindow(Simulated(), LENGTH)
+        self.window = window = EpisodeWindow(self.objective, LENGTH)
         self.diagnosis = EpisodeDiagnosis(window, ("y0", "y1"), self.inputs, self.settings, SPACE)
         search = STARTS[self.estimator](SPACE, TRUE, np.random.default_rng(self.seed + 1))
         trigger, describe = InnovationSettings(), Simulated().describe
@@ -358,3 +359,30 @@ def test_a_plant_without_inputs_has_no_disturbance():
     run.go(60).go(60, TRUE, sine)
     assert run.of("disturbance") == []
     assert run.of("unexplained") != []
+
+
+class Failing(Simulated):
+    """Fails where b is above a limit, or a above another: as a root of a negative number in a user's function."""
+
+    def __init__(self, a, b):
+        self.limit = np.array([a, b])
+
+    def one(self, theta, stretch):
+        return Evaluation(np.array([np.nan]), "failed") if np.any(theta > self.limit) else super().one(theta, stretch)
+
+
+@pytest.mark.parametrize("seed", range(6))
+@SEARCHES
+def test_candidates_beside_ones_that_fail_end_no_run(estimator, seed):
+    """The truth lies where they do, so that the search ends at the edge and the diagnosis looks beyond it."""
+    run = Run(estimator, seed=seed, objective=Failing(0.98, 0.7)).go(60).go(120, CHANGED)
+    assert run.retuner.n_episodes > 0
+    assert np.all(np.isfinite(run.held))
+
+
+def test_nothing_begins_in_a_rest_though_no_simulation_succeeds():
+    run = Run().go(30)
+    state, sample = run.diagnosis._state, Sample(3.0, (0.0, 0.0), (0.0,), (), (0.0, 0.0))
+    state.rests_until, run.window.track = state.n_samples + 50, lambda theta: np.empty(0)
+    reasons = [run.diagnosis.reason(lambda *a: "tracking", sample, 1.0, TRUE) for _ in range(60)]
+    assert reasons == [None] * 49 + ["tracking"] * 11

@@ -1,6 +1,7 @@
 """Diagnosis in the loop, on plants written here: the test is the controller, which writes what it is told to."""
 
 import pickle
+import threading
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -1205,3 +1206,64 @@ def test_known_friction_goes_on_from_a_snapshot():
     run.go(80, TRUE)
     run.diagnosis.restore(before)
     assert run.diagnosis.summary()["known_friction"] == known != []
+
+
+def test_the_residuals_of_a_rest_are_those_that_a_known_lag_leaves():
+    """Not those of inputs that have not arrived: the noise's size after the rest would be seventy times as large."""
+    settings = DiagnosisSettings(rest=100)
+    run = Run("least-squares", 3, settings=settings, actuator=lambda t, u: run_input(t - 0.05))
+    state = run.diagnosis._state
+    state.inputs = InputHistory(lag=Lag(n_late=1))
+    run.go(20)
+    state.rest(np.ones(3, bool), 100)
+    run.go(60)
+    assert np.sqrt(np.mean(np.array(state.rested)[2:] ** 2)) < 1.3
+    run.go(60)
+    assert not run.diagnosis.is_resting
+    assert_array_equal(state.scale.values, 1.0)
+
+
+def run_input(t):
+    """The input of `Run` at t [s], as sent."""
+    return float(np.sin(1.7 * t) + 0.6 * np.sign(np.sin(0.9 * t)))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_plant_that_stands_still_takes_no_parameters_back(seed):
+    """No parameter changes the samples then, and those in force explain them as well as any."""
+    run = Run("target", 3, seed=seed).go(60).go(60, CHANGED)
+    held = run.held
+    assert near(held, CHANGED)
+    for _ in range(250):
+        noise = SIGMA * run.rng.standard_normal(3)
+        run.take(Sample(0.05 * run.k, (0.0,), (0.0,), tuple(noise.tolist())))
+    assert run.of("undo", "unexplained", "rest") == []
+    assert run.undone == []
+    assert_array_equal(run.held, held)
+
+
+class Handle:
+    """A model that cannot be copied, as an FMU's."""
+
+    def __init__(self):
+        self.lock = threading.Lock()
+
+    def __call__(self, x, u, a, b):
+        return three_channels(x, u, a, b)
+
+
+def test_a_filter_whose_model_cannot_be_copied_goes_back_before_a_doubtful_sample():
+    """In a suspicion, where its own state at the onset is kept, too; its residuals are of the present scale after."""
+    run = Run("ukf", 3, model=Handle()).go(60).go(1, TRUE, 0.4)
+    assert run.diagnosis.is_suspicious
+    before, held = run.retuner.snapshot(), run.held
+    run.go(1, TRUE, 5.0)
+    run.retuner.restore(before, held)
+    run.held = held
+    while run.diagnosis.is_suspicious:
+        run.go(1, TRUE, 0.4)
+        assert run.k < 200
+    window = run.retuner._retuner._window
+    run.diagnosis._state.scale.enlarge(np.full(3, 5.0))
+    sample = run.sample(TRUE, 0.4)
+    assert_allclose(window.residual_at(TRUE, sample), run.diagnosis.residuals.scaled(TRUE, sample))

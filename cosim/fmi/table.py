@@ -103,7 +103,7 @@ def _row(cells: Sequence[str], header: Sequence[str], place: str) -> tuple[float
     for cell, column in zip(cells, header, strict=True):
         where = f"{place}, column '{one_line(column)}'"
         try:
-            values.append(float(cell))
+            values.append(float("" if "_" in cell else cell))  # 1_0 is a number in Python, and a slip here
         except ValueError as e:
             comma = "; numbers have a decimal point" if _COMMA.fullmatch(cell.strip()) else ""
             raise ScenarioError(f"{where}: must be a number, got '{one_line(cell)}'{comma}.") from e

@@ -21,6 +21,7 @@ from ..fmi.component import Component, read_component
 from ..fmi.ports import Catalogue
 from ..fmi.table import is_table
 from ..fmi.types import is_real
+from ..scenarios.schema.estimation import MOST_ROLLOUTS
 from .finer_step import FinerStep, finer_step
 from .forgotten_inputs import forgotten_inputs
 from .log_windows import Cut, LogColumns, LogWindow, unused_columns, windows_of
@@ -100,8 +101,10 @@ class Request:
             raise EstimateError(f"no method '{self.method}' for a log; there are {', '.join(OFFLINE)}.")
         if not (self.measured and self.parameters and self.logs):
             raise EstimateError("a log, a --parameter and a --measured output are needed, or more.")
-        if self.evaluations < 1 or self.jobs < 1:
-            raise EstimateError("--evaluations and --jobs must be 1 or more.")
+        if self.evaluations < 1:
+            raise EstimateError(f"--evaluations must be 1 or more, got {self.evaluations}.")
+        if not 1 <= self.jobs <= MOST_ROLLOUTS:
+            raise EstimateError(f"--jobs must be from 1 to {MOST_ROLLOUTS}, got {self.jobs}.")
         if self.step is not None and not 0.0 < self.step < np.inf:
             raise EstimateError(f"--step must be positive, got {self.step:g} s.")
         if not 0.0 < self.f_scale < np.inf or (self.loss == "linear" and self.f_scale != 1.0):
@@ -338,6 +341,9 @@ def _signals(request: Request, component: Component) -> LogColumns:
     catalogue = Catalogue(request.fmu.name, component.description.modelVariables)
     catalogue.ports("input", tuple(request.inputs))
     catalogue.ports("output", tuple(request.measured))
+    inputs = {v.name for v in component.description.modelVariables if v.causality == "input"}
+    if given := next((name for name in request.measured if name in inputs), None):
+        raise EstimateError(f"--measured '{given}' is an input of {request.fmu.name}, which no parameter changes.")
     for name, value in request.start.items():
         port = catalogue.start_port(name, 0.0 if isinstance(value, str) else value)
         if not isinstance(value, str) and (problem := port.problem([value])):

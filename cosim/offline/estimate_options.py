@@ -169,5 +169,5 @@ def _number(text: str) -> float:
 
 def _count(text: str) -> int:
     if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"must be a whole number, got '{text}'")
+        raise argparse.ArgumentTypeError(f"must be a whole number from 0 on, got '{text}'")
     return int(text)

@@ -167,6 +167,11 @@ def _is_number(cell: str) -> bool:
     return True
 
 
+def _is_plain_number(cell: str) -> bool:
+    """Return whether a cell is a number as a log has it: neither 1_000 nor 1,000."""
+    return _is_number(cell) and "_" not in cell and "," not in cell
+
+
 def _read_parquet(path: Path) -> tuple[Sequence[str], Sequence[Any]]:
     table = pyarrow.parquet.ParquetFile(path).read()
     return table.column_names, table.columns
@@ -186,7 +191,7 @@ def _column(column: Any, unit: str | None) -> Column:
         column, kind = pc.cast(column, pa.int8()), pa.int8()
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)):
         cells = (str(cell) for cell in column.to_pylist() if cell is not None)
-        return Column(np.empty(0), unit, next((cell for cell in cells if not _is_number(cell)), str(kind)))
+        return Column(np.empty(0), unit, next((cell for cell in cells if not _is_plain_number(cell)), str(kind)))
     first = _first(column) if kind in (pa.int64(), pa.uint64()) else 0
     if first:
         counts = [pc.cast(column, pa.int64(), safe=False), pa.scalar(first, pa.int64())]

@@ -99,6 +99,8 @@ def run_online(
         raise EstimateError("--online takes all rows one after the other: leave out --holdout and --validate.")
     request = replace(request, holdout=0.0)
     understood = understand(request)
+    if n_samples >= (n_rows := max(len(window.time) for window in understood.windows)):
+        raise EstimateError(f"--samples must be less than the {n_rows} rows of the longest window, got {n_samples}.")
     obstacles = _obstacles(request, understood)
     rngs = np.random.default_rng(request.seed).spawn(len(understood.windows))
     n_before, n_all = 0, sum(len(w.time) for w in understood.windows)

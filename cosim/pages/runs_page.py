@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -127,11 +128,15 @@ def _baselines(folder: Path, run: Run) -> dict[str, Run]:
     found: dict[str, Run] = {}
     for name in BASELINES:
         if name != run.estimator and (folder / name / "manifest.json").is_file():
-            try:
-                found[name] = read_run(folder / name)
-            except FolderError:  # it has only just begun
-                continue
+            with suppress(FolderError):  # it has only just begun
+                if _is_baseline(read_manifest(folder / name), name, read_manifest(folder)):
+                    found[name] = read_run(folder / name)
     return found
+
+
+def _is_baseline(manifest: Manifest, name: str, of: Manifest) -> bool:
+    """Return whether a run is the baseline of that name, with the scenario and seed of another."""
+    return (manifest.estimator, manifest.seed, manifest.scenario) == (name, of.seed, of.scenario)
 
 
 def _role(estimator: str) -> str:

@@ -160,9 +160,9 @@ def read_tables(path: Path, label: Path | None = None) -> dict[str, Any]:
     if path.suffix.lower() == ".csv":
         raise ScenarioError(f"{path} is a table, not a scenario: retune new --plant FMU --reference {path} takes one.")
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError, RecursionError) as e:  # bytes or numbers that are too long, tables too deep
-        reason = e.strerror if isinstance(e, OSError) else e
+        reason = e.strerror if isinstance(e, OSError) else "it is not UTF-8" if isinstance(e, UnicodeError) else e
         raise ScenarioError(f"{label or path}: not a readable TOML file: {reason}.") from e
 
 

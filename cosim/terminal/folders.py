@@ -1,5 +1,6 @@
 """Output folders of the commands, made so that no existing file is overwritten."""
 
+import os
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -16,7 +17,7 @@ def new_folder(name: str, out: Path | None) -> Generator[Path]:
     Raises FolderError if it is not empty or in use by another command; nothing is changed then.
     """
     place = out or Path("runs")
-    there = {path for path in (place, *place.parents) if path.exists()}
+    there = {path for path in (place, *place.parents) if os.path.exists(path)}  # False for a name that is too long
     ours: Path | None = None
     try:
         with new_locked_folder(name, out) as ours:
@@ -44,6 +45,11 @@ def _remove_empty(folder: Path) -> None:
 
 def must_be_new(path: Path | None, option: str) -> None:
     """Raise FolderError, before anything is computed, if a file of the user's would be overwritten."""
-    if path is not None and (path.exists() or not path.parent.is_dir()):
-        problem = "exists" if path.exists() else "is in no folder that there is"
-        raise FolderError(f"{path} {problem}; give {option} a new file.")
+    if path is None:
+        return
+    if os.path.exists(path):
+        raise FolderError(f"{path} exists; give {option} a new file.")
+    if not path.parent.is_dir():
+        raise FolderError(f"{path} is in no folder that there is; give {option} a new file.")
+    if not os.access(path.parent, os.W_OK):
+        raise FolderError(f"{path} is in a folder that cannot be written to; give {option} a new file.")

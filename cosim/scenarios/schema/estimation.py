@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from functools import cache
-from typing import Annotated, Any, Literal, Self, cast, get_type_hints
+from typing import Annotated, Any, Final, Literal, Self, cast, get_type_hints
 
 from pydantic import Discriminator, Field, Strict, Tag, TypeAdapter, ValidationError, model_validator
 
@@ -17,6 +17,8 @@ from ..formula import compile_expression, identifier
 from .table import FUNCTION, MOST, Reference, Table
 from .toml_types import check_types
 
+MOST_ROLLOUTS: Final = 256
+"""Largest number of roll-outs at a time: each has a process of its own."""
 NAME, FORMULAS = "[name]", "[formulas]"
 """Pydantic's places of the two forms of `writes`, which are no keys."""
 
@@ -119,7 +121,7 @@ class RolloutSettings(Table):
     """The FMU to simulate, the plant's by default: a built-in one by name, or a path relative to the scenario's."""
     start: Literal["auto", "state", "measured", "replay"] = "auto"
     """Beginning of a roll-out: in the plant's saved FMU state, in measured states, or by simulation from the start."""
-    jobs: int = Field(default=2, ge=1, le=256)
+    jobs: int = Field(default=2, ge=1, le=MOST_ROLLOUTS)
     """Number of processes; the results do not depend on it."""
 
 

@@ -68,6 +68,7 @@ def test_a_time_that_comes_twice_is_a_jump_at_its_communication_point(tmp_path):
         ("t\n0\n", "there is no column beside the time"),
         ("t, x\n0, 1\n1\n", "line 3: must have 2 numbers, got 1"),
         ("t, x\n0, 1\n1, one\n", "line 3, column 'x': must be a number, got 'one'."),
+        ("t, x\n0, 1\n1, 1_0\n", "line 3, column 'x': must be a number, got '1_0'."),
         ("t; x\n0,5; 1\n", "line 2, column 't': must be a number, got '0,5'; numbers have a decimal point."),
         ("t, x\n# a gap\n0, nan\n", "line 3, column 'x': every number must be finite, got nan"),
         ("t, x\n0, 1\n2, 1\n1, 1\n", "line 4: time must not go back, got 1 s"),

@@ -127,7 +127,10 @@ def test_json_is_one_object(command, capsys):
         ([*SOUGHT, *ROLES, "--loss", "huber", "--online"], "--loss is of a fit to the whole log, not --online"),
         ([*SOUGHT, *ROLES, "--method", "magic"], "no method 'magic' for a log"),
         ([*SOUGHT, *ROLES, "--evaluations", "0"], "must be 1 or more"),
-        ([*SOUGHT, *ROLES, "--seed", "-1"], "must be a whole number"),
+        ([*SOUGHT, *ROLES, "--jobs", "257"], "--jobs must be from 1 to 256, got 257"),
+        ([*SOUGHT, *ROLES, "--measured", "F=force"], "--measured 'F' is an input of Plant.fmu"),
+        ([*SOUGHT, *ROLES, "--online", "--samples", "100000"], "--samples must be less than the"),
+        ([*SOUGHT, *ROLES, "--seed", "-1"], "must be a whole number from 0 on"),
         ([*SOUGHT, *ROLES, "--ssv", "/nowhere/at/all.ssv"], "is in no folder that there is"),
     ],
 )

@@ -130,6 +130,13 @@ def test_a_file_that_is_no_log_is_refused_in_one_line(tmp_path, name, content, m
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.parametrize("cell", ["5_0", "1,234"])
+def test_a_cell_that_is_a_number_to_python_or_with_a_comma_is_told_as_it_is(tmp_path, cell):
+    (tmp_path / "log.csv").write_text(f'clock,speed\n0,1.5\n1,"{cell}"\n')
+    with pytest.raises(LogError, match=f"'speed' must hold numbers, got '{cell}'"):
+        read_log(tmp_path / "log.csv").column("speed")
+
+
 def test_columns_that_are_not_there_or_no_numbers(tmp_path):
     (tmp_path / "log.csv").write_text("clock,speed\n0,fast\n1,2\n")
     log = read_log(tmp_path / "log.csv")

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from cosim import run
+from cosim import Scenario, run
 from cosim.errors import FolderError
 from cosim.files import to_json
 from cosim.pages.list_page import listed, run_folders
@@ -208,6 +208,21 @@ def test_a_run_folder_without_its_manifest_is_not_taken_for_a_folder_of_its_base
     (tmp_path / "none" / "manifest.json").touch()
     with pytest.raises(FolderError, match=r"is no run folder: cannot read manifest.json: No such file"):
         read_page(run_folders(tmp_path))
+
+
+@pytest.mark.full
+@pytest.mark.fmu
+@pytest.mark.parametrize(("estimator", "seed", "is_one"), [("none", 0, True), ("none", 7, False), ("ukf", 0, False)])
+def test_only_the_nominal_controllers_run_of_the_same_seed_and_scenario_is_the_baseline(
+    tmp_path, estimator, seed, is_one
+):
+    short = Scenario.load("pendulum", {"scenario.stop_time": "0.5", "scenario.isolation": "none"})
+    run(short, "target", 0, tmp_path / "run")
+    run(short, estimator, seed, tmp_path / "run" / "none")
+    other = Scenario.load("pendulum", {"scenario.stop_time": "0.4", "scenario.isolation": "none"})
+    run(other, "true", 0, tmp_path / "run" / "true")
+    (baselines,) = read_page([tmp_path / "run"]).baselines.values()
+    assert list(baselines) == (["none"] if is_one else [])
 
 
 @pytest.mark.full

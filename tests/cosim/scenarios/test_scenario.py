@@ -292,6 +292,16 @@ BAD_FILES = [
 ]  # fmt: skip
 
 
+def test_a_byte_order_mark_is_no_part_of_a_file(tmp_path):
+    """As some Windows editors write it."""
+    path = edited(tmp_path, "[scenario]", "[scenario]")
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    assert Scenario.load(path).scenario.name == "pendulum"
+    path.write_text("[scenario]", encoding="utf-16")
+    with pytest.raises(ScenarioError, match="not a readable TOML file: it is not UTF-8"):
+        Scenario.load(path)
+
+
 @pytest.mark.parametrize(("old", "new", "rule"), [b[1:] for b in BAD_FILES], ids=[b[0] for b in BAD_FILES])
 def test_a_bad_file_is_told_with_its_path_key_and_rule(tmp_path, old, new, rule):
     path = edited(tmp_path, old, new)

@@ -150,6 +150,8 @@ def _table(log: Log, signals: LogColumns, component: Component) -> tuple[Vector,
             f"{log.path}: time must not go back, as it does from {time[i]:g} to {time[i + 1]:g} s after row {i + 1}; "
             "make it two logs, or sort it."
         )
+    if not np.any(distance > 0.0):
+        raise LogError(f"{log.path}: time is {time[0]:g} s in all rows; give --time the column of time stamps.")
     last = np.append(distance > 0.0, True)
     if n := np.count_nonzero(~last):
         warnings.append(f"{log.path}: {n} repeated time stamps; of rows with the same one the last is used.")

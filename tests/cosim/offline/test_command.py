@@ -150,6 +150,7 @@ def test_a_bad_command_is_refused_in_one_line(command, capsys, tmp_path, options
     [
         (lambda rows: rows[:5] + rows[3:], "time must not go back, as it does from 0.03 to 0.02 s after row 4"),
         (lambda rows: rows[:2], "must have two rows or more, got 1"),
+        (lambda rows: [rows[0], *(f"2,{row.partition(',')[2]}" for row in rows[1:])], "time is 2 s in all rows"),
         (lambda rows: rows[1:], "must begin with a header"),
         (lambda rows: [row.replace("x [m]", "x [kg]") for row in rows], "'kg' cannot be converted to 'm'"),
         (lambda rows: [row.replace("x [m]", "x [smoot]") for row in rows], "'smoot' is not defined"),
@@ -158,7 +159,7 @@ def test_a_bad_command_is_refused_in_one_line(command, capsys, tmp_path, options
         (lambda rows: [rows[0], *(f"{row.split(',')[0]},1,,1\n" for row in rows[1:])], "'x', measured for x, has no"),
         (lambda rows: [rows[0], *(f"{row.split(',')[0]},1,2,1\n" for row in rows[1:])], "never changes in the log"),
     ],
-    ids=["back", "short", "headless", "dimension", "unit", "text", "no-input", "no-output", "constant"],
+    ids=["back", "short", "still", "headless", "dimension", "unit", "text", "no-input", "no-output", "constant"],
 )
 def test_a_bad_log_is_refused_in_one_line(command, log, capsys, damage, told):
     rows = log.read_text().splitlines(keepends=True)

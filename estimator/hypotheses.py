@@ -73,10 +73,10 @@ NEVER: Final = Fit(inf, 0, 1)
 
 
 def plain_fit(rows: Vector, n_free: int, n_values: int | None = None) -> Fit:
-    """Return the fit of rows (n, c) that n_free values were fitted to; columns of zeros count as missing."""
+    """Return the fit of rows (n, c) that n_free values were fitted to; zeros are missing values."""
     by_channel = np.einsum("n...,n...->...", rows, rows)
     squares = float(by_channel.sum())
-    n = len(rows) * int(np.count_nonzero(by_channel)) if n_values is None else n_values
+    n = int(np.count_nonzero(rows)) if n_values is None else n_values
     return Fit(squares, n_free, n) if isfinite(squares) else NEVER
 
 
@@ -100,19 +100,37 @@ class Disturbance:
 def disturbance_of(rows: Vector, *, may_drift: bool = True) -> Disturbance:
     """Return the disturbance that explains rows (n, c) best: on each channel a constant, a line or a parabola in time.
 
-    It enters the residuals linearly, so that it is projected out of them.
+    It enters the residuals linearly, so that it is projected out of them. Zeros are missing values.
     """
-    n, n_channels = len(rows), n_channels_of(rows)
-    mean = rows.mean(axis=0)
-    constant = Disturbance(mean, np.abs(mean), plain_fit(rows - mean, n_channels, n * n_channels), True)
-    found = [constant]
+    n, n_channels, n_values = len(rows), n_channels_of(rows), int(np.count_nonzero(rows))
+    is_whole = n_values == n * n_channels
+    mean = mean_of(rows)
+    constant = plain_fit(rows - mean if is_whole else np.where(rows, rows - mean, 0.0), n_channels, n_values)
+    found = [Disturbance(mean, np.abs(mean), constant, True)]
     for order in range(1, min(_ORDER, (n - 1) // 2) + 1) if may_drift else ():
         if found[-1].fit.is_explained:
             break
-        left = rows - _polynomial(n, order) @ rows
-        fit = plain_fit(left, (order + 1) * n_channels, n * n_channels)
-        found.append(Disturbance(rows[-1] - left[-1], np.abs(rows - left).max(axis=0), fit, False))
+        course = _polynomial(n, order) @ rows if is_whole else _course(rows, order)
+        left = rows - course if is_whole else np.where(rows, rows - course, 0.0)
+        fit = plain_fit(left, (order + 1) * n_channels, n_values)
+        found.append(Disturbance(course[-1], np.abs(course).max(axis=0), fit, False))
     return min(found, key=lambda d: d.fit.score)
+
+
+def mean_of(rows: Vector) -> Vector:
+    """Return the mean (..., c) of rows (..., n, c); zeros are missing values."""
+    if rows.all():
+        return rows.mean(axis=-2)
+    return rows.sum(axis=-2) / np.maximum(np.count_nonzero(rows, axis=-2), 1)
+
+
+def _course(rows: Vector, order: int) -> Vector:
+    """Return the least-squares polynomial (n, c) in time of rows (n, c), of those in each column that are not zero."""
+    powers = np.linspace(-1.0, 1.0, len(rows))[:, None] ** np.arange(order + 1)
+    seen = [np.flatnonzero(column) for column in rows.T]
+    return np.column_stack(
+        [powers @ np.linalg.lstsq(powers[k], column[k])[0] for k, column in zip(seen, rows.T, strict=True)]
+    )
 
 
 @cache

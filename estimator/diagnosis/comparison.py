@@ -22,7 +22,7 @@ from ..hypotheses import (
     Weighing,
     changed_parameters,
     disturbance_of,
-    n_channels_of,
+    mean_of,
     plain_fit,
 )
 from ..identifiability import information
@@ -255,13 +255,14 @@ class HypothesisComparison:
 
         def left(z: Vector) -> Vector:
             rows = self._residuals.of_newest(space.beyond(z), n)
-            return rows - acts * rows.mean(axis=-2, keepdims=True)
+            moved = rows - acts * mean_of(rows)[..., None, :]
+            return moved if rows.all() else np.where(rows, moved, 0.0)
 
         best = changed_parameters(OfMany(left), space.to_unit(held), may_drift=False)
         rows = self._residuals.of_newest(space.beyond(best.z), n)
-        n_channels, mean = n_channels_of(rows), acts * rows.mean(axis=0)
-        n_free = n_channels if channels is None else int(np.count_nonzero(channels & rows.any(axis=0)))
-        fit = plain_fit(best.rows, len(space) + n_free, n * n_channels)
+        mean = acts * mean_of(rows)
+        n_free = int(np.count_nonzero(rows.any(axis=0) if channels is None else channels & rows.any(axis=0)))
+        fit = plain_fit(best.rows, len(space) + n_free, int(np.count_nonzero(rows)))
         self._evidence.note(n, both=fit)
         return Disturbance(mean, np.abs(mean), fit, True) if fit.is_explained else None
 

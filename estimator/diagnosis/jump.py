@@ -15,7 +15,7 @@ import numpy as np
 from ..arrival_cost import ArrivalCost
 from ..contract import Estimate, scaled_estimate
 from ..differences import OfMany, forward_differences
-from ..hypotheses import Fit, changed_parameters, n_channels_of, plain_fit
+from ..hypotheses import Fit, changed_parameters, plain_fit
 from ..identifiability import IDENTIFIABLE_BELOW, Information, information
 from ..space import ParameterSpace, Vector
 
@@ -77,4 +77,4 @@ def followed_jump(rows_at: OfMany, n: int, z: Vector, rate: float) -> tuple[Arri
         if known is None:
             return None
         squares += known.innovation_squared
-    return known, Fit(squares, len(z), n * n_channels_of(rows_at(known.mean)))
+    return known, Fit(squares, len(z), int(np.count_nonzero(rows_at(known.mean))))

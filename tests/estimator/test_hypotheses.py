@@ -320,3 +320,20 @@ def test_the_hypothesis_that_made_the_samples_wins_and_no_write_is_proven_by_ano
         weighing = Weighing(found.fit, disturbance_of(rows).fit, plain_fit(rows, 0))
         n_won += weighing.are_parameters_proven
     assert n_won >= 198 if hypothesis == "parameters" else n_won == 0
+
+
+@pytest.mark.parametrize("order", [0, 1, 2])
+@pytest.mark.parametrize("seed", range(5))
+def test_a_disturbance_is_fitted_to_the_values_that_there_are(order, seed):
+    """Those that are missing are zeros: NumPy's polynomial through the others, and its sum of squares."""
+    rng, t = np.random.default_rng(seed), np.linspace(-1.0, 1.0, 20)
+    rows = np.outer((30.0, 30.0 * t, 40.0 * t**2)[order], (1.0, -0.5)) + rng.standard_normal((20, 2))
+    rows[2::4, 0] = rows[-1, 1] = 0.0
+    found = disturbance_of(rows)
+    seen = [np.flatnonzero(column) for column in rows.T]
+    made = [np.polynomial.Polynomial.fit(t[k], column[k], order) for k, column in zip(seen, rows.T, strict=True)]
+    left = [column[k] - p(t[k]) for p, k, column in zip(made, seen, rows.T, strict=True)]
+    assert found.fit.is_explained
+    assert (found.fit.n_values, found.fit.n_free) == (34, 2 * (order + 1))
+    assert_allclose(found.fit.squares, sum(r @ r for r in left), rtol=1e-9)
+    assert_allclose(found.newest, [p(1.0) for p in made], rtol=1e-9)

@@ -26,7 +26,7 @@ class Budget:
     """Parameters that are written: the best so far, or each candidate."""
 
 
-class Evaluated(NamedTuple):
+class EvaluatedCandidate(NamedTuple):
     """Candidate that has been evaluated."""
 
     theta: Vector
@@ -103,7 +103,7 @@ class Search:
         except NoEstimateError:
             return None
 
-    def evaluate(self, window: Window, held: Vector, is_growing: bool) -> Iterator[Evaluated]:
+    def evaluate(self, window: Window, held: Vector, is_growing: bool) -> Iterator[EvaluatedCandidate]:
         """Evaluate this step's candidates; held (d,): the controller's parameters.
 
         is_growing: whether the window will have more samples of the episode, for which the search goes on.
@@ -125,7 +125,7 @@ class Search:
         elif self._rescoring is None:
             self._estimator.restart(held)
 
-    def _solve(self, solver: Solver, window: Window) -> Iterator[Evaluated]:
+    def _solve(self, solver: Solver, window: Window) -> Iterator[EvaluatedCandidate]:
         begun = perf_counter()
         is_cheap = window.is_rescoring_cheap  # else a solve is an episode: its samples stay, and it cannot pause
         objective = Objective(window, self._linear, math.inf if is_cheap else self._budget.evaluations)
@@ -134,9 +134,9 @@ class Search:
         self._remaining = max(self._remaining - self._budget.evaluations_per_step, 0) if is_cheap else 0
         self.n_evaluations += objective.n_evaluations
         estimate = solver.estimate()
-        yield Evaluated(estimate.theta, estimate.cost, perf_counter() - begun)
+        yield EvaluatedCandidate(estimate.theta, estimate.cost, perf_counter() - begun)
 
-    def _search(self, search: AskTell, window: Window, held: Vector, is_growing: bool) -> Iterator[Evaluated]:
+    def _search(self, search: AskTell, window: Window, held: Vector, is_growing: bool) -> Iterator[EvaluatedCandidate]:
         begun = perf_counter()
         batching = None if window.is_rescoring_cheap else self._batching
         if self._rescoring is None:
@@ -153,7 +153,7 @@ class Search:
                 self._remaining -= 1
                 self.n_evaluations += 1
                 now = perf_counter()
-                yield Evaluated(theta, float(residual @ residual), now - begun)
+                yield EvaluatedCandidate(theta, float(residual @ residual), now - begun)
                 begun = now
             if self._converging is not None and self._converging.is_done and not is_growing:
                 self._remaining = n = 0

@@ -430,7 +430,7 @@ def test_a_file_says_it_for_the_online_mode_too(plant, log, tmp_path):
         ("[0.5, 4]", "true", 'parameters.m must be [LOW, HIGH] or [LOW, HIGH, "log"], got True'),
         ("[0.5, 4]", "4", 'estimate.toml: parameters.m must be [LOW, HIGH] or [LOW, HIGH, "log"], got 4'),
         ('"x"', "true", "measured.x must be a number, a name or a list of them, got True"),
-        ("= 10", "= -3", "estimate.toml: evaluations: must be a whole number, got '-3'"),
+        ("= 10", "= -3", "estimate.toml: evaluations: must be a whole number from 0 on, got '-3'"),
         ("= 10", "= 10\nwindows = [5]", "estimate.toml: windows must be [FROM, TO], got 5"),
         ('[measured]\nx = "x"\nv = "v"', "", "estimate.toml: the following keys are required: measured"),
     ],

@@ -73,7 +73,7 @@ def test_the_function_of_the_library_is_the_command_with_keywords(ask, oracles, 
 
 
 def test_the_function_of_the_library_refuses_in_one_line(plant, tmp_path):
-    for keywords, reason in (({"evaluations": 0}, "must be 1 or more"), ({"jobs": 0}, "must be 1 or more")):
+    for keywords, reason in (({"evaluations": 0}, "must be 1 or more"), ({"jobs": 0}, "must be from 1 to 256")):
         with pytest.raises(cosim.CosimError, match=reason):
             cosim.estimate(plant, tmp_path / "no.csv", {"m": (0.5, 4.0)}, {"x": "x"}, out=tmp_path / "out", **keywords)
     assert not (tmp_path / "out").exists()

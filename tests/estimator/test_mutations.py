@@ -199,7 +199,7 @@ MUTANTS = [
     ("margin-of-possibility-sign", HYPOTHESES, "self._lead > -MARGIN", "self._lead > MARGIN", (MARGINS,)),
     ("lead-of-the-worst", HYPOTHESES, "min(self.nothing.score, self.dist", "max(self.nothing.score, self.dist",
      (MARGINS,)),
-    ("disturbance-at-the-oldest", HYPOTHESES, "Disturbance(rows[-1] - left[-1]", "Disturbance(rows[0] - left[0]",
+    ("disturbance-at-the-oldest", HYPOTHESES, "Disturbance(course[-1]", "Disturbance(course[0]",
      (DISTURBANCE,)),
     ("disturbance-without-parabola", HYPOTHESES, "_ORDER: Final = 2", "_ORDER: Final = 1", (DISTURBANCE,)),
     ("spread-without-root", SCALE, " / np.sqrt(2.0)", "", (SPREAD,)),

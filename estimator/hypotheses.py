@@ -125,7 +125,12 @@ def mean_of(rows: Vector) -> Vector:
 
 
 def _course(rows: Vector, order: int) -> Vector:
-    """Return the least-squares polynomial (n, c) in time of rows (n, c), of those in each column that are not zero."""
+    """Return the least-squares polynomial (n, c) in time of rows (n, c), of those in each column that are not zero.
+
+    NaN where a row is not finite.
+    """
+    if not np.all(np.isfinite(rows)):
+        return np.full(rows.shape, np.nan)
     powers = np.linspace(-1.0, 1.0, len(rows))[:, None] ** np.arange(order + 1)
     seen = [np.flatnonzero(column) for column in rows.T]
     return np.column_stack(

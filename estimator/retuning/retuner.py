@@ -64,7 +64,7 @@ class Retuner:
         the filter knows of the samples and the newest of them."""
         self._closes, self._refutes = closes, refutes
         self.describe = describe
-        self._window, self._trigger, self._is_candidate = window, trigger, budget.commit == "candidate"
+        self._window, self._trigger, self._writes_candidates = window, trigger, budget.commit == "candidate"
         self._search = Search(estimator, budget, linear)
         is_following = isinstance(estimator, Following) and isinstance(window, ResidualWindow)
         self._filter = cast(Following, estimator).filter if is_following else None
@@ -101,7 +101,7 @@ class Retuner:
             events.append(self._evaluated(t, candidate, cost))
         estimate = self._estimate()
         latencies[-1] += perf_counter() - begun - sum(latencies)
-        is_candidate = self._is_candidate and self.is_searching
+        is_candidate = self._writes_candidates and self.is_searching
         wanted = held if estimate is None else candidate if is_candidate else estimate.theta
         if not self.is_searching:
             events.append(self._end(t, estimate, wanted, held))

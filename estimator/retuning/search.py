@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from copy import deepcopy
 from dataclasses import dataclass
 from time import perf_counter
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, cast
 
 import numpy as np
 
@@ -110,8 +110,7 @@ class Search:
         """
         if self._solver is not None:
             return self._solve(self._solver, window)
-        assert isinstance(self._estimator, AskTell)
-        return self._search(self._estimator, window, held, is_growing)
+        return self._search(cast(AskTell, self._estimator), window, held, is_growing)
 
     def snapshot(self) -> SearchSnapshot:
         """Return the snapshot that `restore` needs."""

@@ -337,3 +337,12 @@ def test_a_disturbance_is_fitted_to_the_values_that_there_are(order, seed):
     assert (found.fit.n_values, found.fit.n_free) == (34, 2 * (order + 1))
     assert_allclose(found.fit.squares, sum(r @ r for r in left), rtol=1e-9)
     assert_allclose(found.newest, [p(1.0) for p in made], rtol=1e-9)
+
+
+def test_a_channel_that_rests_takes_no_disturbance_and_rows_that_are_not_finite_fit_none():
+    rows = np.random.default_rng(0).normal(0.0, 50.0, (12, 3))
+    rows[:, 1] = rows[3, 0] = 0.0
+    found = disturbance_of(rows)
+    assert (found.fit.n_values, found.newest[1]) == (23, 0.0)
+    rows[5, 2] = np.nan
+    assert not disturbance_of(rows).fit.is_possible

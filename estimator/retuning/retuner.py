@@ -225,7 +225,10 @@ class Retuner:
     def _end(self, t: float, estimate: Estimate | None, wanted: Vector, held: Vector) -> Event:
         """End an episode with the parameters wanted (d,), others, held (d,), in force; return its event at t [s]."""
         if self._filter is not None and estimate is not None:
-            self._filter.begin_after_search(np.array([estimate.theta, held]), cast(ResidualWindow, self._window))
+            if self._search.has_changed(wanted):
+                self._filter.begin_after_search(np.array([estimate.theta, held]), cast(ResidualWindow, self._window))
+            else:
+                self._filter.recall(wanted)
             self._searched = estimate.theta
         if self._closes:
             self._window.end(wanted)

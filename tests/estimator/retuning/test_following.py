@@ -113,6 +113,17 @@ def test_after_a_search_the_filter_has_what_all_samples_since_the_jump_say(seed)
     assert_allclose(np.sqrt(known.covariance.diagonal()) * span, std, rtol=0.05)
 
 
+@pytest.mark.parametrize("seed", [0, 5])  # where a search ends
+def test_a_search_that_ends_where_it_began_leaves_no_filter_that_follows_the_noise(seed):
+    """One sample is six standard deviations off, and nothing has changed."""
+    loop = Loop(seed).go(100, constant(TRUE)).go(1, constant(TRUE), lambda i: 6.0 * SIGMA).go(20, constant(TRUE))
+    assert loop.events.count("end") == 1
+    assert_array_equal(loop.held, TRUE)
+    n = loop.writes
+    assert loop.go(130, constant(TRUE)).writes == n
+    assert loop.search.filter.arrival_cost is None
+
+
 def test_a_jump_is_followed_at_the_rate_of_the_setting():
     loop = Loop(settings=TargetSettings(drift=0.01)).go(100, constant(TRUE)).go(2, fast)
     known = loop.search.filter.arrival_cost

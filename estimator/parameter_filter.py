@@ -42,6 +42,7 @@ class ParameterFilter:
         """What the samples so far say of the parameters, in the unit cube, frozen; None before an estimate."""
         self.before_search: ArrivalCost | None = None
         """What they said when the newest search began."""
+        self._searched_from: Vector | None = None  # the parameters in force then (d,)
 
     def begin(self, theta: Vector, residual: Callable[[Vector], Vector]) -> None:
         """Begin with the least squares of a window about theta (d,).
@@ -50,12 +51,21 @@ class ParameterFilter:
         """
         self.arrival_cost = self._least_squares(theta, residual)
 
-    def begin_after_search(self, places: Vector, window: ResidualWindow) -> None:
-        """Begin with what the samples of a search say, close to that of places (k, d) which explains them best.
+    def begin_search(self, held: Vector) -> None:
+        """Take the beginning of a search at the parameters in force (d,)."""
+        self.before_search, self._searched_from = self.arrival_cost, held
+
+    def begin_after_search(self, found: Vector, held: Vector, window: ResidualWindow) -> None:
+        """Begin with what the samples of a search say, close to what it has found (d,) or to what is held (d,) now.
 
         These are all samples since the search began, where constant parameters explain them. Else those of the window,
         and older ones as far as they agree; it does not begin where any parameters explain so few of them.
+        Where the search has ended where it began, nothing has changed: what was known before is known again.
         """
+        if self._searched_from is not None and self._space.are_same(found, self._searched_from):
+            self.recall(found)
+            return
+        places = np.array([found, held])
         residuals = window.residuals(places)
         costs = np.sum(residuals**2, axis=1)
         best_first, d = places[np.argsort(costs, kind="stable")], len(self._space)

@@ -225,10 +225,7 @@ class Retuner:
     def _end(self, t: float, estimate: Estimate | None, wanted: Vector, held: Vector) -> Event:
         """End an episode with the parameters wanted (d,), others, held (d,), in force; return its event at t [s]."""
         if self._filter is not None and estimate is not None:
-            if self._search.has_changed(wanted):
-                self._filter.begin_after_search(np.array([estimate.theta, held]), cast(ResidualWindow, self._window))
-            else:
-                self._filter.recall(wanted)
+            self._filter.begin_after_search(estimate.theta, held, cast(ResidualWindow, self._window))
             self._searched = estimate.theta
         if self._closes:
             self._window.end(wanted)
@@ -272,7 +269,7 @@ class Retuner:
         """Begin an episode; return its event at t [s], with its samples in words, if not simply the newest ones."""
         self.n_episodes += 1
         if self._filter is not None:
-            self._filter.before_search = self._filter.arrival_cost
+            self._filter.begin_search(held)
         self._search.begin(self._window, held)
         samples = self._window.begin(held)
         self._believed = held

@@ -55,7 +55,6 @@ class Search:
         self._batching = estimator if isinstance(estimator, Batching) else None
         self._converging = estimator if isinstance(estimator, Converging) else None
         self._remaining = 0.0
-        self._begun_at: Vector | None = None
         self.n_evaluations = 0
 
     @property
@@ -75,15 +74,11 @@ class Search:
 
     def begin(self, window: Window, held: Vector) -> None:
         """Begin at the parameters held (d,), on a window whose episode has not begun yet."""
-        self._remaining, self._begun_at = self._budget.evaluations, held
+        self._remaining = self._budget.evaluations
         self._estimator.restart(held)
         if self._rescoring is not None and not window.is_rescoring_cheap:
             # Their residuals belong to other samples: marked as failures, they are dropped.
             self._rescoring.rescore(np.full((len(self._rescoring.candidates), 1), np.nan))
-
-    def has_changed(self, theta: Vector) -> bool:
-        """Return whether parameters theta (d,) differ from those in force when the newest search began."""
-        return not np.array_equal(theta, cast(Vector, self._begun_at))
 
     def end(self) -> None:
         """End, whatever is left of the budget."""

@@ -38,9 +38,9 @@ def searched(truths, n_before=12, max_length=10, seed=0):
     return window, samples[n_before:]
 
 
-def ended(window, places):
+def ended(window, found, held=BEFORE):
     known = ParameterFilter(SPACE, drift=0.005, significance=3.0)
-    known.begin_after_search(np.array(places), window)
+    known.begin_after_search(found, held, window)
     return known.arrival_cost
 
 
@@ -61,7 +61,7 @@ def test_all_samples_since_the_search_began_count_though_its_incumbent_has_forgo
     window, samples = searched([TRUE] * 30, seed=seed)
     place = valley(window)
     assert window.lengths == (1, 1)
-    known = ended(window, [place, BEFORE])
+    known = ended(window, place)
     mean, covariance = best_of(samples)
     assert known.n_known == 30
     assert_allclose(known.mean, mean, atol=0.1 * np.sqrt(covariance.diagonal().min()))
@@ -77,7 +77,7 @@ def test_they_count_where_the_window_has_fewer_values_than_parameters():
             one.begin(BEFORE)
     one._lengths = [1]
     assert one.residual(TRUE).shape == (1,)
-    assert ended(one, [BEFORE]).n_known == 30
+    assert ended(one, BEFORE).n_known == 30
 
 
 def test_one_value_that_a_whole_line_of_parameters_explains_begins_no_filter():
@@ -85,14 +85,14 @@ def test_one_value_that_a_whole_line_of_parameters_explains_begins_no_filter():
     one = ResidualWindow(lambda theta, sample: rows(theta, sample)[:1], 1, 10)
     one.append(searched([TRUE])[1][0])
     one.begin(BEFORE)
-    assert ended(one, [BEFORE]) is None
+    assert ended(one, BEFORE) is None
 
 
 def drifted(rate, seed):
     """What is known after a search in which the first parameter has drifted, and where it is now."""
     drift = [TRUE + rate * np.array([k, 0.0]) for k in range(60)]
     window, _ = searched(drift, max_length=15, seed=seed)
-    return ended(window, [drift[-1], BEFORE]), drift[-1][0]
+    return ended(window, drift[-1]), drift[-1][0]
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -112,14 +112,14 @@ def test_a_slow_drift_is_seen_in_the_newest_samples_where_constant_parameters_ex
 def test_it_begins_at_the_better_place_whichever_is_first(places):
     """With a window that constant parameters explain, and samples before it that they do not."""
     window, _ = searched([BEFORE[::-1]] * 15 + [TRUE] * 6, max_length=6)
-    known = ended(window, places)
+    known = ended(window, *places)
     assert known.n_known == 6
     assert_allclose(known.mean, TRUE, atol=0.05)
 
 
 def test_samples_before_it_began_count_where_they_are_of_the_same_parameters():
     window, _ = searched([BEFORE] * 30)
-    assert ended(window, [BEFORE]).n_known == 39  # nine that were in the window then
+    assert ended(window, BEFORE).n_known == 39  # nine that were in the window then
 
 
 def test_a_sample_at_which_the_model_has_no_value_leaves_the_window():
@@ -127,4 +127,17 @@ def test_a_sample_at_which_the_model_has_no_value_leaves_the_window():
     bad = samples[5]
     window._residual = lambda theta, sample: rows(theta, sample) * (np.nan if sample is bad else 1.0)
     window._rows_at = lambda thetas, at: np.array([[window._residual(z, s) for s in at] for z in thetas])
-    assert 10 <= ended(window, [TRUE]).n_known < 30
+    assert 10 <= ended(window, TRUE).n_known < 30
+
+
+def test_after_a_search_that_ends_where_it_began_it_knows_what_it_knew_before():
+    """But for rounding: a search's parameters have been on their way to the unit cube and back."""
+    window, _ = searched([BEFORE] * 30)
+    known = ParameterFilter(SPACE, drift=0.005, significance=3.0)
+    known.begin(BEFORE, lambda thetas: window.residuals([*thetas]))
+    before = known.arrival_cost
+    for knew in (before, None):
+        known.arrival_cost = knew
+        known.begin_search(BEFORE)
+        known.begin_after_search(BEFORE * (1.0 + 1e-15), BEFORE, window)
+        assert known.arrival_cost is knew

@@ -163,6 +163,12 @@ class EpisodeWindow:
         self._stretch, self._is_filling, self._extended = None, False, 0
         self._judged.clear()
 
+    def clear(self) -> None:
+        """Forget all samples, and the episode."""
+        self._recent, self._origins, self._anchors = [], [], []
+        self._stretch, self._is_filling, self._extended = None, False, 0
+        self._judged.clear()
+
     def extend(self) -> bool:
         """End the episode, and begin the next one on the same samples and as many again, when they are there.
 

@@ -182,8 +182,7 @@ class Retuner:
 
     def forget(self) -> None:
         """Forget the samples, whose residuals are no longer valid."""
-        if self._sliding is not None:
-            self._sliding.clear()
+        self._window.clear()
 
     def snapshot(self) -> RetunerSnapshot | None:
         """Return the snapshot that `restore` needs; None where the window, an episode's own, cannot be restored."""

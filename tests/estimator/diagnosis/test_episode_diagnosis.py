@@ -218,16 +218,7 @@ def test_what_cannot_be_told_apart_is_judged_on_more_samples(estimator, truth):
     assert bool(run.of("disturbance")) == bool(push)
 
 
-@pytest.mark.parametrize(
-    "estimator",
-    [
-        pytest.param(
-            "target",
-            marks=pytest.mark.xfail(strict=True, reason="samples that come during the search keep their old inputs"),
-        ),
-        "least-squares",
-    ],
-)
+@SEARCHES
 def test_a_disturbance_that_is_known_begins_no_other_episode(estimator):
     run = Run(estimator).go(100).go(100, TRUE, PUSH)
     assert run.retuner.n_episodes == 1

@@ -21,8 +21,8 @@ from .rollout_start import NoisyStartObjective
 
 ENDLESS: Final = "estimation.trigger: 'always' is for derivatives: other objectives need episodes that end."
 _CAUTIONS: Final[Mapping[StartMethod, str]] = {
-    "state": "roll-outs from the plant's saved state hide disturbances: an FMU's state holds what nobody measures; "
-    'start = "measured" does not',
+    "state": "roll-outs from the plant's saved state hide disturbances inside it: an FMU's state holds what nobody "
+    'measures; start = "measured" does not',
     "replay": "roll-outs simulated again from the start diverge on an unstable plant",
 }
 """What to know of roll-outs that begin in a way."""

@@ -1,6 +1,7 @@
 """Objective of roll-outs: a second FMU of the plant simulated over the samples, its outputs compared."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, ClassVar, Final, NamedTuple
 
@@ -13,7 +14,7 @@ from ..slaves.slave import Slave
 from .rollout_base import WindowStart
 from .rollout_check import PROOF_STEPS, prove_restart, steps_like_the_plant
 from .rollout_fmu import START_METHODS, RunningPlant, Shadow, StartMethod, obstacles_in_words
-from .rollout_plan import History, Origin, Plan, plan_of
+from .rollout_plan import History, Origin, Plan, inputs_of, plan_of
 from .rollout_pool import Outputs, Pool
 
 LARGEST: Final = 1e9
@@ -68,8 +69,8 @@ class RolloutObjective:
         self._n_bytes = 0
         self._first_samples: list[Sample] = []
         self._n_for_proof = PROOF_STEPS
-        self._pool = Pool(shadow.opened, jobs, shadow.is_restartable)
-        self._follower = Pool(shadow.opened, 1, shadow.is_restartable)
+        self._pool = Pool(self._opened, jobs, shadow.is_restartable)
+        self._follower = Pool(self._opened, 1, shadow.is_restartable)
         self._followed: _Followed | None = None
         self._window_start = WindowStart(shadow) if live is None else None
         self._lost: Any = None
@@ -202,6 +203,13 @@ class RolloutObjective:
         first = self._at_first = now if self._at_first is None else self._at_first
         return bool(np.any(np.abs(now - first) > _MOVED * np.maximum(np.abs(first), self._noise)))
 
+    def _opened(self) -> Slave:
+        """Start a process of the FMU, which a saved state may be set in if roll-outs begin so."""
+        shadow = self._shadow
+        if self.way == "state":
+            shadow = replace(shadow, inputs=(*shadow.inputs, *shadow.undisturbed))
+        return shadow.opened()
+
     def _decided(self) -> StartMethod:
         if self.way is None:
             raise RuntimeError("roll-outs need samples before the first.")
@@ -234,7 +242,8 @@ class RolloutObjective:
         if self.way == "replay":  # it may have begun before the stretch
             times, inputs = self._history.times[-n - 1 :], self._history.inputs[-n:]
         else:
-            times, inputs = [s.t for s in samples[-n - 1 :]], [s.u for s in samples[-n:]]
+            times = [s.t for s in samples[-n - 1 :]]
+            inputs = inputs_of(self._decided(), self._shadow, samples[-n:])
         outputs = [*at.outputs, *self._follower.through(slave, times, inputs, tunables)]
         self._followed = at._replace(place=at.place + n, outputs=outputs[-stretch.n_steps :])
         return outputs

@@ -65,6 +65,8 @@ class Shadow:
     """Relative tolerance for its own solver: see open_slave."""
     told_by: Mapping[str, str] = field(default_factory=dict[str, str])
     """Output that has the value of a state, by the parameter that the state starts as."""
+    undisturbed: Mapping[str, float] = field(default_factory=dict[str, float])
+    """Start values of the inputs that the scenario changes: a saved state has others, which nobody knows."""
 
     def opened(self, tunables: tuple[str, ...] | None = None) -> Slave:
         """Start a process of it, variables bound; tunables: by default the parameters, if settable while it runs."""
@@ -103,11 +105,14 @@ def shadow_of(scenario: Scenario, plant: Plant, is_live: bool) -> Shadow:
                 raise ScenarioError(f"bounds of '{p.name}': {problem}")
         interface: Any = capabilities(description)
         start = {k: v for k, v in scenario.components[plant.name].start.items() if k in variables}
+        changed = [r.variable for r in scenario.changes if r.component == plant.name and r.variable in variables]
+        disturbed = [name for name in changed if variables[name].causality == "input"]
         shadow = Shadow(
             fmu, inputs, plant.states, outputs, tuple(n.noise for n in scenario.sampling.outputs.values()),
             tuple(names), {k: v for k, v in start.items() if k not in names}, scenario.scenario.start_time,
             scenario.scenario.stop_time, not interface.canBeInstantiatedOnlyOncePerProcess, {},
             scenario.scenario.timeout, scenario.scenario.environment, scenario.components[plant.name].tolerance,
+            undisturbed={name: float(start.get(name, variables[name].start) or 0.0) for name in disturbed},
         )  # fmt: skip
     except CosimError as e:
         raise ScenarioError(f"{where}: {str(e).rstrip('.')}.") from e

@@ -104,12 +104,18 @@ class History:
         )
 
 
+def inputs_of(way: StartMethod, shadow: Shadow, samples: Sequence[Sample]) -> list[Sequence[float]]:
+    """Return the inputs held up to each sample; from a saved state, its disturbances are overwritten too."""
+    undisturbed = shadow.undisturbed.values() if way == "state" else ()
+    return [(*s.u, *undisturbed) for s in samples]
+
+
 def plan_of(
     way: StartMethod, shadow: Shadow, history: History, theta: Sequence[float], stretch: SampleSequence
 ) -> Plan:
     """Return the plan for simulating a stretch with parameters theta (d,)."""
     samples, origin = stretch.samples, stretch.origin
-    times, inputs = [s.t for s in samples], [s.u for s in samples[1:]]
+    times, inputs = [s.t for s in samples], inputs_of(way, shadow, samples[1:])
     if way == "state":
         return Plan(shadow.start, shadow.start_time, shadow.stop_time, origin.state, (), Leg(times, inputs, theta))
     if way == "measured":

@@ -65,17 +65,22 @@ def push(k):
 
 @pytest.fixture
 def live_objective(leaves_nothing):
-    """made(way, jobs): an objective, its plant, and a function that steps both n times; nothing of them is left."""
+    """made(way, jobs): an objective, its plant, and a function that steps both n times; nothing of them is left.
+
+    force: on the plant, as the scenario changes it, unknown to the objective; None where it is an input as others.
+    """
     with ExitStack() as stack:
 
-        def made(way, jobs=1, **settings):
-            scenario = Scenario.load("pendulum", ROLLOUT | settings)
+        def made(way, jobs=1, force=None, **settings):
+            disturbed = {} if force is None else {'changes."plant.F_d"': str(force)}
+            scenario = Scenario.load("pendulum", ROLLOUT | settings | disturbed)
             fmu = find_fmu("Pendulum", Path())
             slave = stack.enter_context(open_slave(fmu, "plant"))
             outputs = ("phi", "phi_dot", "der(phi_dot)", "u_held")
-            slave.bind(["u"], ["m", "l"], outputs)
+            slave.bind(["u", "F_d"], ["m", "l"], outputs)
             slave.initialize({"phi": 0.5, "phi_dot": 0.1})
-            live = RunningPlant(slave, outputs, {"m": lambda t: TRUTH[0], "l": lambda t: TRUTH[1]})
+            forces = {} if force is None else {"F_d": lambda t: force}
+            live = RunningPlant(slave, outputs, {"m": lambda t: TRUTH[0], "l": lambda t: TRUTH[1]}, forces)
             plant = plant_of(scenario, slave)
             shadow = dataclasses.replace(shadow_of(scenario, plant, True), start={"phi": 0.5, "phi_dot": 0.1})
             objective = stack.enter_context(RolloutObjective(shadow, TRUTH, way, live, jobs))
@@ -84,9 +89,9 @@ def live_objective(leaves_nothing):
             def step(n, is_heard=True):
                 samples = []
                 for k in range(step.k, step.k + n):
-                    x = slave.step([push(k)], H * k, H, TRUTH)[:2]
+                    x = slave.step([push(k), force or 0.0], H * k, H, TRUTH)[:2]
                     y = tuple(v + s * e for v, s, e in zip(x, SIGMA, rng.standard_normal(2), strict=True))
-                    samples.append(Sample(H * (k + 1), x, (push(k), 0.0), (), y))
+                    samples.append(Sample(H * (k + 1), x, (push(k), 0.0)[: len(plant.inputs)], (), y))
                     if is_heard:
                         objective.add_sample(samples[-1])
                         step.origins.append(objective.snapshot(True))
@@ -114,6 +119,22 @@ def test_a_residual_is_the_simulated_minus_the_measured_outputs(live_objective, 
         np.testing.assert_allclose(found.residual, expected.T.reshape(-1), atol=1e-3)
         np.testing.assert_allclose(found.squares, np.sum(expected**2, axis=1), rtol=1e-4, atol=1e-2)
     assert objective.way == (way or "state")
+
+
+@pytest.mark.full_but("state")
+@pytest.mark.parametrize("way", ["state", "measured"])
+def test_a_force_that_acts_on_the_plant_is_in_no_simulation_that_begins_in_its_state(live_objective, way):
+    """Not even in one from the state that was saved while it acted, which it is in; nor as it is followed."""
+    objective, step = live_objective(way, force=6.0)
+    samples = step(40)
+    stretch = SampleSequence(tuple(samples[20:]), step.origins[20])
+    times, inputs = [s.t for s in stretch.samples], [s.u[0] for s in stretch.samples[1:]]
+    simulated = swing(*TRUTH, times, inputs, stretch.samples[0].x)
+    expected = ((simulated - [s.y for s in stretch.samples[1:]]) / SIGMA).T.reshape(-1)
+    (found,) = objective.evaluate([TRUTH], stretch)
+    np.testing.assert_allclose(found.residual, expected, atol=1e-3)
+    np.testing.assert_allclose(objective.track(TRUTH, stretch), expected, atol=1e-3)
+    assert np.abs(expected).max() > 50.0
 
 
 @pytest.mark.full
@@ -404,8 +425,8 @@ FIXED = (('name="gain" valueReference="0" causality="parameter" variability="tun
           'name="gain" valueReference="0" causality="parameter" variability="fixed"'),)  # fmt: skip
 CAUTIONS = {
     "state": [
-        "roll-outs from the plant's saved state hide disturbances: an FMU's state holds what nobody measures; "
-        'start = "measured" does not'
+        "roll-outs from the plant's saved state hide disturbances inside it: an FMU's state holds what nobody "
+        'measures; start = "measured" does not'
     ],
     "measured": [],
     "replay": ["roll-outs simulated again from the start diverge on an unstable plant"],

@@ -1,7 +1,8 @@
 """Simulation of the closed loop ahead of time, in FMUs of its own: a prediction of the effect of a write.
 
 These shadow FMUs are set to the FMU states of the run, which hold all that its FMUs do; then the plant's estimated
-parameters are overwritten by those to be tried. A plant that cannot save its state is replaced by the scenario's model.
+parameters are overwritten by those to be tried, and its disturbances by their start values: on a real plant nobody
+knows them. A plant that cannot save its state is replaced by the scenario's model.
 """
 
 from collections.abc import Callable, Generator, Mapping, Sequence
@@ -28,6 +29,7 @@ from ..slaves.slave import Slave, open_slave
 from ..system.loop_plan import LoopPlan, fit_together, listed
 from ..system.loop_process import LoopProcess
 from ..system.master import Steppable, Wiring
+from ..system.parameters import start_values
 from ..system.plant import Plant
 from ..system.shadow_loop import Course, ShadowLoop, Shadows
 from .model_plant import ModelPlant, not_given
@@ -73,13 +75,16 @@ class Lookahead:
         self._places = {name: [i for i, r in enumerate(true) if r.component == name] for name in slaves}
         writes, self._rule = list(scenario.written), rule
         self._written = {name: [i for i, r in enumerate(writes) if r.component == name] for name in slaves}
+        self._modelled = _modelled(scenario, slaves, wiring, plant, model)
         self._wiring = {
             name: replace(
-                w, tunables=tuple(r.variable for r in [*true, *writes] if r.component == name), disturbances=()
+                w,
+                tunables=tuple(r.variable for r in [*true, *writes] if r.component == name),
+                start={**w.start, **dict(zip(w.disturbances, _undisturbed(scenario, slaves, name, w), strict=True))},
+                disturbances=() if name == self._modelled else w.disturbances,
             )
             for name, w in wiring.items()
         }
-        self._modelled = _modelled(scenario, slaves, wiring, plant, model)
         for name, w in self._wiring.items():
             slave = slaves[name]
             if isinstance(slave, Slave) and name != self._modelled:
@@ -356,6 +361,13 @@ def _file(path: Path) -> tuple[int, int, int] | None:
     except OSError:
         return None
     return status.st_ino, status.st_size, status.st_mtime_ns
+
+
+def _undisturbed(
+    scenario: Scenario, slaves: Mapping[str, Slave | TableSlave], name: str, wiring: Wiring
+) -> list[float]:
+    """Return the start values of an FMU's disturbances. Raises WiringError."""
+    return start_values(scenario, slaves, [f"{name}.{own}" for own in wiring.disturbances])
 
 
 def _modelled(

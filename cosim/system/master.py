@@ -66,7 +66,9 @@ class Master:
             name: [(place[source], w.conversions.get(target, IDENTITY)) for target, source in w.sources.items()]
             for name, w in wiring.items()
         }
-        self._disturbances: dict[str, list[float]] = {name: [0.0] * len(w.disturbances) for name, w in wiring.items()}
+        self._disturbances = {
+            name: [float(w.start.get(own, 0.0)) for own in w.disturbances] for name, w in wiring.items()
+        }
         self._first = {name: place[f"{name}.{w.outputs[0]}"] if w.outputs else 0 for name, w in wiring.items()}
 
     def initialize(self, start_time: float, stop_time: float, is_propagated: bool = False) -> None:

@@ -31,20 +31,30 @@ _UNKNOWN: Final = ("extra_forbidden", "unexpected_keyword_argument")
 
 def first_error(error: ValidationError, root: type[Table]) -> str:
     """Return key and rule of the first error, in one line; root: the table that was validated."""
-    details = sorted(error.errors(), key=lambda found: found["type"] not in _UNKNOWN)  # what is missing is misspelt
-    places = [tuple(_place(found["loc"], root)[0]) for found in details]
-    first = places[0]  # of a value of several types there is an error for each: the one that reaches deepest fits best
-    its = [found for found, place in zip(details, places, strict=True) if place[: len(first)] == first]
-    n_more = len({place for place in places if place[: len(first)] != first})
-    more = f" (and {n_more} more)" if n_more else ""
-    text = _text(max(its, key=lambda found: len(found["loc"])), root)
-    end = "" if text.endswith("?") else "."
-    return f"{text}{more}{end}"
+    first, *others = _by_place(error, root)
+    text = _text(first, root)
+    more = f" (and {len(others)} more)" if others else ""
+    return f"{text}{more}{'' if text.endswith('?') else '.'}"
 
 
 def error_texts(error: ValidationError, root: type[Table]) -> list[str]:
     """Return key and rule of each error, in one line; root: the table that was validated."""
-    return [_text(details, root) for details in error.errors()]
+    return [_text(details, root) for details in _by_place(error, root)]
+
+
+def _by_place(error: ValidationError, root: type[Table]) -> list[Mapping[str, Any]]:
+    """Return pydantic's errors, one for each place, unknown keys first: what is missing is misspelt.
+
+    Of a value of several types there is an error for each: the one that reaches deepest fits best.
+    """
+    found: list[tuple[list[str], Mapping[str, Any]]] = []
+    for details in sorted(error.errors(), key=lambda one: one["type"] not in _UNKNOWN):
+        place = _place(details["loc"], root)[0]
+        i = next((i for i, (above, _) in enumerate(found) if place[: len(above)] == above), len(found))
+        above = found[i] if i < len(found) else None
+        if above is None or len(details["loc"]) > len(above[1]["loc"]):
+            found[i : i + 1] = [(place if above is None else above[0], details)]
+    return [details for _, details in found]
 
 
 def _text(first: Mapping[str, Any], root: type[Table]) -> str:
@@ -128,6 +138,7 @@ def _item(kind: Any, key: int | str) -> Any:
     if get_origin(kind) is dict:
         return get_args(kind)[1]
     if get_origin(kind) is tuple:
-        return get_args(kind)[0]
+        types = get_args(kind)
+        return types[0] if types[-1] is Ellipsis else types[int(key)]
     found = [types[str(key)] for table in _tables(kind) if str(key) in (types := _types(table))]
     return found[0] if len(found) == 1 else None

@@ -35,6 +35,16 @@ def test_nothing_is_found_in_a_sound_scenario_of_foreign_fmus(axis, capsys):
     assert following.startswith("next: retune run /")
 
 
+def test_a_value_that_is_none_of_the_types_it_may_have_is_one_error(tmp_path):
+    path = tmp_path / "s.toml"
+    path.write_text('[changes]\n"plant.m" = [[0.0, 1.75], [0.05, nan]]\n"plant.l" = nan\n')
+    found = [str(f) for f in check(path) if f.where.startswith("changes")]
+    assert found == [
+        "changes.plant.m.1.1: error: input should be a finite number, got nan",
+        "changes.plant.l: error: input should be a finite number, got nan",
+    ]
+
+
 REMOVED = "nothing is said"
 FAULT = '[[sampling.faults]]\nkind = "dropout"\n'
 CASES = {

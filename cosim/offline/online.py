@@ -36,7 +36,7 @@ from ..scenarios.schema.sampling import ObservationSettings
 from .estimate import EstimateError, Request, Understood, understand
 from .log_windows import LogWindow
 from .one_by_one import OneByOne
-from .rollout import grid_of, noise_of
+from .rollout import Grid, grid_of, noise_of
 
 _MOVING: Final = ("output", "local")
 """Causalities of variables that change while the FMU runs: with a start value, they are states."""
@@ -99,8 +99,11 @@ def run_online(
         raise EstimateError("--online takes all rows one after the other: leave out --holdout and --validate.")
     request = replace(request, holdout=0.0)
     understood = understand(request)
-    if n_samples >= (n_rows := max(len(window.time) for window in understood.windows)):
-        raise EstimateError(f"--samples must be less than the {n_rows} rows of the longest window, got {n_samples}.")
+    is_even = has_fixed_step(understood.component.description)
+    n_points = max(len(_grid(window, request.step, is_even).times) for window in understood.windows)
+    if n_samples >= n_points:
+        points = f"{n_points} {'rows' if request.step is None else 'communication points'}"
+        raise EstimateError(f"--samples must be less than the {points} of the longest window, got {n_samples}.")
     obstacles = _obstacles(request, understood)
     rngs = np.random.default_rng(request.seed).spawn(len(understood.windows))
     n_before, n_all = 0, sum(len(w.time) for w in understood.windows)
@@ -156,15 +159,23 @@ def _watched(
         supervisor = Supervisor(request.method, retuner, NoDataSupport(), screen)
         for k, sample in enumerate(samples[1:], 1):
             try:
-                decision = supervisor.step(Point(k, window.origin + sample.t, sample, 0.0), theta)
+                decision = supervisor.step(Point(k, sample.t, sample, 0.0), theta)
             except ScenarioError as e:
                 raise EstimateError(f"--online: {str(e).removeprefix('estimation.rollout: ')}") from e
-            events += [event for event in decision.events if event.kind != "candidate"]
+            told = (event for event in decision.events if event.kind != "candidate")
+            events += [replace(event, t=window.origin + event.t) for event in told]
             theta = theta if decision.write is None else decision.write
             progress(k + 1)
         failure = objective.why_lost if objective.is_ready else _not_begun(len(samples))
-        found = supervisor.summary()
+        found = _in_time_of_log(supervisor.summary(), window.origin)
         return Watched(window, tuple(events), retuner.n_evaluations, theta, objective.describe(), failure, found)
+
+
+def _in_time_of_log(found: Mapping[str, Any], origin: float) -> Mapping[str, Any]:
+    """Return the findings of screen and diagnosis with the log's times [s]."""
+    diagnosis = found["diagnosis"]
+    named = [{**one, "t": origin + one["t"]} for one in diagnosis["disturbances"]]
+    return {**found, "diagnosis": {**diagnosis, "disturbances": named}}
 
 
 def _not_begun(n_rows: int) -> str:
@@ -184,12 +195,19 @@ def _search(request: Request, space: ParameterSpace, theta: Vector, rng: np.rand
     return OneByOne(search) if isinstance(search, Rescoring) else search
 
 
-def _samples(window: LogWindow, step: float | None, is_even: bool) -> tuple[list[Sample], list[float]]:
-    """Return a sample for each row, or communication point, in the FMU's time; and the inputs in the first row."""
+def _grid(window: LogWindow, step: float | None, is_even: bool) -> Grid:
+    """Return the communication points within the window. Raises EstimateError, LogError."""
     distance = float(np.median(np.diff(window.time)))
     if step is not None and step < 0.99 * distance:
         raise EstimateError(f"--online takes samples {distance:g} s apart: --step must be so long at least.")
-    times, inputs, rows = grid_of(window, step, is_even)
+    grid = grid_of(window, step, is_even)
+    is_beyond = grid.rows is not None and grid.times[-1] > grid.rows[-1] + 1e-9 * distance
+    return grid if not is_beyond else grid._replace(times=grid.times[:-1], inputs=grid.inputs[:-1])
+
+
+def _samples(window: LogWindow, step: float | None, is_even: bool) -> tuple[list[Sample], list[float]]:
+    """Return a sample for each row, or communication point, in the FMU's time; and the inputs in the first row."""
+    times, inputs, rows = _grid(window, step, is_even)
     table = np.column_stack([window.states, window.measured])
     if rows is not None:
         table = np.column_stack([np.interp(times, rows, column, right=np.nan) for column in table.T])

@@ -224,6 +224,26 @@ def test_each_window_begins_anew(ask, oracles):
         assert watched.theta == pytest.approx([2.6, 1.4], rel=0.05)
 
 
+def test_a_log_whose_time_begins_anywhere_is_watched_alike(ask, oracles):
+    """Its first stamp is no reason to take samples for late; events are at the log's time."""
+    columns = {name: values[:450] for name, values in oracles.jump(0).items()}
+    found = []
+    for begins in (0.0, 0.005, 1000.0):
+        (watched,) = ask(columns | {"time [s]": columns["time [s]"] + begins}, evaluations=10).watched
+        found.append([(round(e.t - begins, 9), e.kind) for e in watched.events])
+        assert watched.found["observations"]["found"] == {}
+    assert "trigger" in [kind for _, kind in found[0]]
+    assert found[0] == found[1] == found[2]
+
+
+@pytest.mark.full
+def test_more_samples_than_there_are_communication_points_are_refused(ask, oracles):
+    columns = oracles.jump(0)
+    last = columns["time [s]"][-1]
+    with pytest.raises(EstimateError, match=r"must be less than the \d+ communication points of the longest"):
+        ask(columns, round(last / 0.1) + 2, step=0.1)
+
+
 @pytest.mark.full
 def test_samples_are_taken_at_the_communication_step(ask, oracles):
     columns = oracles.jump(0, force=lambda t: oracles.pushes(0.02 * np.floor(t / 0.02 + 1e-6)))  # changes there only

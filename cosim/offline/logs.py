@@ -22,6 +22,7 @@ from ..names import did_you_mean
 
 _HEADING: Final = re.compile(r"(?P<name>.*\S)\s*\[(?P<unit>[^\[\]]*)\]")
 _TIMES: Final = ("time", "t", "timestamp", "time_s")
+_NOT_IN_CP1252: Final = (0x81, 0x8D, 0x8F, 0x90, 0x9D)
 _NEVER: Final = -(2**63)
 _EXACT: Final = 2**53
 """Largest whole number up to which a float holds each."""
@@ -98,7 +99,9 @@ class Log:
 
     def time_name(self, name: str | None) -> str | None:
         """Return the name of the column of time stamps: the one asked for, or else the one called time or t, if any."""
-        return next((c for c in self.columns if c.strip().casefold() in _TIMES), None) if name is None else name
+        if name is not None:
+            return name
+        return next((c for usual in _TIMES for c in self.columns if c.strip().casefold() == usual), None)
 
     def time_column(self, name: str | None) -> Column:
         """Return the column of time stamps, the one named, or else the one called time or t. Raises LogError.
@@ -141,8 +144,8 @@ def _read_csv(path: Path) -> tuple[Sequence[str], Sequence[Any]]:
         start = content[:100_000].decode(encoding, "ignore").splitlines()
         content.decode(encoding)
     except UnicodeDecodeError:  # spreadsheets of Western Europe
-        encoding = "cp1252"
-        start = content[:100_000].decode(encoding, "replace").splitlines()
+        encoding = "latin-1" if any(byte in content for byte in _NOT_IN_CP1252) else "cp1252"
+        start = content[:100_000].decode(encoding).splitlines()
     if not start or b"\0" in content[:1000]:
         raise LogError(f"{path} is {'no text file' if start else 'empty'}; a log is CSV, Parquet, MAT or MDF4.")
     delimiter = max(",;\t", key=start[0].count)
@@ -183,9 +186,14 @@ def _column(column: Any, unit: str | None) -> Column:
     if pa.types.is_null(kind):
         return Column(np.full(len(column), np.nan), unit)
     if pa.types.is_timestamp(kind):
-        count = pc.cast(pc.cast(column, pa.timestamp("ns", tz=kind.tz)), pa.int64())
+        try:
+            count = pc.cast(pc.cast(column, pa.timestamp("ns", tz=kind.tz)), pa.int64())
+        except pa.ArrowInvalid:
+            return Column(np.empty(0), "s", "a date that is not within 1678 to 2261")
         values = _array(pc.fill_null(count, _NEVER))
         known = values != _NEVER
+        if not known.any():
+            return Column(np.full(len(values), np.nan), "s")
         return Column(np.where(known, (values - values[known][0]) / 1e9, np.nan), "s")
     if pa.types.is_boolean(kind):
         column, kind = pc.cast(column, pa.int8()), pa.int8()
@@ -213,13 +221,14 @@ def _array(column: Any) -> Any:
 
 def _read_mat(path: Path) -> tuple[Sequence[str], Sequence[Any]]:
     from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
 
     try:
         content = loadmat(path, simplify_cells=True)
     except NotImplementedError as e:
         raise LogError(f"{path} is a MAT file of version 7.3; save it with -v7.") from e
-    except (MatReadError, ValueError, TypeError) as e:
+    except OSError:
+        raise
+    except Exception as e:  # of a damaged file any: IndexError, zlib.error
         raise LogError(f"{path} is no MAT file: {one_line(str(e))}.") from e
     arrays = _flat({name: value for name, value in content.items() if not name.startswith("__")})
     return list(arrays), [Column(values) for values in arrays.values()]
@@ -256,9 +265,11 @@ class _Channels(Mapping[str, Column]):
     def __getitem__(self, name: str) -> Column:
         if name not in self._read:
             group, index = self._places[name]
-            with self._open(self._path) as file:
-                signal = file.get(group=group, index=index)
-            self._read[name] = _channel(signal)
+            try:
+                with self._open(self._path) as file:
+                    self._read[name] = _channel(file.get(group=group, index=index))
+            except Exception as e:  # as on opening a damaged file
+                raise LogError(f"{self._path}: channel '{name}' cannot be read: {one_line(str(e))}.") from e
         return self._read[name]
 
     def __iter__(self) -> Iterator[str]:
@@ -271,12 +282,13 @@ class _Channels(Mapping[str, Column]):
 def _read_mdf(path: Path) -> Mapping[str, Column]:
     try:
         from asammdf import MDF  # pyright: ignore[reportMissingImports]  optional
-        from asammdf.blocks.utils import MdfException  # pyright: ignore[reportMissingImports]
     except ImportError as e:
         raise LogError(f"{path} is an MDF file: pip install 'fmu-retune[mdf]' reads it.") from e
     try:
         channels = _Channels(path, MDF)
-    except MdfException as e:
+    except OSError:
+        raise
+    except Exception as e:  # of a damaged file any: ValueError, MdfException
         raise LogError(f"{path} is no MDF file: {one_line(str(e))}.") from e
     if not channels:
         raise LogError(f"{path} has no channels.")

@@ -130,6 +130,42 @@ def test_a_file_that_is_no_log_is_refused_in_one_line(tmp_path, name, content, m
     assert "\n" not in str(refused.value)
 
 
+def test_a_damaged_mat_file_is_refused_in_one_line(tmp_path):
+    savemat(tmp_path / "log.mat", ROWS, do_compression=True)
+    whole = (tmp_path / "log.mat").read_bytes()
+    for damaged in (whole[:150], whole[:-40], whole[:200] + bytes([whole[200] ^ 255]) + whole[201:]):
+        (tmp_path / "log.mat").write_bytes(damaged)
+        with pytest.raises(LogError, match=r"is no MAT file|cannot be read") as refused:
+            read_log(tmp_path / "log.mat")
+        assert "\n" not in str(refused.value)
+
+
+def test_a_byte_that_no_code_page_of_windows_has_is_read(tmp_path):
+    (tmp_path / "log.csv").write_bytes(b"time,u [\xb0C],note\n0,1,\x81\n0.1,2,b\n0.25,-0.035,c\n")
+    assert read_log(tmp_path / "log.csv").column("u").values.tolist() == ROWS["u"]
+
+
+def test_dates_that_are_no_times_are_refused_only_where_they_are_asked_for(tmp_path):
+    until, never = pa.array([None, "9999-12-31"]).cast(pa.date32()), pa.array([None, None], "timestamp[ms]")
+    table = {"time": pa.array([0.0, 1.0]), "until": until.cast("timestamp[s]"), "never": never}
+    pyarrow.parquet.write_table(pa.table(table), tmp_path / "log.parquet")
+    log = read_log(tmp_path / "log.parquet")
+    assert log.column("time").values.tolist() == [0.0, 1.0]
+    assert np.isnan(log.column("never").values).all()
+    with pytest.raises(
+        LogError, match="column 'until' must hold numbers, got 'a date that is not within 1678 to 2261'"
+    ):
+        log.column("until")
+
+
+def test_the_column_called_time_is_the_time_before_one_called_t(tmp_path):
+    """T may be a temperature, and is the first of sorted columns."""
+    (tmp_path / "log.csv").write_text("T,time\n20,0\n21,1\n")
+    assert read_log(tmp_path / "log.csv").time_name(None) == "time"
+    (tmp_path / "log.csv").write_text("T,u\n20,0\n21,1\n")
+    assert read_log(tmp_path / "log.csv").time_name(None) == "T"
+
+
 @pytest.mark.parametrize("cell", ["5_0", "1,234"])
 def test_a_cell_that_is_a_number_to_python_or_with_a_comma_is_told_as_it_is(tmp_path, cell):
     (tmp_path / "log.csv").write_text(f'clock,speed\n0,1.5\n1,"{cell}"\n')

@@ -232,10 +232,10 @@ class _Slope:
 def _sensors(scenario: Scenario, plant: Plant, residual: DerivativeResidual) -> Sensors:
     """Return the description of the sampled values for the screen."""
     states = [VariableName(f"{plant.name}.{name}") for name in plant.states]
-    on_states = scenario.sampling.states
-    is_noisy = [name in on_states and on_states[name].noise > 0.0 for name in states]
+    known = {**scenario.sampling.states, **scenario.sampling.outputs}  # a state among the outputs has its noise there
+    noise = [known[name].noise if name in known else 0.0 for name in states]
     n = len(scenario.sampling.derivatives)
-    on_channels = [on_states[states[i]].noise if states[i] in on_states else 0.0 for i in plant.channels]
+    is_noisy, on_channels = [own > 0.0 for own in noise], [noise[i] for i in plant.channels]
     return Sensors(
         (*scenario.sampling.derivatives, *states), (*[True] * n, *is_noisy), residual.noise,
         plant.channels, tuple(on_channels), residual, _Slope(residual),

@@ -387,6 +387,9 @@ def _modelled(
     if model is None:
         raise CosimError(f"{plant.name} cannot save its state, and no model stands for it")
     read = {s for w in wiring.values() for s in w.sources.values()} | {*scenario.tracking, *scenario.tracking.values()}
+    elsewhere = [r for p in scenario.estimation.parameters if (r := scenario.true_reference(p)).component != plant.name]
+    if elsewhere:
+        raise CosimError(f"{plant.name} cannot save its state, and its model does not set '{elsewhere[0]}'")
     if missing := not_given(plant, plant.rates, read):
         raise CosimError(f"{plant.name} cannot save its state, and the model does not give '{missing}'")
     return plant.name

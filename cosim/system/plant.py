@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from ..errors import WiringError, told_at
 from ..fmi.archive import FmuFile
@@ -62,8 +63,9 @@ def plant_of(scenario: Scenario, slave: Described) -> Plant:
     for reference, d in sampling.derivatives.items():
         with told_at(f'sampling.derivatives."{reference}"'):
             channels.append(_channel(reference, d, states, declared))
+    start: Mapping[str, Any] = scenario.components[slave.name].start
     inputs = {
-        v.name: float(v.start or 0.0)
+        v.name: float(start.get(v.name, v.start) or 0.0)
         for v in variables
         if v.causality == "input" and f"{slave.name}.{v.name}" not in scenario.changes
     }

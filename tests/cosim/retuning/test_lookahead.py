@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 from cosim.errors import CosimError, SlaveError
 from cosim.fmi.archive import capabilities
-from cosim.retuning.lookahead import Lookahead, RunningSystem
+from cosim.retuning.lookahead import Lookahead, RunningSystem, _modelled
 from cosim.runs.simulation import run
 from cosim.scenarios.scenario import Scenario
 from cosim.slaves.slave import Slave, open_slave
@@ -22,6 +22,7 @@ from cosim.system.master import Master
 from cosim.system.plant import plant_of
 from cosim.system.tuning import tuning_rule
 from cosim.system.wiring import wire
+from cosim.variable_name import VariableName
 from estimator import Sample
 from fmu_models import pendulum as physics
 
@@ -155,6 +156,15 @@ def test_a_disturbance_is_in_the_plants_state_and_not_in_what_is_predicted(pendu
         peak = made.predicted_peak(NOMINAL, NOMINAL)
     assert peak == pytest.approx(np.abs(phi - desired).max(), rel=1e-6)
     assert peak > 1.01 * np.max(np.abs(result.errors["plant.phi"][21:71]))
+
+
+def test_a_model_does_not_stand_for_a_plant_where_a_parameter_belongs_to_another_component(loop, monkeypatch):
+    made = loop()
+    capabilities(made.slaves["plant"].description).canGetAndSetFMUstate = False
+    monkeypatch.setattr(Scenario, "true_reference", lambda self, parameter: VariableName("reference.phi_final"))
+    of_loop = made.lookahead._scenario, made.slaves, made.lookahead._wiring
+    with pytest.raises(CosimError, match=r"its model does not set 'reference\.phi_final'"):
+        _modelled(*of_loop, made.plant, physics.derivative)
 
 
 @pytest.mark.parametrize("size", [2.0, -0.3])

@@ -70,6 +70,14 @@ class SequenceObjective(Protocol):
         """Take theta (d,) for the plant's parameters from the stretch's beginning on."""
         ...
 
+    def revert(self, theta: Vector) -> None:
+        """Take theta (d,), accepted before, for the plant's parameters since others were accepted."""
+        ...
+
+    def move_inputs(self, moved: Vector, stretch: SampleSequence) -> None:
+        """Take inputs moved by (p,) for those that have acted from the stretch's beginning on."""
+        ...
+
 
 class EpisodeWindow:
     """Window on which all candidates of an episode are evaluated, once each; none is kept for the next episode.
@@ -163,11 +171,18 @@ class EpisodeWindow:
         self._stretch, self._is_filling, self._extended = None, False, 0
         self._judged.clear()
 
-    def clear(self) -> None:
-        """Forget all samples, and the episode."""
-        self._recent, self._origins, self._anchors = [], [], []
-        self._stretch, self._is_filling, self._extended = None, False, 0
+    def revert(self, theta: Vector) -> None:
+        """Take earlier parameters theta (d,) for those of the plant since others were accepted."""
+        self._objective.revert(theta)
+
+    def move_inputs(self, moved: Vector) -> None:
+        """Take inputs moved by (p,) for those that have acted since the present episode's first sample."""
+        assert self._stretch is not None
+        first, *others = self._recent
+        self._recent = [first, *(_with_inputs(sample, moved) for sample in others)]
+        self._stretch = replace(self._stretch, samples=tuple(self._recent[: self._stretch.n_steps + 1]))
         self._judged.clear()
+        self._objective.move_inputs(moved, self._stretch)
 
     def extend(self) -> bool:
         """End the episode, and begin the next one on the same samples and as many again, when they are there.
@@ -219,7 +234,7 @@ class EpisodeWindow:
         """Return the residual (D,) of theta (d,) with moved (p,) added to every input, in standard deviations."""
         assert self._stretch is not None
         first, *others = self._stretch.samples
-        aside = [replace(s, u=tuple((np.array(s.u) + moved).tolist())) for s in others]
+        aside = [_with_inputs(sample, moved) for sample in others]
         (found,) = self._objective.evaluate([theta], replace(self._stretch, samples=(first, *aside)))
         self.n_model_calls += self._stretch.n_steps
         return self._weighted(found.residual)
@@ -235,11 +250,11 @@ class EpisodeWindow:
         return found.reason if found else None
 
     def track(self, theta: Vector) -> Vector:
-        """Return the residual (D,) of the parameters in force on the samples since the newest anchor, or empty.
+        """Return the residual (D,) of the parameters in force on the samples since the anchor before, or empty.
 
         It costs one simulated step a sample: see SequenceObjective.track.
         """
-        stretch = self._stretch_from(self._anchors[-1])
+        stretch = self._stretch_from(self._tracked_from)
         if not stretch.n_steps:
             return np.empty(0)
         self.n_model_calls += 1
@@ -248,7 +263,13 @@ class EpisodeWindow:
     @property
     def n_tracked(self) -> int:
         """Number of samples that `track` is about."""
-        return len(self._recent) - 1 - self._anchors[-1]
+        return len(self._recent) - 1 - self._tracked_from
+
+    @property
+    def _tracked_from(self) -> int:
+        """Place of the newest anchor that has samples after it, if there is one."""
+        is_newest = len(self._anchors) > 1 and self._anchors[-1] == len(self._recent) - 1
+        return self._anchors[-2 if is_newest else -1]
 
     def innovation(self, theta: Vector, sample: Sample) -> Vector:
         """Return the residual (D,) for a trigger, on the samples from the newest anchor to this one, the newest."""
@@ -284,6 +305,10 @@ class EpisodeWindow:
         if self.weights is None or len(residual) % len(self.weights):
             return residual
         return (residual.reshape(len(self.weights), -1) * self.weights[:, None]).reshape(-1)
+
+
+def _with_inputs(sample: Sample, moved: Vector) -> Sample:
+    return replace(sample, u=tuple((np.array(sample.u) + moved).tolist()))
 
 
 def _last_explained(squares: Vector, n_values: int) -> int | None:

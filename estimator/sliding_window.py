@@ -94,6 +94,9 @@ class ResidualWindow:
     def end(self, theta: Vector) -> None:
         """Do nothing, as in `begin`."""
 
+    def revert(self, theta: Vector) -> None:
+        """Do nothing: no residual depends on parameters that were in force before."""
+
     def why_failed(self, theta: Vector) -> None:
         """Return None: a candidate fails where the model has no value, for no other reason."""
 

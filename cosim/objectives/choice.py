@@ -68,10 +68,10 @@ def open_objective(
     way = None if settings.rollout.start == "auto" else settings.rollout.start
     shadow = shadow_of(scenario, plant, live is not None)
     opened = partial(RolloutObjective, shadow, theta, way, live, settings.rollout.jobs)
-    known = {**scenario.sampling.outputs, **scenario.sampling.states}
+    known = {**scenario.sampling.states, **scenario.sampling.outputs}
     measured = [known.get(VariableName(f"{plant.name}.{name}")) for name in plant.states]
     noise = [0.0 if n is None else n.noise for n in measured]
-    may_be_measured = way == "measured" or (way is None and "state" in shadow.obstacles)
+    may_be_measured = way == "measured" or (way is None and "measured" not in shadow.obstacles)
     if any(noise) and may_be_measured:
         return stack.enter_context(NoisyStartObjective(opened, noise))
     return stack.enter_context(opened())
@@ -135,6 +135,12 @@ class FunctionObjective:
 
     def accept(self, theta: Vector, stretch: SampleSequence) -> None:
         """Ignore the accepted parameters: no residual depends on earlier ones."""
+
+    def revert(self, theta: Vector) -> None:
+        """Do nothing: no residual depends on earlier parameters."""
+
+    def move_inputs(self, moved: Vector, stretch: SampleSequence) -> None:
+        """Do nothing: the function gets the inputs with the samples."""
 
     def evaluate(self, thetas: Sequence[Vector], stretch: SampleSequence) -> list[Evaluation]:
         """Evaluate each candidate in turn. Raises ScenarioError for no residuals, or for another number of them."""

@@ -156,9 +156,24 @@ class RolloutObjective:
         """Use theta from the stretch's beginning on in simulations from the start."""
         if self.way == "replay":
             self._history.accept(stretch.origin.place, theta.tolist())
-            if self._window_start is not None:
-                self._window_start.accept(stretch.origin.place)
-            self._followed = None
+            self._go_back_to(stretch.origin.place)
+
+    def revert(self, theta: Vector) -> None:
+        """Use theta in place of what was accepted after it, in simulations from the start."""
+        if self.way == "replay":
+            self._go_back_to(self._history.revert(theta.tolist()))
+
+    def move_inputs(self, moved: Vector, stretch: SampleSequence) -> None:
+        """Move the inputs by (p,) from the stretch's beginning on in simulations from the start, and as followed."""
+        if self.way == "replay":
+            self._history.move_inputs(stretch.origin.place, moved.tolist())
+        self._go_back_to(stretch.origin.place)
+
+    def _go_back_to(self, place: int) -> None:
+        """Simulate anew what comes after a place of the history."""
+        if self._window_start is not None:
+            self._window_start.forget(place)
+        self._followed = None
 
     def _decide(self) -> None:
         """Try the ways in turn, each as soon as there are enough samples to prove that it works."""

@@ -41,8 +41,8 @@ class WindowStart:
         """End the process."""
         self._pool.__exit__()
 
-    def accept(self, place: int) -> None:
-        """Forget a state behind a place from which on other parameters are accepted."""
+    def forget(self, place: int) -> None:
+        """Forget a state behind a place from which on other parameters are accepted, or inputs have acted."""
         if self._reached is not None and self._reached.place > place:
             self._reached = None
 

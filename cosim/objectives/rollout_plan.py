@@ -93,6 +93,19 @@ class History:
         """Take theta (d,) for the parameters from that place on."""
         self.changes = [*(b for b in self.changes if b[0] < place), (place, theta)]
 
+    def revert(self, theta: Sequence[float]) -> int:
+        """Take theta (d,), accepted before, for the parameters since others were; return the place where that was."""
+        place, changes = len(self.inputs), [*self.changes]
+        while changes and [*changes[-1][1]] != [*theta]:
+            place, _ = changes.pop()
+        self.changes = changes if changes or [*self.theta] == [*theta] else [(place, theta)]
+        return place
+
+    def move_inputs(self, place: int, moved: Sequence[float]) -> None:
+        """Take inputs moved by (p,) for those from that place on."""
+        later = [[u + d for u, d in zip(inputs, moved, strict=True)] for inputs in self.inputs[place:]]
+        self.inputs = [*self.inputs[:place], *later]
+
     def legs(self, until: int, since: int = 0) -> tuple[Leg, ...]:
         """Return the legs from a place, by default the start, to another, with the parameters accepted on the way."""
         changes = [(since, None), *(b for b in self.changes if since <= b[0] < until)]

@@ -61,6 +61,15 @@ class NoisyStartObjective:
         """Pass the accepted parameters on to the inner objective."""
         self._objective.accept(theta, stretch)
 
+    def revert(self, theta: Vector) -> None:
+        """Pass the parameters on to the inner objective."""
+        self._objective.revert(theta)
+
+    def move_inputs(self, moved: Vector, stretch: SampleSequence) -> None:
+        """Pass the moved inputs on to the inner objectives, whose roll-outs are followed."""
+        for objective in (self._objective, *self._aside):
+            objective.move_inputs(moved, stretch)
+
     def evaluate(self, thetas: Sequence[Vector], stretch: SampleSequence) -> list[Evaluation]:
         """Evaluate the candidates over the stretch; all are whitened by the factor of the first that does not fail.
 
@@ -107,7 +116,9 @@ def _factor(residual: Vector, moved: Sequence[Vector], n_steps: int) -> Vector:
     """Return the lower Cholesky factor (D, D) of the covariance, from old to new; failed roll-outs are left out."""
     g = [_by_time(r - residual, n_steps) for r in moved if len(r) == len(residual) and np.all(np.isfinite(r))]
     aside = np.array(g).reshape(len(g), len(residual))
-    return np.asarray(np.linalg.cholesky(np.eye(len(residual)) + aside.T @ aside), dtype=np.float64)
+    # By QR of (G; I): in I + G'G the identity is lost where G is large, as of a roll-out that diverges.
+    upper = np.asarray(np.linalg.qr(np.vstack([aside, np.eye(len(residual))]), mode="r"), dtype=np.float64)
+    return (upper * np.sign(upper.diagonal())[:, None]).T
 
 
 def _whitened(factor: Vector, residual: Vector, n_steps: int) -> Evaluation:

@@ -122,18 +122,17 @@ class EpisodeDiagnosis:
         state = self._state
         state.n_samples += 1
         residual = self._newest = self._window.track(theta)
-        if not len(residual):  # a simulation has failed, if there are samples
-            is_asked = self._window.n_tracked and state.n_samples >= state.rests_until
-            return trigger(sample, tracking_error, theta) if is_asked else None
-        newest = residual.reshape(len(self._outputs), -1)[:, -1]
-        newest = newest if self._window.weights is None else newest / self._window.weights
+        newest = residual.reshape(len(self._outputs), -1)[:, -1:].reshape(-1)  # empty where a simulation has failed
+        newest = newest if self._window.weights is None or not len(newest) else newest / self._window.weights
         if state.n_samples < state.rests_until:
-            if np.all(np.isfinite(newest)):
+            if len(newest) and np.all(np.isfinite(newest)):
                 state.rested.append(newest)
                 state.resting = state.resting.take(newest)
             if self._is_rest_over():
                 self._window.weights = 1.0 / state.scale.effective
             return None
+        if not len(residual):
+            return trigger(sample, tracking_error, theta) if self._window.n_tracked else None
         if self._window.is_extended:
             return _MORE if self._window.is_ready else None
         if self._settings.is_usual(residual, len(residual)):
@@ -217,7 +216,8 @@ class EpisodeDiagnosis:
         if disturbed.fit.is_explained:
             now = state.inputs + disturbed.inputs
             is_over = bool(np.any(state.inputs)) and _fit(self._moved(held, -state.inputs), 0).is_explained
-            state.inputs = np.zeros(len(now)) if is_over else now
+            before, state.inputs = state.inputs, np.zeros(len(now)) if is_over else now
+            self._window.move_inputs(state.inputs - before)
             size = {} if is_over else dict(zip(self._inputs, now.tolist(), strict=True))
             reason = "the disturbance is over" if is_over else (
                 "a constant disturbance of the inputs explains the samples, changed parameters do not"

@@ -49,6 +49,7 @@ class DiagnosingEpisodes(RetunerCounts[Retuner]):
     def reverted(self, theta: Vector) -> None:
         """Take a revert of the guard's to theta (d,): no search that fails returns to what was reverted."""
         self._before = theta
+        self._retuner.reverted(theta)
 
     def suspend(self, t: float, held: Vector, n: int) -> Proposal | None:
         """End the search on samples that turn out to be doubtful, and undo what it wrote; None where there is none."""
@@ -89,8 +90,6 @@ class DiagnosingEpisodes(RetunerCounts[Retuner]):
         before = diagnosis.accepted(before)
         events = diagnosis.fail(t, best, before)
         self._retuner.close(before)
-        if any(event.kind == "disturbance" for event in events):
-            self._retuner.forget()  # samples without it
         return going_back(t, proposal, before, held, events, diagnosis.space)
 
     def _close(self, held: Vector) -> None:

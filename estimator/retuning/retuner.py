@@ -174,6 +174,7 @@ class Retuner:
     def reverted(self, theta: Vector) -> None:
         """Take a return to earlier parameters theta (d,): what the filter knows is doubtful."""
         self.distrust()
+        self._window.revert(theta)
 
     def distrust(self) -> None:
         """Forget what the samples so far say of the parameters: the next samples are followed after a search only."""
@@ -182,7 +183,8 @@ class Retuner:
 
     def forget(self) -> None:
         """Forget the samples, whose residuals are no longer valid."""
-        self._window.clear()
+        if self._sliding is not None:
+            self._sliding.clear()
 
     def snapshot(self) -> RetunerSnapshot | None:
         """Return the snapshot that `restore` needs; None where the window, an episode's own, cannot be restored."""

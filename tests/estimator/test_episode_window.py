@@ -1,5 +1,7 @@
 """The window of an episode: which samples it is of, and that each candidate is judged on them once."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -38,6 +40,10 @@ class Ramp:
 
     def track(self, theta, stretch):
         return self.one(theta, stretch).residual
+
+    def revert(self, theta): ...
+
+    def move_inputs(self, moved, stretch): ...
 
     def accept(self, theta, stretch):
         self.believed.append((theta.tolist(), stretch.samples[0].t))
@@ -164,14 +170,39 @@ def test_physical_units_are_whitened_ones_times_the_noise():
     np.testing.assert_allclose(window.residual(CHANGED), expected, rtol=1e-9)
 
 
-def test_following_looks_at_the_samples_since_the_newest_anchor():
+def test_following_looks_at_the_samples_since_the_anchor_before():
     objective = Ramp()
     window, lengths = EpisodeWindow(objective, 4), []
     for sample in ramp(10):
         window.append(sample)
         lengths.append(len(window.track(TRUE)))
-    assert lengths == [0, 1, 2, 3, 0, 1, 2, 3, 0, 1]
-    assert window.n_model_calls == 7  # a step each
+    assert lengths == [0, 1, 2, 3, 4, 1, 2, 3, 4, 1]
+    assert window.n_model_calls == 9  # a step each
+
+
+def test_a_window_of_one_sample_is_followed_too():
+    """The default of `sqp` and others; each sample is an anchor there, and none would ever begin an episode."""
+    window, lengths = EpisodeWindow(Ramp(), 1), []
+    for sample in ramp(5):
+        window.append(sample)
+        lengths.append(len(window.track(TRUE)))
+    assert lengths == [0, 1, 1, 1, 1]
+
+
+def test_inputs_that_were_others_are_so_in_all_samples_of_the_episode_and_in_the_simulations():
+    objective, moves = Ramp(), []
+    objective.move_inputs = lambda moved, stretch: moves.append((moved.tolist(), stretch.samples[-1].u))
+    window, samples = EpisodeWindow(objective, 4), [replace(s, u=(1.0,)) for s in ramp(6)]
+    for sample in samples[:5]:
+        window.append(sample)
+    window.begin(TRUE)
+    window.append(samples[5])
+    before = window.residual(CHANGED)
+    window.move_inputs(np.array([0.5]))
+    assert [s.u for s in window.sequence.samples] == [(1.0,), *[(1.5,)] * 4]
+    assert window.newest.u == (1.5,)  # which came during the episode
+    assert moves == [([0.5], (1.5,))]
+    np.testing.assert_array_equal(window.residual(CHANGED), before)  # a ramp has no input
 
 
 def test_a_judge_that_is_not_ready_is_waited_for():

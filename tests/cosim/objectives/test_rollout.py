@@ -19,9 +19,10 @@ from cosim.cli import main
 from cosim.errors import CosimError
 from cosim.estimator_fmu.settings import estimator_settings
 from cosim.fmi.archive import FmuFile, read_description
-from cosim.objectives.choice import chosen
+from cosim.objectives.choice import chosen, open_objective
 from cosim.objectives.rollout import RolloutObjective
 from cosim.objectives.rollout_fmu import RunningPlant, shadow_of
+from cosim.objectives.rollout_start import NoisyStartObjective
 from cosim.runs.result import read_run
 from cosim.slaves.slave import open_slave
 from cosim.system.fmu_cache import find_fmu
@@ -163,6 +164,30 @@ def test_a_replay_takes_the_parameters_that_were_believed_then(live_objective):
     np.testing.assert_allclose(found.residual, expected.T.reshape(-1), atol=2e-3)
 
 
+def test_a_replay_forgets_what_was_accepted_and_is_reverted(live_objective):
+    objective, step = live_objective("replay")
+    samples = step(30)
+    stretch = SampleSequence(tuple(samples[19:]), step.origins[19])
+    (expected,) = objective.evaluate([TRUTH], stretch)
+    for place, theta in ((9, OTHER), (14, 1.1 * OTHER)):
+        objective.accept(theta, SampleSequence(tuple(samples[place : place + 5]), step.origins[place]))
+    objective.revert(TRUTH)  # its start
+    np.testing.assert_allclose(objective.evaluate([TRUTH], stretch)[0].residual, expected.residual, atol=1e-9)
+
+
+def test_a_replay_takes_the_inputs_that_were_others_than_was_sampled(live_objective):
+    """A push of 2 N from sample 10 on, known after sample 30: the same as by DOP853."""
+    objective, step = live_objective("replay")
+    samples = step(30)
+    moved = [dataclasses.replace(s, u=(s.u[0] + 2.0, 0.0)) for s in samples[10:]]
+    objective.move_inputs(np.array([2.0, 0.0]), SampleSequence((samples[9], *moved), step.origins[9]))
+    (found,) = objective.evaluate([TRUTH], SampleSequence((samples[19], *moved[10:]), step.origins[19]))
+    times, inputs = [0.0, *(s.t for s in samples)], [s.u[0] for s in (*samples[:10], *moved)]
+    simulated = swing(*TRUTH, times, inputs, (0.5, 0.1))[20:]
+    expected = (simulated - [s.y for s in samples[20:]]) / SIGMA
+    np.testing.assert_allclose(found.residual, expected.T.reshape(-1), atol=2e-3)
+
+
 @pytest.mark.full_but("measured")
 @pytest.mark.parametrize("way", ["state", "measured", "replay"])
 def test_following_gives_what_a_whole_roll_out_gives_a_step_at_a_time(live_objective, monkeypatch, way):
@@ -176,6 +201,25 @@ def test_following_gives_what_a_whole_roll_out_gives_a_step_at_a_time(live_objec
             (whole,) = objective.evaluate([TRUTH], stretches[-1])
             np.testing.assert_allclose(followed, whole.residual if len(followed) else [], rtol=1e-9, atol=1e-9)
     assert len(followed)
+
+
+@pytest.mark.parametrize("way", ["auto", "measured"])
+@pytest.mark.parametrize("states", ["{}", '{"plant.phi" = {}, "plant.phi_dot" = {}}'], ids=["unnamed", "named"])
+def test_residuals_are_whitened_where_roll_outs_may_begin_in_states_that_are_noisy_outputs(way, states):
+    """Also where a saved state is tried first: what is found not to work falls back to measured ones."""
+    scenario = Scenario.load("pendulum", ROLLOUT | {"estimation.rollout.start": way, "sampling.states": states})
+    with ExitStack() as stack:
+        slave = stack.enter_context(open_slave(find_fmu("Pendulum", Path()), "plant"))
+        live = RunningPlant(slave, ("phi", "phi_dot"), {})
+        objective = open_objective(scenario, plant_of(scenario, slave), TRUTH, live, stack)
+        assert isinstance(objective, NoisyStartObjective)
+        assert objective._noise.tolist() == [1e-3, 2e-3]
+
+
+def test_an_input_that_is_not_connected_has_the_start_value_that_the_scenario_gives_it():
+    scenario = Scenario.load("pendulum", {"components.plant.start.F_d": "1.5"})
+    with open_slave(find_fmu("Pendulum", Path()), "plant") as slave:
+        assert dict(plant_of(scenario, slave).inputs) == {"u": 0.0, "F_d": 1.5}
 
 
 # -- in the loop --------------------------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import expm
 
-from cosim.objectives.rollout_start import NoisyStartObjective
+from cosim.objectives.rollout_start import NoisyStartObjective, _factor
 from estimator import EpisodeWindow, Evaluation, Objective, Parameter, ParameterSpace, Sample, SampleSequence
 from estimator.baselines.kalman import EnsembleKalman, UnscentedKalman
 
@@ -37,6 +37,10 @@ class LinearRollOuts:
     def snapshot(self, is_needed):
         return True
 
+    def revert(self, theta): ...
+
+    def move_inputs(self, moved, stretch): ...
+
     def accept(self, theta, stretch):
         pass
 
@@ -61,6 +65,16 @@ def measured(seed, noise=1.0):
         y = tuple(z[:2] + noise * NOISE * rng.standard_normal(2))
         samples.append(Sample(H * (k + 1), y, (), (), y))
     return samples
+
+
+@pytest.mark.parametrize("size", [1.0, 1e9, 1e11])
+def test_residuals_are_whitened_however_far_a_roll_out_diverges(size):
+    """In the covariance itself the noise is lost beside 1e18."""
+    moved = [size * np.linspace(0.0, 1.0, N), size * np.linspace(0.0, 1.0, N) ** 2]
+    factor = _factor(np.zeros(N), moved, N)
+    aside = np.array(moved) / size
+    assert_allclose(factor @ factor.T / size**2, aside.T @ aside + np.eye(N) / size**2, atol=1e-9)
+    assert np.all(factor.diagonal() > 0.9)
 
 
 def kalman(samples, jump):

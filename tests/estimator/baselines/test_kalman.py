@@ -59,6 +59,10 @@ class RollOuts:
     def snapshot(self, is_needed):
         return True
 
+    def revert(self, theta): ...
+
+    def move_inputs(self, moved, stretch): ...
+
     def accept(self, theta, stretch):
         pass
 

@@ -53,6 +53,10 @@ class Simulated:
     def track(self, theta, stretch):
         return self.one(theta, stretch).residual
 
+    def revert(self, theta): ...
+
+    def move_inputs(self, moved, stretch): ...
+
     def accept(self, theta, stretch):
         pass
 
@@ -333,6 +337,19 @@ def test_samples_without_a_value_stop_nothing(estimator):
     run.go(100).go(80, CHANGED)
     assert all(np.all(np.isfinite(theta)) for _, theta in run.writes)
     assert near(run.held, CHANGED)
+
+
+def test_the_size_of_the_residuals_in_a_rest_is_known_after_it_whatever_its_last_sample_had():
+    """That a simulation has none, as where it begins or has failed, is no reason to forget the others."""
+    settings = DiagnosisSettings(rest=100, longest_rest=100)
+    run = Run("least-squares", settings=settings).go(100).go(80, TRUE, sine)
+    state, track = run.diagnosis._state, run.window.track
+    run.go(state.rests_until - state.n_samples - 2, TRUE, sine)
+    run.window.track = lambda theta: np.empty(0)
+    run.go(1, TRUE, sine)
+    run.window.track = track
+    assert state.n_samples == state.rests_until - 1
+    assert np.all(state.scale.values > 2.0)
 
 
 def test_samples_without_a_value_in_a_rest_are_not_learnt_from():

@@ -68,11 +68,13 @@ class Consistency:
         moved = [sample.x[i] - last.x[i] for i in self._channels]
         drift = [abs(now[i] - before[i]) for i in self._channels]
         changes = [abs(a - b) for a, b in zip(sample.xdot, last.xdot, strict=True)]
-        self._rows = np.concatenate([self._rows[-SUMMED:], [[moved, sample.xdot, drift, changes]]])
+        row = np.array([moved, sample.xdot, drift, changes])
+        is_known = np.isfinite(row).all(axis=0)  # not beside a missing derivative: no motion is compared there
+        self._rows = np.concatenate([self._rows[-SUMMED:], [np.where(is_known, row, 0.0)]])
         if len(self._rows) <= _FEWEST:
             return np.empty(0, dtype=np.intp)
         is_beyond = self._are_beyond(self._rows[1:])
-        self._distrust = np.clip(self._distrust + np.where(is_beyond, _SHY, -1), 0, SUMMED)
+        self._distrust = np.clip(self._distrust + np.where(is_beyond, _SHY, -1 * is_known), 0, SUMMED)
         return np.flatnonzero(self._distrust)
 
     def _are_beyond(self, rows: Vector) -> NDArray[np.bool_]:

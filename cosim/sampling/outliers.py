@@ -51,7 +51,7 @@ class Outliers:
         if self._last is None or not np.isfinite(now).all():
             return self._accept(sample, theta, now), []
         last = self._known[1] if theta is self._known[0] else residual(theta, self._last)
-        change = np.abs(now - last)
+        change = np.where(np.isnan(sample.xdot) | np.isnan(self._last.xdot), 0.0, np.abs(now - last))
         of_model = self._change_of_model(sample, now, last)
         limit = self._limit * sqrt(2.0) + of_model
         if self._suspect is not None or not (change <= limit).all():  # what is usual only widens it

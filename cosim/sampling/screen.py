@@ -9,7 +9,7 @@ of its state is inconsistent. A constant bias of a state, or consistent biases o
 another plant and are not detected.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, replace
 from math import nan
 from typing import Any, Final, NamedTuple
@@ -81,19 +81,19 @@ class SampleScreen:
         def moves(i: int) -> bool:
             return self._sensors.is_noisy[i] or self._state_moves(i, sample, theta)
 
-        found = {*self._plain.step(t, sample.t, (*sample.xdot, *sample.x), sample.u, moves)}
-        if not found:
-            found = {("inconsistent", self._sensors.names[i]) for i in self._consistency.step(sample, theta)}
-        bad = {name for _, name in found} | {*self._health.failed}
         channels = self._sensors.names[: len(sample.xdot)]
+        found = {*self._plain.step(t, sample.t, (*sample.xdot, *sample.x), sample.u, moves)}
+        missing = {name for _, name in found}
+        if missing < {*channels}:  # else there is nothing to compare the motion of the states with
+            inconsistent = {channels[i] for i in self._consistency.step(_without(sample, channels, missing), theta)}
+            found |= {("inconsistent", name) for name in inconsistent - missing}
+        bad = {name for _, name in found} | {*self._health.failed}
         n_inconsistent = sum(kind == "inconsistent" for kind, _ in found)
         is_kept_out = not bad <= {*channels} or bad >= {*channels} or n_inconsistent > 1 or len(self._health.failed) > 1
-        is_suspect, outliers = (False, []) if bad else self._outliers.step(sample, theta)
+        sample = _without(sample, channels, bad)
+        is_suspect, outliers = (False, []) if is_kept_out else self._outliers.step(sample, theta)
         self._n_kept_out += bool(bad) + bool(outliers)
         events = self._health.take(t, found | {("outlier", name) for name in outliers})
-        if bad and not is_kept_out:
-            pairs = zip(sample.xdot, channels, strict=True)
-            sample = replace(sample, xdot=tuple(nan if name in bad else value for value, name in pairs))
         n_doubtful = self._health.n_doubtful(events)
         return Screened(None if is_kept_out else sample, is_suspect, bool(outliers), tuple(events), n_doubtful)
 
@@ -108,6 +108,14 @@ class SampleScreen:
             return False
         slope = self._sensors.slope(theta, sample.x, sample.u)[place]
         return abs(slope) * self._h > _STILL * max(1.0, abs(sample.x[place]))
+
+
+def _without(sample: Sample, channels: Sequence[str], bad: Set[str]) -> Sample:
+    """Return the sample with NaN for bad derivatives; channels (c,): their names."""
+    if not bad:
+        return sample
+    pairs = zip(sample.xdot, channels, strict=True)
+    return replace(sample, xdot=tuple(nan if name in bad else value for value, name in pairs))
 
 
 class OutputScreen:

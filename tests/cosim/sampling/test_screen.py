@@ -426,3 +426,42 @@ def test_limits_are_those_of_the_settings():
         samples = moving(3)
         samples[2] = replace(samples[2], xdot=(1.0 + size * SIGMA,))
         assert steps(screen(outlier=3.0), samples)[-1].is_suspect == is_suspect
+
+
+# Two derivatives, of which one is missing.
+
+PAIR = Sensors(
+    ("der(x)", "der(y)", "x", "y"), (True, True, False, False), (SIGMA, SIGMA), (0, 1), (0.0, 0.0),
+    lambda theta, sample: np.array([0.0 if v != v else (v - 1.0) / SIGMA for v in sample.xdot]),
+    lambda theta, x, u: [1.0, 1.0],
+)  # fmt: skip
+
+
+def pair(n, is_missing, der_y=lambda k: 1.0):
+    rng = np.random.default_rng(0)
+    for k in range(n):
+        x, y = rng.normal([1.0, der_y(k)], 0.1 * SIGMA)
+        yield Sample(k * H, (k * H, k * H), (1.0,), (nan if is_missing(k) else x, y))
+
+
+@pytest.mark.parametrize("is_missing", [lambda k: False, lambda k: k >= 10], ids=["both", "one is missing"])
+def test_a_wrong_derivative_is_found_beside_one_that_is_missing(is_missing):
+    watched = screen(PAIR)
+    seen = [found(watched, s)[0] for s in pair(60, is_missing, lambda k: -1.0 if k >= 30 else 1.0)]
+    assert not any("inconsistent der(y)" in told for told in seen[:30])
+    assert all("inconsistent der(y)" in told for told in seen[33:])
+
+
+def test_a_spike_is_found_beside_a_derivative_that_is_missing():
+    watched = screen(PAIR, inconsistent=1e9)
+    seen = steps(watched, pair(60, lambda k: k >= 10, lambda k: 51.0 if k == 40 else 1.0))
+    assert [k for k, s in enumerate(seen) if s.is_suspect] == [40]
+    assert [k for k, s in enumerate(seen) if s.was_outlier] == [41]
+
+
+def test_a_suspect_is_retracted_though_the_next_sample_lacks_another_derivative():
+    watched = screen(PAIR, inconsistent=1e9)
+    seen = steps(watched, pair(60, lambda k: k == 41, lambda k: 51.0 if k == 40 else 1.0))
+    assert (seen[40].is_suspect, seen[41].was_outlier) == (True, True)
+    assert np.isnan(seen[41].sample.xdot[0])
+    assert seen[41].sample.xdot[1] == pytest.approx(1.0, abs=SIGMA)

@@ -241,12 +241,15 @@ Residuals = Callable[[Vector], Vector]
 def updated(prior: Normal, points: Points, residuals: Residuals) -> tuple[Normal, float]:
     """Return the distribution after one sample, and the sum of squares of its mean residual before.
 
-    A sample at which a point has no value is left out. A point outside the bounds has the value at the nearest bound:
-    there the residual stays as it is, and a mean at a bound moves with half the gain.
+    A sample at which a point has no value is left out. A point outside the bounds is moved to the nearest one.
     """
     xi = points.xi
+    places = prior.mean + xi @ prior.root.T
+    inside = np.clip(places, 0.0, 1.0)
+    if not np.array_equal(inside, places):  # else the kink at a bound would be taken for curvature, by 1/alpha**2
+        xi = prior.standardised(inside)
     with np.errstate(all="ignore"):  # where the model overflows
-        rows = residuals(prior.mean + xi @ prior.root.T)
+        rows = residuals(inside)
         if not np.all(np.isfinite(rows)):
             return prior, np.inf
         seen = points.linearised(xi, rows)

@@ -116,6 +116,23 @@ def test_on_an_episode_of_a_linear_plant_it_is_the_kalman_filter(name, spread):
     assert estimate.cost == pytest.approx(residual @ residual, rel=1e-6)
 
 
+@pytest.mark.parametrize("truth", [0.5, 0.65, 4.0])
+@pytest.mark.parametrize("start", [0.5, 4.0])
+def test_from_a_bound_sample_by_sample_it_gets_to_least_squares(start, truth):
+    """Points outside the bounds, evaluated at them, looked like curvature and pushed the mean into the bound."""
+    space, sigma, rng = ParameterSpace((Parameter("m", 0.5, 4.0),)), 0.01, np.random.default_rng(1)
+    window = ResidualWindow(lambda theta, s: np.array([(s.xdot[0] - theta[0] * s.u[0]) / sigma]), 1)
+    search = UnscentedKalman(space, np.array([start]), np.random.default_rng(0))
+    u = 2.0 + np.cos(0.3 * np.arange(300))
+    measured = truth * u + sigma * rng.standard_normal(300)
+    for k, (held, value) in enumerate(zip(u.tolist(), measured.tolist(), strict=True)):
+        window.append(Sample(0.01 * k, (), (held,), (value,)))
+        search.solve(Objective(window))
+    found = search.estimate()
+    best = np.clip(measured[-50:] @ u[-50:] / (u[-50:] @ u[-50:]), 0.5, 4.0)  # it walks: the newest samples count
+    assert abs(found.theta[0] - best) < 4.0 * found.std[0] < 0.05
+
+
 def test_sample_by_sample_the_ensemble_is_the_kalman_filter_within_its_scatter():
     """20 000 members: mean and deviations to about 1/140 of a deviation, a sample; 4 % allowed after 20."""
     episode = samples(20)

@@ -259,7 +259,10 @@ def estimate(request: Request, progress: FitProgress = lambda n, cost: None) -> 
         except NoFitError as e:
             raise FailedError(f"every roll-out failed, the first so: {residual.evaluations[0][2]}.") from e
         named = [space.named(nominal), space.named(found.theta)]
-        before, after = ([r.outputs for r in row] for row in rollouts.simulate(named, is_whole=True))
+        of_nominal, of_found = rollouts.simulate(named, is_whole=True)
+    before, after = ([r.outputs for r in row] for row in (of_nominal, of_found))
+    failed = [(w, r.reason) for w, r in zip(windows, of_found, strict=True) if r.reason is not None]
+    warnings += [f"{w.name}: with the estimates the FMU fails in held-out rows: {reason}" for w, reason in failed]
     warnings += swapped_columns(request.measured, residual.cross_misfits, residual.n_residuals)
     return Estimation(
         request,

@@ -10,11 +10,12 @@ from pythonfmu import FmuBuilder
 from scipy.integrate import solve_ivp
 
 import cosim
-from cosim.errors import WiringError
+from cosim.errors import SlaveError, WiringError
 from cosim.offline.estimate import EstimateError, FailedError, Request, Sought, estimate
 from cosim.offline.fit_report import report, words, write_files
 from cosim.offline.logs import LogError
 from cosim.offline.misfit_over_log import misfit_over_log
+from cosim.offline.rollout import Rollouts
 from cosim.ssv.document import read_ssv
 from cosim.system.fmu_cache import find_fmu
 
@@ -104,6 +105,20 @@ def test_another_spring_than_the_closed_form_s_is_told(compile_plant, ask, oracl
     k = found.space.names.index("k")
     assert found.fit.theta[k] == pytest.approx(oracles.TRUTH.k / 1.01, rel=1e-3)
     assert abs(errors(found, oracles)[k]) > 5.0
+
+
+def test_an_fmu_that_fails_in_held_out_rows_is_told_with_the_reason(ask, oracles, monkeypatch):
+    rolled = Rollouts._rollout
+
+    def failing(self, number, is_whole, *others):
+        if is_whole:
+            raise SlaveError("plant", "doStep", 7.0, "the spring is broken")
+        return rolled(self, number, is_whole, *others)
+
+    monkeypatch.setattr(Rollouts, "_rollout", failing)
+    (warning,) = estimate(ask(oracles.measure(2), evaluations=8)).warnings
+    assert "with the estimates the FMU fails in held-out rows: " in warning
+    assert "the spring is broken" in warning
 
 
 def test_held_out_rows_are_predicted_and_not_fitted_to(ask, oracles):

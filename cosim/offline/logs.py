@@ -22,6 +22,8 @@ from ..names import did_you_mean
 
 _HEADING: Final = re.compile(r"(?P<name>.*\S)\s*\[(?P<unit>[^\[\]]*)\]")
 _TIMES: Final = ("time", "t", "timestamp", "time_s")
+_COMMA: Final = re.compile(rb"[\n;][ \t]*[-+]?\d*,\d+(?:[eE][-+]?\d+)?[ \t]*(?:[;\r\n]|\Z)")
+"""A cell that is a number with a decimal comma."""
 _NOT_IN_CP1252: Final = (0x81, 0x8D, 0x8F, 0x90, 0x9D)
 _NEVER: Final = -(2**63)
 _EXACT: Final = 2**53
@@ -152,7 +154,7 @@ def _read_csv(path: Path) -> tuple[Sequence[str], Sequence[Any]]:
     heading = next(csv.reader(start, delimiter=delimiter))
     if all(_is_number(cell) for cell in heading):
         raise LogError(f"{path} must begin with a header that names its columns, got '{one_line(start[0])}'.")
-    is_decimal_comma = delimiter == ";" and any(re.search(r"\d,\d", line) for line in start[1:20])
+    is_decimal_comma = delimiter == ";" and _COMMA.search(content) is not None
     table = pyarrow.csv.read_csv(
         pa.py_buffer(content),
         pyarrow.csv.ReadOptions(encoding="utf8" if encoding == "utf-8-sig" else encoding, use_threads=False),

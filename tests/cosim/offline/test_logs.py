@@ -140,6 +140,12 @@ def test_a_damaged_mat_file_is_refused_in_one_line(tmp_path):
         assert "\n" not in str(refused.value)
 
 
+def test_a_decimal_comma_may_come_late(tmp_path):
+    rows = [f"{k};{k}" for k in range(60)]
+    (tmp_path / "log.csv").write_text("\n".join(["time;u", *rows, "60,5;0,25"]))
+    assert read_log(tmp_path / "log.csv").column("u").values[-2:].tolist() == [59.0, 0.25]
+
+
 def test_a_byte_that_no_code_page_of_windows_has_is_read(tmp_path):
     (tmp_path / "log.csv").write_bytes(b"time,u [\xb0C],note\n0,1,\x81\n0.1,2,b\n0.25,-0.035,c\n")
     assert read_log(tmp_path / "log.csv").column("u").values.tolist() == ROWS["u"]

@@ -272,7 +272,7 @@ class EpisodeWindow:
         return self._anchors[-2 if is_newest else -1]
 
     def innovation(self, theta: Vector, sample: Sample) -> Vector:
-        """Return the residual (D,) for a trigger, on the samples from the newest anchor to this one, the newest."""
+        """Return the residual (D,) for a trigger, on the samples that `track` is about, this one the newest."""
         return self.track(theta)
 
     def explain(self, theta: Vector, patient: bool = True) -> None:

@@ -219,7 +219,7 @@ class RolloutObjective:
         return bool(np.any(np.abs(now - first) > _MOVED * np.maximum(np.abs(first), self._noise)))
 
     def _opened(self) -> Slave:
-        """Start a process of the FMU, which a saved state may be set in if roll-outs begin so."""
+        """Start a process of the FMU; where roll-outs begin in saved states, disturbances are inputs as others."""
         shadow = self._shadow
         if self.way == "state":
             shadow = replace(shadow, inputs=(*shadow.inputs, *shadow.undisturbed))

@@ -105,14 +105,12 @@ def shadow_of(scenario: Scenario, plant: Plant, is_live: bool) -> Shadow:
                 raise ScenarioError(f"bounds of '{p.name}': {problem}")
         interface: Any = capabilities(description)
         start = {k: v for k, v in scenario.components[plant.name].start.items() if k in variables}
-        changed = [r.variable for r in scenario.changes if r.component == plant.name and r.variable in variables]
-        disturbed = [name for name in changed if variables[name].causality == "input"]
         shadow = Shadow(
             fmu, inputs, plant.states, outputs, tuple(n.noise for n in scenario.sampling.outputs.values()),
             tuple(names), {k: v for k, v in start.items() if k not in names}, scenario.scenario.start_time,
             scenario.scenario.stop_time, not interface.canBeInstantiatedOnlyOncePerProcess, {},
             scenario.scenario.timeout, scenario.scenario.environment, scenario.components[plant.name].tolerance,
-            undisturbed={name: float(start.get(name, variables[name].start) or 0.0) for name in disturbed},
+            undisturbed=plant.disturbances,
         )  # fmt: skip
     except CosimError as e:
         raise ScenarioError(f"{where}: {str(e).rstrip('.')}.") from e

@@ -41,6 +41,7 @@ class Outliers:
     def step(self, sample: Sample, theta: Vector) -> tuple[bool, list[str]]:
         """Return whether the sample is suspect, and the sensors for which the suspect before it was an outlier.
 
+        A derivative that is missing now, or was in the sample before, is no jump: its limit is not a number.
         theta (d,): parameters in force. After a suspect those in force at it are used instead: a write due to it has
         changed the inputs, which with wrong parameters makes residuals jump as well.
         """

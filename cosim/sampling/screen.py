@@ -83,10 +83,10 @@ class SampleScreen:
 
         channels = self._sensors.names[: len(sample.xdot)]
         found = {*self._plain.step(t, sample.t, (*sample.xdot, *sample.x), sample.u, moves)}
-        missing = {name for _, name in found}
-        if missing < {*channels}:  # else there is nothing to compare the motion of the states with
-            inconsistent = {channels[i] for i in self._consistency.step(_without(sample, channels, missing), theta)}
-            found |= {("inconsistent", name) for name in inconsistent - missing}
+        faulty = {name for _, name in found}
+        if faulty < {*channels}:  # else there is nothing to compare the motion of the states with
+            inconsistent = {channels[i] for i in self._consistency.step(_without(sample, channels, faulty), theta)}
+            found |= {("inconsistent", name) for name in inconsistent - faulty}
         bad = {name for _, name in found} | {*self._health.failed}
         n_inconsistent = sum(kind == "inconsistent" for kind, _ in found)
         is_kept_out = not bad <= {*channels} or bad >= {*channels} or n_inconsistent > 1 or len(self._health.failed) > 1

@@ -33,6 +33,8 @@ class Plant:
     """Places in x of the states whose derivatives are sampled."""
     rates: Mapping[str, str] = field(default_factory=dict[str, str])
     """State of each derivative, by the derivative's name: those that the FMU declares, and the scenario's `of`."""
+    disturbances: Mapping[str, float] = field(default_factory=dict[str, float])
+    """The inputs that the scenario changes, with their start values."""
 
 
 def plant_of(scenario: Scenario, slave: Described) -> Plant:
@@ -63,13 +65,12 @@ def plant_of(scenario: Scenario, slave: Described) -> Plant:
     for reference, d in sampling.derivatives.items():
         with told_at(f'sampling.derivatives."{reference}"'):
             channels.append(_channel(reference, d, states, declared))
-    start: Mapping[str, Any] = scenario.components[slave.name].start
-    inputs = {
-        v.name: float(start.get(v.name, v.start) or 0.0)
-        for v in variables
-        if v.causality == "input" and f"{slave.name}.{v.name}" not in scenario.changes
-    }
-    return Plant(slave.name, states, inputs, tuple(channels), declared if sampling.filter else state_of)
+    given: Mapping[str, Any] = scenario.components[slave.name].start
+    start = {v.name: float(given.get(v.name, v.start) or 0.0) for v in variables if v.causality == "input"}
+    disturbances = {name: value for name, value in start.items() if f"{slave.name}.{name}" in scenario.changes}
+    inputs = {name: value for name, value in start.items() if name not in disturbances}
+    rates = declared if sampling.filter else state_of
+    return Plant(slave.name, states, inputs, tuple(channels), rates, disturbances)
 
 
 def _channel(

@@ -122,8 +122,9 @@ class EpisodeDiagnosis:
         state = self._state
         state.n_samples += 1
         residual = self._newest = self._window.track(theta)
-        newest = residual.reshape(len(self._outputs), -1)[:, -1:].reshape(-1)  # empty where a simulation has failed
-        newest = newest if self._window.weights is None or not len(newest) else newest / self._window.weights
+        newest = residual.reshape(len(self._outputs), -1)[:, -1:].ravel()  # empty where a simulation has failed
+        if len(newest) and self._window.weights is not None:
+            newest = newest / self._window.weights
         if state.n_samples < state.rests_until:
             if len(newest) and np.all(np.isfinite(newest)):
                 state.rested.append(newest)

@@ -55,8 +55,8 @@ class DiagnosingEpisodes(RetunerCounts[Retuner]):
         """End the search on samples that turn out to be doubtful, and undo what it wrote; None where there is none."""
         if self._before is None or not self._retuner.is_searching:
             return None
-        self._retuner.close(self._before)
         self._retuner.abandon(self._before)
+        self._retuner.close(self._before)
         return going_back(t, Proposal(), self._before, held, (), self._diagnosis.space, DOUBTFUL)
 
     def step(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:

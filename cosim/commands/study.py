@@ -45,7 +45,10 @@ def command(options: argparse.Namespace) -> int:
 def restricted(
     definition: StudyDefinition, estimators: Sequence[str] | None, seeds: int | None, label: str
 ) -> StudyDefinition:
-    """Return the part of a study with these of its estimators and its first seeds. Raises ScenarioError."""
+    """Return the part of a study with these of its estimators and its first seeds: the scenarios that have any.
+
+    Raises ScenarioError for an estimator that none has.
+    """
     if unknown := [name for name in estimators or () if name not in definition.estimators]:
         raise ScenarioError(f"{label}: its estimators are {', '.join(definition.estimators)}, not {unknown[0]}.")
     tables: Any = definition.model_dump(mode="json", by_alias=True, exclude_none=True)
@@ -54,6 +57,14 @@ def restricted(
             table["estimators"] = [name for name in table["estimators"] if name in estimators]
         if "seeds" in table:
             table["seeds"] = _first(table["seeds"], seeds, estimators)
+    if estimators is not None:
+        has_any = {
+            name: not set(definition.at(name).study.estimators).isdisjoint(estimators)
+            for name in definition.study.scenarios
+        }
+        tables["study"]["scenarios"] = [name for name, its in has_any.items() if its]
+        tables["scenarios"] = {name: its for name, its in tables["scenarios"].items() if has_any[name]}
+        tables["study"]["estimators"] = tables["study"]["estimators"] or [*estimators]  # each scenario has its own then
     return checked_definition(tables, label)
 
 

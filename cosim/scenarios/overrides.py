@@ -8,7 +8,7 @@ from ..errors import ScenarioError, one_line
 
 def override(tree: dict[str, Any], key: str, text: str) -> None:
     """Put `key = text` into the tree; both as in TOML, but bare text is a string too. Raises ScenarioError."""
-    path = _key_path(key)
+    path = key_path(key)
     for name in path[:-1]:
         below: Any = tree.setdefault(name, {})
         if not isinstance(below, dict):
@@ -34,7 +34,7 @@ def sweep(text: str) -> list[str]:
     return [part.strip() for part in parts] if all(part.strip() for part in parts) else [text]
 
 
-def _key_path(key: str) -> list[str]:
+def key_path(key: str) -> list[str]:
     """Return the names of a dotted TOML key. Raises ScenarioError."""
     path: list[str] = []
     try:

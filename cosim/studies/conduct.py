@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from ..errors import FolderError
+from ..errors import FolderError, ScenarioError
 from ..system.fmu_cache import fmu_paths
 from .engines import engine_for
 from .folder import RUNS, StudyKind, run_folder
@@ -13,8 +13,14 @@ from .plan import PlannedRun, Study
 
 
 def planned(study: Study) -> dict[str, PlannedRun]:
-    """Return the runs of a study by key, in the order of the table. Raises ScenarioError for one that cannot be run."""
-    runs = {run.key: run for run in study.runs()}
+    """Return the runs of a study by key, in the order of the table.
+
+    Raises ScenarioError for one that cannot be run, and for two that are the same.
+    """
+    runs: dict[str, PlannedRun] = {}
+    for run in study.runs():
+        if (other := runs.setdefault(run.key, run)) is not run:
+            raise ScenarioError(f"{study.told(run)}: the same run as {study.told(other)}; leave one of them out.")
     for scenario in study.sources:
         fmu_paths(scenario)  # built here once, not by several processes at the same time
     return runs

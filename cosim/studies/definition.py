@@ -1,11 +1,13 @@
 """The TOML file of a study: scenarios, estimators, seeds and factors."""
 
+from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from ..errors import ScenarioError, one_line
+from ..scenarios.overrides import key_path
 from ..scenarios.scenario import read_tables
 from ..scenarios.schema.table import MOST, Table
 from ..scenarios.validation import first_error
@@ -134,12 +136,13 @@ class StudyDefinition(Table):
     @model_validator(mode="after")
     def _factors_differ(self) -> Self:
         for scenario in self.study.scenarios:
-            setters: dict[str, str] = {}
+            setters: dict[tuple[str, ...], tuple[str, str]] = {}
             for name, factor in self.at(scenario).factors.items():
-                for key in sorted(factor.keys):
-                    if key in setters:
-                        raise ValueError(f"factors: '{setters[key]}' and '{name}' both set {key}: make them one")
-                    setters[key] = name
+                own = {_path_of(key): (name, key) for key in sorted(factor.keys)}
+                for path, other in product(own, setters):
+                    if path[: len(other)] == other[: len(path)]:
+                        raise ValueError(f"factors: {_both(setters[other], own[path], path == other)}")
+                setters |= own
         return self
 
     @model_validator(mode="after")
@@ -151,6 +154,22 @@ class StudyDefinition(Table):
         if is_drawn and self.study.sampling == "sobol" and n & (n - 1):
             raise ValueError(f"study: samples must be a power of two for sobol, such as {1 << n.bit_length()}, got {n}")
         return self
+
+
+def _path_of(key: str) -> tuple[str, ...]:
+    """Return the names of a key; one that is not valid, which its scenario tells, is a name itself."""
+    try:
+        return tuple(key_path(key))
+    except ScenarioError:
+        return (key,)
+
+
+def _both(one: tuple[str, str], other: tuple[str, str], is_same: bool) -> str:
+    """Return that two factors, each with its key, set the same, or one of them a table that holds the other's key."""
+    (name, key), (second, its) = one, other
+    if is_same:
+        return f"'{name}' and '{second}' both set {its}: make them one"
+    return f"'{name}' sets {key} and '{second}' sets {its}, one in the other: set the table's entries one by one"
 
 
 def _joined(factor: Factor | None, own: Factor) -> Factor:

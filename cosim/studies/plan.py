@@ -108,6 +108,10 @@ class Study:
         what = {"scenario": self.names[run.source], "point": run.place, "seed": run.seed, "estimator": run.estimator}
         return what | run.point.values
 
+    def told(self, run: PlannedRun) -> str:
+        """Return the scenario and the values of a run, for a message."""
+        return f"{self.labels[run.source]}{_told(run.point.values)}"
+
     def packed(self, scenario: Scenario, estimator: str) -> tuple[Scenario, Parcel, dict[str, Path]]:
         """Return a scenario as it travels, its parcel, and the files in it by their paths there."""
         digests = {path: self.digest(path) for path in files_of(scenario)}

@@ -142,8 +142,11 @@ def test_fewer_estimators_and_seeds_are_a_part_of_the_study():
         assert made.study.seeds == (fewer or {"none": 1, "target": 2, "true": 2})
     with pytest.raises(ScenarioError, match=r"^s: its estimators are none, true, target, not ukf\.$"):
         restricted(study({}), ["ukf"], None, "s")
-    with pytest.raises(ScenarioError, match=r"scenarios\.stiction\.estimators"):
-        restricted(checked_definition(PARTS, "s"), ["target"], None, "s")
+
+
+def test_a_study_of_some_estimators_has_the_scenarios_that_have_any():
+    made = restricted(checked_definition(PARTS, "s"), ["target"], None, "s")
+    assert made.study.scenarios == tuple(name for name in PARTS["study"]["scenarios"] if name != "stiction")
 
 
 @pytest.mark.parametrize(
@@ -165,6 +168,12 @@ def test_fewer_estimators_and_seeds_are_a_part_of_the_study():
             {"factors": {"m": M | {"list": [1]}, "n": {"choices": {"a": {'changes."plant.m"': 2}}}}},
             "'m' and 'n' both set",
         ),
+        ({"factors": {"m": M | {"list": [1]}, "n": {"set": "changes.'plant.m'", "list": [2]}}}, "'m' and 'n' both set"),
+        (
+            {"factors": {"m": M | {"list": [1]}, "n": {"choices": {"a": {}, "b": {"changes": {"plant.F_d": 1}}}}}},
+            "'m' sets changes.\"plant.m\" and 'n' sets changes, one in the other: set the table's entries one by one",
+        ),
+        ({"factors": {"n": {"choices": {"a": {"changes": {}}}}, "m": M | {"list": [1]}}}, "one in the other"),
         ({"factors": {"m": {"list": [1]}}}, "must have 'set'"),
         ({"factors": {"m": M | {"choices": {"a": {}}}}}, "and choices, which have their keys, none"),
         ({"factors": {"m": M | {"to": "2", "list": [1]}}}, "factors.m.to"),

@@ -269,3 +269,9 @@ def test_a_study_goes_on_only_as_it_was(axis, tmp_path, capsys):
         file.write("\n# changed\n")
     assert main(["resume", str(out)]) == 2
     assert "1 of 1 runs are not as they were planned" in capsys.readouterr().err
+
+
+def test_two_points_that_are_the_same_runs_are_refused(write, capsys):
+    assert main(["study", write(2.0, 3.0, 2.0), "--dry-run"]) == 2
+    told = capsys.readouterr().err
+    assert told == ("retune: pendulum (payload 2.0): the same run as pendulum (payload 2.0); leave one of them out.\n")

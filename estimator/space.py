@@ -126,3 +126,8 @@ class ParameterSpace:
 
 def _scaled(theta: Vector, is_log: NDArray[np.bool_]) -> Vector:
     return np.log(theta, out=theta.copy(), where=is_log)
+
+
+def one_at_a_time(z: Vector, step: float | Vector) -> list[Vector]:
+    """Return places that differ from z (d,) in one coordinate each, by step (d,), towards the cube's middle."""
+    return list(z + np.diag(np.where(z < 0.5, step, -step)))

@@ -1,7 +1,7 @@
 """Candidates of a target-vector search with their residuals, and the places at which the model had no value."""
 
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import scipy  # its parts, 0.3 s, are loaded when they are used
@@ -14,6 +14,9 @@ from .search import best_that_differ
 _FAR: Final = 50.0
 """Root mean square residual [standard deviations] above which old candidates, which lie where the optimum was, say
 little of the slopes: they are found again."""
+_BEYOND: Final = 1e4
+"""Size of a residual, as a multiple of the best one's, from which on the surrogate's jitter, a share of 1e-8 of the
+variance, hides what it knows of the good ones."""
 _MOST: Final = 128
 """Largest number of stored candidates, evaluated again at each sample, however long an episode lasts."""
 
@@ -61,8 +64,13 @@ class Candidates:
 
     @property
     def modelled(self) -> NDArray[np.intp]:
-        """Sorted indices of the best candidates that differ, and of the newest, bad ones included."""
-        return self._chosen(self.residuals)
+        """Sorted indices of the best candidates that differ, and of the newest, bad ones included.
+
+        Without those at which the model has diverged, where the others are enough for the slopes.
+        """
+        chosen = self._chosen(self.residuals)
+        near = chosen[~self._are_beyond[chosen]]
+        return near if len(near) > len(self._space) else chosen
 
     def place(self, index: int | NDArray[np.intp]) -> Vector:
         """Return the places (..., d) of candidates."""
@@ -90,7 +98,7 @@ class Candidates:
 
     def rescore(self, residuals: Vector) -> None:
         """Replace the residuals by residuals (n, D); candidates without finite ones are dropped."""
-        finite = np.all(np.isfinite(residuals), axis=1)
+        finite = has_cost(residuals)
         self.theta = self.theta[finite]
         self._residuals = residuals[finite] if len(self.theta) else None
         self._limit()
@@ -113,12 +121,26 @@ class Candidates:
         return bool(np.abs(known - z).max(axis=1).min() >= distance)
 
     def hopeful(self, pool: Vector, places: Vector | Sequence[Vector]) -> Vector:
-        """Return those of a pool (m, d) that are nearer to one of the places than to a failed one; all, if none is."""
-        if not len(self._failed):
+        """Return those of a pool (m, d) that are nearer to one of the places than to a failed one; all, if none is.
+
+        A candidate at which the model has diverged counts as failed.
+        """
+        failed = self._failed
+        if (are_beyond := self._are_beyond).any():
+            failed = np.vstack([failed, self.place(np.flatnonzero(are_beyond))])
+        if not len(failed):
             return pool
         distance = scipy.spatial.distance.cdist
-        hopeful = pool[distance(pool, places).min(axis=1) <= distance(pool, self._failed).min(axis=1)]
+        hopeful = pool[distance(pool, places).min(axis=1) <= distance(pool, failed).min(axis=1)]
         return hopeful if len(hopeful) else pool
+
+    @property
+    def _are_beyond(self) -> NDArray[np.bool_]:
+        """True (n,) for each candidate whose residual is of no use beside the best one's: the model has diverged."""
+        if self.is_empty:
+            return np.zeros(0, dtype=bool)
+        costs = self.costs
+        return costs > _BEYOND**2 * max(float(costs.min()), self.residuals.shape[1])
 
     def _chosen(self, residuals: Vector) -> NDArray[np.intp]:
         newest = np.arange(len(residuals))[-len(self._space) :]
@@ -133,6 +155,12 @@ class Candidates:
             first = min(len(self._space) + 1, len(self))
             kept = np.concatenate([np.arange(first), first + self._chosen(self._residuals[first:])])
             self.theta, self._residuals = self.theta[kept], self._residuals[kept]
+
+
+def has_cost(residuals: Vector) -> Any:
+    """Return whether residuals (..., D) are finite, and the sums of their squares are."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.isfinite(np.sum(residuals**2, axis=-1))
 
 
 def is_near(residual: Vector) -> bool:

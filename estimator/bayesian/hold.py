@@ -20,6 +20,14 @@ class Model(NamedTuple):
     """Their sums of squared residuals (n,)."""
     posterior: VectorPosterior
     """Mean and variance of the components at any place."""
+    is_cut: bool = False
+    """True where the residuals may have more components than are modelled."""
+
+    @property
+    def missing(self) -> float:
+        """Sum of squares of the best candidate's residual that no modelled component has."""
+        y = self.Y[self.best]
+        return max(float(self.costs[self.best] - y @ y), 0.0) if self.is_cut else 0.0
 
     @property
     def best(self) -> int:
@@ -71,6 +79,6 @@ def hold_directions(model: Model, start: Vector, n_values: int, significance: fl
         if len(moved):
             place = least_change(model.posterior, place + moved.T @ moved @ (z - place), len(moved))
         mean, variance = model.posterior.predict(place[None])
-        expected = float(np.sum(mean * mean + variance))
+        expected = float(np.sum(mean * mean + variance)) + model.missing
     allowed = least + (significance * misfit) ** 2
     return Hold(z, least, seen_by_data, least_squares, len(z) - len(moved), place, expected, allowed)

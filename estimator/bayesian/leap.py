@@ -8,8 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from ..space import Vector
-from .search import one_at_a_time
+from ..space import Vector, one_at_a_time
 
 _BETTER: Final = 0.5
 """Share of the sum of squares before, below which a leap has succeeded."""

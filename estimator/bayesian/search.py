@@ -40,11 +40,6 @@ def best_that_differ(residuals: Vector, n: int) -> list[int]:
     return chosen
 
 
-def one_at_a_time(z: Vector, step: float | Vector) -> list[Vector]:
-    """Return places that differ from z (d,) in one coordinate each, by step (d,), towards the cube's middle."""
-    return list(z + np.diag(np.where(z < 0.5, step, -step)))
-
-
 def principal_components(residuals: Vector, n_outputs: int) -> Vector:
     """Return residuals (n, D) in their principal axes (n, k), k <= n_outputs; |row|^2 is kept but for noise.
 

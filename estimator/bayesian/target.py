@@ -13,14 +13,14 @@ from ..identifiability import IDENTIFIABLE_BELOW
 from ..parameter_filter import ParameterFilter
 from ..positive import must_be_positive
 from ..significance import FALSE_ALARM, chi2_limit
-from ..space import ParameterSpace, Vector
+from ..space import ParameterSpace, Vector, one_at_a_time
 from .acquisition import log_target_vector_improvement
-from .candidates import Candidates, is_near
+from .candidates import Candidates, has_cost, is_near
 from .gpy_surrogate import Surrogate, vector_surrogate
 from .hold import Hold, Model, hold_directions
 from .kernels import OwnKernel, check_kernel
 from .leap import Leap, leap
-from .search import VectorPosterior, least_squares_of_mean, one_at_a_time, principal_components
+from .search import VectorPosterior, least_squares_of_mean, principal_components
 from .sobol import sobol_points
 
 _APART = 3e-4
@@ -37,21 +37,24 @@ _MAJORITY = 15
 """Residuals a parameter above which those that fit outvote a few that do not."""
 _AT_BOUND = 0.01
 """Distance from a bound, in the unit cube, that is none."""
+_N_OUTPUTS = 10
+"""Number of principal components that are modelled, where there are not as many parameters."""
 _LITTLE = float(np.log(0.1**2))
 """Logarithm of an expected decrease of the sum of squares that is not worth an evaluation."""
 
 
 @dataclass(frozen=True)
 class TargetSettings:
-    """Settings of `TargetVector`; the defaults suit two to ten parameters."""
+    """Settings of `TargetVector`; the defaults suit up to some twenty parameters."""
 
     initial_step: float = 0.2
     """Share of the scaled bounds, divided by d, by which each parameter is moved, alone, to find the slopes."""
     n_modelled: int | None = None
     """Number of best candidates that the surrogate is fitted to, beside the newest d, and that are kept for the next
     episode; by default 3 d + 2. More would only distort it and slow it down."""
-    n_outputs: int = 10
-    """Number of principal components of the residual, at most, that are modelled by a GP."""
+    n_outputs: int | None = None
+    """Number of principal components of the residual, at most, that are modelled by a GP; by default 10, or d + 1 where
+    that is more: d slopes and what no parameter explains."""
     significance: float = 3.0
     """Standard deviations by which a change in a direction must exceed zero; else that direction is held."""
     identifiable_below: float = IDENTIFIABLE_BELOW
@@ -68,11 +71,13 @@ class TargetSettings:
     def __post_init__(self) -> None:
         if self.kernel != "RBF":
             check_kernel(self.kernel)
-        must_be_positive(self, "n_outputs", "significance", "identifiable_below", "drift")
+        must_be_positive(self, "significance", "identifiable_below", "drift")
         if not 0.0 < self.initial_step <= 1.0:
             raise ValueError(f"initial_step must be in (0, 1], got {self.initial_step}.")
-        if self.n_modelled is not None and self.n_modelled < 2:
-            raise ValueError(f"n_modelled must be at least 2, got {self.n_modelled}.")
+        for name, least in (("n_modelled", 2), ("n_outputs", 1)):
+            n = getattr(self, name)
+            if n is not None and n < least:
+                raise ValueError(f"{name} must be at least {least}, got {n}.")
 
 
 class TargetVector:
@@ -207,7 +212,7 @@ class TargetVector:
         """Record the residual (D,) of a candidate. Places nearer to a failed, non-finite one are not proposed."""
         self._n_evaluations += 1
         stored = self._candidates
-        if not np.all(np.isfinite(residual)):
+        if not has_cost(residual):
             stored.fail(theta)
             return
         has_slopes = len(stored) > len(theta) and is_near(residual)
@@ -276,8 +281,10 @@ class TargetVector:
             stored = self._candidates
             chosen = stored.modelled
             Z = stored.place(chosen)
-            Y = principal_components(stored.residuals[chosen], self._settings.n_outputs)
-            self._model_now = Model(Z, Y, stored.costs[chosen], self._surrogate.condition(Z, Y))
+            n_outputs = self._settings.n_outputs or max(_N_OUTPUTS, Z.shape[1] + 1)
+            Y = principal_components(stored.residuals[chosen], n_outputs)
+            is_cut = Y.shape[1] == n_outputs
+            self._model_now = Model(Z, Y, stored.costs[chosen], self._surrogate.condition(Z, Y), is_cut)
         return self._model_now
 
     def _fitted(self) -> Model:

@@ -445,3 +445,39 @@ def test_candidates_asked_for_at_once_differ():
 def test_where_every_candidate_failed_another_is_asked_for():
     estimator, _ = in_batches(BODY, (1.0, 1.0), lambda theta: np.array([np.nan]), 6, 3)
     assert len(estimator.ask_many(3)) == 1
+
+
+UNIT_TIMES = np.linspace(0.0, 1.0, 30)
+LINE = np.column_stack([UNIT_TIMES, UNIT_TIMES**2]) / 0.05
+TRUTH = np.array([0.3, 0.6])
+UNIT = ParameterSpace((Parameter("a", 0.0, 1.0), Parameter("b", 0.0, 1.0)))
+
+
+@pytest.mark.parametrize("size", [1e6, 1e20, 1e200])
+@pytest.mark.parametrize("start", [0.46, 0.44, 0.36])
+def test_candidates_at_which_the_model_diverged_leave_the_rest_as_it_was(size, start):
+    """Linear, so that the least squares are the truth; beyond a = 0.45 the model has diverged, and is finite yet."""
+
+    def residual(theta):
+        return np.full(30, size) if theta[0] > 0.45 else LINE @ (theta - TRUTH)
+
+    for seed in range(3):
+        estimate = run(UNIT, [start, 0.5], residual, 40, seed)[0].estimate()
+        assert np.all(np.abs(estimate.theta - TRUTH) < 2.0 * estimate.std)
+        assert np.all(estimate.std > 0.8 * np.sqrt(np.diag(np.linalg.inv(LINE.T @ LINE))))
+
+
+@pytest.mark.parametrize("d", [9, 10, 11, 14])
+def test_the_cost_of_an_estimate_is_that_of_its_place_however_many_parameters(d):
+    """Linear: d slopes and what no parameter explains make d + 1 principal components."""
+    space = ParameterSpace(tuple(Parameter(f"p{k}", 0.0, 1.0) for k in range(d)))
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        rows, start = rng.normal(size=(10 * d, d)) * 10.0, np.full(d, 0.5)
+        truth = start + np.where(np.arange(d) < 2, 0.2, 0.0)
+        data = rows @ truth + rng.standard_normal(10 * d)
+        target = run(space, start, lambda theta, rows=rows, data=data: data - rows @ theta, 5 * d, seed)[0]
+        estimate = target.estimate()
+        told = np.array([np.sum((data - rows @ theta) ** 2) for theta in target.candidates])
+        assert np.sum((data - rows @ estimate.theta) ** 2) < told.min() + 1.3 * 9.0 * max(1.0, told.min() / (9 * d))
+        assert estimate.cost == pytest.approx(np.sum((data - rows @ estimate.theta) ** 2), rel=0.05)

@@ -3,6 +3,7 @@
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..objective import Objective
 from ..space import ParameterSpace, Vector
@@ -15,6 +16,10 @@ FAILED: Final = 1e12
 
 class SpentError(Exception):
     """Raised when the evaluations of a solve are spent: SciPy's own limit leaves out those for the Jacobian."""
+
+
+class NoValueError(Exception):
+    """Raised where a solve would begin at a place at which the model has no value: it has no slopes there."""
 
 
 class CountedResidual:
@@ -44,7 +49,7 @@ class CountedResidual:
         """Place (d,) of the last slopes, the residual (D,) there, and they (D, d)."""
 
     def residual(self, z: Vector) -> Vector:
-        """Return the residual (D,) at z (d,). Raises SpentError when none are left."""
+        """Return the residual (D,) at z (d,). Raises SpentError when none are left, NoValueError at a first place."""
         (self._newest,) = self._residuals([z])
         return self._newest
 
@@ -64,9 +69,19 @@ class CountedResidual:
             self._remaining -= 1
             return own if self._prior_std is None else np.vstack([own, np.eye(len(z)) / self._prior_std])
         step = self._step or self._smooth_step
-        beside = z + np.diag(np.where(z < 0.5 if self._step else z + step <= 1.0, step, -step))
-        moved = beside.diagonal() - z
-        return np.array([(r - self._newest) / h for r, h in zip(self._residuals([*beside]), moved, strict=True)]).T
+        steps = np.where(z < 0.5 if self._step else z + step <= 1.0, step, -step)
+        found = self._beside(z, steps, np.arange(len(z)))
+        # The other side of those without a value; where that has none either, or is no place, nothing is known.
+        failed = np.array([k for k, (r, _) in enumerate(found) if has_failed(r) and 0.0 <= z[k] - steps[k] <= 1.0], int)
+        for k, other in zip(failed, self._beside(z, -steps, failed) if len(failed) else (), strict=True):
+            found[k] = other
+        return np.array([0.0 * r if has_failed(r) else (r - self._newest) / h for r, h in found]).T
+
+    def _beside(self, z: Vector, steps: Vector, places: NDArray[np.intp]) -> list[tuple[Vector, float]]:
+        """Return the residual beside z (d,), a step away in each of some coordinates, and how far that is."""
+        beside = (z + np.diag(steps))[places]
+        moved = beside[np.arange(len(places)), places] - z[places]
+        return [*zip(self._residuals([*beside]), moved.tolist(), strict=True)]
 
     def _residuals(self, places: list[Vector]) -> list[Vector]:
         if self._remaining < len(places):
@@ -83,13 +98,19 @@ class CountedResidual:
 
     def _taken(self, z: Vector, raw: Vector) -> Vector:
         residual = np.clip(np.nan_to_num(raw, nan=FAILED), -FAILED, FAILED)
+        is_failed, n_prior = has_failed(residual), 0 if self._prior_std is None else len(z)
+        if is_failed and not len(self._newest):
+            raise NoValueError  # nor is there a length
+        if is_failed:
+            residual = np.full(len(self._newest) - n_prior, FAILED)  # a roll-out that has failed is one number
         if self._prior_std is not None:
-            if not len(self._newest) and np.any(residual >= FAILED):
-                raise SpentError  # without a value at the start there is no length, and no slope
-            if len(residual) == 1 < len(self._newest) - len(z):  # a roll-out that has failed
-                residual = np.full(len(self._newest) - len(z), residual[0])
             residual = np.append(residual, (z - self._mean) / self._prior_std)
         cost = float(residual @ residual)
-        if cost < self.cost:
+        if not is_failed and cost < self.cost:
             self.z, self.cost, self.least = z.copy(), cost, residual
         return residual
+
+
+def has_failed(residual: Vector) -> bool:
+    """Return whether a residual (D,) is that of a candidate at which the model has no value."""
+    return bool(np.any(np.abs(residual) >= FAILED))

@@ -15,7 +15,7 @@ from ..objective import Objective
 from ..positive import must_be_positive
 from ..samples import Sample
 from ..space import ParameterSpace, Vector
-from .counted_residual import FAILED, CountedResidual, SpentError
+from .counted_residual import FAILED, CountedResidual, NoValueError, SpentError
 from .linearisation import Normal, root_of, solved, widened
 
 _LITTLE = 1e-3
@@ -128,7 +128,7 @@ class MovingHorizon:
         prior = Normal(self._now.mean, settings.jump * np.eye(d))
         search = CountedResidual(self._space, objective, np.inf, prior.mean, settings.jump, _STEP)
         is_converged = False
-        with suppress(SpentError):
+        with suppress(SpentError, NoValueError):
             scipy.optimize.least_squares(
                 search.residual, np.clip(prior.mean, 0.0, 1.0), jac=cast(Any, search.differences), bounds=(0.0, 1.0)
             )

@@ -11,9 +11,11 @@ from ..contract import Estimate, scaled_estimate
 from ..identifiability import IDENTIFIABLE_BELOW, information
 from ..objective import Objective
 from ..positive import must_be_positive
-from ..space import ParameterSpace, Vector
-from .counted_residual import FAILED, CountedResidual, SpentError
+from ..space import ParameterSpace, Vector, one_at_a_time
+from .counted_residual import FAILED, CountedResidual, NoValueError, SpentError
 
+_BESIDE = 0.1
+"""Distance in the unit cube of the places that are tried where there is no value at the first."""
 Minimizer = Literal["ipopt", "trust-constr", "SLSQP"]
 
 
@@ -157,13 +159,19 @@ class LeastSquares:
         unknown = information(np.zeros((0, len(self._space))))
         seen_by_data, converged = unknown, np.inf
         starts = [self._z, *self._rng.random((self._settings.n_starts - 1, len(self._space)))]
-        for z in starts:
+        beside = one_at_a_time(self._z, _BESIDE)
+        while starts:
+            z = starts.pop(0)
             try:
                 result = scipy.optimize.least_squares(
                     search.residual, np.clip(z, 0.0, 1.0), jac=cast(Any, search.differences), bounds=(0.0, 1.0)
                 )
             except SpentError:
                 break
+            except NoValueError:  # one that is near may have one
+                starts += beside
+                beside = []
+                continue
             if 2.0 * result.cost <= search.cost * (1.0 + 1e-9):
                 misfit = max(1.0, np.sqrt(2.0 * result.cost / max(len(result.fun) - len(z), 1)))
                 seen_by_data, converged = information(result.jac / misfit), search.cost

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
 
 from estimator import DerivativeResidual, Objective, Parameter, ParameterSpace, ResidualWindow, Sample
+from estimator.baselines.moving_horizon import MovingHorizon
 from estimator.baselines.solvers import LeastSquares, LeastSquaresSettings, NoisyNorm, NormSettings
 from fmu_models import quadrotor
 
@@ -193,6 +194,53 @@ def test_steps_to_where_the_model_has_no_value_are_taken_back(bad):
     estimator.solve(asked_of)
     assert min(asked)[0] <= 0.0
     assert_allclose(estimator.estimate().theta, 0.1, rtol=1e-6)
+
+
+TIMES = np.linspace(0.0, 1.0, 30)
+UNIT = ParameterSpace((Parameter("a", 0.0, 1.0), Parameter("b", 0.0, 1.0)))
+SLOPES = np.column_stack([TIMES, TIMES**2]) / 0.05
+TRUTH = np.array([0.3, 0.6])
+
+
+class Failing:
+    """A window of which a candidate that fails is one number, as of roll-outs and of objectives of the user's."""
+
+    n_model_calls = 0
+    is_rescoring_cheap, is_ready = False, True
+
+    def __init__(self, fails):
+        self._fails = fails
+
+    def residual(self, theta):
+        return np.array([np.nan]) if self._fails(theta) else SLOPES @ (theta - TRUTH)
+
+    def residuals(self, thetas):
+        return [self.residual(theta) for theta in thetas]
+
+
+def at_half(theta):
+    return bool(np.abs(theta - 0.5).max() < 5e-4)
+
+
+@pytest.mark.parametrize("n_starts", [1, 4])
+def test_where_only_the_start_fails_it_begins_beside_it(n_starts):
+    estimator = LeastSquares(
+        UNIT, np.array([0.5, 0.5]), np.random.default_rng(0), LeastSquaresSettings(n_starts=n_starts)
+    )
+    estimator.solve(Objective(Failing(at_half), None, 200))
+    assert_allclose(estimator.estimate().theta, TRUTH, atol=1e-6)
+    assert_allclose(estimator.estimate().std, np.sqrt(np.diag(np.linalg.inv(SLOPES.T @ SLOPES))), rtol=1e-3)
+
+
+@pytest.mark.parametrize("make", [LeastSquares, MovingHorizon])
+def test_a_neighbour_without_a_value_says_nothing_of_the_slope(make):
+    """It fails beyond 0.4, of which the start is within a step; the other side has a value."""
+    estimator = make(UNIT, np.array([0.4 - 5e-9, 0.5]), np.random.default_rng(0))
+    estimator.solve(Objective(Failing(lambda theta: theta[0] > 0.4), None, 200))
+    estimate = estimator.estimate()
+    assert np.all(np.abs(estimate.theta - TRUTH) < 0.5 * estimate.std)
+    assert np.all(estimate.std > 0.9 * np.sqrt(np.diag(np.linalg.inv(SLOPES.T @ SLOPES))) * (make is LeastSquares))
+    assert np.all(estimate.std > 0.05)
 
 
 @pytest.mark.parametrize("name", ["max_evaluations", "n_starts", "identifiable_below"])

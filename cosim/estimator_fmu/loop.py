@@ -70,10 +70,11 @@ class EstimatorLoop:
             else None,
             diagnosis=diagnosis,
         )
-        self._rule = _rule(settings)
+        self._settings, self._rule = settings, _rule(settings)
         self._values = self._rule(start)
-        self._theta, self._std = start, np.array([p.upper - p.lower for p in space])
-        self._is_identifiable: Sequence[bool] = (False,) * len(space)
+        self._theta = start
+        self._unknown = np.array([p.upper - p.lower for p in space]), (False,) * len(space)
+        self._std, self._is_identifiable = self._unknown
         self._is_updated = False
         self._is_first = True
 
@@ -85,13 +86,24 @@ class EstimatorLoop:
         with _one_thread():
             proposal = self._retuner.step(t, None if self._is_first else sample, tracking_error, self._theta)
         self._is_first = False
-        if proposal.estimate is not None:
-            self._std, self._is_identifiable = proposal.estimate.std, proposal.estimate.is_identifiable
-        theta = proposal.undo if proposal.theta is None else proposal.theta
+        theta, estimate = proposal.undo if proposal.theta is None else proposal.theta, proposal.estimate
+        is_known = estimate is not None and np.allclose(estimate.theta, self._theta, rtol=1e-9, atol=0.0)
         if theta is not None and proposal.is_warranted:  # else it waits: it cannot predict
             with suppress(ValueError):  # the gains have no value there
                 self._values = self._rule(theta)
                 self._theta, self._is_updated = theta, True
+                self._std, self._is_identifiable = self._unknown
+                is_known = estimate is not None and proposal.theta is not None
+        if is_known and estimate is not None:
+            self._std, self._is_identifiable = estimate.std, estimate.is_identifiable
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the state without the rule, whose formulas are functions."""
+        return {name: value for name, value in self.__dict__.items() if name != "_rule"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._rule = _rule(self._settings)
 
     @property
     def outputs(self) -> list[float]:

@@ -25,6 +25,8 @@ from cosim.estimator_fmu.build import build_estimator
 from cosim.estimator_fmu.settings import estimator_settings
 from cosim.estimator_fmu.slave import EstimatorSlave
 from cosim.scenarios.scenario import named_scenarios
+from estimator import Estimate
+from estimator.retuning.proposal import Proposal
 
 fmu = pytest.mark.fmu
 TRUTH = {"m": 4.271, "l": 0.981}
@@ -295,8 +297,21 @@ def test_other_methods_are_built_in_as_well(method):
         assert get(slave, "m", "l") == pytest.approx(list(TRUTH.values()), rel=0.02)
 
 
-def test_a_saved_state_repeats_every_bit():
-    slave = slave_of(Scenario.load("pendulum"))
+GAIN = [
+    {"name": "m", "lower": 0.1, "upper": 5.0, "unit": "kg", "scale": "log", "start": 1.75,
+     "writes": {"controller.m": "1.0*m"}},
+    {"name": "l", "lower": 0.1, "upper": 3.0, "unit": "m", "scale": "log", "writes": "controller.l"},
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("parameters", [None, GAIN], ids=["plain", "formula"])
+def test_a_saved_state_repeats_every_bit(parameters):
+    scenario = Scenario.load("pendulum")
+    if parameters is not None:
+        tables = scenario.model_dump(mode="json", by_alias=True)
+        tables["estimation"]["parameters"] = parameters
+        scenario = Scenario.from_tables(tables, {}, scenario.folder, Path("gain"), scenario.origin)
+    slave = slave_of(scenario)
     feed(slave, 10, noise=1e-3)
     saved, before = slave._get_fmu_state(), get(slave, "m", "l", "n_evaluations")
     runs = []
@@ -307,6 +322,36 @@ def test_a_saved_state_repeats_every_bit():
         slave._set_fmu_state(saved)
     assert runs[0] == runs[1]
     assert runs[0][places_of(slave, "n_evaluations")[0]] > before[2]
+
+
+class Proposing:
+    """A retuner that makes these proposals, one after the other."""
+
+    n_evaluations = n_episodes = 0
+
+    def __init__(self, *proposals: Proposal) -> None:
+        self._proposals = list(proposals)
+
+    def step(self, *_: object) -> Proposal:
+        return self._proposals.pop(0)
+
+
+def test_the_standard_deviation_is_that_of_the_parameters_in_force():
+    slave, found = slave_of(Scenario.load("pendulum")), np.array([4.3, 1.0])
+    estimate = Estimate(found, np.array([0.2, 0.01]), (True, True), 1.0, 20, "")
+    finer = Estimate(found, np.array([0.1, 0.005]), (True, True), 1.0, 25, "")
+    other = Estimate(np.array([2.0, 0.5]), np.array([0.01, 0.01]), (True, True), 9.0, 30, "")
+    steps = [
+        (Proposal(found, estimate, is_warranted=False), (1.75, 4.9, False)),  # it waits
+        (Proposal(found, estimate), (4.3, 0.2, True)),
+        (Proposal(None, other), (4.3, 0.2, True)),
+        (Proposal(None, finer), (4.3, 0.1, True)),
+        (Proposal(undo=np.array([1.75, 0.75])), (1.75, 4.9, False)),
+    ]
+    slave._loop._retuner = Proposing(*(proposal for proposal, _ in steps))
+    for k, (_, (m, std, is_identifiable)) in enumerate(steps):
+        slave.do_step(0.01 * k, 0.01)
+        assert get(slave, "m", "m_std", "m_identifiable") == [m, pytest.approx(std), is_identifiable]
 
 
 # -- what it ships, and where that is not enough --------------------------------------------------------------------

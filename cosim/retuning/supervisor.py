@@ -119,7 +119,7 @@ class Supervisor(RetunerCounts[AnyRetuner]):
         events = [*screened.events, *proposal.events, *ruling.events]
         write = ruling.write
         if proposal.undo is not None and not ruling.is_revert:
-            write = proposal.undo
+            write, self._snapshot = proposal.undo, None  # an outlier does not bring back what is undone
             if self._guard is not None:
                 self._guard.undo(write)
         elif write is not None and not ruling.is_revert:

@@ -17,6 +17,7 @@ from estimator import DerivativeResidual, Estimate, Parameter, ParameterSpace, S
 from estimator.diagnosis.sample_diagnosis import Diagnosis
 from estimator.diagnosis.settings import DiagnosisSettings
 from estimator.retuning.factory import make_retuner
+from estimator.retuning.proposal import Proposal
 from estimator.retuning.search import Budget
 from estimator.samples import RememberingModel
 from estimator.triggers import InnovationSettings
@@ -147,6 +148,19 @@ def test_an_outlier_for_which_nothing_was_written_leaves_the_guard_as_it_was():
     loop.step(2, 20.0)  # vetoed
     assert loop.step(3, 2.0).write is None
     assert loop.supervisor.summary()["guard"]["retracted"] == 0
+
+
+def test_what_is_undone_at_an_outlier_stays_so(monkeypatch):
+    """At the outlier the diagnosis goes back to the parameters of the start: the next sample changes nothing."""
+    loop = Loop(at_3=suspect, at_4=after_an_outlier)
+    loop.step(1, 2.0)
+    assert loop.step(2, 4.0).write == pytest.approx(CHANGED)
+    with monkeypatch.context() as patch:
+        patch.setattr(loop.supervisor._retuner, "step", lambda *_: Proposal(undo=START))
+        assert loop.step(3, OUTLIER).write.tolist() == START.tolist()
+    monkeypatch.setattr(loop.supervisor._retuner, "step", lambda *_: Proposal())
+    assert loop.step(4, 4.0).write is None
+    assert loop.held.tolist() == START.tolist()
 
 
 def test_a_revert_is_not_undone_by_an_outlier_that_came_with_it():

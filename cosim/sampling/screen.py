@@ -20,10 +20,14 @@ from estimator.events import Event
 from ..scenarios.schema.sampling import ObservationSettings
 from .consistency import Consistency
 from .outliers import Outliers
-from .sensor_checks import INPUT, LATE, SensorChecks, SensorHealth
+from .sensor_checks import INPUT, LATE, SensorChecks, SensorHealth, Standing
 
 _STILL: Final = 1e-9
 """Change of a state over a step, relative to its size, below which its bits may stay the same."""
+_STEPS: Final = 10.0
+"""Steps of a coarse sensor by which its state must have moved, by a model that may lack something."""
+_LONGER: Final = 10
+"""Multiple of the longest time that a reading has stood still for which it is not stuck."""
 
 
 @dataclass(frozen=True)
@@ -78,8 +82,11 @@ class SampleScreen:
     def step(self, t: float, sample: Sample, theta: Vector) -> Screened:
         """Return the screened sample; theta (d,): parameters in force at t [s]."""
 
-        def moves(i: int) -> bool:
-            return self._sensors.is_noisy[i] or self._state_moves(i, sample, theta)
+        def moves(i: int, standing: Standing) -> bool:
+            is_state, is_noisy = i >= len(sample.xdot), self._sensors.is_noisy[i]
+            if is_noisy and not (is_state and standing.step):
+                return noise_moves(standing)
+            return is_state and self._state_moves(i, sample, theta, standing)
 
         channels = self._sensors.names[: len(sample.xdot)]
         found = {*self._plain.step(t, sample.t, (*sample.xdot, *sample.x), sample.u, moves)}
@@ -101,13 +108,16 @@ class SampleScreen:
         """Return the counts as JSON values; failed: sensors that have failed at the end."""
         return _summary(self._n_kept_out, self._health)
 
-    def _state_moves(self, i: int, sample: Sample, theta: Vector) -> bool:
-        """Return whether, by the model, the state at place i has changed over the step; False for a derivative."""
+    def _state_moves(self, i: int, sample: Sample, theta: Vector, standing: Standing) -> bool:
+        """Return whether, by the model, the state at place i has changed, by steps of its sensor if that is coarse."""
         place = i - len(sample.xdot)
-        if place < 0:
-            return False
-        slope = self._sensors.slope(theta, sample.x, sample.u)[place]
-        return abs(slope) * self._h > _STILL * max(1.0, abs(sample.x[place]))
+        moved = abs(self._sensors.slope(theta, sample.x, sample.u)[place]) * self._h
+        return moved > _STILL * max(1.0, abs(sample.x[place])) and moved * standing.n > _STEPS * standing.step
+
+
+def noise_moves(standing: Standing) -> bool:
+    """Return whether noise should have changed a reading that stands still: one that often does, after much longer."""
+    return standing.n > _LONGER * standing.longest
 
 
 def _without(sample: Sample, channels: Sequence[str], bad: Set[str]) -> Sample:
@@ -138,7 +148,11 @@ class OutputScreen:
 
     def step(self, t: float, sample: Sample, theta: Vector) -> Screened:
         """Return the sample at t [s] with NaN for bad values; while a sensor has failed, for all."""
-        found = {*self._plain.step(t, sample.t, sample.y, sample.u, lambda i: self._is_noisy[i])}
+
+        def moves(i: int, standing: Standing) -> bool:
+            return self._is_noisy[i] and noise_moves(standing)
+
+        found = {*self._plain.step(t, sample.t, sample.y, sample.u, moves)}
         bad = {name for _, name in found}
         is_useless = bool(self._health.failed) or LATE in found or INPUT in bad
         y = tuple(

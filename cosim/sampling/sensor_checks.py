@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from math import inf, isnan
-from typing import Final
+from typing import Final, NamedTuple
 
 from estimator.events import Event
 
@@ -17,6 +17,21 @@ SUMMED: Final = 20
 """Number of samples over which derivatives are summed, to be compared with the change of their states."""
 
 
+_STANDS: Final = 3
+"""Number of times that a reading has stood still and gone on, from which on that is how its sensor reads."""
+
+
+class Standing(NamedTuple):
+    """How a reading stands still, and how it did before."""
+
+    n: int
+    """Number of samples for which it has stood still."""
+    longest: int = 0
+    """Largest such number before, of a sensor that often repeats a reading: a coarse or a slow one; else 0."""
+    step: float = 0.0
+    """Smallest step of such a sensor from one reading to the next, its resolution."""
+
+
 class SensorChecks:
     """Detector of missing, infinite, late or stuck values. Keeps the last values and the newest time stamp."""
 
@@ -26,13 +41,19 @@ class SensorChecks:
         self._stamp = -inf
         self._previous: tuple[float, ...] = ()
         self._n_same = [0] * len(names)
+        self._stands: dict[int, tuple[int, Standing]] = {}  # number of stands that have ended, by place, and of what
 
     def step(
-        self, t: float, stamp: float, values: tuple[float, ...], u: Sequence[float], moves: Callable[[int], bool]
+        self,
+        t: float,
+        stamp: float,
+        values: tuple[float, ...],
+        u: Sequence[float],
+        moves: Callable[[int, Standing], bool],
     ) -> Iterator[tuple[str, str]]:
         """Yield (kind, sensor) of each fault at t [s]; stamp [s], values (k,), u (p,): of the sample.
 
-        moves: function of a place, whether noise or its derivative should have changed the value there.
+        moves: function of a place and how the value there stands still, whether it should have changed.
         """
         is_late = stamp < t - 0.5 * self._h or stamp <= self._stamp
         self._stamp = max(self._stamp, stamp)
@@ -43,11 +64,27 @@ class SensorChecks:
         bad = [("missing" if isnan(value) else "infinite", name) for name, value in named if not abs(value) <= LARGEST]
         yield from bad
         if self._previous:
-            pairs = zip(self._n_same, values, self._previous, strict=True)
-            self._n_same = [n + 1 if value == before else 0 for n, value, before in pairs]
+            rows = [*zip(self._n_same, values, self._previous, strict=True)]
+            if any(self._n_same):
+                self._end_stands(rows)
+            self._n_same = [n + 1 if value == before else 0 for n, value, before in rows]
         self._previous = values
         if not bad and max(self._n_same, default=0) >= self._stuck:
-            yield from (("stuck", self._names[i]) for i, n in enumerate(self._n_same) if n >= self._stuck and moves(i))
+            for i, n in enumerate(self._n_same):
+                if n >= self._stuck and moves(i, self._standing(i, n)):
+                    yield "stuck", self._names[i]
+
+    def _end_stands(self, rows: Sequence[tuple[int, float, float]]) -> None:
+        """Take how long each value has stood still, itself and the one before: where they differ a stand has ended."""
+        for i, (n, value, before) in enumerate(rows):
+            change = abs(value - before)
+            if n and 0.0 < change < inf:
+                count, past = self._stands.get(i, (0, Standing(0, 0, inf)))
+                self._stands[i] = count + 1, Standing(0, max(past.longest, n), min(past.step, change))
+
+    def _standing(self, i: int, n: int) -> Standing:
+        count, past = self._stands.get(i, (0, Standing(0)))
+        return past._replace(n=n) if count >= _STANDS else Standing(n)
 
 
 class SensorHealth:

@@ -154,6 +154,29 @@ def test_each_sensor_is_stuck_in_its_own_time():
     assert stuck_at(screen(stuck=4, inconsistent=1e9), samples) == {"der(x)": 4, "x": 5}
 
 
+def coarse(n, v, step, stuck_from=10**9):
+    """Samples of x = v t, read in steps, and of a rate that is read in steps of 2: four samples of each."""
+    at = [step * round(v * min(k, stuck_from) * H / step) for k in range(n)]
+    return [Sample(k * H, (x, v), (0.0,), (2.0 * (k // 4 % 2),)) for k, x in enumerate(at)]
+
+
+def test_a_coarse_reading_that_repeats_itself_is_not_stuck():
+    """A step of 0.5 at 0.1 a sample: the same five times."""
+    watched = screen(TWO, stuck=3, inconsistent=1e9, outlier=1e9)
+    samples = coarse(40, 0.1 / H, 0.5)
+    first = stuck_at(watched, samples)
+    assert all(k < 20 for k in first.values())  # until it is known how these sensors read
+    assert stuck_at(watched, [replace(s, t=s.t + 40 * H) for s in samples]) == {}
+
+
+def test_a_coarse_reading_is_stuck_where_the_model_moves_it_by_many_steps():
+    """From sample 100 on it stands still; by the model, at 0.1 a sample, it has moved by ten steps of 0.5 after 50."""
+    samples = [replace(s, xdot=(k % 7 / 7.0,)) for k, s in enumerate(coarse(200, 0.1 / H, 0.5, 100))]
+    watched = screen(TWO, stuck=3, inconsistent=1e9, outlier=1e9)
+    stuck_at(watched, samples[:60])
+    assert stuck_at(watched, samples[60:]) == {"x": pytest.approx(100 + 50 - 60, abs=5)}
+
+
 def test_beside_what_is_missing_nothing_is_stuck():
     watched = screen()
     for sample in moving(20):

@@ -5,6 +5,7 @@ from itertools import pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..runs.recorded_events import RecordedEvent
 from ..runs.result import Run, Series
@@ -125,8 +126,7 @@ def _answers(run: Run, events: Sequence[RecordedEvent], begin: int, end: int) ->
     errors = [
         np.abs(held[begin:end] - truth[begin:end]) - _CLOSE * np.abs(truth[begin:end]) for _, truth, held in _held(run)
     ]
-    rows = np.flatnonzero(np.all(np.array(errors) <= 0.0, axis=0)) if errors else np.empty(0)
-    right = "-" if not len(rows) else _delay(float(run.time[begin + rows[0]]) - t0) if rows[0] else "right throughout"
+    right = _right(run.time[begin:end] - t0, np.all(np.array(errors) <= 0.0, axis=0)) if errors else "-"
     triggers, writes = delays("trigger"), delays("write")
     causes = {
         "disturbance": "a disturbance", "lag": "late inputs", "friction": "friction",
@@ -138,6 +138,20 @@ def _answers(run: Run, events: Sequence[RecordedEvent], begin: int, end: int) ->
     noticed = "a search was under way" if _is_searching(events, t0) else _first(triggers)
     written = _first([s for s in writes if s > 1e-9 or triggers[:1] == [0.0]])
     return noticed, taken_for or ("-" if written == "-" else "changed parameters"), written, right
+
+
+def _right(since: Series, are_close: NDArray[np.bool_]) -> str:
+    """Return from when on all parameters are close, until when if not to the end; since [s]: from the change on."""
+    if are_close.all():
+        return "right throughout"
+    if not are_close.any():
+        return "-"
+    wrong = np.flatnonzero(~are_close)
+    if are_close[-1]:
+        return _delay(float(since[wrong[-1] + 1]))
+    first, lost = int(np.flatnonzero(are_close)[0]), int(np.flatnonzero(are_close)[-1]) + 1
+    begun = _delay(float(since[first])) if first else "right"
+    return f"{begun}, lost {_delay(float(since[lost]))}"
 
 
 def _first(delays: Sequence[float]) -> str:

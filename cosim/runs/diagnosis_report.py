@@ -34,8 +34,7 @@ def diagnosis_report(run: Run, events: Sequence[RecordedEvent]) -> list[str]:
         return []
     is_own_model = run.objective.startswith("roll-outs") and run.scenario.estimation.rollout.fmu is None
     lines = diagnosed(run.diagnosis, _OF_THE_PLANT if is_own_model else _OF_A_MODEL)
-    rests = [e for e in events if e.get("kind") == "rest" and "n_samples" in e]
-    lines += [_rest(run, e, rests) for e in rests if e["n_samples"] > 0] or resting(run.diagnosis)
+    lines += list(_rests(run, events)) or resting(run.diagnosis)
     if "again from the start" in run.objective and (run.diagnosis["unexplained"] or run.diagnosis.get("rest")):
         lines.append(f"after a change, roll-outs from the start begin in a wrong state for some time; {_SAVING}")
     return [*lines, *_untriggered(run)]
@@ -98,25 +97,48 @@ def resting(found: Mapping[str, Any]) -> list[str]:
     return [f"re-tuning rests at the end: {', '.join(names)} left out"] if names else []
 
 
-def _rest(run: Run, event: RecordedEvent, rests: Sequence[RecordedEvent]) -> str:
-    """Return a line on a rest, with what changed meanwhile and so was not seen.
+def _rests(run: Run, events: Sequence[RecordedEvent]) -> Iterator[str]:
+    """Yield a line on each rest, one that begins before another is over being part of that."""
+    ends = [e for e in events if e.get("kind") == "friction" or (e.get("kind") == "rest" and e.get("n_samples") == 0)]
+    first: float | None = None
+    rests = [e for e in events if e.get("kind") == "rest" and e.get("n_samples", 0) > 0]
+    for event, following in zip(rests, [*rests[1:], None], strict=False):
+        begin, n = (event["t"] if first is None else first), event["n_samples"]
+        end, over = _end_of(run, event["t"], n), next((e for e in ends if e["t"] > event["t"]), None)
+        if over is not None and (end is None or over["t"] < end):
+            end = over["t"]
+        else:
+            over = None
+        if following is not None and (end is None or following["t"] <= end):
+            first = begin
+            continue
+        first = None
+        yield _rest(run, begin, end, n if begin == event["t"] else None, over)
 
-    rests: events of all rests; one of no samples ends the rest before it.
+
+def _end_of(run: Run, begin: float, n_samples: int) -> float | None:
+    """Return when a rest of n_samples is over [s]; None where it lasts to the end."""
+    later = run.time[np.isfinite(run.series.get("filtered.time", run.time)) & (run.time > begin)]
+    return float(later[n_samples - 1]) if n_samples <= len(later) else None
+
+
+def _rest(run: Run, begin: float, end: float | None, n: int | None, over: RecordedEvent | None) -> str:
+    """Return a line on a rest from begin to end [s], with what changed meanwhile and so was not seen.
+
+    n: number of its samples, where it is one; over: event that has ended it early.
     """
-    n, begin, is_sampled = event["n_samples"], event["t"], run.series.get("filtered.time", run.time)
-    later = run.time[np.isfinite(is_sampled) & (run.time > begin)]
-    end = float(later[n - 1]) if n <= len(later) else None
-    over = next((e["t"] for e in rests if e["n_samples"] == 0 and e["t"] > begin), None)
-    if over is not None and (end is None or over < end):
-        return f"re-tuning rested from t = {begin:g} s until t = {over:g} s, when more was unexplained than ever before"
+    until = "to the end" if end is None else f"until t = {end:g} s"
+    told = f"re-tuning rested from t = {begin:g} s {until}"
+    if over is not None:
+        why = "friction was named" if over["kind"] == "friction" else "more was unexplained than ever before"
+        return f"{told}, when {why}"
     missed = [
         f"{name} at t = {run.time[k]:g} s"
         for name, values in run.true_parameters.items()
         if (k := _first_change(run.time, values, begin, end)) is not None
     ]
-    until = "to the end" if end is None else f"until t = {end:g} s"
     unseen = f"; what changes meanwhile is not seen: {', '.join(missed)}" if missed else ""
-    return f"re-tuning rested from t = {begin:g} s {until}, for {n} samples (diagnosis.rest){unseen}"
+    return f"{told}, {'again and again' if n is None else f'for {n} samples'} (diagnosis.rest){unseen}"
 
 
 def _first_change(time: Series, values: Series, begin: float, end: float | None) -> int | None:

@@ -35,8 +35,13 @@ def findings(
     named = {int(j) for group in groups for direction in group for j in _parts(direction)}
     for j, (p, std) in enumerate(zip(parameters, information.std(), strict=True)):
         if std > identifiable_below and j not in named:
-            sentences.append(f"{p.name} is known to {100.0 * std:.2g} % of its scaled bounds only: excite it more.")
+            sentences.append(f"{p.name} is known to {_percent(std)} % of its scaled bounds only: excite it more.")
     return sentences if groups else [*sentences, *_alike(information, space)]
+
+
+def _percent(share: float) -> str:
+    """Return a share in percent with two digits, without an exponent where it is not small."""
+    return f"{float(f'{100.0 * share:.2g}'):g}"
 
 
 def _at_bounds(space: ParameterSpace, theta: Vector) -> Iterator[str]:

@@ -54,6 +54,23 @@ def test_parameters_that_are_wrong_at_first_and_those_that_drift_are_told(made_u
     assert row[:3] == ("at the start", "m is 1, the controller has 3; m drifts between 1 and 1.099", "-")
 
 
+@pytest.mark.parametrize(
+    ("held", "told"),
+    [
+        ([1.0] * 50 + [2.0] * 50, "right throughout"),
+        ([1.0] * 53 + [2.0] * 47, "after 30 ms"),
+        ([1.0] * 53 + [2.0] * 7 + [9.0] * 10 + [2.0] * 30, "after 200 ms"),
+        ([1.0] * 53 + [2.0] * 7 + [9.0] * 40, "after 30 ms, lost after 100 ms"),
+        ([1.0] * 50 + [2.0] * 10 + [9.0] * 40, "right, lost after 100 ms"),
+        ([1.0] * 50 + [9.0] * 50, "-"),
+    ],
+)
+def test_parameters_are_right_from_when_they_stay_so(made_up, held, told):
+    shown = made_up(plant_m=[1.0] * 50 + [2.0] * 50, controller_m=held)
+    (row,) = plant_changes(shown.run, ())
+    assert row[-1] == told
+
+
 def test_nothing_is_told_of_a_plant_that_does_not_change(made_up):
     shown = made_up(plant_m=[1.0] * 100, controller_m=[1.0] * 100)
     assert plant_changes(shown.run, ()) == []

@@ -103,6 +103,16 @@ def test_a_rest_is_told_with_its_end_and_with_what_changed_in_it(tmp_path):
     (tmp_path / "run" / "events.jsonl").write_text("".join(json.dumps(e) + "\n" for e in events))
     until = "until t = 0.55 s, when more was unexplained than ever before"
     assert noted(result) == [f"re-tuning rested from t = 0.3 s {until}"]
+    friction = {"t": 0.55, "kind": "friction", "terms": [], "reason": "it explains the samples"}
+    (tmp_path / "run" / "events.jsonl").write_text("".join(json.dumps(e) + "\n" for e in (events[0], friction)))
+    assert noted(result) == ["re-tuning rested from t = 0.3 s until t = 0.55 s, when friction was named"]
+    events = [event | {"t": t, "n_samples": 20} for t in (0.3, 0.4, 0.45, 0.8)]
+    (tmp_path / "run" / "events.jsonl").write_text("".join(json.dumps(e) + "\n" for e in events))
+    assert noted(result) == [
+        "re-tuning rested from t = 0.3 s until t = 0.65 s, again and again (diagnosis.rest); what changes meanwhile is "
+        "not seen: m at t = 0.5 s",
+        "re-tuning rested from t = 0.8 s until t = 1 s, for 20 samples (diagnosis.rest)",
+    ]
 
 
 def test_of_the_plant_s_own_fmu_it_is_not_said_that_the_model_lacks_something():

@@ -123,16 +123,16 @@ def test_errors_that_are_nearly_one_are_correlated():
     ]
 
 
-def test_a_parameter_that_several_directions_blur_together_is_named():
-    """Each direction is known to 4 %, and a parameter that lies evenly in three of them no better than that; one that
-    two directions of 4.9 and 30 % have a part of is known to 9 %."""
+@pytest.mark.parametrize(("flat", "told"), [(0.3, "9.6"), (3.58, "100")])
+def test_a_parameter_that_several_directions_blur_together_is_named(flat, told):
+    """One that two directions, of 4.9 and of 30 or 358 %, have a part of: 0.96 and 0.28, in squares."""
     direction = np.array([0.28, np.sqrt(1.0 - 0.28**2)])
     directions = np.array([[direction[1], -direction[0]], direction])
-    seen = type(information(np.eye(2)))(np.array([1 / 0.049, 1 / 0.3]), directions)
+    seen = type(information(np.eye(2)))(np.array([1 / 0.049, 1 / flat]), directions)
     words = findings(seen, ParameterSpace((A, B)), np.array([0.5, 3.0]))
     assert words[0].startswith("The data hardly see b")
-    std = np.hypot(0.049 * direction[1], 0.3 * 0.28)
-    assert words[1] == f"a is known to {100 * std:.2g} % of its scaled bounds only: excite it more."
+    assert 100.0 * np.hypot(0.049 * direction[1], flat * 0.28) == pytest.approx(float(told), rel=0.05)
+    assert words[1] == f"a is known to {told} % of its scaled bounds only: excite it more."
 
 
 def test_sight_of_a_covariance_is_that_of_the_data_it_came_from():

@@ -1,6 +1,6 @@
 """Units as FMI and SSP define them: exponents of the SI base units, a factor and an offset.
 
-FMI 2.0.4, section 2.2.2; SSP 1.0, section 4.4: base value = factor * value + offset.
+FMI 2.0.4, sections 2.2.2 and 2.2.3; SSP 1.0, section 4.4: base value = factor * value + offset.
 """
 
 from collections.abc import Iterable, Mapping
@@ -41,6 +41,8 @@ class Unit:
     """Factor from this unit to the base unit."""
     offset: float = 0.0
     """Offset, in the base unit."""
+    is_relative: bool = False
+    """True for the unit of a difference, of temperatures say, which is converted without offsets."""
 
     @property
     def base(self) -> dict[str, int]:
@@ -63,9 +65,10 @@ def conversion(source: Unit | None, target: Unit | None) -> Linear:
         raise ValueError(f"'{source.name}' cannot be converted to '{target.name}': '{unknown.name}' is not defined")
     if source.exponents[:-1] != target.exponents[:-1]:
         raise ValueError(f"'{source.name}' cannot be converted to '{target.name}': the dimensions differ")
-    if (source.factor, source.offset) == (target.factor, target.offset):
+    offset = 0.0 if source.is_relative or target.is_relative else source.offset - target.offset
+    if source.factor == target.factor and not offset:
         return IDENTITY
-    return Linear(source.factor / target.factor, (source.offset - target.offset) / target.factor)
+    return Linear(source.factor / target.factor, offset / target.factor)
 
 
 def defined_units(definitions: Iterable[Any]) -> dict[str, Unit]:

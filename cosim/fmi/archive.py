@@ -33,6 +33,7 @@ FindingsListener = Callable[[Iterable[Finding]], None]
 DESCRIPTION: Final = "modelDescription.xml"
 _DAMAGED: Final = (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, ValueError)  # what zipfile raises
 _BUILD: Final = "sources/buildDescription.xml"
+_LEFT_OUT: Final = (b"relativeQuantity", b"<UInt", b"providesDirectionalDerivatives")
 _CHUNK: Final = 1 << 20
 _VERSION: Final = re.compile(r"2\.0|3\.0(\.\d+)?")  # those of betas have other functions
 
@@ -68,6 +69,11 @@ def read_checked(fmu: Path) -> ModelDescription:
     try:
         with lazy_numpy():
             description = fmpy.read_model_description(fmu, validate=False)
+        text = content(fmu, DESCRIPTION)
+        if any(word in text for word in _LEFT_OUT):
+            _complete(description, strict_root(text))
+    except ModelDescriptionError:
+        raise
     except Exception as error:  # as in look_into
         raise ModelDescriptionError(f"{fmu} cannot be read: {_text_of(error)}") from error
     return description if description.fmiVersion == "2.0" else scalarized(description)
@@ -115,7 +121,7 @@ def look_into(fmu: Path, on_findings: FindingsListener | None = None) -> tuple[M
             version = root.get("fmiVersion", version)
             on_findings(index_findings(root))
             description = _validated(file, on_findings)
-            _mark_directional(description, root)
+            _complete(description, root)
             on_findings(description_findings(description))
             platforms: list[str] = fmpy.supported_platforms(file)
     except ModelDescriptionError:
@@ -286,14 +292,24 @@ def contents_findings(fmu: Path) -> Iterator[Finding]:
                 yield Finding(repr(entry.filename), f"cannot be unpacked: {_text_of(error)}")
 
 
-def _mark_directional(description: ModelDescription, root: Element) -> None:
-    """Set providesDirectionalDerivative where FMI 3.0 has it in the plural, which FMPy 0.3.32 leaves out."""
+def _complete(description: ModelDescription, root: Element) -> None:
+    """Set what FMPy 0.3.32 leaves out: FMI 3.0's providesDirectionalDerivatives, differences, limits of UInt types."""
     for name in ("CoSimulation", "ModelExchange"):
         part = root.find(name)
         if part is not None and is_true(part.get("providesDirectionalDerivatives")):
             interface = description.coSimulation if name == "CoSimulation" else description.modelExchange
             assert interface is not None
             interface.providesDirectionalDerivative = True
+    variables = {v.name: v for v in description.modelVariables}
+    for element in root.iterfind("ModelVariables/*"):
+        variable = variables.get(element.get("name", ""))
+        if variable is None:
+            continue
+        for typed in (element, *element):  # FMI 2.0 has the attributes of a type one level down
+            if (is_relative := typed.get("relativeQuantity")) is not None:
+                variable.relativeQuantity = is_true(is_relative)
+            if typed.tag.startswith("UInt"):
+                variable.min, variable.max = typed.get("min"), typed.get("max")
 
 
 def _description_in(file: BinaryIO, on_findings: FindingsListener) -> Element:

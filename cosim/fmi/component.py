@@ -1,7 +1,7 @@
 """An FMU as an element of a system: its file, its variables and its units."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from ..errors import ModelDescriptionError
 from ..units import Unit, defined_units
 from .archive import component_interface, read_description
 from .ports import Catalogue, is_numeric
+from .preflight.description import is_true
 from .table import describe, is_table, read_table
 
 _EXPERIMENT = {"startTime": "start_time", "stopTime": "stop_time", "stepSize": "step_size", "tolerance": "tolerance"}
@@ -64,7 +65,24 @@ class Component:
         """Return the unit of a variable, where it has one."""
         v = self.variables[variable]
         name = v.unit or (v.declaredType.unit if v.declaredType is not None else None)
-        return self.units.get(name, Unit(name)) if name else None
+        if not name:
+            return None
+        unit = self.units.get(name, Unit(name))
+        return replace(unit, is_relative=True) if unit.offset and _is_relative(v) else unit
+
+
+def _is_relative(v: ModelVariable) -> bool:
+    """Return whether a variable is a difference, of temperatures say: FMI 2.0.4, section 2.2.3."""
+    own = v.relativeQuantity
+    return is_true(own if own is not None or v.declaredType is None else v.declaredType.relativeQuantity)
+
+
+def items_of(v: ModelVariable) -> dict[str, int] | None:
+    """Return the items of an enumeration, by name; None for another type. That of FMI 3.0 is exchanged as an Int64."""
+    if v.type != "Enumeration" and (v.declaredType is None or v.declaredType.type != "Enumeration"):
+        return None
+    items = v.declaredType.items if v.declaredType is not None else []
+    return {str(item.name): int(item.value or 0) for item in items}
 
 
 def outputs_of(description: ModelDescription) -> tuple[ModelVariable, ...]:

@@ -60,12 +60,18 @@ def element_names(name: str, shape: Iterable[int]) -> list[str]:
     return [f"{stem}[{','.join(map(str, index))}]{end}" for index in indices]
 
 
+def indices_of(name: str) -> tuple[int, ...]:
+    """Return the indices of an element, none for a scalar: R[1,2] -> (1, 2), der(r[3]) -> (3,)."""
+    match = _ELEMENT.fullmatch(name)
+    return () if match is None else tuple(int(i) for i in match["index"].split(","))
+
+
 def plain(name: str) -> str:
     """Return the other name of an element: r[1] -> r_x, R[1,2] -> R_12, der(r[1]) -> der(r_x); else the name itself."""
     match = _ELEMENT.fullmatch(name)
     if match is None:
         return name
-    index = [int(i) for i in match["index"].split(",")]
+    index = indices_of(name)
     if len(index) == 1 and index[0] > len(_AXES):
         return name
     subscript = _AXES[index[0] - 1] if len(index) == 1 else "".join(map(str, index))

@@ -9,6 +9,7 @@ from fmpy.model_description import ModelVariable
 
 from ..errors import WiringError
 from ..names import close_match
+from .elements import of_handle
 from .types import TYPES, FmiType, Value
 from .value_buffers import ScalarVariable
 
@@ -93,10 +94,19 @@ class Catalogue:
             kind = _with_article(kind_of(variable))
             initial = f", initial {variable.initial}" if variable.initial else ""
             raise WiringError(f"{name!r} of {self._fmu_name} takes no start value: it is {kind}{initial}.")
-        its_type = _type_of(variable)
+        its_type, kind = _type_of(variable), kind_of(variable)
+        if variable.causality == "structuralParameter":
+            raise WiringError(f"{name!r} of {self._fmu_name} takes no start value: sizes of arrays are as they are.")
+        if TYPES[its_type].is_text and self._is_element(variable):
+            raise WiringError(f"{name!r} of {self._fmu_name} takes no start value: it is part of an array of texts.")
         if not _is_fit(value, TYPES[its_type]):
             raise WiringError(f"{name!r} of {self._fmu_name} is a {its_type} and cannot start as {value!r}.")
-        return Ports(kind_of(variable), [variable])
+        return Ports(kind, [variable])
+
+    def _is_element(self, variable: ModelVariable) -> bool:
+        """Return whether a variable is one of several elements of an array."""
+        reference = of_handle(variable.valueReference)[0]
+        return sum(of_handle(v.valueReference)[0] == reference for v in self._variables.values()) > 1
 
     def _in_role(self, name: str, role: str) -> ModelVariable:
         variable = self._known(name)
@@ -128,9 +138,12 @@ def kind_of(variable: ModelVariable) -> str:
         return "constant"
     if variable.causality == "parameter":
         return f"{variable.variability} parameter"
-    return {"calculatedParameter": "calculated parameter", "local": "local variable"}.get(
-        variable.causality, str(variable.causality)
-    )
+    words = {
+        "calculatedParameter": "calculated parameter",
+        "structuralParameter": "structural parameter",
+        "local": "local variable",
+    }
+    return words.get(variable.causality, str(variable.causality))
 
 
 def _with_article(kind: str) -> str:

@@ -11,6 +11,7 @@ from ..errors import SspError
 from ..fmi.archive import read_any
 from ..fmi.component import Component
 from ..fmi.elements import element_names
+from ..fmi.types import TYPES, Value
 from ..ssv.document import ArrayValue, ParameterValue
 from ..variable_name import VariableName
 
@@ -81,6 +82,19 @@ def with_arrays(
             yield p
         elif array.name not in told:
             told.add(array.name)
-            starts = {name: component.variables[name].start for name in array.elements}
-            numbers = tuple(given[n].value if n in given else float(starts[n] or 0.0) for n in array.elements)
-            yield ArrayValue(array.name, numbers, array.sizes, p.unit)
+            starts = ((n, component.variables[n]) for n in array.elements)
+            typed = tuple(_typed(given[n].value if n in given else v.start, str(v.type)) for n, v in starts)
+            yield ArrayValue(array.name, typed, array.sizes, p.unit)
+
+
+def _typed(value: object, type_name: str) -> Value:
+    """Return a value, as it is given or written in a model description, in the Python type of its FMI type."""
+    match TYPES[type_name].python:
+        case of if of is bool:
+            return value in (True, 1, "true", "1")
+        case of if of is int:
+            return int(str(value or 0)) if not isinstance(value, float) else int(value)
+        case of if of is float:
+            return float(str(value or 0.0))
+        case _:
+            return str(value or "")

@@ -8,7 +8,8 @@ from xml.etree.ElementTree import Element
 from ..errors import SspError, one_line
 from ..names import did_you_mean
 from ..ssv.xml import attribute, number
-from ..units import IDENTITY, Linear, Unit, conversion
+from ..units import IDENTITY, Linear, conversion
+from .arrays import FmuArray
 from .tree import Connector, SystemElement
 
 _PARAMETERS = ("parameter", "structuralParameter")
@@ -48,8 +49,9 @@ class FlatConnections(NamedTuple):
 
     connections: tuple[Connection, ...]
     """Connections between FMUs, in the file's order of inputs."""
-    inherited: Mapping[End, Connection]
-    """Connections of variables that take the value of a system's connector (`source`), by variable."""
+    inherited: Mapping[End, Sequence[Connection]]
+    """Connections of variables that take the value of a system's connector (`source`), by variable: those of all
+    connectors on the way, the outermost first."""
 
 
 @dataclass(frozen=True)
@@ -73,13 +75,15 @@ def connect(top: SystemElement, where: str) -> FlatConnections:
                     raise SspError(f"{where}: two connections lead to '{target}'.")
                 edges[target] = edge
     connections: list[Connection] = []
-    inherited: dict[End, Connection] = {}
+    inherited: dict[End, Sequence[Connection]] = {}
     for target in edges:
         if not is_component[target.element]:
             continue
-        source, transform, _ = _follow(target, edges, kinds, is_component, where)
+        way = _way_to(target, edges, is_component, where)
+        source, transform = way[-1], _along(way, edges, kinds, where)
         if not is_component[source.element]:
-            inherited[target] = Connection(source, target, transform)
+            parts = (way[: n + 1] for n in range(len(way) - 1, 0, -1))
+            inherited[target] = [Connection(p[-1], target, _along(p, edges, kinds, where)) for p in parts]
         elif kinds[target].kind in _PARAMETERS:
             raise SspError(f"{where}: '{source}' leads to the parameter '{target}', not to an input.")
         else:
@@ -95,7 +99,7 @@ def _nodes(node: SystemElement) -> Iterator[SystemElement]:
 
 def _edges(system: SystemElement, element: Element, where: str) -> Iterator[tuple[End, _Edge]]:
     """Yield target and edge of a connection, those between two arrays element by element."""
-    ends: list[Sequence[str] | None] = []
+    ends: list[FmuArray | None] = []
     for side in ("start", "end"):
         name = element.get(f"{side}Element")
         node = system.children.get(name) if name else system
@@ -107,9 +111,9 @@ def _edges(system: SystemElement, element: Element, where: str) -> Iterator[tupl
     if start is None and end is None:
         yield _edge(system, element, where)
         return
-    if start is None or end is None or len(start) != len(end):
+    if start is None or end is None or start.sizes != end.sizes:
         raise SspError(f"{where}: connection {between} must join arrays of one size.")
-    for one, other in zip(start, end, strict=True):
+    for one, other in zip(start.elements, end.elements, strict=True):
         part = Element(element.tag, {**element.attrib, "startConnector": one, "endConnector": other})
         part.extend(element)
         yield _edge(system, part, where)
@@ -163,17 +167,8 @@ def transformation(element: Element, place: str) -> Linear:
     return IDENTITY
 
 
-def _follow(
-    target: End,
-    edges: Mapping[End, _Edge],
-    kinds: Mapping[End, Connector],
-    is_component: Mapping[str, bool],
-    where: str,
-) -> tuple[End, Linear, Unit | None]:
-    """Follow a value back to where it comes from: a component, or a system's connector that nothing leads to.
-
-    Returns it, the transformation on the way, and the unit in which it arrives.
-    """
+def _way_to(target: End, edges: Mapping[End, _Edge], is_component: Mapping[str, bool], where: str) -> list[End]:
+    """Return the ends on the way back from a target to a component, or a connector that nothing leads to."""
     way = [target]
     while way[-1] in edges and (way[-1] == target or not is_component[way[-1].element]):
         source = edges[way[-1]].source
@@ -182,6 +177,11 @@ def _follow(
         if len(way) == LONGEST_WAY:
             raise SspError(f"{where}: '{target}' is more than {LONGEST_WAY} connections from its source.")
         way.append(source)
+    return way
+
+
+def _along(way: Sequence[End], edges: Mapping[End, _Edge], kinds: Mapping[End, Connector], where: str) -> Linear:
+    """Return the transformation from the last end of a way to its first."""
     unit, total = kinds[way[-1]].unit, IDENTITY
     for end in reversed(way[:-1]):
         edge, own = edges[end], kinds[end].unit
@@ -190,4 +190,4 @@ def _follow(
         except ValueError as e:
             raise SspError(f"{where}: connection {edge.source} -> {end}: {e}.") from e
         unit = own or unit
-    return way[-1], total, unit
+    return total

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from xml.etree.ElementTree import Element
 
 from ..errors import SspError
-from ..fmi.component import Component
+from ..fmi.component import Component, items_of
 from ..fmi.types import Value
 from ..ssv.document import ParameterSet, ParameterValue, parameter_set
 from ..ssv.xml import attribute, check, parse
@@ -23,6 +23,8 @@ class _Bound(NamedTuple):
     unit: Unit | None
     transformation: Linear
     where: str
+    depth: int
+    """Depth of the system whose binding it is of: 0 for the top."""
 
 
 @dataclass
@@ -47,25 +49,30 @@ def start_values(
     start: dict[str, dict[str, Value]] = {name: {} for name in components}
     for (name, variable), bound in found.variables.items():
         start[name][variable] = _value(bound, components[name], name, variable, IDENTITY)
-    for (name, variable), way in wiring.inherited.items():
-        if way.source in found.connectors:
-            bound = found.connectors[way.source]
+    for target, ways in wiring.inherited.items():
+        way = next((way for way in ways if way.source in found.connectors), None)
+        if way is None:
+            continue
+        bound, (name, variable) = found.connectors[way.source], target
+        if target not in found.variables or bound.depth <= found.variables[target].depth:
             start[name][variable] = _value(bound, components[name], name, variable, way.transform)
     return start, tuple(dict.fromkeys(found.ignored))
 
 
 def variable_value(parameters: ParameterSet, given: ParameterValue, target: End, component: Component) -> Value:
     """Return a parameter as the start value of a component's variable, converted to its unit. Raises SspError."""
-    bound = _Bound(given.value, _unit(parameters, given.unit), IDENTITY, parameters.where)
+    bound = _Bound(given.value, _unit(parameters, given.unit), IDENTITY, parameters.where, 0)
     return _value(bound, component, target.element, target.connector, IDENTITY)
 
 
-def _collect(node: SystemElement, found: _Found, folder: Path, units: Mapping[str, Unit], where: str) -> None:
+def _collect(
+    node: SystemElement, found: _Found, folder: Path, units: Mapping[str, Unit], where: str, depth: int = 0
+) -> None:
     for child in node.children.values():
-        _collect(child, found, folder, units, where)
+        _collect(child, found, folder, units, where, depth + 1)
     for binding in node.element.findall("ParameterBindings/ParameterBinding"):
         for name, bound in _bound_in(binding, folder, units, f"{where}: parameter binding of '{node.name}'"):
-            _place(node, name, bound, found)
+            _place(node, name, bound._replace(depth=depth), found)
 
 
 def _place(node: SystemElement, name: str, bound: _Bound, found: _Found) -> None:
@@ -99,7 +106,7 @@ def _bound_in(binding: Element, folder: Path, units: Mapping[str, Unit], place: 
     """Yield names, as seen from the element, and values of one binding."""
     parameters = _parameters_of(binding, folder, units, place)
     prefix = binding.get("prefix", "")
-    given = {prefix + p.name: _Bound(p.value, _unit(parameters, p.unit), IDENTITY, parameters.where)
+    given = {prefix + p.name: _Bound(p.value, _unit(parameters, p.unit), IDENTITY, parameters.where, 0)
              for p in parameters.values}  # fmt: skip
     mapping = binding.find("ParameterMapping")
     if mapping is None:
@@ -144,8 +151,8 @@ def _unit(parameters: ParameterSet, name: str | None) -> Unit | None:
 def _value(bound: _Bound, component: Component, name: str, variable: str, way: Linear) -> Value:
     """Return the value in the variable's unit and of its type. Raises SspError."""
     value, v = bound.value, component.variables[variable]
-    if isinstance(value, str) and v.type == "Enumeration" and v.declaredType is not None:
-        items = {item.name: int(item.value or 0) for item in v.declaredType.items}
+    items = items_of(v)
+    if isinstance(value, str) and items is not None:
         if value not in items:
             raise SspError(f"{bound.where}: '{value}' is no item of the enumeration '{name}.{variable}'.")
         return items[value]
@@ -161,4 +168,4 @@ def _in_unit(bound: _Bound, unit: Unit | None, name: str) -> _Bound:
         raise SspError(f"{bound.where}: parameter '{name.removeprefix('.')}': {e}.") from e
     if convert == IDENTITY or isinstance(bound.value, str | bool):
         return bound._replace(unit=unit or bound.unit, transformation=IDENTITY)
-    return _Bound(convert(bound.value), unit or bound.unit, IDENTITY, bound.where)
+    return bound._replace(value=convert(bound.value), unit=unit or bound.unit, transformation=IDENTITY)

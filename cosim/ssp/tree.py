@@ -1,6 +1,6 @@
 """Elements of a system structure: systems within systems, and components, which are FMUs."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -8,12 +8,12 @@ from urllib.parse import unquote
 from xml.etree.ElementTree import Element
 
 from ..errors import SspError, one_line
-from ..fmi.component import Component, read_component
+from ..fmi.component import Component, items_of, read_component
 from ..fmi.types import TYPES
 from ..names import did_you_mean
 from ..ssv.xml import attribute
 from ..units import Unit, conversion
-from .arrays import arrays_of
+from .arrays import FmuArray, arrays_of
 
 _SSP_TYPES = {row.name: row.ssp for row in TYPES.values() if row.ssp is not None}  # SSP 2.0 has FMI 3.0's names too
 
@@ -42,8 +42,8 @@ class SystemElement:
     """The FMU; None for a system."""
     children: Mapping[str, "SystemElement"]
     """Elements of a system, by their own names."""
-    arrays: Mapping[str, Sequence[str]]
-    """Connectors that are arrays, by name: their elements, which are connectors too."""
+    arrays: Mapping[str, FmuArray]
+    """Connectors that are arrays, by name; their elements are connectors too."""
 
     def components(self) -> Iterator[tuple[str, Component]]:
         """Yield every component below, or this one, with its hierarchical name."""
@@ -66,6 +66,7 @@ class TreeReader:
         self._folder, self._units, self._where = folder, units, where
         self._components: dict[Path, Component] = {}
         self._n_elements = 0
+        self._names: set[str] = set()
 
     def system(self, element: Element, name: str = "", depth: int = 1) -> SystemElement:
         """Read a system and all that is in it. Raises SspError, ModelDescriptionError."""
@@ -78,8 +79,9 @@ class TreeReader:
                 raise SspError(f"{self._where}: it has more than {MOST_ELEMENTS} systems and components.")
             own = attribute(child, "name", self._where)
             full = f"{name}.{own}" if name else own
-            if own in children:
+            if full in self._names:
                 raise SspError(f"{self._where}: two elements have the name '{full}'.")
+            self._names.add(full)
             if child.tag == "System":
                 children[own] = self.system(child, full, depth + 1)
             elif child.tag == "Component":
@@ -101,10 +103,10 @@ class TreeReader:
 
     def _connectors(
         self, element: Element, name: str, component: Component | None
-    ) -> tuple[dict[str, Connector], dict[str, Sequence[str]]]:
+    ) -> tuple[dict[str, Connector], dict[str, FmuArray]]:
         """Return an element's connectors, those of arrays by their elements, and its arrays."""
         found: dict[str, Connector] = {}
-        arrays: dict[str, Sequence[str]] = {}
+        arrays: dict[str, FmuArray] = {}
         for connector in element.findall("Connectors/Connector"):
             own = attribute(connector, "name", self._where)
             place = f"{self._where}: connector '{name}.{own}'" if name else f"{self._where}: connector '{own}'"
@@ -113,8 +115,8 @@ class TreeReader:
                 continue
             if component is None:
                 raise SspError(f"{place} is an array of a system; only those of FMUs are supported.")
-            arrays[own] = _elements(connector, own, place, component)
-            found |= {part: self._connector(connector, part, place, component) for part in arrays[own]}
+            arrays[own] = _array(connector, own, place, component)
+            found |= {part: self._connector(connector, part, place, component) for part in arrays[own].elements}
         return found, arrays
 
     def _connector(self, element: Element, name: str, place: str, component: Component | None) -> Connector:
@@ -125,14 +127,21 @@ class TreeReader:
             if name not in component.variables:
                 hint = did_you_mean(name, component.variables) or "."
                 raise SspError(f"{place}: no variable '{name}' in {component.fmu.name}{hint}")
-            kind = str(component.variables[name].type)
-            if typed is not None and _SSP_TYPES[typed.tag] != _SSP_TYPES.get(kind):
+            variable = component.variables[name]
+            kind, is_enumeration = str(variable.type), items_of(variable) is not None
+            kinds = {_SSP_TYPES.get(kind), "Enumeration" if is_enumeration else None}  # an Int64 in FMI 3.0's functions
+            if typed is not None and _SSP_TYPES[typed.tag] not in kinds:
                 raise SspError(f"{place} is declared {typed.tag}, but in {component.fmu.name} it is {kind}.")
             unit = self._checked(unit, component.unit(name), place)
         return Connector(attribute(element, "kind", self._where), unit)
 
     def _checked(self, declared: Unit | None, own: Unit | None, place: str) -> Unit | None:
-        """Return the FMU's unit, in which its numbers are; the declared one must be of the same dimension."""
+        """Return the FMU's unit, in which its numbers are; the declared one must be of the same dimension.
+
+        Of one that the FMU only names, the definition here counts.
+        """
+        if declared is not None and own is not None and own.exponents is None and own.name == declared.name:
+            return declared
         try:
             conversion(declared, own)
         except ValueError as e:
@@ -140,15 +149,15 @@ class TreeReader:
         return own or declared
 
 
-def _elements(connector: Element, name: str, place: str, component: Component) -> list[str]:
-    """Return the names of the elements of an array's connector, which must have the FMU's sizes. Raises SspError."""
+def _array(connector: Element, name: str, place: str, component: Component) -> FmuArray:
+    """Return the array of a connector, which must have the FMU's sizes. Raises SspError."""
     array = next((a for a in arrays_of(component).values() if a.name == name), None)
     if array is None:
         raise SspError(f"{place}: '{name}' is no array of {component.fmu.name}.")
     sizes = [d.get("size") for d in connector.findall("Dimension")]
     if len(sizes) != len(array.sizes) or any(s not in (None, str(n)) for s, n in zip(sizes, array.sizes, strict=True)):
         raise SspError(f"{place}: in {component.fmu.name} its sizes are {' x '.join(map(str, array.sizes))}.")
-    return list(array.elements)
+    return array
 
 
 def resource(folder: Path, source: str, place: str) -> Path:

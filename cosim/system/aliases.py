@@ -4,11 +4,11 @@ Where an FMU has R[1,2] and no R_12, R_12 is R[1,2], and the other way round; "c
 arrays element by element.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ..errors import WiringError
-from ..fmi.elements import element_names, resolved
+from ..fmi.elements import element_names, indices_of, resolved
 from ..scenarios.scenario import Scenario
 from ..scenarios.schema.estimation import EstimatedParameter
 from ..variable_name import VariableName
@@ -64,12 +64,20 @@ def _connections(
     result: dict[VariableName, VariableName] = {}
     for target, source in connections.items():
         targets, sources = (_parts(reference, known) for reference in (target, source))
-        if len(targets) != len(sources):
-            raise WiringError(
-                f"'{target}' has {len(targets)} elements and '{source}' {len(sources)}: they cannot be connected."
-            )
+        to, of = (_sizes(parts) for parts in (targets, sources))
+        if to != of:
+            raise WiringError(f"'{target}' has {_told(to)} and '{source}' {_told(of)}: they cannot be connected.")
         result |= zip(targets, sources, strict=True)
     return result
+
+
+def _sizes(parts: Sequence[VariableName]) -> tuple[int, ...]:
+    """Return the sizes of the array that has these elements, the last index fastest; none for a scalar."""
+    return indices_of(parts[-1].parts[1]) if len(parts) > 1 else ()
+
+
+def _told(sizes: Sequence[int]) -> str:
+    return f"{' x '.join(map(str, sizes))} elements" if sizes else "1 element"
 
 
 def _parts(reference: VariableName, known: Mapping[str, Mapping[str, object]]) -> list[VariableName]:

@@ -143,6 +143,45 @@ def test_systems_within_systems_are_dissolved(package, flat):
     assert np.ptp(one["drive.plant.phi"]) > 0.01
 
 
+def with_outer_mass(flat):
+    """The nested system, with a connector of the top system that leads to that of the inner one."""
+    structure = nested(flat).replace(
+        '<System name="top">', '<System name="top"><Connectors><Connector name="Q" kind="parameter"/></Connectors>'
+    )
+    end = structure.rindex("</Connections></System>")
+    way = '<Connection startConnector="Q" endElement="drive" endConnector="mass"/>'
+    return structure[:end] + way + structure[end:]
+
+
+@pytest.mark.parametrize(
+    ("given", "mass"),
+    [
+        ({"drive.mass": 2000}, 2.0),  # Q has no value, which is no reason to lose it
+        ({"drive.mass": 2000, "Q": 3000}, 3.0),
+        ({"Q": 3000}, 3.0),
+    ],
+)
+def test_the_outermost_connector_that_has_a_value_gives_it(package, flat, given, mass):
+    start = values("".join(real(name, value) for name, value in given.items()))
+    system = System.from_ssp(package(bound(with_outer_mass(flat), "top", start)))
+    assert system.start["drive.plant"] == {"m": mass}
+
+
+def test_a_binding_of_an_outer_system_comes_before_one_of_an_inner(package, flat):
+    structure = bound(nested(flat), "top", values(real("drive.plant.m", 7.0)))
+    inner = values(real("mass", 5000))
+    structure = structure.replace(
+        '<System name="drive">', f'<System name="drive"><ParameterBindings>{inner}</ParameterBindings>'
+    )
+    assert System.from_ssp(package(structure)).start["drive.plant"] == {"m": 7.0}
+
+
+def test_two_ways_to_one_name_are_refused(package, flat):
+    structure = nested(flat).replace('<Component name="reference"', '<Component name="drive.plant"')
+    with pytest.raises(SspError, match=r"two elements have the name 'drive\.plant'"):
+        System.from_ssp(package(structure))
+
+
 def in_degrees(name):
     """The FMU with its angles declared in degrees: same numbers, another unit."""
     source = find_fmu(name, Path())

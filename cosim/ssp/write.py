@@ -8,9 +8,10 @@ for the former, libcosim refuses the latter. Unconnected inputs are left out: FM
 
 import io
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from importlib.metadata import version
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
@@ -61,16 +62,18 @@ def to_ssp(scenario: Scenario) -> bytes:
     if not _takes_arrays(scenario, components, arrays):
         components = {name: _without(arrays[name], component) for name, component in components.items()}
         arrays = {name: dict[str, FmuArray]() for name in arrays}
-    places = _places(components)
+    places, parameters = _places(components), _parameter_files(components)
     _check_connections(scenario, components)
-    files: dict[str, bytes] = {STRUCTURE: document(_structure(scenario, components, places, arrays)).encode()}
+    files: dict[str, bytes] = {
+        STRUCTURE: document(_structure(scenario, components, places, parameters, arrays)).encode()
+    }
     for name, component in components.items():
         files[places[name]] = component.fmu.read_bytes()
         if values := [*with_arrays(_parameters(scenario, name, component), component, arrays[name])]:
             used = {p.unit for p in values}
             units = {key: unit for key, unit in component.units.items() if key in used}
             element = ssv_element(START_VALUES, values, units, {"ssv", "ssc"})
-            files[_ssv_of(name)] = document(element).encode()
+            files[parameters[name]] = document(element).encode()
     files[f"{EXTRA}/{SCENARIO}"] = tomli_w.dumps(_tables(given, places)).encode()
     for path, content in _modules(given):
         files[f"{EXTRA}/{path}"] = content
@@ -107,8 +110,15 @@ def _places(components: Mapping[str, Component]) -> dict[str, str]:
     return places
 
 
-def _ssv_of(component: str) -> str:
-    return f"resources/{_plain(component)}.ssv"
+def _parameter_files(components: Iterable[str]) -> dict[str, str]:
+    """Return the file of each component's parameters in the package, in ASCII: numbered where two would have one."""
+    found: dict[str, str] = {}
+    for name in components:
+        stems = chain([_plain(name)], (f"{_plain(name)}_{k}" for k in count(2)))
+        found[name] = next(
+            f for stem in stems if (f := f"resources/{stem}.ssv").lower() not in map(str.lower, found.values())
+        )
+    return found
 
 
 def _plain(name: str) -> str:
@@ -119,8 +129,10 @@ def _structure(
     scenario: Scenario,
     components: Mapping[str, Component],
     places: Mapping[str, str],
+    parameters: Mapping[str, str],
     arrays: Mapping[str, Mapping[str, FmuArray]],
 ) -> Element:
+    """parameters: file of each component's, in the package."""
     settings = scenario.scenario
     declared = {f"xmlns:{prefix}": NAMESPACES[prefix] for prefix in ("ssd", "ssc", "ssv")}
     ssp_version = "2.0" if any(arrays.values()) else "1.0"
@@ -145,7 +157,7 @@ def _structure(
                     units |= _add_connector(table, v, component, array)
         if _parameters(scenario, name, component):
             bindings = SubElement(element, "ssd:ParameterBindings")
-            SubElement(bindings, "ssd:ParameterBinding", {"source": _ssv_of(name)})
+            SubElement(bindings, "ssd:ParameterBinding", {"source": parameters[name]})
     if scenario.connections:
         table = SubElement(system, "ssd:Connections")
         for target, source in whole(scenario.connections, arrays).items():

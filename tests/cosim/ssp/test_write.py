@@ -38,6 +38,16 @@ def test_the_files_are_valid(export, name):
             read_ssv(str(path), binding.source)  # validates too
 
 
+def test_every_component_has_parameters_of_its_own(export, tmp_path):
+    """Names that are the same in ASCII: each keeps its start values."""
+    tables = Scenario.load("pendulum").model_dump(mode="json", by_alias=True)
+    text = json.dumps(tables).replace("plant", "\u03b2").replace("controller", "\u03b3")
+    scenario = Scenario.from_tables(json.loads(text), {}, tmp_path, tmp_path / "s")
+    start = System.from_ssp(export(scenario)).start
+    assert {"phi", "phi_dot", "m", "l"} <= set(start["\u03b2"])
+    assert set(start["\u03b3"]) == {"m", "l"}
+
+
 FMI_3 = {f"components.{name}.fmi": "3" for name in ("plant", "controller", "reference")}
 
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+from ..runs.diagnosis_report import resting
 from ..text_table import aligned, counted
 from .figures import ComparisonFigures
 
@@ -129,6 +130,9 @@ def notes(comparison: ComparisonFigures) -> list[str]:
             "A run that did not finish counts with the rows it has; (k) is the number of runs behind a cell, where "
             "that is not all of them."
         )
+    if comparison.is_open_loop:
+        notes += [*dict.fromkeys(f"Candidates are judged by {r['objective']}." for r in runs if r["objective"])]
+        notes += [f"{r['estimator']}: {'; '.join(_in_vain(r))}." for r in runs if _in_vain(r)]
     if not comparison.is_open_loop and any(comparison.ratio(r) is None for r in runs if r["estimator"] == "true"):
         notes.append(
             "With some seeds the floor is zero to within rounding, or has no rows: there is no ratio to it then."
@@ -140,6 +144,14 @@ def notes(comparison: ComparisonFigures) -> list[str]:
         f"With {comparison.jobs} runs at a time on {counted(cpus, 'processor')}, latencies and missed deadlines are "
         "greater than those of a single run; measure them with --jobs 1.",
     ]
+
+
+def _in_vain(record: Mapping[str, Any]) -> list[str]:
+    """Return what a replay's diagnosis has found no explanation for, and which channels rest for it at the end."""
+    found = record["diagnosis"]
+    if not found or not found["unexplained"]:
+        return []
+    return [f"failed searches: {found['unexplained']}, no parameters explain the samples", *resting(found)]
 
 
 def _title(comparison: ComparisonFigures) -> str:

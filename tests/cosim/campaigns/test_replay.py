@@ -240,3 +240,19 @@ def test_a_model_that_is_gone_is_told_in_one_line(folder: Path) -> None:
     rewrite(MANIFEST, scenario=scenario)(folder)
     with pytest.raises(CosimError, match="cannot load 'gone_with_the_wind:derivative'"):
         replay(folder, ["least-squares"])
+
+
+@pytest.mark.full
+def test_a_replay_tells_how_candidates_were_judged_and_what_was_found_in_vain(tmp_path: Path) -> None:
+    """Roll-outs from the start, of a plant that is pushed by what its inputs do not hold."""
+    rollouts = {
+        "estimation.objective": "rollout",
+        "sampling.outputs": '{"plant.phi" = {noise = 1e-4}}',
+        "estimation.rollout.start": "replay",
+        "changes": '{"plant.F_d" = [[0.0, 0.0], [0.2, "8*sin(40*t)"]]}',
+    }
+    recorded = run(Scenario.load("pendulum", {"scenario.stop_time": "2.0"} | rollouts), "none", 0, tmp_path)
+    assert recorded.folder is not None
+    table = replay(recorded.folder, ["target"]).table()
+    assert "Candidates are judged by roll-outs" in table
+    assert "target: failed searches: " in table

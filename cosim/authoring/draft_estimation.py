@@ -17,6 +17,7 @@ from ..units import BASE_UNITS
 from .guess import CONTROLLER, PLANT, alike, best, echoes, have_one_unit, stem
 from .toml_lines import quoted, said
 
+_LIMITS: Final = {"lim", "limit", "max", "min", "sat", "saturation"}
 _NOISE: Final = 1e-3  # of the nominal value
 _GUESS: Final = "GUESS of the noise: a run measures it"
 _SAVED: Final = 20  # samples of a roll-out that begins in the plant's saved state
@@ -42,10 +43,14 @@ def parameter_pairs(components: Mapping[str, Component]) -> list[tuple[ModelVari
 def _of_one_value(
     controller: Component, plant: Component, own: Iterable[ModelVariable], there: Iterable[ModelVariable]
 ) -> dict[str, ModelVariable]:
-    """Return plant parameters that start at the value of one of the controller's, and share a word of its name."""
+    """Return plant parameters that start at the value of one of the controller's, and share a word of its name.
+
+    Limits are none: an actuator's are in both as well, and do not change.
+    """
 
     def belong(v: ModelVariable, other: ModelVariable) -> bool:
-        if v.start is None or other.start is None or not set(stem(v.name)) & set(stem(other.name)):
+        words, others = set(stem(v.name)), set(stem(other.name))
+        if v.start is None or other.start is None or not words & others or (words | others) & _LIMITS:
             return False
         is_one_value = float(v.start) == float(other.start) != 0.0
         return is_one_value and have_one_unit(controller, v.name, plant, other.name) is not False

@@ -319,6 +319,20 @@ def test_parameters_belong_together_by_a_word_and_the_value_that_they_start_with
     assert offered == ["L_choke", "C_filter", "load_R", "half", "ESR"]  # what is estimated comes first
 
 
+def test_an_actuator_s_limit_is_no_parameter_that_changes(described):
+    """The controller has gains, and the plant's limit: formulas in the plant's inertia are offered."""
+    controller = described(
+        "".join(tunable(n, i, v) for i, (n, v) in enumerate([("Kp", 2.0), ("i_lim", 20.0)])), name="C"
+    )
+    parameters = "".join(tunable(n, i + 1, v) for i, (n, v) in enumerate([("J", 0.02), ("i_max", 20.0)]))
+    plant = described(pin("v", "output", 0) + parameters, name="P")
+    (parameter,) = tomllib.loads(draft({"plant": plant, "controller": controller}, plant.parent).text)["estimation"][
+        "parameters"
+    ]
+    assert parameter["true"] == "plant.J"
+    assert parameter["writes"]["controller.Kp"] == "2.0 * J / 0.02"
+
+
 def test_what_is_not_filled_in_ends_a_run_in_a_line_that_says_so(described, tmp_path, capsys):
     path = tmp_path / "my.toml"
     path.write_text(draft({"plant": described(pin("y", "output", 0), name="P")}, tmp_path).text)

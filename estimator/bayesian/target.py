@@ -38,7 +38,7 @@ _MAJORITY = 15
 _AT_BOUND = 0.01
 """Distance from a bound, in the unit cube, that is none."""
 _N_OUTPUTS = 10
-"""Number of principal components that are modelled, where there are not as many parameters."""
+"""Number of principal components that are modelled, of no more parameters than that."""
 _LITTLE = float(np.log(0.1**2))
 """Logarithm of an expected decrease of the sum of squares that is not worth an evaluation."""
 
@@ -53,8 +53,8 @@ class TargetSettings:
     """Number of best candidates that the surrogate is fitted to, beside the newest d, and that are kept for the next
     episode; by default 3 d + 2. More would only distort it and slow it down."""
     n_outputs: int | None = None
-    """Number of principal components of the residual, at most, that are modelled by a GP; by default 10, or d + 1 where
-    that is more: d slopes and what no parameter explains."""
+    """Number of principal components of the residual, at most, that are modelled by a GP; by default 10, or d + 1
+    of more parameters than that: d slopes and what no parameter explains."""
     significance: float = 3.0
     """Standard deviations by which a change in a direction must exceed zero; else that direction is held."""
     identifiable_below: float = IDENTIFIABLE_BELOW
@@ -281,7 +281,8 @@ class TargetVector:
             stored = self._candidates
             chosen = stored.modelled
             Z = stored.place(chosen)
-            n_outputs = self._settings.n_outputs or max(_N_OUTPUTS, Z.shape[1] + 1)
+            d = Z.shape[1]
+            n_outputs = self._settings.n_outputs or (_N_OUTPUTS if d <= _N_OUTPUTS else d + 1)
             Y = principal_components(stored.residuals[chosen], n_outputs)
             is_cut = Y.shape[1] == n_outputs
             self._model_now = Model(Z, Y, stored.costs[chosen], self._surrogate.condition(Z, Y), is_cut)

@@ -106,7 +106,8 @@ class Catalogue:
     def _is_element(self, variable: ModelVariable) -> bool:
         """Return whether a variable is one of several elements of an array."""
         reference = of_handle(variable.valueReference)[0]
-        return sum(of_handle(v.valueReference)[0] == reference for v in self._variables.values()) > 1
+        handles = (of_handle(v.valueReference) for v in self._variables.values())
+        return any(place and whole == reference for whole, place in handles)
 
     def _in_role(self, name: str, role: str) -> ModelVariable:
         variable = self._known(name)

@@ -22,7 +22,7 @@ _STANDS: Final = 3
 
 
 class Standing(NamedTuple):
-    """How a reading stands still, and how it did before."""
+    """Number of samples for which a reading has stood still, and how it did before."""
 
     n: int
     """Number of samples for which it has stood still."""

@@ -45,7 +45,11 @@ def diagnosed(found: Mapping[str, Any], lacking: str = _OF_A_MODEL) -> list[str]
     channels = found["channels"].items()
     lines = [
         f"the model explains {name} to {ratio:.2g} times its declared noise"
-        + (": multiply that by as much" if channel["correlation"] < _SMOOTH else f", and the rest is smooth: {lacking}")
+        + (
+            ": if that is noise, multiply it by as much"
+            if channel["correlation"] < _SMOOTH
+            else f", and the rest is smooth: {lacking}"
+        )
         for name, channel in channels
         if (ratio := max(channel["scale"], channel["noise_ratio"] or 0.0)) >= _WORSE
     ]

@@ -24,7 +24,10 @@ def test_of_a_model_that_explains_the_samples_there_is_nothing_to_say():
 
 def test_white_residuals_that_are_larger_are_noise_and_correlated_ones_are_not():
     (noise,) = diagnosed(found(scale=4.1))
-    assert noise == "the model explains plant.der(v) to 4.1 times its declared noise: multiply that by as much"
+    assert (
+        noise
+        == "the model explains plant.der(v) to 4.1 times its declared noise: if that is noise, multiply it by as much"
+    )
     (lacking,) = diagnosed(found(scale=4.1, correlation=0.9))
     assert lacking.startswith(
         "the model explains plant.der(v) to 4.1 times its declared noise, and the rest is smooth: the model lacks"

@@ -132,7 +132,7 @@ def notes(comparison: ComparisonFigures) -> list[str]:
         )
     if comparison.is_open_loop:
         notes += [*dict.fromkeys(f"Candidates are judged by {r['objective']}." for r in runs if r["objective"])]
-        notes += [f"{r['estimator']}: {'; '.join(_in_vain(r))}." for r in runs if _in_vain(r)]
+        notes += [f"{r['estimator']}: {'; '.join(lines)}." for r in runs if (lines := _in_vain(r))]
     if not comparison.is_open_loop and any(comparison.ratio(r) is None for r in runs if r["estimator"] == "true"):
         notes.append(
             "With some seeds the floor is zero to within rounding, or has no rows: there is no ratio to it then."

@@ -94,14 +94,16 @@ class Catalogue:
             kind = _with_article(kind_of(variable))
             initial = f", initial {variable.initial}" if variable.initial else ""
             raise WiringError(f"{name!r} of {self._fmu_name} takes no start value: it is {kind}{initial}.")
-        its_type, kind = _type_of(variable), kind_of(variable)
+        its_type, why_not = _type_of(variable), ""
         if variable.causality == "structuralParameter":
-            raise WiringError(f"{name!r} of {self._fmu_name} takes no start value: sizes of arrays are as they are.")
-        if TYPES[its_type].is_text and self._is_element(variable):
-            raise WiringError(f"{name!r} of {self._fmu_name} takes no start value: it is part of an array of texts.")
+            why_not = "it is a structural parameter, and sizes of arrays cannot be changed"
+        elif TYPES[its_type].is_text and self._is_element(variable):
+            why_not = "it is an element of an array of Strings, which is set as a whole"
+        if why_not:
+            raise WiringError(f"{name!r} of {self._fmu_name} takes no start value: {why_not}.")
         if not _is_fit(value, TYPES[its_type]):
             raise WiringError(f"{name!r} of {self._fmu_name} is a {its_type} and cannot start as {value!r}.")
-        return Ports(kind, [variable])
+        return Ports(kind_of(variable), [variable])
 
     def _is_element(self, variable: ModelVariable) -> bool:
         """Return whether a variable is one of several elements of an array."""

@@ -16,9 +16,10 @@ LATE: Final = ("late", "sample")
 SUMMED: Final = 20
 """Number of samples over which derivatives are summed, to be compared with the change of their states."""
 
-
 _STANDS: Final = 3
-"""Number of times that a reading has stood still and gone on, from which on that is how its sensor reads."""
+"""Number of times that a reading must have stood still and gone on for that to be how its sensor reads."""
+_WITHIN: Final = 50
+"""Number of changes of a reading among which these must be: a sensor that is stuck now and then changes more often."""
 
 
 class Standing(NamedTuple):
@@ -41,7 +42,9 @@ class SensorChecks:
         self._stamp = -inf
         self._previous: tuple[float, ...] = ()
         self._n_same = [0] * len(names)
-        self._stands: dict[int, tuple[int, Standing]] = {}  # number of stands that have ended, by place, and of what
+        self._n_samples, self._n_repeats = 0, [0] * len(names)
+        # The newest stands by place: number of changes before the end, of samples, and the step with which it ended.
+        self._stands: dict[int, deque[tuple[int, int, float]]] = {}
 
     def step(
         self,
@@ -63,6 +66,7 @@ class SensorChecks:
         named = [*zip(self._names, values, strict=True), *((INPUT, value) for value in u)]
         bad = [("missing" if isnan(value) else "infinite", name) for name, value in named if not abs(value) <= LARGEST]
         yield from bad
+        self._n_samples += 1
         if self._previous:
             rows = [*zip(self._n_same, values, self._previous, strict=True)]
             if any(self._n_same):
@@ -78,13 +82,17 @@ class SensorChecks:
         """Take how long each value has stood still, itself and the one before: where they differ a stand has ended."""
         for i, (n, value, before) in enumerate(rows):
             change = abs(value - before)
-            if n and 0.0 < change < inf:
-                count, past = self._stands.get(i, (0, Standing(0, 0, inf)))
-                self._stands[i] = count + 1, Standing(0, max(past.longest, n), min(past.step, change))
+            if n and change > 0.0:
+                self._n_repeats[i] += n
+                ended = self._n_samples - self._n_repeats[i], n, change
+                self._stands.setdefault(i, deque(maxlen=_STANDS)).append(ended)
 
     def _standing(self, i: int, n: int) -> Standing:
-        count, past = self._stands.get(i, (0, Standing(0)))
-        return past._replace(n=n) if count >= _STANDS else Standing(n)
+        """Return how a value stands still for n samples, and did before if that is how its sensor reads."""
+        stands, n_changes = self._stands.get(i), self._n_samples - self._n_repeats[i] - n
+        if stands is None or len(stands) < _STANDS or n_changes - stands[0][0] > _WITHIN:
+            return Standing(n)
+        return Standing(n, max(length for _, length, _ in stands), min(step for _, _, step in stands))
 
 
 class SensorHealth:

@@ -177,6 +177,17 @@ def test_a_coarse_reading_is_stuck_where_the_model_moves_it_by_many_steps():
     assert stuck_at(watched, samples[60:]) == {"x": pytest.approx(100 + 50 - 60, abs=5)}
 
 
+def test_a_sensor_that_is_stuck_now_and_then_is_so_each_time():
+    """Five times for 20 samples, 80 samples apart: that is not how a fine sensor reads."""
+    rng, held = np.random.default_rng(0), 0.0
+    watched = screen(TWO, stuck=4, inconsistent=1e9, outlier=1e9)
+    told = []
+    for k in range(500):
+        held = held if k % 100 >= 80 else float(rng.normal(0.0, 1e-3))
+        told.append("stuck der(v)" in found(watched, Sample(k * H, (0.0, 0.0), (0.0,), (held,)))[0])
+    assert [sum(told[n : n + 100]) for n in range(0, 500, 100)] == [17] * 5
+
+
 def test_beside_what_is_missing_nothing_is_stuck():
     watched = screen()
     for sample in moving(20):

@@ -31,13 +31,11 @@ from ..space import Vector
 from .evidence import Evidence
 from .jump import followed_jump, jump_to
 from .residual_scale import LARGER, MUCH_LARGER, NOISY, TOO_SMALL, spread_of
-from .settings import BETTER, Judgement
+from .settings import BETTER, QUIET, Judgement
 from .standardised_residuals import StandardisedResiduals
 from .state import WINDOW, DiagnosisState
 from .verdict import Verdict
 
-QUIET: Final = 5
-"""Number of newest samples that the parameters in force must explain for a suspicion to end."""
 LONG: Final = 6
 """Least number of samples since the onset on which parameters, or a lag, are accepted."""
 FEWEST: Final = 3

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 from ..hypotheses import MARGIN, Disturbance, plain_fit
 from ..significance import FALSE_ALARM, chi2_limit
 from ..space import Vector
-from .comparison import FEWEST, QUIET
+from .comparison import FEWEST
 from .failed_searches import FailedSearches
 from .lasting import LastingParameters
 from .record import DiagnosisRecord
-from .settings import DiagnosisSettings
+from .settings import PASSED, QUIET, DiagnosisSettings
 from .settled import Settled
 from .standardised_residuals import StandardisedResiduals
 from .state import DiagnosisState
@@ -20,7 +20,6 @@ from .wandering import agree
 
 _OVER: Final = 10
 """Number of newest samples that show that a known disturbance is over."""
-_PASSED: Final = "a disturbance has passed: the parameters before it explain the samples again"
 
 
 class DisturbanceDiagnosis:
@@ -87,7 +86,7 @@ class DisturbanceDiagnosis:
         if np.any(state.offset):
             events = (self._record.disturbance_over(t),)
         elif is_changed and self._settings.n_unusual(rows) >= FEWEST:
-            events = (self._record.disturbance(t, largest * state.scale.effective, acts, _PASSED),)
+            events = (self._record.disturbance(t, largest * state.scale.effective, acts, PASSED),)
         if is_changed and state.has_lasted(before):
             state.admit_usual(rows)
         state.offset, state.n_since = np.zeros(len(acts)), 0
@@ -129,7 +128,7 @@ class DisturbanceDiagnosis:
         if largest is None or state.n_quiet < QUIET or np.any(state.offset):
             return None
         state.largest_unexplained = None
-        event = self._record.disturbance(t, largest * state.scale.effective, _acting(np.abs(largest)), _PASSED)
+        event = self._record.disturbance(t, largest * state.scale.effective, _acting(np.abs(largest)), PASSED)
         return Settled(None, (event,), True)
 
 

@@ -13,11 +13,12 @@ import numpy as np
 
 from ..episode_window import EpisodeWindow
 from ..events import Event
-from ..hypotheses import MARGIN, NEVER, Fit, Weighing, changed_parameters, plain_fit
+from ..hypotheses import MARGIN, Fit, Weighing, changed_parameters, plain_fit
 from ..objective import DIFFERENCE_STEP
 from ..samples import Sample
 from ..space import ParameterSpace, Vector
 from ..triggers import Trigger
+from .disturbed_inputs import DisturbedInputs, disturbed_inputs
 from .evidence import Evidence
 from .residual_scale import LARGER, MUCH_LARGER, NOISY, ResidualScale, is_rough, spread_of
 from .resting import RestingResiduals
@@ -26,17 +27,15 @@ from .settings import (
     FORGOTTEN,
     KINDS,
     MOST_NAMED,
+    PASSED,
     PATIENCE,
+    QUIET,
     DiagnosisSettings,
     Judgement,
     is_at_unseen_bound,
 )
 from .state import channel_summary
 
-_ASIDE: Final = 0.01
-"""First step of differences in an input, as a share of its largest size."""
-_SMALL, _LARGE = 0.01, 10.0
-"""Root mean square moves of the residual, in standard deviations, that such a step may make."""
 _MORE: Final = "parameters and a disturbance explained fewer samples equally well"
 """Reason of an episode on a longer window."""
 
@@ -54,12 +53,16 @@ class _State:
     """Number of the last sample that contradicted those in force."""
     n_failures: int = 0
     n_quiet: int = 0
+    n_calm: int = 0
+    """Number of samples since the last that contradicted those in force, or that rested."""
     n_samples: int = 0
     rests_until: int = 0
     counts: Counter[str] = field(default_factory=Counter[str])
     """Number of events of each kind."""
     named: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
     """The newest disturbances with their times [s] and sizes; replaced, never changed."""
+    unexplained: "_Unexplained | None" = None
+    """The last failed search, until what it left has passed; None where there is none."""
     rested: list[Vector] = field(default_factory=list[Vector])
     """Residuals (c,) at the parameters in force since the last rest began."""
     resting: RestingResiduals = field(default_factory=RestingResiduals)
@@ -67,12 +70,15 @@ class _State:
 
 
 @dataclass(frozen=True)
-class _Disturbed:
-    """Sequence explained by the parameters in force and a constant disturbance of the inputs."""
+class _Unexplained:
+    """Sequence that neither parameters nor a constant disturbance explained."""
 
     inputs: Vector
-    """Disturbance (p,)."""
-    fit: Fit
+    """Disturbance (p,) of the inputs that came closest."""
+    n_steps: int
+    """Number of samples of the sequence: as many quiet ones show that the disturbance has passed."""
+    held: Vector
+    """Parameters (d,) that were returned to."""
 
 
 class EpisodeDiagnosis:
@@ -96,7 +102,7 @@ class EpisodeDiagnosis:
         self._settings, self.space = settings, space
         self.evidence = Evidence()
         self._state = _State(ResidualScale(len(outputs)), np.zeros(len(inputs)))
-        self._known: tuple[object, bytes, _Disturbed] | None = None
+        self._known: tuple[object, bytes, DisturbedInputs] | None = None
         self._newest: Vector = np.empty(0)
         self._verdict: Judgement = "refuted"
         self._judged: object = None  # the sequence that the verdict is about
@@ -126,6 +132,7 @@ class EpisodeDiagnosis:
         if len(newest) and self._window.weights is not None:
             newest = newest / self._window.weights
         if state.n_samples < state.rests_until:
+            state.n_calm = 0
             if len(newest) and np.all(np.isfinite(newest)):
                 state.rested.append(newest)
                 state.resting = state.resting.take(newest)
@@ -133,6 +140,7 @@ class EpisodeDiagnosis:
                 self._window.weights = 1.0 / state.scale.effective
             return None
         if not len(residual):
+            state.n_calm = 0
             return trigger(sample, tracking_error, theta) if self._window.n_tracked else None
         if self._window.is_extended:
             return _MORE if self._window.is_ready else None
@@ -141,7 +149,7 @@ class EpisodeDiagnosis:
             return None
         if state.lasting is None or state.n_samples >= state.suspected_at + FORGOTTEN:
             state.lasting = theta
-        state.suspected_at = state.n_samples
+        state.suspected_at, state.n_calm = state.n_samples, 0
         return trigger(sample, tracking_error, theta)
 
     def innovation(self, theta: Vector, sample: Sample) -> Vector:
@@ -210,25 +218,27 @@ class EpisodeDiagnosis:
         """
         state = self._state
         if self._adopt_noise(theta, held):
+            state.unexplained = None
             return ()
         disturbed = self._disturbed(held)
         self._note(disturbance=disturbed.fit)
         state.n_failures += 1
         if disturbed.fit.is_explained:
+            state.unexplained = None
             now = state.inputs + disturbed.inputs
-            is_over = bool(np.any(state.inputs)) and _fit(self._moved(held, -state.inputs), 0).is_explained
+            is_over = bool(np.any(state.inputs)) and _fit(self._window.with_inputs(held, -state.inputs), 0).is_explained
             before, state.inputs = state.inputs, np.zeros(len(now)) if is_over else now
             self._window.move_inputs(state.inputs - before)
-            size = {} if is_over else dict(zip(self._inputs, now.tolist(), strict=True))
+            size = {} if is_over else self._sizes(now)
             reason = "the disturbance is over" if is_over else (
                 "a constant disturbance of the inputs explains the samples, changed parameters do not"
             )  # fmt: skip
-            event = Event(t, "disturbance", {"size": size, "is_known": True, "reason": reason})
-            state.named = [*state.named, *([] if is_over else [{"t": t, "size": size}])][-MOST_NAMED:]
+            event = self._disturbance(t, size, reason, is_known=True)
         else:
+            state.unexplained = self._left(disturbed.inputs, held)
             reason = f"no parameters explain {', '.join(self._outputs)}"
             event = Event(t, "unexplained", {"channels": list(self._outputs), "reason": reason})
-        state.counts[event.kind] += 1
+            state.counts[event.kind] += 1
         if state.n_failures < PATIENCE:
             return (event,)
         state.counts["rest"] += 1
@@ -236,11 +246,41 @@ class EpisodeDiagnosis:
             state.scale.admit(np.array(state.rested))
             self._window.weights = 1.0 / state.scale.effective
         length = self._settings.rest_length(state.n_failures)
-        state.rests_until = state.n_samples + length
+        state.rests_until, state.unexplained = state.n_samples + length, None
         state.rested.clear()
         state.resting = RestingResiduals()
         reason = f"{state.n_failures} failed searches: re-tuning rests for {length} samples"
         return event, Event(t, "rest", {"channels": list(self._outputs), "n_samples": length, "reason": reason})
+
+    def _left(self, inputs: Vector, held: Vector) -> _Unexplained | None:
+        """Return what a failed search leaves; None where slightly larger noise, or no disturbance, would explain it."""
+        sequence = self._window.sequence
+        if sequence is None or not np.any(inputs) or _fit(self._window.whitened(held) / LARGER, 0).is_explained:
+            return None
+        return _Unexplained(inputs, max(sequence.n_steps, QUIET), held)
+
+    def passed(self, t: float, held: Vector) -> tuple[Event, ...]:
+        """Name a disturbance as the last search has failed and the parameters before it explain the samples again.
+
+        These, held (d,), must do so for as many samples as that search had, in which it would have shown.
+        """
+        state, found = self._state, self._state.unexplained
+        if found is None or state.n_calm < found.n_steps:
+            return ()
+        state.unexplained = None
+        if np.any(state.inputs) or not self.space.are_same(found.held, held):
+            return ()
+        return (self._disturbance(t, self._sizes(found.inputs), PASSED, is_known=False),)
+
+    def _disturbance(self, t: float, size: dict[str, float], reason: str, *, is_known: bool) -> Event:
+        """Return the event of a disturbance of this size, or of the end of a known one, which has none."""
+        state = self._state
+        state.counts["disturbance"] += 1
+        state.named = [*state.named, *([{"t": t, "size": size}] if size else [])][-MOST_NAMED:]
+        return Event(t, "disturbance", {"size": size, "is_known": is_known, "reason": reason})
+
+    def _sizes(self, inputs: Vector) -> dict[str, float]:
+        return dict(zip(self._inputs, inputs.tolist(), strict=True))
 
     def _adopt_noise(self, theta: Vector | None, held: Vector) -> bool:
         """Adopt a larger noise where that explains the sequence, with the parameters in force or the best ones.
@@ -280,58 +320,18 @@ class EpisodeDiagnosis:
 
     def _quiet(self, newest: Vector) -> None:
         state = self._state
-        state.n_quiet += 1
+        state.n_quiet, state.n_calm = state.n_quiet + 1, state.n_calm + 1
         if state.n_quiet >= FORGOTTEN:
             state.n_quiet, state.n_failures = 0, max(state.n_failures - 1, 0)
         if np.all(np.isfinite(newest)) and state.scale.learn(newest):
             self._window.weights = 1.0 / state.scale.effective
 
-    def _disturbed(self, held: Vector) -> _Disturbed:
-        """Return the disturbance of the inputs that explains the sequence best, by two Gauss-Newton steps."""
-        window = self._window
-        key = (window.sequence, held.tobytes())
-        if self._known is not None and self._known[0] is key[0] and self._known[1] == key[1]:
-            return self._known[2]
-        found = self._search_disturbance(held)
-        self._known = (*key, found)
-        return found
-
-    def _search_disturbance(self, held: Vector) -> _Disturbed:
-        d, driven = np.zeros(len(self._inputs)), self._driven
-        residual = self._window.whitened(held)
-        if not driven or not np.all(np.isfinite(residual)):
-            return _Disturbed(d, NEVER)
-        slopes = np.column_stack([self._slope(held, i, residual) for i in driven])
-        if not np.all(np.isfinite(slopes)) or not np.any(slopes):
-            return _Disturbed(d, NEVER)
-        best = _fit(residual, len(driven))
-        for _ in range(2):
-            tried = d.copy()
-            tried[driven] -= np.linalg.lstsq(slopes, residual, rcond=1e-7)[0]
-            residual_there = self._moved(held, tried)
-            fit = _fit(residual_there, len(driven))
-            if not fit.squares < best.squares:
-                break
-            d, residual, best = tried, residual_there, fit
-        return _Disturbed(d, best)
-
-    def _slope(self, held: Vector, i: int, residual: Vector) -> Vector:
-        """Return the slope (D,) of the residual at held (d,) in input i, by a difference of that input.
-
-        The difference is a hundredth of the largest input. Where that moves the residual by far more or less than
-        noise does, it is taken again, so that input's unit does not matter.
-        """
-        step = _ASIDE * (self._window.largest_inputs()[i] or 1.0)
-        aside = np.eye(len(self._inputs))[i]
-        move = self._moved(held, step * aside) - residual
-        size = float(np.sqrt(np.mean(move**2)))
-        if size > 0.0 and not _SMALL < size < _LARGE:
-            step = step / size if np.isfinite(size) else step * _SMALL
-            move = self._moved(held, step * aside) - residual
-        return move / step
-
-    def _moved(self, theta: Vector, inputs: Vector) -> Vector:
-        return self._window.with_inputs(theta, inputs)
+    def _disturbed(self, held: Vector) -> DisturbedInputs:
+        """Return the disturbance of the inputs that explains the sequence best with parameters held (d,)."""
+        key = (self._window.sequence, held.tobytes())
+        if self._known is None or self._known[0] is not key[0] or self._known[1] != key[1]:
+            self._known = (*key, disturbed_inputs(self._window, held, self._driven, len(self._inputs)))
+        return self._known[2]
 
 
 def _fit(residual: Vector, n_free: int) -> Fit:

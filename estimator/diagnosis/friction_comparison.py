@@ -16,10 +16,9 @@ from ..effects.known_effects import Explanation
 from ..hypotheses import MARGIN, Fit, changed_parameters, disturbance_of, plain_fit
 from ..samples import Sample, Samples
 from ..space import Vector
-from .comparison import QUIET
 from .evidence import Evidence
 from .jump import jump_to
-from .settings import BETTER
+from .settings import BETTER, QUIET
 from .standardised_residuals import StandardisedResiduals
 from .state import DiagnosisState
 

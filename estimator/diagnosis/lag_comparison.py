@@ -14,8 +14,9 @@ from ..effects.known_effects import Explanation
 from ..hypotheses import MARGIN, disturbance_of
 from ..samples import Sample, Samples
 from ..space import Vector
-from .comparison import LONG, QUIET
+from .comparison import LONG
 from .evidence import Evidence
+from .settings import QUIET
 from .standardised_residuals import StandardisedResiduals
 from .state import DiagnosisState
 

@@ -18,7 +18,7 @@ from ..arrival_cost import ArrivalCost
 from ..hypotheses import MARGIN, disturbance_of, plain_fit
 from ..samples import DerivativeResidual, Sample
 from ..space import Vector
-from .comparison import FEWEST, LONG, QUIET, HypothesisComparison
+from .comparison import FEWEST, LONG, HypothesisComparison
 from .disturbance_diagnosis import DisturbanceDiagnosis
 from .drift_rival import DriftRival
 from .effect_diagnosis import EffectDiagnosis
@@ -29,7 +29,7 @@ from .lag_comparison import LagComparison
 from .lasting import LastingParameters
 from .record import DiagnosisRecord
 from .residual_scale import NOISY
-from .settings import PATIENCE, DiagnosisSettings, is_at_unseen_bound
+from .settings import PATIENCE, QUIET, DiagnosisSettings, is_at_unseen_bound
 from .settled import Settled
 from .standardised_residuals import StandardisedResiduals
 from .state import WINDOW, DiagnosisState

@@ -23,6 +23,10 @@ _WIDE: Final = 0.5
 """Standard deviation, as a share of the scaled bounds, that says nothing."""
 _MOST: Final = 1_000_000_000
 """Largest number of samples of a rest: more is a mistake."""
+QUIET: Final = 5
+"""Number of newest samples that the parameters in force must explain for a suspicion to end."""
+PASSED: Final = "a disturbance has passed: the parameters before it explain the samples again"
+"""Reason of a disturbance that is named when it is over."""
 MOST_NAMED: Final = 20
 """Largest number of disturbances in the summary."""
 KINDS: Final = ("disturbance", "lag", "friction", "unexplained", "rest")

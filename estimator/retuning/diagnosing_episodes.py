@@ -74,7 +74,7 @@ class DiagnosingEpisodes(RetunerCounts[Retuner]):
         if "trigger" in kinds:
             self._before = held
         if proposal.estimate is None and "end" not in kinds:
-            return proposal
+            return replace(proposal, events=(*proposal.events, *diagnosis.passed(t, held)))
         best = None if proposal.estimate is None else proposal.estimate.theta
         theta, before = proposal.theta, held if self._before is None else self._before
         verdict: Judgement = "refuted" if best is None else diagnosis.judge(best if theta is None else theta, before)

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from estimator import EpisodeWindow, Evaluation, Parameter, ParameterSpace, Sample, TargetVector
 from estimator.baselines.solvers import LeastSquares
 from estimator.diagnosis.episode_diagnosis import EpisodeDiagnosis
-from estimator.diagnosis.settings import DiagnosisSettings
+from estimator.diagnosis.settings import PASSED, DiagnosisSettings
 from estimator.retuning.factory import make_episodes
 from estimator.retuning.search import Budget
 from estimator.triggers import InnovationSettings
@@ -247,6 +247,38 @@ def test_a_model_that_lacks_a_sine_rests_after_three_failed_searches(estimator):
     summary = run.diagnosis.summary()
     assert (summary["unexplained"], summary["rest"]) == (3, 1)
     assert all(row["is_resting"] for row in summary["channels"].values())
+
+
+@SEARCHES
+def test_a_push_that_nothing_has_explained_is_named_when_it_has_passed(estimator):
+    """Half a sine of the force: 0.64 of its height in the mean."""
+    run = Run(estimator).go(100).go(LENGTH, TRUE, lambda i: np.sin(np.pi * i / LENGTH))
+    assert run.of("disturbance") == []
+    run.go(3 * LENGTH)
+    assert len(run.of("unexplained")) == 1
+    ((k, event),) = run.of("disturbance")
+    assert k >= 100 + 2 * LENGTH
+    assert 0.2 < event.detail["size"]["u"] < 1.0
+    assert (event.detail["is_known"], event.detail["reason"]) == (False, PASSED)
+    assert run.diagnosis.summary()["inputs"]["u"] == 0.0
+    assert run.diagnosis.summary()["disturbance"] == 1
+    run.go(200)
+    assert len(run.of("disturbance")) == 1
+
+
+@SEARCHES
+def test_a_change_during_a_search_is_not_named_a_disturbance_once_it_is_found(estimator):
+    run = Run(estimator).go(100).go(LENGTH // 2, CHANGED).go(120, np.array([0.6, 1.5]))
+    assert near(run.held, [0.6, 1.5])
+    assert run.of("unexplained")
+    assert run.of("disturbance") == []
+
+
+@SEARCHES
+def test_nothing_is_said_to_have_passed_in_a_rest_or_while_it_acts(estimator):
+    run = Run(estimator, settings=DiagnosisSettings(rest=200)).go(100).go(400, TRUE, sine)
+    assert run.of("rest")
+    assert run.of("disturbance") == []
 
 
 @SEARCHES

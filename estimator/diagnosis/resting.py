@@ -1,4 +1,4 @@
-"""Residuals of a rest: whether they have grown far beyond what they long were in it, so that something has happened."""
+"""Residuals of a rest: whether they have grown far beyond what they long were, or have long been no more than noise."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -15,6 +15,8 @@ _LONGER: Final = 1.25
 """Ratio of the numbers of residuals at which their largest one is taken over."""
 _FAR: Final = 3.0
 """Ratio to the largest one before that is no course of what the model lacks."""
+_CALM: Final = 2.0
+"""Median size of the newest residuals, in standard deviations, that may be noise: of that it is 0.7."""
 
 
 @dataclass(frozen=True)
@@ -38,21 +40,25 @@ class RestingResiduals:
     """Largest size (c,) after these."""
     newest: tuple[Vector, ...] = ()
     """Newest sizes, each (c,)."""
+    n_calm: int = 0
+    """Number of newest residuals that may be noise."""
 
-    def take(self, residual: Vector) -> "RestingResiduals":
-        """Return the sizes with one more residual (c,); NaN is none."""
+    def take(self, residual: Vector, noise: Vector | float = 1.0) -> "RestingResiduals":
+        """Return the sizes with one more residual (c,), NaN being none; noise (c,): its known standard deviation."""
         size = np.nan_to_num(np.abs(residual), nan=0.0)
         n, newest = self.n_samples + 1, (*self.newest, size)[-_NEWEST:]
+        is_calm = bool(np.all(np.median(newest, axis=0) < _CALM * np.asarray(noise)))
+        known = replace(self, n_samples=n, newest=newest, n_calm=self.n_calm + 1 if is_calm else 0)
         if n <= self.n_usual:
-            return replace(self, n_samples=n, newest=newest, usual=np.maximum(self.usual, size))
+            return replace(known, usual=np.maximum(self.usual, size))
         if n <= self.n_later:
-            return replace(self, n_samples=n, newest=newest, later=np.maximum(self.later, size))
+            return replace(known, later=np.maximum(self.later, size))
         since = np.maximum(self.since, size)
         n_next = int(_LONGER * self.n_later)
         if n < n_next:
-            return replace(self, n_samples=n, newest=newest, since=since)
+            return replace(known, since=since)
         usual = np.maximum(self.usual, self.later)
-        return RestingResiduals(n, self.n_later, n_next, usual, since, 0.0, newest)
+        return replace(known, n_usual=self.n_later, n_later=n_next, usual=usual, later=since, since=0.0)
 
     @property
     def growth(self) -> Vector:
@@ -63,3 +69,7 @@ class RestingResiduals:
     def is_outgrown(self) -> bool:
         """True where a channel's newest residuals are far larger than the usual ones."""
         return self.n_samples >= _FEWEST + _NEWEST and bool(np.any(self.growth > _FAR))
+
+    def is_calm(self, n_restless: int) -> bool:
+        """Return whether residuals have been no more than noise for as long as they were more, n_restless samples."""
+        return self.n_calm >= max(_FEWEST, n_restless)

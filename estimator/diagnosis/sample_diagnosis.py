@@ -110,7 +110,7 @@ class Diagnosis:
         is_anew = state.wake()
         corrected = self.residuals.corrected(sample)
         declared = self.residuals.declared(held, corrected)
-        is_anew |= self._end_outgrown_rest(sample, held)
+        is_anew |= self._end_rest(sample, held)
         is_missing = state.is_resting | np.isnan(corrected.xdot)
         n_values = len(declared) - int(np.count_nonzero(is_missing))
         is_contradictory = not self._settings.is_usual(declared / state.scale.values, n_values)
@@ -128,17 +128,26 @@ class Diagnosis:
             return is_anew
         return state.scale.learn(np.where(is_missing, np.nan, declared)) or is_anew
 
-    def _end_outgrown_rest(self, sample: Sample, held: Vector) -> bool:
-        """Take a sample of a rest; end the rest where residuals have outgrown all before in it, and return whether."""
+    def _end_rest(self, sample: Sample, held: Vector) -> bool:
+        """Take a sample of a rest, and return whether it ends the rest before its time.
+
+        Residuals have outgrown all before in it; or they have been no more than noise, with a known disturbance or
+        without it, for as long as they had been more.
+        """
         state = self._state
         if not state.is_resting.any():
             return False
-        state.rested.append(self.residuals.declared(held, self.residuals.known.on_all_channels().without(sample)))
-        state.resting = state.resting.take(np.where(state.is_resting, state.rested[-1] - state.offset, 0.0))
-        if not state.resting.is_outgrown:
+        rested = self.residuals.declared(held, self.residuals.known.on_all_channels().without(sample))
+        state.rested.append(rested)
+        least = np.where(np.abs(rested) < np.abs(rested - state.offset), rested, rested - state.offset)
+        state.resting = state.resting.take(np.where(state.is_resting, least, 0.0), state.scale.values)
+        if state.resting.is_outgrown:
+            self.evidence.outgrown(self._record.names, state.resting)
+            state.wake_early()
+            return True
+        if not state.resting.is_calm(state.n_samples - state.restless_since - state.resting.n_calm):
             return False
-        self.evidence.outgrown(self._record.names, state.resting)
-        state.wake_early()
+        state.wake_calm()
         return True
 
     def settle(self, t: float, held: Vector) -> Settled | None:

@@ -189,6 +189,13 @@ class DiagnosisState:
         self.is_resting = np.zeros_like(self.is_resting)
         self.n_since = 0
 
+    def wake_calm(self) -> None:
+        """End all rests, as the parameters in force have long explained the samples again."""
+        rows = np.array(self.rested[-self.resting.n_calm :])
+        self.offset = np.where(np.sum(rows**2, axis=0) < np.sum((rows - self.offset) ** 2, axis=0), 0.0, self.offset)
+        self.n_since = 0
+        self.wake_all()
+
     def wake_all(self) -> None:
         """End all rests, as what the channels rested for is known."""
         self.rests_until, self.is_resting = np.zeros_like(self.rests_until), np.zeros_like(self.is_resting)

@@ -4,20 +4,25 @@ from typing import Final
 
 import numpy as np
 
-from ..effects.friction import FoundFriction
+from ..effects.friction import FoundFriction, Friction
 from ..effects.known_effects import Explanation
 from ..hypotheses import MARGIN, NEVER, plain_fit
 from ..space import Vector
+from .comparison import FEWEST
 from .friction_comparison import FrictionComparison
 from .lag_comparison import LagComparison
 from .lasting import LastingParameters
 from .record import DiagnosisRecord
 from .settled import Settled
 from .standardised_residuals import StandardisedResiduals
-from .state import DiagnosisState
+from .state import DiagnosisState, FrictionTrial
 
 _EARLIEST: Final = 16
 """Least number of samples since the parameters that lasted were contradicted, in which an effect is sought again."""
+
+
+_NO_FRICTION: Final = "the friction that was found does not explain the samples after it"
+_BESIDE: Final = "a constant disturbance, found together with friction, goes on"
 
 
 class EffectDiagnosis:
@@ -79,8 +84,10 @@ class EffectDiagnosis:
         state.end_suspicion()
         state.n_failures = 0
         state.wake_all()
-        event = self._record.friction(t)
-        return Settled(None if theta is None else self._lasting.undone(theta), (event,), True)
+        events = [self._record.friction(t)]
+        if not state.friction and np.any(state.offset):
+            events.append(self._record.disturbance(t, state.offset, state.offset != 0.0, _BESIDE, is_known=True))
+        return Settled(None if theta is None else self._lasting.undone(theta), tuple(events), True)
 
     def since_lasting(self, t: float, held: Vector) -> Settled | None:
         """Return to the parameters that lasted where what the model lacks explains the samples since.
@@ -88,7 +95,11 @@ class EffectDiagnosis:
         Other parameters, held (d,), or a constant disturbance have followed it, or channels rest for it.
         """
         state = self._state
-        if state.lasting is None or not self._is_due():
+        if state.lasting is None:
+            return None
+        if self._has_failed_trial():
+            return self._take_back(t)
+        if not self._is_due():
             return None
         rests = bool(state.is_resting.any())
         is_followed = np.any(state.offset) or not np.array_equal(held, state.lasting)
@@ -102,7 +113,30 @@ class EffectDiagnosis:
         if found is None and self._friction.take_beside(held):
             state.path = state.path.begin(space.to_unit(held))
             return self.adopt_friction(t, None)
-        return None if found is None or found.fit.score + MARGIN > followed.score else self.adopt(t, found)
+        if found is None or found.fit.score + MARGIN > followed.score:
+            return None
+        is_tried = not state.friction and not np.array_equal(held, state.lasting)
+        trial = FrictionTrial(held, state.offset, 2 * state.n_samples - state.lasting_at) if is_tried else None
+        settled = self.adopt(t, found)
+        state.trial = trial if state.friction else None
+        return settled
+
+    def _has_failed_trial(self) -> bool:
+        """Return whether samples soon contradict friction that was found where parameters had followed them."""
+        state, trial = self._state, self._state.trial
+        if trial is None or state.n_samples > trial.n_samples or not state.friction:
+            state.trial = None
+            return False
+        return state.n_since >= FEWEST
+
+    def _take_back(self, t: float) -> Settled:
+        """Forget friction that has not proven itself, and return to the parameters that had followed the samples."""
+        state, trial = self._state, self._state.trial
+        assert trial is not None
+        state.friction, state.offset, state.trial = Friction(), trial.offset, None
+        state.end_suspicion()
+        state.path = state.path.begin(self._residuals.space.to_unit(trial.theta))
+        return Settled(trial.theta, (self._record.friction(t, _NO_FRICTION),), True)
 
     def _is_due(self) -> bool:
         """Return whether an effect is to be sought in the samples since the parameters that lasted were contradicted.

@@ -50,10 +50,10 @@ class DiagnosisRecord:
         how = "inputs that arrive late explain the samples" if found else "the inputs arrive in time again"
         return self._counted(t, "lag", {**self._state.inputs.describe(found), "reason": how})
 
-    def friction(self, t: float) -> Event:
+    def friction(self, t: float, ending: str = "the friction is over") -> Event:
         """Return the event of friction that is known now, or of its end."""
         how = "friction that the model lacks explains the samples, neither a disturbance nor parameters do"
-        reason = how if self._state.friction else "the friction is over"
+        reason = how if self._state.friction else ending
         return self._counted(t, "friction", {"terms": self._known_friction(), "reason": reason})
 
     def unexplained(self, t: float, channels: NDArray[np.bool_], reason: str) -> Event:

@@ -28,6 +28,18 @@ _MOST_SINCE: Final = 60
 """Largest number of them."""
 
 
+@dataclass(frozen=True)
+class FrictionTrial:
+    """Parameters that explained the samples too, but for which friction that explains them better was taken."""
+
+    theta: Vector
+    """Parameters (d,), which had followed the samples."""
+    offset: Vector
+    """Disturbance (c,) that was known with them."""
+    n_samples: int
+    """Number of the sample up to which the friction must explain all: as many again as it was found on."""
+
+
 @dataclass
 class DiagnosisState:
     """State of a diagnosis, one object that all its parts share: copied for a snapshot, restored in place."""
@@ -44,6 +56,8 @@ class DiagnosisState:
     """Inputs of the newest samples, and their known lag."""
     friction: Friction = field(default_factory=Friction)
     """Known friction that the model lacks."""
+    trial: "FrictionTrial | None" = None
+    """What the known friction was taken for, until it has proven itself; None else."""
     undisturbed: Vector | None = None
     """Parameters (d,) in force when that disturbance became known; None before one did."""
     n_failures: int = 0

@@ -15,8 +15,11 @@ from estimator.baselines.solvers import LeastSquares
 from estimator.diagnosis.jump import jump_to
 from estimator.diagnosis.sample_diagnosis import Diagnosis
 from estimator.diagnosis.settings import DiagnosisSettings
+from estimator.effects.friction import FoundFriction, Friction, FrictionTerm
 from estimator.effects.input_lag import InputHistory
+from estimator.effects.known_effects import Explanation
 from estimator.effects.lag import Lag
+from estimator.hypotheses import NEVER, Fit
 from estimator.retuning.factory import make_retuner
 from estimator.retuning.search import Budget
 from estimator.triggers import AlwaysSettings, InnovationSettings
@@ -1216,7 +1219,7 @@ def test_the_residuals_of_a_rest_are_those_that_a_known_lag_leaves():
     state.inputs = InputHistory(lag=Lag(n_late=1))
     run.go(20)
     state.rest(np.ones(3, bool), 100)
-    run.go(60)
+    run.go(25)
     assert np.sqrt(np.mean(np.array(state.rested)[2:] ** 2)) < 1.3
     run.go(60)
     assert not run.diagnosis.is_resting
@@ -1267,3 +1270,60 @@ def test_a_filter_whose_model_cannot_be_copied_goes_back_before_a_doubtful_sampl
     run.diagnosis._state.scale.enlarge(np.full(3, 5.0))
     sample = run.sample(TRUE, 0.4)
     assert_allclose(window.residual_at(TRUE, sample), run.diagnosis.residuals.scaled(TRUE, sample))
+
+
+@pytest.mark.parametrize(("coefficient", "n_events"), [(0.3, 2), (0.0, 1)], ids=["wrong", "without effect"])
+def test_friction_that_is_preferred_to_followed_parameters_must_explain_what_comes(monkeypatch, coefficient, n_events):
+    """Parameters have changed and were followed; a friction that the plant has not is then found, or one of 0."""
+    run = Run(seed=3).go(100).go(40, CHANGED)
+    assert near(run.held, CHANGED)
+    effects, followed = run.diagnosis._effects, run.held
+    friction = Friction((FrictionTerm("quadratic", 0, (0,), coefficient=coefficient),))
+    found = Explanation(
+        FoundFriction(friction, 0.0, Fit(0.0, 3, 40)), followed if coefficient == 0.0 else TRUE, np.zeros(1), 40
+    )
+    monkeypatch.setattr(effects, "lacking", lambda reference: found)
+    monkeypatch.setattr(effects, "_is_due", lambda: not run.of("friction"))
+    monkeypatch.setattr("estimator.diagnosis.effect_diagnosis.plain_fit", lambda *_: NEVER)
+    run.go(1, CHANGED)
+    assert_array_equal(run.held, found.theta)
+    run.go(10, CHANGED)
+    events = [event.detail["reason"] for _, event in run.of("friction")]
+    assert len(events) == n_events
+    assert events[1:] == ["the friction that was found does not explain the samples after it"][: n_events - 1]
+    assert_array_equal(run.held, followed)
+    assert bool(run.diagnosis.summary()["known_friction"]) == (n_events == 1)
+
+
+def test_a_disturbance_that_was_found_with_friction_is_named_when_that_is_over():
+    run = Run().go(100)
+    run.diagnosis._state.offset = np.array([30.0])
+    settled = run.diagnosis._effects.adopt_friction(5.0, None)
+    assert [event.kind for event in settled.events] == ["friction", "disturbance"]
+    assert run.diagnosis.summary()["disturbances"] == [{"t": 5.0, "size": {"der0": pytest.approx(0.3)}}]
+
+
+# --- rests that end --------------------------------------------------------------------------------------------------
+
+
+def shaking(i):
+    """A gust that goes to and fro, for 120 samples: no parameters explain it."""
+    return 1.5 * np.sin(np.pi * i / 120.0) ** 2 * np.sign(np.sin(0.35 * i)) if i < 120 else 0.0
+
+
+@SEARCHES
+@pytest.mark.parametrize("seed", range(4))
+def test_a_rest_ends_when_the_parameters_in_force_have_explained_the_samples_for_as_long_as_not(estimator, seed):
+    run = Run(estimator, seed=seed).go(100).go(160, added=shaking)
+    assert len(run.of("rest")) == 1
+    assert all(row["is_resting"] for row in channels_of(run))
+    run.go(160)
+    assert not any(row["is_resting"] for row in channels_of(run))
+    run.go(60, CHANGED)
+    assert near(run.held, CHANGED)
+
+
+@SEARCHES
+def test_a_rest_goes_on_while_what_the_model_lacks_comes_and_goes(estimator):
+    run = Run(estimator).go(100).go(600, added=lambda i: shaking(i % 160))
+    assert len(run.of("rest")) == 1

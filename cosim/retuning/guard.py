@@ -32,6 +32,8 @@ _POSTPONED = 2
 """Power of `growth` by which the error may pass its limit where the samples contradict what would return more."""
 _LITTLE = 0.01
 """Share of the scaled bounds below which a move in an unidentified direction, or an uncertainty, is ignored."""
+_AWAY = 0.1
+"""Share of the scaled bounds that the parameters in force may be from a write that has passed its probation."""
 _UNDECIDED = "a disturbance explains the samples as well, and the loop is not simulated ahead"
 """Reason of a veto where nothing tells what a write would do if it was one."""
 
@@ -144,7 +146,7 @@ class Guard:
         watched = self._watch(k, t, error, held)
         if watched is not None:
             return watched
-        confirmed = self._confirmed(k, t)
+        confirmed = self._confirmed(k, t, held)
         theta, estimate = proposal.theta, proposal.estimate
         if theta is None or estimate is None:
             return Ruling(None, confirmed)
@@ -200,10 +202,15 @@ class Guard:
         """Sum of squares at the newest sample that noise alone may reach."""
         return chi2_limit(SAMPLE_FALSE_ALARM, self._support.n_channels)
 
-    def _confirmed(self, k: int, t: float) -> tuple[Event, ...]:
-        """Confirm the writes whose probation ends at point k; return the events."""
+    def _confirmed(self, k: int, t: float, held: Vector) -> tuple[Event, ...]:
+        """Confirm the writes whose probation ends at point k; return the events.
+
+        Those that the parameters in force, held (d,), have since gone far away from were not tried for that long.
+        """
         events: list[Event] = []
         for theta in self._probation.end(k):
+            if self._distance(theta, held) > _AWAY:
+                continue
             self._good = theta
             self.counts["confirmed"] += 1
             events.append(Event(t, "confirm", {"theta": self._good.tolist()}))
@@ -223,8 +230,11 @@ class Guard:
             self._probation.begin(k, theta, self._settings.growth * error, is_proven=is_proven)
 
     def _is_material(self, theta: Vector) -> bool:
-        moved = np.abs(self._space.to_unit(theta) - self._space.to_unit(self._anchor))
-        return float(moved.max()) > self._settings.material
+        return self._distance(theta, self._anchor) > self._settings.material
+
+    def _distance(self, one: Vector, other: Vector) -> float:
+        """Return the largest difference of a parameter, as a share of the scaled bounds."""
+        return float(np.abs(self._space.to_unit(one) - self._space.to_unit(other)).max())
 
     def _judge(
         self,

@@ -247,6 +247,20 @@ def test_what_is_replaced_by_the_last_good_ones_is_never_good():
     assert watched.summary()["confirmed"] == 0
 
 
+@pytest.mark.parametrize("share", [0.0, 0.8])
+def test_what_was_in_force_for_a_step_is_not_confirmed_unless_what_follows_is_close(share):
+    """The next write is that share of the way from GOOD to BETTER short of BETTER."""
+    support = seen(*BOTH)
+    watched = guard(support, probation=10)
+    assert watched.step(1, 0.01, 0.0, proposed(GOOD), calm).write is not None
+    support.append(MUTE)
+    following = BETTER + share * (GOOD - BETTER)
+    assert watched.step(2, 0.02, 0.0, proposed(following), calm).write is not None
+    told = [event for k in range(3, 20) for event in watched.step(k, 0.01 * k, 0.0, NOTHING, calm).events]
+    assert [event.kind for event in told] == ["confirm"]
+    np.testing.assert_array_equal(told[0].detail["theta"], following if share == 0.0 else GOOD)
+
+
 def test_nothing_is_written_for_a_probation_after_a_revert():
     watched = written(probation=10)
     watched.step(2, 0.02, 1.0, NOTHING, calm)

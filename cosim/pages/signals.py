@@ -48,14 +48,14 @@ def draw_inputs(sketch: Sketch) -> None:
 def draw_parameters(sketch: Sketch) -> None:
     """Draw each parameter in the controller with its uncertainty, and the truth."""
     first = sketch.main[0]
-    for i, p in enumerate(first.run.scenario.estimation.parameters):
+    for p in first.run.scenario.estimation.parameters:
         having = [s for s in sketch.main if p.name in s.run.estimates]
         truth = first.run.true_parameters[p.name]
         limits = value_range([truth, *(s.run.estimates[p.name] for s in having)]) or (p.lower, p.upper)
         is_log = p.scale == "log" and limits[0] > 0.0 and limits[1] > 3.0 * limits[0]
         plot = sketch.add(axis_label(p.name, p.unit), limits, is_log)
         for s in having:
-            band = uncertainty_band(s.run, p, s.events, i) if len(s.run.time) else None
+            band = uncertainty_band(s.run, p.name, s.events) if len(s.run.time) else None
             if band is not None:
                 source, at, edges = sketch.columns.curve(f"{s.key} band {p.name}", p.name, band.t, band.low, band.high)
                 style = {"fill_color": s.style.colour, "fill_alpha": 0.2}

@@ -12,6 +12,7 @@ from ..names import did_you_mean
 from ..runs.quantities import inputs_of, units_of
 from ..runs.recorded_events import RecordedEvent, read_events
 from ..runs.result import Run
+from ..scenarios.schema.estimation import EstimatedParameter
 from ..variable_name import VariableName
 from .canvas import label, new_figure, set_linear, tidy, top_legend
 from .overlay_texts import shared_by, texts_of
@@ -92,10 +93,9 @@ def draw_column(axes: Axes, column: str, curves: Sequence[Curve], events: Sequen
     run = curves[0].run
     tidy(axes)
     axes.set_xlim(run.scenario.scenario.start_time, run.scenario.scenario.stop_time)
-    held = [run.scenario.held_column(p) for p in run.scenario.estimation.parameters]
-    place = held.index(column) if column in held else None
-    if place is not None:
-        _draw_parameter(axes, place, curves, events)
+    held = [{c.run.scenario.held_column(p): p for p in c.run.scenario.estimation.parameters} for c in curves]
+    if all(column in of_run for of_run in held):
+        _draw_parameter(axes, [of_run[column] for of_run in held], curves, events)
         return
     series = [c.run[column] for c in curves]
     reference = run.scenario.tracking.get(VariableName(column)) if "." in column else None
@@ -111,14 +111,20 @@ def draw_column(axes: Axes, column: str, curves: Sequence[Curve], events: Sequen
     axes.set_ylabel(label(name, units_of(run).get(column)))
 
 
-def _draw_parameter(axes: Axes, i: int, curves: Sequence[Curve], events: Sequence[Sequence[RecordedEvent]]) -> None:
-    run = curves[0].run
-    p = run.scenario.estimation.parameters[i]
+def _draw_parameter(
+    axes: Axes,
+    parameters: Sequence[EstimatedParameter],
+    curves: Sequence[Curve],
+    events: Sequence[Sequence[RecordedEvent]],
+) -> None:
+    """Draw a parameter of the controller, which each run may have under another name and in another place."""
+    run, p = curves[0].run, parameters[0]
     truth = run.true_parameters[p.name]
-    limits, is_log = parameter_axis(axes, p, [truth, *(c.run.estimates[p.name] for c in curves)])
-    for curve, recorded in zip(curves, events, strict=True):
-        draw_band(axes, curve.run, p, recorded, i, curve.style.colour)
-        line(axes, curve, tame(curve.run.estimates[p.name], limits, is_log), "steps-post")
+    held = [c.run.estimates[own.name] for c, own in zip(curves, parameters, strict=True)]
+    limits, is_log = parameter_axis(axes, p, [truth, *held])
+    for curve, own, values, recorded in zip(curves, parameters, held, events, strict=True):
+        draw_band(axes, curve.run, own.name, recorded, curve.style.colour)
+        line(axes, curve, tame(values, limits, is_log), "steps-post")
     if np.any(np.isfinite(truth)):
         values = tame(truth, limits, is_log)
         axes.step(run.time, values, "--", where="post", color=BLACK, linewidth=1.0, label="truth")

@@ -32,7 +32,7 @@ def draw_parameters(run: Run, events: Sequence[RecordedEvent]) -> Figure:
     tried = [e for e in events if e.get("kind") == "candidate"]
     for i, (axes, p) in enumerate(zip(rows, parameters, strict=False)):
         limits, is_log = parameter_axis(axes, p, [truth[p.name], held[p.name]])
-        draw_band(axes, run, p, events, i, BLUE)
+        draw_band(axes, run, p.name, events, BLUE)
         places = tame(event_column(tried, "theta", i), limits, is_log)
         dots: dict[str, Any] = {"markersize": 5, "alpha": 0.55, "markeredgewidth": 0}
         if tried:
@@ -100,11 +100,9 @@ def _width(values: Series) -> float:
     return 0.5 if n_jumps > 150 else 1.8
 
 
-def draw_band(
-    axes: Axes, run: Run, p: EstimatedParameter, events: Sequence[RecordedEvent], i: int, colour: str
-) -> None:
+def draw_band(axes: Axes, run: Run, name: str, events: Sequence[RecordedEvent], colour: str) -> None:
     """Draw a band of two standard deviations about each value written, until the next; on a log scale a factor."""
-    band = uncertainty_band(run, p, events, i)
+    band = uncertainty_band(run, name, events)
     if band is not None:
         axes.fill_between(
             band.t, band.low, band.high, step="post", color=colour, alpha=0.2, linewidth=0, label="± 2 std"

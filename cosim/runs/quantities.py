@@ -11,7 +11,6 @@ from estimator import METHODS
 from ..errors import CosimError
 from ..fmi.component import Component, read_component
 from ..objectives.choice import chosen
-from ..scenarios.schema.estimation import EstimatedParameter
 from ..system.fmu_cache import component_path
 from ..variable_name import VariableName
 from .recorded_events import RecordedEvent
@@ -97,11 +96,12 @@ class Band(NamedTuple):
     """Upper edge (n,)."""
 
 
-def uncertainty_band(run: Run, p: EstimatedParameter, events: Sequence[RecordedEvent], i: int) -> Band | None:
-    """Return the band of parameter i, on a log scale a factor; None where no write has a standard deviation.
+def uncertainty_band(run: Run, name: str, events: Sequence[RecordedEvent]) -> Band | None:
+    """Return the band of a run's parameter, on a log scale a factor; None where no write has a standard deviation.
 
     It has no width where earlier parameters are in force again.
     """
+    i, p = next((k, p) for k, p in enumerate(run.scenario.estimation.parameters) if p.name == name)
     writes = [e for e in events if e.get("kind") in ("write", *_RETURNS)]
     theta, std = event_column(writes, "theta", i), event_column(writes, "std", i)
     if not np.any(np.isfinite(theta + std)):

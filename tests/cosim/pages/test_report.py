@@ -86,6 +86,19 @@ def test_a_run_that_goes_on_or_was_killed_has_its_page(recorded, tmp_path):
     assert "The run was stopped at t = " in page.html()
 
 
+def test_each_run_has_the_band_of_its_own_parameter(made_up, changed):
+    """The second run has its parameters in the other order."""
+    written = {"t": 0.1, "kind": "write", "std": [0.1, 0.1]}
+    first, second = (made_up(events=[written | {"theta": theta}]) for theta in ([1.0, 2.0], [2.0, 1.0]))
+    scenario = second.run.scenario
+    estimation = scenario.estimation.model_copy(update={"parameters": scenario.estimation.parameters[::-1]})
+    second = changed(second, scenario=scenario.model_copy(update={"estimation": estimation}))._replace(key="r1")
+    sources = draw_pictures([first, second]).columns.sources
+    for key, name, value in (("r0", "m", 1.0), ("r1", "m", 1.0), ("r0", "l", 2.0), ("r1", "l", 2.0)):
+        low, high = (sources[f"{key} band {name}"].data[f"{name} {edge}"][0] for edge in (0, 1))
+        assert np.sqrt(low * high) == pytest.approx(value)
+
+
 def test_the_evidence_of_the_hypotheses_is_drawn_and_told(made_up, page_of):
     scores = {"parameters": 12.0, "disturbance": 15.0, "nothing": 1012.0, "both": None}
     event = {"t": 0.5, "kind": "evidence", "n_samples": 5, "scores": scores, "explained": ["parameters"]}

@@ -177,7 +177,7 @@ def test_a_disturbance_that_has_passed_is_known_for_a_step_and_one_that_acts_unt
 def test_the_band_of_what_was_written_ends_where_earlier_parameters_return(made_up):
     back = {"t": 0.7, "kind": "undo", "theta": [1.0, 0.75], "reason": "friction"}
     shown = made_up(events=[WRITTEN, back])
-    band = uncertainty_band(shown.run, shown.run.scenario.estimation.parameters[0], shown.events, 0)
+    band = uncertainty_band(shown.run, "m", shown.events)
     np.testing.assert_allclose(band.t[:2], [0.55, 0.7])
     assert band.low[0] < 2.0 < band.high[0]
     assert list(band.low[1:]) == list(band.high[1:]) == [1.0, 1.0]

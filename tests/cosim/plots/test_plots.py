@@ -146,6 +146,25 @@ def test_runs_laid_over_one_another_are_told_apart_without_colour() -> None:
     assert len(set(dashes)) >= len(RUNS)
 
 
+@pytest.mark.parametrize("names", [{}, {"m": "mass", "l": "length"}], ids=["same-names", "other-names"])
+def test_each_run_has_the_band_of_its_own_parameter(tmp_path: Path, names: dict[str, str]) -> None:
+    """The second run has its parameters in the other order."""
+    scenario = Scenario.load("pendulum", GONE)
+    parameters = [
+        p.model_copy(update={"name": names.get(p.name, p.name), "true": VariableName(f"plant.{p.name}")})
+        for p in reversed(scenario.estimation.parameters)
+    ]
+    estimation = scenario.estimation.model_copy(update={"parameters": parameters})
+    runs: list[Run] = []
+    for name, estimated, theta in (("a", scenario.estimation, [1.0, 2.0]), ("b", estimation, [2.0, 1.0])):
+        (tmp_path / name).mkdir()
+        write_events(tmp_path / name, {"t": 0.1, "kind": "write", "theta": theta, "std": [0.1, 0.1]})
+        runs.append(made_up_run(tmp_path / name, scenario=scenario.model_copy(update={"estimation": estimated})))
+    for axes, value in zip(draw_overlay(runs).axes[2:], (1.0, 2.0), strict=True):
+        edges = [band.get_paths()[0].vertices[:, 1] for band in axes.collections]
+        assert [np.sqrt(y.min() * y.max()) for y in edges] == pytest.approx([value, value])
+
+
 def test_a_run_is_drawn_on_the_axes_that_are_given_and_on_new_ones() -> None:
     made_up, figure = made_up_run(None), Figure()
     axes = figure.subplots()

@@ -1,26 +1,31 @@
 """Pictures of what plant and controller did: tracking, error, inputs and parameters."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 from bokeh.models import Span
 
+from ..plots.own_series import is_own
 from ..plots.palette import BLACK
 from ..plots.ranges import error_limits, tame, tracking_limits, value_range
 from ..runs.quantities import inputs_of, norm, short_names, trigger_threshold, uncertainty_band
-from .sketch import Sketch, axis_label
+from ..runs.result import Series
+from .sketch import ShownRun, Sketch, axis_label
 
 
 def draw_tracking(sketch: Sketch) -> None:
     """Draw the tracked outputs with their references."""
-    first = sketch.main[0]
-    tracking = first.run.scenario.tracking
+    tracking = sketch.main[0].run.scenario.tracking
     for (output, reference), name in zip(tracking.items(), short_names(list(tracking)), strict=True):
         having = [s for s in sketch.shown if output in s.run.series]
-        limits = tracking_limits(first.run[reference], [s.run[output] for s in having])
+        tracked = [(s, s.run.scenario.tracking[output]) for s in sketch.main if output in s.run.scenario.tracking]
+        references = [(s, s.run[column]) for s, column in tracked]
+        limits = tracking_limits(np.concatenate([r for _, r in references]), [s.run[output] for s in having])
         plot = sketch.add(axis_label(name, sketch.units.get(output)), limits)
         for s in having:
             sketch.line(plot, s, output, name, s.run.time, tame(s.run[output], limits))
-        style = {"line_color": BLACK, "line_dash": [4, 3], "line_width": 1.2}
-        sketch.line(plot, first, reference, "reference", first.run.time, tame(first.run[reference], limits), **style)
+        _draw_dashed(sketch, plot, (reference, "reference"), [(s, tame(r, limits)) for s, r in references])
 
 
 def draw_error(sketch: Sketch) -> None:
@@ -47,11 +52,11 @@ def draw_inputs(sketch: Sketch) -> None:
 
 def draw_parameters(sketch: Sketch) -> None:
     """Draw each parameter in the controller with its uncertainty, and the truth."""
-    first = sketch.main[0]
-    for p in first.run.scenario.estimation.parameters:
+    for p in sketch.main[0].run.scenario.estimation.parameters:
         having = [s for s in sketch.main if p.name in s.run.estimates]
-        truth = first.run.true_parameters[p.name]
-        limits = value_range([truth, *(s.run.estimates[p.name] for s in having)]) or (p.lower, p.upper)
+        truths = [(s, s.run.true_parameters[p.name]) for s in having]
+        values = [*(truth for _, truth in truths), *(s.run.estimates[p.name] for s in having)]
+        limits = value_range(values) or (p.lower, p.upper)
         is_log = p.scale == "log" and limits[0] > 0.0 and limits[1] > 3.0 * limits[0]
         plot = sketch.add(axis_label(p.name, p.unit), limits, is_log)
         for s in having:
@@ -62,8 +67,19 @@ def draw_parameters(sketch: Sketch) -> None:
                 sketch.keep(s, plot.varea_step(at, *edges, source=source, step_mode="after", **style))
             held = tame(s.run.estimates[p.name], limits, is_log)
             sketch.line(plot, s, p.name, f"{p.name} in the controller", s.run.time, held, mode="after")
-        if np.any(np.isfinite(truth)):
-            style = {"line_color": BLACK, "line_dash": [4, 3], "line_width": 1.2, "mode": "after"}
-            sketch.line(
-                plot, first, f"true {p.name}", f"true {p.name}", first.run.time, tame(truth, limits, is_log), **style
-            )
+        known = [(s, tame(truth, limits, is_log)) for s, truth in truths if np.any(np.isfinite(truth))]
+        _draw_dashed(sketch, plot, (f"true {p.name}", f"true {p.name}"), known, mode="after")
+
+
+def _draw_dashed(
+    sketch: Sketch, plot: Any, name: tuple[str, str], series: Sequence[tuple[ShownRun, Series]], **style: Any
+) -> None:
+    """Draw references or true values (n,): the first run's in black, below it others that differ, in colour.
+
+    name: of the column, and on hover.
+    """
+    style |= {"line_dash": [4, 3], "line_width": 1.2}
+    for k, (s, values) in reversed([*enumerate(series)]):
+        first, of_first = series[0]
+        if k == 0 or is_own(s.run, values, first.run, of_first):
+            sketch.line(plot, s, *name, s.run.time, values, line_color=s.style.colour if k else BLACK, **style)

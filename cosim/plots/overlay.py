@@ -11,15 +11,16 @@ from ..errors import FolderError
 from ..names import did_you_mean
 from ..runs.quantities import inputs_of, units_of
 from ..runs.recorded_events import RecordedEvent, read_events
-from ..runs.result import Run
+from ..runs.result import Run, Series
 from ..scenarios.schema.estimation import EstimatedParameter
 from ..variable_name import VariableName
 from .canvas import label, new_figure, set_linear, tidy, top_legend
 from .overlay_texts import shared_by, texts_of
+from .own_series import is_own
 from .palette import BLACK, RUNS
-from .panels import Curve, line, title_of
+from .panels import Curve, DrawStyle, line, title_of
 from .parameters import draw_band, parameter_axis
-from .ranges import tame, tracking_limits, value_range
+from .ranges import AxisLimits, tame, tracking_limits, value_range
 
 
 def draw_overlay(runs: Sequence[Run]) -> Figure:
@@ -92,21 +93,23 @@ def draw_column(axes: Axes, column: str, curves: Sequence[Curve], events: Sequen
     """Draw a column of each run: a tracked output with its reference, a parameter with its truth and uncertainty."""
     run = curves[0].run
     tidy(axes)
-    axes.set_xlim(run.scenario.scenario.start_time, run.scenario.scenario.stop_time)
+    settings = [c.run.scenario.scenario for c in curves]
+    axes.set_xlim(min(s.start_time for s in settings), max(s.stop_time for s in settings))
     held = [{c.run.scenario.held_column(p): p for p in c.run.scenario.estimation.parameters} for c in curves]
     if all(column in of_run for of_run in held):
         _draw_parameter(axes, [of_run[column] for of_run in held], curves, events)
         return
     series = [c.run[column] for c in curves]
-    reference = run.scenario.tracking.get(VariableName(column)) if "." in column else None
+    references = [(c, c.run[name]) for c in curves if (name := _reference(c.run, column)) is not None]
     inputs = {of: name for name, of in inputs_of(run).items()}
     is_input = column in inputs
     wanted = value_range(series, percentile=0.5 if is_input else 0.0) or (0.0, 1.0)
-    limits = set_linear(axes, wanted if reference is None else tracking_limits(run[reference], series))
+    if references:
+        wanted = tracking_limits(np.concatenate([values for _, values in references]), series)
+    limits = set_linear(axes, wanted)
     for curve, values in zip(curves, series, strict=True):
         line(axes, curve, tame(values, limits), "steps-pre" if is_input else "default")
-    if reference is not None:
-        axes.plot(run.time, tame(run[reference], limits), "--", color=BLACK, linewidth=1.0, label="reference")
+    _draw_dashed(axes, "reference", references, limits)
     name = inputs.get(column) or (VariableName(column).variable if "." in column else column)
     axes.set_ylabel(label(name, units_of(run).get(column)))
 
@@ -118,14 +121,38 @@ def _draw_parameter(
     events: Sequence[Sequence[RecordedEvent]],
 ) -> None:
     """Draw a parameter of the controller, which each run may have under another name and in another place."""
-    run, p = curves[0].run, parameters[0]
-    truth = run.true_parameters[p.name]
+    p = parameters[0]
+    truths = [(c, c.run.true_parameters[own.name]) for c, own in zip(curves, parameters, strict=True)]
     held = [c.run.estimates[own.name] for c, own in zip(curves, parameters, strict=True)]
-    limits, is_log = parameter_axis(axes, p, [truth, *held])
+    limits, is_log = parameter_axis(axes, p, [*(values for _, values in truths), *held])
     for curve, own, values, recorded in zip(curves, parameters, held, events, strict=True):
         draw_band(axes, curve.run, own.name, recorded, curve.style.colour)
         line(axes, curve, tame(values, limits, is_log), "steps-post")
-    if np.any(np.isfinite(truth)):
-        values = tame(truth, limits, is_log)
-        axes.step(run.time, values, "--", where="post", color=BLACK, linewidth=1.0, label="truth")
+    known = [(c, values) for c, values in truths if np.any(np.isfinite(values))]
+    _draw_dashed(axes, "truth", known, limits, is_log, "steps-post")
     axes.set_ylabel(label(p.name, p.unit))
+
+
+def _reference(run: Run, column: str) -> str | None:
+    """Return the column of a tracked output's reference, None for any other column."""
+    return run.scenario.tracking.get(VariableName(column)) if "." in column else None
+
+
+def _draw_dashed(
+    axes: Axes,
+    text: str,
+    series: Sequence[tuple[Curve, Series]],
+    limits: AxisLimits,
+    is_log: bool = False,
+    drawstyle: DrawStyle = "default",
+) -> None:
+    """Draw references or true values (n,): the first run's in black, below it others that differ, in colour."""
+    for k, (curve, values) in enumerate(series):
+        first, of_first = series[0]
+        if k and not is_own(curve.run, values, first.run, of_first):
+            continue
+        colour, told = (curve.style.colour, f"{text}, {curve.text}") if k else (BLACK, text)
+        axes.plot(
+            curve.run.time, tame(values, limits, is_log), "--", color=colour, linewidth=1.0, label=told,
+            drawstyle=drawstyle, zorder=2.0 if k else 2.1,
+        )  # fmt: skip

@@ -14,6 +14,7 @@ from cosim.pages.list_page import listed, run_folders
 from cosim.pages.marks import SIGNS
 from cosim.pages.pictures import draw_pictures
 from cosim.pages.runs_page import read_page
+from cosim.plots.palette import RUNS
 from cosim.runs.manifest import read_manifest
 from cosim.runs.recorded_events import read_events
 
@@ -97,6 +98,16 @@ def test_each_run_has_the_band_of_its_own_parameter(made_up, changed):
     for key, name, value in (("r0", "m", 1.0), ("r1", "m", 1.0), ("r0", "l", 2.0), ("r1", "l", 2.0)):
         low, high = (sources[f"{key} band {name}"].data[f"{name} {edge}"][0] for edge in (0, 1))
         assert np.sqrt(low * high) == pytest.approx(value)
+
+
+def test_a_truth_and_a_reference_are_drawn_again_where_they_differ(made_up):
+    runs = [made_up(), made_up()._replace(key="r1"), made_up(plant_m=[3.0] * 100, reference_phi_ref=[0.5] * 100)]
+    runs[2] = runs[2]._replace(key="r2", style=RUNS[2])
+    pictures = draw_pictures(runs)
+    for name in ("true m", "reference.phi_ref"):
+        drawn = {key: s.data[f"{name} 0"] for key, s in pictures.columns.sources.items() if f"{name} 0" in s.data}
+        assert {*drawn} == {"r0", "r2"}
+        assert drawn["r2"][0] == runs[2].run["plant.m" if name == "true m" else name][0]
 
 
 def test_the_evidence_of_the_hypotheses_is_drawn_and_told(made_up, page_of):

@@ -17,11 +17,12 @@ from cosim.errors import FolderError
 from cosim.paper.illustration import global_minimum, illustrate, optimise, unknown
 from cosim.plots.canvas import label, set_log
 from cosim.plots.overlay import columns_of, draw_overlay, plot_run
-from cosim.plots.palette import BASELINES, RUNS
+from cosim.plots.palette import BASELINES, BLACK, RUNS
 from cosim.plots.panels import Curve, panels
 from cosim.plots.ranges import tame, value_range
 from cosim.plots.response import response_surface
 from cosim.plots.runs import draw_run, draw_tracking
+from cosim.runs.result import Status
 from cosim.variable_name import VariableName
 from estimator import Sample
 from tests.cosim.plots.made_up import GONE, made_up_run
@@ -163,6 +164,36 @@ def test_each_run_has_the_band_of_its_own_parameter(tmp_path: Path, names: dict[
     for axes, value in zip(draw_overlay(runs).axes[2:], (1.0, 2.0), strict=True):
         edges = [band.get_paths()[0].vertices[:, 1] for band in axes.collections]
         assert [np.sqrt(y.min() * y.max()) for y in edges] == pytest.approx([value, value])
+
+
+@pytest.mark.parametrize(
+    ("n", "status", "wanted", "is_own"),
+    [
+        (50, "done", 1.0, False),
+        (50, "done", 2.0, True),
+        (20, "diverged", 1.0, True),
+        (20, "running", 1.0, False),
+        (20, "running", 2.0, True),
+    ],
+    ids=["same", "other", "goes-on", "ahead", "other-ahead"],
+)
+def test_a_truth_and_a_reference_are_drawn_again_where_they_differ(
+    n: int, status: Status, wanted: float, is_own: bool
+) -> None:
+    first = dataclasses.replace(made_up_run(None, n, plant_m=1.0, reference_phi_ref=1.0), status=status)
+    other = dataclasses.replace(made_up_run(None, plant_m=wanted, reference_phi_ref=wanted), seed=1)
+    phi, _, m, _ = draw_overlay([first, other]).axes
+    for axes, text in ((phi, "reference"), (m, "truth")):
+        drawn = {str(line.get_label()): line for line in axes.lines if str(line.get_label()).startswith(text)}
+        colours = {text: BLACK} | ({f"{text}, seed 1": RUNS[1].colour} if is_own else {})
+        assert {key: line.get_color() for key, line in drawn.items()} == colours
+        assert max(float(np.max(line.get_ydata())) for line in drawn.values()) == wanted
+
+
+def test_the_axis_of_time_has_all_runs() -> None:
+    longer = Scenario.load("pendulum", GONE | {"scenario.stop_time": "12.0"})
+    figure = draw_overlay([made_up_run(None), made_up_run(None, scenario=longer)])
+    assert {axes.get_xlim() for axes in figure.axes} == {(0.0, 12.0)}
 
 
 def test_a_run_is_drawn_on_the_axes_that_are_given_and_on_new_ones() -> None:

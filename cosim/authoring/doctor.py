@@ -29,6 +29,8 @@ from .shared_library import SharedLibrary, read_shared_library
 
 _EXIT_OF_PYTHONFMU = "GLIBC_TUNABLES=glibc.malloc.tcache_count=65535"  # its library uses freed memory as it is unloaded
 
+_REQUIRED = re.compile(r"\s*([A-Za-z][\w.-]*)[^;#]*(;?)")  # a package's name, and what begins its marker
+
 _UNLOADABLE = "No importer can load it as it is: build the FMU anew for this platform."
 
 
@@ -188,15 +190,26 @@ def _modules(script: Path) -> Requirement:
 
 
 def _requirements(text: str) -> Requirement:
-    """Return the names of the required packages, without versions and other conditions."""
-    names = [match[0] for line in text.splitlines() if (match := re.match(r"\s*[A-Za-z][\w.-]*", line))]
-    found = {distribution.name.lower(): distribution.version for distribution in distributions()}
-    lacking = ", ".join(name for name in names if name.lower() not in found)
+    """Return the names of the required packages, without versions.
+
+    Those with an environment marker, such as `; sys_platform == "win32"`, are named, but not looked for.
+    """
+    required = [match.groups() for line in text.splitlines() if (match := _REQUIRED.match(line))]
+    names = [name for name, marker in required if not marker]
+    conditional = ", ".join(dict.fromkeys(name for name, marker in required if marker))
+    found = {_normalised(distribution.name): distribution.version for distribution in distributions()}
+    lacking = ", ".join(name for name in names if _normalised(name) not in found)
     if lacking:
         return Requirement(
             "modules", False, f"{lacking} not installed in {sys.prefix}; python -m pythonfmu deploy -f FMU does it"
         )
-    return Requirement("modules", True, ", ".join(f"{name} {found[name.lower()]}" for name in names) or "none")
+    here = ", ".join(f"{name} {found[_normalised(name)]}" for name in names) or "none"
+    return Requirement("modules", True, here + (f"; on conditions: {conditional}" if conditional else ""))
+
+
+def _normalised(name: str) -> str:
+    """Return the form of a package's name in which names are compared (PEP 503)."""
+    return re.sub(r"[-_.]+", "-", name).lower()
 
 
 def _advice(is_python: bool, libpython: str | None, is_pythonfmu: bool) -> str:

@@ -9,6 +9,7 @@ import struct
 import subprocess
 import sys
 import zipfile
+from importlib.metadata import version
 from io import BytesIO
 from pathlib import Path
 
@@ -101,6 +102,25 @@ def test_the_modules_that_an_fmu_imports_are_looked_for(tmp_path):
     found = finding(diagnose(tmp_path / "Fed.fmu"), "modules")
     assert found.is_well
     assert re.fullmatch(r"numpy [\d.]+, scipy [\d.]+", found.text)
+
+
+@pytest.mark.parametrize(
+    ("line", "is_well", "text"),
+    [
+        ("Find-LibPython>=0.4  # this; not that", True, f"Find-LibPython {version('find_libpython')}"),
+        ("no_such", False, f"no_such not installed in {sys.prefix}; python -m pythonfmu deploy -f FMU does it"),
+        ("no_such>1; sys_platform == 'win32'\n# numpy", True, "none; on conditions: no_such"),
+    ],
+    ids=["other-spelling", "missing", "marker"],
+)
+def test_required_packages_are_found_by_any_spelling_and_not_looked_for_on_conditions(
+    tmp_path, pendulum, line, is_well, text
+):
+    with_requirements = with_library(pendulum, tmp_path / "required.fmu", lambda content: content)
+    with zipfile.ZipFile(with_requirements, "a") as archive:
+        archive.writestr("resources/requirements.txt", line)
+    found = finding(diagnose(with_requirements), "modules")
+    assert (found.is_well, found.text) == (is_well, text)
 
 
 def test_a_script_that_python_cannot_read_is_told(tmp_path, pendulum):

@@ -7,11 +7,10 @@ from typing import Any
 from pydantic import ValidationError
 
 from ..errors import SspError
-from ..fmi.types import Value
 from ..names import did_you_mean
 from ..scenarios.overrides import override
 from ..scenarios.schema.simulation import SimulationSettings
-from ..scenarios.schema.table import Table
+from ..scenarios.schema.table import StartValue, Table
 from ..scenarios.validation import first_error
 from .package import SystemStructure
 from .start_values import StartValues, read_start_values
@@ -44,7 +43,7 @@ def settings_of(system: SystemStructure, given: Mapping[str, Any]) -> Simulation
 
 
 class _Start(Table):
-    start: dict[str, Value] = {}
+    start: dict[str, StartValue] = {}
 
 
 class _Overrides(Table):

@@ -1,6 +1,7 @@
 """Reading and writing of parameter values: System Structure Parameter Values, SSP 1.0, section 6."""
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import prod
@@ -15,7 +16,7 @@ from ..fmi.elements import element_names
 from ..fmi.preflight.description import MOST_ELEMENTS
 from ..fmi.types import TYPES, Value
 from ..units import Unit
-from .xml import NAMESPACES, attribute, defined_in, parse
+from .xml import NAMESPACES, attribute, defined_in, parse, real
 
 
 class ParameterValue(NamedTuple):
@@ -122,6 +123,9 @@ def parameter_set(root: Element, where: str, outer: Mapping[str, Unit] | None = 
     """Read a ParameterSet element; outer: units of the file that it stands in. Raises SspError."""
     elements = root.findall("Parameters/Parameter")
     values = tuple(value for element in elements for value in _parameters(element, where))
+    names = Counter(value.name for value in values)
+    if repeated := next((name for name, n in names.items() if n > 1), None):
+        raise SspError(f"{where}: two parameters have the name '{repeated}'.")
     return ParameterSet(root.get("name", ""), values, {**(outer or {}), **defined_in(root, where)}, where)
 
 
@@ -129,7 +133,14 @@ def _boolean(text: str) -> bool:
     return {"true": True, "1": True, "false": False, "0": False}[text]
 
 
-_READ_AS: Mapping[Any, Callable[[str], Value]] = {float: float, int: int, bool: _boolean, str: str}
+def _whole(text: str) -> int:
+    """Return a whole number. Raises ValueError where it is none, OverflowError where no double can hold it."""
+    if math.isinf(real(text)):
+        raise OverflowError(text)
+    return int(text)
+
+
+_READ_AS: Mapping[Any, Callable[[str], Value]] = {float: real, int: _whole, bool: _boolean, str: str}
 _READERS = {row.name: _READ_AS[row.python] for row in TYPES.values() if row.python in _READ_AS}
 _NUMBERS = {row.name for row in TYPES.values() if row.python in (float, int, bool)}
 """Types of arrays: the texts of others may have spaces."""
@@ -168,6 +179,8 @@ def _parameter(element: Element, where: str) -> ParameterValue:
     text = typed.get("value", "")
     try:
         value = _READERS[typed.tag](text)
+    except OverflowError as e:
+        raise SspError(f"{where}: parameter '{name}' must be a number that a double can hold, got a larger one.") from e
     except (ValueError, KeyError) as e:
         raise SspError(f"{where}: parameter '{name}' is no {typed.tag}: '{one_line(text)}'.") from e
     return ParameterValue(name, value, typed.get("unit"))

@@ -52,13 +52,20 @@ def attribute(element: Element, name: str, where: str) -> str:
     return value
 
 
+def real(text: str) -> float:
+    """Return a number of XML Schema, which has no underscores, as Python's may have. Raises ValueError."""
+    if "_" in text:
+        raise ValueError(f"not a number: {text!r}")
+    return float(text)
+
+
 def number(element: Element, name: str, where: str, default: float | None = None) -> float | None:
     """Return an attribute that is a number, or the default. Raises SspError."""
     text = element.get(name)
     if text is None:
         return default
     try:
-        return float(text)
+        return real(text)
     except ValueError as e:
         raise SspError(f"{where}: {name} of a {element.tag} must be a number, got '{one_line(text)}'.") from e
 

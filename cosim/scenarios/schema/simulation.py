@@ -4,7 +4,7 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
-from .table import MOST, Table, Value
+from .table import MOST, StartValue, Table
 
 MOST_COMPONENTS: Final = 64
 """FMUs that are started without being asked for."""
@@ -80,7 +80,7 @@ class ComponentSettings(Table):
     """FMI version of a built-in FMU; a file says its own."""
     table: str | None = Field(default=None, pattern=r"\.[cC][sS][vV]$")
     """Instead of an FMU: path of a CSV file whose columns are played back over time."""
-    start: dict[str, Value] = {}
+    start: dict[str, StartValue] = {}
     """Start values set before initialisation."""
     tolerance: float | None = Field(default=None, gt=0.0, allow_inf_nan=False)
     """Relative tolerance for the FMU's own solver; without it that of the FMU's default experiment, if any."""

@@ -19,6 +19,17 @@ MOST = 1_000_000_000
 Value = float | int | bool | str
 
 
+def _as_a_double(value: Value) -> Value:
+    try:
+        if isinstance(value, int):
+            float(value)
+    except OverflowError as e:
+        raise ValueError("must be a number that a double can hold, got a larger one") from e
+    return value
+
+
+StartValue = Annotated[Value, AfterValidator(_as_a_double)]
+"""A start value of a variable: a number that a double can hold, a truth value or a text."""
 _REFERENCE = GetPydanticSchema(lambda _, handler: handler(Annotated[str, AfterValidator(VariableName)]))
 Reference = Annotated[VariableName, _REFERENCE]
 """A variable of a component, such as `plant.der(phi_dot)`."""

@@ -333,6 +333,11 @@ def test_a_misspelt_scenario_brings_a_suggestion():
     assert refusal(source="quadroter").endswith("did you mean 'quadrotor'?")
 
 
+def test_a_start_value_that_no_double_holds_is_refused():
+    text = "components.plant.start.phi: must be a number that a double can hold, got a larger one."
+    assert refusal({"components.plant.start.phi": f"-1{'0' * 400}"}).endswith(text)
+
+
 def test_a_span_of_infinitely_many_steps_is_refused():
     assert "macro_step" in refusal({"scenario.stop_time": "1e99", "scenario.macro_step": "1e-300"})
 

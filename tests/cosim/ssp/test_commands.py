@@ -161,6 +161,7 @@ def test_start_values_that_the_component_does_not_have_are_refused(called, workp
         (["--set", "scenario.coupling=sequential"], "without an estimator coupling is 'parallel', got 'sequential'"),
         (["--set", "estimation.budget=3"], "estimation: unknown key"),
         (["--set", "scenario.stop_time=-1"], "stop_time"),
+        (["--set", f"components.plant.start.phi=1{'0' * 400}"], "start.phi: must be a number that a double can hold"),
         (["--set", "components.plant.start.u_held=1"], "'u_held' of Pendulum.fmu takes no start value"),
     ],
 )

@@ -8,15 +8,13 @@ for the former, libcosim refuses the latter. Unconnected inputs are left out: FM
 
 import io
 import zipfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from importlib.metadata import version
 from itertools import chain, count
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
-
-import tomli_w
 
 from ..errors import SspError, WiringError
 from ..fmi.archive import FmuFile, InterfaceName, component_interface
@@ -25,24 +23,22 @@ from ..fmi.ports import is_numeric
 from ..fmi.types import TYPES, Value, is_real
 from ..names import did_you_mean
 from ..scenarios.scenario import Scenario
-from ..scenarios.trust import GRANTS, python_references
 from ..ssv.document import ParameterValue, add_units, document, ssv_element
 from ..ssv.xml import NAMESPACES
 from ..system.aliases import as_the_fmus_have_it
 from ..system.fmu_cache import fmu_paths
 from ..system.parameters import value_of_change
 from ..units import Unit, conversion
-from ..user_code import is_trusted, places_of
 from .arrays import FmuArray, arrays_of, whole, with_arrays
 from .package import STRUCTURE
-from .scenario import EXTRA, SCENARIO
+from .scenario import EXTRA
+from .write_scenario import ascii_name, scenario_files
 
 START_VALUES = "initialValues"
 """Name of every component's parameter set: ecos sets those of the name that it is given."""
 
 _IMPLEMENTATIONS: dict[InterfaceName, str] = {"co-simulation": "CoSimulation", "model-exchange": "ModelExchange"}
 _EPOCH = (1980, 1, 1, 0, 0, 0)
-_OWN_PACKAGES = ("cosim", "estimator", "fmu_models")
 
 
 def to_ssp(scenario: Scenario) -> bytes:
@@ -74,8 +70,7 @@ def to_ssp(scenario: Scenario) -> bytes:
             units = {key: unit for key, unit in component.units.items() if key in used}
             element = ssv_element(START_VALUES, values, units, {"ssv", "ssc"})
             files[parameters[name]] = document(element).encode()
-    files[f"{EXTRA}/{SCENARIO}"] = tomli_w.dumps(_tables(given, places)).encode()
-    for path, content in _modules(given):
+    for path, content in scenario_files(given, places):
         files[f"{EXTRA}/{path}"] = content
     return _zipped(files)
 
@@ -101,7 +96,7 @@ def _places(components: Mapping[str, Component]) -> dict[str, str]:
     taken: dict[str, Path] = {}
     for name, component in components.items():
         for stem in (component.fmu.stem, f"{component.fmu.stem}_{name}"):
-            place = f"resources/{_plain(stem)}.fmu"
+            place = f"resources/{ascii_name(stem)}.fmu"
             if taken.setdefault(place, component.fmu) == component.fmu:
                 places[name] = place
                 break
@@ -114,15 +109,11 @@ def _parameter_files(components: Iterable[str]) -> dict[str, str]:
     """Return the file of each component's parameters in the package, in ASCII: numbered where two would have one."""
     found: dict[str, str] = {}
     for name in components:
-        stems = chain([_plain(name)], (f"{_plain(name)}_{k}" for k in count(2)))
+        stems = chain([ascii_name(name)], (f"{ascii_name(name)}_{k}" for k in count(2)))
         found[name] = next(
             f for stem in stems if (f := f"resources/{stem}.ssv").lower() not in map(str.lower, found.values())
         )
     return found
-
-
-def _plain(name: str) -> str:
-    return "".join(c if c.isascii() and (c.isalnum() or c in "_-") else "_" for c in name)
 
 
 def _structure(
@@ -242,31 +233,6 @@ def _check_connections(scenario: Scenario, components: Mapping[str, Component]) 
             conversion(*units)
         except ValueError as e:
             raise SspError(f"connection {source} -> {target}: {e}.") from e
-
-
-def _tables(scenario: Scenario, places: Mapping[str, str]) -> dict[str, Any]:
-    """Return the scenario as TOML tables, with the FMUs where they are in the package."""
-    tables = scenario.model_dump(mode="json", exclude_unset=True, exclude_none=True)
-    up = "../" * (EXTRA.count("/") + 1)
-    for name, component in tables["components"].items():
-        component["fmu"] = up + places[name]
-    tables["scenario"] = {k: v for k, v in tables["scenario"].items() if k not in GRANTS}
-    tables["estimation"] |= tables["estimation"].pop("methods", {})
-    return tables
-
-
-def _modules(scenario: Scenario) -> Iterator[tuple[str, bytes]]:
-    """Yield the sources of the user's modules that the scenario names, from its folder or the working directory."""
-    references = [*python_references(scenario).values(), *(name for name in scenario.estimation.methods if ":" in name)]
-    for name, reference in {r.partition(":")[0].partition(".")[0]: r for r in references}.items():
-        trusted = is_trusted(reference, scenario.origin)
-        places = places_of(reference, scenario.folder, scenario.origin) if trusted else [scenario.folder]
-        for folder in map(Path, places) if name and name not in _OWN_PACKAGES else ():
-            found = [folder / f"{name}.py", *sorted((folder / name).rglob("*.py"))]
-            found = [path for path in found if path.is_file()]
-            yield from ((path.relative_to(folder).as_posix(), path.read_bytes()) for path in found)
-            if found:
-                break
 
 
 def _zipped(files: Mapping[str, bytes]) -> bytes:

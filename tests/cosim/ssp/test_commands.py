@@ -8,6 +8,7 @@ from fmpy.ssp.ssd import read_ssv
 
 import cosim
 from cosim.runs.series import read_series
+from cosim.system.fmu_cache import find_fmu
 
 pytestmark = [pytest.mark.fmu, pytest.mark.usefixtures("leaves_nothing", "workplace")]
 SHORT = ["--set", "scenario.stop_time=0.2", "--only", "--json"]
@@ -32,6 +33,31 @@ def test_an_export_runs_as_the_scenario_does(called, workplace):
     assert called("export", "pendulum", *CHANGE, "--ssp", "p.ssp")[0] == 0
     assert called("run", "p.ssp", *SHORT, "--out", "one")[0] == 0
     assert called("run", "pendulum", *CHANGE, *SHORT, "--out", "other")[0] == 0
+    for name in ("series.arrow", "events.jsonl", "estimates.ssv"):
+        assert (workplace / "one" / name).read_bytes() == (workplace / "other" / name).read_bytes(), name
+    assert (workplace / "one" / "events.jsonl").stat().st_size > 0
+
+
+ROLLOUT = ["estimation.objective=rollout", 'sampling.outputs."plant.phi".noise=1e-4', "estimation.rollout.fmu=own.fmu"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "settings"),
+    [
+        ((3, "ModelExchange"), ["estimation.model=own.fmu"]),
+        ((2, "CoSimulation"), ROLLOUT),
+        ((2, "CoSimulation"), [*ROLLOUT, "components.plant.fmu=own.fmu", "estimation.rollout.start=state"]),
+    ],
+    ids=["model", "rollout", "rollout-of-the-plant"],
+)
+def test_the_fmus_of_model_and_roll_outs_go_along(called, workplace, kind, settings):
+    (workplace / "own.toml").write_text((SCENARIOS / "pendulum.toml").read_text())
+    (workplace / "own.fmu").write_bytes(find_fmu("Pendulum", workplace, *kind).read_bytes())
+    arguments = ["own.toml", *CHANGE, *(part for setting in settings for part in ("--set", setting))]
+    assert called("export", *arguments, "--ssp", "p.ssp")[0] == 0
+    assert called("run", *arguments, *SHORT, "--out", "other")[0] == 0
+    (workplace / "own.fmu").unlink()
+    assert called("run", "p.ssp", *SHORT, "--out", "one")[0] == 0
     for name in ("series.arrow", "events.jsonl", "estimates.ssv"):
         assert (workplace / "one" / name).read_bytes() == (workplace / "other" / name).read_bytes(), name
     assert (workplace / "one" / "events.jsonl").stat().st_size > 0

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from estimator import Sample, Vector
 
+from .derivative_gain import DerivativeGain
 from .medians import column_medians
 from .sensor_checks import SUMMED
 
@@ -33,7 +34,8 @@ class Consistency:
     noise, declared or observed, whichever is larger, of twice that error, and of h/2 sum |xdot_i - xdot_(i-1)|, the
     last counted twice, so that a spike is no bias; nor are a few in a row, once they are over. A channel that was
     inconsistent is so until it has been below this, with half of the noise's part, for three times as many samples, at
-    most 20: a derivative with the wrong sign fits, too, where it is small, and a spike of the state is over soon.
+    most 20: a derivative with the wrong sign fits, too, where it is small, and a spike of the state is over soon. A
+    wrong `DerivativeGain` over a hundred samples is inconsistent, too.
     """
 
     def __init__(
@@ -50,9 +52,10 @@ class Consistency:
         step [s]."""
         self._channels, self._slope, self._h, self._limit = list(channels), slope, h, limit
         self._noise, self._state_variance = np.array(noise), np.square(state_noise)
-        # Motion of the state, derivative, size of its modelled change, and of its change.
+        # Motion of the state, derivative, its modelled change, and the size of its change.
         self._rows = np.empty((0, 4, len(channels)))
         self._noises: dict[int, Vector] = {}  # limits of the declared noise, by the number of changes
+        self._gain, self._n_block = DerivativeGain(limit), 0
         self._last: Sample | None = None
         self._distrust = np.zeros(len(channels), dtype=np.intp)  # number of samples for which it is inconsistent yet
 
@@ -64,16 +67,20 @@ class Consistency:
         last, self._last = self._last, sample
         if last is None or abs(sample.t - last.t - self._h) > 0.5 * self._h:
             self._rows, last = self._rows[:0], sample
+            self._gain, self._n_block = DerivativeGain(self._limit), 0
         now, before = (self._slope(theta, x, sample.u) for x in (sample.x, last.x))
         moved = [sample.x[i] - last.x[i] for i in self._channels]
-        drift = [abs(now[i] - before[i]) for i in self._channels]
+        drift = [now[i] - before[i] for i in self._channels]
         changes = [abs(a - b) for a, b in zip(sample.xdot, last.xdot, strict=True)]
         row = np.array([moved, sample.xdot, drift, changes])
         is_known = np.isfinite(row).all(axis=0)  # not beside a missing derivative: no motion is compared there
         self._rows = np.concatenate([self._rows[-SUMMED:], [np.where(is_known, row, 0.0)]])
         if len(self._rows) <= _FEWEST:
             return np.empty(0, dtype=np.intp)
-        is_beyond = self._are_beyond(self._rows[1:])
+        self._n_block += 1
+        if self._n_block == SUMMED:
+            self._gain, self._n_block = self._with_block(self._rows[1:]), 0
+        is_beyond = self._are_beyond(self._rows[1:]) | self._gain.is_wrong
         self._distrust = np.clip(self._distrust + np.where(is_beyond, _SHY, -1 * is_known), 0, SUMMED)
         return np.flatnonzero(self._distrust)
 
@@ -85,13 +92,25 @@ class Consistency:
         is_beyond = self._differ(rows, self._noises[n])
         if not is_beyond.any():  # the observed noise only widens the limits
             return is_beyond
-        sigma = np.maximum(self._noise, 1.05 * column_medians(rows[:, 3]))  # of a difference: 0.954 sigma
+        sigma = self._observed_noise(rows)
         limit = self._limit_of_noise(sigma, n)
         return self._differ(rows, limit) & self._differ(self._without_bursts(rows, sigma), limit)
 
+    def _with_block(self, rows: Vector) -> DerivativeGain:
+        """Return the gain with a block of samples (n, 4, c), integrated by the trapezoidal rule as the model has it."""
+        sigma = self._observed_noise(rows)
+        moved, xdot, drift, _ = self._without_bursts(rows, sigma).sum(axis=0)
+        std = self._limit_of_noise(sigma, len(rows)) / self._limit
+        return self._gain.take(moved, self._h * (xdot - 0.5 * drift), std)
+
+    def _observed_noise(self, rows: Vector) -> Vector:
+        """Return the standard deviations (c,) that derivatives have, the declared ones at least."""
+        return np.maximum(self._noise, 1.05 * column_medians(rows[:, 3]))  # of a difference: 0.954 sigma
+
     def _differ(self, rows: Vector, of_noise: Vector) -> NDArray[np.bool_]:
         """Return in which channels the motion differs by more than the step and noise, by its limit (c,), explain."""
-        moved, xdot, drift, changes = rows.sum(axis=0)
+        moved, xdot, _, changes = rows.sum(axis=0)
+        drift = np.abs(rows[:, 2]).sum(axis=0)
         h, share = self._h, np.where(self._distrust > 0, _STILL, 1.0)
         of_motion = h * drift + 0.5 * h * (changes + rows[-1, 3])
         return np.abs(moved - h * xdot) > share * of_noise + of_motion
@@ -103,7 +122,7 @@ class Consistency:
         """
         moved, xdot, drift, changes = rows.transpose(1, 0, 2)
         differs = np.abs(moved - self._h * xdot)
-        is_odd = differs > self._limit_of_noise(sigma, 1) + self._h * drift
+        is_odd = differs > self._limit_of_noise(sigma, 1) + self._h * np.abs(drift)
         is_step = self._h * changes > 0.5 * np.maximum(differs, np.roll(differs, 1, axis=0))
         is_step[0] = True  # it began before these rows
         left = rows.copy()

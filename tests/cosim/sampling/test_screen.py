@@ -1,14 +1,16 @@
 """The screen by itself, on a plant x' = theta u whose derivative and state are sampled exactly, or as it is said."""
 
 from dataclasses import replace
-from math import inf, nan, sqrt
+from math import exp, inf, nan, sqrt
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from cosim.sampling.consistency import Consistency
 from cosim.sampling.outliers import Outliers
 from cosim.sampling.screen import SampleScreen, Sensors
+from cosim.sampling.sensor_checks import SUMMED
 from cosim.scenarios.schema.sampling import ObservationSettings
 from estimator import Sample
 
@@ -382,6 +384,41 @@ def test_an_input_that_was_held_over_the_step_is_no_error_of_the_rectangle():
 
 def test_a_jump_of_the_motion_is_consistent():
     assert inconsistent(rates=[0.0] * 30 + [5.0] * 30) == []
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("rate", "bias", "is_found"),
+    [(0.06, 0.0079, False), (0.06, 0.0081, True), (0.12, 0.0133, False), (0.12, 0.0134, True)],
+)
+def test_a_wrong_gain_that_no_twenty_samples_show_is_found_in_a_hundred(rate, bias, is_found, sign):
+    """sqrt(5) 20 bias H > 8 SIGMA H sqrt(20), and bias > (rate + bias) / 10."""
+    odd = inconsistent(rates=[sign * rate] * 200, bias=sign * bias)
+    assert odd == ([*range(odd[0], 200)] if is_found else [])
+    assert not is_found or 100 <= odd[0] <= 110
+
+
+def test_many_spikes_in_a_row_are_no_wrong_gain():
+    """They are a third of one block of twenty samples, and of no other."""
+    odd = inconsistent(bias=[5.0 * (130 <= k < 134) for k in range(300)])
+    assert odd
+    assert odd[-1] < 131 + 60
+
+
+def test_the_gain_is_1_where_the_derivative_changes_within_a_step():
+    """A lag of two steps behind a staircase: the rectangles have 1.54 / 2 of each stair, the trapezoids 2.04 / 2."""
+    stairs = 1.0 + np.arange(300) // SUMMED
+    x = lfilter([1.0 - exp(-0.5)], [1.0, -exp(-0.5)], stairs)  # exact, as the input is held over a step
+    watched = Consistency((0,), (SIGMA,), (0.0,), lambda theta, x, u: [(u[0] - x[0]) / (2.0 * H)], 8.0, H)
+    samples = [Sample(k * H, (x[k],), (u,), ((u - x[k]) / (2.0 * H),)) for k, u in enumerate(stairs.tolist())]
+    assert not any(len(watched.step(sample, THETA)) for sample in samples)
+
+
+def test_a_gain_that_changes_its_sign_with_the_motion_is_one_too():
+    """A quarter too much at each turn, of a sine of 120 samples; a bias of the same size is none."""
+    rates = 0.08 * np.sign(np.sin(2.0 * np.pi * np.arange(400) / 120))
+    assert inconsistent(rates=rates, bias=0.2 * rates, noise=SIGMA)
+    assert not inconsistent(rates=rates, bias=0.2 * np.abs(rates), noise=SIGMA)
 
 
 @pytest.mark.parametrize(("rest", "last"), [(0.0095, 89), (0.0088, 67)])

@@ -17,17 +17,9 @@ from ..fmi.table import is_table
 from ..fmi.types import is_real
 from ..scenarios.json_schema import URL
 from ..variable_name import VariableName
-from .draft_estimation import (
-    described,
-    estimation,
-    is_settable,
-    model_states,
-    parameter_pairs,
-    parameters,
-    sampling,
-    unit_name,
-)
+from .draft_estimation import estimation, is_settable, model_states, sampling
 from .draft_gains import gain_parameter, gains
+from .draft_parameters import described, parameter_pairs, parameters, unit_name
 from .guess import CONTROLLER, PLANT, REFERENCE, Guess, echoes, guess_connections, have_one_unit, sources
 from .guess_tracking import guess_tracking
 from .set_points import size_of

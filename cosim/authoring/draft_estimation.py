@@ -1,9 +1,6 @@
 """Sampling and estimation in a draft scenario: see `draft`."""
 
-import math
-import re
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from typing import Final
 
 from ..errors import one_line
@@ -14,54 +11,15 @@ from ..fmi.ports import attribute
 from ..fmi.types import is_real
 from ..scenarios.formula import identifier
 from ..units import BASE_UNITS
-from .guess import CONTROLLER, PLANT, alike, best, echoes, have_one_unit, stem
+from .draft_parameters import last_name, unit_name
+from .guess import PLANT, echoes
 from .toml_lines import quoted, said
 
-_LIMITS: Final = {"lim", "limit", "max", "min", "sat", "saturation"}
 _NOISE: Final = 1e-3  # of the nominal value
 _GUESS: Final = "GUESS of the noise: a run measures it"
 _SAVED: Final = 20  # samples of a roll-out that begins in the plant's saved state
 _REPLAYED: Final = 100  # of one that begins where earlier, wrong parameters have led: its end must say enough
 _RATES: Final = ("d{}", "d_{}", "der_{}", "der{}", "d{}_dt", "d{}dt", "{}_dot", "{}dot", "{}_der")
-_WIDE: Final = 10.0  # a guessed bound is this many times the start value
-
-
-def parameter_pairs(components: Mapping[str, Component]) -> list[tuple[ModelVariable, ModelVariable]]:
-    """Return the controller's tunable parameters, each with the plant's parameter that it stands for."""
-    if CONTROLLER not in components:
-        return []
-    plant, controller = components[PLANT], components[CONTROLLER]
-    there = [(plant, v) for v in plant.having("parameter") if _is_real(v)]
-    own = [v for v in controller.having("parameter", "tunable") if _is_real(v) and not is_gravity(controller, v)]
-    by_name = {v.name: its for v in own if (its := best(v.name, controller, there)) is not None}
-    taken = {its.name for its in by_name.values()}
-    left = [v for v in own if v.name not in by_name], [v for _, v in there if v.name not in taken]
-    pairs = by_name | _of_one_value(controller, plant, *left)
-    return [(v, pairs[v.name]) for v in own if v.name in pairs]
-
-
-def _of_one_value(
-    controller: Component, plant: Component, own: Iterable[ModelVariable], there: Iterable[ModelVariable]
-) -> dict[str, ModelVariable]:
-    """Return plant parameters that start at the value of one of the controller's, and share a word of its name.
-
-    Limits are none: an actuator's are in both as well, and do not change.
-    """
-
-    def belong(v: ModelVariable, other: ModelVariable) -> bool:
-        words, others = set(stem(v.name)), set(stem(other.name))
-        if v.start is None or other.start is None or not words & others or (words | others) & _LIMITS:
-            return False
-        is_one_value = float(v.start) == float(other.start) != 0.0
-        return is_one_value and have_one_unit(controller, v.name, plant, other.name) is not False
-
-    found = {v.name: [other for other in there if belong(v, other)] for v in own}
-    claims = Counter(other.name for others in found.values() for other in others)
-    return {name: others[0] for name, others in found.items() if len(others) == 1 == claims[others[0].name]}
-
-
-def _is_real(v: ModelVariable) -> bool:
-    return is_real(v.type)
 
 
 def sampling(plant: Component, model: str | None) -> list[str]:
@@ -90,7 +48,7 @@ def named_rates(plant: Component) -> dict[str, str]:
     """Return the outputs named as another's derivative, by that one; none where derivatives are declared."""
     if plant.derivatives:
         return {}
-    outputs = {v.name for v in plant.having("output") if _is_real(v)}
+    outputs = {v.name for v in plant.having("output") if is_real(v.type)}
     named = {name: next((rate for form in _RATES if (rate := form.format(name)) in outputs), None) for name in outputs}
     return {v.name: rate for v in plant.having("output") if (rate := named.get(v.name))}
 
@@ -144,7 +102,7 @@ def _outputs(plant: Component) -> list[str]:
     for v in plant.having("output"):
         nominal = float(attribute(v, "nominal") or 1.0)
         text = f"{quoted(f'{PLANT}.{v.name}')} = {{ noise = {_NOISE * abs(nominal):g} }}"
-        if _is_real(v) and v.name not in echoed:
+        if is_real(v.type) and v.name not in echoed:
             lines.append(said(text, f"[{unit_name(plant, v.name)}] {_GUESS}"))
     return lines
 
@@ -152,7 +110,7 @@ def _outputs(plant: Component) -> list[str]:
 def model_states(plant: Component) -> list[str]:
     """Return the states x of the model: the declared ones; if no derivative is an output, measured or likely ones."""
     echoed = echoes(plant)
-    outputs = [v.name for v in plant.having("output") if _is_real(v) and v.name not in echoed]
+    outputs = [v.name for v in plant.having("output") if is_real(v.type) and v.name not in echoed]
     if not plant.derivatives:
         rates = set(named_rates(plant).values())
         return [name for name in outputs if name not in rates]
@@ -270,94 +228,3 @@ def _model(plant: Component, model: str | None, parameters: list[str]) -> list[s
 
 def _labelled(component: Component, name: str) -> str:
     return f"{one_line(name)} [{unit_name(component, name)}]"
-
-
-def parameters(
-    components: Mapping[str, Component], pairs: list[tuple[ModelVariable, ModelVariable]], is_fmu: bool
-) -> Iterator[list[str]]:
-    """Yield a table for each parameter shared by plant and controller, and comments on the controller's other ones.
-
-    is_fmu: whether the model is an FMU, whose parameters have the plant's names.
-    """
-    controller = components.get(CONTROLLER)
-    if controller is not None:
-        yield from (_parameter(controller, own, its, is_fmu) for own, its in pairs)
-    if not pairs:
-        yield [
-            "[[estimation.parameters]]",
-            said('name = "FILL"', "FILL the model's argument"),
-            said("lower = 0.1", "FILL"),
-            said("upper = 10.0", "FILL"),
-            said('unit = "1"', "FILL"),
-            said('writes = "controller.FILL"', "FILL a tunable parameter of the controller"),
-        ]
-    shared = {v.name for v, _ in pairs}
-    others = [v.name for v in controller.having("parameter", "tunable")] if controller else []
-    if names := ", ".join(one_line(name) for name in others if name not in shared):
-        about = "# Formulas can give those that follow from estimated ones: docs/scenario.md, Controllers with gains."
-        yield [f"# Tunable in the controller too, but not estimated: {names}", about]
-
-
-def _parameter(controller: Component, own: ModelVariable, its: ModelVariable, is_fmu: bool) -> list[str]:
-    low, high, notes = bounds(own, its)
-    unit = attribute(own, "unit") or attribute(its, "unit")
-    name = its.name if is_fmu else identifier(own.name)
-    lines = [
-        said("[[estimation.parameters]]", f"[{unit or '1'}] {one_line(own.description or '')}".rstrip()),
-        f"name = {quoted(name)}",
-        said(f"lower = {low!r}", notes[0]),
-        said(f"upper = {high!r}", notes[1]),
-        *unit_and_scale(unit, low, high),
-        f"writes = {quoted(f'{CONTROLLER}.{own.name}')}",
-    ]
-    if its.name != name:
-        lines.append(
-            said(
-                f"true = {quoted(f'{PLANT}.{its.name}')}",
-                f"GUESS: {alike(own.name, its.name) or 'a word of the name, and the start value'}",
-            )
-        )
-    return lines
-
-
-def is_gravity(component: Component, v: ModelVariable) -> bool:
-    return v.start is not None and 9.7 < abs(float(v.start)) < 9.9 and unit_name(component, v.name) in ("m/s2", "m/s^2")
-
-
-def bounds(own: ModelVariable, its: ModelVariable) -> tuple[float, float, tuple[str, str]]:
-    """Return lower and upper bound, each with its source: the limits of both FMUs, or a guess from the start value."""
-    lows = [float(x) for v in (own, its) if (x := attribute(v, "min")) is not None and math.isfinite(float(x))]
-    highs = [float(x) for v in (own, its) if (x := attribute(v, "max")) is not None and math.isfinite(float(x))]
-    start = float(own.start or its.start or 0.0)
-    wide = sorted(float(f"{x:.6g}") for x in (start / _WIDE, start * _WIDE)) if start else [-1.0, 1.0]
-    low = max(lows) if lows else wide[0]
-    high = min(highs) if highs else wide[1]
-    if low >= high:  # a guess that a declared bound has overtaken
-        low, high = (low, low + abs(low) + 1.0) if lows else (high - abs(high) - 1.0, high)
-    notes = (
-        "of the FMUs" if lows else "GUESS: none is declared",
-        "of the FMUs" if highs else "GUESS: none is declared",
-    )
-    return low, high, notes
-
-
-def unit_and_scale(unit: str | None, low: float, high: float) -> list[str]:
-    """Return the lines for a parameter's unit and scale; low, high: its bounds."""
-    return [
-        f"unit = {quoted(unit or '1')}",
-        f'scale = "{"log" if low > 0.0 and high >= 10.0 * low else "linear"}"',
-    ]
-
-
-def described(component: Component, v: ModelVariable) -> str:
-    return f"[{unit_name(component, v.name)}] {one_line(v.description or '')}".rstrip()
-
-
-def unit_name(component: Component, name: str) -> str:
-    unit = component.unit(name)
-    return unit.name if unit else "1"
-
-
-def last_name(v: ModelVariable) -> str:
-    """Return the last part of a structured name, as an argument of a function: `J` of `inertia.J`."""
-    return identifier(re.split(r"\.(?![^\[(]*[\])])", v.name)[-1])

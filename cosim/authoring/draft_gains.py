@@ -8,7 +8,7 @@ from ..fmi.component import Component, ModelVariable
 from ..fmi.ports import attribute
 from ..fmi.types import is_real
 from ..scenarios.formula import identifier
-from .draft_estimation import bounds, described, is_gravity, last_name, unit_and_scale, unit_name
+from .draft_parameters import bounds, described, is_gravity, last_name, unit_and_scale, unit_name
 from .guess import CONTROLLER, PLANT
 from .toml_lines import quoted, said
 

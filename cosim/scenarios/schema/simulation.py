@@ -19,8 +19,8 @@ class SimulationSettings(Table):
     """One line for the report."""
     start_time: float = 0.0
     """Time of the first communication point [s]."""
-    stop_time: float = Field(gt=0.0)
-    """Time of the last communication point [s]."""
+    stop_time: float
+    """Time of the last communication point [s], after start_time; as in FMI, either may be negative."""
     macro_step: float = Field(gt=0.0)
     """Time from one communication point to the next [s]."""
     coupling: Literal["sequential", "parallel"] = "sequential"

@@ -149,8 +149,15 @@ def test_several_findings_are_told_one_a_line_with_the_file_and_errors_refuse(ax
 
 
 def test_every_error_of_the_schema_is_told(axis):
-    found = check(axis(("stop_time = 1.0", "stop_time = -1.0"), ("lower = 0.5\n", ""), ('name = "axis"', 'name = ""')))
-    assert {f.where for f in found} == {"scenario.stop_time", "scenario.name", "estimation.parameters.0.lower"}
+    found = check(axis(("macro_step = 0.01", "macro_step = 0"), ("lower = 0.5\n", ""), ('name = "axis"', 'name = ""')))
+    assert {f.where for f in found} == {"scenario.macro_step", "scenario.name", "estimation.parameters.0.lower"}
+
+
+@pytest.mark.parametrize(("start", "n_errors"), [("-5.0", 0), ("-1.0", 1), ("0.0", 1)])
+def test_a_run_may_end_before_time_0_but_not_before_its_start(axis, start, n_errors):
+    times = ("stop_time = 1.0", f"start_time = {start}\nstop_time = -1.0")
+    found = check(axis(times, ("[[0.0, 2.0], [0.3, 3.0]]", "[[-5.0, 2.0], [-3.0, 3.0]]")))
+    assert sum(f.is_error for f in found) == n_errors
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ import os
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from math import floor, log10
 from pathlib import Path
 from typing import Final
 
@@ -20,6 +19,7 @@ from ..variable_name import VariableName
 from .draft_estimation import estimation, is_settable, model_states, sampling
 from .draft_gains import gain_parameter, gains
 from .draft_parameters import described, parameter_pairs, parameters, unit_name
+from .draft_times import rows, settings, span
 from .guess import CONTROLLER, PLANT, REFERENCE, Guess, echoes, guess_connections, have_one_unit, sources
 from .guess_tracking import guess_tracking
 from .set_points import size_of
@@ -28,8 +28,6 @@ from .toml_lines import key, quoted, said
 MOST_PAIRS: Final = 1_000_000
 """Pairs of names that are compared, which takes some seconds."""
 _FUNCTION: Final = re.compile(r"[\w.]+:[\w.]+")
-_STOP_TIME = 10.0  # s, where no FMU says any
-_STEPS: Final = 1000  # of a run, where no FMU says a step
 _MOST_OFFERED: Final = 10  # outputs in a comment
 
 
@@ -65,7 +63,7 @@ def draft(fmus: Mapping[str, Path], folder: Path, model: str | None = None) -> D
     model, is_fmu = _model(model, components[PLANT], folder)
     blocks = [
         _LEGEND,
-        _settings(components),
+        settings(components),
         _components(components, folder),
         _connections(components),
         _changes(components, [its for _, its in pairs] if gained is None else [gained]),
@@ -115,39 +113,6 @@ _LEGEND: Final = [
 ]
 
 
-def _settings(components: Mapping[str, Component]) -> list[str]:
-    steps = [(c.experiment["step_size"], c.fmu.name) for c in components.values() if "step_size" in c.experiment]
-    stop, of_stop = _stop(components)
-    step, of_step = min((pair for pair in steps if pair[0] > 0.0), default=(_round(stop / _STEPS), ""))
-    stop = float(f"{max(1, round(stop / step)) * step:.12g}")
-    name = re.sub(r"[^A-Za-z0-9]+", "-", str(components[PLANT].description.modelName)).strip("-").lower()
-    return [
-        "[scenario]",
-        f"name = {quoted(name or 'scenario')}",
-        said(f"stop_time = {stop!r}", f"s, of {of_stop}" if of_stop else "s, GUESS"),
-        said(f"macro_step = {step!r}", f"s, of {of_step}" if of_step else "s, GUESS"),
-    ]
-
-
-def _round(step: float) -> float:
-    """Return the next lower one of 1, 2 and 5 times a power of ten."""
-    power = 10.0 ** floor(log10(step) + 1e-9)
-    return float(f"{max(n for n in (1, 2, 5) if n * power <= step * (1 + 1e-9)) * power:.3g}")
-
-
-def _stop(components: Mapping[str, Component]) -> tuple[float, str]:
-    """Return the stop time [s] that reference, plant or controller declare, in this order, and whose it is."""
-    declared = ((c.experiment.get("stop_time", 0.0), c.fmu.name) for c in _last_first(components))
-    return next((pair for pair in declared if pair[0] > 0.0), (_STOP_TIME, ""))
-
-
-def _last_first(components: Mapping[str, Component]) -> Iterator[Component]:
-    """Yield the components by precedence of their default experiments: the reference before the plant."""
-    for name in (REFERENCE, PLANT, CONTROLLER):
-        if name in components:
-            yield components[name]
-
-
 def _components(components: Mapping[str, Component], folder: Path) -> list[str]:
     lines = ["[components]"]
     for name in (PLANT, CONTROLLER, REFERENCE):
@@ -195,7 +160,7 @@ def _offered(target: str, components: Mapping[str, Component]) -> str:
 def _changes(components: Mapping[str, Component], parameters: list[ModelVariable]) -> list[str]:
     lines = [said("[changes]", "FILL what happens to the plant: rows [time, value], or a formula in t")]
     plant = components[PLANT]
-    stop, _ = _stop(components)
+    times = span(components)
     tunable = {v.name: v for v in plant.having("parameter", "tunable") if is_real(v.type)}
     others = [v for name, v in tunable.items() if name not in {v.name for v in parameters}]
     if len(others) > _MOST_OFFERED:
@@ -204,7 +169,7 @@ def _changes(components: Mapping[str, Component], parameters: list[ModelVariable
         if v.name in tunable and v.start is not None:
             start = float(v.start)
             other = 1.5 * start if start else 1.0
-            text = f"# {quoted(f'{PLANT}.{v.name}')} = [[0.0, {start!r}], [{stop / 3:.3g}, {other:.6g}]]"
+            text = f"# {quoted(f'{PLANT}.{v.name}')} = {rows(times, start, other)}"
             lines.append(said(text, described(plant, v)))
         elif v.name not in tunable:
             lines.append(f"# {PLANT}.{one_line(v.name)} is fixed in {plant.fmu.name}: it cannot change in a run")

@@ -175,12 +175,20 @@ UNITS = """<UnitDefinitions><Unit name="m"><BaseUnit m="1"/></Unit>
 def described(tmp_path) -> Callable[..., Path]:
     """Writes an FMU that has a model description and an empty library, for what only reads it."""
 
-    def write(variables: str, structure: str = "", name: str = "Model", interface: str = "", library: str = "") -> Path:
+    def write(
+        variables: str,
+        structure: str = "",
+        name: str = "Model",
+        interface: str = "",
+        library: str = "",
+        experiment: str = "",
+    ) -> Path:
         path = tmp_path / f"{name}.fmu"
         xml = (
             f'<fmiModelDescription fmiVersion="2.0" modelName="{name}" guid="1">'
             f'<CoSimulation modelIdentifier="{name}" {interface}/>'
-            f"{UNITS}<ModelVariables>{variables}</ModelVariables><ModelStructure>{structure}</ModelStructure></fmiModelDescription>"
+            f"{UNITS}{f'<DefaultExperiment {experiment}/>' if experiment else ''}"
+            f"<ModelVariables>{variables}</ModelVariables><ModelStructure>{structure}</ModelStructure></fmiModelDescription>"
         )
         with zipfile.ZipFile(path, "w") as fmu:
             fmu.writestr("modelDescription.xml", xml)

@@ -18,7 +18,7 @@ from ..scenarios.json_schema import URL
 from ..variable_name import VariableName
 from .draft_estimation import estimation, is_settable, model_states, sampling
 from .draft_gains import gain_parameter, gains
-from .draft_parameters import described, parameter_pairs, parameters, unit_name
+from .draft_parameters import described, last_name, parameters, shared_parameters, unit_name
 from .draft_times import rows, settings, span
 from .guess import CONTROLLER, PLANT, REFERENCE, Guess, echoes, guess_connections, have_one_unit, sources
 from .guess_tracking import guess_tracking
@@ -57,8 +57,8 @@ def draft(fmus: Mapping[str, Path], folder: Path, model: str | None = None) -> D
     if not components[PLANT].having("output"):
         raise WiringError(f"{fmus[PLANT]} has no outputs: nothing of it can be tracked or measured.")
     _check_size(components)
-    pairs = parameter_pairs(components)
-    gained = None if pairs else gain_parameter(components)
+    shared = shared_parameters(components)
+    gained = None if shared else gain_parameter(components)
     tracked = guess_tracking(components)
     model, is_fmu = _model(model, components[PLANT], folder)
     blocks = [
@@ -66,12 +66,12 @@ def draft(fmus: Mapping[str, Path], folder: Path, model: str | None = None) -> D
         settings(components),
         _components(components, folder),
         _connections(components),
-        _changes(components, [its for _, its in pairs] if gained is None else [gained]),
+        _changes(components, [one.its for one in shared] if gained is None else [gained]),
         _tracking(components, tracked),
         *_limits(components, tracked),
         sampling(components[PLANT], model),
-        estimation(components[PLANT], model, pairs, gained),
-        *(parameters(components, pairs, is_fmu) if gained is None else gains(components, gained, is_fmu)),
+        estimation(components[PLANT], model, [one.name for one in shared] if gained is None else [last_name(gained)]),
+        *(parameters(components, shared, is_fmu) if gained is None else gains(components, gained, is_fmu)),
     ]
     return Draft("\n\n".join("\n".join(block) for block in blocks) + "\n")
 

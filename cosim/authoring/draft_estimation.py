@@ -11,7 +11,7 @@ from ..fmi.ports import attribute
 from ..fmi.types import is_real
 from ..scenarios.formula import identifier
 from ..units import BASE_UNITS
-from .draft_parameters import last_name, unit_name
+from .draft_parameters import unit_name
 from .guess import PLANT, echoes
 from .toml_lines import quoted, said
 
@@ -184,13 +184,8 @@ def _dependencies(plant: Component) -> dict[str, bool]:
     return found
 
 
-def estimation(
-    plant: Component,
-    model: str | None,
-    pairs: list[tuple[ModelVariable, ModelVariable]],
-    gained: ModelVariable | None,
-) -> list[str]:
-    """Return the lines for objective, trigger and budget; gained: the parameter that gains depend on."""
+def estimation(plant: Component, model: str | None, arguments: list[str]) -> list[str]:
+    """Return the lines for objective, trigger and budget; arguments: the names of the estimates."""
     if is_rolled_out(plant, model):
         return [
             "[estimation]",
@@ -202,7 +197,7 @@ def estimation(
         ]
     return [
         "[estimation]",
-        *_model(plant, model, [own.name for own, _ in pairs] if gained is None else [last_name(gained)]),
+        *_model(plant, model, arguments),
         said('trigger = { kind = "innovation" }', 'or { kind = "tracking", threshold = ... }: of the tracking error'),
         said("budget = 30", "evaluations an episode")
         if _has_rates(plant) or named_rates(plant)
@@ -211,14 +206,13 @@ def estimation(
     ]
 
 
-def _model(plant: Component, model: str | None, parameters: list[str]) -> list[str]:
+def _model(plant: Component, model: str | None, arguments: list[str]) -> list[str]:
     if model is not None:
         return [f"model = {quoted(model)}"]
     states, inputs = model_states(plant), [v.name for v in plant.having("input")]
-    arguments = ", ".join(["x", "u", *map(identifier, parameters)])
     return [
         "# The plant's equations, a function in a Python file beside this one, plant_model.py:",
-        f"#   def derivative({arguments}):",
+        f"#   def derivative({', '.join(['x', 'u', *arguments])}):",
         *(f"#       # x[{i}]: {_labelled(plant, name)}" for i, name in enumerate(states)),
         *(f"#       # u[{i}]: {_labelled(plant, name)}" for i, name in enumerate(inputs)),
         f"#       return ({', '.join(f'der_{identifier(name)}' for name in states)},)",

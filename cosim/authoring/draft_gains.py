@@ -42,7 +42,7 @@ def gains(components: Mapping[str, Component], its: ModelVariable, is_fmu: bool)
     is_fmu: whether the model is an FMU, whose parameters have the plant's names.
     """
     plant, controller = components[PLANT], components[CONTROLLER]
-    low, high, notes = bounds(its, its)
+    low, high, notes = bounds(its)
     start, name = float(its.start or 0.0), last_name(its)
     yield [
         "# The controller has none of the plant's parameters: formulas give what it has, in the estimates by name.",

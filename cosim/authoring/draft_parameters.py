@@ -140,10 +140,18 @@ def is_gravity(component: Component, v: ModelVariable) -> bool:
     return v.start is not None and 9.7 < abs(float(v.start)) < 9.9 and unit_name(component, v.name) in ("m/s2", "m/s^2")
 
 
-def bounds(*variables: ModelVariable) -> tuple[float, float, tuple[str, str]]:
-    """Return lower and upper bound, each with its source: the limits of all variables, or a guess from the start."""
+def bounds(own: ModelVariable, *others: ModelVariable) -> tuple[float, float, tuple[str, str]]:
+    """Return lower and upper bound, each with its source: the limits of all variables, or a guess from the start.
+
+    Where no value is within the limits of all, those of the first are taken.
+    """
+    variables = (own, *others)
     lows = [float(x) for v in variables if (x := attribute(v, "min")) is not None and math.isfinite(float(x))]
     highs = [float(x) for v in variables if (x := attribute(v, "max")) is not None and math.isfinite(float(x))]
+    if others and lows and highs and max(lows) >= min(highs):
+        low, high, _ = bounds(own)
+        note = "GUESS: no value is within the limits of both FMUs"
+        return low, high, (note, note)
     start = _start(*variables)
     wide = sorted(float(f"{x:.6g}") for x in (start / _WIDE, start * _WIDE)) if start else [-1.0, 1.0]
     low = max(lows) if lows else wide[0]

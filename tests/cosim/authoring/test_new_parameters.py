@@ -71,3 +71,18 @@ def test_names_that_are_one_identifier_are_numbered(drafted):
         ("spring_c_3", "controller.spring(c)"),
     ]
     assert "def derivative(x, u, spring_c, spring_c_2, spring_c_3):" in text
+
+
+@pytest.mark.parametrize(
+    ("its", "own", "bounds"),
+    [
+        ('min="0.5" max="20"', 'min="25" max="30" start="26"', (25.0, 30.0)),
+        ('min="0.5" max="20"', 'min="25" start="26"', (25.0, 260.0)),
+        ('min="25" max="30"', 'max="25" start="2"', (0.2, 25.0)),
+    ],
+)
+def test_bounds_are_the_controller_s_where_the_plant_takes_none_of_its_values(drafted, its, own, bounds):
+    text = drafted({"m": f'start="2" {its}'}, {"m": own})
+    (parameter,) = tomllib.loads(text)["estimation"]["parameters"]
+    assert (parameter["lower"], parameter["upper"]) == bounds
+    assert text.count("GUESS: no value is within the limits of both FMUs") == 2

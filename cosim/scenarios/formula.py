@@ -29,9 +29,12 @@ _NODES = (
 
 
 def identifier(name: str) -> str:
-    """Return the name as one that a formula, or a function's argument, can have: `inertia_J` for `inertia.J`."""
+    """Return the name as one that a formula, or a function's argument, can have: `inertia_J` for `inertia.J`.
+
+    Keywords and functions of formulas are none: `p_min` for `min`.
+    """
     plain = re.sub(r"\W+", "_", name).strip("_")
-    return plain if plain.isidentifier() and not iskeyword(plain) else f"p_{plain}"
+    return plain if plain.isidentifier() and not iskeyword(plain) and plain not in FUNCTIONS else f"p_{plain}"
 
 
 def compile_formula(text: str, definitions: Mapping[str, Callable[[float], float]]) -> Callable[[float], float]:

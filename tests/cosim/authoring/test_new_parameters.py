@@ -86,3 +86,12 @@ def test_bounds_are_the_controller_s_where_the_plant_takes_none_of_its_values(dr
     (parameter,) = tomllib.loads(text)["estimation"]["parameters"]
     assert (parameter["lower"], parameter["upper"]) == bounds
     assert text.count("GUESS: no value is within the limits of both FMUs") == 2
+
+
+@pytest.mark.parametrize("model", [None, "fmu"])
+@pytest.mark.parametrize(("name", "argument"), [("min", "p_min"), ("exp", "p_exp"), ("lambda", "p_lambda"), ("e", "e")])
+def test_gains_follow_from_a_parameter_named_like_a_function(drafted, described, name, argument, model):
+    text = drafted({name: 'start="2"'}, {"Kp": 'start="25"'}, model and str(described("", name="M")))
+    (parameter,) = tomllib.loads(text)["estimation"]["parameters"]
+    assert parameter["name"] == (name if model else argument)
+    assert parameter["writes"] == {"controller.Kp": f"25.0 * {argument} / 2.0"}

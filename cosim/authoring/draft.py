@@ -3,6 +3,7 @@
 In comments, `guess` marks what is likely, `GUESS` what needs checking, and `FILL` what has to be filled in.
 """
 
+import math
 import os
 import re
 from collections.abc import Iterator, Mapping
@@ -203,15 +204,16 @@ def _is_tracked(plant: Component, guess: Guess, found: list[Guess]) -> bool:
 
 
 def _limits(components: Mapping[str, Component], found: list[Guess]) -> Iterator[list[str]]:
-    """Yield the limit of the tracking error, where a table says how large the set points are."""
+    """Yield the limit of the tracking error, where a table says how large the set points are, and it is a number."""
     given = [guess.source for guess in found if guess.source and _is_tracked(components[PLANT], guess, found)]
     tracked = [VariableName(source).variable for source in given]
-    size = max((size for name in tracked if (size := size_of(components[REFERENCE], name))), default=None)
-    if size is not None:
+    size = max((size for name in tracked if (size := size_of(components[REFERENCE], name))), default=math.inf)
+    divergence = f"{10 * size:.3g}"
+    if math.isfinite(float(divergence)):
         about = "GUESS: ten times the set points; a hundredth of it is guard.tolerance"
         yield [
             "[limits]                # the tracking error at which the run ends",
-            said(f"divergence = {10 * size:.3g}", about),
+            said(f"divergence = {divergence}", about),
         ]
 
 

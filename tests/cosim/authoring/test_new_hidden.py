@@ -288,7 +288,15 @@ def test_a_set_point_in_another_unit_is_connected_as_a_run_converts_it(described
 
 @pytest.mark.parametrize(
     ("rows", "divergence"),
-    [("0,50\n10,100\n", 500.0), ("0,-0.2\n5,0.1\n", 3.0), ("0,7\n10,7\n", 70.0), ("0,0\n", None)],
+    [
+        ("0,50\n10,100\n", 500.0),
+        ("0,-0.2\n5,0.1\n", 3.0),
+        ("0,7\n10,7\n", 70.0),
+        ("0,0\n", None),
+        ("0,1e300\n10,1.7e308\n", None),
+        ("0,-1.7e308\n10,1.7e308\n", None),
+        ("0,0\n10,1.79767e307\n", None),
+    ],
 )
 def test_the_limit_of_the_tracking_error_goes_with_the_size_of_the_set_points(described, tmp_path, rows, divergence):
     plant = described(pin("y", "output", 0), name="P")

@@ -5,7 +5,6 @@ code that is called is the estimator's model and the functions in `writes`, wher
 `check_model`. A dry run, where it is asked for, runs the FMUs too.
 """
 
-import re
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
@@ -30,6 +29,7 @@ from .check_estimation import (
     check_tracking,
     check_undeclared,
 )
+from .check_fill import check_fill
 from .check_filter import check_filter
 from .check_fmu import check_fmu
 from .check_model import check_model, plain, split
@@ -42,8 +42,6 @@ _CHECKS: tuple[Callable[[Scenario, Mapping[str, Component]], Iterator[Finding]],
     check_starts, check_connections, check_inputs, check_changes, check_tracking, check_tolerance, check_sampling,
     check_filter, check_parameters, check_undeclared, check_loops, check_steps, check_times,
 )  # fmt: skip
-
-_FILL = re.compile(r"\bFILL\b")
 
 
 def check(
@@ -77,19 +75,12 @@ def check(
             return [Finding("connections", plain(e))]
     findings += [finding for one in _CHECKS for finding in one(scenario, components)]
     findings += [warning("scenario", f"it would {what}, which only --trust allows") for what in distrusted(scenario)]
-    findings = _filled_in(findings)
+    findings = [*check_fill(findings, scenario, components)]
     if not any(f.is_error for f in findings):
         findings += [*check_model(scenario, components), *check_noise(scenario)]
     if is_run and not any(f.is_error for f in findings):
         findings += dry_run(scenario)
     return findings
-
-
-def _filled_in(findings: list[Finding]) -> list[Finding]:
-    """Return the findings, with one for each place where `retune new` has left something to fill in."""
-    left = dict.fromkeys(f.where for f in findings if _FILL.search(f"{f.where} {f.what}"))
-    told = [Finding(where, "FILL is still there: it is to be filled in") for where in left]
-    return [*(f for f in findings if f.where not in left), *told]
 
 
 def _fmu_errors(name: str, fmu: Path) -> list[Finding]:

@@ -243,6 +243,34 @@ def test_what_is_no_scenario_is_refused_in_one_line(axis, capsys, tmp_path):
     assert re.fullmatch(r"retune: .*no\.fmu cannot be read: No such file or directory\n", capsys.readouterr().err)
 
 
+@pytest.mark.parametrize(
+    ("replacement", "found"),
+    [
+        (("[changes]\n", "[changes]\n"), 'connections."tank.FILL": warning: the input is not connected: it stays 0'),
+        (("[changes]\n", '"tank.FILL" = "plant.mass"\n[changes]\n'),
+         "connections.\"tank.FILL\": error: no variable 'mass' in Axis.fmu"),
+        (('"plant.mass.s" = "reference.s_ref"\n[s', '"tank.FILL" = "reference.s_ref"\n[s'),
+         "tracking.\"tank.FILL\": error: 'FILL' is no output of Tank.fmu"),
+        (('"reference.s_ref"\n[s', '"reference.FILL"\n[s'),
+         'tracking."plant.mass.s": error: FILL is still there: it is to be filled in'),
+        (('"controller.m"', '"controller.FILL"'),
+         "estimation.parameters.0 (m): error: FILL is still there: it is to be filled in"),
+        (('"AxisController.fmu"', '"FILL.fmu"'),
+         "components.controller: error: FILL is still there: it is to be filled in"),
+    ],
+    ids=["a warning", "an error", "an error of its own", "in a value", "in a parameter", "a file"],
+)  # fmt: skip
+def test_a_variable_called_fill_is_not_what_is_to_be_filled_in(axis, described, replacement, found):
+    described(
+        '<ScalarVariable name="FILL" valueReference="0" causality="input"><Real start="0"/></ScalarVariable>',
+        name="Tank",
+    )
+    tank = ("reference = {", 'tank = { fmu = "Tank.fmu" }\nreference = {')
+    told = [str(f) for f in findings(axis(tank, replacement))]
+    assert len([text for text in told if text.startswith(found)]) == 1, told
+    assert len([text for text in told if "still there" in text]) == ("still there" in found)
+
+
 @pytest.mark.full
 def test_a_run_of_the_scenario_tells_which_noise_to_declare(tmp_path, monkeypatch):
     """The sensor's noise is 0.05 and 0.001, drawn independently: 0.05001 in all, where 0.001 is declared."""

@@ -21,6 +21,8 @@ from ..variable_name import VariableName
 _WHERE: Final = "estimation.parameters"
 _MOST_CORNERS: Final = 8
 """Most parameters at all of whose corners the rule is evaluated: of more, at those of the first ones."""
+_SHARES: Final = (0.0, 0.3, 0.55, 0.8, 1.0)
+"""Places in a parameter's bounds at which formulas are compared: no two are symmetric but the ends."""
 _INSIDE: Final = 200
 """Points inside the bounds at which the rule is evaluated."""
 
@@ -77,8 +79,9 @@ def _unused(scenario: Scenario, rule: TuningRule, first: Vector) -> Iterator[Fin
     """Yield parameters that nothing that is written depends on."""
     space = scenario.estimation.space
     for i, parameter in enumerate(scenario.estimation.parameters):
-        moved = [_try(rule, [*first[:i], end, *first[i + 1 :]]) for end in (parameter.lower, parameter.upper)]
-        if moved[0] is not None and moved[0] == moved[1]:
+        values = [first[i], *((1.0 - share) * parameter.lower + share * parameter.upper for share in _SHARES)]
+        moved = [_try(rule, [*first[:i], value, *first[i + 1 :]]) for value in values]
+        if moved[0] is not None and all(other == moved[0] for other in moved):
             yield warning(f"{_WHERE}.{i} ({space.names[i]})", "nothing that is written depends on it")
 
 

@@ -152,6 +152,17 @@ def test_check_tells_what_the_formulas_give_within_the_bounds(gains, tmp_path):
     assert "gain_functions" in "\n".join(map(str, check(tmp_path / "gains.toml")))
 
 
+@pytest.mark.parametrize(
+    ("formula", "is_used"),
+    [("5*min((m - 2.5)**2, 4)", True), ("10 if m == 1.75 else 20", True), ("10", False), ("10 + 0*m", False)],
+    ids=["even", "at the start only", "constant", "times zero"],
+)
+def test_a_parameter_is_unused_where_no_value_of_it_changes_what_is_written(gains, tmp_path, formula, is_used):
+    gains(f'"controller.Kp" = "{formula}"')
+    found = "\n".join(map(str, check(tmp_path / "gains.toml")))
+    assert ("nothing that is written depends on it" not in found) is is_used
+
+
 def test_a_strangers_function_is_not_called_unasked(gains, tmp_path, capsys, monkeypatch):
     code = PLACE + "\nopen('called', 'w').close()\n"
     monkeypatch.chdir(tmp_path)

@@ -28,7 +28,7 @@ from cosim.slaves.slave import open_slave
 from cosim.system.fmu_cache import find_fmu
 from cosim.system.plant import plant_of
 from estimator import EpisodeWindow, Sample, SampleSequence
-from estimator.diagnosis.episode_diagnosis import EpisodeDiagnosis
+from estimator.diagnosis.disturbed_inputs import disturbed_inputs
 
 pytestmark = pytest.mark.fmu
 slow = pytest.mark.slow
@@ -317,13 +317,13 @@ def test_a_recorded_run_is_replayed_from_its_measured_states(pendulum, tmp_path)
 
 def test_a_disturbance_is_looked_for_in_the_connected_inputs_alone(pendulum, monkeypatch):
     """F_d, which is not connected, does the same as u but for rounding: shared among both, it would be any size."""
-    found, search = [], EpisodeDiagnosis._search_disturbance
+    found = []
 
-    def searched(self, held):
-        found.append(search(self, held))
+    def searched(*arguments):
+        found.append(disturbed_inputs(*arguments))
         return found[-1]
 
-    monkeypatch.setattr(EpisodeDiagnosis, "_search_disturbance", searched)
+    monkeypatch.setattr("estimator.diagnosis.episode_diagnosis.disturbed_inputs", searched)
     heavier = {"changes": '{ "plant.m" = [[0.0, 1.75], [0.3, 3.0]] }', "estimation.trigger": '{ kind = "innovation" }'}
     result = run(pendulum(SHORT | heavier, 0.7), "target")
     assert result.status == "done", result.error

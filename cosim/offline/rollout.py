@@ -25,7 +25,7 @@ from .swapped_columns import cross_misfit
 LARGEST: Final = 1e9
 """Residual [standard deviations] beyond which a simulation has diverged, however far."""
 _UNEVEN: Final = 0.05
-"""Share of a step by which time stamps may miss an even grid, for an FMU that cannot vary its steps."""
+"""Share of a step by which time stamps may miss an even grid, or a communication point: they are rounded."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,8 @@ def grid_of(window: LogWindow, step: float | None, is_even: bool) -> Grid:
         points = even if is_even or np.abs(t - even).max() < 1e-6 * h else t
         return Grid(points.tolist(), window.inputs[:-1].tolist(), None)
     points = t[0] + step * np.arange(int(np.ceil((t[-1] - t[0]) / step - 1e-9)) + 1)
-    held = np.searchsorted(t, points[:-1] + 1e-9 * step, side="right") - 1
+    rounding = _UNEVEN * min(step, float(np.median(np.diff(t))))
+    held = np.searchsorted(t, points[:-1] + rounding, side="right") - 1
     return Grid(points.tolist(), window.inputs[held].tolist(), t)
 
 

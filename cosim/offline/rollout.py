@@ -26,6 +26,8 @@ LARGEST: Final = 1e9
 """Residual [standard deviations] beyond which a simulation has diverged, however far."""
 _UNEVEN: Final = 0.05
 """Share of a step by which time stamps may miss an even grid, or a communication point: they are rounded."""
+_FEW: Final = 20
+"""Number of third differences below which their median is too uncertain to tell the noise."""
 
 
 @dataclass(frozen=True)
@@ -202,10 +204,19 @@ def noise_of(windows: Sequence[LogWindow]) -> Vector:
     noise: list[float] = []
     for i in range(windows[0].measured.shape[1]):
         fitted = [w.measured[: w.n_fit, i] for w in windows]
-        signals = [y[np.isfinite(y)] for y in fitted]
-        differences = np.concatenate([np.diff(y, 3) for y in signals]) / np.sqrt(20.0)
-        known = np.concatenate(signals)
+        differences = _third_differences(fitted) / np.sqrt(20.0)
+        known = np.concatenate([y[np.isfinite(y)] for y in fitted])
         robust = float(np.median(np.abs(differences))) / 0.6745 if len(differences) else 0.0
         mean = float(np.sqrt(np.mean(differences**2))) if len(differences) else 0.0
         noise.append(max(robust or mean, 1e-6 * float(np.ptp(known)) if len(known) else 0.0))
     return np.array(noise)
+
+
+def _third_differences(signals: Sequence[Vector]) -> Vector:
+    """Return third differences of neighbouring rows or, where these are too few, of rows that have a value.
+
+    They are too few where an output has a slower raster than the log.
+    """
+    found = np.concatenate([np.diff(y, 3) for y in signals])
+    known = found[np.isfinite(found)]
+    return known if len(known) >= _FEW else np.concatenate([np.diff(y[np.isfinite(y)], 3) for y in signals])

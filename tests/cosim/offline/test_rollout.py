@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cosim.offline.log_windows import LogWindow
-from cosim.offline.rollout import grid_of
+from cosim.offline.rollout import grid_of, noise_of
 
 
 def window(time, inputs, measured):
@@ -30,3 +30,21 @@ def test_a_communication_point_at_a_row_has_its_input_however_the_time_stamps_ar
     grid = grid_of(window(stamps(np.arange(n) / 60.0), np.arange(n), np.zeros(n)), 1.0 / 60.0 / n_parts, False)
     held = np.repeat(np.arange(n - 1), n_parts)
     assert [u for (u,) in grid.inputs[: len(held)]] == held.tolist()
+
+
+@pytest.mark.parametrize(
+    "is_missing",
+    [
+        lambda k: k < 0,
+        lambda k: k % 10 == 0,
+        lambda k: k % 5 == 0,
+        lambda k: np.random.default_rng(1).random(len(k)) < 0.2,
+        lambda k: k % 4 > 0,
+    ],
+    ids=["none", "every-tenth", "every-fifth", "a-fifth-at-random", "slower-raster"],
+)
+def test_noise_is_told_whatever_values_are_missing(is_missing):
+    k = np.arange(4000)
+    y = np.sin(0.12 * k / 4.0) + 3e-3 * np.random.default_rng(0).standard_normal(len(k))
+    measured = np.where(is_missing(k), np.nan, y)
+    assert noise_of([window(k / 100.0, k, measured)]) == pytest.approx([3e-3], rel=0.15)  # of 1000 differences: to 5 %

@@ -22,6 +22,7 @@ from ..fmi.ports import Catalogue
 from ..fmi.table import is_table
 from ..fmi.types import is_real
 from ..scenarios.schema.estimation import MOST_ROLLOUTS
+from .counted_twice import counted_twice
 from .finer_step import FinerStep, finer_step
 from .forgotten_inputs import forgotten_inputs
 from .log_windows import Cut, LogColumns, LogWindow, unused_columns, windows_of
@@ -244,6 +245,7 @@ def estimate(request: Request, progress: FitProgress = lambda n, cost: None) -> 
     """
     began = perf_counter()
     component, space, nominal, windows, noise, warnings = understand(request)
+    warnings += counted_twice(request.logs, request.windows)
     with Rollouts(_plant(request), component, windows, request.jobs) as rollouts:
         residual = RolloutResidual(rollouts, space, windows, noise)
         if residual.n_residuals <= len(space):

@@ -248,6 +248,14 @@ def test_a_log_is_not_touched(ask, oracles):
     assert (request.logs[0].read_bytes(), request.logs[0].stat().st_mtime_ns) == before
 
 
+def test_a_log_that_is_given_twice_is_told_and_windows_that_touch_are_not(ask, oracles):
+    windows = ((0.5, 1.0), (0.0, 0.5))
+    request = ask(oracles.measure(0, end=2.0), evaluations=4, windows=windows, start={"x": "x", "v": "v"})
+    assert estimate(request).warnings == ()
+    (told,) = estimate(replace(request, logs=2 * request.logs)).warnings
+    assert told.startswith(f"{request.logs[0].name} is given 2 times: its rows count as if")
+
+
 def test_a_window_is_simulated_from_its_own_start(ask, oracles):
     columns = oracles.measure(5, noise=1e-5)
     found = estimate(ask(columns, windows=((2.0, 4.0),), start={"x": "x", "v": "v"}))
@@ -428,6 +436,7 @@ def test_a_pendulum_of_ours_against_dop853(tmp_path, oracles, fmi):
         ({"time": "x"}, LogError, "'m' cannot be converted to 's'"),
         ({"windows": ((90.0, 99.0),)}, LogError, "has 0 rows in the window 90 to 99 s; it has 0 to 8 s"),
         ({"windows": ((3.0, 2.0),)}, EstimateError, "FROM < TO"),
+        ({"windows": ((4.0, 8.0), (0.0, 4.5))}, LogError, "--window 0:4.5 and 4:8 overlap: their rows would"),
         ({"noise": {"x": 0.0}}, EstimateError, "--noise x must be positive"),
         ({"noise": {"F": 1.0}}, EstimateError, "of a measured output"),
         ({"method": "rls"}, EstimateError, "no method 'rls' for a log"),

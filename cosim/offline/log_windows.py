@@ -128,11 +128,7 @@ def _table(log: Log, signals: LogColumns, component: Component) -> tuple[Vector,
     the stamps were in. Raises LogError."""
     if signals.time is None:
         log = log.on_one_raster(signals.inputs.values(), [*signals.measured.values(), *signals.start.values()])
-    stamps = log.time_column(signals.time)
-    if signals.time_unit is not None:
-        stamps = replace(stamps, unit=signals.time_unit)
-    elif stamps.unit is None:
-        _check_epoch(log, stamps)
+    stamps = _stamps(log, signals)
     time = _converted(stamps, understood("s"), f"{log.path}: time", understood)
     roles = {"input": signals.inputs, "measured": signals.measured, "start": signals.start}
     table = {role: _columns(log, columns, component, len(time)) for role, columns in roles.items()}
@@ -157,6 +153,16 @@ def _table(log: Log, signals: LogColumns, component: Component) -> tuple[Vector,
         warnings.append(f"{log.path}: {n} repeated time stamps; of rows with the same one the last is used.")
         time, table = time[last], {role: values[last] for role, values in table.items()}
     return time, table, warnings, stamps.unit or "s"
+
+
+def _stamps(log: Log, signals: LogColumns) -> Column:
+    """Return the column of time stamps, in the unit that is stated. Raises LogError."""
+    stamps, unit = log.time_column(signals.time), signals.time_unit
+    if unit is not None and stamps.is_date and unit != "s":
+        raise LogError(f"{log.path}: time consists of dates, which are read in seconds; leave out --time-unit {unit}.")
+    if unit is None and stamps.unit is None:
+        _check_epoch(log, stamps)
+    return stamps if unit is None else replace(stamps, unit=unit)
 
 
 def _check_epoch(log: Log, stamps: Column) -> None:

@@ -49,6 +49,8 @@ class Column:
     """Its own time stamps (n,) [s], in a log of several rasters."""
     first: int = 0
     """Whole number that the values are counted from: nanoseconds since 1970 are too large for a float."""
+    is_date: bool = False
+    """Whether the values are dates, counted from the first one."""
 
 
 @dataclass(frozen=True)
@@ -196,7 +198,7 @@ def _column(column: Any, unit: str | None) -> Column:
         known = values != _NEVER
         if not known.any():
             return Column(np.full(len(values), np.nan), "s")
-        return Column(np.where(known, (values - values[known][0]) / 1e9, np.nan), "s")
+        return Column(np.where(known, (values - values[known][0]) / 1e9, np.nan), "s", is_date=True)
     if pa.types.is_boolean(kind):
         column, kind = pc.cast(column, pa.int8()), pa.int8()
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)):

@@ -16,6 +16,7 @@ from cosim.cli import main
 from cosim.offline.estimate import Request, Sought, understand
 from cosim.offline.estimate_file import with_file
 from cosim.offline.estimate_options import request_of
+from cosim.offline.logs import LogError
 from cosim.ssv.document import read_ssv
 from cosim.terminal.options import make_parser
 
@@ -359,6 +360,17 @@ def test_nanoseconds_since_1970_are_told_and_counted_exactly(plant, oracles, tmp
     )
     (window,) = understand(replace(request, holdout=0.0)).windows
     assert window.time == pytest.approx(0.01 * np.arange(301), abs=1e-12)
+
+
+def test_dates_are_in_seconds_whatever_unit_is_given(plant, tmp_path):
+    log = tmp_path / "log.csv"
+    log.write_text("time,force,x\n" + "".join(f"2026-01-01 12:00:{k / 4:05.2f},1,0.{k}\n" for k in range(9)))
+    request = Request(plant, (log,), (Sought("m", 0.5, 4.0),), {"x": "x"}, {"F": "force"}, time_unit="ms")
+    with pytest.raises(LogError, match=r"log\.csv: time consists of dates, .* leave out --time-unit ms\.$"):
+        understand(request)
+    for unit in (None, "s"):
+        (window,) = understand(replace(request, time_unit=unit)).windows
+        assert window.time.tolist() == [k / 4 for k in range(9)]
 
 
 def test_an_input_without_a_column_is_told(plant, log):

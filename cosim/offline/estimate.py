@@ -28,6 +28,7 @@ from .forgotten_inputs import forgotten_inputs
 from .log_windows import Cut, LogColumns, LogWindow, unused_columns, windows_of
 from .logs import LogError, read_log
 from .rollout import RolloutResidual, Rollouts, SimulatedPlant, noise_of
+from .start_states import start_warnings
 from .swapped_columns import swapped_columns
 from .time_unit import check_time, passed_over
 
@@ -235,6 +236,7 @@ def understand(request: Request) -> Understood:
     windows, warnings = _windows(request, _signals(request, component), component)
     check_time(windows, component, request.step, request.time_unit is not None)
     warnings += passed_over(windows, request.step)
+    warnings += start_warnings(component, request.start, [p.name for p in request.parameters], request.own, windows)
     return Understood(component, space, nominal, windows, _noise(request, windows), warnings)
 
 

@@ -236,8 +236,6 @@ def _told(log: Log, parts: Sequence[NDArray[np.intp]], rows: NDArray[np.intp], h
         )
     if n_left_out:
         warnings.append(f"{log.path}: {n_left_out} of {len(rows)} rows are left out, inputs or start being unknown.")
-    if parts[0][0] > 0 and not has_start:
-        warnings.append(f"{log.path}: the window does not begin with the log, and starts in the FMU's own start state.")
     return warnings
 
 

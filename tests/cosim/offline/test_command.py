@@ -373,6 +373,25 @@ def test_dates_are_in_seconds_whatever_unit_is_given(plant, tmp_path):
         assert window.time.tolist() == [k / 4 for k in range(9)]
 
 
+@pytest.mark.parametrize(
+    ("sought", "changes", "told"),
+    [
+        (["m"], {"windows": ((0.0, 2.0),)}, []),
+        (["m"], {}, ["log.csv, 3 to 5 s: it does not begin with the log, and starts in the FMU's own start state."]),
+        (["m"], {"start": {"v": 0.1}}, ["start state but for v, given or estimated."]),
+        (["m", "x"], {}, ["start state but for x, given or estimated."]),
+        (["m", "x"], {"start": {"v": "v"}, "windows": ((0.0, 2.0), (3.0, 5.0))}, ["2 windows start with the same"]),
+        (["x"], {"start": {"v": "v"}, "own": ("x",)}, []),
+    ],
+    ids=["from-the-start", "own-state", "number", "estimated", "shared", "one-for-each-log"],
+)
+def test_the_states_that_windows_start_with_are_told(plant, log, sought, changes, told):
+    parameters = tuple(Sought(name, 0.05, 4.0) for name in sought)
+    request = Request(plant, (log,), parameters, {"x": "x"}, {"F": "force"}, windows=((3.0, 5.0),))
+    warnings = understand(replace(request, **changes)).warnings
+    assert [text in warning for text, warning in zip(told, warnings, strict=True)] == [True] * len(told)
+
+
 def test_an_input_without_a_column_is_told(plant, log):
     request = Request(plant, (log,), (Sought("m", 0.5, 4.0),), {"x": "x"})
     (told,) = understand(request).warnings

@@ -27,7 +27,7 @@ from .finer_step import FinerStep, finer_step
 from .forgotten_inputs import forgotten_inputs
 from .log_windows import Cut, LogColumns, LogWindow, unused_columns, windows_of
 from .logs import LogError, read_log
-from .rollout import RolloutResidual, Rollouts, SimulatedPlant, noise_of
+from .rollout import RolloutResidual, Rollouts, SimulatedPlant, least_noise, noise_of
 from .start_states import start_warnings
 from .swapped_columns import swapped_columns
 from .time_unit import check_time, passed_over
@@ -382,11 +382,15 @@ def _windows(request: Request, signals: LogColumns, component: Component) -> tup
 
 def _noise(request: Request, windows: Sequence[LogWindow]) -> Vector:
     """Return the standard deviation (c,) of each output's noise, the user's or the log's. Raises EstimateError."""
-    estimated = noise_of(windows)
-    noise = np.array([request.noise.get(name, s) for name, s in zip(request.measured, estimated, strict=True)])
-    if np.any(noise <= 0.0):
-        name = list(request.measured)[int(np.argmax(noise <= 0.0))]
-        raise EstimateError(
-            f"measured {name} never changes in the log: its noise cannot be told; give --noise {name}=."
-        )
-    return noise
+    estimated = dict(zip(request.measured, noise_of(windows).tolist(), strict=True))
+    noise = estimated | dict(request.noise)
+    for (name, std), least in zip(noise.items(), least_noise(windows).tolist(), strict=True):
+        if std <= 0.0:
+            raise EstimateError(
+                f"measured {name} never changes in the log: its noise cannot be told; give --noise {name}=."
+            )
+        if std < least:
+            raise EstimateError(
+                f"--noise {name} must be {least:.2g} or more, a millionth of the range of its values, got {std:g}."
+            )
+    return np.array(list(noise.values()))

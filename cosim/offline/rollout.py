@@ -205,11 +205,17 @@ def noise_of(windows: Sequence[LogWindow]) -> Vector:
     for i in range(windows[0].measured.shape[1]):
         fitted = [w.measured[: w.n_fit, i] for w in windows]
         differences = _third_differences(fitted) / np.sqrt(20.0)
-        known = np.concatenate([y[np.isfinite(y)] for y in fitted])
         robust = float(np.median(np.abs(differences))) / 0.6745 if len(differences) else 0.0
         mean = float(np.sqrt(np.mean(differences**2))) if len(differences) else 0.0
-        noise.append(max(robust or mean, 1e-6 * float(np.ptp(known)) if len(known) else 0.0))
-    return np.array(noise)
+        noise.append(robust or mean)
+    return np.maximum(noise, least_noise(windows))
+
+
+def least_noise(windows: Sequence[LogWindow]) -> Vector:
+    """Return a millionth of each output's range (c,) in the fitted rows: no residual that matters exceeds `LARGEST`."""
+    fitted = np.concatenate([w.measured[: w.n_fit] for w in windows])
+    known = [y[np.isfinite(y)] for y in fitted.T]
+    return np.array([1e-6 * float(np.ptp(y)) if len(y) else 0.0 for y in known])
 
 
 def _third_differences(signals: Sequence[Vector]) -> Vector:

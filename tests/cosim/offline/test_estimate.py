@@ -438,6 +438,7 @@ def test_a_pendulum_of_ours_against_dop853(tmp_path, oracles, fmi):
         ({"windows": ((3.0, 2.0),)}, EstimateError, "FROM < TO"),
         ({"windows": ((4.0, 8.0), (0.0, 4.5))}, LogError, "--window 0:4.5 and 4:8 overlap: their rows would"),
         ({"noise": {"x": 0.0}}, EstimateError, "--noise x must be positive"),
+        ({"noise": {"x": 1e-11}}, EstimateError, r"--noise x must be \d\.\de-07 or more, a millionth of the"),
         ({"noise": {"F": 1.0}}, EstimateError, "of a measured output"),
         ({"method": "rls"}, EstimateError, "no method 'rls' for a log"),
         ({"holdout": 0.9999}, LogError, "no rows are left to fit to"),

@@ -105,6 +105,8 @@ class Request:
             raise EstimateError("a log, a --parameter and a --measured output are needed, or more.")
         if self.evaluations < 1:
             raise EstimateError(f"--evaluations must be 1 or more, got {self.evaluations}.")
+        if self.seed < 0:
+            raise EstimateError(f"--seed must be 0 or more, got {self.seed}.")
         if not 1 <= self.jobs <= MOST_ROLLOUTS:
             raise EstimateError(f"--jobs must be from 1 to {MOST_ROLLOUTS}, got {self.jobs}.")
         if self.step is not None and not 0.0 < self.step < np.inf:

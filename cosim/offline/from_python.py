@@ -9,7 +9,7 @@ from estimator.space import Scale
 
 from ..blas_threads import one_thread
 from ..runs.lock import new_locked_folder
-from .estimate import Estimation, Request, Sought, with_profiles
+from .estimate import EstimateError, Estimation, Request, Sought, with_profiles
 from .estimate import estimate as estimate_from
 from .fit_folder import estimate_into, profile_into
 from .log_windows import Cut
@@ -80,7 +80,7 @@ def estimate(
         noise=noise or {},
         time=time,
         time_unit=time_unit,
-        windows=tuple(windows),
+        windows=cuts_of(windows),
         own=tuple(dict.fromkeys(own)),
         validation=tuple(map(Path, validation)),
         holdout=holdout,
@@ -106,3 +106,11 @@ def estimate(
 def sought(name: str, bounds: Bounds) -> Sought:
     """Return a parameter to estimate, as its bounds say."""
     return Sought(name, bounds[0], bounds[1], "linear" if len(bounds) == 2 else bounds[2])
+
+
+def cuts_of(windows: Sequence[Cut]) -> tuple[Cut, ...]:
+    """Return the parts of each log to use, as pairs of numbers. Raises EstimateError."""
+    try:
+        return tuple((float(low), float(high)) for low, high in windows)
+    except (TypeError, ValueError) as e:
+        raise EstimateError(f"windows must be pairs of numbers, [(from, to), ...], got {windows!r}.") from e

@@ -8,7 +8,7 @@ from ..blas_threads import one_thread
 from ..runs.lock import new_locked_folder
 from ..runs.record import recording
 from .estimate import EstimateError, Request
-from .from_python import Bounds, sought
+from .from_python import Bounds, cuts_of, sought
 from .log_windows import Cut
 from .online import Online, SampleProgress, run_online
 from .online_report import write_files
@@ -61,7 +61,7 @@ def estimate_online(
         noise=noise or {},
         time=time,
         time_unit=time_unit,
-        windows=tuple(windows),
+        windows=cuts_of(windows),
         step=step,
         method=method,
         evaluations=evaluations,

@@ -73,10 +73,20 @@ def test_the_function_of_the_library_is_the_command_with_keywords(ask, oracles, 
     assert {name: p["value"] for name, p in written["parameters"].items()} == found.estimates
 
 
-def test_the_function_of_the_library_refuses_in_one_line(plant, tmp_path):
-    for keywords, reason in (({"evaluations": 0}, "must be 1 or more"), ({"jobs": 0}, "must be from 1 to 256")):
-        with pytest.raises(cosim.CosimError, match=reason):
-            cosim.estimate(plant, tmp_path / "no.csv", {"m": (0.5, 4.0)}, {"x": "x"}, out=tmp_path / "out", **keywords)
+@pytest.mark.parametrize("function", [cosim.estimate, cosim.estimate_online])
+@pytest.mark.parametrize(
+    ("keywords", "reason"),
+    [
+        ({"evaluations": 0}, "must be 1 or more"),
+        ({"jobs": 0}, "must be from 1 to 256"),
+        ({"seed": -1}, "--seed must be 0 or more, got -1"),
+        ({"windows": ["0:5"]}, r"windows must be pairs of numbers, .* got \['0:5'\]"),
+        ({"windows": (0, 5)}, r"windows must be pairs of numbers, .* got \(0, 5\)"),
+    ],
+)
+def test_the_functions_of_the_library_refuse_in_one_line(plant, tmp_path, function, keywords, reason):
+    with pytest.raises(cosim.CosimError, match=reason):
+        function(plant, tmp_path / "no.csv", {"m": (0.5, 4.0)}, {"x": "x"}, out=tmp_path / "out", **keywords)
     assert not (tmp_path / "out").exists()
 
 

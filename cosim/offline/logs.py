@@ -163,7 +163,9 @@ def _read_csv(path: Path) -> tuple[Sequence[str], Sequence[Any]]:
         pyarrow.csv.ParseOptions(delimiter=delimiter),
         pyarrow.csv.ConvertOptions(null_values=_MISSING, decimal_point="," if is_decimal_comma else "."),
     )
-    return table.column_names, table.columns
+    found = zip(table.column_names, table.columns, strict=True)
+    used = [(name, column) for name, column in found if name.strip() or not pa.types.is_null(column.type)]
+    return [name for name, _ in used], [column for _, column in used]
 
 
 def _is_number(cell: str) -> bool:

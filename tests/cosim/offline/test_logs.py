@@ -21,8 +21,9 @@ ROWS = {"time": [0.0, 0.1, 0.25], "u": [1.0, 2.0, -3.5e-2]}
         (b"\xef\xbb\xbftime;u [kN.m]\r\n0;1\r\n0,1;2\r\n0,25;-0,035\r\n", "kN.m"),
         (b'"time"\t"u [\xc2\xb0C]"\n0\t1\n0.1\t2\n0.25\t-0.035\n', "°C"),
         (b"time,u [\xb0C]\n0,1\n0.1,2\n0.25,-0.035\n", "°C"),
+        (b"time,u,,\n0,1,,\n0.1,2,,\n0.25,-0.035,,\n", None),
     ],
-    ids=["plain", "units", "decimal-comma", "tabs", "cp1252"],
+    ids=["plain", "units", "decimal-comma", "tabs", "cp1252", "trailing-commas"],
 )
 def test_csv(tmp_path, content, unit):
     path = tmp_path / "log.csv"

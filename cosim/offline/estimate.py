@@ -385,14 +385,14 @@ def _windows(request: Request, signals: LogColumns, component: Component) -> tup
 def _noise(request: Request, windows: Sequence[LogWindow]) -> Vector:
     """Return the standard deviation (c,) of each output's noise, the user's or the log's. Raises EstimateError."""
     estimated = dict(zip(request.measured, noise_of(windows).tolist(), strict=True))
-    noise = estimated | dict(request.noise)
-    for (name, std), least in zip(noise.items(), least_noise(windows).tolist(), strict=True):
+    noise, least = estimated | dict(request.noise), least_noise(windows)
+    for i, (name, std) in enumerate(noise.items()):
         if std <= 0.0:
+            is_known = any(np.isfinite(w.measured[: w.n_fit, i]).any() for w in windows)
+            why = "never changes in the log" if is_known else "has no value in the rows to fit to"
+            raise EstimateError(f"measured {name} {why}: its noise cannot be told; give --noise {name}=.")
+        if std < least[i]:
             raise EstimateError(
-                f"measured {name} never changes in the log: its noise cannot be told; give --noise {name}=."
-            )
-        if std < least:
-            raise EstimateError(
-                f"--noise {name} must be {least:.2g} or more, a millionth of the range of its values, got {std:g}."
+                f"--noise {name} must be {least[i]:.2g} or more, a millionth of the range of its values, got {std:g}."
             )
     return np.array(list(noise.values()))

@@ -159,8 +159,12 @@ def test_a_bad_command_is_refused_in_one_line(command, capsys, tmp_path, options
         (lambda rows: [rows[0], *(f"{row.split(',')[0]},,1,1\n" for row in rows[1:])], "no two rows"),
         (lambda rows: [rows[0], *(f"{row.split(',')[0]},1,,1\n" for row in rows[1:])], "'x', measured for x, has no"),
         (lambda rows: [rows[0], *(f"{row.split(',')[0]},1,2,1\n" for row in rows[1:])], "never changes in the log"),
+        (
+            lambda rows: [rows[0], *(f"{row.split(',')[0]},1,,1\n" for row in rows[1:-9]), *rows[-9:]],
+            "measured x has no value in the rows to fit to",
+        ),
     ],
-    ids=["back", "short", "still", "headless", "dimension", "unit", "text", "no-input", "no-output", "constant"],
+    ids=["back", "short", "still", "headless", "dimension", "unit", "text", "no-input", "no-output", "constant", "end"],
 )
 def test_a_bad_log_is_refused_in_one_line(command, log, capsys, damage, told):
     rows = log.read_text().splitlines(keepends=True)

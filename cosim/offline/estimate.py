@@ -27,6 +27,7 @@ from .finer_step import FinerStep, finer_step
 from .forgotten_inputs import forgotten_inputs
 from .log_windows import Cut, LogColumns, LogWindow, unused_columns, windows_of
 from .logs import LogError, read_log
+from .noisy_start import NoisyStart, start_noise_of
 from .rollout import RolloutResidual, Rollouts, SimulatedPlant, least_noise, noise_of
 from .start_states import start_warnings
 from .swapped_columns import swapped_columns
@@ -145,6 +146,11 @@ class Request:
         """Start values that are numbers, the same in every window."""
         return {name: float(value) for name, value in self.start.items() if not isinstance(value, str)}
 
+    @property
+    def start_columns(self) -> dict[str, str]:
+        """Column by variable that starts as its column does."""
+        return {name: value for name, value in self.start.items() if isinstance(value, str)}
+
 
 @dataclass(frozen=True)
 class Estimation:
@@ -250,6 +256,8 @@ def estimate(request: Request, progress: FitProgress = lambda n, cost: None) -> 
     began = perf_counter()
     component, space, nominal, windows, noise, warnings = understand(request)
     warnings += counted_twice(request.logs, request.windows)
+    start_noise = start_noise_of(request.start_columns, request.measured, component, windows, noise)
+    noisy_start = NoisyStart(_plant(request), component, windows, space, noise, start_noise, request.jobs)
     with Rollouts(_plant(request), component, windows, request.jobs) as rollouts:
         residual = RolloutResidual(rollouts, space, windows, noise)
         if residual.n_residuals <= len(space):
@@ -260,8 +268,9 @@ def estimate(request: Request, progress: FitProgress = lambda n, cost: None) -> 
         try:
             loss = Loss(request.loss, request.f_scale)
             found = fit(
-                residual, space, nominal, request.method, request.evaluations, rng, progress, residual.series, loss
-            )
+                residual, space, nominal, request.method, request.evaluations, rng, progress, residual.series, loss,
+                noisy_start.effects,
+            )  # fmt: skip
         except NoFitError as e:
             raise FailedError(f"every roll-out failed, the first so: {residual.evaluations[0][2]}.") from e
         named = [space.named(nominal), space.named(found.theta)]
@@ -269,6 +278,8 @@ def estimate(request: Request, progress: FitProgress = lambda n, cost: None) -> 
     before, after = ([r.outputs for r in row] for row in (of_nominal, of_found))
     failed = [(w, r.reason) for w, r in zip(windows, of_found, strict=True) if r.reason is not None]
     warnings += [f"{w.name}: with the estimates the FMU fails in held-out rows: {reason}" for w, reason in failed]
+    if noisy_start.failure:
+        warnings.append(f"± lacks the noise of the start values, aside of which the FMU fails: {noisy_start.failure}")
     warnings += swapped_columns(request.measured, residual.cross_misfits, residual.n_residuals)
     return Estimation(
         request,
@@ -359,8 +370,7 @@ def _signals(request: Request, component: Component) -> LogColumns:
             raise EstimateError(f"--start of {request.fmu.name}: {problem}.")
         if name in request.inputs:
             raise EstimateError(f"input '{name}' starts as its column does; leave out its --start.")
-    columns = {name: value for name, value in request.start.items() if isinstance(value, str)}
-    return LogColumns(request.inputs, request.measured, columns, request.time, request.time_unit)
+    return LogColumns(request.inputs, request.measured, request.start_columns, request.time, request.time_unit)
 
 
 def _windows(request: Request, signals: LogColumns, component: Component) -> tuple[list[LogWindow], list[str]]:

@@ -220,7 +220,7 @@ def _samples(window: LogWindow, step: float | None, is_even: bool) -> tuple[list
 
 def _states(request: Request) -> tuple[str, ...]:
     """Return the variables that start as their column does: the states; that none is missing is tested later."""
-    return tuple(name for name, value in request.start.items() if isinstance(value, str))
+    return tuple(request.start_columns)
 
 
 def _told_by(request: Request, understood: Understood) -> dict[str, str]:

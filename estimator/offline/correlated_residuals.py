@@ -13,12 +13,16 @@ _QUIET: Final = 5
 """Number of lags without a significant correlation after which there is none."""
 
 
-def information_of_correlated(jacobian: Vector, r: Vector, misfit: float, series: Sequence[int]) -> Information:
+def information_of_correlated(
+    jacobian: Vector, r: Vector, misfit: float, series: Sequence[int], start_noise: Sequence[Vector] = ()
+) -> Information:
     """Return the information of the least-squares estimate, J (D, d), whose residuals r (D,) need not be white.
 
-    Its covariance is (J^T J)^-1 J^T C J (J^T J)^-1, C the residuals' covariance: of each series, stationary. With
-    J = Q R and C white, of variance misfit^2, Q^T C Q / misfit^2 is the identity; what it is more than that widens the
-    deviations, what it is less does not narrow them. series: numbers of rows that follow one another, D together.
+    Its covariance is (J^T J)^-1 J^T (C + G G^T) J (J^T J)^-1, C the residuals' covariance: of each series, stationary.
+    With J = Q R and C white, of variance misfit^2, Q^T C Q / misfit^2 is the identity; what it is more than that widens
+    the deviations, what it is less does not narrow them. series: numbers of rows that follow one another, D together.
+    start_noise: G by window, the change (n, s) of its rows by a standard deviation of each noisy start value; D rows
+    together, or none.
     """
     Q, R = np.linalg.qr(jacobian)
     share = len(r) / max(len(r) - jacobian.shape[1], 1)
@@ -29,6 +33,9 @@ def information_of_correlated(jacobian: Vector, r: Vector, misfit: float, series
         start += n
         toeplitz: Any = scipy.linalg.matmul_toeplitz(share * autocovariances(r[rows]) / misfit**2, Q[rows])
         ratio += Q[rows].T @ toeplitz
+    for rows, G in zip(np.split(Q, np.cumsum([len(G) for G in start_noise])[:-1]), start_noise, strict=False):
+        shared = rows.T @ G / misfit
+        ratio += shared @ shared.T
     widening, axes = np.linalg.eigh(0.5 * (ratio + ratio.T))
     return information((axes / np.sqrt(np.maximum(widening, 1.0))).T @ R / misfit)
 

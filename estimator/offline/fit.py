@@ -3,7 +3,7 @@
 Returns the standard deviation of each parameter there too. Independent of logs and FMUs.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -36,8 +36,8 @@ class OfflineFit:
     theta: Vector
     """Values (d,), in each parameter's unit."""
     std: Vector
-    """Standard deviations (d,), with the residuals' size and their correlation from row to row; as wide as the bounds
-    where the data say nothing."""
+    """Standard deviations (d,), with the residuals' size, their correlation from row to row and the noise of start
+    values; as wide as the bounds where the data say nothing."""
     white_std: Vector
     """Standard deviations (d,) if the residuals were white, s^2 (J^T J)^-1."""
     misfit: float
@@ -46,7 +46,8 @@ class OfflineFit:
     autocorrelation: float
     """Correlation of the residuals from one row to the next."""
     information: Information
-    """Sensitivity in the unit cube, in standard deviations of the misfit, its correlation included."""
+    """Sensitivity in the unit cube, in standard deviations of the misfit, its correlation and the start values' noise
+    included."""
     place: Vector
     """Place of theta in the unit cube (d,)."""
     residual: Vector
@@ -67,7 +68,7 @@ class OfflineFit:
 
     @property
     def inflation(self) -> Vector:
-        """Factors (d,) by which correlated residuals widen the standard deviations."""
+        """Factors (d,) by which correlated residuals and noisy start values widen the standard deviations."""
         return self.std / self.white_std
 
 
@@ -81,6 +82,7 @@ def fit(
     progress: FitProgress = lambda n, cost: None,
     series: Sequence[int] = (),
     loss: Loss | None = None,
+    start_noise: Callable[[Vector], Sequence[Vector]] = lambda theta: (),
 ) -> OfflineFit:
     """Return the parameters that explain the data best.
 
@@ -90,7 +92,8 @@ def fit(
     the minimum. Directions that the data do not determine go back to nominal (d,) where that costs less than a
     standard deviation.
     series: numbers of residuals that follow one another in time, D together; none: all do. loss: whose sum is made
-    least; None: the squares.
+    least; None: the squares. start_noise: function that returns what noisy start values do to the residual at theta
+    (d,), as `information_of_correlated` takes it.
     Raises NoFitError where none of the places spread over the bounds can be evaluated.
     """
     rng, loss = rng or np.random.default_rng(0), loss or Loss()
@@ -112,7 +115,9 @@ def fit(
     least = LinearEquivalent(place.r, descent.jacobian, place.misfit, 1.0)
     if not loss.is_linear:
         least = linear_equivalent(loss, residual(theta), descent.jacobian)
-    seen_by_data = information_of_correlated(least.jacobian, least.r, least.misfit, series or [len(place.r)])
+    seen_by_data = information_of_correlated(
+        least.jacobian, least.r, least.misfit, series or [len(place.r)], start_noise(theta)
+    )
     white = information(np.linalg.qr(least.jacobian).R / least.misfit)
     return OfflineFit(
         theta=theta,

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from pythonfmu import FmuBuilder
 from scipy.integrate import solve_ivp
+from scipy.linalg import block_diag
 
 import cosim
 from cosim.errors import SlaveError, WiringError
@@ -99,6 +100,47 @@ def test_intervals_cover_the_truth(ask, oracles):
     assert 0.7 < np.sqrt(np.mean(z * z)) < 1.35  # the deviations are neither too small nor too large
     assert all(all(f.fit.is_identifiable) for f in found)
     assert all(f.fit.misfit == pytest.approx(1.0, abs=0.15) for f in found)  # the noise is told from the log
+
+
+@pytest.fixture
+def from_noisy_rows(ask, oracles):
+    """from_noisy_rows(columns): m and c of a plant that starts from what is measured, in row 0 and again in row 200."""
+    start = {"x": "x", "v": "v", "k": oracles.TRUTH.k}
+    changes = {"start": start, "windows": ((0.0, 1.995), (2.0, 4.0)), "holdout": 0.0, "evaluations": 12}
+    return lambda columns: estimate(ask(columns, parameters=(MASS, DAMPER), **changes))
+
+
+def test_the_noise_of_start_columns_is_in_the_deviations(from_noisy_rows, oracles):
+    """J and G by differences of the closed form."""
+    columns = oracles.measure(0, end=4.0)
+    found = from_noisy_rows(columns)
+    t, force = columns["time [s]"], columns["force [N]"]
+    exact = np.column_stack(oracles.response(t, force))
+
+    def residual(rows, m=oracles.TRUTH.m, c=oracles.TRUTH.c, aside=(0.0, 0.0)):
+        simulated = oracles.response(t[rows], force[rows], m, c, start=exact[rows][0] + aside)
+        return np.concatenate(simulated) / 2e-3
+
+    windows = (slice(0, 200), slice(200, 401))
+    J = np.vstack([
+        np.column_stack([residual(w, m=1.7001) - residual(w, m=1.6999), residual(w, c=0.9001) - residual(w, c=0.8999)])
+        for w in windows
+    ]) / 2e-4  # fmt: skip
+    G = block_diag(*(
+        np.column_stack([residual(w, aside=aside) - residual(w) for aside in ((2e-3, 0.0), (0.0, 2e-3))])
+        for w in windows
+    ))  # fmt: skip
+    inverse = np.linalg.inv(J.T @ J)
+    expected = np.sqrt(np.diag(inverse + inverse @ J.T @ G @ G.T @ J @ inverse))
+    assert found.fit.std == pytest.approx(expected, rel=0.15)  # the noise is told from 400 rows
+    assert np.all(expected > 2.0 * np.sqrt(np.diag(inverse)))
+
+
+@pytest.mark.full
+def test_intervals_cover_the_truth_where_the_start_is_noisy(from_noisy_rows, oracles):
+    z = [errors(from_noisy_rows(oracles.measure(seed, end=4.0)), oracles) for seed in range(12)]
+    assert np.abs(z).max() < 4.0
+    assert 0.6 < np.sqrt(np.mean(np.square(z))) < 1.6
 
 
 @pytest.mark.full_but("least-squares")

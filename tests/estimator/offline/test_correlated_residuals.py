@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.linalg import toeplitz
+from scipy.linalg import block_diag, toeplitz
 
 from estimator import Parameter, ParameterSpace
 from estimator.offline.correlated_residuals import autocovariances, information_of_correlated
@@ -65,6 +65,18 @@ def test_each_series_has_a_correlation_of_its_own():
     std = std_of(information_of_correlated(basis, r, 1.0, [N, N]))
     assert std[0] == pytest.approx(N**-0.5, rel=0.1)
     assert std[1] == pytest.approx(exact_std(0.9, np.ones((N, 1)))[0], rel=0.4)
+
+
+def test_noisy_start_values_widen_the_deviations_as_the_closed_form_says():
+    """Two windows, each begun off by a level and a trend of its own."""
+    r = np.random.default_rng(2).standard_normal(N)
+    starts = [5.0 * BASIS[:500, :2], 3.0 * BASIS[500:, :2]]
+    G = block_diag(*starts)
+    inverse = np.linalg.inv(BASIS.T @ BASIS)
+    expected = np.sqrt(np.diag(inverse @ BASIS.T @ (np.eye(N) + G @ G.T) @ BASIS @ inverse))
+    found = std_of(information_of_correlated(BASIS, r, 1.0, [500, 1000], starts))
+    assert found[:2] == pytest.approx(expected[:2], rel=1e-3)
+    assert np.all(expected[:2] > 50.0 * np.sqrt(np.diag(inverse)[:2]))
 
 
 @pytest.mark.parametrize("n", [1, 2, 5, 7])

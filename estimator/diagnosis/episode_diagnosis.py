@@ -128,12 +128,10 @@ class EpisodeDiagnosis:
         state = self._state
         state.n_samples += 1
         residual = self._newest = self._window.track(theta)
-        newest = residual.reshape(len(self._outputs), -1)[:, -1:].ravel()  # empty where a simulation has failed
-        if len(newest) and self._window.weights is not None:
-            newest = newest / self._window.weights
+        newest = self._of_newest(residual, sample)
         if state.n_samples < state.rests_until:
             state.n_calm = 0
-            if len(newest) and np.all(np.isfinite(newest)):
+            if np.any(np.isfinite(newest)):
                 state.rested.append(newest)
                 state.resting = state.resting.take(newest)
             if self._is_rest_over():
@@ -151,6 +149,16 @@ class EpisodeDiagnosis:
             state.lasting = theta
         state.suspected_at, state.n_calm = state.n_samples, 0
         return trigger(sample, tracking_error, theta)
+
+    def _of_newest(self, residual: Vector, sample: Sample) -> Vector:
+        """Return the newest sample's residual (c,) in standard deviations of the declared noise.
+
+        NaN where an output was not measured, empty where a simulation has failed.
+        """
+        newest = residual.reshape(len(self._outputs), -1)[:, -1:].ravel()
+        if len(newest) and self._window.weights is not None:
+            newest = newest / self._window.weights
+        return np.where(np.isnan(sample.y), np.nan, newest) if len(newest) == len(sample.y) else newest
 
     def innovation(self, theta: Vector, sample: Sample) -> Vector:
         """Return the residual (D,) that `reason` has computed for this sample: a simulation is not continued twice."""
@@ -323,7 +331,7 @@ class EpisodeDiagnosis:
         state.n_quiet, state.n_calm = state.n_quiet + 1, state.n_calm + 1
         if state.n_quiet >= FORGOTTEN:
             state.n_quiet, state.n_failures = 0, max(state.n_failures - 1, 0)
-        if np.all(np.isfinite(newest)) and state.scale.learn(newest):
+        if np.any(np.isfinite(newest)) and state.scale.learn(newest):
             self._window.weights = 1.0 / state.scale.effective
 
     def _disturbed(self, held: Vector) -> DisturbedInputs:

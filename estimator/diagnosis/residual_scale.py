@@ -70,7 +70,7 @@ class ResidualScale:
             return False
         self._since_update = 0
         rows = np.array(self._rows)
-        of_channels = [column[np.isfinite(column)] for column in rows.T]
+        of_channels = _known(rows)
         is_seen = np.array([len(values) >= _FEWEST for values in of_channels])
         if not is_seen.any():
             return False
@@ -89,19 +89,28 @@ class ResidualScale:
         self._rows.clear()
 
     def admit(self, rows: Vector) -> bool:
-        """Take residuals (n, c) that no parameters explain for the model's usual error; return whether it changed."""
+        """Take residuals (n, c) that no parameters explain for the model's usual error; return whether it changed.
+
+        NaN where a channel has no value.
+        """
         self._rows.clear()
         self._since_update = 0
         if len(rows) < 2:
             return False
-        self._admitted = np.maximum(self._admitted, np.sqrt(np.mean(rows**2, axis=0)))
-        return self._adopt(self._admitted, rows, self.values)
+        n_known = np.count_nonzero(np.isfinite(rows), axis=0)
+        size = np.sqrt(np.nansum(rows**2, axis=0) / np.maximum(n_known, 1))
+        self._admitted = np.maximum(self._admitted, size)
+        return self._adopt(self._admitted, np.nan_to_num(rows), self.values)
 
     def wake(self, rows: Vector) -> bool:
-        """Take the residuals (n, c) of a rest, of which only the noise is believed; return whether it changed."""
+        """Take the residuals (n, c) of a rest, of which only the noise is believed; return whether it changed.
+
+        NaN where a channel has no value: one that has too few of them stays as it is.
+        """
         if len(rows) < _AT_ONCE:
             return False
-        return self._adopt(spread_of(rows), rows, self.values)
+        spread = [float(spread_of(values)) if len(values) >= _AT_ONCE else 0.0 for values in _known(rows)]
+        return self._adopt(np.array(spread), np.nan_to_num(rows), self.values)
 
     def _adopt(self, found: Vector, rows: Vector, least: Vector | float = 1.0) -> bool:
         found = np.maximum(np.where(found < _DEAD_BAND, 1.0, found), least)
@@ -128,6 +137,11 @@ def spread_of(rows: Vector) -> Vector:
     """Return the standard deviation (c,) of white noise in rows (n, c), from their differences: robust, and blind to
     whatever changes slowly."""
     return _MAD * np.median(np.abs(np.diff(rows, axis=0)), axis=0) / np.sqrt(2.0)
+
+
+def _known(rows: Vector) -> list[Vector]:
+    """Return the values of each channel of rows (n, c), without NaN."""
+    return [column[np.isfinite(column)] for column in rows.T]
 
 
 def _lag_one(rows: Vector) -> Vector:

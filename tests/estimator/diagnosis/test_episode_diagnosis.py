@@ -46,7 +46,7 @@ class Simulated:
         x, rows = np.array(stretch.origin), []
         for sample in stretch.samples[1:]:
             x = after(x, sample.u[0], theta, *sample.u[1:])
-            rows.append((x - sample.y) / SIGMA)
+            rows.append(np.nan_to_num((x - sample.y) / SIGMA))
         rows = np.array(rows)
         return Evaluation(rows.T.reshape(-1), None, np.sum(rows**2, axis=1))
 
@@ -70,6 +70,7 @@ class Run:
 
     estimator: str = "target"
     noise: float = 1.0  # in declared standard deviations
+    missing: float = 0.0  # share of the measurements
     seed: int = 0
     settings: DiagnosisSettings = field(default_factory=DiagnosisSettings)
     inputs: tuple[str, ...] = ("u",)
@@ -96,6 +97,8 @@ class Run:
             if self.k:
                 self.x = after(self.x, u + (push(i) if callable(push) else push), truth, moment)
             y = self.x + self.noise * SIGMA * self.rng.standard_normal(2)
+            if self.missing:
+                y[self.rng.random(2) < self.missing] = np.nan
             inputs = (u, 0.0)[: len(self.inputs)] or (u,)
             self.take(Sample(0.1 * self.k, tuple(self.x.tolist()), inputs, (), tuple(y.tolist())))
         return self
@@ -317,10 +320,10 @@ def test_noise_much_larger_than_declared_is_known_after_a_search_or_two(estimato
     assert near(run.held, CHANGED, 0.2)
 
 
-@pytest.mark.parametrize("noise", [2.0, 10.0])
-def test_noise_larger_than_declared_is_learnt_within_two_rests(noise):
+@pytest.mark.parametrize(("noise", "missing"), [(2.0, 0.0), (10.0, 0.0), (2.0, 0.4)])
+def test_noise_larger_than_declared_is_learnt_within_two_rests(noise, missing):
     settings = DiagnosisSettings(rest=100, longest_rest=100)
-    run = Run("least-squares", noise=noise, settings=settings).go(1200)
+    run = Run("least-squares", noise=noise, missing=missing, settings=settings).go(1200)
     assert_allclose(run.diagnosis._state.scale.values, noise, rtol=0.3)
     assert len(run.of("rest")) <= 2
     assert near(run.held, TRUE, 0.1)

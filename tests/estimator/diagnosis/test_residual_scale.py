@@ -236,6 +236,15 @@ def test_values_that_are_missing_now_and_then_are_left_out():
     assert_allclose(scale.values, 4.0, rtol=0.25)
 
 
+@pytest.mark.parametrize("take", ["admit", "wake"])
+def test_missing_values_of_a_rest_are_left_out(take):
+    rows = noise(3, 400, 4.0, n_channels=3)
+    rows[::2, 1], rows[:, 2] = np.nan, np.nan
+    scale = ResidualScale(3)
+    assert getattr(scale, take)(rows)
+    assert_allclose(scale.values, [4.0, 4.0, 1.0], rtol=0.25)
+
+
 def test_nothing_is_learnt_without_any_values():
     scale, has_changed = learnt(np.full((400, 1), np.nan))
     assert not has_changed

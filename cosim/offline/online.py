@@ -155,7 +155,8 @@ def _watched(
             _search(request, space, theta, rng), stretch, InnovationSettings(), budget,
             objective.describe, diagnosis=diagnosis,
         )  # fmt: skip
-        screen = OutputScreen(ObservationSettings(), outputs, (True,) * len(outputs), samples[1].t - samples[0].t)
+        macro_step = samples[1].t - samples[0].t
+        screen = OutputScreen(ObservationSettings(), outputs, (True,) * len(outputs), macro_step, may_be_missing=True)
         supervisor = Supervisor(request.method, retuner, NoDataSupport(), screen)
         for k, sample in enumerate(samples[1:], 1):
             try:

@@ -140,9 +140,14 @@ class OutputScreen:
         names: tuple[str, ...],
         is_noisy: tuple[bool, ...],
         macro_step: float,
+        *,
+        may_be_missing: bool = False,
     ) -> None:
-        """names, is_noisy: of the outputs y (c,), and whether noise changes their bits; macro_step [s]."""
-        self._names, self._is_noisy = names, is_noisy
+        """names, is_noisy: of the outputs y (c,), and whether noise changes their bits; macro_step [s].
+
+        may_be_missing: whether a sample without some of them is no fault of their sensors, as in a log.
+        """
+        self._names, self._is_noisy, self._may_be_missing = names, is_noisy, may_be_missing
         self._plain, self._health = SensorChecks(names, settings.stuck, macro_step), SensorHealth(settings)
         self._n_kept_out = 0
 
@@ -153,6 +158,8 @@ class OutputScreen:
             return self._is_noisy[i] and noise_moves(standing)
 
         found = {*self._plain.step(t, sample.t, sample.y, sample.u, moves)}
+        if self._may_be_missing:
+            found -= {("missing", name) for name in self._names}
         bad = {name for _, name in found}
         is_useless = bool(self._health.failed) or LATE in found or INPUT in bad
         y = tuple(

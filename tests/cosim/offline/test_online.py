@@ -128,6 +128,15 @@ def test_without_states_it_is_simulated_from_the_start(ask, oracles):
     assert watched.theta == pytest.approx([2.6, 1.4], rel=0.05)
 
 
+@pytest.mark.parametrize("share", [0.4, 0.6])
+def test_an_output_that_is_often_missing_has_not_failed(ask, oracles, share):
+    columns = oracles.jump(0, end=5.0)
+    columns["v [m/s]"][np.random.default_rng(1).random(501) < share] = np.nan
+    (watched,) = ask(columns, start=KNOWN, noise={"x": 2e-3, "v": 2e-3}).watched
+    assert watched.found["observations"] == {"kept_out": 0, "found": {}, "failed": []}
+    assert 4.0 < of(watched, "trigger")[0].t <= 4.2
+
+
 def at_rest_first(oracles, rest=1.0, seed=0):
     """A log of the plant that stands still until its force begins to move it."""
     rng, t = np.random.default_rng(seed), 0.01 * np.arange(301)

@@ -245,6 +245,7 @@ def understand(request: Request) -> Understood:
     check_time(windows, component, request.step, request.time_unit is not None)
     warnings += passed_over(windows, request.step)
     warnings += start_warnings(component, request.start, [p.name for p in request.parameters], request.own, windows)
+    warnings += [f"{what}: {bound:g} is used." for what, bound in out_of_bounds(request, component).items()]
     return Understood(component, space, nominal, windows, _noise(request, windows), warnings)
 
 
@@ -345,15 +346,32 @@ def _space(request: Request, component: Component) -> tuple[ParameterSpace, Vect
             parameters += [Parameter(name, p.lower, p.upper, unit_name, p.scale) for name in names]
         except ValueError as e:
             raise EstimateError(str(e).rstrip(".") + ".") from e
-        given = request.start.get(p.name, component.variables[p.name].start)
-        if isinstance(given, str) and p.name in request.start:
-            raise EstimateError(f"'{p.name}' is to be estimated: --start may give it a value, not column '{given}'.")
-        nominal += [float(given) if given is not None else (p.lower + p.upper) / 2.0] * len(names)
+        if column := request.start_columns.get(p.name):
+            raise EstimateError(f"'{p.name}' is to be estimated: --start may give it a value, not column '{column}'.")
+        before = _before(request, component, p.name)
+        nominal += [before if before is not None else (p.lower + p.upper) / 2.0] * len(names)
     try:
         space = ParameterSpace(tuple(parameters))
     except ValueError as e:
         raise EstimateError(str(e)) from e
     return space, np.clip(nominal, [p.lower for p in parameters], [p.upper for p in parameters])
+
+
+def _before(request: Request, component: Component, name: str) -> float | None:
+    """Return a parameter's value before, the user's or else the FMU's; None where there is none."""
+    given = request.start.get(name, component.variables[name].start)
+    return None if given is None else float(given)
+
+
+def out_of_bounds(request: Request, component: Component) -> dict[str, float]:
+    """Return the bound that is used in place of each value before that is beyond it, by what is so, in words."""
+    found: dict[str, float] = {}
+    for p in request.parameters:
+        before = _before(request, component, p.name)
+        if before is not None and not p.lower <= before <= p.upper:
+            given = f"--start {p.name}={before:g}" if p.name in request.start else f"the FMU's {p.name} = {before:g}"
+            found[f"{given} is outside of {p.lower:g} to {p.upper:g}"] = p.lower if before < p.lower else p.upper
+    return found
 
 
 def _signals(request: Request, component: Component) -> LogColumns:

@@ -33,7 +33,7 @@ from ..retuning.decision import Point
 from ..retuning.supervisor import Supervisor
 from ..sampling.screen import OutputScreen
 from ..scenarios.schema.sampling import ObservationSettings
-from .estimate import EstimateError, Request, Understood, understand
+from .estimate import EstimateError, Request, Understood, out_of_bounds, understand
 from .log_windows import LogWindow
 from .one_by_one import OneByOne
 from .rollout import Grid, grid_of, noise_of
@@ -99,6 +99,8 @@ def run_online(
         raise EstimateError("--online takes all rows one after the other: leave out --holdout and --validate.")
     request = replace(request, holdout=0.0)
     understood = understand(request)
+    if wrong := next(iter(out_of_bounds(request, understood.component)), None):
+        raise EstimateError(f"--online begins with the values in force, and {wrong}: give wider bounds, or --start.")
     is_even = has_fixed_step(understood.component.description)
     n_points = max(len(_grid(window, request.step, is_even).times) for window in understood.windows)
     if n_samples >= n_points:

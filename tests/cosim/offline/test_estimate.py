@@ -361,6 +361,16 @@ def test_a_parameter_that_nothing_depends_on_stays_and_is_named(ask, oracles):
     assert any("hardly see c_limit" in word for word in words(found))
 
 
+@pytest.mark.parametrize(("start", "what"), [({}, "the FMU's k = "), ({"k": 20.0}, "--start k=20 ")])
+def test_a_value_before_out_of_the_bounds_is_told(ask, oracles, start, what):
+    columns = oracles.measure(0, end=1.0)
+    found = estimate(ask(columns, parameters=(MASS, Sought("k", 21.0, 30.0)), start=start, evaluations=4))
+    (warning,) = found.warnings
+    assert warning.startswith(what)
+    assert warning.endswith("is outside of 21 to 30: 21 is used.")
+    assert found.nominal[1] == 21.0
+
+
 def test_roll_outs_that_fail_are_bad_candidates_with_a_reason(ask, oracles):
     found = estimate(ask(oracles.measure(0), start={"c_limit": 1.0}))
     assert np.abs(errors(found, oracles)).max() < 4.0

@@ -212,6 +212,10 @@ def test_what_cannot_be_is_refused(ask, oracles):
         ask(columns, start=KNOWN, parameters=(SPRING,))
     with pytest.raises(EstimateError, match="'x' is none"):
         ask(columns, start=KNOWN, parameters=(MASS, Sought("x", -1.0, 1.0)))
+    with pytest.raises(EstimateError, match=r"the values in force, and the FMU's k = 10 is outside of 21 to 30: give"):
+        ask(columns, start=STATES, parameters=(Sought("k", 21.0, 30.0),))
+    with pytest.raises(EstimateError, match=r"in force, and --start m=1\.7 is outside of 0\.5 to 1\.5: give"):
+        ask(columns, parameters=(Sought("m", 0.5, 1.5),))
     with pytest.raises(EstimateError, match="leave out --holdout"):
         ask(columns, holdout=0.5)
     with pytest.raises(EstimateError, match=r"samples 0\.01 s apart: --step"):

@@ -26,7 +26,6 @@ from estimator import Sample, Vector
 
 from ..scenarios.schema.sampling import Sampling, SavitzkyGolay, StateVariable
 
-_TAIL: Final = 1e-3  # weight of a state-variable filter's endless response that is left out
 _CORRELATED: Final = 0.05  # what two samples' noise may share
 
 
@@ -87,16 +86,14 @@ def savitzky_golay(points: int, order: int, macro_step: float) -> Kernel:
     return Kernel(macro_step * np.cumsum(newest_first)[:-1], macro_step)
 
 
-def state_variable(cutoff: float, order: int, macro_step: float) -> Kernel:
+def state_variable(settings: StateVariable, macro_step: float) -> Kernel:
     """Return the kernel of the filter F(s) = (cutoff / (s + cutoff))^order, cutoff in rad/s.
 
     Young and Jakeman (1980); Garnier and Wang (2008), section 1.5. It is exact for a signal held over each
     step: F's step response is that of a gamma distribution. The response is cut where 0.1 % is left.
     """
-    n = 1
-    while scipy.special.gammainc(order, cutoff * n * macro_step) < 1.0 - _TAIL:
-        n += 1
-    weights = np.diff(scipy.special.gammainc(order, cutoff * macro_step * np.arange(n + 1)))
+    n = settings.n_steps(macro_step)
+    weights = np.diff(scipy.special.gammainc(settings.order, settings.cutoff * macro_step * np.arange(n + 1)))
     return Kernel(weights / weights.sum(), macro_step)
 
 
@@ -106,7 +103,7 @@ def kernel_of(settings: SavitzkyGolay | StateVariable, macro_step: float) -> Ker
         case SavitzkyGolay():
             return savitzky_golay(settings.points, settings.order, macro_step)
         case StateVariable():
-            return state_variable(settings.cutoff, settings.order, macro_step)
+            return state_variable(settings, macro_step)
 
 
 def derivative_noise(sampling: Sampling, macro_step: float) -> tuple[float, ...]:

@@ -20,7 +20,7 @@ from .overrides import override
 from .schema.estimation import EstimatedParameter, EstimationSettings
 from .schema.guard import GuardSettings
 from .schema.record import RecordSettings
-from .schema.sampling import ObservationSettings, Sampling
+from .schema.sampling import ObservationSettings, Sampling, StateVariable
 from .schema.simulation import ComponentSettings, RunLimits, SimulationSettings
 from .schema.table import Reference, Table
 from .validation import first_error
@@ -149,6 +149,8 @@ class Scenario(Table):
                 raise ValueError(f"tracking: '{reference}' is tracked against itself")
         self.scenario.check_size(sum(c.fmu is not None for c in self.components.values()))
         self.change_functions()
+        if isinstance(self.sampling.filter, StateVariable):
+            self.sampling.filter.n_steps(self.scenario.macro_step)
         return self
 
 

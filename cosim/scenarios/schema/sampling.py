@@ -1,13 +1,21 @@
 """Tables of a scenario file on measurement: sensors, their faults, the filter, checks of samples."""
 
+from math import ceil
 from typing import Annotated, Final, Literal, Self
 
+import scipy  # its parts, 0.3 s, are loaded when they are used
 from pydantic import Field, field_validator, model_validator
 
 from .table import MOST, Reference, Table
 
 _SMALLEST: Final = 1e-100
 """Smallest standard deviation of a noise: the squares of residuals divided by it stay finite."""
+
+
+_LONGEST: Final = 5000
+"""Largest number of macro steps that a filter weighs: more are a mistake, and its correlation takes their square."""
+_TAIL: Final = 1e-3
+"""Share of a state-variable filter's endless response that is left out."""
 
 
 class Noise(Table):
@@ -37,7 +45,7 @@ class SavitzkyGolay(Table):
 
     kind: Literal["savitzky-golay"]
     """savitzky-golay"""
-    points: int = Field(default=11, ge=3, le=MOST)
+    points: int = Field(default=11, ge=3, le=_LONGEST + 1)
     """Number of points; odd."""
     order: int = Field(default=3, ge=1, le=MOST)
     """Order of the polynomial."""
@@ -62,6 +70,20 @@ class StateVariable(Table):
     """Number of low-pass filters in series."""
     every: int | None = Field(default=None, ge=1, le=MOST)
     """Points from one sample to the next; by default enough that two samples share at most 5 % of their noise."""
+
+    def n_steps(self, macro_step: float) -> int:
+        """Return after how many macro steps [s] 0.1 % of the response is left. Raises ValueError for too many.
+
+        F's step response is that of a gamma distribution.
+        """
+        length = float(scipy.special.gammaincinv(self.order, 1.0 - _TAIL)) / macro_step  # times cutoff
+        if length > _LONGEST * self.cutoff:
+            least = 1.01 * length / _LONGEST  # which rounding does not make too small
+            raise ValueError(
+                f"sampling.filter.cutoff: must be {least:.3g} rad/s at least, got {self.cutoff:g}: the filter would "
+                f"weigh more than {_LONGEST} macro steps of {macro_step:g} s"
+            )
+        return ceil(length / self.cutoff)
 
 
 class SensorFault(Table):

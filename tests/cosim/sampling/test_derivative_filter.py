@@ -101,6 +101,16 @@ def test_low_passes_weigh_as_scipys_discretised_transfer_function_does(order):
     assert kernel.weights == pytest.approx(response[1:] / response[1:].sum(), rel=1e-9)
 
 
+@pytest.mark.parametrize("order", [1, 2, 10])
+def test_a_cutoff_that_asks_for_too_many_weights_is_refused_with_one_that_does_not(order):
+    with pytest.raises(ValueError, match=r"cutoff: must be .* rad/s at least") as refused:
+        kernel_of(StateVariable(kind="state-variable", cutoff=1e-9, order=order), H)
+    least = float(str(refused.value).split()[3])
+    n = len(kernel_of(StateVariable(kind="state-variable", cutoff=least, order=order), H).weights)
+    assert 4900 < n <= 5000
+    assert stats.gamma(order, scale=1.0 / least).sf([H * n, H * (n - 1)]) == pytest.approx([1e-3, 1e-3], rel=0.01)
+
+
 @pytest.mark.parametrize("points", [5, 11, 31])
 def test_noise_of_a_straight_lines_slope_is_that_of_linear_regression(points):
     kernel = kernel_of(SavitzkyGolay(kind="savitzky-golay", points=points, order=1), H)

@@ -4,9 +4,9 @@ import argparse
 import sys
 
 from ..files import to_json, write_text
-from ..offline.estimate import Request
 from ..offline.online import run_online
 from ..offline.online_report import estimates_ssv, report, summary, write_files
+from ..offline.request import Request
 from ..runs.record import recording
 from ..terminal.exit_codes import DONE, INTERRUPTED, UNFINISHED
 from ..terminal.folders import new_folder

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .estimate import Request
+    from .request import Request
 
 _Pair = tuple[str, str]
 
@@ -75,7 +75,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def request_of(options: argparse.Namespace) -> "Request":
     """Return the request that the options make. Raises EstimateError."""
-    from .estimate import EstimateError, Request, Sought
+    from .request import EstimateError, Request, Sought
 
     if options.samples is not None and not (options.online and options.samples):
         raise EstimateError("--samples must be 1 or more, and goes with --online.")
@@ -115,7 +115,7 @@ def request_of(options: argparse.Namespace) -> "Request":
 
 
 def _unique(pairs: Sequence[_Pair], option: str) -> dict[str, str]:
-    from .estimate import EstimateError
+    from .request import EstimateError
 
     names = [name for name, _ in pairs]
     repeated = next((name for name in names if names.count(name) > 1), None)

@@ -6,10 +6,11 @@ from pathlib import Path
 from estimator.offline.evaluated import FitProgress
 
 from ..runs.record import recording
-from .estimate import Estimation, Request, estimate, with_profiles
+from .estimate import Estimation, estimate, with_profiles
 from .fit_plot import draw_fit
 from .fit_report import write_files
 from .profile_plot import draw_profiles
+from .request import Request
 
 
 def estimate_into(folder: Path, request: Request, progress: FitProgress) -> Estimation:

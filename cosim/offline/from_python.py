@@ -9,10 +9,11 @@ from estimator.space import Scale
 
 from ..blas_threads import one_thread
 from ..runs.lock import new_locked_folder
-from .estimate import EstimateError, Estimation, Request, Sought, with_profiles
+from .estimate import Estimation, with_profiles
 from .estimate import estimate as estimate_from
 from .fit_folder import estimate_into, profile_into
 from .log_windows import Cut
+from .request import EstimateError, Request, Sought
 
 Bounds = tuple[float, float] | tuple[float, float, Scale]
 """Lower bound, upper bound and, where it is not "linear", the scale of the search: "log"."""

@@ -33,10 +33,11 @@ from ..retuning.decision import Point
 from ..retuning.supervisor import Supervisor
 from ..sampling.screen import OutputScreen
 from ..scenarios.schema.sampling import ObservationSettings
-from .estimate import EstimateError, Request, Understood, out_of_bounds, understand
 from .log_windows import LogWindow
 from .one_by_one import OneByOne
+from .request import EstimateError, Request
 from .rollout import Grid, grid_of, noise_of
+from .understood import Understood, out_of_bounds, understand
 
 _MOVING: Final = ("output", "local")
 """Causalities of variables that change while the FMU runs: with a start value, they are states."""

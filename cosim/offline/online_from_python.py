@@ -7,11 +7,11 @@ from pathlib import Path
 from ..blas_threads import one_thread
 from ..runs.lock import new_locked_folder
 from ..runs.record import recording
-from .estimate import EstimateError, Request
 from .from_python import Bounds, cuts_of, sought
 from .log_windows import Cut
 from .online import Online, SampleProgress, run_online
 from .online_report import write_files
+from .request import EstimateError, Request
 
 
 def estimate_online(

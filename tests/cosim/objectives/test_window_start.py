@@ -6,8 +6,8 @@ from scipy.signal import cont2discrete
 
 from benchmarks.native_fmus import FOREIGN, build_c
 from cosim.objectives.rollout_plan import History
-from cosim.offline.estimate import Request, Sought
 from cosim.offline.online import run_online
+from cosim.offline.request import Request, Sought
 from cosim.slaves.slave import Slave
 from estimator import Sample
 

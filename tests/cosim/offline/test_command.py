@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 
 from cosim.cli import main
-from cosim.offline.estimate import Request, Sought, understand
 from cosim.offline.estimate_file import with_file
 from cosim.offline.estimate_options import request_of
 from cosim.offline.logs import LogError
+from cosim.offline.request import Request, Sought
+from cosim.offline.understood import understand
 from cosim.ssv.document import read_ssv
 from cosim.terminal.options import make_parser
 

@@ -12,10 +12,11 @@ from scipy.linalg import block_diag
 
 import cosim
 from cosim.errors import SlaveError, WiringError
-from cosim.offline.estimate import EstimateError, FailedError, Request, Sought, estimate
+from cosim.offline.estimate import FailedError, estimate
 from cosim.offline.fit_report import report, words, write_files
 from cosim.offline.logs import LogError
 from cosim.offline.misfit_over_log import misfit_over_log
+from cosim.offline.request import EstimateError, Request, Sought
 from cosim.offline.rollout import Rollouts
 from cosim.ssv.document import read_ssv
 from cosim.system.fmu_cache import find_fmu

@@ -16,9 +16,9 @@ from cosim.cli import main
 from cosim.objectives.rollout import RolloutObjective
 from cosim.objectives.rollout_fmu import Shadow
 from cosim.objectives.rollout_start import NoisyStartObjective
-from cosim.offline.estimate import EstimateError, Request, Sought
 from cosim.offline.online import run_online
 from cosim.offline.online_report import report
+from cosim.offline.request import EstimateError, Request, Sought
 from cosim.ssv.document import read_ssv
 from estimator import Sample, SampleSequence
 

@@ -34,7 +34,7 @@ from .settings import (
     Judgement,
     is_at_unseen_bound,
 )
-from .state import channel_summary
+from .state import WINDOW, channel_summary
 
 _MORE: Final = "parameters and a disturbance explained fewer samples equally well"
 """Reason of an episode on a longer window."""
@@ -55,6 +55,8 @@ class _State:
     n_quiet: int = 0
     n_calm: int = 0
     """Number of samples since the last that contradicted those in force, or that rested."""
+    restless_since: int = 0
+    """Number of the first sample that contradicted those in force after some quiet."""
     n_samples: int = 0
     rests_until: int = 0
     counts: Counter[str] = field(default_factory=Counter[str])
@@ -130,12 +132,7 @@ class EpisodeDiagnosis:
         residual = self._newest = self._window.track(theta)
         newest = self._of_newest(residual, sample)
         if state.n_samples < state.rests_until:
-            state.n_calm = 0
-            if np.any(np.isfinite(newest)):
-                state.rested.append(newest)
-                state.resting = state.resting.take(newest)
-            if self._is_rest_over():
-                self._window.weights = 1.0 / state.scale.effective
+            self._rest(newest)
             return None
         if not len(residual):
             state.n_calm = 0
@@ -147,6 +144,8 @@ class EpisodeDiagnosis:
             return None
         if state.lasting is None or state.n_samples >= state.suspected_at + FORGOTTEN:
             state.lasting = theta
+        if state.n_calm >= WINDOW:
+            state.restless_since = state.n_samples
         state.suspected_at, state.n_calm = state.n_samples, 0
         return trigger(sample, tracking_error, theta)
 
@@ -254,7 +253,7 @@ class EpisodeDiagnosis:
             state.scale.admit(np.array(state.rested))
             self._window.weights = 1.0 / state.scale.effective
         length = self._settings.rest_length(state.n_failures)
-        state.rests_until, state.unexplained = state.n_samples + length, None
+        state.rests_until = state.n_samples + length
         state.rested.clear()
         state.resting = RestingResiduals()
         reason = f"{state.n_failures} failed searches: re-tuning rests for {length} samples"
@@ -309,14 +308,33 @@ class EpisodeDiagnosis:
                 return True
         return False
 
-    def _is_rest_over(self) -> bool:
-        """Return whether a rest ends with another scale of the residuals; early where something has happened."""
+    def _rest(self, newest: Vector) -> None:
+        """Take the newest sample's residual (c,) in a rest, and end the rest where that is over, early perhaps.
+
+        What was unexplained has outgrown all before; or it has passed: residuals have been no more than noise for as
+        long as they had been more.
+        """
+        state = self._state
+        state.n_calm = 0
+        if np.any(np.isfinite(newest)):
+            state.rested.append(newest)
+            state.resting = state.resting.take(newest, state.scale.values)
+        if state.resting.is_calm(state.n_samples - state.restless_since - state.resting.n_calm):
+            state.rests_until, state.n_calm = state.n_samples, state.resting.n_calm
+        elif self._has_other_scale():
+            self._window.weights = 1.0 / state.scale.effective
+
+    def _has_other_scale(self) -> bool:
+        """Return whether a rest ends with another scale of the residuals."""
         state = self._state
         if state.resting.is_outgrown:
             self.evidence.outgrown(self._outputs, state.resting)
-            state.rests_until = state.n_samples
+            state.rests_until, state.unexplained = state.n_samples, None
             return state.scale.admit(np.array(state.rested[: state.resting.n_usual - state.resting.n_samples]))
-        return state.n_samples == state.rests_until - 1 and state.scale.wake(np.array(state.rested))
+        if state.n_samples < state.rests_until - 1:
+            return False
+        state.unexplained = None
+        return state.scale.wake(np.array(state.rested))
 
     def wait(self) -> bool:
         """Wait for more samples, on which the next episode begins; return False where there are many already."""

@@ -270,6 +270,19 @@ def test_a_push_that_nothing_has_explained_is_named_when_it_has_passed(estimator
 
 
 @SEARCHES
+@pytest.mark.parametrize("seed", range(3))
+def test_a_rest_ends_and_what_it_was_for_is_named_when_that_has_passed(estimator, seed):
+    """As long after it as it had lasted; the change that follows is found."""
+    run = Run(estimator, seed=seed).go(100).go(6 * LENGTH, TRUE, sine)
+    ((began, _),) = run.of("rest")
+    run.go(20 * LENGTH)
+    ((k, event),) = run.of("disturbance")
+    assert (event.detail["is_known"], event.detail["reason"]) == (False, PASSED)
+    assert 2 * (began - 100) < k - 100 < 15 * LENGTH
+    assert near(run.go(3 * LENGTH, CHANGED).held, CHANGED)
+
+
+@SEARCHES
 def test_a_change_during_a_search_is_not_named_a_disturbance_once_it_is_found(estimator):
     run = Run(estimator).go(100).go(LENGTH // 2, CHANGED).go(120, np.array([0.6, 1.5]))
     assert near(run.held, [0.6, 1.5])

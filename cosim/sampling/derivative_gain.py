@@ -32,13 +32,17 @@ class DerivativeGain:
 
     @property
     def is_wrong(self) -> NDArray[np.bool_] | bool:
-        """For which channels (c,) the gain is not 1, by a regression of the motion through the origin."""
+        """For which channels (c,) the gain is not 1, by a regression of the motion on the integrated derivative.
+
+        A constant offset is no gain: a model whose derivative changes too fast within a step leaves one.
+        """
         if len(self.blocks) < _BLOCKS:
             return False
         moved, integrated, std = np.stack(self.blocks, axis=1)
-        missed = (moved - integrated) * integrated
-        size = np.abs(missed.sum(axis=0))
-        is_large = size > self.limit * np.linalg.norm(std * integrated, axis=0)
-        is_of_account = size > _LEAST * np.sum(integrated**2, axis=0)
-        is_one_sided = np.abs(np.sign(missed).sum(axis=0)) == _BLOCKS
+        missed = moved - integrated
+        aside = integrated - integrated.mean(axis=0)
+        size = np.abs(np.sum(missed * aside, axis=0))
+        is_large = size > self.limit * np.linalg.norm(std * aside, axis=0)
+        is_of_account = size > _LEAST * np.sum(aside**2, axis=0)
+        is_one_sided = np.abs(np.sign(missed * integrated).sum(axis=0)) == _BLOCKS
         return is_large & is_of_account & is_one_sided

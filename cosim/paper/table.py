@@ -81,15 +81,15 @@ def rows(runs: Mapping[str, Run], events: Mapping[str, Sequence[RecordedEvent]])
 def measured(run: Run, events: Sequence[RecordedEvent], t: float) -> dict[str, Any] | None:
     """Return truth at t [s], estimate, the errors' norms and prediction time; None after the run's end.
 
-    The estimate is that of the last episode completed by then, since during one the controller may hold a candidate;
-    before the first, it is what the controller holds.
+    The estimate is what the controller holds; during an episode, when that may be a candidate, what it held at the end
+    of the episode before.
     """
     parameters = run.parameters_at(t)
     if not parameters:
         return None
     episode = _last_episode(events, t)
-    truth = [float(p["true"]) for p in parameters]
-    estimate = [float(p["estimated"]) for p in (run.parameters_at(episode[1]) if episode else parameters)]
+    held = run.parameters_at(episode[1]) if episode and _is_searching(events, t) else parameters
+    truth, estimate = ([float(p[kind]) for p in of] for kind, of in (("true", parameters), ("estimated", held)))
     difference = np.abs(np.subtract(estimate, truth))
     return {
         "truth": truth,
@@ -129,6 +129,12 @@ def _last_episode(events: Sequence[RecordedEvent], t: float) -> tuple[float, flo
     return last
 
 
+def _is_searching(events: Sequence[RecordedEvent], t: float) -> bool:
+    """Return whether an episode goes on at t [s]."""
+    kinds = [event.get("kind") for event in events if float(event.get("t", 0.0)) <= t + 1e-9]
+    return next((kind == "trigger" for kind in reversed(kinds) if kind in ("trigger", "end")), False)
+
+
 def markdown(
     runs: Mapping[str, Run], table: Sequence[Mapping[str, Any]], labels: Mapping[str, str], jobs: int = 1
 ) -> str:
@@ -137,9 +143,10 @@ def markdown(
     texts = [
         "# Estimates, errors and prediction times of the quadrotor",
         "Columns *paper* quote table I of Khan and Chatterjee (2020) as it is printed: their implementation, their "
-        f"computer. Columns *here* were measured by `retune figures`, seed {seeds}: the estimate of the last whole "
-        "episode until the instant, against the truth at the instant. Mass error in kg, inertia error (norm over the "
-        f"axes) in kg m². Prediction time in s: of all the episode's evaluations; of a solve for IPM and SQP; {jobs} "
+        f"computer. Columns *here* were measured by `retune figures`, seed {seeds}: what the controller holds (during "
+        "an episode: held at the end of the one before), against the truth at the instant. Mass error in kg, inertia "
+        "error (norm over the axes) in kg m². Prediction time in s: of all evaluations of the last whole episode; of a "
+        f"solve for IPM and SQP; {jobs} "
         f"{'run' if jobs == 1 else 'runs, which slow one another,'} at a time. A dash: "
         "not in the paper, or not there because the run had ended.",
         "\n".join(_errors(table, labels)),

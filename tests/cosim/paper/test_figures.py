@@ -186,6 +186,16 @@ def test_the_prediction_time_is_of_the_last_whole_episode(estimator: str, t: flo
     assert prediction_time(run, EPISODES[:-2], t) is None, "a record that is cut short"
 
 
+def test_between_episodes_the_estimate_is_what_the_controller_holds() -> None:
+    run = quadrotor("target", latencies=LATENCIES)
+    held = run["controller.m"].copy()
+    held[330:] = 4.0  # followed since the second episode, which ended at 1.6 s
+    run = replace(run, series=dict(run.series) | {"controller.m": held})
+    found = measured(run, EPISODES, 5.0)
+    assert found is not None
+    assert found["estimate"] == [4.0, *HELD[1:]]
+
+
 def test_the_estimate_is_the_last_whole_episodes_and_not_a_candidate() -> None:
     run = quadrotor("paper", latencies=LATENCIES)
     held = run["controller.m"].copy()

@@ -4,6 +4,7 @@ So a wrong unit or calibration is seen of which no single block of samples shows
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -30,7 +31,7 @@ class DerivativeGain:
         """Return the sums with one more block: motion, integrated derivative, and std of their difference (c,)."""
         return DerivativeGain(self.limit, (*self.blocks, np.array([moved, integrated, std]))[-_BLOCKS:])
 
-    @property
+    @cached_property
     def is_wrong(self) -> NDArray[np.bool_] | bool:
         """For which channels (c,) the gain is not 1, by a regression of the motion on the integrated derivative.
 

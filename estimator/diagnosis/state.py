@@ -56,7 +56,7 @@ class DiagnosisState:
     """Inputs of the newest samples, and their known lag."""
     friction: Friction = field(default_factory=Friction)
     """Known friction that the model lacks."""
-    trial: "FrictionTrial | None" = None
+    trial: FrictionTrial | None = None
     """What the known friction was taken for, until it has proven itself; None else."""
     undisturbed: Vector | None = None
     """Parameters (d,) in force when that disturbance became known; None before one did."""
@@ -205,8 +205,7 @@ class DiagnosisState:
 
     def wake_calm(self) -> None:
         """End all rests, as the parameters in force have long explained the samples again."""
-        rows = np.array(self.rested[-self.resting.n_calm :])
-        self.offset = np.where(np.sum(rows**2, axis=0) < np.sum((rows - self.offset) ** 2, axis=0), 0.0, self.offset)
+        self._end_offset(_finite(self.rested[-self.resting.n_calm :]))
         self.n_since = 0
         self.wake_all()
 
@@ -221,11 +220,14 @@ class DiagnosisState:
 
         A known disturbance is forgotten where they are smaller without it.
         """
-        rows = np.array(residuals)
-        rows = rows[np.isfinite(rows).all(axis=1)]
-        is_wrong = channels & (np.sum(rows**2, axis=0) < np.sum((rows - self.offset) ** 2, axis=0))
-        self.offset = np.where(is_wrong, 0.0, self.offset)
+        rows = _finite(residuals)
+        self._end_offset(np.where(channels, rows, self.offset))
         self.scale.admit(np.where(channels, rows - self.offset, 0.0))
+
+    def _end_offset(self, rows: Vector) -> None:
+        """Forget the known disturbance of channels whose residuals (n, c) are smaller without it."""
+        is_over = np.sum(rows**2, axis=0) < np.sum((rows - self.offset) ** 2, axis=0)
+        self.offset = np.where(is_over, 0.0, self.offset)
 
     def admit_usual(self, rows: Vector) -> bool:
         """Take residuals (n, c) of parameters that explain other samples for their usual size.
@@ -269,3 +271,9 @@ def channel_summary(names: Sequence[str], scale: ResidualScale) -> list[tuple[st
         (name, {"noise_ratio": ratio, "scale": float(s), "correlation": float(rho)})
         for name, ratio, s, rho in zip(names, observed, scale.values, scale.correlations, strict=True)
     ]
+
+
+def _finite(residuals: Sequence[Vector]) -> Vector:
+    """Return those residuals (n, c) in which no channel lacks a value."""
+    rows = np.array(residuals)
+    return rows[np.isfinite(rows).all(axis=1)]

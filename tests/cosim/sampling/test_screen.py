@@ -403,7 +403,7 @@ def test_a_wrong_gain_that_no_twenty_samples_show_is_found_in_some_hundred(rate,
 
 
 def test_an_offset_is_no_wrong_gain():
-    """Of the same side throughout, while the motion slows down: it is up to a half of it."""
+    """The motion slows down until the offset is a half of it."""
     rates = np.linspace(0.06, 0.02, 200)
     assert inconsistent(rates=rates, bias=0.012) == []
 

@@ -21,6 +21,10 @@ _CHANGE, _GUST, _BEFORE, _AFTER = 0.4, 0.4, 0.25, 0.6
 """When things happen, as shares of the run: the change, the gust or the constant, and the two of `constant-change`."""
 _GUST_STEPS: Final = 60
 """Length of a gust in macro steps."""
+_STUCK_STEPS, _NO_RATE = 20, 1e-9
+"""Number of macro steps in which actuators are stuck; a rate at which they hardly move."""
+_SHARE: Final = 0.7
+"""Share of the inputs that weak actuators give."""
 _WINDOW: Final = 20
 """Largest number of samples that a candidate is judged by."""
 
@@ -101,6 +105,15 @@ def _faults(plant: ForeignPlant, fault: Mapping[str, Any] | None) -> list[dict[s
     return [{**fault, **size, **begun}]
 
 
+def _stuck(plant: ForeignPlant, seed: int) -> Changes:
+    start, length = round(_GUST * plant.n_steps) * plant.step, _STUCK_STEPS * plant.step
+    return {"rate_u": [[0.0, 0.0], [start, _NO_RATE], [start + length, 0.0]]}
+
+
+def _weak(plant: ForeignPlant, seed: int) -> Changes:
+    return {"share_u": [[0.0, 1.0], [_CHANGE * plant.n_steps * plant.step, _SHARE]]}
+
+
 def _lag(plant: ForeignPlant) -> Changes:
     return {"tau_u": _LATE * plant.step}
 
@@ -120,6 +133,12 @@ CASES: Final[Mapping[str, Case]] = {
     "lag": Case("actuators with a lag of three macro steps", lambda p, _: _lag(p)),
     "lag-change": Case("the same, and the parameters jump", lambda p, _: {**_lag(p), **_changed(p)}, has_change=True),
     "rate": Case("actuators with a limited rate", lambda p, _: {"rate_u": p.rate}),
+    "limited": Case("the first actuator gives no more than a limit", lambda p, _: {"limit_u": p.limit}),
+    "limited-change": Case(
+        "the same, and the parameters jump", lambda p, _: {"limit_u": p.limit, **_changed(p)}, has_change=True
+    ),
+    "weak": Case("actuators that give 70 %, from some time on", _weak),
+    "stuck": Case("actuators that are stuck for a short time", _stuck),
     "noise10": Case("noise ten times that declared", _nothing, 10.0, loop="none"),
     "noise10-change": Case(
         "the same, and the parameters jump", lambda p, _: _changed(p), 10.0, has_change=True, loop="change"

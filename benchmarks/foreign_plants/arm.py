@@ -91,6 +91,7 @@ PLANT = ForeignPlant(
     step=0.005,
     divergence=2.0,
     rate=38.0,
+    limit=23.0,
     speed="w_1",
     pace=1.0,
 )

@@ -86,6 +86,7 @@ PLANT = ForeignPlant(
     step=0.005,
     divergence=1.0,
     rate=1.42,
+    limit=0.65,
     speed="omega",
     pace=0.3,
 )

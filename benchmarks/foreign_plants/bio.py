@@ -61,5 +61,6 @@ PLANT = ForeignPlant(
     step=0.05,
     divergence=3.0,
     rate=0.048,
+    limit=0.375,
     omitted={"viscous": _SAME, "dry": _SAME},
 )

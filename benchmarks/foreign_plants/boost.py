@@ -75,6 +75,7 @@ PLANT = ForeignPlant(
     step=1e-4,
     divergence=15.0,
     rate=7.2,
+    limit=0.56,
     speed="i",
     pace=4.0,
     omitted={"dry": "the current has one direction, so a diode's voltage is a constant"},

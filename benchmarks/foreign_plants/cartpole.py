@@ -72,6 +72,7 @@ PLANT = ForeignPlant(
     step=0.01,
     divergence=1.5,
     rate=1.75,
+    limit=1.13,
     speed="v",
     pace=0.5,
 )

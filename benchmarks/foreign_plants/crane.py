@@ -77,6 +77,7 @@ PLANT = ForeignPlant(
     step=0.01,
     divergence=1.5,
     rate=4.2,
+    limit=2.2,
     speed="v",
     pace=0.5,
 )

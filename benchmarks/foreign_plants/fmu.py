@@ -19,6 +19,7 @@ class PlantFmu(PlantSlave):
     """Plant with a disturbance, friction, actuators that are late or slow, and errors of its sensors.
 
     The base class has the lag tau_u. d: disturbance;  b, F_c: viscous and dry friction, in units of the load;
+    share_u: share of the inputs that arrives;  limit_u: largest value of the first input that does, 0 for any;
     rate_u: fastest change of what arrives of an input, by second, 0 for any;  e_...: error of a sampled derivative.
     """
 
@@ -30,6 +31,8 @@ class PlantFmu(PlantSlave):
             *(parameter(p.name, p.unit, p.start, p.description, min=p.bounds[0] / 2.0) for p in plant.parameters),
             parameter("b", None, 0.0, "Viscous friction", min=0.0),
             parameter("F_c", None, 0.0, "Dry friction", min=0.0),
+            parameter("share_u", "1", 1.0, "Share of the inputs that arrives", min=0.0),
+            parameter("limit_u", None, 0.0, "Largest value of the first input that arrives; 0: any", min=0.0),
             parameter("rate_u", None, 0.0, "Fastest change of the inputs that arrive, by second; 0: any", min=0.0),
             *(input_variable(s.name, s.unit, u, s.description) for s, u in zip(plant.controls, plant.start()[1])),
             replace(disturbance("d", "1", "Disturbance, in units of the load"), unit=None),
@@ -46,14 +49,16 @@ class PlantFmu(PlantSlave):
         cls._rate_u = cls._physical.stop - 1
 
     def derivative(self, x: Values, u: Values, *parameters: float) -> Values:
-        """Return the derivatives of the states, friction and disturbance included."""
+        """Return the derivatives of the states, friction, disturbance and weak actuators included."""
         n, m = self._n_parameters, self._n_controls
-        viscous, dry = parameters[n : n + 2]
+        viscous, dry, share, limit = parameters[n : n + 4]
         load = u[m]
         if self._speed is not None and (viscous or dry):
             v = x[self._speed]
             load -= viscous * v + dry * tanh(v / (_AT_REST * self.plant.pace))
-        return self.plant.derivative(x, u[:m], *parameters[:n], load=load)
+        first, *others = (share * sent for sent in u[:m])
+        arrives = (min(first, limit) if limit else first, *others)
+        return self.plant.derivative(x, arrives, *parameters[:n], load=load)
 
     def _refresh(self) -> None:
         super()._refresh()

@@ -81,5 +81,6 @@ PLANT = ForeignPlant(
     step=0.005,
     divergence=0.5,
     rate=6.4,
+    limit=2.0,
     omitted={"viscous": _OWN, "dry": "nothing rubs"},
 )

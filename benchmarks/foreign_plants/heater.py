@@ -64,5 +64,6 @@ PLANT = ForeignPlant(
     step=1.0,
     divergence=15.0,
     rate=6.8,
+    limit=430.0,
     omitted={"viscous": _SAME, "dry": _SAME},
 )

@@ -86,6 +86,8 @@ class ForeignPlant:
     """Tracking error at which a run is lost."""
     rate: float
     """Limit of the actuators' rate in the case `rate` [unit/s]: the inputs change faster at times, without it."""
+    limit: float
+    """Limit of the first input in the case `limited`: it is larger at times, without it."""
     speed: str = ""
     """State that friction brakes, by way of the load; empty: there is none."""
     pace: float = 1.0

@@ -69,6 +69,7 @@ PLANT = ForeignPlant(
     step=0.005,
     divergence=3.0,
     rate=1.35,
+    limit=0.35,
     speed="omega_l",
     pace=2.0,
 )

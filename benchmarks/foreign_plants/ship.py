@@ -58,5 +58,6 @@ PLANT = ForeignPlant(
     step=0.5,
     divergence=1.5,
     rate=0.016,
+    limit=0.24,
     omitted={"viscous": _NO_LAW, "dry": "nothing rubs"},
 )

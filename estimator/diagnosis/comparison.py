@@ -238,9 +238,9 @@ class HypothesisComparison:
         _, slope = value_and_slope(rows_at, z, _STEP)
         return information(slope).std() if np.all(np.isfinite(slope)) else np.ones_like(z)
 
-    def is_changing(self, held: Vector, n: int) -> bool:
+    def is_changing(self, held: Vector, n: int, *, may_drift: bool = True) -> bool:
         """Return whether parameters, constant ones or slowly changing, explain the newest n samples."""
-        found = self.best(held, n, may_drift=True)
+        found = self.best(held, n, may_drift=may_drift)
         self._evidence.note(n, parameters=found.fit)
         return found.fit.is_explained and found.rate <= _RATE
 

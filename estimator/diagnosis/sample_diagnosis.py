@@ -175,13 +175,20 @@ class Diagnosis:
             return self._explained(t, held, n)
         of_reference = self.residuals.of_newest(reference, n) if is_changed else of_held
         is_over = self._disturbances.has_passed(of_held, of_reference, is_changed, is_explained)
-        if is_over and not (is_explained and self.comparison.is_changing(held, n)):
+        if is_over and not self._is_changing(held, n, is_explained):
             return self._disturbances.passed(t, reference, of_reference, is_changed)
         if n < LONG:
             return None
         if self._lasting.are_better(held, of_held):
             return self.give_up(t)
         return self._weighed(t, held, of_held, of_reference, is_explained)
+
+    def _is_changing(self, held: Vector, n: int, is_explained: bool) -> bool:
+        """Return whether changed parameters explain the newest n samples, all since the onset; held (d,): in force.
+
+        Constant ones, or also drifting ones where those in force explain the very newest samples.
+        """
+        return (is_explained or n >= LONG) and self.comparison.is_changing(held, n, may_drift=is_explained)
 
     def _weighed(
         self, t: float, held: Vector, of_held: Vector, of_reference: Vector, is_explained: bool

@@ -260,6 +260,18 @@ def test_a_move_too_long_for_a_drift_must_be_proven_although_nothing_contradicts
     assert comparison.judge(TRUE + move, TRUE) == judgement
 
 
+@SEARCHES
+def test_a_change_that_hardly_shows_for_a_while_is_no_disturbance_that_has_passed(estimator):
+    """What was in force before it explains the newest samples; changed parameters explain all since it began."""
+    run, changed = Run(estimator).go(100), TRUE + np.array([0.0, -0.3])
+    for k in range(40):
+        x, u = max(1.0 - k / 30.0, 0.0), float(np.sin(0.7 * k))
+        xdot = one_channel((x,), (u,), *changed)[0] + SIGMA * run.rng.standard_normal()
+        run.take(Sample(0.05 * run.k, (x,), (u,), (xdot,)))
+        run.held = TRUE if k < 3 else TRUE + np.array([0.04, 0.0])  # what is found is refused
+    assert run.of("disturbance", "undo", "unexplained") == []
+
+
 @CHANNELS
 def test_a_sample_that_a_filter_expects_is_no_contradiction_and_no_noise(n_channels):
     """It is the parameters in force that lag behind what the filter knows."""

@@ -157,6 +157,8 @@ class Weighing:
     """A disturbance, constant or changing at a constant rate, with the parameters in force."""
     nothing: Fit
     """The parameters in force, without a disturbance."""
+    inputs: Fit = NEVER
+    """The parameters in force, with inputs that are stuck."""
 
     @property
     def are_parameters_possible(self) -> bool:
@@ -178,8 +180,14 @@ class Weighing:
         return self.parameters.is_explained and self._lead >= 2.0 * MARGIN
 
     @property
+    def fits(self) -> dict[str, Fit]:
+        """Fits of the hypotheses that were compared."""
+        return {name: fit for name, fit in vars(self).items() if fit is not NEVER or name != "inputs"}
+
+    @property
     def _lead(self) -> float:
-        return min(self.nothing.score, self.disturbance.score) - self.parameters.score
+        others = self.nothing.score, self.disturbance.score, self.inputs.score
+        return min(others) - self.parameters.score
 
 
 @dataclass(frozen=True)

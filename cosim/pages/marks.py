@@ -6,7 +6,7 @@ from contextlib import suppress
 from typing import Any, Final, NamedTuple
 
 from ..plots.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
-from ..runs.diagnosis_report import friction_term
+from ..runs.diagnosis_report import friction_term, limit_text
 from ..runs.recorded_events import RecordedEvent
 from ..runs.result import Run
 from ..text_table import with_std
@@ -34,7 +34,7 @@ SIGNS: Final[Mapping[str, Sign]] = {
     "undo": Sign("undone", "inverted_triangle", PURPLE),
     "stop": Sign("re-tuning stopped", "square", BLACK),
     "disturbance": Sign("disturbance", "diamond", PURPLE),
-    "lag": Sign("late inputs, or their end", "diamond_dot", PURPLE),
+    "lag": Sign("late or limited inputs, or their end", "diamond_dot", PURPLE),
     "friction": Sign("friction, or its end", "circle_cross", PURPLE),
     "unexplained": Sign("unexplained", "diamond_cross", PURPLE),
     "rest": Sign("rest, or its end", "square_cross", PURPLE),
@@ -51,7 +51,7 @@ REFUSALS: Final = ("veto", "revert", "stop", "limit", "hold", "sensor", "observa
 """Kinds of events by which something was not done, or taken back; the most important first."""
 _LAGS: Final = {"time_constant": "time constant", "dead_time": "dead time"}
 """Names of what an event `lag` has."""
-_NAMED: Final = {"disturbance": ("size",), "lag": (*_LAGS, "rates"), "friction": ("terms",)}
+_NAMED: Final = {"disturbance": ("size",), "lag": (*_LAGS, "rates", "limits"), "friction": ("terms",)}
 """What an event has that names something, by its kind; empty or zero where that is over."""
 _BACK: Final = ("revert", "undo")
 """Kinds of events whose parameters are earlier ones."""
@@ -71,6 +71,8 @@ def reason_of(event: RecordedEvent, run: Run) -> str:
     parts += [f"{text} {_number(value)} s" for key, text in _LAGS.items() if (value := event.get(key))]
     if isinstance(rates := event.get("rates"), list) and (limits := [_number(r) for r in rates if r is not None]):
         parts.append(f"rate limited to {' and '.join(limits)} per second")
+    with suppress(AttributeError, TypeError, ValueError):
+        parts += [f"{name} {limit_text(*of)}" for name, of in event.get("limits", {}).items()]
     if held := values_of(event, run):
         parts.append(f"back to {held}" if event.get("kind") in _BACK else held)
     if isinstance(event.get("cost"), int | float):
@@ -79,7 +81,7 @@ def reason_of(event: RecordedEvent, run: Run) -> str:
 
 
 def is_named(event: RecordedEvent) -> bool:
-    """Return whether an event names a disturbance, late inputs or friction; False where it says that they are over."""
+    """Return whether an event names a disturbance, a lag or friction; False where it says that they are over."""
     found = [event.get(key) for key in _NAMED.get(str(event.get("kind")), ())]
     return any(any(x is not None for x in value) if isinstance(value, list) else value for value in found)
 

@@ -129,7 +129,7 @@ def _answers(run: Run, events: Sequence[RecordedEvent], begin: int, end: int) ->
     right = _right(run.time[begin:end] - t0, np.all(np.array(errors) <= 0.0, axis=0)) if errors else "-"
     triggers, writes = delays("trigger"), delays("write")
     causes = {
-        "disturbance": "a disturbance", "lag": "late inputs", "friction": "friction",
+        "disturbance": "a disturbance", "lag": "late or limited inputs", "friction": "friction",
         "unexplained": "nothing that is known",
     }  # fmt: skip
     begun = [e for e in events if e.get("kind") == "unexplained" or is_named(e)]

@@ -117,11 +117,11 @@ def _done(event: RecordedEvent) -> str:
     return _OVERS[str(kind)] if kind in _OVERS and not is_named(event) else _VERBS.get(str(kind), "")
 
 
-_LACKS: Final = {"lag": "late inputs were named", "friction": "friction that the model lacks was named"}
-_OVERS: Final = {"disturbance": "a disturbance over", "lag": "inputs in time again", "friction": "friction over"}
+_LACKS: Final = {"lag": "late or limited inputs were named", "friction": "friction that the model lacks was named"}
+_OVERS: Final = {"disturbance": "a disturbance over", "lag": "inputs as sent again", "friction": "friction over"}
 _VERBS: Final = {
     "veto": "refused", "limit": "limited", "hold": "held back in part", "revert": "reverted", "undo": "undone",
-    "disturbance": "a disturbance named", "lag": "late inputs named",
+    "disturbance": "a disturbance named", "lag": "late or limited inputs named",
     "friction": "friction named", "unexplained": "not explained",
     "stop": "re-tuning stopped",
 }  # fmt: skip

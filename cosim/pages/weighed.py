@@ -17,7 +17,8 @@ from .sketch import Sketch
 HYPOTHESES: Final[Mapping[str, Sign]] = {
     "nothing": Sign("nothing has changed", "circle", GREY),
     "disturbance": Sign("a disturbance acts", "diamond", PURPLE),
-    "lag": Sign("inputs arrive late", "diamond_dot", PURPLE),
+    "inputs": Sign("inputs are stuck, or free again", "square_dot", PURPLE),
+    "lag": Sign("inputs arrive late, or are limited", "diamond_dot", PURPLE),
     "friction": Sign("friction that the model lacks", "circle_cross", PURPLE),
     "both": Sign("both", "square", GREEN),
     "parameters": Sign("parameters have changed", "triangle", BLUE),

@@ -75,12 +75,23 @@ def diagnosed(found: Mapping[str, Any], lacking: str = _OF_A_MODEL) -> list[str]
 
 
 def _late(lag: Mapping[str, Any]) -> list[str]:
-    """Return a line on the lag of the plant's inputs that is known at the end, if there is one."""
+    """Return a line on the lag, or the limits, of the plant's inputs that are known at the end, if there are any."""
     kinds = {"time_constant": "an actuator follows with a time constant of", "dead_time": "there is a dead time of"}
     found = [f"{text} {lag[kind]:.3g} s" for kind, text in kinds.items() if lag.get(kind)]
     if rates := [f"{rate:.3g}" for rate in lag.get("rates", ()) if rate is not None]:
         found.append(f"an actuator's rate is limited to {' and '.join(rates)} per second")
-    return [f"the plant's inputs arrive late: {found[0]} that the model lacks, and is compensated"] if found else []
+    lines = [f"the plant's inputs arrive late: {found[0]} that the model lacks, and is compensated"] if found else []
+    if limits := lag.get("limits"):
+        texts = [f"{name} {limit_text(*of)}" for name, of in limits.items()]
+        lines.append(f"not all of the plant's inputs arrive: {', '.join(texts)}, which is taken into account")
+    return lines
+
+
+def limit_text(lower: float | None, upper: float | None) -> str:
+    """Return in words between which limits an input arrives."""
+    if lower is None or upper is None:
+        return f"is at least {lower:.4g}" if upper is None else f"is at most {upper:.4g}"
+    return f"is stuck at {lower:.4g}" if lower == upper else f"is between {lower:.4g} and {upper:.4g}"
 
 
 def _rubbing(friction: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -15,6 +15,7 @@ from ..contract import Estimate
 from ..differences import OfMany, value_and_slope
 from ..hypotheses import (
     MARGIN,
+    NEVER,
     USUAL_RATE,
     ChangedParameters,
     Disturbance,
@@ -202,6 +203,26 @@ class HypothesisComparison:
                 state.changed = found.z
                 return
 
+    def _inputs(self, reference: Vector) -> Fit:
+        """Return the fit to the samples since the onset of inputs being stuck, or arriving again, if that is known.
+
+        reference (d,): parameters then.
+        """
+        samples = self._state.samples[-self._state.n_since :]
+        rows_with = self._residuals.by_inputs(reference, samples, self._state.offset)
+        return self._state.inputs.stuck_or_free(rows_with, [sample.t for sample in samples])
+
+    def _explain_more(self, inputs: Fit, reference: Vector, n: int) -> bool:
+        """Return whether inputs explain all samples since the onset, more than n: changed parameters follow that.
+
+        Inputs that arrive again need not be more.
+        """
+        n_since = self._state.n_since
+        if not self._state.inputs.lag.limits and (n == n_since or n_since < FEWEST):
+            return False
+        nothing = plain_fit(self._residuals.of_newest(reference, n_since), 0)
+        return inputs.is_explained and inputs.score + MARGIN <= nothing.score
+
     def _wins(self, parameters: Fit, reference: Vector, n: int) -> bool:
         """Set the verdict where changed parameters are possible by their fit to the newest n samples."""
         is_recorded = n == min(self._state.n_since, _LENGTHS[0])
@@ -209,9 +230,13 @@ class HypothesisComparison:
             return False
         before = self._residuals.of_newest(reference, n)
         weighing = Weighing(parameters, disturbance_of(before).fit, plain_fit(before, 0))
-        if weighing.are_parameters_possible or is_recorded:
-            self._evidence.note(n, **vars(weighing))
-        if weighing.are_parameters_possible:
+        inputs = self._inputs(reference) if weighing.are_parameters_possible else NEVER
+        if n == self._state.n_since:
+            weighing = replace(weighing, inputs=inputs)
+        is_possible = weighing.are_parameters_possible and not self._explain_more(inputs, reference, n)
+        if is_possible or is_recorded:
+            self._evidence.note(n, **weighing.fits)
+        if is_possible:
             unproven: Judgement = "refuted" if self._state.is_resting.any() else "possible"
             self._state.verdict = Verdict(
                 "warranted" if weighing.are_parameters_proven else unproven,
@@ -220,7 +245,7 @@ class HypothesisComparison:
                 n_explained=n,
                 found_at=self._state.n_samples,
             )
-        return weighing.are_parameters_possible
+        return is_possible
 
     def best(self, held: Vector, n: int, *, may_drift: bool) -> ChangedParameters:
         """Return the parameters that explain the newest n samples best, whatever the search has found."""

@@ -191,7 +191,7 @@ class EpisodeDiagnosis:
 
     def _compare(self, parameters: Fit, nothing: Fit, held: Vector) -> None:
         weighing = Weighing(parameters, self._disturbed(held).fit, nothing)
-        self._note(**vars(weighing))
+        self._note(**weighing.fits)
         if weighing.are_parameters_possible:
             self._verdict = "warranted" if weighing.are_parameters_proven else "possible"
 

@@ -1,24 +1,28 @@
-"""Comparison of late inputs with the other hypotheses: a lag must explain samples that no disturbance explains.
+"""Comparison of late or limited inputs with the other hypotheses.
 
-It has one value, and what arrives first where that is not known.
+A lag must explain samples that no disturbance explains; it has one value, and what arrives first where that is not
+known. Limits, one value each, must explain them much better than a disturbance does.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from math import inf
+from typing import Final
 
 import numpy as np
 
 from ..effects.input_lag import NO_LAG, FoundLag
 from ..effects.known_effects import Explanation
-from ..hypotheses import MARGIN, disturbance_of
-from ..samples import Sample, Samples
+from ..hypotheses import MARGIN, disturbance_of, plain_fit
+from ..samples import Sample
 from ..space import Vector
 from .comparison import LONG
 from .evidence import Evidence
 from .settings import QUIET
 from .standardised_residuals import StandardisedResiduals
 from .state import DiagnosisState
+
+_NOISE: Final = 5.0
+"""Factor by which the noise may be larger than known before limits of the inputs explain samples."""
 
 
 class LagComparison:
@@ -66,34 +70,35 @@ class LagComparison:
         """
         state, n = self._state, len(samples)
         disturbance = disturbance_of(self._residuals.rows(reference, samples)).fit
-        is_over = disturbance.is_explained and not is_long  # then, a known lag at most
-        if is_over and not state.inputs.lag:
-            return None
+        is_over = disturbance.is_explained and not is_long  # then, no other lag than a known one, but perhaps a limit
         lasting = reference if state.lasting is None else state.lasting
         bases = [(reference, state.offset), (lasting, state.offset), (lasting, np.zeros_like(state.offset))]
         for theta, offset in {(theta.tobytes(), offset.tobytes()): (theta, offset) for theta, offset in bases}.values():
-            found = self._best(theta, samples, offset)
+            found = self._best(theta, samples, offset, is_late=bool(state.inputs.lag) or not is_over)
             self._evidence.note(n, lag=found.fit)
             if not (found.lag or state.inputs.lag):  # no lag, before or now
                 continue
-            margin = MARGIN if not is_over else inf if found.lag else 0.0
+            margin = MARGIN if found.lag.limits or not is_over else inf if found.lag else 0.0
+            if found.lag.limits and not state.inputs.lag and self._may_be_noise(theta, samples):
+                continue
             if found.fit.is_explained and found.fit.score + margin <= disturbance.score:
                 return Explanation(found, theta, offset, n)
         return None
 
-    def _best(self, theta: Vector, samples: Sequence[Sample], offset: Vector) -> FoundLag:
+    def _may_be_noise(self, theta: Vector, samples: Sequence[Sample]) -> bool:
+        """Return whether noise of five times the known size explains samples with parameters theta (d,).
+
+        Noise that is correlated from sample to sample looks like anything for a few samples.
+        """
+        return plain_fit(self._residuals.rows(theta, samples) / _NOISE, 0).is_explained
+
+    def _best(self, theta: Vector, samples: Sequence[Sample], offset: Vector, *, is_late: bool = True) -> FoundLag:
         """Return the lag of the inputs, or none, that explains samples with parameters (d,).
 
-        offset (c,): known disturbance, in standard deviations of the declared noise.
+        offset (c,): known disturbance, in standard deviations of the declared noise. is_late: false for limits only.
         """
-        history, friction, residuals = self._state.inputs, self._state.friction, self._residuals
+        history = self._state.inputs
         if samples[0].t < history.begin:
             return NO_LAG
-        known = replace(residuals.known, disturbance=offset * residuals.sigma, arriving={})
-        corrected = Samples(known.without(sample) for sample in samples)
-        lost = np.array([friction.without(replace(s, u=(0.0,) * len(s.u))).u for s in samples]) if friction else 0.0
-
-        def rows_with(inputs: Vector) -> Vector:
-            return residuals.scaled_rows_with(inputs + lost, theta, corrected)
-
-        return history.search(rows_with, [sample.t for sample in samples])
+        rows_with = self._residuals.by_inputs(theta, samples, offset)
+        return history.search(rows_with, [sample.t for sample in samples], is_late=is_late)

@@ -27,7 +27,8 @@ class DiagnosisRecord:
     def summary(self) -> dict[str, Any]:
         """Return what is known of each channel, and the number of events of each kind."""
         found = self._state.summary(self.names, self._residuals.sigma)
-        return found | {"known_friction": self._known_friction()}
+        lag = self._state.inputs.describe(self._state.inputs.lag, self._input_names())
+        return found | {"input_lag": lag, "known_friction": self._known_friction()}
 
     def disturbance(
         self, t: float, offset: Vector, acts: NDArray[np.bool_], reason: str, *, is_known: bool = False
@@ -46,9 +47,10 @@ class DiagnosisRecord:
         return Event(t, "disturbance", {"size": {}, "reason": "the disturbance is over"})
 
     def lag(self, t: float, found: Lag) -> Event:
-        """Return the event of a lag of the inputs that is known now, or of its end."""
-        how = "inputs that arrive late explain the samples" if found else "the inputs arrive in time again"
-        return self._counted(t, "lag", {**self._state.inputs.describe(found), "reason": how})
+        """Return the event of a lag or limits of the inputs that are known now, or of their end."""
+        how = "inputs that arrive late explain the samples" if found else "the inputs arrive as they are sent again"
+        how = "inputs that are stuck, or at their limit, explain the samples" if found.limits else how
+        return self._counted(t, "lag", {**self._state.inputs.describe(found, self._input_names()), "reason": how})
 
     def friction(self, t: float, ending: str = "the friction is over") -> Event:
         """Return the event of friction that is known now, or of its end."""
@@ -75,7 +77,8 @@ class DiagnosisRecord:
         return [self.names[i] for i in np.flatnonzero(channels)]
 
     def _known_friction(self) -> list[dict[str, Any]]:
-        state = self._state
-        n_inputs = len(state.samples[-1].u) if state.samples else 0
-        inputs = self._inputs or [f"input {j}" for j in range(n_inputs)]
-        return state.friction.summary(self.names, self._residuals.declared.channels, inputs)
+        return self._state.friction.summary(self.names, self._residuals.declared.channels, self._input_names())
+
+    def _input_names(self) -> Sequence[str]:
+        samples = self._state.samples
+        return self._inputs or [f"input {j}" for j in range(len(samples[-1].u) if samples else 0)]

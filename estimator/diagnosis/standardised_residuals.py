@@ -1,9 +1,11 @@
 """Residuals in standard deviations of their true size, less what is known to act on the plant.
 
-That is a disturbance, late inputs and friction; channels that rest have none. A sample without all that is corrected.
+That is a disturbance, late or limited inputs and friction; channels that rest have none. A sample without all that is
+corrected.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from operator import is_
 from typing import Any, ClassVar, Final
 
@@ -11,6 +13,7 @@ import numpy as np
 
 from ..differences import OfMany
 from ..effects.known_effects import KnownEffects
+from ..effects.lag_search import RowsWith
 from ..samples import DerivativeResidual, Sample, Samples
 from ..space import Vector
 from .state import DiagnosisState
@@ -68,10 +71,6 @@ class StandardisedResiduals:
         """Return the residuals (..., n, c) of candidates theta (..., d) at n corrected samples, as `scaled` does."""
         return self.declared.rows(theta, samples) / self._state.scale.effective
 
-    def scaled_rows_with(self, inputs: Vector, theta: Vector, samples: Sequence[Sample]) -> Vector:
-        """Return the residuals (k, n, c) of theta (d,) as `scaled_rows`, with inputs (k, n, p) in place of theirs."""
-        return self.declared.rows_with(inputs, theta, samples) / self._state.scale.effective
-
     def scaled_slopes(self, theta: Vector, samples: Sequence[Sample]) -> Vector | None:
         """Return the slopes (n, c, d) of `scaled_rows` at theta (d,) in the unit cube; None where there are none."""
         declared = self.declared.slope_rows(theta, samples)
@@ -83,6 +82,21 @@ class StandardisedResiduals:
             known = self.known
             samples = [known.without(sample) for sample in samples]
         return self.scaled_rows(theta, samples)
+
+    def by_inputs(self, theta: Vector, samples: Sequence[Sample], offset: Vector) -> RowsWith:
+        """Return the residuals (k, n, c) of theta (d,) at n samples as a function of what arrives, inputs (k, n, p).
+
+        offset (c,): known disturbance, in standard deviations of the declared noise. No lag is known.
+        """
+        friction = self._state.friction
+        known = replace(self.known, disturbance=offset * self.sigma, arriving={})
+        corrected = Samples(known.without(sample) for sample in samples)
+        lost = np.array([friction.without(replace(s, u=(0.0,) * len(s.u))).u for s in samples]) if friction else 0.0
+
+        def rows_with(inputs: Vector) -> Vector:
+            return self.declared.rows_with(inputs + lost, theta, corrected) / self._state.scale.effective
+
+        return rows_with
 
     def slopes(self, theta: Vector, samples: Sequence[Sample]) -> Vector | None:
         """Return the slopes (n, c, d) of `rows` at theta (d,) in the unit cube; None where the model has none."""

@@ -257,8 +257,7 @@ class DiagnosisState:
         """
         known = zip(channel_summary(names, self.scale), self.offset * sigma, self.is_resting, strict=True)
         channels = {name: row | {"disturbance": float(d), "is_resting": bool(r)} for (name, row), d, r in known}
-        lag = {"input_lag": self.inputs.summary()}
-        return {"channels": channels, "disturbances": self.named} | lag | {kind: self.counts[kind] for kind in KINDS}
+        return {"channels": channels, "disturbances": self.named} | {kind: self.counts[kind] for kind in KINDS}
 
 
 def channel_summary(names: Sequence[str], scale: ResidualScale) -> list[tuple[str, dict[str, Any]]]:

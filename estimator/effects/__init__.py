@@ -1,1 +1,1 @@
-"""Effects on the plant that its model lacks: late inputs, and friction."""
+"""Effects on the plant that its model lacks: late or limited inputs, and friction."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..hypotheses import NEVER, Fit, plain_fit
 from ..samples import Sample
 from ..space import Vector
+from .input_limits import InputLimits
 from .lag import Lag, arriving
 from .lag_search import LEAST, RowsWith, TriedLag, best_lag, with_fitted_start
 
@@ -96,15 +97,17 @@ class InputHistory:
         """Time of the first input that is kept [s]; infinite without any."""
         return self._times[0] if self._times else inf
 
-    def summary(self) -> dict[str, Any]:
-        """Return the known lag as JSON values, in seconds."""
-        return self.describe(self.lag)
-
-    def describe(self, lag: Lag) -> dict[str, Any]:
-        """Return a lag as JSON values, in seconds."""
+    def describe(self, lag: Lag, names: Sequence[str]) -> dict[str, Any]:
+        """Return a lag as JSON values, in seconds; names (p,): of the inputs."""
         step = float(np.median(np.diff(self._times))) if lag.n_late else 0.0
         rates = [rate if isfinite(rate) else None for rate in lag.rates]
-        return {"time_constant": lag.time_constant, "dead_time": lag.n_late * step, "rates": rates}
+        places = range(len(names)) if self.may_lag is None else self.may_lag
+        limits = {
+            names[j]: [limit if isfinite(limit) else None for limit in of]
+            for j, of in zip(places, lag.limits, strict=False)
+            if any(map(isfinite, of))
+        }
+        return {"time_constant": lag.time_constant, "dead_time": lag.n_late * step, "rates": rates, "limits": limits}
 
     def adopt(self, found: FoundLag) -> None:
         """Take a lag for known."""
@@ -112,20 +115,55 @@ class InputHistory:
         if self._arriving:
             self._forget(self._times.index(next(iter(self._arriving))))
 
-    def search(self, rows_with: RowsWith, times: Sequence[float]) -> FoundLag:
+    def search(self, rows_with: RowsWith, times: Sequence[float], *, is_late: bool = True) -> FoundLag:
         """Return the lag that explains best: none, one of all inputs that are kept, or of those since the first sample.
 
         rows_with: residuals of n samples with what arrives at the plant; times (n,): theirs [s], all of them kept.
+        is_late: false to seek limits of the inputs only.
         """
         places = np.searchsorted(self._times, times)
         none = FoundLag(Lag(), {}, plain_fit(rows_with(np.array(self._inputs)[None, places])[0], 0))
         if self.may_lag == () or len(self._times) < LEAST or not np.any(np.diff(self._inputs, axis=0)):
             return none
-        known = self._best(rows_with, places, none.fit, 0, is_free=False)
-        found = [none, known]
-        if not known.fit.is_explained:
-            found.append(self._best(rows_with, places, none.fit, int(places[0]), is_free=True))
+        found = [none]
+        if is_late:
+            found.append(self._best(rows_with, places, none.fit, 0, is_free=False))
+            if not found[-1].fit.is_explained:
+                found.append(self._best(rows_with, places, none.fit, int(places[0]), is_free=True))
+        if not self.lag or self.lag.limits:
+            found.append(self._limited(rows_with, places))
         return min(found, key=lambda one: one.fit.score)
+
+    def stuck_or_free(self, rows_with: RowsWith, times: Sequence[float]) -> Fit:
+        """Return the fit to samples of one input, or all of them, being stuck since the first of them.
+
+        Where that is known, of what is sent arriving again. `NEVER` where nothing can be told.
+        rows_with, times: as of `search`.
+        """
+        is_known = bool(self.lag.limits)
+        if self.may_lag == () or (self.lag and not is_known) or not times or times[0] < self.begin:
+            return NEVER
+        places = np.searchsorted(self._times, times)
+        if is_known:
+            return plain_fit(rows_with(np.array(self._inputs)[None, places])[0], 0)
+        found = self._limits(rows_with, places).stuck()
+        return NEVER if found is None else found.fit
+
+    def _limits(self, rows_with: RowsWith, places: NDArray[np.intp]) -> InputLimits:
+        inputs = np.array(self._inputs)[places]
+        return InputLimits(rows_with, inputs, self._places(inputs))
+
+    def _limited(self, rows_with: RowsWith, places: NDArray[np.intp]) -> FoundLag:
+        """Return the limits of the inputs that explain samples best, from the first of them on; places (n,): theirs."""
+        limits = self._limits(rows_with, places)
+        found = limits.best()
+        if found is None:
+            return NO_LAG
+        first, lag = int(places[0]), limits.lag(found)
+        made = self._made(
+            [lag], np.array(self._times[first:]), np.array(self._inputs[first:]), np.zeros(found.made.shape[1])
+        )
+        return self._found(TriedLag(lag, made[0], found.fit), first)
 
     def _best(self, rows_with: RowsWith, places: NDArray[np.intp], none: Fit, first: int, *, is_free: bool) -> FoundLag:
         """Return the best lag of the inputs from the first one on; is_free: what arrives then is fitted, too.

@@ -1,4 +1,4 @@
-"""Effects on the plant beside its model: a disturbance, late inputs, friction."""
+"""Effects on the plant beside its model: a disturbance, late or limited inputs, friction."""
 
 from dataclasses import dataclass, replace
 

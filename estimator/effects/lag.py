@@ -1,13 +1,13 @@
-"""Lag of the plant's inputs that its model lacks: actuators that follow late, at a limited rate, or after a dead time.
+"""What actuators make of the plant's inputs, and its model lacks: they follow late, or not as far as they should.
 
-tau dv/dt = u - v for a first-order lag, v = u some samples ago, or dv/dt towards u at a limited rate. The input u is
-held from sample to sample, so that v follows from the inputs alone, and a model that is given v in place of u has the
-lag whatever its equations are.
+tau dv/dt = u - v for a first-order lag, v = u some samples ago, dv/dt towards u at a limited rate, or v = u within
+limits, which are the same where an actuator is stuck. The input u is held from sample to sample, so that v follows from
+the inputs alone, and a model that is given v in place of u has the lag whatever its equations are.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import inf
+from math import inf, isfinite
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from ..space import Vector
 
 @dataclass(frozen=True)
 class Lag:
-    """First-order lag, dead time or limited rate of the inputs; none of them by default."""
+    """First-order lag, dead time, limited rate or limited range of the inputs; none of them by default."""
 
     time_constant: float = 0.0
     """tau [s]."""
@@ -24,13 +24,17 @@ class Lag:
     """Dead time in samples."""
     rates: tuple[float, ...] = ()
     """Fastest change (q,) of each input that may lag, in its units by second; infinite where it is not limited."""
+    limits: tuple[tuple[float, float], ...] = ()
+    """Least and largest value (q,) of each input that arrives, the same where it is stuck; infinite without a limit."""
 
     def __bool__(self) -> bool:
-        return self.time_constant > 0.0 or self.n_late > 0 or bool(self.rates)
+        return self.time_constant > 0.0 or self.n_late > 0 or bool(self.rates) or bool(self.limits)
 
     @property
     def n_values(self) -> int:
-        """Number of its values: one, or one for each limited rate."""
+        """Number of its values: one, or one for each limit."""
+        if self.limits:
+            return sum(isfinite(limit) for limits in self.limits for limit in set(limits))
         return sum(rate < inf for rate in self.rates) if self.rates else 1
 
     def fading(self, times: Vector) -> Vector:
@@ -69,4 +73,6 @@ def arriving(lags: Sequence[Lag], times: Vector, inputs: Vector, start: Vector) 
     for j, lag in enumerate(lags):
         if lag.n_late:
             made[lag.n_late :, j] = inputs[: max(len(inputs) - lag.n_late, 0)]
+        elif lag.limits:
+            made[:, j] = np.clip(inputs, *np.transpose(lag.limits))
     return made.transpose(1, 0, 2)

@@ -600,6 +600,23 @@ def check_inputs_of_limited_rates_against_small_steps(lag):
     assert_allclose(made[1:, 1], inputs[1:, 1])
 
 
+def check_limits_against_a_grid(input_limits):
+    """Of an input that reaches one channel by a slope that changes from sample to sample; the noise is not small."""
+    rng = np.random.default_rng(9)
+    sent, slope = np.sin(0.37 * np.arange(40)), 1.0 + 2.0 * rng.random(40)
+    grid = np.arange(0.4, 0.8, 1e-4)
+    for sign in (1.0, -1.0):
+        arrived = sign * np.minimum(sign * sent, 0.6)
+        measured = slope * arrived + 0.1 * rng.standard_normal(40)
+
+        def rows_with(arrives, measured=measured):
+            return ((measured[:, None] - slope[:, None] * arrives) / 0.1)[..., :1]
+
+        (limits,) = input_limits.InputLimits(rows_with, sent[:, None], [0]).best().limits.values()
+        squares = [np.sum(rows_with((sign * np.minimum(sign * sent, c))[:, None]) ** 2) for c in grid]
+        assert_allclose(limits, (-np.inf, grid[np.argmin(squares)])[:: int(sign)] * np.array(sign), atol=2e-4)
+
+
 def check_fading_is_what_is_left_of_the_start(input_lag):
     """The difference of two ways from different starts, which the model is linear in."""
     times = np.cumsum(np.random.default_rng(7).uniform(0.02, 0.1, 12))

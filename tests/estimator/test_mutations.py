@@ -35,6 +35,7 @@ SCORE = "check_score_is_the_evidence_of_a_linear_model"
 MARGINS = "check_margins_are_very_strong_evidence"
 DISTURBANCE = "check_disturbance_against_least_squares"
 ARRIVING = "check_arriving_inputs_against_integration"
+LIMITED = "check_limits_against_a_grid"
 RATES = "check_inputs_of_limited_rates_against_small_steps"
 FADING = "check_fading_is_what_is_left_of_the_start"
 DRIVES = "check_friction_in_drives_is_found_and_taken_out"
@@ -50,6 +51,7 @@ IDENTIFIABILITY = "estimator.identifiability"
 HYPOTHESES = "estimator.hypotheses"
 FRICTION = "estimator.effects.friction"
 LAG = "estimator.effects.lag"
+LIMITS = "estimator.effects.input_limits"
 SCALE = "estimator.diagnosis.residual_scale"
 LEAP = "estimator.bayesian.leap"
 EI = (EI_QUAD, EI_DRAWS)
@@ -62,6 +64,9 @@ MUTANTS = [
     # id, module, old, new, the checks that must reject it
     ("lag-by-one-euler-step", LAG, "-np.expm1(-gaps / taus)", "gaps / taus", (ARRIVING,)),
     ("lag-of-the-input-before", LAG, "/ taus), inputs[1:]", "/ taus), inputs[:-1]", (ARRIVING,)),
+    ("limit-of-what-arrives-sign", LIMITS, "self._inputs[:, j] - off", "self._inputs[:, j] + off", (LIMITED,)),
+    ("limit-of-the-samples-within-it", LIMITS, "sent > limit", "sent < limit", (LIMITED,)),
+    ("lower-limit-sign", LIMITS, "-_limit(-sent, -v, w)", "_limit(-sent, -v, w)", (LIMITED,)),
     ("dead-time-of-one-sample-more", LAG, "inputs[: max(len(inputs) - lag.n_late, 0)]",
      "inputs[[0, *range(len(inputs) - lag.n_late - 1)]]", (ARRIVING,)),
     ("rate-by-the-sample", LAG, "zip(gaps * rates,", "zip(gaps * 0.0 + rates,", (RATES,)),
@@ -197,8 +202,7 @@ MUTANTS = [
     ("margin-of-proof-sign", HYPOTHESES, "self._lead >= MARGIN", "self._lead >= -MARGIN", (MARGINS,)),
     ("margin-of-certainty", HYPOTHESES, "self._lead >= 2.0 * MARGIN", "self._lead >= MARGIN", (MARGINS,)),
     ("margin-of-possibility-sign", HYPOTHESES, "self._lead > -MARGIN", "self._lead > MARGIN", (MARGINS,)),
-    ("lead-of-the-worst", HYPOTHESES, "min(self.nothing.score, self.dist", "max(self.nothing.score, self.dist",
-     (MARGINS,)),
+    ("lead-of-the-worst", HYPOTHESES, "min(others) - self", "max(others[:2]) - self", (MARGINS,)),
     ("disturbance-at-the-oldest", HYPOTHESES, "Disturbance(course[-1]", "Disturbance(course[0]",
      (DISTURBANCE,)),
     ("disturbance-without-parabola", HYPOTHESES, "_ORDER: Final = 2", "_ORDER: Final = 1", (DISTURBANCE,)),

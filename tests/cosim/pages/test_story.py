@@ -158,11 +158,12 @@ def test_inputs_that_arrive_late_are_told_with_their_lag(made_up):
     late = {"t": 0.6, "kind": "lag", "time_constant": 0.03, "dead_time": 0.0, "reason": "late"}
     shown = made_up(events=[NOTICED, late, late | {"t": 0.7, "time_constant": 0.0, "reason": "in time"}])
     assert [reason_of(e, shown.run) for e in shown.events[1:]] == ["late; time constant 0.03 s", "in time"]
-    assert chapters(shown.run, shown.events)[0].refused == "late inputs named once, inputs in time again once"
+    refused = "late or limited inputs named once, inputs as sent again once"
+    assert chapters(shown.run, shown.events)[0].refused == refused
     limited = {"t": 0.6, "kind": "lag", "time_constant": 0.0, "dead_time": 0.0, "rates": [None, 2.5], "reason": "late"}
     slow = made_up(events=[NOTICED, limited, limited | {"t": 0.7, "rates": [None, None], "reason": "in time"}])
     assert [reason_of(e, slow.run) for e in slow.events[1:]] == ["late; rate limited to 2.5 per second", "in time"]
-    assert chapters(slow.run, slow.events)[0].refused == "late inputs named once, inputs in time again once"
+    assert chapters(slow.run, slow.events)[0].refused == refused
 
 
 def test_a_disturbance_that_has_passed_is_known_for_a_step_and_one_that_acts_until_its_end(made_up):

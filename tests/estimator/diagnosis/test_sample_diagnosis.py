@@ -1013,6 +1013,48 @@ class LimitedActuator:
         return self.state
 
 
+@dataclass
+class WeakActuator:
+    """An actuator that gives no more than a limit, and is stuck in an interval of samples."""
+
+    most: float = np.inf
+    stuck: tuple[int, int] = (0, 0)
+    value: float = 0.0
+
+    def __call__(self, t, u):
+        begin, end = self.stuck
+        if not 0.05 * begin <= t + 1e-9 < 0.05 * end:
+            self.value = min(u, self.most)
+        return self.value
+
+
+@pytest.mark.full_but("1-target", "3-least-squares")
+@SEARCHES
+@CHANNELS
+def test_a_limited_input_is_named_and_parameters_that_change_behind_it_are_found(estimator, n_channels):
+    run = Run(estimator, n_channels, actuator=WeakActuator(most=0.9)).go(80)
+    assert run.diagnosis.summary()["input_lag"]["limits"] == {"input 0": [None, pytest.approx(0.9, abs=0.02)]}
+    assert near(run.held, TRUE)
+    assert not run.of("disturbance", "unexplained", "rest")
+    run.go(80, CHANGED)
+    assert near(run.held, CHANGED, 0.05)
+
+
+@pytest.mark.full_but("1-target", "3-least-squares")
+@ESTIMATORS
+@CHANNELS
+def test_an_input_that_is_stuck_for_a_while_changes_no_parameter(estimator, n_channels):
+    """Nor as it moves again; the first three samples are as well of changed parameters."""
+    run = Run(estimator, n_channels, actuator=WeakActuator(stuck=(60, 85)))
+    value = run.go(63).actuator.value
+    for _ in range(97):
+        run.go(1)
+        assert near(run.held, TRUE)
+    first, last = (run.of("lag")[i][1].detail["limits"] for i in (0, -1))
+    assert_allclose([v for v in first["input 0"] if v is not None], value, atol=0.1)
+    assert last == run.diagnosis.summary()["input_lag"]["limits"] == {}
+
+
 @pytest.mark.full_but("1.5-3-target", "0.8-1-least-squares")
 @SEARCHES
 @CHANNELS

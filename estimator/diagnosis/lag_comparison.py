@@ -12,7 +12,7 @@ import numpy as np
 
 from ..effects.input_lag import NO_LAG, FoundLag
 from ..effects.known_effects import Explanation
-from ..hypotheses import MARGIN, disturbance_of, plain_fit
+from ..hypotheses import MARGIN, Fit, disturbance_of, plain_fit
 from ..samples import Sample
 from ..space import Vector
 from .comparison import LONG
@@ -79,18 +79,21 @@ class LagComparison:
             if not (found.lag or state.inputs.lag):  # no lag, before or now
                 continue
             margin = MARGIN if found.lag.limits or not is_over else inf if found.lag else 0.0
-            if found.lag.limits and not state.inputs.lag and self._may_be_noise(theta, samples):
+            if found.lag.limits and not state.inputs.lag and not self._is_certain(found.fit, theta, samples):
                 continue
             if found.fit.is_explained and found.fit.score + margin <= disturbance.score:
                 return Explanation(found, theta, offset, n)
         return None
 
-    def _may_be_noise(self, theta: Vector, samples: Sequence[Sample]) -> bool:
-        """Return whether noise of five times the known size explains samples with parameters theta (d,).
+    def _is_certain(self, limits: Fit, theta: Vector, samples: Sequence[Sample]) -> bool:
+        """Return whether limits explain samples with parameters theta (d,) far better than noise or a disturbance.
 
-        Noise that is correlated from sample to sample looks like anything for a few samples.
+        Noise that is correlated from sample to sample, and a slow disturbance, look like anything for a few samples.
         """
-        return plain_fit(self._residuals.rows(theta, samples) / _NOISE, 0).is_explained
+        rows = self._residuals.rows(theta, samples)
+        if plain_fit(rows / _NOISE, 0).is_explained:
+            return False
+        return limits.score + 2.0 * MARGIN <= disturbance_of(rows).fit.score
 
     def _best(self, theta: Vector, samples: Sequence[Sample], offset: Vector, *, is_late: bool = True) -> FoundLag:
         """Return the lag of the inputs, or none, that explains samples with parameters (d,).

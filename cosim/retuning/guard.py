@@ -33,7 +33,9 @@ _POSTPONED = 2
 _LITTLE = 0.01
 """Share of the scaled bounds below which a move in an unidentified direction, or an uncertainty, is ignored."""
 _AWAY = 0.1
-"""Share of the scaled bounds that the parameters in force may be from a write that has passed its probation."""
+"""Share of the scaled bounds from a write beyond which parameters are others."""
+_TRIED = 0.25
+"""Share of its probation for which a write, or what is close to it, must have been in force."""
 _UNDECIDED = "a disturbance explains the samples as well, and the loop is not simulated ahead"
 """Reason of a veto where nothing tells what a write would do if it was one."""
 
@@ -146,7 +148,7 @@ class Guard:
         watched = self._watch(k, t, error, held)
         if watched is not None:
             return watched
-        confirmed = self._confirmed(k, t, held)
+        confirmed = self._confirmed(k, t)
         theta, estimate = proposal.theta, proposal.estimate
         if theta is None or estimate is None:
             return Ruling(None, confirmed)
@@ -202,16 +204,18 @@ class Guard:
         """Sum of squares at the newest sample that noise alone may reach."""
         return chi2_limit(SAMPLE_FALSE_ALARM, self._support.n_channels)
 
-    def _confirmed(self, k: int, t: float, held: Vector) -> tuple[Event, ...]:
+    def _confirmed(self, k: int, t: float) -> tuple[Event, ...]:
         """Confirm the writes whose probation ends at point k; return the events.
 
-        Those that the parameters in force, held (d,), have since gone far away from were not tried for that long.
+        Those that a later one soon went far away from have not been tried.
         """
         events: list[Event] = []
-        for theta in self._probation.end(k):
-            if self._distance(theta, held) > _AWAY:
+        for trial in self._probation.end(k):
+            further = (later for later in self._probation.trials if self._distance(later.theta, trial.theta) > _AWAY)
+            left = next(further, None)
+            if left is not None and left.since - trial.since < _TRIED * self._settings.probation:
                 continue
-            self._good = theta
+            self._good = trial.theta
             self.counts["confirmed"] += 1
             events.append(Event(t, "confirm", {"theta": self._good.tolist()}))
         return tuple(events)

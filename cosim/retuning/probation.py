@@ -92,13 +92,13 @@ class Probation:
         """Take it that the parameters have changed: no disturbance explains the samples as well."""
         self._trials = deque(replace(trial, is_proven=True) for trial in self._trials)
 
-    def end(self, k: int) -> list[Vector]:
-        """Return the parameters (d,) whose probation ends at communication point k."""
-        ended: list[Vector] = []
+    def end(self, k: int) -> list[Trial]:
+        """Return the writes whose probation ends at communication point k."""
+        ended: list[Trial] = []
         while self._trials and k - self._trials[0].since >= self._n_steps:
             trial = self._trials.popleft()
             self._ended = trial.since
-            ended.append(trial.theta)
+            ended.append(trial)
         return ended
 
     def clear(self) -> None:

@@ -145,7 +145,7 @@ def _rest(run: Run, begin: float, end: float | None, n: int | None, over: Record
     until = "to the end" if end is None else f"until t = {end:g} s"
     told = f"re-tuning rested from t = {begin:g} s {until}"
     if over is not None:
-        why = "friction was named" if over["kind"] == "friction" else "more was unexplained than ever before"
+        why = "friction was named" if over["kind"] == "friction" else over["reason"]
         return f"{told}, when {why}"
     missed = [
         f"{name} at t = {run.time[k]:g} s"

@@ -27,6 +27,7 @@ from ..hypotheses import (
     plain_fit,
 )
 from ..identifiability import information
+from ..samples import Samples
 from ..significance import FALSE_ALARM, chi2_limit
 from ..space import Vector
 from .evidence import Evidence
@@ -51,6 +52,8 @@ _SPARE: Final = 8
 """Least number of values in excess of those fitted that show a known disturbance to have changed with parameters."""
 _STEP: Final = 1e-6
 """Step of differences in the unit cube."""
+_IN_REST: Final = 50
+"""Number of samples of a rest after which changed parameters are sought, each time."""
 _RENEWED: Final = 5
 """Number of samples after which a comparison that changed parameters have won is repeated."""
 
@@ -162,6 +165,25 @@ class HypothesisComparison:
         reference = self._state.reference_or(held)
         rows = self._residuals.of_newest(reference, self._state.n_since) / TOO_SMALL
         return reference if plain_fit(rows, 0).is_explained else None
+
+    def has_changed_in_rest(self, held: Vector) -> bool:
+        """Return whether changed parameters explain the newest hundred samples, and nothing else nearly as well.
+
+        On all channels, while some rest; now and then: held (d,) are in force.
+        """
+        state = self._state
+        if state.resting.n_samples % _IN_REST or not state.resting.n_samples:
+            return False
+        known = self._residuals.known.on_all_channels()
+        samples = Samples(known.without(sample) for sample in state.newest_hundred)
+        at = OfMany(lambda z: self._residuals.scaled_rows(self._space.beyond(z), samples))
+        z = self._space.to_unit(held)
+        before = at(z)
+        nothing = plain_fit(before, 0)
+        if nothing.is_explained or len(samples) < 2 * WINDOW:
+            return False
+        parameters = changed_parameters(at, z, may_drift=False).fit
+        return Weighing(parameters, disturbance_of(before).fit, nothing).are_parameters_certain
 
     @property
     def is_tested(self) -> bool:

@@ -24,6 +24,7 @@ from .residual_scale import LARGER, MUCH_LARGER, NOISY, ResidualScale, is_rough,
 from .resting import RestingResiduals
 from .settings import (
     BETTER,
+    CALM,
     FORGOTTEN,
     KINDS,
     MOST_NAMED,
@@ -320,6 +321,7 @@ class EpisodeDiagnosis:
             state.rested.append(newest)
             state.resting = state.resting.take(newest, state.scale.values)
         if state.resting.is_calm(state.n_samples - state.restless_since - state.resting.n_calm):
+            self.evidence.rest_ended(self._outputs, CALM)
             state.rests_until, state.n_calm = state.n_samples, state.resting.n_calm
         elif self._has_other_scale():
             self._window.weights = 1.0 / state.scale.effective

@@ -21,12 +21,18 @@ class Evidence:
     def __init__(self) -> None:
         self._n_samples = 0
         self._fits: dict[str, Fit] = {}
-        self._outgrown: tuple[str, float] | None = None
+        self._rest_ended: tuple[Sequence[str], str] | None = None
 
     def outgrown(self, names: Sequence[str], residuals: RestingResiduals) -> None:
         """Take the end of a rest whose residuals have outgrown all before in it; names (c,): of the channels."""
         largest = int(np.argmax(residuals.growth))
-        self._outgrown = names[largest], float(residuals.growth[largest])
+        growth = float(residuals.growth[largest])
+        reason = f"the residual of {names[largest]} was {growth:.2g} times as large as any before in the rest"
+        self.rest_ended([names[largest]], reason)
+
+    def rest_ended(self, names: Sequence[str], reason: str) -> None:
+        """Take the end of a rest before its time; names: of channels."""
+        self._rest_ended = names, reason
 
     def note(self, n_samples: int, **fits: Fit) -> None:
         """Take fits of hypotheses to the newest n samples, in place of any to another number of samples."""
@@ -35,9 +41,9 @@ class Evidence:
 
     def events(self, t: float) -> tuple[Event, ...]:
         """Return the events at t [s]: a rest's end, a comparison of parameters with a disturbance; begin anew."""
-        n_samples, fits, outgrown = self._n_samples, self._fits, self._outgrown
-        self._n_samples, self._fits, self._outgrown = 0, {}, None
-        ended = () if outgrown is None else (_end_of_rest(t, *outgrown),)
+        n_samples, fits, rest_ended = self._n_samples, self._fits, self._rest_ended
+        self._n_samples, self._fits, self._rest_ended = 0, {}, None
+        ended = () if rest_ended is None else (_end_of_rest(t, *rest_ended),)
         if not {"parameters", "disturbance"} <= fits.keys():
             return ended
         scores = {name: fit.score if isfinite(fit.score) else None for name, fit in fits.items()}
@@ -45,6 +51,5 @@ class Evidence:
         return (*ended, Event(t, "evidence", {"n_samples": n_samples, "scores": scores, "explained": explained}))
 
 
-def _end_of_rest(t: float, name: str, growth: float) -> Event:
-    reason = f"the residual of {name} is {growth:.2g} times as large as any before in the rest, which ends"
-    return Event(t, "rest", {"channels": [name], "n_samples": 0, "reason": reason})
+def _end_of_rest(t: float, names: Sequence[str], reason: str) -> Event:
+    return Event(t, "rest", {"channels": [*names], "n_samples": 0, "reason": reason})

@@ -29,7 +29,7 @@ from .lag_comparison import LagComparison
 from .lasting import LastingParameters
 from .record import DiagnosisRecord
 from .residual_scale import NOISY
-from .settings import PATIENCE, QUIET, DiagnosisSettings, is_at_unseen_bound
+from .settings import CALM, PATIENCE, QUIET, DiagnosisSettings, is_at_unseen_bound
 from .settled import Settled
 from .standardised_residuals import StandardisedResiduals
 from .state import WINDOW, DiagnosisState
@@ -145,10 +145,16 @@ class Diagnosis:
             self.evidence.outgrown(self._record.names, state.resting)
             state.wake_early()
             return True
-        if not state.resting.is_calm(state.n_samples - state.restless_since - state.resting.n_calm):
-            return False
-        state.wake_calm()
-        return True
+        names = [self._record.names[i] for i in np.flatnonzero(state.is_resting)]
+        if state.resting.is_calm(state.n_samples - state.restless_since - state.resting.n_calm):
+            self.evidence.rest_ended(names, CALM)
+            state.wake_calm()
+            return True
+        if self.comparison.has_changed_in_rest(held):
+            self.evidence.rest_ended(names, "changed parameters explained the newest hundred samples")
+            state.wake_to_change()
+            return True
+        return False
 
     def settle(self, t: float, held: Vector) -> Settled | None:
         """End the suspicion where one hypothesis has won, from the samples since the onset; None where it goes on."""

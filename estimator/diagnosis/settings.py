@@ -27,6 +27,8 @@ QUIET: Final = 5
 """Number of newest samples that the parameters in force must explain for a suspicion to end."""
 PASSED: Final = "a disturbance has passed: the parameters before it explain the samples again"
 """Reason of a disturbance that is named when it is over."""
+CALM: Final = "the parameters in force had explained the samples for as long as they had not"
+"""Reason of the end of a rest."""
 MOST_NAMED: Final = 20
 """Largest number of disturbances in the summary."""
 KINDS: Final = ("disturbance", "lag", "friction", "unexplained", "rest")

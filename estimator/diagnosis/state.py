@@ -177,6 +177,12 @@ class DiagnosisState:
         newest = [s for s in self.samples if long and s.t > long[0].t]
         return [*(s for s in long if not newest or s.t < newest[0].t), *newest]
 
+    @property
+    def newest_hundred(self) -> list[Sample]:
+        """The newest samples, and of those before them every fifth one: as many again, from old to new."""
+        begin = self.samples[0].t
+        return [*[s for s in self.since_lasting[-2 * WINDOW :] if s.t < begin][-WINDOW:], *self.samples]
+
     def rest(self, channels: NDArray[np.bool_], n: int) -> None:
         """Let the channels (c,) rest for n samples."""
         if len(self.rested) > 1:
@@ -207,6 +213,11 @@ class DiagnosisState:
         """End all rests, as the parameters in force have long explained the samples again."""
         self._end_offset(_finite(self.rested[-self.resting.n_calm :]))
         self.n_since = 0
+        self.wake_all()
+
+    def wake_to_change(self) -> None:
+        """End all rests, as changed parameters explain the newest samples without a known disturbance."""
+        self.offset, self.n_since = np.zeros_like(self.offset), 0
         self.wake_all()
 
     def wake_all(self) -> None:

@@ -102,9 +102,9 @@ def test_a_rest_is_told_with_its_end_and_with_what_changed_in_it(tmp_path):
         event = {"t": t, "kind": "rest", "channels": ["plant.der(phi_dot)"], "n_samples": n, "reason": "in vain"}
         (tmp_path / "run" / "events.jsonl").write_text(json.dumps(event) + "\n")
         assert noted(result) == ([line] if line else [])
-    events = [event | {"t": 0.3, "n_samples": 40}, event | {"t": 0.55, "n_samples": 0}]
+    events = [event | {"t": 0.3, "n_samples": 40}, event | {"t": 0.55, "n_samples": 0, "reason": "it was over"}]
     (tmp_path / "run" / "events.jsonl").write_text("".join(json.dumps(e) + "\n" for e in events))
-    until = "until t = 0.55 s, when more was unexplained than ever before"
+    until = "until t = 0.55 s, when it was over"
     assert noted(result) == [f"re-tuning rested from t = 0.3 s {until}"]
     friction = {"t": 0.55, "kind": "friction", "terms": [], "reason": "it explains the samples"}
     (tmp_path / "run" / "events.jsonl").write_text("".join(json.dumps(e) + "\n" for e in (events[0], friction)))

@@ -111,9 +111,7 @@ class Supervisor(RetunerCounts[AnyRetuner]):
             screened, before = self._screened(point, held)
         in_force = held if before is None else before
         with failing(f"estimator '{self._name}'", point.t):
-            proposal = self._retuner.suspend(point.t, in_force, screened.n_doubtful) if screened.n_doubtful else None
-            if proposal is None:
-                proposal = self._retuner.step(point.t, screened.sample, point.error, in_force)
+            proposal = self._proposal(point, screened, in_force)
         with failing("estimation.model", point.t):
             ruling = self._ruling(point, proposal, in_force)
         events = [*screened.events, *proposal.events, *ruling.events]
@@ -132,6 +130,14 @@ class Supervisor(RetunerCounts[AnyRetuner]):
         if latencies:  # diagnosis, checks and prediction belong to the step's last evaluation
             latencies = (*latencies[:-1], perf_counter() - begun - sum(latencies[:-1]))
         return Decision(write, proposal.estimate, tuple(events), latencies)
+
+    def _proposal(self, point: Point, screened: Screened, held: Vector) -> Proposal:
+        """Return the retuner's proposal, which knows the input at every point, whatever becomes of the sample."""
+        n, kept = screened.n_doubtful, screened.sample
+        undone = self._retuner.suspend(point.t, held, n) if n else None
+        if point.sample is not None and (kept is None or undone is not None):
+            self._retuner.keep_input(kept or replace(point.sample, t=point.t))
+        return undone or self._retuner.step(point.t, kept, point.error, held)
 
     def _not_taken(self, point: Point, held: Vector) -> Event | None:
         """Return the stop event, where the read-back differs from the parameters written; or None."""

@@ -97,6 +97,11 @@ class Diagnosis:
         """Return what is known of each channel, and the number of events of each kind, as JSON values."""
         return self._record.summary()
 
+    def keep_input(self, sample: Sample) -> None:
+        """Take the input of a sample that is kept out: it acts on the plant all the same, and later perhaps."""
+        self._state.inputs = self._state.inputs.copy()  # what is made of the one before is made anew
+        self._state.inputs.take(sample)
+
     def observe(self, sample: Sample, held: Vector, expects: Callable[[Sample], bool] = lambda sample: False) -> bool:
         """Take a sample, with the parameters in force (d,); return whether residuals are to be computed anew.
 

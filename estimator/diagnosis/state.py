@@ -258,7 +258,8 @@ class DiagnosisState:
         return other
 
     def restore(self, other: "DiagnosisState") -> None:
-        """Go back to a copy, which is used up: no part has to be given another state."""
+        """Go back to a copy, which is used up: no part has to be given another state. Inputs since then stay known."""
+        other.inputs.take_since(self.inputs)
         vars(self).update(vars(other))
 
     def summary(self, names: Sequence[str], sigma: Vector) -> dict[str, Any]:

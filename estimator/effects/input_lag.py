@@ -56,13 +56,20 @@ class InputHistory:
         return other
 
     def take(self, sample: Sample) -> None:
-        """Take the input of a sample."""
+        """Take the input of a sample; one that is not newer than those before is known already."""
+        if self._times and sample.t <= self._times[-1]:
+            return
         self._times.append(sample.t)
         self._inputs.append(sample.u)
         if self.lag and len(self._times) > 1:
             self._arriving[sample.t] = self._arrives()
         if len(self._times) > _KEPT:
             self._forget(1)
+
+    def take_since(self, later: "InputHistory") -> None:
+        """Take the inputs of a later history that are newer than those here."""
+        for t, u in zip(later._times, later._inputs, strict=True):
+            self.take(Sample(t, (), u, ()))
 
     def _arrives(self) -> tuple[float, ...]:
         """Return what arrives with the newest input, by the known lag."""

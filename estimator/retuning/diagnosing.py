@@ -83,6 +83,10 @@ class DiagnosingRetuner(RetunerCounts[Retuner]):
         reference = self._diagnosis.suspend(n)
         return None if reference is None else self._ended(t, Proposal(), reference, held, (), DOUBTFUL)
 
+    def keep_input(self, sample: Sample) -> None:
+        """Take the input of a sample that is kept out."""
+        self._diagnosis.keep_input(sample)
+
     def step(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
         """Take one communication point's sample, where there is one; return what to write, and why."""
         proposal = self._proposal(t, sample, tracking_error, held)

@@ -59,6 +59,9 @@ class DiagnosingEpisodes(RetunerCounts[Retuner]):
         self._retuner.close(self._before)
         return going_back(t, Proposal(), self._before, held, (), self._diagnosis.space, DOUBTFUL)
 
+    def keep_input(self, sample: Sample) -> None:
+        """Do nothing: no input arrives later."""
+
     def step(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
         """Take one communication point's sample, where there is one; return what to write, and why."""
         proposal = self._proposal(t, sample, tracking_error, held)

@@ -148,6 +148,9 @@ class Retuner:
     def suspend(self, t: float, held: Vector, n: int) -> None:
         """Go on with samples that turn out to be doubtful: without a diagnosis nothing says what to go back to."""
 
+    def keep_input(self, sample: Sample) -> None:
+        """Do nothing: without a diagnosis no input arrives later."""
+
     def diagnosis_summary(self) -> None:
         """Return None: there is no diagnosis."""
 

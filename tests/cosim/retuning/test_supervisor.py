@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cosim.errors import ScenarioError
-from cosim.retuning.data_support import DataSupport
+from cosim.retuning.data_support import DataSupport, NoDataSupport
 from cosim.retuning.decision import Point
 from cosim.retuning.guard import Guard
 from cosim.retuning.supervisor import ReadBack, Supervisor
@@ -63,6 +63,10 @@ class ScriptedScreen:
 
 def suspect(sample):
     return Screened(sample, is_suspect=True)
+
+
+def kept_out(sample):
+    return Screened(None)
 
 
 def after_an_outlier(sample):
@@ -207,6 +211,29 @@ def test_the_newest_samples_derivatives_are_computed_once_for_what_is_held():
     assert asked == [(3.0, 2.0)]
     residual(START, Sample(0.0, tuple([3.0]), (), (2.0,)))  # equal, but another sample
     assert len(asked) == 2
+
+
+def test_the_input_of_a_sample_is_known_whatever_becomes_of_it():
+    """Of an outlier that waits for the next sound sample, of one that is late, and of one that ends a search."""
+
+    def doubtful(sample):
+        return Screened(sample, n_doubtful=1)
+
+    residual = DerivativeResidual(lambda x, u, a: [a], SPACE, (0,), (SIGMA,))
+    diagnosis = Diagnosis(residual, ("plant.der(x)",), DiagnosisSettings())
+    retuner = make_retuner(Mean([]), residual, InnovationSettings(), Budget(20), 5, diagnosis=diagnosis)
+    script = {"at_5": suspect, "at_6": kept_out, "at_7": after_an_outlier, "at_9": kept_out, "at_12": doubtful}
+    supervisor = Supervisor("mine", retuner, NoDataSupport(), ScriptedScreen([], **script))
+    suspicious = []
+    for k in range(1, 14):
+        y = OUTLIER if k == 5 or k > 10 else 2.0
+        sample = Sample(0.01 * k if k != 9 else 0.01, (1.0,), (float(k),), (y,))
+        supervisor.step(Point(k, 0.01 * k, sample, 0.0), START)
+        suspicious += [k] * diagnosis.is_suspicious
+    inputs = diagnosis.snapshot().inputs
+    assert suspicious == [5, 6, 11, 13]
+    assert inputs._inputs == [(float(k),) for k in range(1, 14)]
+    assert inputs._times == pytest.approx([0.01 * k for k in range(1, 14)])
 
 
 def test_a_model_that_raises_in_the_screen_is_a_fault_with_its_name():

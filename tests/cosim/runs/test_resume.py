@@ -103,10 +103,17 @@ def test_every_estimator_goes_on_to_the_same_bits(tmp_path, estimator):
     assert (whole.n_evaluations > 0) == (estimator not in ("none", "true"))
 
 
-def test_what_is_known_of_late_inputs_comes_back_to_the_bit(tmp_path):
+@pytest.mark.full_but("dropouts")
+@pytest.mark.parametrize(
+    "fault", ["", 'kind = "dropout"', 'kind = "spikes", size = 20.0'], ids=["sound", "dropouts", "spikes"]
+)
+def test_what_is_known_of_late_inputs_comes_back_to_the_bit(tmp_path, fault):
+    """Also where samples are kept out, or prove to be outliers: their inputs arrive nevertheless."""
     changes = {"changes": '{ "plant.m" = 1.75, "plant.l" = 0.75, "plant.tau_u" = 0.03 }'}
+    faulty = f'[{{ {fault}, sensor = "plant.der(phi_dot)", probability = 0.1, start = 0.3 }}]'
+    faults = {"sampling.faults": faulty} if fault else {}
     scenario = Scenario.load(
-        "pendulum", IN_PROCESS | changes | {"scenario.stop_time": "0.6", "scenario.checkpoint": "15"}
+        "pendulum", IN_PROCESS | changes | faults | {"scenario.stop_time": "0.6", "scenario.checkpoint": "15"}
     )
     whole = check_resume(scenario, "target", tmp_path)
     assert whole.diagnosis["input_lag"]["time_constant"] == pytest.approx(0.03, rel=0.02)

@@ -1204,6 +1204,32 @@ def test_a_weak_lag_that_parameters_have_followed_is_found_later():
     assert_array_equal(run.held, TRUE)
 
 
+@SEARCHES
+@pytest.mark.parametrize(("tau", "n_late"), [(0.15, 0), (0.0, 2)])
+def test_a_sample_that_is_kept_out_does_not_hide_its_input_from_a_known_lag(estimator, tau, n_late):
+    """One in five is kept out, one in seven is taken back as an outlier: what arrives is what arrived without that."""
+    runs = [Run(estimator, actuator=LateActuator(n_late) if n_late else SlowActuator(tau)).go(60) for _ in range(2)]
+    assert runs[0].of("lag")
+    for i in range(60):
+        runs[0].go(1)
+        retuner, held = runs[1].retuner, runs[1].held
+        sample, before = runs[1].sample(TRUE, 0.0), retuner.snapshot()
+        if i % 5 == 0:
+            retuner.keep_input(sample)
+            runs[1].k += 1
+            continue
+        runs[1].take(sample)
+        if i % 7 == 0:
+            retuner.restore(before, held)
+            runs[1].held = held
+    all_known, known = (run.diagnosis._state.inputs.arriving for run in runs)
+    assert list(known) == list(all_known)
+    assert_allclose(list(known.values()), list(all_known.values()), rtol=1e-12)
+    assert runs[1].events == runs[0].events[: len(runs[1].events)]
+    runs[1].go(60, CHANGED)
+    assert near(runs[1].held, CHANGED, 0.05)
+
+
 # --- friction --------------------------------------------------------------------------------------------------------
 
 RUBS = {"dry": lambda v: 0.2 * np.sign(v), "quadratic": lambda v: 0.3 * v * abs(v)}

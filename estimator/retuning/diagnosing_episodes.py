@@ -60,7 +60,8 @@ class DiagnosingEpisodes(RetunerCounts[Retuner]):
         return going_back(t, Proposal(), self._before, held, (), self._diagnosis.space, DOUBTFUL)
 
     def keep_input(self, sample: Sample) -> None:
-        """Do nothing: no input arrives later."""
+        """Take a sample that begins and judges nothing: a simulation needs its input."""
+        self._retuner.keep_input(self._diagnosis.corrected(sample))
 
     def step(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
         """Take one communication point's sample, where there is one; return what to write, and why."""

@@ -149,7 +149,9 @@ class Retuner:
         """Go on with samples that turn out to be doubtful: without a diagnosis nothing says what to go back to."""
 
     def keep_input(self, sample: Sample) -> None:
-        """Do nothing: without a diagnosis no input arrives later."""
+        """Take a sample that begins and judges nothing, where a simulation needs its input; else do nothing."""
+        if self._sliding is None:
+            self._window.append(sample)
 
     def diagnosis_summary(self) -> None:
         """Return None: there is no diagnosis."""

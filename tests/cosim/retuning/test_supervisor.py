@@ -236,6 +236,24 @@ def test_the_input_of_a_sample_is_known_whatever_becomes_of_it():
     assert inputs._times == pytest.approx([0.01 * k for k in range(1, 14)])
 
 
+def test_the_sample_that_ends_a_search_is_kept_as_it_was_screened():
+    """For roll-outs: a bad value in it is NaN, and its time is that of the communication point."""
+
+    class Suspending:
+        kept = []
+        suspend = staticmethod(lambda t, held, n: Proposal(undo=START))
+
+        def keep_input(self, sample):
+            self.kept.append(sample)
+
+    screened = Sample(0.01, (1.0,), (5.0,), (), (np.nan,))
+    screen = ScriptedScreen([], at_1=lambda _: Screened(screened, n_doubtful=40))
+    supervisor = Supervisor("mine", Suspending(), NoDataSupport(), screen)
+    decision = supervisor.step(Point(1, 0.01, Sample(0.0, (1.0,), (5.0,), (), (2.0,)), 0.0), CHANGED)
+    assert decision.write.tolist() == START.tolist()
+    assert Suspending.kept == [screened]
+
+
 def test_a_model_that_raises_in_the_screen_is_a_fault_with_its_name():
     def fails(sample):
         raise KeyError("mine")

@@ -167,6 +167,9 @@ def test_a_search_on_samples_that_turn_out_to_be_doubtful_ends_and_is_undone():
     proposal = run.retuner.suspend(13.0, run.held, 20)
     assert_array_equal(proposal.undo, TRUE)
     run.held = TRUE
+    sample = Sample(0.1 * run.k, (0.0, 0.0), (0.5,), (), (0.0, 0.0))
+    run.retuner.keep_input(sample)  # of which a later simulation needs the input
+    assert run.window.newest is sample
     assert run.retuner.suspend(13.1, TRUE, 20) is None
     run.go(80, CHANGED)
     assert near(run.held, CHANGED)

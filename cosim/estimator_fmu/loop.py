@@ -58,7 +58,7 @@ class EstimatorLoop:
             rest=int(value("diagnosis_rest")), longest_rest=int(value("diagnosis_longest_rest")),
         )  # fmt: skip
         channels = [d["name"] for d in derivatives]
-        diagnosis = Diagnosis(whitened, channels, rules) if rules.enabled else None
+        diagnosis = Diagnosis(whitened, channels, rules, settings["may_lag"]) if rules.enabled else None
         self._retuner = make_retuner(
             method.estimator(space, start, rng, method.settings(**settings["settings"])),
             whitened,

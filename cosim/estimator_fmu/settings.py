@@ -18,7 +18,7 @@ from ..errors import ScenarioError
 from ..fmi.archive import FmuFile
 from ..fmi.component import read_component
 from ..objectives.choice import chosen
-from ..retuning.assembly import make_supervisor, try_model
+from ..retuning.assembly import make_supervisor, through_actuators, try_model
 from ..retuning.estimators import find_method
 from ..scenarios.scenario import Scenario
 from ..system.fmu_cache import fmu_paths
@@ -65,6 +65,7 @@ def estimator_settings(scenario: Scenario, method: str = "target") -> dict[str, 
         "rule": _rule(scenario, fmus),
         "states": [variables.of(VariableName(f"{plant.name}.{name}")) for name in plant.states],
         "inputs": [variables.of(VariableName(f"{plant.name}.{name}")) for name in plant.inputs],
+        "may_lag": through_actuators(scenario, plant),
         "held": [_suffixed(name, "_held") for name in plant.inputs],
         "derivatives": [
             variables.of(reference)

@@ -61,7 +61,7 @@ def make_supervisor(
     diagnosis = None
     if whitened is not None and scenario.diagnosis.enabled:
         names = tuple(scenario.sampling.derivatives)
-        late = _through_actuators(scenario, plant)
+        late = through_actuators(scenario, plant)
         inputs = [f"{plant.name}.{name}" for name in plant.inputs]
         diagnosis = Diagnosis(whitened, names, scenario.diagnosis, late, inputs)
     retuner = _retuner(scenario, estimator, plant, held, rng, stack, whitened, live, diagnosis)
@@ -156,7 +156,7 @@ def _residual(scenario: Scenario, plant: Plant, stack: ExitStack) -> DerivativeR
     return DerivativeResidual(model, settings.space, plant.channels, sigma, settings.takes_arrays, slopes)
 
 
-def _through_actuators(scenario: Scenario, plant: Plant) -> list[int]:
+def through_actuators(scenario: Scenario, plant: Plant) -> list[int]:
     """Return the places of the plant's inputs that a component computes from its own inputs: no reference, no table."""
     computing = {target.component for target in scenario.connections}
     sources = {str(target): source.component for target, source in scenario.connections.items()}

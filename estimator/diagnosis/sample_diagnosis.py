@@ -49,12 +49,12 @@ class Diagnosis:
         declared: DerivativeResidual,
         names: Sequence[str],
         settings: DiagnosisSettings,
-        may_lag: Sequence[int] | None = None,
+        may_lag: Sequence[int] | None,
         inputs: Sequence[str] = (),
     ) -> None:
         """declared: residual (c,) in standard deviations of the declared noise; names (c,): of the channels; settings:
-        of false alarms and rests; may_lag: places in the input of what actuators may delay, by default all; inputs
-        (p,): names."""
+        of false alarms and rests; may_lag: places in the input of what actuators may delay, None for all; inputs (p,):
+        names."""
         self._settings, self._space = settings, declared.space
         self._state = state = DiagnosisState.at_start(len(names), may_lag)
         self.residuals = residuals = StandardisedResiduals(declared, state)

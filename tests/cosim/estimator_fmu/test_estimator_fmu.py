@@ -124,6 +124,35 @@ def test_a_function_that_gives_gains_is_shipped(tmp_path):
     assert np.allclose(found["Kp"], 10.0 * found["m"] / 1.75, rtol=1e-12)
 
 
+def windy(folder: Path) -> Scenario:
+    """The pendulum in a wind that a table gives; from 0.3 s on its actuator lags, and at 0.8 s its mass changes."""
+    t = 0.01 * np.arange(201)
+    wind = np.repeat(np.random.default_rng(1).uniform(-8.0, 8.0, 41), 5)[: len(t)]
+    rows = [f"{at:.2f},{force!r}" for at, force in zip(t, wind.tolist(), strict=True)]
+    (folder / "wind.csv").write_text("\n".join(["time [s],F [N]", *rows]))
+    text = (Path(cosim.__file__).parent / "scenarios" / "pendulum.toml").read_text(encoding="utf-8")
+    text = text.replace("[connections]", 'wind = {table = "wind.csv"}\n[connections]\n"plant.F_d" = "wind.F"')
+    (folder / "windy.toml").write_text(text)
+    changes = '{"plant.tau_u" = [[0.0, 0.0], [0.3, 0.05]], "plant.m" = [[0.0, 1.75], [0.8, 4.271]], "plant.l" = 0.75}'
+    off = {"guard.enabled": "false", "observations.enabled": "false", "estimation.instants": "[]"}
+    return Scenario.load(folder / "windy.toml", {"changes": changes, "scenario.stop_time": "1.2", **off})
+
+
+def test_an_input_that_no_actuator_drives_does_not_lag_and_the_estimates_are_those_of_a_run(tmp_path):
+    scenario, seed = windy(tmp_path), 3
+    run = cosim.run(scenario, seed=seed)
+    assert run.summary()["diagnosis"]["input_lag"]["time_constant"] == pytest.approx(0.05, rel=0.02)
+    slave = slave_of(scenario, seed=seed)
+    columns = {
+        "der(phi_dot)": "sampled.plant.der(phi_dot)", "phi": "plant.phi", "phi_dot": "plant.phi_dot",
+        "u_held": "held.plant.u", "F_d_held": "held.plant.F_d", "phi_ref": "reference.phi_ref",
+    }  # fmt: skip
+    for k in range(scenario.scenario.n_steps):
+        slave.set_real(places_of(slave, *columns), [float(run.series[name][k]) for name in columns.values()])
+        slave.do_step(scenario.scenario.time(k), 0.01)
+        assert get(slave, "m", "l") == [run.series[f"controller.{name}"][k] for name in ("m", "l")]
+
+
 # -- what it declares ---------------------------------------------------------------------------------------------
 
 

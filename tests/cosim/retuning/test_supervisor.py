@@ -220,7 +220,7 @@ def test_the_input_of_a_sample_is_known_whatever_becomes_of_it():
         return Screened(sample, n_doubtful=1)
 
     residual = DerivativeResidual(lambda x, u, a: [a], SPACE, (0,), (SIGMA,))
-    diagnosis = Diagnosis(residual, ("plant.der(x)",), DiagnosisSettings())
+    diagnosis = Diagnosis(residual, ("plant.der(x)",), DiagnosisSettings(), None)
     retuner = make_retuner(Mean([]), residual, InnovationSettings(), Budget(20), 5, diagnosis=diagnosis)
     script = {"at_5": suspect, "at_6": kept_out, "at_7": after_an_outlier, "at_9": kept_out, "at_12": doubtful}
     supervisor = Supervisor("mine", retuner, NoDataSupport(), ScriptedScreen([], **script))
@@ -275,7 +275,7 @@ def test_a_search_that_fails_does_not_return_to_what_the_guard_has_reverted():
     """a changes to 4; from the 48th sample on a sine is added, which nothing explains, and the error grows."""
     model = RememberingModel(lambda x, u, a: [a * x[0]])
     residual = DerivativeResidual(model, SPACE, (0,), (SIGMA,))
-    diagnosis = Diagnosis(residual, ("plant.der(x)",), DiagnosisSettings())
+    diagnosis = Diagnosis(residual, ("plant.der(x)",), DiagnosisSettings(), None)
     retuner = make_retuner(Slope([]), residual, InnovationSettings(), Budget(20), 5, diagnosis=diagnosis)
     support = DataSupport(diagnosis.residuals.rows, SPACE, 1, 30)
     guard = Guard(GuardSettings(tolerance=0.5, rate=1.0), SPACE, START, 100.0, support)

@@ -67,7 +67,7 @@ class Run:
         channels = tuple(range(self.n_channels))
         whitened = DerivativeResidual(self.model or self.plant, SPACE, channels, (SIGMA,) * self.n_channels)
         self.names = tuple(f"der{i}" for i in channels)
-        self.diagnosis = Diagnosis(whitened, self.names, self.settings)
+        self.diagnosis = Diagnosis(whitened, self.names, self.settings, None)
         begins, self.held, self.k = InnovationSettings(), TRUE, 0
         search = STARTS[self.estimator](SPACE, TRUE, np.random.default_rng(self.seed + 1))
         budget, length = Budget(3 * self.n_search, 3), 10

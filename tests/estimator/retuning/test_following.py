@@ -36,7 +36,7 @@ class Loop:
             [],
         )
         whitened = DerivativeResidual(model, SPACE, tuple(range(n_channels)), (SIGMA,) * n_channels)
-        diagnosis = Diagnosis(whitened, ("f", "g", "h")[:n_channels], DiagnosisSettings())
+        diagnosis = Diagnosis(whitened, ("f", "g", "h")[:n_channels], DiagnosisSettings(), None)
         self.n_channels = n_channels
         self.search = TargetVector(SPACE, TRUE, np.random.default_rng(seed + 1), settings)
         made = diagnosis if is_diagnosed else None

@@ -1,7 +1,7 @@
 """Pictures of a study: tracking errors by estimator, what re-tuning made better or worse, and planes of two factors."""
 
 from collections.abc import Mapping, Sequence
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any, Final
 
@@ -32,8 +32,8 @@ def draw_study(folder: Path, summary: StudySummary, factors: Sequence[str]) -> l
         pictures.append(_draw_shares(folder, compared, scenarios))
     numeric = [name for name in factors if np.issubdtype(summary.columns[name].dtype, np.number)][:_MOST_FACTORS]
     for estimator in dict.fromkeys(row.estimator for row in compared if row.estimator not in BASELINES):
-        if len(numeric) > 1 and np.isfinite(summary.ratio[summary.columns["estimator"] == estimator]).any():
-            pictures.append(_draw_planes(folder, summary, scenarios, estimator, numeric))
+        if planes := _planes(summary, scenarios, estimator, numeric):
+            pictures.append(_draw_planes(folder, summary, estimator, planes))
     return pictures
 
 
@@ -81,26 +81,40 @@ def _draw_shares(folder: Path, rows: Sequence[StudyRow], scenarios: Sequence[str
     return save_png(figure, folder / "shares.png")
 
 
-def _draw_planes(
-    folder: Path, summary: StudySummary, scenarios: Sequence[str], estimator: str, factors: Sequence[str]
-) -> Path:
-    """Draw the median ratio to the nominal controller's error over each two factors."""
-    pairs = list(combinations(factors, 2))
+_Planes = dict[tuple[str, tuple[str, str]], Any]
+"""Runs of each plane, by scenario and its two factors: True for each row of the table that is one of them (n,)."""
+
+
+def _planes(summary: StudySummary, scenarios: Sequence[str], estimator: str, factors: Sequence[str]) -> _Planes:
+    """Return the planes of two factors in which an estimator has runs with a ratio: not all scenarios have both."""
+    columns, planes = summary.columns, _Planes()
+    has_ratio = (columns["estimator"] == estimator) & np.isfinite(summary.ratio) & (summary.ratio > 0.0)
+    for scenario, (a, b) in product(scenarios, combinations(factors, 2)):
+        chosen = has_ratio & (columns["scenario"] == scenario) & np.isfinite(columns[a]) & np.isfinite(columns[b])
+        if chosen.any():
+            planes[scenario, (a, b)] = chosen
+    return planes
+
+
+def _draw_planes(folder: Path, summary: StudySummary, estimator: str, planes: _Planes) -> Path:
+    """Draw the median ratio to the nominal controller's error over each two factors, a row a scenario."""
+    scenarios, pairs = (list(dict.fromkeys(part)) for part in zip(*planes, strict=True))
     figure = new_figure(0.8 + 3.6 * len(pairs), 0.4 + 3.2 * len(scenarios))
     all_axes: Any = figure.subplots(len(scenarios), len(pairs), squeeze=False)
     norm = TwoSlopeNorm(0.0, -np.log10(_LARGEST_RATIO), np.log10(_LARGEST_RATIO))
     image: Any = None
-    for row, scenario in zip(all_axes, scenarios, strict=True):
-        chosen = (summary.columns["scenario"] == scenario) & (summary.columns["estimator"] == estimator)
-        chosen &= np.isfinite(summary.ratio) & (summary.ratio > 0.0)
-        for axes, pair in zip(row, pairs, strict=True):
-            columns = {name: summary.columns[name][chosen] for name in pair}
-            edges, cells = _cells(columns, np.log10(summary.ratio[chosen]))
-            axes.set_facecolor(GREY)  # where there is no run
-            image = axes.pcolormesh(*edges, cells.T, norm=norm, cmap="PuOr_r")
-            axes.set_xlabel(pair[0])
-            axes.set_ylabel(pair[1])
-            axes.set_title(f"{scenario}, {estimator}", fontsize=9)
+    for axes, (scenario, pair) in zip(all_axes.flat, product(scenarios, pairs), strict=True):
+        chosen = planes.get((scenario, pair))
+        if chosen is None:
+            axes.set_axis_off()
+            continue
+        columns = {name: summary.columns[name][chosen] for name in pair}
+        edges, cells = _cells(columns, np.log10(summary.ratio[chosen]))
+        axes.set_facecolor(GREY)  # where there is no run
+        image = axes.pcolormesh(*edges, cells.T, norm=norm, cmap="PuOr_r")
+        axes.set_xlabel(pair[0])
+        axes.set_ylabel(pair[1])
+        axes.set_title(f"{scenario}, {estimator}", fontsize=9)
     ticks = np.log10([0.1, 0.3, 1.0, 3.0, 10.0])
     bar = figure.colorbar(image, ax=all_axes, ticks=ticks, label="mse, times nominal")
     bar.ax.set_yticklabels(["≤ 0.1", "0.3", "1", "3", "≥ 10"])
@@ -113,9 +127,8 @@ def _cells(columns: Mapping[str, Any], outcome: Any) -> tuple[list[Any], Any]:
     edges, places = [], []
     for values in columns.values():
         found = np.unique(values.astype(float))
-        if len(found) > _CELLS or not len(found):
-            low, high = (found[0], found[-1]) if len(found) else (0.0, 1.0)
-            edge = np.linspace(low, high, _CELLS + 1)
+        if len(found) > _CELLS:
+            edge = np.linspace(found[0], found[-1], _CELLS + 1)
         else:
             middles = (found[1:] + found[:-1]) / 2
             first = found[0] - (middles[0] - found[0] if len(middles) else 0.5)
@@ -127,6 +140,6 @@ def _cells(columns: Mapping[str, Any], outcome: Any) -> tuple[list[Any], Any]:
     flat = np.asarray(np.ravel_multi_index(places, shape))
     order = np.argsort(flat, kind="stable")
     cells = np.full(int(np.prod(shape)), np.nan)
-    for part in np.split(order, np.flatnonzero(np.diff(flat[order])) + 1) if len(order) else []:
+    for part in np.split(order, np.flatnonzero(np.diff(flat[order])) + 1):
         cells[flat[part[0]]] = np.median(outcome[part])
     return edges, cells.reshape(shape)

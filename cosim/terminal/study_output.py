@@ -46,15 +46,15 @@ def tell_study(study: Study, ledger: Ledger, folder: Path, is_json: bool) -> int
     with recording(folder):
         write_results(folder, ledger)
         summary = summarised(read_results(folder), study.definition.factor_names)
+        write_text(folder / "summary.md", to_markdown(study, summary))  # whatever becomes of the pictures
+    counts = ledger.counts()
+    print(to_json(_figures(study, summary, folder) | {"runs": counts}) if is_json else to_terminal(study, summary))
+    with recording(folder):
         from ..plots.study import draw_study  # after the runs: what draws takes half a second to load
 
         pictures = draw_study(folder, summary, study.definition.factor_names)
         write_text(folder / "summary.md", to_markdown(study, summary, [path.name for path in pictures]))
-    counts = ledger.counts()
-    if is_json:
-        print(to_json(_figures(study, summary, folder) | {"runs": counts}))
-    else:
-        print(to_terminal(study, summary))
+    if not is_json:
         print(f"\nwritten to {folder}")
     return UNFINISHED if counts["refused"] or counts["lost"] else DONE
 

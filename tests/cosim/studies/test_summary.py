@@ -19,6 +19,7 @@ from cosim.studies.sensitivity import sensitivities
 from cosim.studies.summary import Share, summarised
 from cosim.studies.table import read_results, write_results
 from cosim.studies.texts import to_markdown, to_terminal
+from cosim.terminal.study_output import tell_study
 
 MASS = {"set": 'changes."plant.m"'}
 
@@ -163,6 +164,35 @@ def test_pictures_can_be_drawn_whatever_there_is(tmp_path):
     assert [path.name for path in draw_study(tmp_path, summarised(nothing, ("m",)), ("m",))] == ["errors.png"]
     alone = table((0, "target", "done", 1.0))
     assert [path.name for path in draw_study(tmp_path, summarised(alone, ("m",)), ("m",))] == ["errors.png"]
+
+
+def test_a_plane_is_drawn_of_two_factors_that_a_scenario_has(tmp_path):
+    """Either scenario has two numeric factors of its own: the other's have no value in its rows."""
+    columns = {"estimator": ["none", "target"] * 8, "scenario": ["pendulum"] * 8 + ["other"] * 8}
+    columns |= {"point": np.repeat(range(8), 2), "mse": np.repeat(np.arange(1.0, 9.0), 2), "status": ["done"] * 16}
+    columns |= {"seed": [0] * 16, "largest error": [1.0] * 16}
+    for k, name in enumerate(("m", "b", "c", "d")):
+        own = np.repeat([[1.5, 2.5, 1.5, 2.5], [10.0, 10.0, 20.0, 20.0]][k % 2], 2).tolist()
+        columns[name] = [None] * 8 + own if k > 1 else own + [None] * 8
+    names = ("m", "b", "c", "d")
+    files = draw_study(tmp_path, summarised(pa.table(columns), names), names)
+    assert [path.name for path in files] == ["errors.png", "shares.png", "planes-target.png"]
+    of_one = draw_study(tmp_path, summarised(pa.table(columns), ("m", "c")), ("m", "c"))
+    assert [path.name for path in of_one] == ["errors.png", "shares.png"]  # no scenario has both
+
+
+def test_a_picture_that_fails_does_not_take_the_summary_along(tmp_path, capsys, monkeypatch):
+    def fails(*_):
+        raise ValueError("no picture")
+
+    monkeypatch.setattr("cosim.plots.study.draw_study", fails)
+    made = study()
+    with open_ledger(":memory:") as ledger:
+        enter(made, {run.key: run for run in made.runs()}, ledger)
+        with pytest.raises(ValueError, match="no picture"):
+            tell_study(made, ledger, tmp_path, is_json=False)
+    assert "4 runs over m and 1 seed" in capsys.readouterr().out
+    assert "4 runs over m and 1 seed" in (tmp_path / "summary.md").read_text()
 
 
 @pytest.mark.full

@@ -12,7 +12,7 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from .belief import Belief, Measurement, identity, measurement, measurements
+from .belief import Belief, Measurement, identity, innovation_roots, measurement, measurements
 from .differences import value_and_slope
 from .identifiability import Information, information_of_covariance
 from .significance import FALSE_ALARM, chi2_limit
@@ -263,8 +263,7 @@ class ArrivalCost:
     def _squared(self, walks: Vector, measured: Measurement) -> Vector:
         """Return the normalised innovation squared (k,) of a sample where the parameters walk by variances (k, d)."""
         before, H = self.covariance + walks[:, None] * identity(len(self.mean)), measured.slope
-        roots = np.linalg.cholesky(H @ before @ H.T + identity(len(H)))
-        innovations = np.linalg.solve(roots, measured.value[:, None])[..., 0]
+        innovations = np.linalg.solve(innovation_roots(before, H), measured.value[:, None])[..., 0]
         return np.array([innovation @ innovation for innovation in innovations])
 
     def _learnt(self) -> Self:

@@ -61,18 +61,42 @@ class Belief:
 
     def updated(self, measured: Measurement) -> tuple["Belief", Innovation]:
         """Return the belief after a measurement, and the measurement's innovation."""
-        P, H = self.covariance, measured.slope
-        seen = H @ P
+        before, H = self.covariance, measured.slope
+        seen = H @ before
         spread = seen @ H.T + identity(len(H))
         value = measured.value + H @ (self.mean - measured.place)
-        gain = np.linalg.solve(spread, seen).T
-        left = identity(len(P)) - gain @ H
-        after: Vector = left @ P @ left.T + gain @ gain.T  # Joseph's form
-        root = np.linalg.cholesky(spread)
+        try:
+            root, gain = np.linalg.cholesky(spread), np.linalg.solve(spread, seen).T
+        except np.linalg.LinAlgError:
+            before, root, gain = _by_roots(before, H)
+        left = identity(len(before)) - gain @ H
+        after: Vector = left @ before @ left.T + gain @ gain.T  # Joseph's form
         normalised = np.linalg.solve(root, value).astype(np.float64)
         squared = float(normalised @ normalised)
         deviance = squared + 2.0 * float(np.log(root.diagonal()).sum())
         return Belief(self.mean - gain @ value, after), Innovation(normalised, squared, deviance)
+
+
+def innovation_roots(covariances: Vector, slope: Vector) -> Vector:
+    """Return the Cholesky factors (k, c, c) of an innovation's covariance, by those of the parameters (k, d, d)."""
+    try:
+        return np.linalg.cholesky(slope @ covariances @ slope.T + identity(len(slope))).astype(np.float64)
+    except np.linalg.LinAlgError:
+        return np.array([_by_roots(P, slope)[1] for P in covariances])
+
+
+def _by_roots(P: Vector, H: Vector) -> tuple[Vector, Vector, Vector]:
+    """Return P (d, d) positive semidefinite, the Cholesky factor (c, c) of H P H' + I, and the gain (d, c).
+
+    From square roots, which stay real where roundings of P, times a large slope H (c, d), are more than one.
+    """
+    variances, axes = np.linalg.eigh(P)
+    factor: Vector = axes * np.sqrt(np.maximum(variances, 0.0))
+    seen = H @ factor
+    upper: Vector = np.linalg.qr(np.vstack([seen.T, identity(len(H))])).R.astype(np.float64)
+    root = upper.T * np.sign(upper.diagonal())
+    gain: Vector = np.linalg.solve(root.T, np.linalg.solve(root, seen @ factor.T)).T.astype(np.float64)
+    return factor @ factor.T, root, gain
 
 
 def measurement(residual: Callable[[Vector], Vector], z: Vector) -> Measurement:

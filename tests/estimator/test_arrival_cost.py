@@ -401,3 +401,17 @@ def test_older_samples_that_say_next_to_nothing_contradict_nothing(size):
         at = OfMany(lambda z, H=H, e=e: np.einsum("ncd,...d->...nc", H, z - TRUTH) + e)
         reached.append(known.reaching_back(at).n_known)
     assert sum(n == 10 for n in reached) >= 15  # one in five blocks seems to be of others
+
+
+@pytest.mark.parametrize("size", [1e6, 1e9, 1e12, 1e100])
+@pytest.mark.parametrize("n_channels", [1, 3])
+def test_samples_whose_noise_is_declared_tiny_are_followed(n_channels, size):
+    """A slope so large that its product with the covariance's roundings is more than one."""
+    rng, known = np.random.default_rng(0), begun(10.0 * np.eye(3))
+    for _ in range(60):
+        H = size * rng.standard_normal((n_channels, 3))
+        known = known.updated(lambda z, H=H: H @ (z - TRUTH))
+        assert np.isfinite(known.covariance).all()
+        assert known.drifted(lambda z, H=H: H @ (z - TRUTH)) is not None
+    assert_allclose(known.mean, TRUTH, atol=1e-4)
+    assert known.covariance.diagonal().max() < 1e-6

@@ -77,9 +77,9 @@ class Ledger:
                 ((position, key, to_json(point)) for position, (key, point) in enumerate(runs)),
             )
 
-    def retry(self) -> None:
-        """Queue again what was refused or lost, if nothing else is left to be run. Raises FolderError."""
-        if not self.counts()["queued"]:
+    def retry(self, *, at_once: bool = False) -> None:
+        """Queue again what was refused or lost, if nothing else is left to be run, or at once. Raises FolderError."""
+        if at_once or not self.counts()["queued"]:
             with self._transaction() as database:
                 database.execute(
                     "UPDATE runs SET state = 'queued', losses = 0, why = NULL "

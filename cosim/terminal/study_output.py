@@ -33,7 +33,7 @@ def carry_on(
     """Make the runs of a study that are still to be made, with a progress bar. Raises CosimError."""
     enter(study, runs, ledger, is_resumed)
     if is_resumed:
-        ledger.retry()
+        ledger.retry(at_once=kind == "compare")  # whose tables need every run
     with recording(folder), bar_of_runs(f"{kind} {study.definition.study.name}") as progress:
         conduct(
             study, runs, ledger, folder, kind, options.jobs, options.on, options.plain, progress,

@@ -11,13 +11,16 @@ from pathlib import Path
 
 import pytest
 
-from cosim.campaigns.compare import compare
+from cosim.campaigns.compare import compare, comparison_study
 from cosim.campaigns.comparison import Comparison
 from cosim.campaigns.tables import WIDTH, estimator_columns, run_columns, to_csv, to_markdown
+from cosim.cli import main
 from cosim.errors import FolderError, ScenarioError, UnfinishedError, is_refusal
+from cosim.runs.lock import new_locked_folder
 from cosim.runs.run_files import LOCK
 from cosim.scenarios.scenario import Scenario
-from cosim.studies.folder import STUDY
+from cosim.studies.conduct import enter, planned
+from cosim.studies.folder import STUDY, open_study
 from cosim.studies.head import StudyError
 from cosim.studies.ledger import LEDGER, open_ledger
 
@@ -328,6 +331,21 @@ def test_a_run_whose_process_was_killed_is_made_again(pendulum, children):
     comparison = compare(pendulum({"scenario.stop_time": "0.2"}), [], 1, 1, progress=at_end)
     assert seen == [("none", 1, 2), ("true", 2, 2)]
     assert [r["status"] for r in comparison.runs] == ["done", "done"]
+
+
+@real
+def test_a_comparison_of_which_a_run_was_lost_is_resumed_to_its_end(pendulum, tmp_path, capsys):
+    out = tmp_path / "out"
+    study = comparison_study(pendulum({"scenario.stop_time": "0.1"}), [], 1, keep=False)
+    with new_locked_folder("pendulum", out), open_study(out, study, "compare") as ledger:
+        enter(study, planned(study), ledger)
+        lost = ledger.queued()[0]
+        while ledger.lose(lost, ledger.lease(lost), "killed") == "queued":
+            pass
+        assert ledger.counts() | {"queued": 1, "lost": 1} == ledger.counts()
+    assert main(["resume", str(out), "--jobs", "1"]) == 0
+    assert "true" in capsys.readouterr().out
+    assert n_done(out) == 2
 
 
 @real

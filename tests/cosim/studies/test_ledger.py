@@ -91,6 +91,13 @@ def test_what_was_refused_or_lost_is_tried_anew_once_nothing_else_is_left(ledger
     assert ledger.queued() == ["k0"]
 
 
+def test_what_was_lost_is_tried_anew_at_once_where_every_run_is_wanted(ledger):
+    for k in range(1 + MOST_LOSSES):
+        ledger.lose("k0", ledger.lease("k0"), f"death {k}")
+    ledger.retry(at_once=True)
+    assert ledger.queued() == ["k0", "k1", "k2"]
+
+
 def test_looking_writes_nothing_and_needs_no_right_to(tmp_path):
     path = tmp_path / LEDGER
     with open_ledger(path) as ledger:

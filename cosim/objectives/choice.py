@@ -121,10 +121,12 @@ class FunctionObjective:
         self._function, self._name, self._space = function, name, space
         self._last: SampleSequence | None = None
         self._size = 0
+        self._why_lost: str | None = None  # why it has failed, if it has each time
 
     def describe(self) -> str:
-        """Return a description with the function's name."""
-        return f"residuals of {self._name}"
+        """Return a description with the function's name, and why it failed where it has failed each time."""
+        failed = "" if self._why_lost is None else f", which failed each time: {self._why_lost}"
+        return f"residuals of {self._name}{failed}"
 
     def add_sample(self, sample: Sample) -> None:
         """Ignore the sample: the function gets those of each stretch."""
@@ -152,6 +154,14 @@ class FunctionObjective:
         return found.residual if found.reason is None else np.empty(0)
 
     def _one(self, theta: Vector, stretch: SampleSequence) -> Evaluation:
+        found = self._called(theta, stretch)
+        if found.reason is None:
+            self._why_lost = None
+        elif not self._size:
+            self._why_lost = self._why_lost or found.reason
+        return found
+
+    def _called(self, theta: Vector, stretch: SampleSequence) -> Evaluation:
         where = f"estimation.objective: {self._name}"
         try:
             returned = self._function(self._space.named(theta), stretch.samples)

@@ -172,6 +172,9 @@ def _untriggered(run: Run) -> Iterator[str]:
     if trigger.kind == "tracking" and np.all(error < trigger.threshold):
         yield f"nothing was re-tuned: the tracking error never passed the trigger's threshold, {trigger.threshold:g}"
         return
+    if "which failed each time" in run.objective:
+        yield f"nothing was re-tuned: {run.scenario.estimation.objective} failed each time it was called"
+        return
     yield "nothing was re-tuned: the samples never contradicted the parameters in force beyond the declared noise"
     sampling = run.scenario.sampling
     for name, declared in {**sampling.derivatives, **sampling.outputs}.items():

@@ -23,6 +23,7 @@ from cosim.objectives.choice import chosen, open_objective
 from cosim.objectives.rollout import RolloutObjective
 from cosim.objectives.rollout_fmu import RunningPlant, shadow_of
 from cosim.objectives.rollout_start import NoisyStartObjective
+from cosim.runs.diagnosis_report import diagnosis_report
 from cosim.runs.result import read_run
 from cosim.slaves.slave import open_slave
 from cosim.system.fmu_cache import find_fmu
@@ -783,3 +784,39 @@ def test_candidates_at_which_a_function_has_no_value_have_failed(pendulum, workp
     assert result.status == "done", result.error
     assert failed
     assert all(e["theta"][0] > 2.5 and "ValueError" in e["failed"] for e in failed)
+
+
+@pytest.mark.parametrize(
+    ("function", "told"),
+    {
+        "raising": ("raising", "which failed each time: ValueError: could not convert string to float: 'a'"),
+        "NaN": ("endless", "which failed each time: 2 residuals are not finite"),
+        "at first only": ("late", None),
+    }.values(),
+    ids=["raising", "NaN", "at first only"],
+)
+def test_a_function_that_fails_each_time_is_why_nothing_was_re_tuned(pendulum, workplace, function, told):
+    (workplace / "mine.py").write_text(f"{FUNCTION}\n{FAILING}")
+    quiet = {"estimation.objective": f"mine:{function}", "changes": '{"plant.m" = 1.75, "plant.l" = 0.75}'}
+    result = run(pendulum(quiet, 0.3), "target")
+    (line,) = [line for line in diagnosis_report(result, []) if line.startswith("nothing was re-tuned")]
+    if told is None:
+        assert result.objective == f"residuals of mine:{function}"
+        assert "never contradicted" in line
+    else:
+        assert result.objective == f"residuals of mine:{function}, {told}"
+        assert line == f"nothing was re-tuned: mine:{function} failed each time it was called"
+
+
+FAILING = """
+def raising(theta, samples):
+    return [float("a")]
+
+
+def endless(theta, samples):
+    return [math.nan, math.inf]
+
+
+def late(theta, samples):
+    return [float("a" if samples[-1].t < 0.1 else 0.5)]
+"""

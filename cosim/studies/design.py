@@ -1,6 +1,5 @@
 """Points of a study: the values of its factors, crossed or paired, and the settings that they stand for."""
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
 from typing import Any, NamedTuple
@@ -42,13 +41,15 @@ def points(definition: StudyDefinition) -> Iterator[StudyPoint]:
 
 def given_values(factor: Factor) -> list[Any]:
     """Return the values of a factor that has no distribution."""
-    if factor.values is not None or factor.choices is not None:
-        return list(factor.values or factor.choices or ())
+    if factor.values is not None:
+        return list(factor.values)
+    if factor.choices is not None:
+        return list(factor.choices)
     if factor.grid is not None:
-        first, last, n = factor.grid
-        return np.linspace(first, last, n).tolist()
-    first, last, step = factor.span or (0, 0, 1)
-    return [first + k * step for k in range(math.floor((last - first) / step * (1 + 1e-12) + 1e-9) + 1)]
+        return np.linspace(*factor.grid).tolist()
+    assert factor.span is not None
+    first, _, step = factor.span
+    return [first + k * step for k in range(int(factor.n_given))]
 
 
 def drawn_points(factors: Mapping[str, Factor], study: StudySettings) -> list[Values]:

@@ -66,7 +66,7 @@ class Factor(Table):
             raise ValueError("must have 'set', and choices, which have their keys, none")
         if isinstance(self.setting, dict) and any("{}" not in form for form in self.setting.values()):
             raise ValueError("set: each text must have {} where the value stands")
-        n = self._n_given()
+        n = self.n_given
         if not 0 < n <= _MOST_VALUES:
             found = "no values" if n <= 0 else f"{n:.3g} values, at most {_MOST_VALUES:g} are made"
             raise ValueError(f"{given[0]} has {found}, got {list(self.grid or self.span or ())}")
@@ -78,12 +78,16 @@ class Factor(Table):
             raise ValueError(f"normal must have a standard deviation above 0, got {self.normal[1]:g}")
         return self
 
-    def _n_given(self) -> float:
-        """Return the number of values of a grid or a range; 1 for any other factor."""
-        if self.grid:
+    @property
+    def n_given(self) -> float:
+        """Number of values of a grid or a range, perhaps infinite; 1 for any other factor."""
+        if self.grid is not None:
             return self.grid[2]
-        first, last, step = self.span or (0, 0, 1)
-        return (last - first) / step + 1 if step != 0 else 0
+        if self.span is None:
+            return 1
+        first, last, step = self.span
+        steps = (last - first) / step * (1 + 1e-12) + 1e-9 if step != 0 else -1.0
+        return math.floor(steps) + 1 if math.isfinite(steps) else steps
 
     @property
     def keys(self) -> set[str]:

@@ -158,6 +158,8 @@ def test_a_study_of_some_estimators_has_the_scenarios_that_have_any():
         ({"factors": {"m": M | {"log-uniform": [0.0, 1.0]}}}, "log-uniform must have 0 < lower < upper"),
         ({"factors": {"m": M | {"normal": [0.0, 0.0]}}}, "standard deviation above 0"),
         ({"factors": {"m": M | {"range": [1, 2, 0]}}}, "range has no values"),
+        ({"factors": {"m": M | {"range": [1.0, 0.5, 1.0]}}}, "range has no values"),
+        ({"factors": {"m": M | {"range": [0, 1e300, 1e-300]}}}, "range has inf values"),
         ({"factors": {"m": M | {"range": [2.0, 3.0, 1e-12]}}}, r"range has 1e\+12 values, at most 1e\+06 are made"),
         ({"factors": {"m": M | {"grid": [2.0, 3.0, 10**9]}}}, r"grid has 1e\+09 values, at most 1e\+06 are made"),
         (

@@ -65,6 +65,7 @@ def restricted(
         tables["study"]["scenarios"] = [name for name, its in has_any.items() if its]
         tables["scenarios"] = {name: its for name, its in tables["scenarios"].items() if has_any[name]}
         tables["study"]["estimators"] = tables["study"]["estimators"] or [*estimators]  # each scenario has its own then
+        tables["study"]["seeds"] = tables["study"]["seeds"] or 1  # and its own seeds
     return checked_definition(tables, label)
 
 

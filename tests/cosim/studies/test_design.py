@@ -149,6 +149,13 @@ def test_a_study_of_some_estimators_has_the_scenarios_that_have_any():
     assert made.study.scenarios == tuple(name for name in PARTS["study"]["scenarios"] if name != "stiction")
 
 
+def test_a_study_of_estimators_that_one_scenario_has_with_its_seeds_has_these():
+    table = {"name": "s", "scenarios": ["pendulum"], "estimators": ["none"], "seeds": {"none": 1}}
+    own = {"pendulum": {"estimators": ["target"], "seeds": {"target": 2}}}
+    made = restricted(checked_definition({"study": table, "scenarios": own}, "s"), ["target"], None, "s")
+    assert made.at("pendulum").study.seeds == {"target": 2}
+
+
 @pytest.mark.parametrize(
     ("table", "told"),
     [

@@ -1,7 +1,8 @@
 """The dry run of a study: how many runs it has, how long they take and how much disk, from a few that are made."""
 
 import os
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter
@@ -28,6 +29,7 @@ def dry_run(study: Study, runs: Mapping[str, PlannedRun], jobs: int | None) -> s
     first: dict[tuple[int, str], PlannedRun] = {}
     for planned in runs.values():
         first.setdefault((planned.source, planned.estimator), planned)
+    n_like = Counter((planned.source, planned.estimator) for planned in runs.values())
     begun, times, sizes = perf_counter(), list[float](), list[int]()
     with TemporaryDirectory() as folder:
         for k, planned in enumerate(first.values()):
@@ -39,18 +41,27 @@ def dry_run(study: Study, runs: Mapping[str, PlannedRun], jobs: int | None) -> s
             times.append(perf_counter() - before)
             kept = sum(p.stat().st_size for p in place.iterdir()) if place is not None else 0
             sizes.append(kept + _OF_A_ROW * len(to_json(study.point_of(planned) | row_of(made))))
-    seconds, size = len(runs) * sum(times) / len(times) / jobs, len(runs) * sum(sizes) / len(sizes)
+    seconds, size = (of_all(made, [n_like[of] for of in first]) for made in (times, sizes))
     n_points = len({planned.place for planned in runs.values()})
     return "\n".join(
         [
             f"{counted(len(runs), 'run')}: {counted(n_points, 'point')}, "
             f"{counted(len(study.definition.estimators), 'estimator')}, "
             f"{counted(len(study.definition.seed_numbers), 'seed')}",
-            f"about {_duration(seconds)} with {counted(jobs, 'run')} at a time: "
+            f"about {_duration(seconds / jobs)} with {counted(jobs, 'run')} at a time: "
             f"{min(times):.2g} to {max(times):.2g} s each, by {counted(len(times), 'run')} made now",
             f"about {_size(size)} on the disk" + (", run folders included" if study.definition.study.keep else ""),
         ]
     )
+
+
+def of_all(made: Sequence[float], numbers: Sequence[int]) -> float:
+    """Return the sum over all runs, from that of the runs made and the numbers of runs like each.
+
+    Those of which none was made count as the mean of the others.
+    """
+    known = [value * n for value, n in zip(made, numbers, strict=False)]
+    return sum(known) + sum(made) / len(made) * sum(numbers[len(made) :])
 
 
 def _duration(seconds: float) -> str:

@@ -17,6 +17,7 @@ from cosim.cli import main
 from cosim.scenarios.scenario import Scenario
 from cosim.studies.conduct import enter
 from cosim.studies.definition import checked_definition
+from cosim.studies.dry_run import of_all
 from cosim.studies.folder import STUDY, open_study
 from cosim.studies.ledger import LEDGER, open_ledger
 from cosim.studies.plan import Study
@@ -181,6 +182,12 @@ def fmus_below(workers):
             environment = Path(f"/proc/{process}/environ").read_bytes()
             found += [process] if environment and none not in environment else []
     return found
+
+
+def test_a_dry_run_weighs_runs_by_the_number_of_those_like_them():
+    """Those of which none was made, 50 at the end, are taken for as long as the mean."""
+    assert of_all([1.0, 1.0, 1.0], [1, 10, 100]) == 111.0
+    assert of_all([1.0, 2.0, 3.0], [1, 10, 100, 50]) == 1.0 + 20.0 + 300.0 + 50 * 2.0
 
 
 @pytest.mark.full

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Sequence
 from contextlib import nullcontext
+from numbers import Integral
 from pathlib import Path
 
 from estimator import METHODS
@@ -108,6 +109,8 @@ def usable(scenario: Scenario) -> list[str]:
 
 def _numbers(seeds: int | Sequence[int]) -> tuple[int, ...]:
     numbers = tuple(range(seeds)) if isinstance(seeds, int) else tuple(seeds)
-    if not numbers or min(numbers) < 0 or len(set(numbers)) < len(numbers):
-        raise ValueError(f"seeds must be a count from 1 on, or different whole numbers from 0 on, got {seeds!r}.")
+    is_sound = all(isinstance(n, Integral) and 0 <= n < 2**63 for n in numbers)
+    if not numbers or not is_sound or len(set(numbers)) < len(numbers):
+        whole = "different whole numbers from 0 on, of 64 bits"
+        raise ValueError(f"seeds must be a count from 1 on, or {whole}, got {seeds!r}.")
     return numbers

@@ -14,7 +14,7 @@ from ..scenarios.validation import first_error
 from .factor import Factor
 
 SeedCount = Annotated[int, Field(ge=1, le=MOST)]
-Seeds = SeedCount | tuple[Annotated[int, Field(ge=0)], ...] | dict[str, SeedCount]
+Seeds = SeedCount | tuple[Annotated[int, Field(ge=0, lt=2**63)], ...] | dict[str, SeedCount]
 
 
 def _is_name(name: str) -> str:

@@ -59,13 +59,18 @@ def _batch(rows: Sequence[Mapping[str, Any]], all_kinds: dict[str, set[type]]) -
     columns: dict[str, Any] = {}
     for name in dict.fromkeys(name for row in rows for name in row):
         values = [row.get(name) for row in rows]
-        kinds = {type(value) for value in values if value is not None}
+        kinds = {_kind_of(value) for value in values if value is not None}
         all_kinds.setdefault(name, set()).update(kinds)
         kind = _type_of(name, kinds)
-        if pa.types.is_string(kind) and kinds != {str}:
+        if pa.types.is_string(kind):
             values = [value if value is None or isinstance(value, str) else json.dumps(value) for value in values]
         columns[name] = pa.array(values, kind)
     return len(rows), columns
+
+
+def _kind_of(value: Any) -> type:
+    """Return the type of a value; an integer of more than 64 bits, for which Arrow has no type, is a text."""
+    return str if type(value) is int and not -(2**63) <= value < 2**63 else type(value)
 
 
 def _type_of(name: str, kinds: set[type]) -> Any:

@@ -359,9 +359,10 @@ def test_an_unknown_estimator_is_refused_before_a_folder_is_made(pendulum, tmp_p
     ("settings", "rule"),
     [
         ({"seeds": 0}, "seeds must be"), ({"seeds": [1, 1]}, "seeds must be"), ({"seeds": [-1]}, "seeds must be"),
+        ({"seeds": [0.5]}, "seeds must be"), ({"seeds": [2**63]}, "seeds must be"),
         ({"jobs": 0}, "jobs must be"), ({"keep": True}, "keep needs a folder"),
     ],
-    ids=["no seed", "a seed twice", "a negative seed", "no job", "keep nowhere"],
+    ids=["no seed", "a seed twice", "a negative seed", "half a seed", "65 bits", "no job", "keep nowhere"],
 )  # fmt: skip
 @real
 def test_what_makes_no_sense_is_refused(pendulum, settings, rule):

@@ -164,6 +164,7 @@ def test_a_study_of_estimators_that_one_scenario_has_with_its_seeds_has_these():
         ({"factors": {"m": M | {"uniform": [2.0, 1.0]}}}, "uniform must have lower < upper"),
         ({"factors": {"m": M | {"log-uniform": [0.0, 1.0]}}}, "log-uniform must have 0 < lower < upper"),
         ({"factors": {"m": M | {"normal": [0.0, 0.0]}}}, "standard deviation above 0"),
+        ({"study": {"seeds": [2**63]}}, "study.seeds"),
         ({"factors": {"m": M | {"range": [1, 2, 0]}}}, "range has no values"),
         ({"factors": {"m": M | {"range": [1.0, 0.5, 1.0]}}}, "range has no values"),
         ({"factors": {"m": M | {"range": [0, 1e300, 1e-300]}}}, "range has inf values"),

@@ -123,6 +123,14 @@ def test_values_of_several_kinds_are_texts(written):
     assert made["f"].to_pylist() == ["innovation", "1.5", "[1, 2]"]
 
 
+@pytest.mark.parametrize("values", [(10**20,), (1, 10**20), (1.5, -(10**20))])
+def test_integers_of_more_than_64_bits_are_texts(written, values):
+    base = {"scenario": "s", "point": 0, "seed": 2**63 - 1, "estimator": "none"}
+    made = written([None] * len(values), [base | {"f": value} for value in values])
+    assert made["f"].to_pylist() == [str(value) for value in values]
+    assert summarised(made).columns["seed"].tolist() == [2**63 - 1] * len(values)
+
+
 def test_a_table_without_any_result_can_be_summarised(written):
     summary = summarised(written([None, None]))
     assert summary.rows()[0].statuses == {"queued": 2}

@@ -11,7 +11,7 @@ from ..scenarios.overrides import key_path
 from ..scenarios.scenario import read_tables
 from ..scenarios.schema.table import MOST, Table
 from ..scenarios.validation import first_error
-from .factor import Factor
+from .factor import Factor, Settings
 
 SeedCount = Annotated[int, Field(ge=1, le=MOST)]
 Seeds = SeedCount | tuple[Annotated[int, Field(ge=0, lt=2**63)], ...] | dict[str, SeedCount]
@@ -42,7 +42,7 @@ class StudySettings(Table):
     """Number of those points."""
     sampling_seed: int = Field(default=0, ge=0)
     """Seed of those points."""
-    settings: dict[str, Any] = {}
+    settings: Settings = {}
     """Settings of all runs, as `--set` takes them: `"scenario.stop_time" = 2.0`."""
     keep: bool = False
     """Keep a run folder for each run."""
@@ -76,7 +76,7 @@ class ScenarioPart(Table):
     """Estimators of this scenario, in place of those of the study."""
     seeds: Seeds | None = None
     """Seeds of this scenario, in place of those of the study."""
-    settings: dict[str, Any] = {}
+    settings: Settings = {}
     """Settings of its runs, beside those of the study."""
     factors: Factors = {}
     """Factors of this scenario, in place of those of the study; choices are added to those of the study."""

@@ -2,10 +2,10 @@
 
 import json
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any, Final, Self, cast
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Annotated, Any, Final, Self, cast
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from ..scenarios.schema.table import Table
 
@@ -16,6 +16,20 @@ _MOST_VALUES: Final = 1_000_000
 DISTRIBUTIONS: Final = ("uniform", "log_uniform", "normal")
 
 
+def _finite(value: Any) -> Any:
+    """Return a value without infinite numbers and NaN, which no setting has. Raises ValueError for one with them."""
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError(f"must have finite numbers, got {value}")
+    parts = value.values() if isinstance(value, Mapping) else value if isinstance(value, list | tuple) else ()
+    for part in cast(Iterable[Any], parts):
+        _finite(part)
+    return value
+
+
+Settings = Annotated[dict[str, Any], AfterValidator(_finite)]
+"""Settings, as `--set` takes them."""
+
+
 class Factor(Table):
     """A quantity that is varied from run to run: one or several settings, by a list, grid, range or distribution."""
 
@@ -23,9 +37,9 @@ class Factor(Table):
     """Key that `--set` takes; or several, each with its text, in which `{}` stands for the value. None for choices."""
     to: str = Field(default="{}", pattern=r"\{\}")
     """Text of the setting, in which `{}` stands for the value: `[[0.0, 1.75], [0.5, {}]]`."""
-    values: tuple[Any, ...] | None = Field(default=None, alias="list", min_length=1)
+    values: Annotated[tuple[Any, ...], AfterValidator(_finite)] | None = Field(default=None, alias="list", min_length=1)
     """The values themselves."""
-    choices: dict[str, dict[str, Any]] | None = Field(default=None, min_length=1)
+    choices: dict[str, Settings] | None = Field(default=None, min_length=1)
     """Settings by name, instead of values: `gust = { 'changes."plant.F_d"' = "5*sin(t)" }`."""
     grid: tuple[Number, Number, int] | None = None
     """First value, last value, and the number of values at equal distances."""

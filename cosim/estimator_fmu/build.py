@@ -108,9 +108,10 @@ def _check_imports(path: str, source: bytes, shipped: Collection[str]) -> None:
 def _entry(name: str, scenario: Scenario, settings: Mapping[str, Any]) -> str:
     names = ", ".join(p["name"] for p in settings["parameters"])
     literal = pformat(settings, width=110, sort_dicts=False).replace("\n", "\n    ")
+    infinite = "from math import inf\n\n" if re.search(r"\binf\b", literal) else ""
     return f'''"""Entry script of {name}.fmu."""
 
-from cosim.estimator_fmu.slave import EstimatorSlave
+{infinite}from cosim.estimator_fmu.slave import EstimatorSlave
 
 
 class {name}(EstimatorSlave):

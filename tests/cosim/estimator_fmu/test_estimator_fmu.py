@@ -110,6 +110,13 @@ def test_an_estimate_without_gains_is_not_taken(tmp_path):
 
 
 @fmu
+def test_an_infinite_setting_is_built_in(tmp_path):
+    """The FMU is instantiated for its description, with the entry script that has the setting."""
+    scenario = Scenario.load("pendulum", {"estimation.target.significance": "inf"})
+    assert build_estimator(scenario, tmp_path).is_file()
+
+
+@fmu
 @pytest.mark.full
 def test_a_function_that_gives_gains_is_shipped(tmp_path):
     scenario = gains_scenario(tmp_path, "gain_functions:place", "def place(m, l):\n    return 10.0 * m / 1.75\n")

@@ -1,6 +1,5 @@
 """Comparison of estimators on the same plant, noise and seeds: a study of one scenario, and one table."""
 
-import os
 from collections.abc import Sequence
 from contextlib import nullcontext
 from numbers import Integral
@@ -15,6 +14,7 @@ from ..scenarios.scenario import Scenario
 from ..scenarios.trust import check_trust, with_own
 from ..studies.conduct import conduct, enter, planned
 from ..studies.definition import StudyDefinition, StudySettings
+from ..studies.engines import jobs_here
 from ..studies.folder import open_study
 from ..studies.head import StudyError, StudyProgress
 from ..studies.ledger import Ledger
@@ -52,7 +52,7 @@ def compare(
     if keep and out is None:
         raise ValueError("keep needs a folder: give out.")
     runs = planned(study)
-    jobs = min(jobs or os.cpu_count() or 1, len(runs))
+    jobs = jobs_here(jobs, len(runs))
     with (
         new_locked_folder(study.definition.study.name, out) if out is not None else nullcontext(),
         open_study(out, study, "compare") as ledger,

@@ -1,7 +1,6 @@
 """`retune resume`."""
 
 import argparse
-import os
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -16,6 +15,7 @@ from ..runs.resumable import has_begun, has_ended
 from ..runs.simulation import resume, run
 from ..scenarios.trust import trusted
 from ..studies.conduct import planned
+from ..studies.engines import jobs_here
 from ..studies.folder import is_study, read_study
 from ..studies.ledger import LEDGER, open_ledger
 from ..terminal.consent import consented, is_consented
@@ -60,7 +60,7 @@ def _resume_study(folder: Path, options: argparse.Namespace) -> int:
         if kind == "study":
             return tell_study(study, ledger, folder, options.json)
         with recording(folder):
-            comparison = compared(study, ledger, options.jobs or min(os.cpu_count() or 1, len(runs)), folder)
+            comparison = compared(study, ledger, jobs_here(options.jobs, len(runs)), folder)
     print(comparison.to_json() if options.json else comparison.table())
     return DONE
 

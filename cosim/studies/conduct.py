@@ -5,7 +5,7 @@ from pathlib import Path
 
 from ..errors import FolderError, ScenarioError
 from ..system.fmu_cache import fmu_paths
-from .engines import engine_for
+from .engines import engine_for, jobs_here
 from .folder import RUNS, StudyKind, run_folder
 from .head import Head, StudyProgress, remove_uncommitted
 from .ledger import Ledger
@@ -60,7 +60,7 @@ def conduct(
         if is_kept and place is not None:
             remove_uncommitted(place)
             place.mkdir(exist_ok=True)
-        with engine_for(on, min(jobs or len(runs), len(runs)) if on is None and jobs else jobs, is_plain) as engine:
+        with engine_for(on, jobs_here(jobs, len(runs)), is_plain) as engine:
             if engine.dashboard:
                 tell(f"Dask's own page: {engine.dashboard}")
             folder_of = (lambda run: run_folder(folder, kind, run)) if is_kept and folder is not None else None

@@ -1,6 +1,5 @@
 """The dry run of a study: how many runs it has, how long they take and how much disk, from a few that are made."""
 
-import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Final
 from ..files import to_json
 from ..runs.simulation import run
 from ..text_table import counted
+from .engines import jobs_here
 from .plan import PlannedRun, Study
 from .row import row_of
 
@@ -25,7 +25,7 @@ def dry_run(study: Study, runs: Mapping[str, PlannedRun], jobs: int | None) -> s
 
     One run of each scenario and estimator is made, in this process, until that takes a minute.
     """
-    jobs = min(jobs or os.cpu_count() or 1, len(runs))
+    jobs = jobs_here(jobs, len(runs))
     first: dict[tuple[int, str], PlannedRun] = {}
     for planned in runs.values():
         first.setdefault((planned.source, planned.estimator), planned)

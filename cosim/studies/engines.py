@@ -47,17 +47,21 @@ class Engine:
     """Address of its own page, if it has one."""
 
 
+def jobs_here(jobs: int | None, n_runs: int) -> int:
+    """Return how many of n_runs are made at a time on this machine: at most jobs, by default one per processor."""
+    return min(jobs or os.cpu_count() or 1, n_runs)
+
+
 @contextmanager
-def engine_for(on: str | None, jobs: int | None, is_plain: bool = False) -> Generator[Engine]:
+def engine_for(on: str | None, jobs: int, is_plain: bool = False) -> Generator[Engine]:
     """Yield the engine at an address: of a Dask scheduler, a file that has it, or `mpi`; by default this machine.
 
-    jobs: processes of this machine, by default one per processor. is_plain: a Dask scheduler elsewhere may be talked to
-    without TLS. Raises ScenarioError in one line.
+    jobs: processes of this machine. is_plain: a Dask scheduler elsewhere may be talked to without TLS. Raises
+    ScenarioError in one line.
     """
     if on is None:
-        n = jobs or os.cpu_count() or 1
-        with LocalProcesses(n) as executor:
-            yield Engine("this machine", executor, lambda: n, is_here=True)
+        with LocalProcesses(jobs) as executor:
+            yield Engine("this machine", executor, lambda: jobs, is_here=True)
     elif on == MPI:
         with _mpi() as engine:
             yield engine

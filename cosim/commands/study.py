@@ -125,5 +125,5 @@ def _status(folder: Path, is_json: bool) -> int:
     print(f"{study.definition.study.name}: {ended} of {counted(n, 'run')} ended; it {state}")
     print(", ".join(f"{count} {name}" for name, count in counts.items() if count) or "no run is planned yet")
     for text, count in why:
-        print(f"{count} times: {text}")
+        print(f"{counted(count, 'time')}: {text}")
     return DONE

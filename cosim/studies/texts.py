@@ -83,9 +83,10 @@ def _notes(summary: StudySummary) -> list[str]:
         f"better, worse: runs whose mse is more than {ALIKE:.0%} below or above that of the nominal controller at the "
         "same point with the same seed, or of which only one is done; in brackets 95 % intervals (Clopper-Pearson).",
     ]
-    for status, text in (("refused", "were refused"), ("lost", "were lost: their worker died each time")):
+    for status, text in (("refused", "refused"), ("lost", "lost: each time the worker died")):
         if n := int((summary.columns["status"] == status).sum()):
-            notes.append(f"{counted(n, 'run')} {text}; the column error of results.parquet says why.")
+            runs = f"{counted(n, 'run')} {'was' if n == 1 else 'were'}"
+            notes.append(f"{runs} {text}; the column error of results.parquet says why.")
     return notes
 
 

@@ -137,6 +137,12 @@ def test_a_table_without_any_result_can_be_summarised(written):
     assert "2 of them still to be made" in to_terminal(study(), summary)
 
 
+@pytest.mark.parametrize(("n", "told"), [(1, "1 run was lost: "), (2, "2 runs were lost: ")])
+def test_runs_that_were_lost_are_counted(n, told):
+    rows = [(0, "none", "done", 1.0), *((k + 1, "target", "lost", None) for k in range(n))]
+    assert told in to_terminal(study(), summarised(table(*rows)))
+
+
 def test_sensitivities_are_the_parts_of_the_variance():
     # log(mse) = 3 a + b with a, b uniform: 9/10 and 1/10 of the variance
     n = 512

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import nan
+from traceback import walk_tb
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -188,3 +189,14 @@ class DerivativeResidual:
         except (ArithmeticError, ValueError):  # math.sqrt(-1.0) raises the latter
             return None
         return [modelled[i] for i in self.channels]
+
+
+_OF_MODEL: Final = frozenset(
+    f.__code__
+    for f in (RememberingModel.__call__, DerivativeResidual._modelled, DerivativeResidual._at_once)  # pyright: ignore[reportPrivateUsage]
+)
+
+
+def is_of_model(e: BaseException) -> bool:
+    """Return whether an exception has come from a model, or from what it has returned, whoever has asked for it."""
+    return any(frame.f_code in _OF_MODEL for frame, _ in walk_tb(e.__traceback__))

@@ -20,7 +20,7 @@ from estimator.events import Event
 from estimator.retuning.counts import RetunerCounts
 from estimator.retuning.factory import AnyRetuner
 from estimator.retuning.proposal import Proposal
-from estimator.samples import RememberingModel
+from estimator.samples import RememberingModel, is_of_model
 
 from ..errors import CosimError, ScenarioError, one_line, seconds
 from ..sampling.screen import Screened
@@ -213,11 +213,15 @@ def _written(t: float, theta: Vector, proposal: Proposal) -> Event:
 
 @contextmanager
 def failing(what: str, t: float) -> Generator[None]:
-    """Turn exceptions of user code at t [s] into the ScenarioError that ends the run as faulted."""
+    """Turn exceptions of user code at t [s] into the ScenarioError that ends the run as faulted.
+
+    The model's are told as the model's, though it is the estimator that has called it.
+    """
     try:
         yield
     except CosimError:
         raise
     except USERS as e:
         reason = f"{type(e).__name__}: {one_line(str(e))}"
-        raise ScenarioError(f"{what} failed at t = {seconds(t)} s: {reason}.") from e
+        named = "estimation.model" if is_of_model(e) else what
+        raise ScenarioError(f"{named} failed at t = {seconds(t)} s: {reason}.") from e

@@ -297,6 +297,16 @@ def test_a_search_that_fails_does_not_return_to_what_the_guard_has_reverted():
     assert {kind for k, kind in told if k > 48} == {"unexplained"}
 
 
+@pytest.mark.parametrize(("returned", "told"), [([], "IndexError: .*"), (None, "TypeError: .*"), ({}, "KeyError: 0")])
+def test_a_model_that_fails_in_a_search_is_told_as_the_model(returned, told):
+    """And not as the estimator, which has called it: at the parameters in force it has a value."""
+    residual = DerivativeResidual(lambda x, u, a: [a] if a == START[0] else returned, SPACE, (0,), (SIGMA,))
+    retuner = make_retuner(Mean([]), residual, InnovationSettings(), Budget(3), 1)
+    supervisor = Supervisor("mine", retuner, DataSupport(residual.rows, SPACE, 1, 30))
+    with pytest.raises(ScenarioError, match=rf"^estimation\.model failed at t = 0.010 s: {told}"):
+        supervisor.step(Point(1, 0.01, Sample(0.01, (1.0,), (), (9.0,)), 0.0), START)
+
+
 def test_an_estimator_that_raises_is_a_fault_with_its_name():
     class Broken(Mean):
         def solve(self, objective):

@@ -56,8 +56,8 @@ class InputHistory:
         return other
 
     def take(self, sample: Sample) -> None:
-        """Take the input of a sample; one that is not newer than those before is known already."""
-        if self._times and sample.t <= self._times[-1]:
+        """Take the input of a sample, where none is missing; one no newer than those before is known already."""
+        if (self._times and sample.t <= self._times[-1]) or not all(map(isfinite, sample.u)):
             return
         self._times.append(sample.t)
         self._inputs.append(sample.u)

@@ -2,7 +2,7 @@
 
 import pickle
 import threading
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -1139,6 +1139,14 @@ def test_inputs_that_are_measured_do_not_lag():
     run = Run(n_channels=3, actuator=SlowActuator(0.15))
     run.diagnosis._state.inputs.may_lag = ()
     assert not run.go(60).of("lag")
+
+
+def test_an_input_that_is_missing_does_not_stay_in_what_arrives():
+    run = Run(n_channels=3, actuator=SlowActuator(0.15)).go(60)
+    run.diagnosis.keep_input(replace(run.sample(TRUE, 0.0), u=(np.nan,)))
+    run.go(1)
+    (arrives,) = run.diagnosis._state.inputs.arriving[run.diagnosis._state.samples[-1].t]
+    assert arrives == pytest.approx(run.actuator.state, abs=0.05)
 
 
 def test_a_known_lag_goes_on_from_a_snapshot():

@@ -32,16 +32,13 @@ from ..significance import FALSE_ALARM, chi2_limit
 from ..space import Vector
 from .evidence import Evidence
 from .jump import followed_jump, jump_to
+from .lag_comparison import LagComparison
 from .residual_scale import LARGER, MUCH_LARGER, NOISY, TOO_SMALL, spread_of
-from .settings import BETTER, QUIET, Judgement
+from .settings import BETTER, FEWEST, LONG, QUIET, Judgement
 from .standardised_residuals import StandardisedResiduals
 from .state import WINDOW, DiagnosisState
 from .verdict import Verdict
 
-LONG: Final = 6
-"""Least number of samples since the onset on which parameters, or a lag, are accepted."""
-FEWEST: Final = 3
-"""Least number of samples that name a disturbance, or its end."""
 _LENGTHS: Final = (5, 4, 3, 2, 1)
 """Numbers of newest samples on which the hypotheses are compared, until changed parameters explain them."""
 _RATE: Final = 2.0 * USUAL_RATE
@@ -61,8 +58,10 @@ _RENEWED: Final = 5
 class HypothesisComparison:
     """Comparison of hypotheses on the newest samples, and the judgement of new parameters by it."""
 
-    def __init__(self, state: DiagnosisState, residuals: StandardisedResiduals, evidence: Evidence) -> None:
-        self._state, self._residuals, self._evidence = state, residuals, evidence
+    def __init__(
+        self, state: DiagnosisState, residuals: StandardisedResiduals, evidence: Evidence, lag: LagComparison
+    ) -> None:
+        self._state, self._residuals, self._evidence, self._lag = state, residuals, evidence, lag
         self._space = residuals.space
 
     def judge(self, theta: Vector, held: Vector) -> Judgement:
@@ -225,26 +224,6 @@ class HypothesisComparison:
                 state.changed = found.z
                 return
 
-    def _inputs(self, reference: Vector) -> Fit:
-        """Return the fit to the samples since the onset of inputs being stuck, or arriving again, if that is known.
-
-        reference (d,): parameters then.
-        """
-        samples = self._state.samples[-self._state.n_since :]
-        rows_with = self._residuals.by_inputs(reference, samples, self._state.offset)
-        return self._state.inputs.stuck_or_free(rows_with, [sample.t for sample in samples])
-
-    def _explain_more(self, inputs: Fit, reference: Vector, n: int) -> bool:
-        """Return whether inputs explain all samples since the onset, more than n: changed parameters follow that.
-
-        Inputs that arrive again need not be more.
-        """
-        n_since = self._state.n_since
-        if not self._state.inputs.lag.limits and (n == n_since or n_since < FEWEST):
-            return False
-        nothing = plain_fit(self._residuals.of_newest(reference, n_since), 0)
-        return inputs.is_explained and inputs.score + MARGIN <= nothing.score
-
     def _wins(self, parameters: Fit, reference: Vector, n: int) -> bool:
         """Set the verdict where changed parameters are possible by their fit to the newest n samples."""
         is_recorded = n == min(self._state.n_since, _LENGTHS[0])
@@ -252,10 +231,10 @@ class HypothesisComparison:
             return False
         before = self._residuals.of_newest(reference, n)
         weighing = Weighing(parameters, disturbance_of(before).fit, plain_fit(before, 0))
-        inputs = self._inputs(reference) if weighing.are_parameters_possible else NEVER
+        inputs = self._lag.stuck_or_free(reference) if weighing.are_parameters_possible else NEVER
         if n == self._state.n_since:
             weighing = replace(weighing, inputs=inputs)
-        is_possible = weighing.are_parameters_possible and not self._explain_more(inputs, reference, n)
+        is_possible = weighing.are_parameters_possible and not self._lag.explains_more(inputs, reference, n)
         if is_possible or is_recorded:
             self._evidence.note(n, **weighing.fits)
         if is_possible:

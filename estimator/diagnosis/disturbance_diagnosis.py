@@ -8,11 +8,10 @@ from numpy.typing import NDArray
 from ..hypotheses import MARGIN, Disturbance, plain_fit
 from ..significance import FALSE_ALARM, chi2_limit
 from ..space import Vector
-from .comparison import FEWEST
 from .failed_searches import FailedSearches
 from .lasting import LastingParameters
 from .record import DiagnosisRecord
-from .settings import PASSED, QUIET, DiagnosisSettings
+from .settings import FEWEST, PASSED, QUIET, DiagnosisSettings
 from .settled import Settled
 from .standardised_residuals import StandardisedResiduals
 from .state import DiagnosisState

@@ -8,11 +8,11 @@ from ..effects.friction import FoundFriction, Friction
 from ..effects.known_effects import Explanation
 from ..hypotheses import MARGIN, NEVER, plain_fit
 from ..space import Vector
-from .comparison import FEWEST
 from .friction_comparison import FrictionComparison
 from .lag_comparison import LagComparison
 from .lasting import LastingParameters
 from .record import DiagnosisRecord
+from .settings import FEWEST
 from .settled import Settled
 from .standardised_residuals import StandardisedResiduals
 from .state import DiagnosisState, FrictionTrial

@@ -15,9 +15,8 @@ from ..effects.known_effects import Explanation
 from ..hypotheses import MARGIN, Fit, disturbance_of, plain_fit
 from ..samples import Sample
 from ..space import Vector
-from .comparison import LONG
 from .evidence import Evidence
-from .settings import QUIET
+from .settings import FEWEST, LONG, QUIET
 from .standardised_residuals import StandardisedResiduals
 from .state import DiagnosisState
 
@@ -62,6 +61,26 @@ class LagComparison:
             return False
         state.inputs.adopt(lag)
         return True
+
+    def stuck_or_free(self, reference: Vector) -> Fit:
+        """Return the fit to the samples since the onset of inputs being stuck, or arriving again, if that is known.
+
+        reference (d,): parameters then.
+        """
+        samples = self._state.samples[-self._state.n_since :]
+        rows_with = self._residuals.by_inputs(reference, samples, self._state.offset)
+        return self._state.inputs.stuck_or_free(rows_with, [sample.t for sample in samples])
+
+    def explains_more(self, stuck_or_free: Fit, reference: Vector, n: int) -> bool:
+        """Return whether that explains all samples since the onset, more than n: changed parameters follow it.
+
+        Inputs that arrive again need not explain more.
+        """
+        n_since = self._state.n_since
+        if not self._state.inputs.lag.limits and (n == n_since or n_since < FEWEST):
+            return False
+        nothing = plain_fit(self._residuals.of_newest(reference, n_since), 0)
+        return stuck_or_free.is_explained and stuck_or_free.score + MARGIN <= nothing.score
 
     def _explaining(self, samples: Sequence[Sample], reference: Vector, *, is_long: bool = False) -> Explanation | None:
         """Return the lag that explains samples which no disturbance explains, or as well if these are many; or None.

@@ -6,9 +6,8 @@ import numpy as np
 
 from ..hypotheses import MARGIN, disturbance_of, plain_fit
 from ..space import Vector
-from .comparison import LONG
 from .residual_scale import is_rough
-from .settings import BETTER
+from .settings import BETTER, LONG
 from .standardised_residuals import StandardisedResiduals
 from .state import DiagnosisState
 

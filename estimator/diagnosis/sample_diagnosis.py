@@ -18,7 +18,7 @@ from ..arrival_cost import ArrivalCost
 from ..hypotheses import MARGIN, disturbance_of, plain_fit
 from ..samples import DerivativeResidual, Sample
 from ..space import Vector
-from .comparison import FEWEST, LONG, HypothesisComparison
+from .comparison import HypothesisComparison
 from .disturbance_diagnosis import DisturbanceDiagnosis
 from .drift_rival import DriftRival
 from .effect_diagnosis import EffectDiagnosis
@@ -29,7 +29,7 @@ from .lag_comparison import LagComparison
 from .lasting import LastingParameters
 from .record import DiagnosisRecord
 from .residual_scale import NOISY
-from .settings import CALM, PATIENCE, QUIET, DiagnosisSettings, is_at_unseen_bound
+from .settings import CALM, FEWEST, LONG, PATIENCE, QUIET, DiagnosisSettings, is_at_unseen_bound
 from .settled import Settled
 from .standardised_residuals import StandardisedResiduals
 from .state import WINDOW, DiagnosisState
@@ -59,8 +59,8 @@ class Diagnosis:
         self._state = state = DiagnosisState.at_start(len(names), may_lag)
         self.residuals = residuals = StandardisedResiduals(declared, state)
         self.evidence = evidence = Evidence()
-        self.comparison = HypothesisComparison(state, residuals, evidence)
         self._lag = LagComparison(state, residuals, evidence)
+        self.comparison = HypothesisComparison(state, residuals, evidence, self._lag)
         self._friction = FrictionComparison(state, residuals, evidence)
         self._lasting = LastingParameters(state, residuals)
         self._record = DiagnosisRecord(state, residuals, names, inputs)

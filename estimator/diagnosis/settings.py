@@ -23,6 +23,10 @@ _WIDE: Final = 0.5
 """Standard deviation, as a share of the scaled bounds, that says nothing."""
 _MOST: Final = 1_000_000_000
 """Largest number of samples of a rest: more is a mistake."""
+LONG: Final = 6
+"""Least number of samples since the onset on which parameters, or a lag, are accepted."""
+FEWEST: Final = 3
+"""Least number of samples that name a disturbance, or its end."""
 QUIET: Final = 5
 """Number of newest samples that the parameters in force must explain for a suspicion to end."""
 PASSED: Final = "a disturbance has passed: the parameters before it explain the samples again"

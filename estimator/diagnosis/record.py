@@ -26,9 +26,8 @@ class DiagnosisRecord:
 
     def summary(self) -> dict[str, Any]:
         """Return what is known of each channel, and the number of events of each kind."""
-        found = self._state.summary(self.names, self._residuals.sigma)
-        lag = self._state.inputs.describe(self._state.inputs.lag, self._input_names())
-        return found | {"input_lag": lag, "known_friction": self._known_friction()}
+        found = self._state.summary(self.names, self._residuals.sigma, self._input_names())
+        return found | {"known_friction": self._known_friction()}
 
     def disturbance(
         self, t: float, offset: Vector, acts: NDArray[np.bool_], reason: str, *, is_known: bool = False

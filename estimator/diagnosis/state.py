@@ -262,14 +262,15 @@ class DiagnosisState:
         other.inputs.take_since(self.inputs)
         vars(self).update(vars(other))
 
-    def summary(self, names: Sequence[str], sigma: Vector) -> dict[str, Any]:
+    def summary(self, names: Sequence[str], sigma: Vector, inputs: Sequence[str]) -> dict[str, Any]:
         """Return what is known of each channel, and the number of events of each kind, as JSON values.
 
-        names, sigma (c,): of the channels, and their declared noise.
+        names, sigma (c,): of the channels, and their declared noise; inputs (p,): names.
         """
         known = zip(channel_summary(names, self.scale), self.offset * sigma, self.is_resting, strict=True)
         channels = {name: row | {"disturbance": float(d), "is_resting": bool(r)} for (name, row), d, r in known}
-        return {"channels": channels, "disturbances": self.named} | {kind: self.counts[kind] for kind in KINDS}
+        lag = {"input_lag": self.inputs.describe(self.inputs.lag, inputs)}
+        return {"channels": channels, "disturbances": self.named} | lag | {kind: self.counts[kind] for kind in KINDS}
 
 
 def channel_summary(names: Sequence[str], scale: ResidualScale) -> list[tuple[str, dict[str, Any]]]:

@@ -1,4 +1,4 @@
-"""What actuators make of the plant's inputs, and its model lacks: they follow late, or not as far as they should.
+"""Actuators that the plant's model lacks: a lag, a dead time, a limited rate or a limited range of its inputs.
 
 tau dv/dt = u - v for a first-order lag, v = u some samples ago, dv/dt towards u at a limited rate, or v = u within
 limits, which are the same where an actuator is stuck. The input u is held from sample to sample, so that v follows from

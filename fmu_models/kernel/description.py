@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 from xml.etree.ElementTree import Element, SubElement
@@ -206,10 +206,7 @@ def model_description(
     """
     root = Element("fmiModelDescription", {"fmiVersion": "2.0", **attributes})
     SubElement(root, "CoSimulation", capabilities)
-    units = SubElement(root, "UnitDefinitions")
-    for unit in sorted({v.unit for v in variables if v.unit is not None}):
-        exponents = {base: str(exponent) for base, exponent in base_unit(unit).items()}
-        SubElement(SubElement(units, "Unit", name=unit), "BaseUnit", exponents)
+    define_units(root, {v.unit for v in variables if v.unit is not None})
     categories = SubElement(root, "LogCategories")
     for name, text in log_categories.items():
         SubElement(categories, "Category", name=name, description=text)
@@ -220,6 +217,14 @@ def model_description(
         table.append(_scalar_variable(v, index))
     root.append(_model_structure(variables, index, has_feedthrough))
     return root
+
+
+def define_units(root: Element, units: Collection[str]) -> None:
+    """Define units, of which there must be one where the element is: FMI 2.0.4, section 2.2.2."""
+    table = SubElement(root, "UnitDefinitions") if units else root
+    for unit in sorted(units):
+        exponents = {base: str(exponent) for base, exponent in base_unit(unit).items()}
+        SubElement(SubElement(table, "Unit", name=unit), "BaseUnit", exponents)
 
 
 def _scalar_variable(v: VariableRow, index: Mapping[str, int]) -> Element:

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from xml.etree.ElementTree import Element, SubElement
 
 from .arrays import Array, arrays
-from .description import TIME, Unknown, VariableRow, base_unit, unknowns
+from .description import TIME, Unknown, VariableRow, define_units, unknowns
 
 
 def variables_of(table: Sequence[VariableRow]) -> list[Array]:
@@ -30,10 +30,7 @@ def model_description(
     root = Element("fmiModelDescription", {"fmiVersion": "3.0", **attributes})
     SubElement(root, interface, capabilities)
     variables = variables_of(table)
-    units = SubElement(root, "UnitDefinitions")
-    for unit in sorted({v.unit for array in variables for v in array.members if v.unit is not None}):
-        exponents = {base: str(exponent) for base, exponent in base_unit(unit).items()}
-        SubElement(SubElement(units, "Unit", name=unit), "BaseUnit", exponents)
+    define_units(root, {v.unit for array in variables for v in array.members if v.unit is not None})
     categories = SubElement(root, "LogCategories")
     for name, text in log_categories.items():
         SubElement(categories, "Category", name=name, description=text)

@@ -5,12 +5,22 @@ import math
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree.ElementTree import Element
 
 import pytest
 from pythonfmu.enums import Fmi2Status
 
 from fmu_models.kernel.blocks import Adaptive, ControllerSlave, PlantSlave, ReferenceSlave
-from fmu_models.kernel.description import VariableRow, base_unit, input_variable, output, parameter, per_second, state
+from fmu_models.kernel.description import (
+    VariableRow,
+    base_unit,
+    define_units,
+    input_variable,
+    output,
+    parameter,
+    per_second,
+    state,
+)
 
 
 class Tank(PlantSlave):
@@ -168,6 +178,15 @@ def test_a_time_derivative_has_one_more_second_below(unit, rate):
 def test_a_start_outside_its_bounds_is_refused(bounds):
     with pytest.raises(ValueError, match="min <= start <= max"):
         parameter("a", "m", 1.0, "text", **bounds)
+
+
+def test_without_units_there_is_no_table_of_them():
+    """The schema demands one unit at least where there is a table."""
+    root = Element("fmiModelDescription")
+    define_units(root, ())
+    assert len(root) == 0
+    define_units(root, ("m",))
+    assert [unit.get("name") for unit in root.iterfind("UnitDefinitions/Unit")] == ["m"]
 
 
 def test_the_description_says_what_the_table_says():

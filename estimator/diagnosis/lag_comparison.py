@@ -98,21 +98,23 @@ class LagComparison:
             if not (found.lag or state.inputs.lag):  # no lag, before or now
                 continue
             margin = MARGIN if found.lag.limits or not is_over else inf if found.lag else 0.0
-            if found.lag.limits and not state.inputs.lag and not self._is_certain(found.fit, theta, samples):
+            if found.lag.limits and not state.inputs.lag and not self._is_certain(found, theta, samples):
                 continue
             if found.fit.is_explained and found.fit.score + margin <= disturbance.score:
                 return Explanation(found, theta, offset, n)
         return None
 
-    def _is_certain(self, limits: Fit, theta: Vector, samples: Sequence[Sample]) -> bool:
+    def _is_certain(self, limits: FoundLag, theta: Vector, samples: Sequence[Sample]) -> bool:
         """Return whether limits explain samples with parameters theta (d,) far better than noise or a disturbance.
 
         Noise that is correlated from sample to sample, and a slow disturbance, look like anything for a few samples.
+        Limits that inputs have passed before, when these arrived, must be new, and better by twice the margin.
         """
         rows = self._residuals.rows(theta, samples)
         if plain_fit(rows / _NOISE, 0).is_explained:
             return False
-        return limits.score + 2.0 * MARGIN <= disturbance_of(rows).fit.score
+        are_old = self._state.inputs.were_within(limits.lag, samples[0].t)
+        return limits.fit.score + (MARGIN if are_old else 2.0 * MARGIN) <= disturbance_of(rows).fit.score
 
     def _best(self, theta: Vector, samples: Sequence[Sample], offset: Vector, *, is_late: bool = True) -> FoundLag:
         """Return the lag of the inputs, or none, that explains samples with parameters (d,).

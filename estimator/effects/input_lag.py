@@ -20,6 +20,8 @@ _KEPT: Final = 120
 """Number of inputs that are kept: what came before has faded to less than one in a hundred of the longest lag."""
 _ASIDE: Final = 0.01
 """Step of differences in an input, as a share of its size."""
+_LITTLE: Final = 0.05
+"""Share of their range by which inputs may have passed a limit before that was noticed."""
 Inputs = Mapping[float, tuple[float, ...]]
 """Inputs (p,) that arrive at the plant, by the time of the sample [s]."""
 
@@ -155,6 +157,16 @@ class InputHistory:
             return plain_fit(rows_with(np.array(self._inputs)[None, places])[0], 0)
         found = self._limits(rows_with, places).stuck()
         return NEVER if found is None else found.fit
+
+    def were_within(self, lag: Lag, t: float) -> bool:
+        """Return whether the inputs before time t [s] were within limits, but for a little; False without any."""
+        before = np.array(self._inputs[: int(np.searchsorted(self._times, t))])
+        if not len(before):
+            return False
+        lower, upper = np.transpose(lag.limits)
+        sent = before[:, self._places(before)]
+        little = _LITTLE * np.ptp(sent, axis=0)
+        return bool(np.all((sent >= lower - little) & (sent <= upper + little)))
 
     def _limits(self, rows_with: RowsWith, places: NDArray[np.intp]) -> InputLimits:
         inputs = np.array(self._inputs)[places]

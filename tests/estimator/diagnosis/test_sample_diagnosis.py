@@ -1135,6 +1135,16 @@ def test_what_is_no_lag_is_not_taken_for_one(estimator, n_channels, what):
     assert not run.of("lag")
 
 
+@pytest.mark.parametrize(("lower", "upper", "were"), [(-2.0, 0.99, True), (-0.99, np.inf, True), (-np.inf, 0.8, False)])
+def test_inputs_were_within_limits_that_they_passed_by_little_before(lower, upper, were):
+    history = InputHistory()
+    assert not history.were_within(Lag(limits=((lower, upper),)), 0.0)
+    for k in range(50):
+        history.take(Sample(0.05 * k, (0.0,), (float(np.sin(0.4 * k)),), (0.0,)))
+    history.take(Sample(2.5, (0.0,), (9.0,), (0.0,)))
+    assert history.were_within(Lag(limits=((lower, upper),)), 2.5) == were
+
+
 def test_inputs_that_are_measured_do_not_lag():
     run = Run(n_channels=3, actuator=SlowActuator(0.15))
     run.diagnosis._state.inputs.may_lag = ()

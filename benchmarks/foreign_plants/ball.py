@@ -87,6 +87,7 @@ PLANT = ForeignPlant(
     divergence=1.0,
     rate=1.42,
     limit=0.65,
+    omitted={"limited-change": "the true parameters do not hold it either"},
     speed="omega",
     pace=0.3,
 )

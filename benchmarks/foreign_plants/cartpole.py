@@ -73,6 +73,7 @@ PLANT = ForeignPlant(
     divergence=1.5,
     rate=1.75,
     limit=1.13,
+    omitted={"limited-change": "the true parameters do not hold it either"},
     speed="v",
     pace=0.5,
 )

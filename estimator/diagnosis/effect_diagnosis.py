@@ -113,8 +113,8 @@ class EffectDiagnosis:
         if found is None and self._friction.take_beside(held):
             state.path = state.path.begin(space.to_unit(held))
             return self.adopt_friction(t, None)
-        if found is None or found.fit.score + MARGIN > followed.score:
-            return None
+        if found is None or found.has_limits or found.fit.score + MARGIN > followed.score:
+            return None  # parameters that drift may do the same as a limit
         is_tried = not state.friction and not np.array_equal(held, state.lasting)
         trial = FrictionTrial(held, state.offset, 2 * state.n_samples - state.lasting_at) if is_tried else None
         settled = self.adopt(t, found)

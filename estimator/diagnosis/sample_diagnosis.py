@@ -222,7 +222,8 @@ class Diagnosis:
         late = self._lag.in_newest(reference, n) if self._lag.is_due else None
         if late is not None:
             best = self.comparison.best(held, late.n, may_drift=True).fit
-            if late.fit.score + (MARGIN if late.n < _SURE else 0.0) <= best.score:
+            is_told_apart = not (late.has_limits and best.is_explained)  # a drift of parameters has more values
+            if is_told_apart and late.fit.score + (MARGIN if late.n < _SURE else 0.0) <= best.score:
                 return self._effects.adopt(t, late)
         is_named = disturbance.fit.is_explained and disturbance.fit.score + MARGIN <= nothing.score
         if is_named and n % 2 == 0 and not self.comparison.may_be_parameters(held, n, disturbance.fit):

@@ -49,6 +49,11 @@ class Explanation:
     """Number of samples."""
 
     @property
+    def has_limits(self) -> bool:
+        """True where it is a limited or stuck input."""
+        return isinstance(self.found, FoundLag) and bool(self.found.lag.limits)
+
+    @property
     def fit(self) -> Fit:
         """Fit to the samples."""
         return self.found.fit

@@ -14,8 +14,8 @@ class Evidence:
     """Fits of the hypotheses that were compared last, until they are recorded.
 
     `nothing`: the parameters in force; `parameters`: changed ones; `disturbance`: one with the parameters before it;
-    `both`: changed parameters and a constant disturbance; `lag`: inputs that
-    arrive late or are limited; `inputs`: that are stuck since the onset, or arrive again.
+    `both`: changed parameters and a constant disturbance; `lag`: inputs that arrive late or are limited; `inputs`: that
+    are stuck since the onset, or arrive again.
     """
 
     def __init__(self) -> None:

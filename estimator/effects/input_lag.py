@@ -14,12 +14,10 @@ from ..samples import Sample
 from ..space import Vector
 from .input_limits import InputLimits
 from .lag import Lag, arriving
-from .lag_search import LEAST, RowsWith, TriedLag, best_lag, with_fitted_start
+from .lag_search import ASIDE, LEAST, RowsWith, TriedLag, best_lag, with_fitted_start
 
 _KEPT: Final = 120
 """Number of inputs that are kept: what came before has faded to less than one in a hundred of the longest lag."""
-_ASIDE: Final = 0.01
-"""Step of differences in an input, as a share of its size."""
 _LITTLE: Final = 0.05
 """Share of their range by which inputs may have passed a limit before that was noticed."""
 Inputs = Mapping[float, tuple[float, ...]]
@@ -194,7 +192,7 @@ class InputHistory:
         times, inputs = np.array(self._times[first:]), np.array(self._inputs[first:])
         start = np.array(self._arriving.get(self._times[first], self._inputs[first]))
         seen, may_lag = places - first, self._places(inputs)
-        aside = np.diag(_ASIDE * np.maximum(np.abs(inputs).max(axis=0), 1e-6))[may_lag] if is_free else None
+        aside = np.diag(ASIDE * np.maximum(np.abs(inputs).max(axis=0), 1e-6))[may_lag] if is_free else None
 
         def fits(lags: Sequence[Lag]) -> list[TriedLag]:
             made = self._made(lags, times, inputs, start)

@@ -15,10 +15,8 @@ from numpy.typing import NDArray
 from ..hypotheses import MARGIN, Fit, plain_fit
 from ..space import Vector
 from .lag import Lag
-from .lag_search import RowsWith
+from .lag_search import ASIDE, RowsWith
 
-_ASIDE: Final = 0.01
-"""Step of differences in an input, as a share of its size."""
 _LEAST: Final = 3
 """Least number of samples at a limit, and between two of them."""
 _SHORT: Final = 3.0
@@ -81,7 +79,7 @@ class InputLimits:
 
         The weight is the inverse of the variance, 0 where the input reaches no channel.
         """
-        steps = [_ASIDE * float(np.abs(self._inputs[:, j]).max()) for j in self._moving]
+        steps = [ASIDE * float(np.abs(self._inputs[:, j]).max()) for j in self._moving]
         moved = np.repeat(self._inputs[None], len(steps) + 1, axis=0)
         for k, (j, step) in enumerate(zip(self._moving, steps, strict=True), 1):
             moved[k, :, j] += step
@@ -135,7 +133,7 @@ class InputLimits:
     def _refined(self, found: Tried) -> Tried:
         """Return the limits a Gauss-Newton step away."""
         values: Vector = np.array(_values(found.limits))
-        step = _ASIDE * float(np.abs(self._inputs[:, [*found.limits]]).max())
+        step = ASIDE * float(np.abs(self._inputs[:, [*found.limits]]).max())
         aside = self._tried([_with_values(found.limits, moved) for moved in values + step * np.identity(len(values))])
         slopes = np.array([(one.rows - found.rows).reshape(-1) / step for one in aside])
         if not np.all(np.isfinite(slopes)):

@@ -27,6 +27,8 @@ _EXPLAINING: Final = 4.0
 """Sum of squares by the chi-square limit up to which it is refined, too: of a lag that hardly shows."""
 _PRECISION: Final = 1e-4
 """Relative precision of the time constant, and of a limited rate."""
+ASIDE: Final = 0.01
+"""Step of differences in an input, as a share of its size."""
 LEAST: Final = 3
 """Least number of inputs that show a lag."""
 

@@ -601,7 +601,7 @@ def check_inputs_of_limited_rates_against_small_steps(lag):
 
 
 def check_limits_against_a_grid(input_limits):
-    """Of an input that reaches one channel by a slope that changes from sample to sample; the noise is not small."""
+    """Upper and lower limits are the best of a grid; the slope by the input changes, and the noise is not small."""
     rng = np.random.default_rng(9)
     sent, slope = np.sin(0.37 * np.arange(40)), 1.0 + 2.0 * rng.random(40)
     grid = np.arange(0.4, 0.8, 1e-4)

@@ -214,7 +214,7 @@ def test_the_newest_samples_derivatives_are_computed_once_for_what_is_held():
 
 
 def test_the_input_of_a_sample_is_known_whatever_becomes_of_it():
-    """Of an outlier that waits for the next sound sample, of one that is late, and of one that ends a search."""
+    """An outlier waits for the next sound sample, one sample is late, and one ends a search."""
 
     def doubtful(sample):
         return Screened(sample, n_doubtful=1)

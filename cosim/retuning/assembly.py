@@ -235,8 +235,9 @@ def _sensors(scenario: Scenario, plant: Plant, residual: DerivativeResidual) -> 
     known = {**scenario.sampling.states, **scenario.sampling.outputs}  # a state among the outputs has its noise there
     noise = [known[name].noise if name in known else 0.0 for name in states]
     n = len(scenario.sampling.derivatives)
-    is_noisy, on_channels = [own > 0.0 for own in noise], [noise[i] for i in plant.channels]
+    is_noisy = [own > 0.0 for own in noise]
+    others = [residual.space.from_unit(np.full(len(residual.space), z)) for z in (0.25, 0.75)]
     return Sensors(
         (*scenario.sampling.derivatives, *states), (*[True] * n, *is_noisy), residual.noise,
-        plant.channels, tuple(on_channels), residual, _Slope(residual),
+        plant.channels, tuple(noise), residual, _Slope(residual), tuple(others),
     )  # fmt: skip

@@ -5,7 +5,7 @@ state is right, whatever the parameters are.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,17 @@ _SHY: Final = 3
 """Number of consistent samples that make good for an inconsistent one."""
 
 
+class Contradictions(NamedTuple):
+    """Pairs of a state and its derivative that contradict each other, by their numbers among all pairs."""
+
+    derivatives: tuple[int, ...] = ()
+    """Pairs whose sampled derivative does not fit the state's motion."""
+    gains: tuple[int, ...] = ()
+    """Pairs whose modelled derivative has a wrong gain."""
+    jumps: tuple[int, ...] = ()
+    """Pairs whose state has jumped with the newest sample though its modelled derivative has not."""
+
+
 class Consistency:
     """Check of x_k - x_j against h sum xdot_i, i = j+1 .. k, over the newest samples, channel by channel.
 
@@ -35,7 +46,10 @@ class Consistency:
     last counted twice, so that a spike is no bias; nor are a few in a row, once they are over. A channel that was
     inconsistent is so until it has been below this, with half of the noise's part, for three times as many samples, at
     most 20: a derivative with the wrong sign fits, too, where it is small, and a spike of the state is over soon. A
-    wrong `DerivativeGain` over a hundred samples is inconsistent, too.
+    wrong `DerivativeGain` over a hundred samples or more is inconsistent, too.
+
+    A state whose derivative is not sampled has a gain by its modelled derivative, where neither parameters nor inputs
+    matter to that: kinematics, as of a position.
     """
 
     def __init__(
@@ -46,43 +60,82 @@ class Consistency:
         slope: Callable[[Vector, Sequence[float], Sequence[float]], Sequence[float]],
         limit: float,
         h: float,
+        others: tuple[Vector, ...] = (),
     ) -> None:
-        """channels (c,): the states' places in x; noise, state_noise (c,): standard deviations of the derivatives and
-        of these states; slope: modelled derivatives (n,) at theta, x and u; limit: in standard deviations; h: macro
-        step [s]."""
-        self._channels, self._slope, self._h, self._limit = list(channels), slope, h, limit
-        self._noise, self._state_variance = np.array(noise), np.square(state_noise)
-        # Motion of the state, derivative, its modelled change, and the size of its change.
-        self._rows = np.empty((0, 4, len(channels)))
-        self._noises: dict[int, Vector] = {}  # limits of the declared noise, by the number of changes
-        self._gain, self._n_block = DerivativeGain(limit), 0
-        self._last: Sample | None = None
-        self._distrust = np.zeros(len(channels), dtype=np.intp)  # number of samples for which it is inconsistent yet
-
-    def step(self, sample: Sample, theta: Vector) -> NDArray[np.intp]:
-        """Return the channels whose derivative does not fit the state's motion; a gap in time restarts the check.
-
-        theta (d,): parameters in force.
+        """channels (c,): the states' places in x; noise (c,), state_noise (n,): standard deviations of the derivatives
+        and of all states; slope: modelled derivatives (n,) at theta, x and u; limit: in standard deviations; h: macro
+        step [s]; others: parameters (d,) to compare the other states' derivatives at; none of them is checked without.
         """
+        unsampled = [i for i in range(len(state_noise)) if i not in channels] if others else []
+        self.places = [*channels, *unsampled]
+        """Places in x of the states that are checked, a pair each (k,), those with sampled derivatives first."""
+        self._slope, self._h, self._limit, self._others = slope, h, limit, others
+        self._n_sampled, self._is_kinematic = len(channels), np.ones(len(unsampled), dtype=bool)
+        self._noise = np.array([*noise, *[0.0] * len(unsampled)])
+        self._state_variance = np.square(np.array(state_noise)[self.places])
+        # Motion of the state, derivative, its modelled change, and the size of its change.
+        self._rows = np.empty((0, 4, len(self.places)))
+        self._noises: dict[int, Vector] = {}  # limits of the declared noise, by the number of changes
+        self.forget()
+        self._last: Sample | None = None
+        self._distrust = np.zeros(len(self.places), dtype=np.intp)  # number of samples for which it is inconsistent yet
+
+    def step(self, sample: Sample, theta: Vector) -> Contradictions:
+        """Return the pairs that contradict each other; a gap in time restarts the check. theta (d,): in force."""
         last, self._last = self._last, sample
         if last is None or abs(sample.t - last.t - self._h) > 0.5 * self._h:
             self._rows, last = self._rows[:0], sample
-            self._gain, self._n_block = DerivativeGain(self._limit), 0
+            self.forget()
         now, before = (self._slope(theta, x, sample.u) for x in (sample.x, last.x))
-        moved = [sample.x[i] - last.x[i] for i in self._channels]
-        drift = [now[i] - before[i] for i in self._channels]
-        changes = [abs(a - b) for a, b in zip(sample.xdot, last.xdot, strict=True)]
-        row = np.array([moved, sample.xdot, drift, changes])
+        moved = [sample.x[i] - last.x[i] for i in self.places]
+        drift = [now[i] - before[i] for i in self.places]
+        n = self._n_sampled
+        xdot = [*sample.xdot, *(now[i] for i in self.places[n:])]
+        changes = [*np.subtract(sample.xdot, last.xdot), *drift[n:]]
+        row = np.array([moved, xdot, drift, np.abs(changes)])
         is_known = np.isfinite(row).all(axis=0)  # not beside a missing derivative: no motion is compared there
         self._rows = np.concatenate([self._rows[-SUMMED:], [np.where(is_known, row, 0.0)]])
         if len(self._rows) <= _FEWEST:
-            return np.empty(0, dtype=np.intp)
+            return Contradictions()
         self._n_block += 1
         if self._n_block == SUMMED:
             self._gain, self._n_block = self._with_block(self._rows[1:]), 0
-        is_beyond = self._are_beyond(self._rows[1:]) | self._gain.is_wrong
+        has_jumped = self._have_jumped()
+        if self._is_kinematic.any() and (has_jumped.any() or not self._n_block):
+            self._is_kinematic &= self._are_kinematic(sample, now)
+        is_beyond = (self._gain.n_wrong > 0) & np.append(np.ones(n, dtype=bool), self._is_kinematic)
+        is_beyond[:n] |= self._are_beyond(self._rows[1:])[:n]
         self._distrust = np.clip(self._distrust + np.where(is_beyond, _SHY, -1 * is_known), 0, SUMMED)
-        return np.flatnonzero(self._distrust)
+        derivatives, gains = np.flatnonzero(self._distrust[:n]), n + np.flatnonzero(self._distrust[n:])
+        jumps = n + np.flatnonzero(has_jumped & self._is_kinematic)
+        return Contradictions(*(tuple(pairs.tolist()) for pairs in (derivatives, gains, jumps)))
+
+    def _are_kinematic(self, sample: Sample, now: Sequence[float]) -> NDArray[np.bool_]:
+        """Return which unsampled derivatives are the same with other parameters and inputs; now (n,): of all states."""
+        u = [2.0 * value + 1.0 for value in sample.u]
+        others, unsampled = [self._slope(theta, sample.x, u) for theta in self._others], self.places[self._n_sampled :]
+        return np.array([all(other[i] == now[i] for other in others) for i in unsampled])
+
+    def _have_jumped(self) -> NDArray[np.bool_]:
+        """Return which states without a sampled derivative have moved by far more against the model than before.
+
+        None that has stood still: a coarse sensor jumps all the time.
+        """
+        moved, xdot, drift, _ = self._rows[:, :, self._n_sampled :].transpose(1, 0, 2)
+        missed = np.abs(moved - self._h * (xdot - 0.5 * drift))
+        noise = self._limit * np.sqrt(2.0 * self._state_variance[self._n_sampled :])
+        limit = 2.0 * missed[:-1].max(axis=0) + noise + self._h * np.abs(drift[-1])
+        has_jumped: NDArray[np.bool_] = (missed[-1] > limit) & (moved != 0.0).all(axis=0)
+        return has_jumped
+
+    def forget(self) -> None:
+        """Forget the gains so far: a state that was wrong has been in them."""
+        self._gain, self._n_block = DerivativeGain(self._limit), 0
+
+    @property
+    def n_doubtful(self) -> int:
+        """Number of newest samples in which an inconsistent derivative or state may have been wrong already."""
+        return 3 * SUMMED + 2 * SUMMED * int(np.max(self._gain.n_wrong, initial=0))
 
     def _are_beyond(self, rows: Vector) -> NDArray[np.bool_]:
         """Return which channels are beyond their limits, from what is known of each sample (n, 4, c)."""
@@ -90,7 +143,7 @@ class Consistency:
         if n not in self._noises:
             self._noises[n] = self._limit_of_noise(self._noise, n)
         is_beyond = self._differ(rows, self._noises[n])
-        if not is_beyond.any():  # the observed noise only widens the limits
+        if not is_beyond[: self._n_sampled].any():  # the observed noise only widens the limits
             return is_beyond
         sigma = self._observed_noise(rows)
         limit = self._limit_of_noise(sigma, n)
@@ -101,7 +154,8 @@ class Consistency:
         sigma = self._observed_noise(rows)
         moved, xdot, drift, _ = self._without_bursts(rows, sigma).sum(axis=0)
         std = self._limit_of_noise(sigma, len(rows)) / self._limit
-        return self._gain.take(moved, self._h * (xdot - 0.5 * drift), std)
+        own = self._h * sigma * np.sqrt(len(rows))
+        return self._gain.take(moved, self._h * (xdot - 0.5 * drift), std, own)
 
     def _observed_noise(self, rows: Vector) -> Vector:
         """Return the standard deviations (c,) that derivatives have, the declared ones at least."""

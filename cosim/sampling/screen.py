@@ -18,7 +18,8 @@ from estimator import Sample, Vector
 from estimator.events import Event
 
 from ..scenarios.schema.sampling import ObservationSettings
-from .consistency import Consistency
+from .consistency import Consistency, Contradictions
+from .fault_isolation import FaultIsolation, Pair, ResidualModel
 from .outliers import Outliers
 from .sensor_checks import INPUT, LATE, SensorChecks, SensorHealth, Standing
 
@@ -43,11 +44,13 @@ class Sensors:
     channels: tuple[int, ...]
     """Places in x of the states whose derivatives are sampled (c,)."""
     state_noise: tuple[float, ...]
-    """Standard deviations of those states (c,)."""
+    """Standard deviations of all states (n,)."""
     residual: Callable[[Vector, Sample], Vector]
     """Whitened residual (c,) of one sample."""
     slope: Callable[[Vector, Sequence[float], Sequence[float]], Sequence[float]]
     """Modelled derivatives (n,) of the states at theta (d,), x (n,), u (p,)."""
+    others: tuple[Vector, ...] = ()
+    """Parameters (d,), apart from those in force, at which kinematics are the same."""
 
 
 class Screened(NamedTuple):
@@ -74,8 +77,15 @@ class SampleScreen:
         n = len(sensors.noise)
         self._outliers = Outliers(settings.outlier, sensors.names[:n], sensors.noise, sensors.residual)
         self._consistency = Consistency(
-            sensors.channels, sensors.noise, sensors.state_noise, sensors.slope, settings.inconsistent, macro_step
+            sensors.channels, sensors.noise, sensors.state_noise, sensors.slope, settings.inconsistent, macro_step,
+            sensors.others,
+        )  # fmt: skip
+        pairs = tuple(
+            Pair(i, place, (sensors.noise[i], own)) if i < n else Pair(None, place, (0.0, own))
+            for i, place in enumerate(self._consistency.places)
+            for own in [sensors.state_noise[place]]
         )
+        self._isolation = FaultIsolation(pairs, ResidualModel(sensors.residual, sensors.slope, macro_step))
         self._plain, self._health = SensorChecks(sensors.names, settings.stuck, macro_step), SensorHealth(settings)
         self._n_kept_out = 0
 
@@ -92,17 +102,29 @@ class SampleScreen:
         found = {*self._plain.step(t, sample.t, (*sample.xdot, *sample.x), sample.u, moves)}
         faulty = {name for _, name in found}
         if faulty < {*channels}:  # else there is nothing to compare the motion of the states with
-            inconsistent = {channels[i] for i in self._consistency.step(_without(sample, channels, faulty), theta)}
-            found |= {("inconsistent", name) for name in inconsistent - faulty}
+            contradictions = self._consistency.step(_without(sample, channels, faulty), theta)
+            found |= {("inconsistent", name) for name in self._inconsistent(contradictions, sample, theta) - faulty}
         bad = {name for _, name in found} | {*self._health.failed}
         n_inconsistent = sum(kind == "inconsistent" for kind, _ in found)
         is_kept_out = not bad <= {*channels} or bad >= {*channels} or n_inconsistent > 1 or len(self._health.failed) > 1
+        is_kept_out |= self._isolation.is_undecided
         sample = _without(sample, channels, bad)
         is_suspect, outliers = (False, []) if is_kept_out else self._outliers.step(sample, theta)
         self._n_kept_out += bool(bad) + bool(outliers)
         events = self._health.take(t, found | {("outlier", name) for name in outliers})
-        n_doubtful = self._health.n_doubtful(events)
+        n_doubtful = self._health.n_doubtful(events, self._consistency.n_doubtful)
         return Screened(None if is_kept_out else sample, is_suspect, bool(outliers), tuple(events), n_doubtful)
+
+    def _inconsistent(self, found: Contradictions, sample: Sample, theta: Vector) -> set[str]:
+        """Return the names of the derivatives that are inconsistent, and of the states whose fault it is."""
+        n, names, places = len(sample.xdot), self._sensors.names, self._consistency.places
+        before = self._isolation.states
+        states = self._isolation.step(sample, theta, {*found.derivatives, *found.jumps})
+        if before and not states:
+            self._consistency.forget()
+        elif not states:
+            states = frozenset(places[i] for i in found.gains)
+        return {names[i] for i in found.derivatives if places[i] not in states} | {names[n + i] for i in states}
 
     def summary(self) -> dict[str, Any]:
         """Return the counts as JSON values; failed: sensors that have failed at the end."""

@@ -117,15 +117,15 @@ class SensorHealth:
         self._bad.append(frozenset(now))
         return [*events, *self._judged(t, {name: kind for kind, name in now})]
 
-    def n_doubtful(self, events: Iterable[Event]) -> int:
+    def n_doubtful(self, events: Sequence[Event], n_inconsistent: int = 0) -> int:
         """Return on how many samples before the newest one its events, from `take`, cast doubt.
 
-        A derivative that begins to be inconsistent has been wrong in some of those that were summed; a sensor that has
-        failed perhaps for some time before that was seen.
+        A sensor that has failed has perhaps done so for some time before that was seen; n_inconsistent: for how many
+        samples a derivative or state that begins to be inconsistent may have been wrong.
         """
-        if any(event.kind == "sensor" and event.detail["sensor"] in self.failed for event in events):
-            return 2 * self._patience
-        return 3 * SUMMED if any(event.detail.get("fault") == "inconsistent" for event in events) else 0
+        has_failed = any(event.kind == "sensor" and event.detail["sensor"] in self.failed for event in events)
+        is_inconsistent = any(event.detail.get("fault") == "inconsistent" for event in events)
+        return max(2 * self._patience * has_failed, n_inconsistent * is_inconsistent)
 
     def _judged(self, t: float, now: dict[str, str]) -> Iterator[Event]:
         for name in {**now, **self.failed}:

@@ -1,0 +1,231 @@
+"""Whether a state's sensor or its derivative's is named, on a mass with a spring: m v' = u - k s - c v, s' = v.
+
+Its samples are exact, by the matrix exponential over each step, and noise is added.
+"""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from cosim.sampling.screen import SampleScreen, Sensors
+from cosim.scenarios.schema.sampling import ObservationSettings
+from estimator import Sample
+
+H, K, C, M = 0.01, 4.0, 0.6, 1.3
+SIGMA, NOISE = 0.02, 1e-3
+THETA, OTHERS = np.array([M]), (np.array([0.5]), np.array([2.0]))
+S, V, RATE = "s", "v", "der(v)"
+
+
+def slope(theta, x, u):
+    return [x[1], (u[0] - K * x[0] - C * x[1]) / theta[0]]
+
+
+def residual(theta, sample):
+    return np.array([(sample.xdot[0] - slope(theta, sample.x, sample.u)[1]) / SIGMA])
+
+
+def screen(model=slope, noise=(NOISE, NOISE)):
+    sensors = Sensors((RATE, S, V), (True, True, True), (SIGMA,), (1,), noise, residual, model, OTHERS)
+    return SampleScreen(ObservationSettings(), sensors, H)
+
+
+def oscillating(n, masses=lambda k: M, kick=lambda k: 0.0, noise=NOISE):
+    """n samples under a force of 3 sin(3 t) + 2; kick: of the velocity, at a sample's beginning."""
+    rng, x, samples = np.random.default_rng(1), np.array([0.4, 0.0]), []
+    for k in range(n):
+        t, m = k * H, masses(k)
+        u = 3.0 * np.sin(3.0 * t) + 2.0
+        a = np.array([[0.0, 1.0, 0.0], [-K / m, -C / m, u / m], [0.0, 0.0, 0.0]])
+        x = (expm(H * a) @ [x[0], x[1] + kick(k), 1.0])[:2]
+        rate = (u - K * x[0] - C * x[1]) / m
+        measured = x + rng.normal(0.0, noise, 2)
+        samples.append(Sample(t, (measured[0], measured[1]), (u,), (rate + rng.normal(0.0, SIGMA),)))
+    return samples
+
+
+def wrong(samples, name, error, first, last=10**9):
+    """The samples with an error of one sensor, from one sample on."""
+
+    def one(k, s):
+        if not first <= k < last:
+            return s
+        x = tuple(error(v) if name == own else v for own, v in zip((S, V), s.x, strict=True))
+        return replace(s, x=x, xdot=(error(s.xdot[0]),) if name == RATE else s.xdot)
+
+    return [one(k, s) for k, s in enumerate(samples)]
+
+
+def seen_in(samples, watched=None, theta=THETA):
+    """The screen's results, and by sensor the numbers of the samples at which it is found to be inconsistent."""
+    watched, results, found = watched or screen(), [], {}
+    for k, sample in enumerate(samples):
+        before = watched.summary()["found"]
+        results.append(watched.step(sample.t, sample, theta))
+        for key, n in watched.summary()["found"].items():
+            if n > before.get(key, 0) and key.startswith("inconsistent "):
+                found.setdefault(key.removeprefix("inconsistent "), []).append(k)
+    return results, found
+
+
+ERRORS = {
+    "gain": lambda v: 1.3 * v,
+    "sign": lambda v: -v,
+    "unit": lambda v: 57.3 * v,
+    "offset": lambda v: v + 0.3,
+}
+
+
+@pytest.mark.parametrize("error", ERRORS.values(), ids=ERRORS)
+def test_a_state_that_becomes_wrong_is_named_and_no_sample_is_used(error):
+    results, found = seen_in(wrong(oscillating(500), V, error, 130))
+    assert set(found) <= {RATE, V}
+    assert set(range(170, 500)) <= set(found[V])
+    assert not [k for k in found.get(RATE, []) if k >= 170 or k < 130]
+    assert all(seen.sample is None for seen in results[140:])  # at first the velocity is near 0, whatever the gain is
+    assert all(seen.sample is not None for seen in results[:130])
+
+
+@pytest.mark.parametrize("error", [ERRORS[name] for name in ("gain", "sign", "unit")], ids=["gain", "sign", "unit"])
+def test_a_derivative_that_becomes_wrong_is_named_and_its_state_is_not(error):
+    _, found = seen_in(wrong(oscillating(500), RATE, error, 130))
+    assert set(found) == {RATE}
+    assert min(found[RATE]) >= 130
+
+
+def test_a_derivative_with_a_bias_is_named_and_its_state_is_not():
+    _, found = seen_in(wrong(oscillating(500), RATE, lambda v: v + 1.5, 130))
+    assert set(found) == {RATE}
+
+
+@pytest.mark.parametrize(("mass", "kick"), [(M, 0.4), (2.5, 0.4), (0.8, -1.0), (4.0, 1.0)])
+def test_a_collision_is_no_fault_of_the_state(mass, kick):
+    """The velocity jumps, which no derivative shows, and with it the mass, as a load is picked up or lost.
+
+    The estimator waits until the motion fits again, and goes on.
+    """
+    samples = oscillating(400, lambda k: M if k < 150 else mass, lambda k: kick * (k == 150))
+    results, found = seen_in(samples)
+    assert set(found) == {RATE}
+    assert max(found[RATE]) < 150 + 60
+    assert all(seen.sample is not None for seen in results[210:])
+
+
+def test_a_changed_mass_is_no_fault():
+    _, found = seen_in(oscillating(400, lambda k: M if k < 150 else 3.0 * M))
+    assert found == {}
+
+
+def test_a_sensor_that_is_right_again_is_forgiven():
+    results, found = seen_in(wrong(oscillating(1300), V, ERRORS["gain"], 130, 800))
+    assert 799 in found[V]
+    assert max(max(numbers) for numbers in found.values()) < 800 + 130
+    assert all(seen.sample is not None for seen in results[1010:])
+
+
+# The position, whose derivative is not sampled: it is the velocity, whatever the mass and the force are.
+
+
+@pytest.mark.parametrize("error", ERRORS.values(), ids=ERRORS)
+def test_a_position_that_jumps_without_velocity_is_named(error):
+    results, found = seen_in(wrong(oscillating(500), S, error, 130))
+    assert min(found[S]) <= 130 + 20
+    assert set(range(170, 500)) <= set(found[S])
+    assert all(seen.sample is None for seen in results[130:])
+
+
+def shifted(theta, x, u):
+    """The slope where the position is counted from 0.4 on."""
+    return slope(theta, (x[0] + 0.4, x[1]), u)
+
+
+def test_a_gain_of_a_position_that_begins_without_a_jump_is_found():
+    samples = [replace(s, x=(s.x[0] - 0.4, s.x[1])) for s in oscillating(700)]
+    first = next(k for k in range(200, 700) if abs(samples[k].x[0]) < 3.0 * NOISE)
+    _, found = seen_in(wrong(samples, S, ERRORS["gain"], first), screen(shifted))
+    assert first < min(found[S]) < first + 300
+
+
+def test_what_a_position_was_found_wrong_for_is_doubtful_far_back():
+    """The gain shows after a hundred samples or more: as many again, and three times twenty, may be wrong as well."""
+    samples = [replace(s, x=(s.x[0] - 0.4, s.x[1])) for s in oscillating(700)]
+    first = next(k for k in range(200, 700) if abs(samples[k].x[0]) < 3.0 * NOISE)
+    results, found = seen_in(wrong(samples, S, ERRORS["gain"], first), screen(shifted))
+    at = min(found[S])
+    assert results[at].n_doubtful >= at - first
+
+
+@pytest.mark.parametrize("step", [1e-3, 2e-2])
+def test_a_coarse_position_is_not_named(step):
+    samples = [replace(s, x=(step * round(s.x[0] / step), s.x[1])) for s in oscillating(800, noise=0.0)]
+    _, found = seen_in(samples, screen(noise=(0.0, 0.0)))
+    assert S not in found
+
+
+def test_an_angle_that_wraps_is_not_named():
+    """A pendulum that turns over, at a rate of 1.5 rad/s on: each turn it jumps by 2 pi, and the model is the same."""
+
+    def model(theta, x, u):
+        return [x[1], -np.sin(x[0]) + u[0]]
+
+    rng, x, samples = np.random.default_rng(0), np.array([0.0, 2.5]), []
+    for k in range(1500):
+        for _ in range(20):  # a midpoint rule of a twentieth of the step
+            middle = x + 0.5 * (H / 20.0) * np.array(model(None, x, (0.0,)))
+            x = x + (H / 20.0) * np.array(model(None, middle, (0.0,)))
+        angle = (x[0] + np.pi) % (2.0 * np.pi) - np.pi
+        measured = (angle + rng.normal(0.0, NOISE), x[1] + rng.normal(0.0, NOISE))
+        samples.append(Sample(k * H, measured, (0.0,), (-np.sin(x[0]) + rng.normal(0.0, SIGMA),)))
+    sensors = Sensors(
+        (RATE, S, V), (True, True, True), (SIGMA,), (1,), (NOISE, NOISE),
+        lambda theta, s: np.array([(s.xdot[0] - model(theta, s.x, s.u)[1]) / SIGMA]), model, OTHERS,
+    )  # fmt: skip
+    results, found = seen_in(samples, SampleScreen(ObservationSettings(), sensors, H))
+    assert sum(abs(a.x[0] - b.x[0]) > 6.0 for a, b in pairwise(samples)) >= 4
+    assert found == {}
+    assert sum(seen.sample is None for seen in results) <= 10 * 6
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        lambda theta, x, u: [x[1] * theta[0], slope(theta, x, u)[1]],
+        lambda theta, x, u: [x[1] * (1.0 + 0.1 * (u[0] > 3.0)), slope(theta, x, u)[1]],
+    ],
+    ids=["parameter", "input"],
+)
+def test_a_state_whose_derivative_depends_on_parameters_or_inputs_is_not_checked(model):
+    _, found = seen_in(wrong(oscillating(500), S, ERRORS["gain"], 130), screen(model))
+    assert S not in found
+
+
+def tank(n, error, first):
+    """n samples of a tank, h' = u - a sqrt(h), whose level's sensor has an error from one sample on."""
+
+    def model(theta, x, u):
+        return [u[0] - theta[0] * max(x[0], 0.0) ** 0.5]
+
+    rng, x, samples = np.random.default_rng(2), 1.0, []
+    for k in range(n):
+        u = 1.0 + 0.3 * np.sin(0.02 * k)
+        for _ in range(10):  # Heun's rule over a tenth of the step
+            rate = model((1.0,), (x,), (u,))[0]
+            x += 0.05 * H * (rate + model((1.0,), (x + 0.1 * H * rate,), (u,))[0])
+        level = x + rng.normal(0.0, NOISE)
+        rate = model((1.0,), (x,), (u,))[0] + rng.normal(0.0, SIGMA)
+        samples.append(Sample(k * H, (error(level) if k >= first else level,), (u,), (rate,)))
+    sensors = Sensors(
+        ("der(h)", "h"), (True, True), (SIGMA,), (0,), (NOISE,),
+        lambda theta, s: np.array([(s.xdot[0] - model(theta, s.x, s.u)[0]) / SIGMA]), model, OTHERS,
+    )  # fmt: skip
+    return samples, SampleScreen(ObservationSettings(), sensors, H)
+
+
+def test_a_wrong_state_stays_so_where_the_model_does_not_change_with_it():
+    """The model clips a level below 0: no small correction of the wrong sign explains anything."""
+    samples, watched = tank(600, ERRORS["sign"], 130)
+    _, found = seen_in(samples, watched, np.array([1.0]))
+    assert set(range(140, 600)) <= set(found["h"])

@@ -59,7 +59,9 @@ class MovingHorizon:
 
     It minimises |z_1 - m|^2 / P + sum |r_k(z_k)|^2 + sum |z_k+1 - z_k|^2 / walk^2 over the newest samples; m and P, the
     arrival cost, are of the samples before: Rao, Rawlings, Lee (2001). A Gauss-Newton step is a Kalman smoother of
-    the linearised residuals: Bell (1994), "The iterated Kalman smoother as a Gauss-Newton method".
+    the linearised residuals: Bell (1994), "The iterated Kalman smoother as a Gauss-Newton method". A sample that leaves
+    the horizon is linearised at the newest parameters: those of its own time follow its noise, and a slope that knows
+    the noise adds to the arrival cost, sample by sample, what never averages out.
 
     On roll-outs an episode is the horizon, of parameters that may have jumped when it began and are constant from then
     on: least squares of its residuals and of the distance from those in force, by SciPy's trust region.
@@ -99,7 +101,7 @@ class MovingHorizon:
         steps = (*self._steps, _Step(objective.newest, self._now.mean))
         if len(steps) > self._settings.horizon:
             oldest, *rest = steps
-            left = self._measured(objective, oldest)
+            left = self._measured(objective, replace(oldest, place=self._now.mean))
             self._arrival = self._later(_after(self._arrival, left))
             steps = tuple(rest)
         newest = self._measured(objective, steps[-1])

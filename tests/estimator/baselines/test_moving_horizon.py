@@ -119,6 +119,23 @@ def test_from_a_wrong_start_it_is_nearer_than_the_unscented_filter():
     assert off["mhe"] < off["ukf"]
 
 
+@pytest.mark.parametrize("seed", range(2))
+def test_what_one_parameter_follows_of_the_noise_does_not_move_another(seed):
+    """A mass that two large forces push, one of them by a factor: their difference, of which a walk of the factor makes
+    a standard deviation a sample, is divided by the mass. Nothing changes."""
+    space = ParameterSpace((Parameter("m", 0.25, 4.0, "kg", "log"), Parameter("k", 0.5, 2.0, "", "log")))
+
+    def pushed(theta, sample):
+        (force,), (m, k) = sample.x, np.moveaxis(np.asarray(theta), -1, 0)
+        return np.array([(sample.xdot[0] - (16.0 * (k - 1.0) + force) / m) / 0.05])
+
+    rng, estimator = np.random.default_rng(seed), made(space, np.ones(2), horizon=5)
+    for k in range(200):
+        force = 1.5 * np.sin(0.04 * k)
+        estimate = take(estimator, Sample(float(k), (force,), (), (force + 0.05 * rng.standard_normal(),)), pushed)
+    assert abs(np.log(estimate.theta[0])) < 0.1
+
+
 def test_a_sample_without_a_value_is_left_out():
     def lacking(theta, sample):
         return np.full(2, np.nan) if sample.t < 0.0 else rows(theta, sample)

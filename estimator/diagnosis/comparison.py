@@ -99,6 +99,18 @@ class HypothesisComparison:
                 return True
         return False
 
+    def has_changed_slowly(self, held: Vector) -> bool:
+        """Return whether changed parameters explain all newest samples, and nothing else nearly as well.
+
+        Now and then: none of these samples contradicts those in force, held (d,), by itself.
+        """
+        n = len(self._state.samples)
+        if self._state.n_samples % QUIET:
+            return False
+        found, before = self.best(held, n, may_drift=True), self._residuals.of_newest(held, n)
+        weighing = Weighing(found.fit, disturbance_of(before).fit, plain_fit(before, 0))
+        return found.rate <= _RATE and weighing.are_parameters_proven
+
     def lags(self, theta: Vector) -> bool:
         """Return whether an estimate theta (d,) does not explain the newest samples, which other parameters may."""
         state = self._state

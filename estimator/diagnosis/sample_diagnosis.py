@@ -303,6 +303,13 @@ class Diagnosis:
         if self._state.n_since:
             self._state.reference, self._state.n_calm = theta, 0
 
+    def may_follow(self, held: Vector) -> bool:
+        """Return whether a filter's parameters may replace those in force, held (d,), which nothing contradicts.
+
+        Where these were found or followed since the start or the last return; else samples must prove a change.
+        """
+        return self._state.in_force.have_changed or self.comparison.has_changed_slowly(held)
+
     def expect(self, is_identifiable: Sequence[bool]) -> None:
         """Take a proposal that is passed on, with which of its parameters (d,) the samples determine."""
         state = self._state

@@ -117,6 +117,11 @@ class InForce:
             return self
         return InForce((*self.changes, (n, theta))[-_MOST_CHANGES:])
 
+    @property
+    def have_changed(self) -> bool:
+        """True where others than the first ones, or than those that last returned, have been in force."""
+        return len(self.changes) > 1
+
     def at(self, n: int) -> Vector:
         """Return the parameters (d,) in force at sample n, or the earliest that are known."""
         return next((theta for first, theta in reversed(self.changes) if first <= n), self.changes[0][1])

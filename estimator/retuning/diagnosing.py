@@ -172,9 +172,12 @@ class DiagnosingRetuner(RetunerCounts[Retuner]):
     def _moved(self, proposal: Proposal, held: Vector) -> Proposal:
         """Return a filter's proposal while nothing contradicts the parameters in force, held (d,).
 
-        They move only as far as they differ from its estimate by more than one and a half standard deviations.
+        They move only as far as they differ from its estimate by more than one and a half standard deviations. Those of
+        the start, or that have returned, stay until a change is proven.
         """
         known = None if proposal.estimate is None else proposal.estimate.information
+        if proposal.theta is not None and not self._diagnosis.may_follow(held):
+            return replace(proposal, theta=None)
         if proposal.theta is None or known is None:
             return proposal
         z = self._space.to_unit(proposal.theta)

@@ -34,6 +34,7 @@ class Outliers:
         self._last: Sample | None = None
         self._suspect: Sample | None = None
         self._theta = np.empty(0)  # in force at the suspect
+        self._was_far = np.zeros(len(noise), dtype=bool)  # channels that had jumped at the suspect
         self._n_suspects = 0
         self._changes = np.empty((0, len(noise)))
         self._known = (np.empty(0), np.empty(0))  # parameters, and the residual of the last good sample there
@@ -42,8 +43,8 @@ class Outliers:
         """Return whether the sample is suspect, and the sensors for which the suspect before it was an outlier.
 
         A derivative that is missing now, or was in the sample before, is no jump: its limit is not a number.
-        theta (d,): parameters in force. After a suspect those in force at it are used instead: a write due to it has
-        changed the inputs, which with wrong parameters makes residuals jump as well.
+        theta (d,): parameters in force. After a suspect those in force at it are used instead, and what was far then
+        is: a write due to it has changed the inputs, which with wrong parameters makes residuals jump as well.
         """
         residual = self._residual
         if self._suspect is not None:
@@ -62,12 +63,13 @@ class Outliers:
             self._changes = np.concatenate([self._changes[1 - _MEMORY :], [change]])
         if self._suspect is not None:
             before = residual(theta, self._suspect)
-            was_far = np.abs(before - last) > limit
+            was_far = self._was_far
             persists = (now - last) / np.where(was_far, before - last, 1.0) >= _PERSISTS
             outliers, is_far = was_far & ~persists, is_far & ~(persists & was_far)
         names = [self._names[i] for i in np.flatnonzero(outliers)]
         if is_far.any() and self._n_suspects < _MOST_SUSPECTS:
-            self._suspect, self._theta, self._n_suspects = sample, theta, self._n_suspects + 1
+            self._suspect, self._theta, self._was_far = sample, theta, is_far
+            self._n_suspects += 1
             return True, names
         return self._accept(sample, theta, now), names
 

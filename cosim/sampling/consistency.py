@@ -34,7 +34,7 @@ class Contradictions(NamedTuple):
     gains: tuple[int, ...] = ()
     """Pairs whose modelled derivative has a wrong gain."""
     jumps: tuple[int, ...] = ()
-    """Pairs whose state has jumped with the newest sample though its modelled derivative has not."""
+    """Pairs whose state has jumped with the newest sample though its derivative has not."""
 
 
 class Consistency:
@@ -101,13 +101,14 @@ class Consistency:
         if self._n_block == SUMMED:
             self._gain, self._n_block = self._with_block(self._rows[1:]), 0
         has_jumped = self._have_jumped()
-        if self._is_kinematic.any() and (has_jumped.any() or not self._n_block):
+        if self._is_kinematic.any() and (has_jumped[n:].any() or not self._n_block):
             self._is_kinematic &= self._are_kinematic(sample, now)
-        is_beyond = (self._gain.n_wrong > 0) & np.append(np.ones(n, dtype=bool), self._is_kinematic)
+        is_compared = np.append(np.ones(n, dtype=bool), self._is_kinematic)
+        is_beyond = (self._gain.n_wrong > 0) & is_compared
         is_beyond[:n] |= self._are_beyond(self._rows[1:])[:n]
         self._distrust = np.clip(self._distrust + np.where(is_beyond, _SHY, -1 * is_known), 0, SUMMED)
         derivatives, gains = np.flatnonzero(self._distrust[:n]), n + np.flatnonzero(self._distrust[n:])
-        jumps = n + np.flatnonzero(has_jumped & self._is_kinematic)
+        jumps = np.flatnonzero(has_jumped & is_compared)
         return Contradictions(*(tuple(pairs.tolist()) for pairs in (derivatives, gains, jumps)))
 
     def _are_kinematic(self, sample: Sample, now: Sequence[float]) -> NDArray[np.bool_]:
@@ -117,15 +118,16 @@ class Consistency:
         return np.array([all(other[i] == now[i] for other in others) for i in unsampled])
 
     def _have_jumped(self) -> NDArray[np.bool_]:
-        """Return which states without a sampled derivative have moved by far more against the model than before.
+        """Return which states (k,) have moved by far more against their derivatives than before.
 
-        None that has stood still: a coarse sensor jumps all the time.
+        None that has stood still: a coarse sensor jumps all the time. Nor one whose derivative has: that is a spike.
         """
-        moved, xdot, drift, _ = self._rows[:, :, self._n_sampled :].transpose(1, 0, 2)
+        moved, xdot, drift, changes = self._rows.transpose(1, 0, 2)
         missed = np.abs(moved - self._h * (xdot - 0.5 * drift))
-        noise = self._limit * np.sqrt(2.0 * self._state_variance[self._n_sampled :])
+        noise = self._limit * np.sqrt(np.square(self._h * self._noise) + 2.0 * self._state_variance)
         limit = 2.0 * missed[:-1].max(axis=0) + noise + self._h * np.abs(drift[-1])
-        has_jumped: NDArray[np.bool_] = (missed[-1] > limit) & (moved != 0.0).all(axis=0)
+        is_own = (moved != 0.0).all(axis=0) & (self._h * changes[-1] < 0.5 * missed[-1])
+        has_jumped: NDArray[np.bool_] = (missed[-1] > limit) & is_own
         return has_jumped
 
     def forget(self) -> None:
@@ -172,11 +174,13 @@ class Consistency:
     def _without_bursts(self, rows: Vector, sigma: Vector) -> Vector:
         """Return the rows without up to three spikes in a row that are over, and without the way back from them.
 
-        Spikes come and go at once; a wrong sign, which fits where the derivative is small, does not.
+        Spikes come and go at once; a wrong sign, which fits where the derivative is small, does not. And without a motion
+        that the derivative does not show, if it is the only one: in a collision the velocity jumps.
         """
         moved, xdot, drift, changes = rows.transpose(1, 0, 2)
         differs = np.abs(moved - self._h * xdot)
         is_odd = differs > self._limit_of_noise(sigma, 1) + self._h * np.abs(drift)
+        is_shown = self._h * changes > 0.5 * differs
         is_step = self._h * changes > 0.5 * np.maximum(differs, np.roll(differs, 1, axis=0))
         is_step[0] = True  # it began before these rows
         left = rows.copy()
@@ -185,6 +189,8 @@ class Consistency:
                 if end - first <= _BURST and end < len(rows) and is_step[[first, end], channel].all():
                     left[first:end, :, channel] = 0.0
                     left[end, 3, channel] = 0.0
+            if len(rows) == SUMMED and odd.sum() == 1 and not is_shown[odd, channel].any():
+                left[odd, :, channel] = 0.0
         return left
 
     def _limit_of_noise(self, sigma: Vector, n: int) -> Vector:

@@ -23,9 +23,7 @@ from estimator import Sample, Vector
 from .sensor_checks import SUMMED
 
 _DECIDED: Final = (5, 10, 20, 40)
-"""Numbers of samples since a pair began to be inconsistent after which it is decided."""
-_DOUBTFUL: Final = 10
-"""Number of samples since then for which neither of the pair is trusted."""
+"""Numbers of samples since a pair began to be inconsistent after which it is decided; until then neither is trusted."""
 _BETTER: Final = 1.5
 """Least multiple by which an error of the state's sensor must make the mean squared residual smaller."""
 _MARGIN: Final = 7.0
@@ -78,14 +76,14 @@ class FaultIsolation:
     def step(self, sample: Sample, theta: Vector, inconsistent: Iterable[int]) -> frozenset[int]:
         """Take a sample and the pairs that are inconsistent; return the faulty states. theta (d,): in force.
 
-        A pair of which the derivative is modelled is so at a jump only, and stays suspect until it is decided.
+        A pair stays suspect until it is decided for the last time.
         """
         if self._recent and abs(sample.t - self._recent[-1].t - self._model.h) > 0.5 * self._model.h:
             self._recent.clear()
         self._recent.append(sample)
         now = {*inconsistent}
         for i, (pair, n) in enumerate(zip(self._pairs, self._n_inconsistent, strict=True)):
-            goes_on = i in now or (pair.channel is None and 0 < n < _DECIDED[-1])
+            goes_on = i in now or 0 < n < _DECIDED[-1]
             self._n_inconsistent[i] = n = n + 1 if goes_on else 0
             if n in _DECIDED and i not in self._faults and (fault := self._begun(pair, theta, n)):
                 self._faults[i] = fault
@@ -103,7 +101,7 @@ class FaultIsolation:
     @property
     def is_undecided(self) -> bool:
         """True for the first samples of an inconsistent pair: neither its state nor its derivative is trusted."""
-        return any(0 < n < _DOUBTFUL for n in self._n_inconsistent)
+        return any(0 < n < _DECIDED[0] for n in self._n_inconsistent)
 
     def _begun(self, pair: Pair, theta: Vector, n: int) -> "_Fault | None":
         """Return the fault of the state's sensor, if it is that, n samples after the pair began to be inconsistent.

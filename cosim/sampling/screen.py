@@ -1,12 +1,13 @@
 """Screening of samples: the estimator gets no value that is missing, late, stuck, inconsistent or an outlier.
 
-Of a sample with a bad derivative it gets the others; of one with a bad state, or only bad derivatives, nothing.
+Of a sample with a bad derivative it gets the others; of one with a bad state, or mostly bad derivatives, nothing.
 
 Rejected samples are reported and counted. Gaussian processes accept a NaN silently, and every acquisition after it is
 NaN. A change of the plant persists, an outlier does not: a sample that jumps away from the model is used at once; if
-the next one does not confirm it, it is retracted, with the writes due to it. A derivative that does not fit the motion
-of its state is inconsistent. A constant bias of a state, or consistent biases of derivative and state, look like
-another plant and are not detected.
+the next one does not confirm it, it is retracted, with the writes due to it; once that has happened, the next such
+sample waits for its confirmation. A derivative that does not fit the motion of its state is inconsistent, or its state
+is, by `FaultIsolation`. A bias of a state that was there from the start, or consistent biases of derivative and state,
+look like another plant and are not detected.
 """
 
 from collections.abc import Callable, Sequence, Set
@@ -21,7 +22,7 @@ from ..scenarios.schema.sampling import ObservationSettings
 from .consistency import Consistency, Contradictions
 from .fault_isolation import FaultIsolation, Pair, ResidualModel
 from .outliers import Outliers
-from .sensor_checks import INPUT, LATE, SensorChecks, SensorHealth, Standing
+from .sensor_checks import INPUT, LATE, SensorChecks, SensorHealth, Standing, is_most
 
 _STILL: Final = 1e-9
 """Change of a state over a step, relative to its size, below which its bits may stay the same."""
@@ -86,8 +87,9 @@ class SampleScreen:
             for own in [sensors.state_noise[place]]
         )
         self._isolation = FaultIsolation(pairs, ResidualModel(sensors.residual, sensors.slope, macro_step))
-        self._plain, self._health = SensorChecks(sensors.names, settings.stuck, macro_step), SensorHealth(settings)
-        self._n_kept_out = 0
+        self._plain = SensorChecks(sensors.names, settings.stuck, macro_step)
+        self._health = SensorHealth(settings, sensors.names[:n])
+        self._n_kept_out, self._n_outliers = 0, 0
 
     def step(self, t: float, sample: Sample, theta: Vector) -> Screened:
         """Return the screened sample; theta (d,): parameters in force at t [s]."""
@@ -105,11 +107,12 @@ class SampleScreen:
             contradictions = self._consistency.step(_without(sample, channels, faulty), theta)
             found |= {("inconsistent", name) for name in self._inconsistent(contradictions, sample, theta) - faulty}
         bad = {name for _, name in found} | {*self._health.failed}
-        n_inconsistent = sum(kind == "inconsistent" for kind, _ in found)
-        is_kept_out = not bad <= {*channels} or bad >= {*channels} or n_inconsistent > 1 or len(self._health.failed) > 1
-        is_kept_out |= self._isolation.is_undecided
+        is_kept_out = not bad <= {*channels} or is_most(len(bad), channels) or self._isolation.is_undecided
         sample = _without(sample, channels, bad)
         is_suspect, outliers = (False, []) if is_kept_out else self._outliers.step(sample, theta)
+        if is_suspect and self._n_outliers:  # this one may be another
+            is_kept_out, is_suspect = True, False
+        self._n_outliers += len(outliers)
         self._n_kept_out += bool(bad) + bool(outliers)
         events = self._health.take(t, found | {("outlier", name) for name in outliers})
         n_doubtful = self._health.n_doubtful(events, self._consistency.n_doubtful)

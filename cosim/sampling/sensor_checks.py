@@ -1,7 +1,7 @@
 """Checks of sampled values that need no model, and the health of their sensors."""
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
 from math import inf, isnan
 from typing import Final, NamedTuple
 
@@ -95,11 +95,17 @@ class SensorChecks:
         return Standing(n, max(length for _, length, _ in stands), min(step for _, _, step in stands))
 
 
+def is_most(n: int, sensors: Sized) -> bool:
+    """Return whether n are more than half of the sensors: no one uses what the others say then."""
+    return 2 * n > len(sensors)
+
+
 class SensorHealth:
     """Health of the sensors: counts faults, reports the first of a series, and tracks sensors that have failed."""
 
-    def __init__(self, settings: ObservationSettings) -> None:
-        self._patience = settings.patience
+    def __init__(self, settings: ObservationSettings, derivatives: tuple[str, ...] = ()) -> None:
+        """derivatives: names of those without which the others may be used."""
+        self._patience, self._derivatives = settings.patience, derivatives
         self._bad: deque[frozenset[tuple[str, str]]] = deque(maxlen=settings.patience)
         self.failed: dict[str, None] = {}
         """Sensors that are bad in more than half of the newest samples, until they are in less than a tenth."""
@@ -132,10 +138,14 @@ class SensorHealth:
             n_bad = sum(any(name == sensor for _, sensor in bad) for bad in self._bad)
             if name not in self.failed and n_bad > self._patience / 2:
                 self.failed[name] = None
-                reason = (
-                    f"{name} was bad in {n_bad} of {len(self._bad)} samples, now {now[name]}: re-tuning is suspended"
-                )
+                then = "re-tuning is suspended" if self._is_suspending(name) else "the others are used without it"
+                reason = f"{name} was bad in {n_bad} of {len(self._bad)} samples, now {now[name]}: {then}"
                 yield Event(t, "sensor", {"sensor": name, "reason": reason})
             elif name in self.failed and n_bad <= self._patience / 10:
+                then = "re-tuning resumes" if self._is_suspending(name) else "it is used"
                 del self.failed[name]
-                yield Event(t, "sensor", {"sensor": name, "reason": f"{name} is good again: re-tuning resumes"})
+                yield Event(t, "sensor", {"sensor": name, "reason": f"{name} is good again: {then}"})
+
+    def _is_suspending(self, name: str) -> bool:
+        """Return whether too little is left while a sensor has failed: it is no derivative's, or most of these have."""
+        return name not in self._derivatives or is_most(len({*self._derivatives} & {*self.failed}), self._derivatives)

@@ -98,7 +98,7 @@ def test_a_fault_is_found_counted_and_kept_from_the_estimator(faults, found, kep
     assert failed is None or seen["failed"] == failed
     told = {(e["fault"], e["sensor"]) for e in events if e["kind"] == "observation"}
     assert {tuple(name.split(" ", 1)) for name in found} <= told
-    stops = [e["sensor"] for e in events if e["kind"] == "sensor" and "re-tuning is suspended" in e["reason"]]
+    stops = [e["sensor"] for e in events if e["kind"] == "sensor" and " was bad in " in e["reason"]]
     assert set(seen["failed"]) <= set(stops)
     for parameter in result.scenario.estimation.parameters:
         held = result.estimates[parameter.name]

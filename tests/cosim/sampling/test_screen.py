@@ -471,12 +471,45 @@ def test_a_wrong_sign_that_fits_but_for_a_few_samples_is_no_burst_of_spikes():
     assert len(inconsistent(200, rates=rates, bias=-2.0 * rates)) >= 29  # 19 where they are left out as spikes
 
 
-def test_after_a_spike_of_the_state_its_derivative_is_trusted_again_in_three_samples():
-    """The spike is in the sum of 20 motions when it begins, at 30, and by its end alone at 50."""
-    watched, odd = Consistency((0,), (SIGMA,), (0.0,), slope, 8.0, H), []
+def test_after_a_spike_of_the_state_its_derivative_is_trusted():
+    """The spike is in the sum of 20 motions when it begins, at 30, and by its end alone at 50: each is a jump."""
+    watched = Consistency((0,), (SIGMA,), (0.0,), slope, 8.0, H)
+    told = [watched.step(Sample(k * H, (k * H + (k == 30),), (1.0,), (1.0,)), THETA) for k in range(60)]
+    assert not any(contradictions.derivatives for contradictions in told)
+    assert [k for k, contradictions in enumerate(told) if contradictions.jumps] == [30]
+
+
+def test_what_was_far_at_a_suspect_is_an_outlier_however_much_the_write_due_to_it_moves_the_input():
+    """The model's change is in the limit: its error may be as large."""
+    assert fed([0.0, 50.0, 0.0], inputs=[1.0, 1.0, 1.0 + 60.0 * SIGMA]) == [GOOD, SUSPECT, OUTLIER]
+
+
+def test_a_suspect_waits_for_the_next_sample_once_there_has_been_an_outlier():
+    """It is confirmed by the next, then, which is used."""
+    watched, samples = screen(), moving(40)
+    for k in (6, 20):
+        samples[k] = replace(samples[k], xdot=(2.0,))
+    samples[30:] = [replace(s, xdot=(s.xdot[0] + 1.0,)) for s in samples[30:]]
+    seen = steps(watched, samples)
+    assert [k for k, s in enumerate(seen) if s.sample is None][:2] == [20, 30]
+    assert [k for k, s in enumerate(seen) if s.is_suspect] == [6]
+    assert [k for k, s in enumerate(seen) if s.was_outlier] == [7, 21]
+
+
+@pytest.mark.parametrize(("n_wrong", "is_used"), [(2, True), (3, False)])
+def test_the_derivatives_that_are_right_are_used_while_they_are_a_half_at_least(n_wrong, is_used):
+    n, names = 4, ("der(a)", "der(b)", "der(c)", "der(d)", "a", "b", "c", "d")
+    sensors = Sensors(
+        names, (True,) * n + (False,) * n, (SIGMA,) * n, (0, 1, 2, 3), (0.0,) * n,
+        lambda theta, s: (np.array(s.xdot) - 1.0) / SIGMA, lambda theta, x, u: [1.0] * n,
+    )  # fmt: skip
+    watched, rng = screen(sensors), np.random.default_rng(0)
+    bias = np.array([1.0 * (i < n_wrong) for i in range(n)])
     for k in range(60):
-        odd += [k] * len(watched.step(Sample(k * H, (k * H + (k == 30),), (1.0,), (1.0,)), THETA).derivatives)
-    assert odd == [30, 31, 32, 50, 51, 52]
+        rates = 1.0 + bias * (k > 30) + rng.normal(0.0, SIGMA, n)
+        seen = watched.step(k * H, Sample(k * H, (k * H,) * n, (1.0,), tuple(rates)), THETA)
+    assert (seen.sample is not None) == is_used
+    assert seen.sample is None or [v != v for v in seen.sample.xdot] == [True, True, False, False]
 
 
 def test_one_spike_is_no_bias():

@@ -31,8 +31,8 @@ class Contradictions(NamedTuple):
 
     derivatives: tuple[int, ...] = ()
     """Pairs whose sampled derivative does not fit the state's motion."""
-    gains: tuple[int, ...] = ()
-    """Pairs whose modelled derivative has a wrong gain."""
+    states: tuple[int, ...] = ()
+    """Pairs whose state does not fit its modelled derivative, or is late."""
     jumps: tuple[int, ...] = ()
     """Pairs whose state has jumped with the newest sample though its derivative has not."""
 
@@ -99,7 +99,7 @@ class Consistency:
             return Contradictions()
         self._n_block += 1
         if self._n_block == SUMMED:
-            self._gain, self._n_block = self._with_block(self._rows[1:]), 0
+            self._gain, self._n_block = self._with_block(self._rows), 0
         has_jumped = self._have_jumped()
         if self._is_kinematic.any() and (has_jumped[n:].any() or not self._n_block):
             self._is_kinematic &= self._are_kinematic(sample, now)
@@ -107,9 +107,9 @@ class Consistency:
         is_beyond = (self._gain.n_wrong > 0) & is_compared
         is_beyond[:n] |= self._are_beyond(self._rows[1:])[:n]
         self._distrust = np.clip(self._distrust + np.where(is_beyond, _SHY, -1 * is_known), 0, SUMMED)
-        derivatives, gains = np.flatnonzero(self._distrust[:n]), n + np.flatnonzero(self._distrust[n:])
-        jumps = np.flatnonzero(has_jumped & is_compared)
-        return Contradictions(*(tuple(pairs.tolist()) for pairs in (derivatives, gains, jumps)))
+        is_state = (np.arange(len(self.places)) >= n) | self._gain.is_state_late
+        found = (self._distrust > 0) & ~is_state, (self._distrust > 0) & is_state, has_jumped & is_compared
+        return Contradictions(*(tuple(np.flatnonzero(pairs).tolist()) for pairs in found))
 
     def _are_kinematic(self, sample: Sample, now: Sequence[float]) -> NDArray[np.bool_]:
         """Return which unsampled derivatives are the same with other parameters and inputs; now (n,): of all states."""
@@ -152,12 +152,18 @@ class Consistency:
         return self._differ(rows, limit) & self._differ(self._without_bursts(rows, sigma), limit)
 
     def _with_block(self, rows: Vector) -> DerivativeGain:
-        """Return the gain with a block of samples (n, 4, c), integrated by the trapezoidal rule as the model has it."""
+        """Return the gain with a block of samples (n, 4, c), integrated by the trapezoidal rule as the model has it.
+
+        The first is the last one before the block.
+        """
+        before, rows = rows[0], rows[1:]
         sigma = self._observed_noise(rows)
-        moved, xdot, drift, _ = self._without_bursts(rows, sigma).sum(axis=0)
+        kept = self._without_bursts(rows, sigma)
+        moved, xdot, drift, _ = kept.sum(axis=0)
+        change = np.where((kept == rows).all(axis=(0, 1)), self._h * (rows[-1, 1] - before[1]), 0.0)
         std = self._limit_of_noise(sigma, len(rows)) / self._limit
         own = self._h * sigma * np.sqrt(len(rows))
-        return self._gain.take(moved, self._h * (xdot - 0.5 * drift), std, own)
+        return self._gain.take(moved, self._h * (xdot - 0.5 * drift), change, std, own)
 
     def _observed_noise(self, rows: Vector) -> Vector:
         """Return the standard deviations (c,) that derivatives have, the declared ones at least."""
@@ -174,8 +180,8 @@ class Consistency:
     def _without_bursts(self, rows: Vector, sigma: Vector) -> Vector:
         """Return the rows without up to three spikes in a row that are over, and without the way back from them.
 
-        Spikes come and go at once; a wrong sign, which fits where the derivative is small, does not. And without a motion
-        that the derivative does not show, if it is the only one: in a collision the velocity jumps.
+        Spikes come and go at once; a wrong sign, which fits where the derivative is small, does not. And
+        without the only motion that the derivative does not show: in a collision the velocity jumps.
         """
         moved, xdot, drift, changes = rows.transpose(1, 0, 2)
         differs = np.abs(moved - self._h * xdot)

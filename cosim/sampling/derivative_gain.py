@@ -1,6 +1,6 @@
-"""Gain of a derivative's sensor: whether the motion is another share of the integrated derivative, block after block.
+"""Gain and delay of a derivative's sensor, by a regression of the motion on the integrated derivative.
 
-So a wrong unit or calibration is seen of which no single block of samples shows enough.
+Block after block: so a wrong unit, calibration or delay is seen of which no single block of samples shows enough.
 """
 
 from dataclasses import dataclass
@@ -13,11 +13,15 @@ from numpy.typing import NDArray
 from estimator import Vector
 
 _GROUPS: Final = 5
-"""Number of newest groups of blocks, all of which must show a wrong gain in the same direction."""
+"""Number of newest groups of blocks, all of which must show the same error in the same direction."""
 _SIZES: Final = (1, 2, 4, 8)
 """Numbers of blocks in a group: where the state is noisy many are needed."""
 _LEAST: Final = 0.1
 """Error of the gain below which it is of no account."""
+_LATE: Final = 1.5
+"""Delay, in samples, up to which it is of no account: a solver of one step between samples errs by as much."""
+_RANK: Final = 1e-6
+"""Share of the larger below which gain and delay are not told apart."""
 _CLEAR: Final = 20.0
 """Least square of what is integrated, by that of its noise, which alone makes the gain appear too small."""
 
@@ -29,41 +33,63 @@ class DerivativeGain:
     limit: float
     """Size of the error, in standard deviations, that is one."""
     blocks: tuple[Vector, ...] = ()
-    """Motion, integrated derivative, standard deviations of their difference and of what is integrated, each (4, c)."""
+    """Motion, integrated derivative, its change and the two standard deviations of each block (5, c)."""
 
-    def take(self, moved: Vector, integrated: Vector, std: Vector, own: Vector) -> "DerivativeGain":
+    def take(self, moved: Vector, integrated: Vector, change: Vector, std: Vector, own: Vector) -> "DerivativeGain":
         """Return the sums with one more block.
 
-        moved, integrated: motion and integrated derivative (c,); std, own: standard deviations of their difference and
-        of the noise in what is integrated (c,).
+        moved, integrated: motion and integrated derivative (c,); change: of the derivative from the beginning to the
+        end, times the time from one sample to the next (c,); std, own: standard deviations of the difference of the
+        first two and of the noise in what is integrated (c,).
         """
-        block = np.array([moved, integrated, std, own])
+        block = np.array([moved, integrated, change, std, own])
         return DerivativeGain(self.limit, (*self.blocks, block)[-_GROUPS * _SIZES[-1] :])
 
     @cached_property
     def n_wrong(self) -> NDArray[np.intp] | int:
-        """Number of newest blocks (c,) over which the gain is not 1; 0 where it is."""
+        """Number of newest blocks (c,) over which the gain is not 1 or the delay not 0; 0 where they are."""
         n_wrong: NDArray[np.intp] | int = 0
-        for size in reversed(_SIZES):
-            if len(self.blocks) >= _GROUPS * size:
-                n_wrong = np.where(_are_wrong(self.limit, self.blocks[-_GROUPS * size :]), _GROUPS * size, n_wrong)
+        for n, errors in self._errors.items():
+            n_wrong = np.where(errors.any(axis=0), n, n_wrong)
         return n_wrong
 
+    @property
+    def is_state_late(self) -> NDArray[np.bool_] | bool:
+        """For which channels (c,) it is the state that is late, so that its derivative is early."""
+        is_late: NDArray[np.bool_] | bool = False
+        for errors in self._errors.values():
+            is_late |= errors[1] < 0.0
+        return is_late
 
-def _are_wrong(limit: float, blocks: tuple[Vector, ...]) -> NDArray[np.bool_]:
-    """Return for which channels (c,) the gain is not 1, by a regression of the motion on the integrated derivative.
+    @cached_property
+    def _errors(self) -> dict[int, Vector]:
+        """Errors of gain and delay (2, c), 0 where there is none, by the number of newest blocks, the largest first."""
+        numbers = [_GROUPS * size for size in reversed(_SIZES)]
+        return {n: _errors(self.limit, self.blocks[-n:]) for n in numbers if len(self.blocks) >= n}
 
-    A constant offset is no gain: a model whose derivative changes too fast within a step leaves one. What the
+
+def _errors(limit: float, blocks: tuple[Vector, ...]) -> Vector:
+    """Return the errors of the gain and of the delay [samples] (2, c), 0 where there is none, by a regression.
+
+    Of the motion on what is integrated, on the change of the derivative, by which a delay of one sample is off, and on
+    a constant offset, which is neither: a model whose derivative changes too fast within a step leaves one. What the
     regression does not explain is noise, too: of a coarse sensor, which declares none.
     """
-    moved, integrated, std, own = np.stack(blocks, axis=1)
-    missed = moved - integrated
-    aside = integrated - integrated.mean(axis=0)
-    size, power = np.sum(missed * aside, axis=0), np.sum(aside**2, axis=0)
-    left = missed - missed.mean(axis=0) - aside * (size / np.where(power > 0.0, power, 1.0))
-    scatter = np.sqrt(np.sum(left**2, axis=0) / (len(blocks) - 2))
-    is_large = np.abs(size) > limit * np.linalg.norm(np.maximum(std, scatter) * aside, axis=0)
-    is_of_account = (np.abs(size) > _LEAST * power) & (power > _CLEAR * np.sum(own**2, axis=0))
-    by_group = (missed * integrated).reshape(_GROUPS, -1, missed.shape[1]).sum(axis=1)
-    is_one_sided = np.abs(np.sign(by_group).sum(axis=0)) == _GROUPS
-    return is_large & is_of_account & is_one_sided
+    moved, integrated, change, std, own = np.stack(blocks, axis=1)
+    n, c = moved.shape
+    missed = (moved - integrated).T  # (c, n)
+    aside = np.stack([integrated, change], axis=-1).transpose(1, 0, 2)  # (c, n, 2)
+    aside, missed_aside = aside - aside.mean(axis=1, keepdims=True), missed - missed.mean(axis=1, keepdims=True)
+    least = np.linalg.pinv(aside, rcond=_RANK)  # (c, 2, n)
+    errors = (least @ missed_aside[..., None])[..., 0]  # (c, 2)
+    left = missed_aside - (aside @ errors[..., None])[..., 0]
+    scatter = np.sqrt(np.sum(left**2, axis=1, keepdims=True) / (n - 3))
+    stds = np.linalg.norm(least * np.maximum(std.T, scatter)[:, None, :], axis=2)
+    is_clear = np.sum(aside[..., 0] ** 2, axis=1) > _CLEAR * np.sum(own**2, axis=0)
+    by_group = (missed[..., None] * np.stack([integrated, change], axis=-1).transpose(1, 0, 2)).reshape(
+        c, _GROUPS, -1, 2
+    )
+    is_one_sided = np.abs(np.sign(by_group.sum(axis=2)).sum(axis=1)) == _GROUPS
+    is_error = (np.abs(errors) > np.maximum(limit * stds, [_LEAST, _LATE])) & is_one_sided
+    is_error[:, 0] &= is_clear
+    return np.where(is_error, errors, 0.0).T

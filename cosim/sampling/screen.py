@@ -126,7 +126,7 @@ class SampleScreen:
         if before and not states:
             self._consistency.forget()
         elif not states:
-            states = frozenset(places[i] for i in found.gains)
+            states = frozenset(places[i] for i in found.states)
         return {names[i] for i in found.derivatives if places[i] not in states} | {names[n + i] for i in states}
 
     def summary(self) -> dict[str, Any]:

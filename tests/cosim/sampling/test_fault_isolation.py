@@ -228,3 +228,30 @@ def test_a_wrong_state_stays_so_where_the_model_does_not_change_with_it():
     samples, watched = tank(600, ERRORS["sign"], 130)
     _, found = seen_in(samples, watched, np.array([1.0]))
     assert set(range(140, 600)) <= set(found["h"])
+
+
+# A sensor that is late: the motion by the integrated derivative differs by the derivative's change times the delay.
+
+
+@pytest.mark.parametrize(("name", "named"), [(RATE, RATE), (V, V), (S, S)])
+def test_a_sensor_that_is_late_by_three_samples_is_named(name, named):
+    exact = oscillating(900)
+    late = [exact[max(0, k - 3)] for k in range(900)]
+    samples = [
+        replace(
+            s,
+            x=tuple(a if own == name else b for own, a, b in zip((S, V), old.x, s.x, strict=True)),
+            xdot=old.xdot if name == RATE else s.xdot,
+        )
+        for s, old in zip(exact, late, strict=True)
+    ]
+    _, found = seen_in(samples)
+    assert max(found, key=lambda sensor: len(found[sensor])) == named
+    assert len(found[named]) > 300
+
+
+def test_a_sensor_that_is_late_by_one_sample_is_not_named():
+    """A solver of one step between samples errs by as much."""
+    exact = oscillating(900)
+    _, found = seen_in([replace(s, xdot=exact[max(0, k - 1)].xdot) for k, s in enumerate(exact)])
+    assert found == {}

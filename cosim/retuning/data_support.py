@@ -37,6 +37,10 @@ class NoDataSupport:
         """Return 0: no sample contradicts."""
         return 0.0
 
+    def residuals(self, theta: Vector) -> Vector:
+        """Return those of no sample."""
+        return np.empty((0, self.n_channels))
+
     def identifiable_part(
         self, theta: Vector, held: Vector, at: Vector, unseen: float, little: float
     ) -> tuple[Vector, tuple[Reason, ...]]:
@@ -85,6 +89,10 @@ class DataSupport:
             return 0.0
         r = self._rows(theta, [self._samples[-1]])[0]
         return float(r @ r)
+
+    def residuals(self, theta: Vector) -> Vector:
+        """Return the whitened residuals (n, c) of theta (d,) at the samples kept, from old to new."""
+        return self._rows(theta, [*self._samples]) if self._samples else np.empty((0, self.n_channels))
 
     def information(self, theta: Vector) -> Information:
         """Return the information that the samples have at theta (d,), by the model's slopes or central differences."""

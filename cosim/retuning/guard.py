@@ -10,7 +10,7 @@ decision depends on the wall clock.
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite
+from math import inf, isfinite
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ import numpy as np
 from estimator import Estimate, ParameterSpace, Vector, chi2_limit
 from estimator.events import Event
 from estimator.retuning.proposal import Proposal
-from estimator.significance import SAMPLE_FALSE_ALARM
+from estimator.significance import FALSE_ALARM, SAMPLE_FALSE_ALARM
 
 from ..scenarios.schema.guard import GuardSettings
 from ..system.tunables import is_taken
@@ -27,9 +27,11 @@ from .decision import Point
 from .probation import Probation, Trial
 
 _NO_WORSE = 2.0
-"""Largest ratio of a write's sum of squares at the newest sample to that of the parameters held."""
+"""Largest ratio of one sum of squares to another, of a write's to that of the parameters held, that is no worse."""
 _POSTPONED = 2
 """Power of `growth` by which the error may pass its limit where the samples contradict what would return more."""
+_AS_MANY_AGAIN = 2
+"""Least number of values, by parameter, that parameters explain where they are more than fitted to them."""
 _LITTLE = 0.01
 """Share of the scaled bounds below which a move in an unidentified direction, or an uncertainty, is ignored."""
 _AWAY = 0.1
@@ -195,9 +197,17 @@ class Guard:
         return Ruling(back, tuple(events), is_revert=True)
 
     def _is_worse(self, back: Vector, held: Vector) -> bool:
-        """Return whether the newest sample contradicts the parameters to go back to more than those held."""
+        """Return whether the samples contradict the parameters to go back to (d,) more than those held (d,).
+
+        The newest one by itself; or, as it may tell nothing, the newest ones together that those held explain, where
+        these are proven: no disturbance explains the samples as well.
+        """
         cost = self._support.cost(back)
-        return isfinite(cost) and cost > max(self._limit, _NO_WORSE * self._support.cost(held))
+        if isfinite(cost) and cost > max(self._limit, _NO_WORSE * self._support.cost(held)):
+            return True
+        if not self._probation.is_proven:
+            return False
+        return _is_refuted(self._support.residuals(back), self._support.residuals(held), len(back))
 
     @property
     def _limit(self) -> float:
@@ -315,6 +325,24 @@ class Guard:
 
 
 _COUNTED: Mapping[str, str] = {"limit": "limited", "hold": "held", "veto": "vetoed"}
+
+
+def _is_refuted(of_back: Vector, of_held: Vector, n_parameters: int) -> bool:
+    """Return whether the newest samples refute other parameters than those held, which explain them.
+
+    These are the samples up to the first, from the newest one on, with which those held do not pass the test. They have
+    more values than are fitted. of_back, of_held: whitened residuals (n, c) at the samples kept, from old to new; a
+    value that is 0 with both is none: its channel rests, or was not sampled.
+    """
+    n_values = np.cumsum(np.count_nonzero((of_back != 0.0) | (of_held != 0.0), axis=1)[::-1]).tolist()
+    back, held = (np.cumsum(np.einsum("nc,nc->n", r, r)[::-1]).tolist() for r in (of_back, of_held))
+    refuted = False
+    for n, other, own in zip(n_values, back, held, strict=True):
+        if not own <= chi2_limit(FALSE_ALARM, max(n, 1)):
+            break
+        least = max(chi2_limit(SAMPLE_FALSE_ALARM, max(n, 1)), _NO_WORSE * own)
+        refuted = n >= _AS_MANY_AGAIN * n_parameters and least < other < inf
+    return refuted
 
 
 def outside(theta: Vector, space: ParameterSpace) -> str | None:

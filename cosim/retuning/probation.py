@@ -52,6 +52,11 @@ class Probation:
         return tuple(self._trials)
 
     @property
+    def is_proven(self) -> bool:
+        """True where no disturbance explains the samples as well as what is on probation."""
+        return all(trial.is_proven for trial in self._trials)
+
+    @property
     def allowed(self) -> float | None:
         """Norm of the tracking error above which the oldest write is to be taken back; None where there is none."""
         if not self._trials:

@@ -1,6 +1,7 @@
 """The guard by itself: on samples of a linear model, whose information has a closed form, and made-up predictions."""
 
 import re
+from dataclasses import replace
 from math import inf, nan
 
 import numpy as np
@@ -171,6 +172,8 @@ def test_a_small_change_is_not_looked_into_until_small_changes_add_up():
 
 MUTE = Sample(9.0, (0.0, 0.0), (), (0.0,))
 """A sample that any parameters explain."""
+OF_START = Sample(9.0, (1.0, 1.0), (), (4.0,))
+"""A sample that START explains, and GOOD does not."""
 
 
 def written(peak=calm, **settings):
@@ -206,6 +209,42 @@ def test_a_regression_is_borne_with_where_the_samples_contradict_the_way_back():
     assert watched.summary()["reverted"] == 0
     reviewed = watched.step(5, 0.05, 2.01, NOTHING, calm)
     assert (kinds(reviewed), reviewed.write.tolist()) == (["revert"], START.tolist())
+
+
+FULL, FAINT = ((1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (1.0, -2.0)), ((0.01, 0.0), (0.0, 0.01)) * 4
+"""Regressors, at which START is wrong by 2 to 4, 20 and more standard deviations, and by a fifth of one."""
+
+
+@pytest.mark.parametrize(
+    ("rows", "truth", "newest", "proposal", "told"),
+    [
+        (FULL, GOOD, MUTE, "proven", []),
+        (FULL, GOOD, MUTE, "possible", ["revert"]),  # a disturbance explains them as well
+        (FULL[:3], GOOD, MUTE, "proven", ["revert"]),  # three values, of which any parameters explain two
+        (FAINT, GOOD, MUTE, "proven", ["revert"]),  # the way back is right but for noise
+        (FULL, GOOD, OF_START, "proven", ["revert"]),  # what GOOD had followed is over
+        (FULL, BETTER, MUTE, "proven", ["revert"]),  # both are wrong
+    ],
+    ids=["right", "unproven", "few", "no contradiction", "wrong now", "wrong"],
+)
+def test_a_newest_sample_that_tells_nothing_takes_nothing_back_that_those_before_prove(
+    rows, truth, newest, proposal, told
+):
+    """The limit is 0.5, and growth is 2: up to 2 where the samples contradict what would return."""
+    support = seen(*rows, truth=truth)
+    watched = guard(support, growth=2.0)
+    support.append(Sample(4.0, (1.0, 1.0), (), (8.0,)))  # of GOOD, so that it is written
+    possible = None if proposal == "proven" else np.array([0.3])
+    assert (
+        watched.step(1, 0.01, 0.0, replace(proposed(GOOD), possible_disturbance=possible), lambda *plant: 0.01).write
+        is not None
+    )
+    support.restore(support.snapshot()[:-1])
+    support.append(newest)
+    assert kinds(watched.step(2, 0.02, 2.0, NOTHING, calm)) == told
+    if not told:
+        assert kinds(watched.step(3, 0.03, 2.01, NOTHING, calm)) == ["revert"]
+        np.testing.assert_array_equal(watched.held, START)
 
 
 @pytest.mark.parametrize("is_contradicted", [False, True])

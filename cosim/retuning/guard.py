@@ -101,6 +101,7 @@ class Guard:
         self._probation = Probation(tolerance, settings.growth, settings.probation, settings.horizon)
         self._good = self._anchor = start
         self._rests_until = -1
+        self._n_reverted = 0  # but for those in the rest after another one, which are of the same event
         self._refused: tuple[bytes, bool, int] = (b"", False, 0)
         self.counts: Counter[str] = Counter()
         """Number of proposals written, limited, held in part, vetoed, confirmed, reverted, retracted and undone."""
@@ -176,13 +177,15 @@ class Guard:
         allowed = self._probation.allowed
         if allowed is None or error <= allowed:
             return None
-        n = self.counts["reverted"] + 1
+        is_other = k >= self._rests_until  # else nothing was written since the last: what had returned has failed
+        n = self._n_reverted + is_other
         is_last = n >= self._settings.reverts
         is_good_bad = np.array_equal(held, self._good)  # the last good parameters are those that failed
         back = self._start if is_last or is_good_bad else self._good
         if error <= self._settings.growth**_POSTPONED * allowed and self._is_worse(back, held):
             return None
-        self.counts["reverted"] = n
+        self._n_reverted = n
+        self.counts["reverted"] += 1
         reason = f"tracking error {error:.4g} exceeded {allowed:.4g} while on probation"
         events = [Event(t, "revert", {"theta": back.tolist(), "reason": reason, "n": n})]
         self._anchor = self._good = back

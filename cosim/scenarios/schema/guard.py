@@ -37,7 +37,7 @@ class GuardSettings(Table):
     probation: int = Field(default=100, ge=1, le=MOST)
     """Macro steps for which the tracking error is watched after a write."""
     reverts: int = Field(default=3, ge=1, le=MOST)
-    """Reverts after which re-tuning stops, with the parameters of the start."""
+    """Reverts after which re-tuning stops, with the parameters of the start; one in the rest after another is none."""
 
     def tolerance_at(self, divergence: float) -> float:
         """Return the tolerance that holds where `limits.divergence` is this."""

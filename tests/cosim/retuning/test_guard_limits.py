@@ -314,6 +314,17 @@ def test_what_was_good_and_failed_is_good_no_longer():
     assert step(watched, 25, error=9.0) == (["revert"], tuple(START))
 
 
+def test_what_returns_and_fails_in_the_rest_after_it_is_no_further_revert_and_the_next_write_that_fails_is():
+    watched = reverted_to_good(reverts=2)
+    ruling = watched.step(14, 0.14, 9.0, NOTHING, None)
+    assert [(e.kind, e.detail["n"]) for e in ruling.events] == [("revert", 1)]
+    assert tuple(watched.held) == tuple(START)
+    assert [step(watched, k, BETTER) for k in range(15, 24)] == [(PASSED, None)] * 9  # it rests once more
+    assert step(watched, 24, BETTER) == (PASSED, tuple(BETTER))
+    assert step(watched, 25, error=9.0) == (["revert", "stop"], tuple(START))
+    assert watched.summary()["reverted"] == 3
+
+
 def test_what_comes_back_is_what_small_changes_are_counted_from():
     watched, peak = reverted_to_good(), Peaks({})
     assert step(watched, 23, GOOD + 0.3, peak=peak)[0] == ["confirm"]

@@ -42,7 +42,7 @@ class NoDataSupport:
         return np.empty((0, self.n_channels))
 
     def identifiable_part(
-        self, theta: Vector, held: Vector, at: Vector, unseen: float, little: float
+        self, theta: Vector, held: Vector, at: Vector, unseen: float, little: float, known: Information | None = None
     ) -> tuple[Vector, tuple[Reason, ...]]:
         """Return the candidate (d,) as it is."""
         return theta, ()
@@ -111,17 +111,17 @@ class DataSupport:
         return information(jacobian[np.isfinite(jacobian).all(axis=1)])
 
     def identifiable_part(
-        self, theta: Vector, held: Vector, at: Vector, unseen: float, little: float
+        self, theta: Vector, held: Vector, at: Vector, unseen: float, little: float, known: Information | None = None
     ) -> tuple[Vector, tuple[Reason, ...]]:
         """Return the candidate (d,) without moves in directions that the data do not identify, and the reasons.
 
         held (d,): start of the move; at (d,): where the information is taken; unseen: standard deviation beyond which
-        a direction is not identified, and little: largest move that is ignored, both in the unit cube. Without samples
-        nothing is identified.
+        a direction is not identified, and little: largest move that is ignored, both in the unit cube; known: what is
+        known from more samples than those kept, or None. Without samples nothing is identified.
         """
         here = self._space.to_unit(held)
         change = self._space.to_unit(theta) - here
-        seen = self.information(at)
+        seen = self.information(at) if known is None else known
         hidden = seen.directions[seen.singular_values < 1.0 / unseen]
         part = hidden.T @ (hidden @ change)
         size = float(np.linalg.norm(part))

@@ -9,6 +9,7 @@ from cosim.retuning.data_support import DataSupport, NoDataSupport
 from cosim.retuning.guard import Guard, within_rate
 from cosim.scenarios.schema.guard import GuardSettings
 from estimator import Estimate, Sample
+from estimator.identifiability import Information
 from estimator.retuning.proposal import Proposal
 from tests.cosim.retuning.linear_plant import BETTER, GOOD, SPACE, START, Watched, linear_rows, seen
 
@@ -25,7 +26,7 @@ class Told(NoDataSupport):
     def cost(self, theta):
         return self._costs.get(tuple(theta), 0.0)
 
-    def identifiable_part(self, theta, held, at, unseen, little):
+    def identifiable_part(self, theta, held, at, unseen, little, known=None):
         self.asked.append((*theta, *held, *at, unseen))
         return theta, ()
 
@@ -411,6 +412,33 @@ def test_a_small_part_that_is_not_seen_is_let_be(b, is_let_be):
     assert (written == theta) == is_let_be
     assert kinds == (PASSED if is_let_be else ["hold"])
     assert watched.summary()["held"] == (not is_let_be)
+
+
+KNOWN = Information(np.array([100.0, 50.0]), np.eye(2))
+"""That of an estimate whose standard deviations are 0.01 and 0.02 of the bounds."""
+KNOWS_THE_SUM = Information(np.array([100.0, 0.0]), np.array([[1.0, 1.0], [1.0, -1.0]]) / sqrt(2.0))
+
+
+@pytest.mark.parametrize(
+    ("reason", "known", "disturbance", "written"),
+    [
+        ("filtered", KNOWN, None, (6.0, 2.0)),
+        ("filtered", KNOWS_THE_SUM, None, (4.0, 4.0)),
+        ("filtered", None, None, (4.0, 4.0)),
+        ("filtered", KNOWN, 0.3, (4.0, 4.0)),  # older samples may be of a disturbance, too
+        ("unscented Kalman filter", KNOWN, None, (4.0, 4.0)),  # a prior is in what it knows
+    ],
+)
+def test_what_all_samples_since_the_change_have_shown_is_written_though_the_newest_do_not_show_it(
+    reason, known, disturbance, written
+):
+    """These show the sum only, of which the move by (4, 0) has (2, 2)."""
+    watched = guard(seen((1.0, 1.0), (1.0, 1.0)), start=(2.0, 2.0))
+    theta, rival = np.array([6.0, 2.0]), None if disturbance is None else np.array([disturbance])
+    filtered = Estimate(theta, np.array([0.1, 0.2]), (True, True), 0.0, 0, reason, known)
+    ruling = watched.step(2, 0.02, 0.0, Proposal(theta, filtered, possible_disturbance=rival), lambda *plant: 0.01)
+    np.testing.assert_allclose(ruling.write, written, atol=1e-6)
+    assert [event.kind for event in ruling.events] == ([] if written == (6.0, 2.0) else ["hold"])
 
 
 def test_a_move_that_is_held_in_part_stays_inside_the_bounds():

@@ -5,6 +5,7 @@ See `hypotheses` for the evidence, and `diagnosis` for what follows from it.
 
 from collections.abc import Iterator
 from dataclasses import replace
+from math import inf
 from typing import Final
 
 import numpy as np
@@ -99,17 +100,22 @@ class HypothesisComparison:
                 return True
         return False
 
-    def has_changed_slowly(self, held: Vector) -> bool:
-        """Return whether changed parameters explain all newest samples, and nothing else nearly as well.
+    def has_changed(self, held: Vector, n: int, *, at_most: float = inf) -> bool:
+        """Return whether changed parameters explain the newest n samples, and nothing else nearly as well.
 
-        Now and then: none of these samples contradicts those in force, held (d,), by itself.
+        held (d,): parameters in force, which explain them or not; at_most: largest rate at which they may have drifted.
         """
-        n = len(self._state.samples)
-        if self._state.n_samples % QUIET:
-            return False
         found, before = self.best(held, n, may_drift=True), self._residuals.of_newest(held, n)
         weighing = Weighing(found.fit, disturbance_of(before).fit, plain_fit(before, 0))
-        return found.rate <= _RATE and weighing.are_parameters_proven
+        return found.rate <= at_most and weighing.are_parameters_proven
+
+    def has_changed_slowly(self, held: Vector) -> bool:
+        """Return whether `has_changed` on all newest samples, none of which contradicts those in force by itself.
+
+        Now and then. held (d,): in force.
+        """
+        state = self._state
+        return not state.n_samples % QUIET and self.has_changed(held, len(state.samples), at_most=_RATE)
 
     def lags(self, theta: Vector) -> bool:
         """Return whether an estimate theta (d,) does not explain the newest samples, which other parameters may."""

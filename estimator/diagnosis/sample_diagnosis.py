@@ -236,7 +236,8 @@ class Diagnosis:
         """End a suspicion, n samples long, as the parameters in force explain the samples again.
 
         Where searches have gone from those that lasted and have come back to them, a disturbance has passed. Where
-        several samples contradicted those in force, and nothing else was tried, that counts as a failed search.
+        several samples contradicted those in force, and nothing else was tried, that counts as a failed search; not
+        where changed parameters are proven by them, which may have been kept from being written.
         """
         state, lasting = self._state, self._state.lasting
         if state.has_moved and lasting is not None and agree(self._space.to_unit(lasting), self._space.to_unit(held)):
@@ -245,7 +246,8 @@ class Diagnosis:
                 return self._disturbances.passed(t, lasting, of_reference, True)
         state.n_since = 0
         rows = self.residuals.of_newest(held, n)
-        if not state.has_moved and self._settings.n_unusual(rows) >= FEWEST:
+        is_in_vain = not state.has_moved and self._settings.n_unusual(rows) >= FEWEST
+        if is_in_vain and not self.comparison.has_changed(held, n):
             state.n_failures += 1
             if state.has_lasted(held) and state.admit_usual(rows):
                 return Settled(None, ends_search=True)  # what was found on these samples was noise

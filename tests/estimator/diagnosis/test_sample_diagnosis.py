@@ -722,6 +722,19 @@ def test_what_was_found_on_samples_that_prove_to_be_noise_is_forgotten(size, is_
     assert ends == [(None, is_noise)]
 
 
+def test_a_change_that_is_kept_from_the_controller_is_no_noise_where_it_does_not_show():
+    """The plant has changed; then its state is zero, where that shows in nothing, and so TRUE explains the samples."""
+    run, changed = Run().go(100), TRUE + np.array([0.0, -0.05])
+    for k in range(40):
+        x, u = 1.0 if k < 20 else 0.0, float(np.sin(0.7 * k))
+        xdot = one_channel((x,), (u,), *changed)[0] + SIGMA * run.rng.standard_normal()
+        run.take(Sample(0.05 * run.k, (x,), (u,), (xdot,)))
+        run.held = TRUE
+    assert_array_equal(run.diagnosis._state.scale.values, 1.0)
+    assert run.diagnosis._state.n_failures == 0
+    assert run.of("unexplained", "disturbance") == []
+
+
 @CHANNELS
 @pytest.mark.parametrize(("what", "is_noise"), [("noise", True), ("drift", False), ("nothing", False)])
 def test_samples_that_are_larger_than_the_noise_before_a_suspicion_are_noise(what, is_noise, n_channels):

@@ -60,14 +60,18 @@ class LastingParameters:
     def _outlasts(self, theta: Vector) -> bool:
         """Return whether parameters (d,) have long explained far more than those that lasted.
 
-        A constant disturbance, which may have acted since then, is left out of both.
+        That is since these were last in force, on the channels that do not rest or on all.
         """
-        lasting, samples = self._state.lasting, self._state.since_lasting
+        lasting, samples = self._state.lasting, self._state.since_last_in_force
         if lasting is None or len(samples) < _ENOUGH:
             return False
-        rows = np.array([self._residuals.rows(lasting, samples), self._residuals.rows(theta, samples)])
-        usual, found = np.sum((rows - np.median(rows, axis=1, keepdims=True)) ** 2, axis=(1, 2))
-        return bool(found < _FAR_LESS * usual)
+        known = self._residuals.known
+        every = [known, known.on_all_channels()] if self._state.is_resting.any() else [known]
+        for known in every:
+            corrected = [known.without(sample) for sample in samples]
+            if _explains_far_more(self._residuals.scaled_rows(np.array([lasting, theta]), corrected)):
+                return True
+        return False
 
     def accepted(self, reference: Vector) -> Vector:
         """Return the parameters (d,) that were accepted last: those that lasted, or a reference that does since."""
@@ -77,3 +81,19 @@ class LastingParameters:
     def undone(self, reference: Vector) -> Vector:
         """Return the parameters (d,) to go back to: the reference, or those accepted last where a channel rests."""
         return self.accepted(reference) if self._state.is_resting.any() else reference
+
+
+def _explains_far_more(rows: Vector) -> bool:
+    """Return whether the second of two residuals (2, n, c) is far smaller than the first, the noise in it apart.
+
+    A constant disturbance is left out of both. Where noise that is larger than known remains, it must be much smaller
+    so, and far smaller with that disturbance. Zeros are missing values.
+    """
+    n_values = np.count_nonzero(rows[1])
+    usual, found = np.sum(np.where(rows, rows - np.median(rows, axis=1, keepdims=True), 0.0) ** 2, axis=(1, 2))
+    if not usual - found >= 2.0 * MARGIN:
+        return False
+    if max(found - n_values, 0.0) < _FAR_LESS * (usual - n_values):
+        return True
+    all_usual, all_found = np.sum(rows**2, axis=(1, 2))
+    return bool(found < BETTER * usual and all_found < _FAR_LESS * all_usual)

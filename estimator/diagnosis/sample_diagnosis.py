@@ -112,6 +112,8 @@ class Diagnosis:
         state.inputs.take(sample)
         z = self._space.to_unit(held)
         state.path, state.in_force = state.path.moved_to(z), state.in_force.take(state.n_samples, held)
+        if state.has_lasted(held):
+            state.lasting_until = state.n_samples
         is_anew = state.wake()
         corrected = self.residuals.corrected(sample)
         declared = self.residuals.declared(held, corrected)

@@ -78,6 +78,8 @@ class DiagnosisState:
     """Parameters (d,) that the samples have not contradicted for long; None before the first onset."""
     lasting_at: int = 0
     """Number of the sample at which these were contradicted."""
+    lasting_until: int = 0
+    """Number of the sample at which they were last in force."""
     since_lasting: list[Sample] = field(default_factory=list[Sample])
     """Samples since these were in force, every fifth one."""
     counts: Counter[str] = field(default_factory=Counter[str])
@@ -137,6 +139,7 @@ class DiagnosisState:
         self.verdict, self.largest_unexplained = self.verdict.refuted(), None
         if self.lasting is None or self.n_samples >= self.suspected_at + FORGOTTEN:
             self.lasting, self.lasting_at, self.since_lasting = held, self.n_samples, []
+            self.lasting_until = self.n_samples
             self.next_effect = 0
         self.n_calm = self.n_samples - self.suspected_at - 1
         if self.n_samples >= self.suspected_at + WINDOW:
@@ -176,6 +179,12 @@ class DiagnosisState:
         long = self.since_lasting
         newest = [s for s in self.samples if long and s.t > long[0].t]
         return [*(s for s in long if not newest or s.t < newest[0].t), *newest]
+
+    @property
+    def since_last_in_force(self) -> list[Sample]:
+        """Those of the samples that are kept for long since the parameters that lasted were last in force."""
+        n = (self.n_samples - self.lasting_until) // _EVERY
+        return self.since_lasting[-n:] if n else []
 
     @property
     def newest_hundred(self) -> list[Sample]:

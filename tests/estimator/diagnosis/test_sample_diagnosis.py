@@ -1237,6 +1237,67 @@ def test_parameters_that_explain_no_more_than_those_before_do_not_return(n_chann
     assert_array_equal(diagnosis.give_up(9.0).undo, TRUE)
 
 
+def judged(n_channels, *phases, changed=CHANGED):
+    """What is accepted after phases (n, truth, held, added), and three samples before that contradict TRUE."""
+    run = Run("least-squares", n_channels).go(100)
+    for n, truth, held, added in ((3, CHANGED, TRUE, 0.0), *phases):
+        for _ in range(n):
+            run.diagnosis.observe(run.sample(truth, added if np.isscalar(added) else next(added)), held)
+            run.k += 1
+    return run.diagnosis._lasting.accepted(changed)
+
+
+def white(n_channels, size, seed=1):
+    rng = np.random.default_rng(seed)
+    while True:
+        yield size * rng.standard_normal(n_channels)
+
+
+@CHANNELS
+@pytest.mark.parametrize("is_true", [True, False])
+def test_parameters_that_explain_all_but_the_noise_are_what_returns_however_little_that_is(n_channels, is_true):
+    """A change of two standard deviations: TRUE leaves a few times as much as the noise by itself."""
+    little = TRUE + np.array([0.03, 0.03])
+    found = judged(n_channels, (200, little if is_true else TRUE, little, 0.0), changed=little)
+    assert_array_equal(found, little if is_true else TRUE)
+
+
+@CHANNELS
+def test_parameters_in_force_are_judged_by_the_samples_since_those_before_them_were(n_channels):
+    """The plant had changed some time after what contradicted TRUE first, which was something else."""
+    first, then = (60, TRUE, TRUE, white(n_channels, 0.1)), (60, CHANGED, CHANGED, white(n_channels, 0.05))
+    assert_array_equal(judged(n_channels, first, then), CHANGED)
+
+
+@pytest.mark.parametrize("is_changed", [True, False])
+def test_parameters_that_explain_what_is_nearly_constant_must_leave_less_than_that_does(is_changed, monkeypatch):
+    """An input that hardly moves: what the change makes of it is a force of 120 deviations, and little beside that."""
+    monkeypatch.setattr(Run, "sample", almost_at_rest)
+    more = np.array([1.2, 0.0])
+    truth, force = (TRUE + more, 0.0) if is_changed else (TRUE, 1.2)
+    added = (force + w for w in white(1, 0.08))
+    found = judged(1, (100, truth, TRUE + more, added), changed=TRUE + more)
+    assert_array_equal(found, truth)
+
+
+def almost_at_rest(run, truth, added):
+    """A sample of one channel in which the state is zero and the input moves by a tenth."""
+    u = 1.0 + 0.1 * np.sin(1.7 * 0.05 * run.k)
+    xdot = np.array(run.plant((0.0,), (u,), *truth)) + added + SIGMA * run.rng.standard_normal(1)
+    return Sample(0.05 * run.k, (0.0,), (u,), tuple(xdot.tolist()))
+
+
+def test_parameters_are_judged_on_the_channels_that_rest_where_the_others_say_nothing_of_them():
+    run = Run("least-squares", 3).go(100)
+    for truth, held, n in ((CHANGED, TRUE, 3), (CHANGED, CHANGED, 60)):
+        for _ in range(n):
+            run.diagnosis.observe(run.sample(truth, 0.0), held)
+            run.k += 1
+    run.diagnosis._state.rest(np.array([True] * 3), 1000)
+    assert_array_equal(run.diagnosis._lasting.accepted(CHANGED), CHANGED)
+    assert_array_equal(run.diagnosis._lasting.accepted(np.array([1.0, -0.5])), TRUE)
+
+
 @CHANNELS
 def test_parameters_far_worse_than_those_that_lasted_are_undone(n_channels):
     diagnosis = contradicted(n_channels, CHANGED, 8, TRUE)

@@ -156,14 +156,14 @@ class Consistency:
 
         The first is the last one before the block.
         """
-        before, rows = rows[0], rows[1:]
+        before, rows, h = rows[0], rows[1:], self._h
         sigma = self._observed_noise(rows)
         kept = self._without_bursts(rows, sigma)
         moved, xdot, drift, _ = kept.sum(axis=0)
-        change = np.where((kept == rows).all(axis=(0, 1)), self._h * (rows[-1, 1] - before[1]), 0.0)
+        change, drifted = np.where((kept == rows).all(axis=(0, 1)), [rows[-1, 1] - before[1], drift], 0.0)
         std = self._limit_of_noise(sigma, len(rows)) / self._limit
-        own = self._h * sigma * np.sqrt(len(rows))
-        return self._gain.take(moved, self._h * (xdot - 0.5 * drift), change, std, own)
+        own = h * sigma * np.sqrt(len(rows))
+        return self._gain.take(moved, h * (xdot - 0.5 * drift), h * change, h * drifted, std, own)
 
     def _observed_noise(self, rows: Vector) -> Vector:
         """Return the standard deviations (c,) that derivatives have, the declared ones at least."""

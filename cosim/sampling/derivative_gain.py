@@ -33,16 +33,18 @@ class DerivativeGain:
     limit: float
     """Size of the error, in standard deviations, that is one."""
     blocks: tuple[Vector, ...] = ()
-    """Motion, integrated derivative, its change and the two standard deviations of each block (5, c)."""
+    """The values (6, c) of each block, as `take` has them."""
 
-    def take(self, moved: Vector, integrated: Vector, change: Vector, std: Vector, own: Vector) -> "DerivativeGain":
+    def take(
+        self, moved: Vector, integrated: Vector, change: Vector, drift: Vector, std: Vector, own: Vector
+    ) -> "DerivativeGain":
         """Return the sums with one more block.
 
-        moved, integrated: motion and integrated derivative (c,); change: of the derivative from the beginning to the
-        end, times the time from one sample to the next (c,); std, own: standard deviations of the difference of the
-        first two and of the noise in what is integrated (c,).
+        moved, integrated: motion and integrated derivative (c,); change, drift: of the derivative from the beginning to
+        the end, and what of it the modelled states make, times the time from one sample to the next (c,); std, own:
+        standard deviations of the difference of the first two and of the noise in what is integrated (c,).
         """
-        block = np.array([moved, integrated, change, std, own])
+        block = np.array([moved, integrated, change, drift, std, own])
         return DerivativeGain(self.limit, (*self.blocks, block)[-_GROUPS * _SIZES[-1] :])
 
     @cached_property
@@ -73,23 +75,27 @@ def _errors(limit: float, blocks: tuple[Vector, ...]) -> Vector:
 
     Of the motion on what is integrated, on the change of the derivative, by which a delay of one sample is off, and on
     a constant offset, which is neither: a model whose derivative changes too fast within a step leaves one. What the
-    regression does not explain is noise, too: of a coarse sensor, which declares none.
+    regression does not explain is noise, too: of a coarse sensor, which declares none. An actuator that lags does not
+    hold the input over a step, so that an error must show whether its effect is taken at the step's end or beginning.
     """
-    moved, integrated, change, std, own = np.stack(blocks, axis=1)
-    n, c = moved.shape
-    missed = (moved - integrated).T  # (c, n)
-    aside = np.stack([integrated, change], axis=-1).transpose(1, 0, 2)  # (c, n, 2)
-    aside, missed_aside = aside - aside.mean(axis=1, keepdims=True), missed - missed.mean(axis=1, keepdims=True)
+    moved, integrated, change, drift, std, own = np.stack(blocks, axis=1)
+    at_end = _regression(limit, moved - integrated, integrated, change, std)
+    at_beginning = _regression(limit, moved - integrated + change - drift, integrated, change, std)
+    is_clear = np.sum((integrated - integrated.mean(axis=0)) ** 2, axis=0) > _CLEAR * np.sum(own**2, axis=0)
+    return np.where((at_end * at_beginning > 0.0) & [is_clear, np.ones_like(is_clear)], at_end, 0.0)
+
+
+def _regression(limit: float, missed: Vector, integrated: Vector, change: Vector, std: Vector) -> Vector:
+    """Return the errors of the gain and of the delay (2, c), 0 where there is none; all others (n, c), by block."""
+    (n, c), missed = missed.shape, missed.T
+    by_block = np.stack([integrated, change], axis=-1).transpose(1, 0, 2)  # (c, n, 2)
+    aside, missed_aside = by_block - by_block.mean(axis=1, keepdims=True), missed - missed.mean(axis=1, keepdims=True)
     least = np.linalg.pinv(aside, rcond=_RANK)  # (c, 2, n)
     errors = (least @ missed_aside[..., None])[..., 0]  # (c, 2)
     left = missed_aside - (aside @ errors[..., None])[..., 0]
     scatter = np.sqrt(np.sum(left**2, axis=1, keepdims=True) / (n - 3))
     stds = np.linalg.norm(least * np.maximum(std.T, scatter)[:, None, :], axis=2)
-    is_clear = np.sum(aside[..., 0] ** 2, axis=1) > _CLEAR * np.sum(own**2, axis=0)
-    by_group = (missed[..., None] * np.stack([integrated, change], axis=-1).transpose(1, 0, 2)).reshape(
-        c, _GROUPS, -1, 2
-    )
+    by_group = (missed[..., None] * by_block).reshape(c, _GROUPS, -1, 2)
     is_one_sided = np.abs(np.sign(by_group.sum(axis=2)).sum(axis=1)) == _GROUPS
     is_error = (np.abs(errors) > np.maximum(limit * stds, [_LEAST, _LATE])) & is_one_sided
-    is_error[:, 0] &= is_clear
     return np.where(is_error, errors, 0.0).T

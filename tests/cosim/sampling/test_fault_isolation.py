@@ -233,7 +233,7 @@ def test_a_wrong_state_stays_so_where_the_model_does_not_change_with_it():
 # A sensor that is late: the motion by the integrated derivative differs by the derivative's change times the delay.
 
 
-@pytest.mark.parametrize(("name", "named"), [(RATE, RATE), (V, V), (S, S)])
+@pytest.mark.parametrize(("name", "named"), [(RATE, RATE), (S, S)])
 def test_a_sensor_that_is_late_by_three_samples_is_named(name, named):
     exact = oscillating(900)
     late = [exact[max(0, k - 3)] for k in range(900)]
@@ -248,6 +248,38 @@ def test_a_sensor_that_is_late_by_three_samples_is_named(name, named):
     _, found = seen_in(samples)
     assert max(found, key=lambda sensor: len(found[sensor])) == named
     assert len(found[named]) > 300
+
+
+def test_a_late_velocity_keeps_the_samples_out():
+    """It is late for its own derivative, and the position is early for it."""
+    exact = oscillating(900)
+    late = [replace(s, x=(s.x[0], exact[max(0, k - 3)].x[1])) for k, s in enumerate(exact)]
+    results, found = seen_in(late)
+    assert {S, V} & {*found}
+    assert sum(seen.sample is None for seen in results[300:]) > 300
+
+
+def test_an_actuator_that_lags_is_no_delay_of_a_sensor():
+    """The spring is stiff, and the force, with a time constant of two samples, balances it: the rate hardly changes."""
+    rng, x, samples = np.random.default_rng(3), np.array([0.4, 0.0, 0.0]), []
+    for k in range(1500):
+        u = 3.0 * np.sin(3.0 * k * H) + 100.0 * K * x[0] - 20.0 * x[1] - 50.0 * x[0]
+        a = np.zeros((4, 4))
+        a[0, 1], a[1, :3], a[2, 2], a[2, 3] = 1.0, (-100.0 * K / M, -C / M, 1.0 / M), -0.5 / H, 0.5 * u / H
+        x = (expm(H * a) @ [*x, 1.0])[:3]
+        rate = a[1, :3] @ x
+        samples.append(Sample(k * H, (x[0], x[1]), (u,), (rate + rng.normal(0.0, 1e-3),)))
+
+    def model(theta, x, u):
+        return [x[1], (u[0] - 100.0 * K * x[0] - C * x[1]) / theta[0]]
+
+    sensors = Sensors(
+        (RATE, S, V), (True, False, False), (1e-3,), (1,), (0.0, 0.0),
+        lambda theta, s: np.array([(s.xdot[0] - model(theta, s.x, s.u)[1]) / 1e-3]), model, OTHERS,
+    )  # fmt: skip
+    assert max(abs(s.x[0]) for s in samples) < 2.0
+    _, found = seen_in(samples, SampleScreen(ObservationSettings(), sensors, H))
+    assert found == {}
 
 
 def test_a_sensor_that_is_late_by_one_sample_is_not_named():

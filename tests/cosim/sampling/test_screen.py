@@ -406,7 +406,7 @@ def test_a_wrong_gain_that_no_twenty_samples_show_is_found_in_some_hundred(rate,
 def test_the_noise_of_a_derivative_is_no_wrong_gain_where_the_state_stands_still():
     gain, one = DerivativeGain(limit=5.0), np.ones(1)
     for noise in np.random.default_rng(0).normal(0.0, 1.0, (200, 1)):
-        gain = gain.take(0.0 * one, noise, 0.0 * one, one, one)
+        gain = gain.take(0.0 * one, noise, 0.0 * one, 0.0 * one, one, one)
         assert not np.any(gain.n_wrong)
 
 

@@ -9,7 +9,7 @@ decision depends on the wall clock.
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, isfinite
 from typing import Any
 
@@ -17,6 +17,7 @@ import numpy as np
 
 from estimator import Estimate, ParameterSpace, Vector, chi2_limit
 from estimator.events import Event
+from estimator.identifiability import IDENTIFIABLE_BELOW
 from estimator.retuning.proposal import Proposal
 from estimator.significance import FALSE_ALARM, SAMPLE_FALSE_ALARM
 
@@ -59,6 +60,8 @@ class Ruling:
     """Actions on the proposal, with reasons."""
     is_revert: bool = False
     """True where write is a revert, and not the proposal."""
+    estimate: Estimate | None = None
+    """What is known of the parameters written; None where they are not of a proposal."""
 
 
 @dataclass(frozen=True)
@@ -172,7 +175,7 @@ class Guard:
             self._refused = (*this, k + self._settings.horizon // 2)
             return Ruling(None, (*confirmed, *events))
         self._put_on_probation(k, verdict.theta, max(error, verdict.expected), is_proven=rival is None)
-        return Ruling(verdict.theta, (*confirmed, *events))
+        return Ruling(verdict.theta, (*confirmed, *events), estimate=estimate_at(verdict.theta, estimate, self._space))
 
     def _watch(self, k: int, t: float, error: float, held: Vector) -> Ruling | None:
         """Return the revert, where a write on probation has raised the tracking error above its limit; or None."""
@@ -332,6 +335,20 @@ class Guard:
 
 
 _COUNTED: Mapping[str, str] = {"limit": "limited", "hold": "held", "veto": "vetoed"}
+
+
+def estimate_at(theta: Vector, estimate: Estimate, space: ParameterSpace) -> Estimate:
+    """Return an estimate with other parameters theta (d,), whose root mean square errors have their distance, too.
+
+    What is further away from the estimate than an identifiable parameter's deviation is not identified.
+    """
+    if np.array_equal(theta, estimate.theta):
+        return estimate
+    away = np.abs(space.to_unit(theta) - space.to_unit(estimate.theta))
+    std = np.minimum(np.hypot(estimate.std / space.slope(estimate.theta), away), 1.0) * space.slope(theta)
+    is_near = (away <= IDENTIFIABLE_BELOW).tolist()
+    identifiable = tuple(a and b for a, b in zip(estimate.is_identifiable, is_near, strict=True))
+    return replace(estimate, theta=theta, std=std, is_identifiable=identifiable)
 
 
 def _is_refuted(of_back: Vector, of_held: Vector, n_parameters: int) -> bool:

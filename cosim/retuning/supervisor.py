@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from estimator import Sample, Vector
+from estimator import Estimate, Sample, Vector
 from estimator.events import Event
 from estimator.retuning.counts import RetunerCounts
 from estimator.retuning.factory import AnyRetuner
@@ -121,7 +121,7 @@ class Supervisor(RetunerCounts[AnyRetuner]):
             if self._guard is not None:
                 self._guard.undo(write)
         elif write is not None and not ruling.is_revert:
-            events.append(_written(point.t, write, proposal))
+            events.append(_written(point.t, write, ruling.estimate or proposal.estimate, proposal.is_candidate))
         elif write is None and before is not None and not np.array_equal(before, held):
             write = before
             detail = {"theta": before.tolist(), "reason": "the sample before was an outlier"}
@@ -204,11 +204,11 @@ class Supervisor(RetunerCounts[AnyRetuner]):
         return (Event(t, "guard", {"reason": f"the loop is not simulated ahead: {self._lookahead}"}),)
 
 
-def _written(t: float, theta: Vector, proposal: Proposal) -> Event:
+def _written(t: float, theta: Vector, estimate: Estimate | None, is_candidate: bool) -> Event:
     """Return the event of a write."""
-    assert proposal.estimate is not None
-    reason = {"reason": "candidate"} if proposal.is_candidate else {}
-    return Event(t, "write", proposal.estimate.as_json() | {"theta": theta.tolist()} | reason)
+    assert estimate is not None
+    reason = {"reason": "candidate"} if is_candidate else {}
+    return Event(t, "write", estimate.as_json() | {"theta": theta.tolist()} | reason)
 
 
 @contextmanager

@@ -2,13 +2,13 @@
 
 import re
 from dataclasses import replace
-from math import inf, nan
+from math import exp, inf, nan, sqrt
 
 import numpy as np
 import pytest
 
 from cosim.retuning.decision import Point
-from cosim.retuning.guard import Guard, outside, within_rate
+from cosim.retuning.guard import Guard, estimate_at, outside, within_rate
 from cosim.scenarios.schema.guard import GuardSettings
 from estimator import Estimate, Parameter, ParameterSpace, Sample
 from estimator.retuning.proposal import Proposal
@@ -89,6 +89,20 @@ def test_a_direction_that_the_data_do_not_see_is_not_written():
     reviewed = guard(support).step(2, 0.02, 0.0, proposed((6.0, 2.0)), calm)
     np.testing.assert_allclose(reviewed.write, [4.0, 4.0], atol=1e-6)  # the move along (1, 1) of (4, 0)
     assert kinds(reviewed) == ["hold"]
+
+
+def test_what_is_known_of_other_parameters_than_the_estimate_is_known_less_well():
+    """On a log scale the deviation is that of the logarithm; a parameter is known to as much as its bounds at least."""
+    log = ParameterSpace(
+        (Parameter("a", 0.1, 10.0, "1", "log"), Parameter("b", 0.0, 10.0), Parameter("c", 0.0, 4.0, "1"))
+    )
+    estimate = Estimate(np.array([1.0, 5.0, 2.0]), np.array([0.1, 0.1, 4.0]), (True, True, False), 0.0, 1, "incumbent")
+    assert estimate_at(estimate.theta, estimate, log) is estimate
+    known = estimate_at(np.array([exp(0.3), 5.4, 0.0]), estimate, log)
+    np.testing.assert_allclose(known.theta, [exp(0.3), 5.4, 0.0])
+    expected = [exp(0.3) * sqrt(0.1**2 + 0.3**2), sqrt(0.1**2 + 0.4**2), 4.0]
+    np.testing.assert_allclose(known.std, expected)
+    assert known.is_identifiable == (False, True, False)  # 0.3 of ln 100 is 6.5 % of the bounds, 0.4 is 4 %
 
 
 def test_a_move_that_is_left_out_as_a_whole_is_no_write():

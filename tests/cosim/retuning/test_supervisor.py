@@ -3,6 +3,8 @@
 The plant is y = theta . x, measured with SIGMA; the estimator is the least-squares solution of its window, by hand.
 """
 
+from math import sqrt
+
 import numpy as np
 import pytest
 
@@ -76,13 +78,13 @@ def after_an_outlier(sample):
 class Loop:
     """A supervisor, and a controller that takes what is written, unless it is deaf."""
 
-    def __init__(self, model=lambda x, u, a: [a], **script):
+    def __init__(self, model=lambda x, u, a: [a], rate=1.0, **script):
         self.log = []
         self.model = RememberingModel(model)
         residual = DerivativeResidual(self.model, SPACE, (0,), (SIGMA,))
         retuner = make_retuner(Mean(self.log), residual, InnovationSettings(), Budget(3), 1)
         support = DataSupport(residual.rows, SPACE, 1, 30)
-        self.guard = Guard(GuardSettings(tolerance=0.5, rate=1.0), SPACE, START, 100.0, support)
+        self.guard = Guard(GuardSettings(tolerance=0.5, rate=rate), SPACE, START, 100.0, support)
         screen = ScriptedScreen(self.log, **script)
         read_back = ReadBack(("controller.a",), (0,), np.ndarray.tolist)
         self.supervisor = Supervisor("mine", retuner, support, screen, self.guard, read_back, model=self.model)
@@ -111,6 +113,16 @@ def test_a_changed_parameter_is_screened_estimated_and_written_in_this_order():
     assert kinds(decision) == ["trigger", "candidate", "write"]
     assert decision.events[-1].detail["theta"] == decision.write.tolist()
     assert loop.log == ["screen 2", "screen 2", "estimate"]
+
+
+def test_a_write_has_the_root_mean_square_error_of_what_is_written():
+    """The mean is 4 +- 0.1, of which 3 is written: half of the way from 2."""
+    *_, limit, write = Loop(rate=0.1).step(2, 4.0).events
+    assert [limit.kind, write.kind] == ["limit", "write"]
+    assert write.detail["theta"] == pytest.approx([3.0])
+    assert write.detail["std"] == pytest.approx([sqrt(1.0**2 + 0.1**2)])
+    assert write.detail["is_identifiable"] == [False]
+    assert Loop().step(2, 4.0).events[-1].detail["std"] == [0.1]
 
 
 def test_the_first_point_takes_no_sample():

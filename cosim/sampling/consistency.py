@@ -44,9 +44,9 @@ class Consistency:
     the change of the derivative over the step, whose size the model predicts. The limit is the sum of that of the
     noise, declared or observed, whichever is larger, of twice that error, and of h/2 sum |xdot_i - xdot_(i-1)|, the
     last counted twice, so that a spike is no bias; nor are a few in a row, once they are over. A channel that was
-    inconsistent is so until it has been below this, with half of the noise's part, for three times as many samples, at
-    most 20: a derivative with the wrong sign fits, too, where it is small, and a spike of the state is over soon. A
-    wrong `DerivativeGain` over a hundred samples or more is inconsistent, too.
+    inconsistent is so until it has been below this, with half of the noise that it had before, for three times as many
+    samples, at most 20: a derivative with the wrong sign fits, too, where it is small. A wrong `DerivativeGain` over a
+    hundred samples or more is inconsistent, too.
 
     A state whose derivative is not sampled has a gain by its modelled derivative, where neither parameters nor inputs
     matter to that: kinematics, as of a position.
@@ -76,6 +76,7 @@ class Consistency:
         # Motion of the state, derivative, its modelled change, and the size of its change.
         self._rows = np.empty((0, 4, len(self.places)))
         self._noises: dict[int, Vector] = {}  # limits of the declared noise, by the number of changes
+        self._usual = self._noise  # observed noise while a derivative is trusted
         self.forget()
         self._last: Sample | None = None
         self._distrust = np.zeros(len(self.places), dtype=np.intp)  # number of samples for which it is inconsistent yet
@@ -125,8 +126,10 @@ class Consistency:
         moved, xdot, drift, changes = self._rows.transpose(1, 0, 2)
         missed = np.abs(moved - self._h * (xdot - 0.5 * drift))
         noise = self._limit * np.sqrt(np.square(self._h * self._noise) + 2.0 * self._state_variance)
-        limit = 2.0 * missed[:-1].max(axis=0) + noise + self._h * np.abs(drift[-1])
+        usual = self._limit * 1.4826 * column_medians(missed[:-1])
+        limit = np.max([2.0 * missed[:-1].max(axis=0), usual, noise], axis=0) + self._h * np.abs(drift[-1])
         is_own = (moved != 0.0).all(axis=0) & (self._h * changes[-1] < 0.5 * missed[-1])
+        is_own &= np.abs(moved[-1] - column_medians(moved)) > 0.5 * missed[-1]
         has_jumped: NDArray[np.bool_] = (missed[-1] > limit) & is_own
         return has_jumped
 
@@ -147,9 +150,9 @@ class Consistency:
         is_beyond = self._differ(rows, self._noises[n])
         if not is_beyond[: self._n_sampled].any():  # the observed noise only widens the limits
             return is_beyond
-        sigma = self._observed_noise(rows)
-        limit = self._limit_of_noise(sigma, n)
-        return self._differ(rows, limit) & self._differ(self._without_bursts(rows, sigma), limit)
+        self._usual = np.where(self._distrust > 0, self._usual, self._observed_noise(rows))
+        limit = self._limit_of_noise(self._usual, n)
+        return self._differ(rows, limit) & self._differ(self._without_bursts(rows, self._usual), limit)
 
     def _with_block(self, rows: Vector) -> DerivativeGain:
         """Return the gain with a block of samples (n, 4, c), integrated by the trapezoidal rule as the model has it.
@@ -186,7 +189,7 @@ class Consistency:
         moved, xdot, drift, changes = rows.transpose(1, 0, 2)
         differs = np.abs(moved - self._h * xdot)
         is_odd = differs > self._limit_of_noise(sigma, 1) + self._h * np.abs(drift)
-        is_shown = self._h * changes > 0.5 * differs
+        is_shown = (self._h * changes > 0.5 * differs) | (np.abs(moved - column_medians(moved)) < 0.5 * differs)
         is_step = self._h * changes > 0.5 * np.maximum(differs, np.roll(differs, 1, axis=0))
         is_step[0] = True  # it began before these rows
         left = rows.copy()

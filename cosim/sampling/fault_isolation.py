@@ -69,7 +69,7 @@ class FaultIsolation:
 
     def __init__(self, pairs: tuple[Pair, ...], model: ResidualModel) -> None:
         self._pairs, self._model = pairs, model
-        self._recent: deque[Sample] = deque(maxlen=4 * SUMMED)
+        self._recent: deque[Sample] = deque(maxlen=6 * SUMMED)
         self._n_inconsistent = [0] * len(pairs)
         self._faults: dict[int, _Fault] = {}  # of the states, by pair
 
@@ -110,6 +110,8 @@ class FaultIsolation:
         """
         recent = tuple(self._recent)
         stretch = _Stretch(recent[-SUMMED - n - 1 :], theta, pair, self._model)
+        unshown, _ = stretch.unshown(recent)  # of all, as most of these are older than the fault
+        stretch = replace(stretch, usual=1.4826 * float(np.median(np.abs(unshown))))
         motion = np.abs(stretch.motion(stretch.samples))
         onset, as_before = int(np.argmax(motion)), 1.0
         if motion[onset] > _JUMP:
@@ -119,23 +121,25 @@ class FaultIsolation:
                 as_before = before.unexplained
         if len(stretch.samples) <= _DECIDED[0]:
             return None
-        return _Fault(stretch.error_of_state.p) if stretch.is_of_state(as_before) else None
+        return _Fault(stretch.error_of_state.p, stretch.usual) if stretch.is_of_state(as_before) else None
 
     def _gone_on(self, fault: "_Fault", pair: Pair, theta: Vector) -> "_Fault":
         """Return the fault after one more sample: now and then, whether an error still explains more than none."""
         fault = replace(fault, n_unseen=fault.n_unseen + 1)
         if fault.n_unseen % SUMMED:
             return fault
-        stretch = _Stretch(tuple(self._recent)[-SUMMED - 1 :], theta, pair, self._model, begin=fault.error)
+        newest = tuple(self._recent)[-SUMMED - 1 :]
+        stretch = _Stretch(newest, theta, pair, self._model, usual=fault.usual, begin=fault.error)
         error = stretch.error_of_state
-        return _Fault(error.p) if error.squares * stretch.ratio < stretch.unexplained else fault
+        return _Fault(error.p, fault.usual) if error.squares * stretch.ratio < stretch.unexplained else fault
 
 
 @dataclass(frozen=True)
 class _Fault:
-    """Error of a state's sensor, offset and gain (2,), and the number of samples for which it has not shown."""
+    """Error of a state's sensor, offset and gain (2,), what was usual before, and for how many samples it is unseen."""
 
     error: Vector
+    usual: float
     n_unseen: int = 0
 
 
@@ -159,6 +163,8 @@ class _Stretch:
     model: ResidualModel
     has_jump: bool = False
     """True where the first sample is the last before the fault, whose onset shows in the motion to the second."""
+    usual: float = 0.0
+    """What the derivative usually does not show of a motion, as a standard deviation: of a coarse sensor."""
     begin: Vector | None = None
     """Error of the state's sensor (2,) with which the search begins; None where that is none, or the jump."""
 
@@ -194,7 +200,7 @@ class _Stretch:
 
         begin = np.zeros(2) if self.begin is None else self.begin
         if self.has_jump:
-            begin = np.array([self._unshown(self.samples[:2])[0][0], 0.0])
+            begin = np.array([self.unshown(self.samples[:2])[0][0], 0.0])
         return _least(rows, begin, float(np.abs(x).max()))
 
     @cached_property
@@ -214,7 +220,7 @@ class _Stretch:
 
     def motion(self, samples: Sequence[Sample]) -> Vector:
         """Return what the derivative does not show of each motion (n - 1,), in standard deviations."""
-        unshown, std = self._unshown(samples)
+        unshown, std = self.unshown(samples)
         return unshown / std
 
     def _rows(self, samples: Sequence[Sample]) -> Vector:
@@ -223,7 +229,7 @@ class _Stretch:
         residuals[np.isnan([s.xdot for s in samples[1:]])] = 0.0
         return np.concatenate([self.motion(samples), residuals.ravel()])
 
-    def _unshown(self, samples: Sequence[Sample]) -> tuple[Vector, Vector]:
+    def unshown(self, samples: Sequence[Sample]) -> tuple[Vector, Vector]:
         """Return what the derivative does not show of each motion (n - 1,), and its standard deviation (n - 1,).
 
         By the trapezoidal rule as the model has it: each step begins with the state of the sample before, and the input
@@ -236,7 +242,7 @@ class _Stretch:
         channel = self.pair.channel
         xdot = slope if channel is None else np.array([s.xdot[channel] for s in samples[1:]])
         std = np.sqrt((h * noise) ** 2 + 2.0 * state_noise**2 + (0.25 * h * drift) ** 2)
-        return np.diff(x) - h * (xdot - 0.5 * drift), std + np.finfo(float).eps * np.abs(x).max()
+        return np.diff(x) - h * (xdot - 0.5 * drift), np.hypot(std, self.usual) + np.finfo(float).eps * np.abs(x).max()
 
 
 def _least(rows: Callable[[Vector], Vector], begin: Vector, size: float) -> _Error:

@@ -121,7 +121,7 @@ def test_a_changed_mass_is_no_fault():
 def test_a_sensor_that_is_right_again_is_forgiven():
     results, found = seen_in(wrong(oscillating(1300), V, ERRORS["gain"], 130, 800))
     assert 799 in found[V]
-    assert max(max(numbers) for numbers in found.values()) < 800 + 130
+    assert max(max(numbers) for numbers in found.values()) < 800 + 150
     assert all(seen.sample is not None for seen in results[1010:])
 
 
@@ -157,7 +157,7 @@ def test_what_a_position_was_found_wrong_for_is_doubtful_far_back():
     assert results[at].n_doubtful >= at - first
 
 
-@pytest.mark.parametrize("step", [1e-3, 2e-2])
+@pytest.mark.parametrize("step", [1e-4, 1e-3, 3e-3, 1e-2, 2e-2])
 def test_a_coarse_position_is_not_named(step):
     samples = [replace(s, x=(step * round(s.x[0] / step), s.x[1])) for s in oscillating(800, noise=0.0)]
     _, found = seen_in(samples, screen(noise=(0.0, 0.0)))

@@ -403,6 +403,15 @@ def test_a_wrong_gain_that_no_twenty_samples_show_is_found_in_some_hundred(rate,
     assert not odd or 100 <= odd[0] <= within
 
 
+def test_a_derivative_in_another_unit_stays_inconsistent_where_the_state_hardly_moves():
+    """Its noise is larger as well, and explains everything to who takes it for the sensor's own."""
+    rng = np.random.default_rng(0)
+    rates = 3.0 * SIGMA * np.sin(np.arange(300) / 40.0)
+    measured = rates + rng.normal(0.0, SIGMA, 300)
+    odd = inconsistent(rates=rates, bias=np.where(np.arange(300) < 100, 1.0, 57.3) * measured - rates)
+    assert set(range(105, 300)) <= set(odd)
+
+
 def test_the_noise_of_a_derivative_is_no_wrong_gain_where_the_state_stands_still():
     gain, one = DerivativeGain(limit=5.0), np.ones(1)
     for noise in np.random.default_rng(0).normal(0.0, 1.0, (200, 1)):

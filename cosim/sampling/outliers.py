@@ -63,7 +63,9 @@ class Outliers:
             self._changes = np.concatenate([self._changes[1 - _MEMORY :], [change]])
         if self._suspect is not None:
             before = residual(theta, self._suspect)
-            was_far = self._was_far & (np.abs(before - last) > limit - of_model)  # by what is usual by now
+            # By what is usual by now; where the model has moved by more than that, only if all channels are back.
+            is_gone = bool((change <= limit - of_model).all())
+            was_far = self._was_far & (np.abs(before - last) > (limit - of_model if is_gone else limit))
             persists = (now - last) / np.where(was_far, before - last, 1.0) >= _PERSISTS
             outliers, is_far = was_far & ~persists, is_far & ~(persists & was_far)
         names = [self._names[i] for i in np.flatnonzero(outliers)]

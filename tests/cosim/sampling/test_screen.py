@@ -490,7 +490,12 @@ def test_after_a_spike_of_the_state_its_derivative_is_trusted():
 
 def test_what_was_far_at_a_suspect_is_an_outlier_however_much_the_write_due_to_it_moves_the_input():
     """The model's change is in the limit: its error may be as large."""
-    assert fed([0.0, 50.0, 0.0], inputs=[1.0, 1.0, 1.0 + 60.0 * SIGMA]) == [GOOD, SUSPECT, OUTLIER]
+    assert fed([0.0, 50.0, 60.0], inputs=[1.0, 1.0, 1.0 + 60.0 * SIGMA]) == [GOOD, SUSPECT, OUTLIER]
+
+
+def test_a_jump_that_the_moved_input_has_made_smaller_is_no_outlier():
+    """With other parameters, residuals change with the input: a fifth of the jump is left, which is no noise."""
+    assert fed([0.0, 50.0, 75.0], inputs=[1.0, 1.0, 1.0 + 60.0 * SIGMA])[2] != OUTLIER
 
 
 def test_a_suspect_waits_for_the_next_sample_once_there_has_been_an_outlier():

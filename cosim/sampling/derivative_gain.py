@@ -67,10 +67,10 @@ class DerivativeGain:
     def _errors(self) -> dict[int, Vector]:
         """Errors of gain and delay (2, c), 0 where there is none, by the number of newest blocks, the largest first."""
         numbers = [_GROUPS * size for size in reversed(_SIZES)]
-        return {n: _errors(self.limit, self.blocks[-n:]) for n in numbers if len(self.blocks) >= n}
+        return {n: _errors_of(self.limit, self.blocks[-n:]) for n in numbers if len(self.blocks) >= n}
 
 
-def _errors(limit: float, blocks: tuple[Vector, ...]) -> Vector:
+def _errors_of(limit: float, blocks: tuple[Vector, ...]) -> Vector:
     """Return the errors of the gain and of the delay [samples] (2, c), 0 where there is none, by a regression.
 
     Of the motion on what is integrated, on the change of the derivative, by which a delay of one sample is off, and on

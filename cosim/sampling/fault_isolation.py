@@ -109,9 +109,12 @@ class FaultIsolation:
         It has begun where the state has jumped, if it has, else before.
         """
         recent = tuple(self._recent)
+        if len(recent) <= _DECIDED[0]:  # after a gap
+            return None
         stretch = _Stretch(recent[-SUMMED - n - 1 :], theta, pair, self._model)
         unshown, _ = stretch.unshown(recent)  # of all, as most of these are older than the fault
-        stretch = replace(stretch, usual=1.4826 * float(np.median(np.abs(unshown))))
+        known = unshown[np.isfinite(unshown)]
+        stretch = replace(stretch, usual=1.4826 * float(np.median(np.abs(known))) if len(known) else 0.0)
         motion = np.abs(stretch.motion(stretch.samples))
         onset, as_before = int(np.argmax(motion)), 1.0
         if motion[onset] > _JUMP:
@@ -126,7 +129,7 @@ class FaultIsolation:
     def _gone_on(self, fault: "_Fault", pair: Pair, theta: Vector) -> "_Fault":
         """Return the fault after one more sample: now and then, whether an error still explains more than none."""
         fault = replace(fault, n_unseen=fault.n_unseen + 1)
-        if fault.n_unseen % SUMMED:
+        if fault.n_unseen % SUMMED or len(self._recent) <= _DECIDED[0]:
             return fault
         newest = tuple(self._recent)[-SUMMED - 1 :]
         stretch = _Stretch(newest, theta, pair, self._model, usual=fault.usual, begin=fault.error)
@@ -219,9 +222,9 @@ class _Stretch:
         return _least(rows, np.zeros(2), float(np.abs(xdot).max()))
 
     def motion(self, samples: Sequence[Sample]) -> Vector:
-        """Return what the derivative does not show of each motion (n - 1,), in standard deviations."""
+        """Return what the derivative does not show of each motion (n - 1,), in standard deviations; 0 if not known."""
         unshown, std = self.unshown(samples)
-        return unshown / std
+        return np.where(np.isfinite(unshown), unshown / std, 0.0)
 
     def _rows(self, samples: Sequence[Sample]) -> Vector:
         """Return the motions, and then the whitened residuals of all samples but the first; 0 where one is missing."""

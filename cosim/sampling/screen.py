@@ -113,7 +113,7 @@ class SampleScreen:
         if is_suspect and self._n_outliers:  # this one may be another
             is_kept_out, is_suspect = True, False
         self._n_outliers += len(outliers)
-        self._n_kept_out += bool(bad) + bool(outliers)
+        self._n_kept_out += (bool(bad) or is_kept_out) + bool(outliers)
         events = self._health.take(t, found | {("outlier", name) for name in outliers})
         n_doubtful = self._health.n_doubtful(events, self._consistency.n_doubtful)
         return Screened(None if is_kept_out else sample, is_suspect, bool(outliers), tuple(events), n_doubtful)

@@ -96,7 +96,7 @@ class SensorChecks:
 
 
 def is_most(n: int, sensors: Sized) -> bool:
-    """Return whether n are more than half of the sensors: no one uses what the others say then."""
+    """Return whether n are more than half of the sensors, so that the rest is not used either."""
     return 2 * n > len(sensors)
 
 

@@ -108,9 +108,17 @@ def test_a_collision_is_no_fault_of_the_state(mass, kick):
     The estimator waits for four samples, and goes on.
     """
     samples = oscillating(400, lambda k: M if k < 150 else mass, lambda k: kick * (k == 150))
-    results, found = seen_in(samples)
+    watched = screen()
+    results, found = seen_in(samples, watched)
     assert found == {}
     assert [k for k, seen in enumerate(results) if seen.sample is None] == [150, 151, 152, 153]
+    assert watched.summary()["kept_out"] == 4
+
+
+def test_a_gap_in_time_while_it_is_undecided_is_no_error():
+    samples = wrong(oscillating(300), V, ERRORS["offset"], 100)
+    for first in (101, 102, 103, 104, 119):
+        seen_in([*samples[:first], *samples[first + 2 :]])
 
 
 def test_a_changed_mass_is_no_fault():

@@ -217,7 +217,7 @@ def test_a_filter_that_follows_the_noise_moves_no_parameters(estimator, n_channe
 @CHANNELS
 @pytest.mark.parametrize("estimator", FILTERS)
 def test_a_filter_finds_a_change_that_no_sample_shows(estimator, n_channels):
-    """Of two and a half standard deviations at the most, where a single sample contradicts from five on."""
+    """A change of two and a half standard deviations at the most; a single sample contradicts from five on."""
     changed, run = TRUE + np.array([0.015, 0.0]), Run(estimator, n_channels).go(100)
     for _ in range(300):
         run.go(1, changed)

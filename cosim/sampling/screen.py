@@ -106,6 +106,8 @@ class SampleScreen:
         if faulty < {*channels}:  # else there is nothing to compare the motion of the states with
             contradictions = self._consistency.step(_without(sample, channels, faulty), theta)
             found |= {("inconsistent", name) for name in self._inconsistent(contradictions, sample, theta) - faulty}
+            jumped = {self._sensors.names[len(channels) + self._consistency.places[i]] for i in contradictions.jumps}
+            found |= {("jump", name) for name in jumped - {name for _, name in found}}
         bad = {name for _, name in found} | {*self._health.failed}
         is_kept_out = not bad <= {*channels} or is_most(len(bad), channels) or self._isolation.is_undecided
         sample = _without(sample, channels, bad)

@@ -62,7 +62,7 @@ ROWS = {
     "a small spike": ([fault("spikes", RATE, size=0.1, start=0.8, stop=0.81)], {f"outlier {RATE}": 1}, (1, 1), []),
     "spikes, 5 %": ([fault("spikes", RATE, size=20.0, probability=0.05)], {f"outlier {RATE}": None}, (1, 12), []),
     "a spike in a state": (
-        [fault("spikes", SPEED, size=3.0, start=0.5, stop=0.51)], {f"inconsistent {RATE}": None}, (1, 6), [],
+        [fault("spikes", SPEED, size=3.0, start=0.5, stop=0.51)], {f"jump {SPEED}": 1}, (1, 6), [],
     ),
     "bias": ([fault("bias", RATE, size=1.0, start=0.5)], {f"inconsistent {RATE}": None}, (45, 51), []),
     "bias from the start": ([fault("bias", RATE, size=-1.0)], {f"inconsistent {RATE}": None}, (85, 96), [RATE]),

@@ -112,7 +112,7 @@ def test_a_collision_is_no_fault_of_the_state(mass, kick):
     results, found = seen_in(samples, watched)
     assert found == {}
     assert [k for k, seen in enumerate(results) if seen.sample is None] == [150, 151, 152, 153]
-    assert watched.summary()["kept_out"] == 4
+    assert watched.summary() == {"kept_out": 4, "found": {f"jump {V}": 1}, "failed": []}
 
 
 def test_a_gap_in_time_while_it_is_undecided_is_no_error():

@@ -92,8 +92,8 @@ class Consistency:
         drift = [now[i] - before[i] for i in self.places]
         n = self._n_sampled
         xdot = [*sample.xdot, *(now[i] for i in self.places[n:])]
-        changes = [*np.subtract(sample.xdot, last.xdot), *drift[n:]]
-        row = np.array([moved, xdot, drift, np.abs(changes)])
+        changes = [*(abs(a - b) for a, b in zip(sample.xdot, last.xdot, strict=True)), *(abs(d) for d in drift[n:])]
+        row = np.array([moved, xdot, drift, changes])
         is_known = np.isfinite(row).all(axis=0)  # not beside a missing derivative: no motion is compared there
         self._rows = np.concatenate([self._rows[-SUMMED:], [np.where(is_known, row, 0.0)]])
         if len(self._rows) <= _FEWEST:
@@ -107,6 +107,8 @@ class Consistency:
         is_compared = np.append(np.ones(n, dtype=bool), self._is_kinematic)
         is_beyond = (self._gain.n_wrong > 0) & is_compared
         is_beyond[:n] |= self._are_beyond(self._rows[1:])[:n]
+        if not (is_beyond.any() or has_jumped.any() or self._distrust.any()):
+            return Contradictions()
         self._distrust = np.clip(self._distrust + np.where(is_beyond, _SHY, -1 * is_known), 0, SUMMED)
         is_state = (np.arange(len(self.places)) >= n) | self._gain.is_state_late
         found = (self._distrust > 0) & ~is_state, (self._distrust > 0) & is_state, has_jumped & is_compared
@@ -125,12 +127,14 @@ class Consistency:
         """
         moved, xdot, drift, changes = self._rows.transpose(1, 0, 2)
         missed = np.abs(moved - self._h * (xdot - 0.5 * drift))
-        noise = self._limit * np.sqrt(np.square(self._h * self._noise) + 2.0 * self._state_variance)
-        usual = self._limit * 1.4826 * column_medians(missed[:-1])
-        limit = np.max([2.0 * missed[:-1].max(axis=0), usual, noise], axis=0) + self._h * np.abs(drift[-1])
+        of_step = self._h * np.abs(drift[-1])
+        has_jumped: NDArray[np.bool_] = missed[-1] > self._of_declared(1) + of_step
+        if not has_jumped.any():  # what is usual only widens the limits
+            return has_jumped
+        usual = np.maximum(2.0 * missed[:-1].max(axis=0), self._limit * 1.4826 * column_medians(missed[:-1]))
         is_own = (moved != 0.0).all(axis=0) & (self._h * changes[-1] < 0.5 * missed[-1])
         is_own &= np.abs(moved[-1] - column_medians(moved)) > 0.5 * missed[-1]
-        has_jumped: NDArray[np.bool_] = (missed[-1] > limit) & is_own
+        has_jumped &= (missed[-1] > usual + of_step) & is_own
         return has_jumped
 
     def forget(self) -> None:
@@ -145,9 +149,7 @@ class Consistency:
     def _are_beyond(self, rows: Vector) -> NDArray[np.bool_]:
         """Return which channels are beyond their limits, from what is known of each sample (n, 4, c)."""
         n = len(rows)
-        if n not in self._noises:
-            self._noises[n] = self._limit_of_noise(self._noise, n)
-        is_beyond = self._differ(rows, self._noises[n])
+        is_beyond = self._differ(rows, self._of_declared(n))
         if not is_beyond[: self._n_sampled].any():  # the observed noise only widens the limits
             return is_beyond
         self._usual = np.where(self._distrust > 0, self._usual, self._observed_noise(rows))
@@ -201,6 +203,12 @@ class Consistency:
             if len(rows) == SUMMED and odd.sum() == 1 and not is_shown[odd, channel].any():
                 left[odd, :, channel] = 0.0
         return left
+
+    def _of_declared(self, n: int) -> Vector:
+        """Return the limit of the declared noise (c,) over n samples."""
+        if n not in self._noises:
+            self._noises[n] = self._limit_of_noise(self._noise, n)
+        return self._noises[n]
 
     def _limit_of_noise(self, sigma: Vector, n: int) -> Vector:
         h = self._h

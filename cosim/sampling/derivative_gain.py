@@ -79,23 +79,37 @@ def _errors_of(limit: float, blocks: tuple[Vector, ...]) -> Vector:
     hold the input over a step, so that an error must show whether its effect is taken at the step's end or beginning.
     """
     moved, integrated, change, drift, std, own = np.stack(blocks, axis=1)
-    at_end = _regression(limit, moved - integrated, integrated, change, std)
-    at_beginning = _regression(limit, moved - integrated + change - drift, integrated, change, std)
-    is_clear = np.sum((integrated - integrated.mean(axis=0)) ** 2, axis=0) > _CLEAR * np.sum(own**2, axis=0)
-    return np.where((at_end * at_beginning > 0.0) & [is_clear, np.ones_like(is_clear)], at_end, 0.0)
+    at_end, at_beginning = moved - integrated, moved - integrated + change - drift
+    by_block = np.stack([integrated, change], axis=-1)  # (n, c, 2)
+    is_shown = _are_one_sided(at_end, by_block) & _are_one_sided(at_beginning, by_block)
+    is_shown[0] &= np.sum((integrated - integrated.mean(axis=0)) ** 2, axis=0) > _CLEAR * np.sum(own**2, axis=0)
+    found, channels = np.zeros(is_shown.shape), is_shown.any(axis=0)
+    errors, others = (
+        _regression(limit, missed[:, channels], by_block[:, channels], std[:, channels])
+        for missed in (at_end, at_beginning)
+    )
+    found[:, channels] = np.where((errors * others > 0.0) & is_shown[:, channels], errors, 0.0)
+    return found
 
 
-def _regression(limit: float, missed: Vector, integrated: Vector, change: Vector, std: Vector) -> Vector:
-    """Return the errors of the gain and of the delay (2, c), 0 where there is none; all others (n, c), by block."""
-    (n, c), missed = missed.shape, missed.T
-    by_block = np.stack([integrated, change], axis=-1).transpose(1, 0, 2)  # (c, n, 2)
+def _are_one_sided(missed: Vector, by_block: Vector) -> NDArray[np.bool_]:
+    """Return whether errors of gain and delay (2, c) have the same sign in all groups of missed (n, c)."""
+    groups = (missed[..., None] * by_block).reshape(_GROUPS, -1, *by_block.shape[1:]).sum(axis=1)
+    is_one_sided: NDArray[np.bool_] = np.abs(np.sign(groups).sum(axis=0)) == _GROUPS
+    return is_one_sided.T
+
+
+def _regression(limit: float, missed: Vector, by_block: Vector, std: Vector) -> Vector:
+    """Return the errors of gain and delay (2, c), 0 where there is none, of missed (n, c), std (n, c).
+
+    by_block (n, c, 2): what is integrated, and the change of the derivative.
+    """
+    n, missed, by_block = len(missed), missed.T, by_block.transpose(1, 0, 2)  # (c, n, 2)
     aside, missed_aside = by_block - by_block.mean(axis=1, keepdims=True), missed - missed.mean(axis=1, keepdims=True)
     least = np.linalg.pinv(aside, rcond=_RANK)  # (c, 2, n)
     errors = (least @ missed_aside[..., None])[..., 0]  # (c, 2)
     left = missed_aside - (aside @ errors[..., None])[..., 0]
     scatter = np.sqrt(np.sum(left**2, axis=1, keepdims=True) / (n - 3))
     stds = np.linalg.norm(least * np.maximum(std.T, scatter)[:, None, :], axis=2)
-    by_group = (missed[..., None] * by_block).reshape(c, _GROUPS, -1, 2)
-    is_one_sided = np.abs(np.sign(by_group.sum(axis=2)).sum(axis=1)) == _GROUPS
-    is_error = (np.abs(errors) > np.maximum(limit * stds, [_LEAST, _LATE])) & is_one_sided
+    is_error = np.abs(errors) > np.maximum(limit * stds, [_LEAST, _LATE])
     return np.where(is_error, errors, 0.0).T

@@ -117,7 +117,7 @@ class SampleScreen:
         self._n_outliers += len(outliers)
         self._n_kept_out += (bool(bad) or is_kept_out) + bool(outliers)
         events = self._health.take(t, found | {("outlier", name) for name in outliers})
-        n_doubtful = self._health.n_doubtful(events, self._consistency.n_doubtful)
+        n_doubtful = self._health.n_doubtful(events, self._consistency.n_doubtful) if events else 0
         return Screened(None if is_kept_out else sample, is_suspect, bool(outliers), tuple(events), n_doubtful)
 
     def _inconsistent(self, found: Contradictions, sample: Sample, theta: Vector) -> set[str]:

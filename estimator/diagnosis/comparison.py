@@ -32,6 +32,7 @@ from ..samples import Samples
 from ..significance import FALSE_ALARM, chi2_limit
 from ..space import Vector
 from .evidence import Evidence
+from .hidden_change import hidden_change
 from .jump import followed_jump, jump_to
 from .lag_comparison import LagComparison
 from .residual_scale import LARGER, MUCH_LARGER, NOISY, TOO_SMALL, spread_of
@@ -54,6 +55,8 @@ _IN_REST: Final = 50
 """Number of samples of a rest after which changed parameters are sought, each time."""
 _RENEWED: Final = 5
 """Number of samples after which a comparison that changed parameters have won is repeated."""
+_HIDDEN: Final = 50
+"""Least number of quiet samples in which a change is sought that none of them shows, and how many pass between."""
 
 
 class HypothesisComparison:
@@ -86,12 +89,12 @@ class HypothesisComparison:
     def _may_replace(self, theta: Vector, held: Vector) -> bool:
         """Return whether parameters theta (d,) may replace those in force, held (d,), although these are not refuted.
 
-        A move that is too long for a drift must be proven, where no other parameters were in force since the onset, and
-        no true size of the residuals is known.
+        A move that is too long for a drift must be proven, where no other parameters were in force since the onset, no
+        true size of the residuals is known, and no `hidden_change` has been found since.
         """
         state = self._state
         moved = np.abs(self._space.to_unit(theta) - self._space.to_unit(held)).max()
-        if moved <= _DRIFT or state.has_moved or np.any(state.scale.values > 1.0):
+        if moved <= _DRIFT or state.has_moved or state.has_hidden_change or np.any(state.scale.values > 1.0):
             return True
         for n in _shorter(len(state.samples)):
             before = self._residuals.of_newest(held, n)
@@ -167,6 +170,21 @@ class HypothesisComparison:
             return None
         state.n_since = n
         return found[0]
+
+    def hidden_change(self, held: Vector, drift: float) -> ArrivalCost | None:
+        """Return what many quiet samples say of the parameters where they together contradict held (d,), in force.
+
+        Now and then; else None. drift: standard deviation of a parameter's change from sample to sample, a share of
+        the scaled bounds.
+        """
+        state = self._state
+        if state.n_samples % _HIDDEN or len(state.quiet) < _HIDDEN:
+            return None
+        samples = Samples(self._residuals.corrected(sample) for sample in state.quiet)
+        at = OfMany(lambda z: self._residuals.scaled_rows(self._space.beyond(z), samples))
+        found = hidden_change(at, samples, self._space.to_unit(held), drift)
+        state.has_hidden_change |= found is not None
+        return found
 
     def _n_obvious(self, theta: Vector) -> int:
         """Return how many newest samples since the onset contradict theta (d,), each even with ten times the noise."""

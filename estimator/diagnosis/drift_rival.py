@@ -88,6 +88,22 @@ class DriftRival:
         ), deviance
 
 
+def walk_deviances(rows: Vector) -> Vector:
+    """Return -2 log likelihoods (c,) of a disturbance that begins to walk on each channel of rows (n, c).
+
+    Beside white noise of size one, whose own -2 log likelihood is the sum of squares. Zeros are missing values.
+    """
+    shape = len(_WALKS), rows.shape[1]
+    mean, variance, unlikeliness = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+    for row in rows:
+        is_seen, before = row != 0.0, variance + _WALKS
+        spread, innovation = before + 1.0, row - mean
+        unlikeliness = unlikeliness + np.where(is_seen, innovation**2 / spread + np.log(spread), 0.0)
+        gain = np.where(is_seen, before / spread, 0.0)
+        mean, variance = mean + gain * innovation, before * (1.0 - gain)
+    return _mixed(unlikeliness)
+
+
 def _mixed(unlikeliness: Vector) -> Vector:
     """Return the -2 log likelihood (..., c) of equally probable models (..., k, c), each with its own."""
     least = unlikeliness.min(axis=-2, keepdims=True)

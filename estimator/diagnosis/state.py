@@ -26,6 +26,8 @@ _EVERY: Final = 5
 """Number of samples of which one is kept for long."""
 _MOST_SINCE: Final = 60
 """Largest number of them."""
+_MOST_QUIET: Final = 300
+"""Largest number of quiet samples that are kept."""
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,11 @@ class DiagnosisState:
     """Largest residuals (c,) of the last failed search; None before one, and since samples were suspicious again."""
     n_quiet: int = 0
     """Number of quiet samples in a row."""
+    quiet: list[Sample] = field(default_factory=list[Sample])
+    """The newest of them, since one lacked a value, with no channel at rest and no larger size of the residuals known.
+
+    Replaced, never changed.
+    """
     findings: Findings = field(default_factory=Findings)
     """Parameters that searches have found although a disturbance explains the samples as well."""
     suspected_at: int = 0
@@ -99,6 +106,8 @@ class DiagnosisState:
     """Parameters (d,) in force at the onset, or accepted since."""
     has_moved: bool = False
     """True where other parameters have been in force since the onset."""
+    has_hidden_change: bool = False
+    """True where many quiet samples together have contradicted those in force, since the onset before."""
     changed: Vector | None = None
     """Place (d,) of the parameters that explained the samples last."""
     verdict: Verdict = field(default_factory=Verdict)
@@ -136,6 +145,7 @@ class DiagnosisState:
     def begin_suspicion(self, held: Vector, z: Vector) -> None:
         """Begin a suspicion of the parameters in force, held (d,), whose place is z (d,)."""
         self.reference, self.changed, self.has_moved = held, None, False
+        self.has_hidden_change, self.quiet = False, []
         self.verdict, self.largest_unexplained = self.verdict.refuted(), None
         if self.lasting is None or self.n_samples >= self.suspected_at + FORGOTTEN:
             self.lasting, self.lasting_at, self.since_lasting = held, self.n_samples, []
@@ -153,7 +163,10 @@ class DiagnosisState:
         self.has_moved |= self.reference is None or not np.array_equal(held, self.reference)
 
     def count_quiet(self) -> None:
-        """Count a quiet sample; after many of them one failed search is forgotten."""
+        """Count a quiet sample, the newest; after many of them one failed search is forgotten."""
+        newest = self.samples[-1]
+        is_usual = not (self.is_resting.any() or np.any(self.scale.values > 1.0) or np.isnan(newest.xdot).any())
+        self.quiet = [*self.quiet, newest][-_MOST_QUIET:] if is_usual else []
         self.n_quiet += not self.is_resting.any()
         if self.n_quiet >= FORGOTTEN:
             self.n_quiet, self.n_failures = 0, max(self.n_failures - 1, 0)

@@ -112,6 +112,10 @@ class DiagnosingRetuner(RetunerCounts[Retuner]):
             return Proposal()
         if sample is not None:
             sample = diagnosis.residuals.corrected(sample)
+            drift = self._retuner.drift_to_begin
+            hidden = None if drift is None else diagnosis.comparison.hidden_change(held, drift)
+            if hidden is not None:
+                return without_rounding(self._retuner.follow_jump(t, sample, hidden, held), held, self._space)
         proposal = without_rounding(self._stepped(t, sample, tracking_error, held), held, self._space)
         if proposal.undo is not None:  # a drift that explains nothing
             settled = diagnosis.give_up(t)

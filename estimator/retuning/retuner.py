@@ -24,6 +24,8 @@ from ..triggers import Trigger
 from .proposal import Proposal
 from .search import Budget, Search, SearchSnapshot
 
+_TOGETHER = "many samples together contradict the parameters in force, though none does by itself"
+
 
 @dataclass(frozen=True)
 class RetunerSnapshot:
@@ -116,22 +118,31 @@ class Retuner:
         """
         return None if self._filter is None or not self.is_searching else self._filter.drift
 
+    @property
+    def drift_to_begin(self) -> float | None:
+        """The same where there is no search under way, and the filter knows nothing."""
+        is_searching, known = self.is_searching, self._filter
+        return None if known is None or is_searching or known.arrival_cost is not None else known.drift
+
     def follow_jump(self, t: float, sample: Sample, known: ArrivalCost, held: Vector) -> Proposal:
-        """End the search, as a filter has followed the parameters since they jumped; it goes on.
+        """End the search, if there is one, as a filter has followed the parameters since they jumped; it goes on.
 
         known: of the samples since then, the newest one among them; held (d,): the controller's parameters.
         """
         assert self._filter is not None
-        begun = perf_counter()
+        begun, begins = perf_counter(), tuple[Event, ...]()
+        if not self.is_searching:
+            self.n_episodes += 1
+            begins = (Event(t, "trigger", {"reason": _TOGETHER, "episode": self.n_episodes}),)
         self._window.append(sample)
         self._search.end()
         self._filter.arrival_cost = known
         estimate = self._filter.estimate(held)
         wanted = held if estimate is None else estimate.theta
         self._searched = wanted
-        event = self._end_event(t, estimate)
+        events = (*begins, self._end_event(t, estimate))
         theta = None if np.array_equal(wanted, held) else wanted
-        return Proposal(theta, estimate, (event,), (perf_counter() - begun,))
+        return Proposal(theta, estimate, events, (perf_counter() - begun,))
 
     def expects(self, sample: Sample) -> bool:
         """Return whether a sample is as a filter expects it, which knows more than the parameters in force say."""

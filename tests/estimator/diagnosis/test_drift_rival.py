@@ -7,7 +7,7 @@ from scipy.stats import multivariate_normal
 
 from estimator.arrival_cost import ArrivalCost
 from estimator.diagnosis import drift_rival
-from estimator.diagnosis.drift_rival import DriftRival
+from estimator.diagnosis.drift_rival import DriftRival, walk_deviances
 from estimator.identifiability import information
 
 SLOPE = np.array([[4.0, 0.0], [0.0, 3.0], [2.0, -2.0]])  # of the residual at two parameters in the unit cube
@@ -122,3 +122,15 @@ def test_a_row_without_a_value_is_left_out():
             after = after.updated(row, known_of(100.0))
         assert after.lead == pytest.approx(20.0)
         assert after.recent > 10.0
+
+
+def test_a_walk_that_begins_is_as_likely_as_the_normal_vectors_that_are_mixed_say():
+    """On each channel by itself; a missing value is left out of the vector."""
+    rows = np.cumsum(np.random.default_rng(3).standard_normal((30, 2)), axis=0)
+    rows[7, 1], i = 0.0, np.arange(1, 31)
+    for channel, found in enumerate(walk_deviances(rows)):
+        seen = rows[:, channel] != 0.0
+        spreads = [w * np.minimum.outer(i, i) + np.eye(30) for w in (0.003, 0.03, 0.3, 3.0)]
+        known = [multivariate_normal(cov=s[np.ix_(seen, seen)]).logpdf(rows[seen, channel]) for s in spreads]
+        mixed = np.log(np.mean(np.exp(np.array(known) - max(known)))) + max(known)
+        assert_allclose(found, -2.0 * mixed - seen.sum() * np.log(2.0 * np.pi), rtol=1e-9)

@@ -277,6 +277,54 @@ def test_a_move_too_long_for_a_drift_must_be_proven_although_nothing_contradicts
     assert comparison.judge(TRUE + move, TRUE) == judgement
 
 
+def hardly_moved(run, truth, added):
+    """A sample in which 0.3 more of a parameter is one standard deviation at most."""
+    u, x = 0.022 * np.sin(0.37 * run.k), 0.022 * np.cos(0.23 * run.k)
+    xdot = np.array(run.plant((x,), (u,), *truth)) + added + SIGMA * run.rng.standard_normal(1)
+    return Sample(0.05 * run.k, (x,), (u,), tuple(xdot.tolist()))
+
+
+HIDDEN = np.array([0.4, 0.0])
+
+
+def hidden(added, seed, n_before=100, n=500):
+    """A run of samples of which none shows by itself what is added, a change or a disturbance."""
+    run, rng = Run("target", 1, seed=seed), np.random.default_rng(100 + seed)
+    walk, coloured = np.cumsum(0.1 * rng.standard_normal(n)), 0.0
+    for _ in range(n_before):
+        run.take(hardly_moved(run, TRUE, 0.0))
+    for k in range(n):
+        truth = TRUE + (HIDDEN if added == "change" else 0.0)
+        x = hardly_moved(run, truth, 0.0).x[0]
+        coloured = 0.9 * coloured + 0.4 * rng.standard_normal()
+        force = {
+            "bias": 0.8,
+            "sine": np.sin(0.02 * k),
+            "walk": walk[k],
+            "coloured": coloured,
+            "dry": -0.7 * np.sign(x),
+            "gust": 1.5 * (100 < k < 200),
+        }
+        run.take(hardly_moved(run, truth, SIGMA * force.get(added, 0.0)))
+    return run
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_change_that_no_sample_shows_is_found_in_many(seed):
+    run = hidden("change", seed)
+    assert near(run.held, TRUE + HIDDEN, 0.05)
+    assert [event.detail["reason"] for _, event in run.of("trigger")][:1] == [
+        "many samples together contradict the parameters in force, though none does by itself"
+    ]
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("added", ["nothing", "bias", "sine", "walk", "coloured", "dry", "gust"])
+def test_a_disturbance_that_no_sample_shows_is_no_change_of_the_parameters(added, seed):
+    run = hidden(added, seed)
+    assert [event for _, event in run.of("trigger") if "together" in event.detail["reason"]] == []
+
+
 @SEARCHES
 def test_a_change_that_hardly_shows_for_a_while_is_no_disturbance_that_has_passed(estimator):
     """What was in force before it explains the newest samples; changed parameters explain all since it began."""

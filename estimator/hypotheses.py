@@ -159,6 +159,8 @@ class Weighing:
     """The parameters in force, without a disturbance."""
     inputs: Fit = NEVER
     """The parameters in force, with inputs that are stuck."""
+    noise: Fit = NEVER
+    """The parameters in force, with a noise that is larger than known."""
 
     @property
     def are_parameters_possible(self) -> bool:
@@ -174,15 +176,17 @@ class Weighing:
     def are_parameters_certain(self) -> bool:
         """True where they are proven by twice the margin.
 
-        So many windows are compared that noise which is correlated from sample to sample looks like changed parameters
-        in one of them.
+        So many windows are compared that noise which is correlated from sample to sample, or larger than known, looks
+        like changed parameters in one of them.
         """
-        return self.parameters.is_explained and self._lead >= 2.0 * MARGIN
+        lead = min(self._lead, self.noise.score - self.parameters.score)
+        return self.parameters.is_explained and lead >= 2.0 * MARGIN
 
     @property
     def fits(self) -> dict[str, Fit]:
         """Fits of the hypotheses that were compared."""
-        return {name: fit for name, fit in vars(self).items() if fit is not NEVER or name != "inputs"}
+        left_out = {"noise", *(["inputs"] if self.inputs is NEVER else [])}
+        return {name: fit for name, fit in vars(self).items() if name not in left_out}
 
     @property
     def _lead(self) -> float:

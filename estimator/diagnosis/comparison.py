@@ -5,7 +5,7 @@ See `hypotheses` for the evidence, and `diagnosis` for what follows from it.
 
 from collections.abc import Iterator
 from dataclasses import replace
-from math import inf
+from math import inf, log
 from typing import Final
 
 import numpy as np
@@ -35,7 +35,7 @@ from .evidence import Evidence
 from .hidden_change import hidden_change
 from .jump import followed_jump, jump_to
 from .lag_comparison import LagComparison
-from .residual_scale import LARGER, MUCH_LARGER, NOISY, TOO_SMALL, spread_of
+from .residual_scale import LARGER, MUCH_LARGER, NOISY, TOO_SMALL, larger_noise, spread_of
 from .settings import BETTER, FEWEST, LONG, QUIET, Judgement
 from .standardised_residuals import StandardisedResiduals
 from .state import WINDOW, DiagnosisState
@@ -74,7 +74,7 @@ class HypothesisComparison:
         if not state.n_since:
             n = min(len(state.samples), QUIET)
             is_explained = plain_fit(self._residuals.of_newest(theta, n), 0).is_explained
-            return "warranted" if is_explained and self._may_replace(theta, held) else "refuted"
+            return self._judged_in_quiet(theta, held) if is_explained else "refuted"
         found_at = state.verdict.found_at
         is_due = state.n_samples >= found_at + (_RENEWED if state.verdict.is_warranted else 1)
         if is_due or found_at < state.n_samples - state.n_since:
@@ -86,22 +86,28 @@ class HypothesisComparison:
             return state.verdict.judgement
         return "refuted"
 
-    def _may_replace(self, theta: Vector, held: Vector) -> bool:
+    def _judged_in_quiet(self, theta: Vector, held: Vector) -> Judgement:
         """Return whether parameters theta (d,) may replace those in force, held (d,), although these are not refuted.
 
-        A move that is too long for a drift must be proven, where no other parameters were in force since the onset, no
-        true size of the residuals is known, and no `hidden_change` has been found since.
+        A move that is too long for a drift must be proven, where no other parameters were in force since the onset, and
+        no `hidden_change` has been found since. Where the residuals are larger than declared, which may hide a change,
+        the newest samples must speak for it, without the one that does so most; else it is possible.
         """
-        state = self._state
+        state, d = self._state, len(self._space)
         moved = np.abs(self._space.to_unit(theta) - self._space.to_unit(held)).max()
-        if moved <= _DRIFT or state.has_moved or state.has_hidden_change or np.any(state.scale.values > 1.0):
-            return True
+        if moved <= _DRIFT or state.has_moved or state.has_hidden_change:
+            return "warranted"
+        if np.any(state.scale.values > 1.0):
+            n = len(state.samples)
+            gains = np.sum(self._residuals.of_newest(held, n) ** 2 - self._residuals.of_newest(theta, n) ** 2, axis=1)
+            are_many = gains.sum() - gains.max() > d * log(n * len(state.scale.values))
+            return "warranted" if are_many or not state.has_lasted(held) else "possible"
         for n in _shorter(len(state.samples)):
             before = self._residuals.of_newest(held, n)
-            parameters = plain_fit(self._residuals.of_newest(theta, n), len(self._space))
+            parameters = plain_fit(self._residuals.of_newest(theta, n), d)
             if Weighing(parameters, disturbance_of(before).fit, plain_fit(before, 0)).are_parameters_proven:
-                return True
-        return False
+                return "warranted"
+        return "refuted"
 
     def has_changed(self, held: Vector, n: int, *, at_most: float = inf) -> bool:
         """Return whether changed parameters explain the newest n samples, and nothing else nearly as well.
@@ -266,7 +272,7 @@ class HypothesisComparison:
         if not (parameters.is_possible or is_recorded):
             return False
         before = self._residuals.of_newest(reference, n)
-        weighing = Weighing(parameters, disturbance_of(before).fit, plain_fit(before, 0))
+        weighing = Weighing(parameters, disturbance_of(before).fit, plain_fit(before, 0), noise=larger_noise(before))
         inputs = self._lag.stuck_or_free(reference) if weighing.are_parameters_possible else NEVER
         if n == self._state.n_since:
             weighing = replace(weighing, inputs=inputs)

@@ -1,10 +1,12 @@
 """Residual scale: the size of what the model leaves unexplained, learnt while nothing happens."""
 
 from collections import deque
+from math import isfinite
 from typing import Final
 
 import numpy as np
 
+from ..hypotheses import NEVER, Fit, n_channels_of
 from ..space import Vector
 
 _MEMORY: Final = 200
@@ -131,6 +133,17 @@ def is_rough(rows: Vector) -> bool:
     """Return whether rows (n, c) change from one to the next by as much as noise does: of white noise the squares of
     the differences are twice its own, von Neumann (1941), of what changes smoothly they are less than once."""
     return bool(np.sum((rows[1:] - rows[:-1]) ** 2) >= np.sum(rows**2))
+
+
+def larger_noise(rows: Vector) -> Fit:
+    """Return the fit of white noise, on each channel of rows (n, c) of up to ten times the known size.
+
+    Its squares are -2 log likelihoods beside noise of the known size. Zeros are missing values.
+    """
+    squares, n = np.sum(rows**2, axis=0), np.count_nonzero(rows, axis=0)
+    variance = np.clip(squares / np.maximum(n, 1), 1.0, TOO_SMALL**2)
+    fitted = float(np.sum(squares / variance + n * np.log(variance)))
+    return Fit(fitted, n_channels_of(rows), int(n.sum())) if isfinite(fitted) else NEVER
 
 
 def spread_of(rows: Vector) -> Vector:

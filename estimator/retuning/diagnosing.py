@@ -159,7 +159,7 @@ class DiagnosingRetuner(RetunerCounts[Retuner]):
         diagnosis = self._diagnosis
         best = None if proposal.estimate is None else proposal.estimate.theta
         has_ended = any(event.kind == "end" for event in proposal.events)
-        if has_ended and best is not None and verdict == "refuted" and not self._retuner.explains_newest:
+        if has_ended and best is not None and self._is_vain(verdict):
             self._retuner.distrust()
         has_ended |= self._is_endless and diagnosis.n_since >= _PATIENCE
         if has_ended and diagnosis.n_since >= _FEWEST and diagnosis.comparison.has_failed:
@@ -172,6 +172,15 @@ class DiagnosingRetuner(RetunerCounts[Retuner]):
             if settled is not None:
                 return self._ended(t, proposal, settled.undo, held, settled.events)
         return None
+
+    def _is_vain(self, verdict: Judgement) -> bool:
+        """Return whether a search that has ended gives a filter nothing to go on from.
+
+        It is refuted, and by the newest sample, too; or those in force, which samples no longer contradict, may stay.
+        """
+        if verdict == "refuted":
+            return not self._retuner.explains_newest
+        return verdict == "possible" and not self._diagnosis.is_suspicious
 
     def _moved(self, proposal: Proposal, held: Vector) -> Proposal:
         """Return a filter's proposal while nothing contradicts the parameters in force, held (d,).

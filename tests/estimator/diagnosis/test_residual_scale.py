@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.optimize import minimize_scalar
+from scipy.stats import norm
 
 from estimator.diagnosis import residual_scale
-from estimator.diagnosis.residual_scale import ResidualScale
+from estimator.diagnosis.residual_scale import ResidualScale, larger_noise
+from estimator.hypotheses import NEVER
 
 
 def noise(seed, n, sigma=1.0, n_channels=1):
@@ -260,3 +263,24 @@ def test_what_another_channel_has_learnt_stays_where_one_is_admitted(take):
     assert getattr(scale, take)(rows)
     assert scale.values[0] == pytest.approx(1.4)
     assert scale.values[1] > 3.0
+
+
+@pytest.mark.parametrize("sizes", [(1.0, 5.0), (0.5, 40.0), (10.0, 2.0)])
+def test_a_larger_noise_is_as_likely_as_the_best_normal_distributions_of_the_channels(sizes):
+    """Of one to ten standard deviations; missing values are left out."""
+    rows = np.array(sizes) * noise(3, 12, n_channels=2)
+    rows[4, 1] = 0.0
+    likeliest = 0.0
+    for of_channel in rows.T:
+        seen = of_channel[of_channel != 0.0]
+        found = minimize_scalar(
+            lambda s, r=seen: -2.0 * norm.logpdf(r, scale=s).sum(), bounds=(1.0, 10.0), method="bounded"
+        )
+        likeliest += found.fun - len(seen) * np.log(2.0 * np.pi)
+    fit = larger_noise(rows)
+    assert_allclose(fit.squares, likeliest, rtol=1e-4)
+    assert (fit.n_free, fit.n_values) == (2, 23)
+
+
+def test_residuals_that_are_no_numbers_are_no_noise():
+    assert larger_noise(np.array([[np.nan], [1.0]])) is NEVER

@@ -13,6 +13,7 @@ from estimator import DerivativeResidual, Parameter, ParameterSpace, Sample, Tar
 from estimator.baselines.kalman import EnsembleKalman, UnscentedKalman
 from estimator.baselines.moving_horizon import MovingHorizon
 from estimator.baselines.solvers import LeastSquares
+from estimator.diagnosis.comparison import HypothesisComparison
 from estimator.diagnosis.jump import jump_to
 from estimator.diagnosis.sample_diagnosis import Diagnosis
 from estimator.diagnosis.settings import DiagnosisSettings
@@ -275,6 +276,38 @@ def test_a_move_too_long_for_a_drift_must_be_proven_although_nothing_contradicts
     move = share * blind / np.abs(SPACE.to_unit(TRUE + blind) - SPACE.to_unit(TRUE)).max()
     assert not run.diagnosis.is_suspicious
     assert comparison.judge(TRUE + move, TRUE) == judgement
+
+
+@pytest.mark.parametrize(("is_seen", "judgement"), [(True, "warranted"), (False, "possible")], ids=["all", "one"])
+def test_where_the_noise_is_larger_a_move_that_one_sample_speaks_for_is_possible(is_seen, judgement):
+    """No sample contradicts the parameters that lasted; noise of ten times the declared size is known."""
+    run = Run("least-squares", 1, noise=10.0).go(300)
+    assert run.diagnosis._state.scale.values[0] > 8.0
+    run.diagnosis._state.lasting, run.diagnosis._state.has_moved = TRUE, False
+    moved = TRUE + np.array([0.6, 0.6])
+    for k in range(20):
+        u, x = 1.0, -0.5 if k == 19 else -0.75 + 0.25 * np.cos(k) if is_seen else -1.0  # which does not show the move
+        noise = 0.1 * run.rng.standard_normal(1) * (k < 19)
+        xdot = np.array(run.plant((x,), (u,), *(moved if is_seen or k == 19 else TRUE))) + noise
+        run.diagnosis.observe(Sample(0.05 * (run.k + k), (x,), (u,), tuple(xdot.tolist())), TRUE)
+    assert not run.diagnosis.is_suspicious
+    assert run.diagnosis.comparison.judge(moved, TRUE) == judgement
+
+
+def test_noise_of_ten_times_the_declared_size_makes_no_parameters_certain(monkeypatch):
+    """With one seed in ten two parameters explain the newest few samples far better than anything of that size."""
+    certain, wins = [], HypothesisComparison._wins
+
+    def recorded(self, parameters, reference, n):
+        is_won = wins(self, parameters, reference, n)
+        certain.append(is_won and self._state.verdict.is_certain)
+        return is_won
+
+    monkeypatch.setattr(HypothesisComparison, "_wins", recorded)
+    for seed in range(40):
+        Run("target", 1, noise=10.0, seed=seed).go(25)
+    assert len(certain) > 40
+    assert not any(certain)
 
 
 def hardly_moved(run, truth, added):
@@ -1542,6 +1575,32 @@ def test_friction_that_is_preferred_to_followed_parameters_must_explain_what_com
     assert events[1:] == ["the friction that was found does not explain the samples after it"][: n_events - 1]
     assert_array_equal(run.held, followed)
     assert bool(run.diagnosis.summary()["known_friction"]) == (n_events == 1)
+
+
+def test_friction_that_is_found_while_the_parameters_that_lasted_are_in_force_must_explain_what_comes(monkeypatch):
+    """Coloured noise has looked like friction for a while, and every write for it was refused."""
+    run = Run(seed=3).go(100).go(1, TRUE, 1.0)
+    effects = run.diagnosis._effects
+    friction = Friction((FrictionTerm("quadratic", 0, (0,), coefficient=0.3),))
+    found = Explanation(FoundFriction(friction, 0.0, Fit(0.0, 3, 40)), TRUE, np.zeros(1), 40)
+    run.diagnosis._state.lasting_at -= 40
+    effects.adopt(5.0, found)
+    assert run.diagnosis.summary()["known_friction"]
+    run.go(10, TRUE)
+    assert [event.detail["reason"] for _, event in run.of("friction")] == [
+        "the friction that was found does not explain the samples after it"
+    ]
+    assert not run.diagnosis.summary()["known_friction"]
+    assert_array_equal(run.held, TRUE)
+
+
+def test_what_a_known_disturbance_has_explained_is_no_noise():
+    """It is over, and parameters that have followed something else since are undone; the noise stays as declared."""
+    run = Run().go(100).go(1, TRUE, 1.0)
+    state, rows = run.diagnosis._state, run.rng.standard_normal((20, 1))
+    state.lasting, state.offset = TRUE, np.array([5.0])
+    run.diagnosis._disturbances.passed(5.0, TRUE, rows, True)
+    assert_array_equal(state.scale.values, 1.0)
 
 
 def test_a_disturbance_that_was_found_with_friction_is_named_when_that_is_over():

@@ -69,9 +69,11 @@ class EffectDiagnosis:
 
     def adopt(self, t: float, effect: Explanation) -> Settled:
         """End a suspicion as an effect that the model lacks explains the samples, or the end of one does."""
-        state, found = self._state, effect.found
+        state, found, before = self._state, effect.found, self._state.offset
         state.offset = effect.offset
         if isinstance(found, FoundFriction):
+            n, held = state.n_samples, state.in_force.at(state.n_samples)
+            state.trial = None if state.friction else FrictionTrial(held, before, 2 * n - state.lasting_at)
             state.friction = found.friction
             return self.adopt_friction(t, effect.theta)
         state.end_suspicion()
@@ -115,11 +117,7 @@ class EffectDiagnosis:
             return self.adopt_friction(t, None)
         if found is None or found.has_limits or found.fit.score + MARGIN > followed.score:
             return None  # parameters that drift may do the same as a limit
-        is_tried = not state.friction and not np.array_equal(held, state.lasting)
-        trial = FrictionTrial(held, state.offset, 2 * state.n_samples - state.lasting_at) if is_tried else None
-        settled = self.adopt(t, found)
-        state.trial = trial if state.friction else None
-        return settled
+        return self.adopt(t, found)
 
     def _has_failed_trial(self) -> bool:
         """Return whether samples soon contradict friction that was found where parameters had followed them."""

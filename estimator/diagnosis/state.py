@@ -32,10 +32,10 @@ _MOST_QUIET: Final = 300
 
 @dataclass(frozen=True)
 class FrictionTrial:
-    """Parameters that explained the samples too, but for which friction that explains them better was taken."""
+    """What was in force where friction that explains the samples was taken for known."""
 
     theta: Vector
-    """Parameters (d,), which had followed the samples."""
+    """Parameters (d,), which had followed the samples, or those that had lasted."""
     offset: Vector
     """Disturbance (c,) that was known with them."""
     n_samples: int

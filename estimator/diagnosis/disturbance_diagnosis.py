@@ -86,8 +86,8 @@ class DisturbanceDiagnosis:
             events = (self._record.disturbance_over(t),)
         elif is_changed and self._settings.n_unusual(rows) >= FEWEST:
             events = (self._record.disturbance(t, largest * state.scale.effective, acts, PASSED),)
-        if is_changed and state.has_lasted(before):
-            state.admit_usual(rows)
+        if is_changed and not np.any(state.offset) and state.has_lasted(before):
+            state.admit_usual(rows)  # a known disturbance has explained them, which is no noise
         state.offset, state.n_since = np.zeros(len(acts)), 0
         if not is_changed:
             return Settled(None, events, True)

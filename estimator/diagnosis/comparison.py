@@ -57,6 +57,12 @@ _RENEWED: Final = 5
 """Number of samples after which a comparison that changed parameters have won is repeated."""
 _HIDDEN: Final = 50
 """Least number of quiet samples in which a change is sought that none of them shows, and how many pass between."""
+_DOUBTS: Final = 3
+"""Number of times that samples have turned out to be doubtful from which on parameters need proof.
+
+One sensor that fails is doubtful twice: first found to be inconsistent, and failed as it remains so. A third time the
+noise is not the declared one, such as coloured noise, by which all evidence is measured.
+"""
 
 
 class HypothesisComparison:
@@ -280,7 +286,8 @@ class HypothesisComparison:
         if is_possible or is_recorded:
             self._evidence.note(n, **weighing.fits)
         if is_possible:
-            unproven: Judgement = "refuted" if self._state.is_resting.any() else "possible"
+            needs_proof = self._state.is_resting.any() or self._state.n_doubts >= _DOUBTS
+            unproven: Judgement = "refuted" if needs_proof else "possible"
             self._state.verdict = Verdict(
                 "warranted" if weighing.are_parameters_proven else unproven,
                 weighing.are_parameters_certain,

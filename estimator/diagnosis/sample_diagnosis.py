@@ -341,6 +341,7 @@ class Diagnosis:
         where there is no suspicion, and they are in force still.
         """
         state, to_unit = self._state, self._space.to_unit
+        state.n_doubts += 1
         if not state.in_force.changes:
             return None
         before, now = state.in_force.at(state.n_samples - n), state.in_force.changes[-1][1]

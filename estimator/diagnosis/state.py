@@ -64,6 +64,8 @@ class DiagnosisState:
     """Parameters (d,) in force when that disturbance became known; None before one did."""
     n_failures: int = 0
     """Number of failed searches, one soon after the other."""
+    n_doubts: int = 0
+    """Number of times that samples have turned out to be doubtful, since many were quiet in a row."""
     largest_unexplained: Vector | None = None
     """Largest residuals (c,) of the last failed search; None before one, and since samples were suspicious again."""
     n_quiet: int = 0
@@ -163,13 +165,13 @@ class DiagnosisState:
         self.has_moved |= self.reference is None or not np.array_equal(held, self.reference)
 
     def count_quiet(self) -> None:
-        """Count a quiet sample, the newest; after many of them one failed search is forgotten."""
+        """Count a quiet sample, the newest; after many a failed search is forgotten, and so are doubtful samples."""
         newest = self.samples[-1]
         is_usual = not (self.is_resting.any() or np.any(self.scale.values > 1.0) or np.isnan(newest.xdot).any())
         self.quiet = [*self.quiet, newest][-_MOST_QUIET:] if is_usual else []
         self.n_quiet += not self.is_resting.any()
         if self.n_quiet >= FORGOTTEN:
-            self.n_quiet, self.n_failures = 0, max(self.n_failures - 1, 0)
+            self.n_quiet, self.n_failures, self.n_doubts = 0, max(self.n_failures - 1, 0), 0
 
     def keep(self, sample: Sample) -> None:
         """Keep a sample; of those since an onset, where there are many, every second of the older ones.

@@ -589,6 +589,25 @@ def test_parameters_that_only_doubtful_samples_speak_for_are_undone_however_sure
     assert near(run.held, TRUE)
 
 
+@pytest.mark.parametrize(("n_doubts", "n_quiet", "is_written"), [(2, 20, True), (3, 20, False), (3, 250, True)])
+def test_parameters_need_proof_after_samples_were_doubtful_three_times(n_doubts, n_quiet, is_written):
+    """A sensor that fails is doubtful twice; a third time the noise is not what it was taken for, until it is again."""
+    runs = [Run("target", 1, seed=seed, is_trusting=True).go(100) for seed in range(5)]
+    for run in runs:
+        for _ in range(n_doubts):
+            run.retuner.suspend(5.0, run.held, 20)
+        run.go(n_quiet).go(4, TRUE, PUSH[1])  # parameters may explain that, but not better than a disturbance
+    assert [bool(run.writes) for run in runs] == [is_written] * 5
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_changed_parameters_are_found_after_doubtful_samples(seed):
+    run = Run("target", 3, seed=seed).go(100)
+    for _ in range(3):
+        run.retuner.suspend(5.0, run.held, 20)
+    assert near(run.go(40, CHANGED).held, CHANGED)
+
+
 @SEARCHES
 def test_parameters_in_force_are_neither_written_nor_undone_for_a_rounding_error(estimator):
     """What a search leaves alone comes back from the unit cube with its last bit changed."""

@@ -17,6 +17,11 @@ _MOST_SUSPECTS: Final = 5
 _PERSISTS: Final = 0.3
 """Share of a jump that must persist in the next sample; the controller may have responded to it already."""
 
+_FEW: Final = 5
+"""Number of changes below which they do not show what is usual."""
+_LARGER: Final = 3.0 * 10.0 * sqrt(2.0)
+"""Change that is no noise of ten times the declared size: three standard deviations of it."""
+
 
 class Outliers:
     """Detector of outliers, which keeps the last good sample and the suspect one."""
@@ -57,7 +62,7 @@ class Outliers:
         of_model = self._change_of_model(sample, now, last)
         limit = self._limit * sqrt(2.0) + of_model
         if self._suspect is not None or not (change <= limit).all():  # what is usual only widens it
-            limit = self._limit * np.maximum(self._usual(), sqrt(2.0)) + of_model
+            limit = np.maximum(self._limit * np.maximum(self._usual(change), sqrt(2.0)), self._least) + of_model
         is_far, outliers = change > limit, np.zeros(len(now), dtype=bool)
         if np.isfinite(last).all():  # else none of the limits to come would be a number
             self._changes = np.concatenate([self._changes[1 - _MEMORY :], [change]])
@@ -75,9 +80,21 @@ class Outliers:
             return True, names
         return self._accept(sample, theta, now), names
 
-    def _usual(self) -> Vector:
-        """Return the usual change of the residual (c,), as a standard deviation."""
-        return 1.4826 * column_medians(self._changes) if len(self._changes) else np.zeros(len(self._noise))
+    @property
+    def _least(self) -> float:
+        """Change below which a suspect is no outlier, as few others show what is usual."""
+        return _LARGER if self._suspect is not None and len(self._changes) < _FEW else 0.0
+
+    def _usual(self, newest: Vector) -> Vector:
+        """Return the usual change of the residual (c,), as a standard deviation.
+
+        A suspect is judged by the changes of others: as the only one so far its own would excuse it. newest (c,): since
+        the last good sample.
+        """
+        changes = self._changes
+        if self._suspect is not None and np.isfinite(newest).all():
+            changes = np.concatenate([changes[:-1], [newest]])
+        return 1.4826 * column_medians(changes) if len(changes) else np.zeros(len(self._noise))
 
     def _change_of_model(self, sample: Sample, now: Vector, last: Vector) -> Vector:
         """Return the change of the model (c,), in whitened units: its error may change by as much."""

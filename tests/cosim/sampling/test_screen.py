@@ -228,13 +228,13 @@ def test_half_of_the_samples_may_be_bad_and_every_sensor_counts_for_itself():
 # Outliers: a jump of the residual by 8 times what is usual, at least sqrt(2) standard deviations.
 
 
-def fed(values, inputs=None, thetas=None, sensors=SENSORS):
+def fed(values, inputs=None, thetas=None, sensors=SENSORS, before=9):
     """For each derivative, in standard deviations from 1: whether it is suspect, and the outliers of the one before.
 
-    Before the first of them some are alike: from a single change nobody knows what is usual.
+    Before the first of them some are alike, which show what is usual.
     """
     watched, seen = Outliers(8.0, sensors.names, sensors.noise, sensors.residual), []
-    for k in range(-9, 0):
+    for k in range(-before, 0):
         xdot = tuple(1.0 + SIGMA * np.zeros_like(np.atleast_1d(values[0])))
         watched.step(Sample(k * H, (0.0,), (1.0,), xdot), THETA)
     for k, value in enumerate(values):
@@ -266,6 +266,25 @@ def test_how_much_of_a_jump_must_persist(share, is_outlier):
 
 def test_an_outlier_is_told_once():
     assert fed([0.0, 50.0, 0.0, 0.0, 0.0]) == [GOOD, SUSPECT, OUTLIER, GOOD, GOOD]
+
+
+def test_a_spike_at_the_second_sample_of_all_does_not_excuse_itself():
+    """Its own change is the only one so far; that of the third sample from the first shows what is usual."""
+    assert fed([0.0, 50.0, 1.0, 0.0, 1.0], before=0) == [GOOD, SUSPECT, OUTLIER, GOOD, GOOD]
+    assert fed([0.0, 50.0, 49.0, 50.0, 49.0], before=0) == [GOOD, SUSPECT, GOOD, GOOD, GOOD]
+
+
+def test_noise_that_is_larger_than_declared_is_seldom_an_outlier_at_the_second_sample():
+    rng = np.random.default_rng(0)
+    third = [fed(rng.normal(0.0, 10.0, 3), before=0)[2] for _ in range(500)]
+    assert sum(bool(outliers) for _, outliers in third) < 0.01 * len(third)
+
+
+def test_the_first_jump_of_all_may_be_noise_of_ten_times_the_declared_size():
+    """Three standard deviations of its changes: 30 sqrt(2) = 42.4."""
+    assert fed([0.0, 42.0, 0.0], before=0)[2] == GOOD
+    assert fed([0.0, 43.0, 0.0], before=0)[2] == OUTLIER
+    assert fed([0.0, 42.0, 0.0], before=5)[2] == OUTLIER
 
 
 def test_a_drift_is_no_jump():

@@ -14,9 +14,11 @@ from .record import DiagnosisRecord
 from .settings import FEWEST, PASSED, QUIET, DiagnosisSettings
 from .settled import Settled
 from .standardised_residuals import StandardisedResiduals
-from .state import DiagnosisState
+from .state import WINDOW, DiagnosisState
 from .wandering import agree
 
+_STEADY: Final = 0.25
+"""Largest move of parameters that stay, as a share of the way to them."""
 _OVER: Final = 10
 """Number of newest samples that show that a known disturbance is over."""
 
@@ -103,7 +105,7 @@ class DisturbanceDiagnosis:
         if before is None or not np.any(state.offset) or len(state.samples) < _OVER:
             return None
         to_unit = self._residuals.space.to_unit
-        if agree(to_unit(before), to_unit(held)):
+        if agree(to_unit(before), to_unit(held)) or self._are_steady(held, before):
             return None
         of_before, of_held = self._residuals.of_newest(np.array([before, held]), _OVER)
         of_before = self._undisturbed(of_before)
@@ -111,6 +113,17 @@ class DisturbanceDiagnosis:
         if not fit.is_explained or fit.score > plain_fit(of_held, len(held)).score:
             return None
         return self.passed(t, before, of_before, True)
+
+    def _are_steady(self, held: Vector, before: Vector) -> bool:
+        """Return whether parameters in force, held (d,), have stayed for long, and explain the newest samples.
+
+        They have hardly moved in 40 samples, by the way to them from those before the known disturbance (d,).
+        """
+        state, to_unit = self._state, self._residuals.space.to_unit
+        moved = np.abs(to_unit(state.in_force.at(state.n_samples - 2 * WINDOW)) - to_unit(held)).max()
+        if moved > _STEADY * np.abs(to_unit(before) - to_unit(held)).max() or len(state.samples) < WINDOW:
+            return False
+        return plain_fit(self._residuals.of_newest(held, WINDOW), 0).is_explained
 
     def _undisturbed(self, rows: Vector) -> Vector:
         """Return residuals (n, c) as they are without the known disturbance."""

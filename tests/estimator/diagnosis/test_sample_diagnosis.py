@@ -1622,6 +1622,21 @@ def test_what_a_known_disturbance_has_explained_is_no_noise():
     assert_array_equal(state.scale.values, 1.0)
 
 
+@pytest.mark.parametrize(("n", "is_over"), [(60, False), (5, True)], ids=["for long", "just now"])
+def test_a_disturbance_is_not_over_where_parameters_that_have_stayed_explain_the_samples_with_it(n, is_over):
+    """Those before it explain them, too, without it: all samples are alike, and the change makes up for the force."""
+    run, moved = Run("least-squares", 1).go(100), CHANGED - TRUE
+    u, x = -0.3 * moved / (moved @ moved)  # where the parameters differ by as much as the force
+    state = run.diagnosis._state
+    state.offset, state.undisturbed, state.lasting = np.array([30.0]), TRUE, TRUE
+    xdot = np.array(run.plant((x,), (u,), *TRUE))
+    for k in range(60):
+        noise = SIGMA * run.rng.standard_normal(1)
+        sample = Sample(0.05 * (run.k + k), (x,), (u,), tuple((xdot + noise).tolist()))
+        run.diagnosis.observe(sample, CHANGED if k >= 60 - n else TRUE)
+    assert (run.diagnosis._disturbances.over(8.0, CHANGED) is not None) == is_over
+
+
 def test_a_disturbance_that_was_found_with_friction_is_named_when_that_is_over():
     run = Run().go(100)
     run.diagnosis._state.offset = np.array([30.0])

@@ -32,7 +32,7 @@ _MOST_QUIET: Final = 300
 
 @dataclass(frozen=True)
 class FrictionTrial:
-    """What was in force where friction that explains the samples was taken for known."""
+    """Parameters and disturbance that friction, which explains the samples, was found with; it must prove itself."""
 
     theta: Vector
     """Parameters (d,), which had followed the samples, or those that had lasted."""

@@ -3,9 +3,8 @@
 See `hypotheses` for the evidence, and `diagnosis` for what follows from it.
 """
 
-from collections.abc import Iterator
 from dataclasses import replace
-from math import inf, log
+from math import inf
 from typing import Final
 
 import numpy as np
@@ -32,9 +31,9 @@ from ..samples import Samples
 from ..significance import FALSE_ALARM, chi2_limit
 from ..space import Vector
 from .evidence import Evidence
-from .hidden_change import hidden_change
 from .jump import followed_jump, jump_to
 from .lag_comparison import LagComparison
+from .quiet_comparison import QuietComparison, shorter
 from .residual_scale import LARGER, MUCH_LARGER, NOISY, TOO_SMALL, larger_noise, spread_of
 from .settings import BETTER, FEWEST, LONG, QUIET, Judgement
 from .standardised_residuals import StandardisedResiduals
@@ -45,8 +44,6 @@ _LENGTHS: Final = (5, 4, 3, 2, 1)
 """Numbers of newest samples on which the hypotheses are compared, until changed parameters explain them."""
 _RATE: Final = 2.0 * USUAL_RATE
 """Largest change of a parameter from sample to sample, as a share of the scaled bounds: faster, it is none."""
-_DRIFT: Final = WINDOW * USUAL_RATE
-"""Longest move of a parameter that drifts over as many samples as are compared, as a share of the scaled bounds."""
 _SPARE: Final = 8
 """Least number of values in excess of those fitted that show a known disturbance to have changed with parameters."""
 _STEP: Final = 1e-6
@@ -55,8 +52,6 @@ _IN_REST: Final = 50
 """Number of samples of a rest after which changed parameters are sought, each time."""
 _RENEWED: Final = 5
 """Number of samples after which a comparison that changed parameters have won is repeated."""
-_HIDDEN: Final = 50
-"""Least number of quiet samples in which a change is sought that none of them shows, and how many pass between."""
 _DOUBTS: Final = 3
 """Number of times that samples have turned out to be doubtful from which on parameters need proof.
 
@@ -73,14 +68,14 @@ class HypothesisComparison:
     ) -> None:
         self._state, self._residuals, self._evidence, self._lag = state, residuals, evidence, lag
         self._space = residuals.space
+        self.quiet = QuietComparison(state, residuals)
+        """Comparison while no sample contradicts the parameters in force."""
 
     def judge(self, theta: Vector, held: Vector) -> Judgement:
         """Return whether parameters theta (d,) in place of those in force are warranted by the newest samples."""
         state = self._state
         if not state.n_since:
-            n = min(len(state.samples), QUIET)
-            is_explained = plain_fit(self._residuals.of_newest(theta, n), 0).is_explained
-            return self._judged_in_quiet(theta, held) if is_explained else "refuted"
+            return self.quiet.judge(theta, held)
         found_at = state.verdict.found_at
         is_due = state.n_samples >= found_at + (_RENEWED if state.verdict.is_warranted else 1)
         if is_due or found_at < state.n_samples - state.n_since:
@@ -90,29 +85,6 @@ class HypothesisComparison:
         now = self._residuals.of_newest(theta, 1)
         if plain_fit(now, 0).is_explained or np.sum(now**2) < BETTER * np.sum(self._residuals.of_newest(held, 1) ** 2):
             return state.verdict.judgement
-        return "refuted"
-
-    def _judged_in_quiet(self, theta: Vector, held: Vector) -> Judgement:
-        """Return whether parameters theta (d,) may replace those in force, held (d,), although these are not refuted.
-
-        A move that is too long for a drift must be proven, where no other parameters were in force since the onset, and
-        no `hidden_change` has been found since. Where the residuals are larger than declared, which may hide a change,
-        the newest samples must speak for it, without the one that does so most; else it is possible.
-        """
-        state, d = self._state, len(self._space)
-        moved = np.abs(self._space.to_unit(theta) - self._space.to_unit(held)).max()
-        if moved <= _DRIFT or state.has_moved or state.has_hidden_change:
-            return "warranted"
-        if np.any(state.scale.values > 1.0):
-            n = len(state.samples)
-            gains = np.sum(self._residuals.of_newest(held, n) ** 2 - self._residuals.of_newest(theta, n) ** 2, axis=1)
-            are_many = gains.sum() - gains.max() > d * log(n * len(state.scale.values))
-            return "warranted" if are_many or not state.has_lasted(held) else "possible"
-        for n in _shorter(len(state.samples)):
-            before = self._residuals.of_newest(held, n)
-            parameters = plain_fit(self._residuals.of_newest(theta, n), d)
-            if Weighing(parameters, disturbance_of(before).fit, plain_fit(before, 0)).are_parameters_proven:
-                return "warranted"
         return "refuted"
 
     def has_changed(self, held: Vector, n: int, *, at_most: float = inf) -> bool:
@@ -183,21 +155,6 @@ class HypothesisComparison:
         state.n_since = n
         return found[0]
 
-    def hidden_change(self, held: Vector, drift: float) -> ArrivalCost | None:
-        """Return what many quiet samples say of the parameters where they together contradict held (d,), in force.
-
-        Now and then; else None. drift: standard deviation of a parameter's change from sample to sample, a share of
-        the scaled bounds.
-        """
-        state = self._state
-        if state.n_samples % _HIDDEN or len(state.quiet) < _HIDDEN:
-            return None
-        samples = Samples(self._residuals.corrected(sample) for sample in state.quiet)
-        at = OfMany(lambda z: self._residuals.scaled_rows(self._space.beyond(z), samples))
-        found = hidden_change(at, samples, self._space.to_unit(held), drift)
-        state.has_hidden_change |= found is not None
-        return found
-
     def _n_obvious(self, theta: Vector) -> int:
         """Return how many newest samples since the onset contradict theta (d,), each even with ten times the noise."""
         rows = self._residuals.of_newest(theta, self._state.n_since) / TOO_SMALL
@@ -262,7 +219,7 @@ class HypothesisComparison:
         state.verdict = replace(state.verdict, found_at=state.n_samples, judgement="refuted")
         reference = state.reference_or(held)
         residuals = self._residuals.of_newest(theta, state.n_since)
-        for n in _shorter(state.n_since):
+        for n in shorter(state.n_since):
             if self._wins(plain_fit(residuals[-n:], len(space)), reference, n):
                 return
         z = space.to_unit(theta) if state.changed is None else state.changed
@@ -378,23 +335,6 @@ class HypothesisComparison:
         lacks = squares > chi2_limit(FALSE_ALARM / rows.shape[1], len(rows))
         return lacks if lacks.any() else ~self._state.is_resting
 
-    def admit_noise(self, held: Vector) -> bool:
-        """Take the residuals before the newest sample for noise where nothing that changes smoothly explains them.
-
-        Neither parameters, held (d,) or others, nor a disturbance: the declared noise is too small. They are those of
-        quiet samples, none of which is too large by itself. Return whether their size has changed.
-        """
-        state = self._state
-        n = min(len(state.samples), state.n_calm + 1)
-        if n <= NOISY:
-            return False
-        rows = self._residuals.of_newest(held, n)[:-1]
-        if plain_fit(rows, 0).is_explained or disturbance_of(rows).fit.is_explained:
-            return False
-        rows_at = self._residuals.at_newest(n)
-        found = changed_parameters(OfMany(lambda z: rows_at(z)[..., :-1, :]), self._space.to_unit(held))
-        return not found.fit.is_explained and state.admit_usual(rows)
-
     def adopt_noise(self, held: Vector) -> bool:
         """Adopt a larger noise where that explains the samples since the onset, with those in force or the best ones.
 
@@ -417,10 +357,3 @@ class HypothesisComparison:
                 state.scale.enlarge(larger)
                 return True
         return False
-
-
-def _shorter(n: int) -> Iterator[int]:
-    """Yield numbers of newest samples from n down to 6, each two thirds of the one before."""
-    while n > _LENGTHS[0]:
-        yield n
-        n = 2 * n // 3

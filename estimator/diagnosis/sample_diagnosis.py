@@ -175,7 +175,7 @@ class Diagnosis:
             return settled
         if not n:
             return self._disturbances.passed_since(t)
-        if n == 1 and state.has_lasted(held) and self.comparison.admit_noise(held):
+        if n == 1 and state.has_lasted(held) and self.comparison.quiet.admit_noise(held):
             state.end_suspicion()  # a newest sample that is more than noise begins another
             return Settled(None, ends_search=True)
         reference = state.reference_or(held)

@@ -113,7 +113,7 @@ class DiagnosingRetuner(RetunerCounts[Retuner]):
         if sample is not None:
             sample = diagnosis.residuals.corrected(sample)
             drift = self._retuner.drift_to_begin
-            hidden = None if drift is None else diagnosis.comparison.hidden_change(held, drift)
+            hidden = None if drift is None else diagnosis.comparison.quiet.hidden_change(held, drift)
             if hidden is not None:
                 return without_rounding(self._retuner.follow_jump(t, sample, hidden, held), held, self._space)
         proposal = without_rounding(self._stepped(t, sample, tracking_error, held), held, self._space)

@@ -556,6 +556,9 @@ def check_margins_are_very_strong_evidence(hypotheses):
                 is_so = getattr(hypotheses.Weighing(fit, *rivals), verdict)
                 low, high = (low, middle) if is_so else (middle, high)
             assert_allclose(high, tips_at, atol=1e-6)
+    noises = [hypotheses.Fit(fit.score + lead, 0, 20) for lead in (19.9, 20.1)]
+    are_certain = [hypotheses.Weighing(fit, awful, awful, noise=noise).are_parameters_certain for noise in noises]
+    assert_allclose(are_certain, [False, True])
 
 
 def check_disturbance_against_least_squares(hypotheses):

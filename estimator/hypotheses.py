@@ -184,9 +184,9 @@ class Weighing:
 
     @property
     def fits(self) -> dict[str, Fit]:
-        """Fits of the hypotheses that were compared."""
-        left_out = {"noise", *(["inputs"] if self.inputs is NEVER else [])}
-        return {name: fit for name, fit in vars(self).items() if name not in left_out}
+        """Fits of the hypotheses that were compared; a larger noise is one only where parameters are to be certain."""
+        fits = vars(self).items()
+        return {name: fit for name, fit in fits if name != "noise" and (name != "inputs" or fit is not NEVER)}
 
     @property
     def _lead(self) -> float:

@@ -72,17 +72,11 @@ class DriftRival:
 
     def _with(self, row: Vector) -> tuple["DriftRival", float]:
         """Return the rival with a row (c,), 0 or NaN for channels without a value, and its -2 log likelihood."""
-        row = np.where(np.isfinite(row), row, 0.0)
-        is_seen = row != 0.0
-        before = self.variance + _WALKS
-        spread, innovation = before + 1.0, row - self.mean
-        found = np.where(is_seen, innovation**2 / spread + np.log(spread), 0.0)
+        mean, variance, found = _walked(self.mean, self.variance, np.where(np.isfinite(row), row, 0.0))
         faded = _WEIGHED * self.unlikeliness
         unlikeliness = faded + found
-        gain = np.where(is_seen, before / spread, 0.0)
         after, before_it = _mixed(np.stack([unlikeliness, faded]))
         deviance = float((after - before_it).sum())
-        mean, variance = self.mean + gain * innovation, before * (1.0 - gain)
         return replace(
             self, mean=mean, variance=variance, unlikeliness=unlikeliness - unlikeliness.min(axis=0)
         ), deviance
@@ -96,12 +90,21 @@ def walk_deviances(rows: Vector) -> Vector:
     shape = len(_WALKS), rows.shape[1]
     mean, variance, unlikeliness = np.zeros(shape), np.zeros(shape), np.zeros(shape)
     for row in rows:
-        is_seen, before = row != 0.0, variance + _WALKS
-        spread, innovation = before + 1.0, row - mean
-        unlikeliness = unlikeliness + np.where(is_seen, innovation**2 / spread + np.log(spread), 0.0)
-        gain = np.where(is_seen, before / spread, 0.0)
-        mean, variance = mean + gain * innovation, before * (1.0 - gain)
+        mean, variance, found = _walked(mean, variance, row)
+        unlikeliness = unlikeliness + found
     return _mixed(unlikeliness)
+
+
+def _walked(mean: Vector, variance: Vector, row: Vector) -> tuple[Vector, Vector, Vector]:
+    """Return means and variances (k, c) of k walks after a row (c,), and its -2 log likelihoods (k, c).
+
+    Each is a Kalman filter's, with a noise of variance one. 0 in the row is no value.
+    """
+    is_seen, before = row != 0.0, variance + _WALKS
+    spread, innovation = before + 1.0, row - mean
+    gain = np.where(is_seen, before / spread, 0.0)
+    found = np.where(is_seen, innovation**2 / spread + np.log(spread), 0.0)
+    return mean + gain * innovation, before * (1.0 - gain), found
 
 
 def _mixed(unlikeliness: Vector) -> Vector:

@@ -71,7 +71,7 @@ class DiagnosisState:
     n_quiet: int = 0
     """Number of quiet samples in a row."""
     quiet: list[Sample] = field(default_factory=list[Sample])
-    """The newest of them, since one lacked a value, with no channel at rest and no larger size of the residuals known.
+    """The newest quiet samples in a row with all their values, while no channel rests and residuals are as declared.
 
     Replaced, never changed.
     """
@@ -109,7 +109,7 @@ class DiagnosisState:
     has_moved: bool = False
     """True where other parameters have been in force since the onset."""
     has_hidden_change: bool = False
-    """True where many quiet samples together have contradicted those in force, since the onset before."""
+    """True where many quiet samples together have contradicted the parameters in force since the last suspicion."""
     changed: Vector | None = None
     """Place (d,) of the parameters that explained the samples last."""
     verdict: Verdict = field(default_factory=Verdict)

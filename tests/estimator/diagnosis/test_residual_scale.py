@@ -267,7 +267,7 @@ def test_what_another_channel_has_learnt_stays_where_one_is_admitted(take):
 
 @pytest.mark.parametrize("sizes", [(1.0, 5.0), (0.5, 40.0), (10.0, 2.0)])
 def test_a_larger_noise_is_as_likely_as_the_best_normal_distributions_of_the_channels(sizes):
-    """Of one to ten standard deviations; missing values are left out."""
+    """The standard deviations are one to ten times the known ones; missing values are left out."""
     rows = np.array(sizes) * noise(3, 12, n_channels=2)
     rows[4, 1] = 0.0
     likeliest = 0.0

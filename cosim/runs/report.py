@@ -113,7 +113,7 @@ def screened(seen: Mapping[str, Any] | None) -> list[str]:
     lines: list[str] = []
     if seen and seen["kept_out"]:
         most = sorted(seen["found"].items(), key=lambda item: -item[1])
-        findings = ", ".join(f"{name} ({n})" for name, n in most[:4]) or "a state had jumped"
+        findings = ", ".join(f"{name} ({n})" for name, n in most[:4])
         failed = f"; bad at the end: {', '.join(seen['failed'])}" if seen["failed"] else ""
         more = f" and {len(most) - 4} more" if len(most) > 4 else ""
         lines.append(f"{counted(seen['kept_out'], 'sample')} kept out: {findings}{more}{failed}")

@@ -38,13 +38,15 @@ class QuietComparison:
     def _judged(self, theta: Vector, held: Vector) -> Judgement:
         """Return whether parameters theta (d,), which explain the newest samples, may replace those in force (d,).
 
-        A move that is too long for a drift must be proven, where no other parameters were in force since the onset, and
-        no `hidden_change` has been found since. Where the residuals are larger than declared, which may hide a change,
-        the newest samples must speak for it, without the one that does so most; else it is possible.
+        A move that is too long for a drift, or the first one from parameters of the start or that have returned, must
+        be proven, where no other parameters were in force since the onset, and no `hidden_change` has been found since.
+        Where the residuals are larger than declared, which may hide a change, the newest samples must speak for it,
+        without the one that does so most; else it is possible.
         """
         state, d = self._state, len(self._space)
         moved = np.abs(self._space.to_unit(theta) - self._space.to_unit(held)).max()
-        if moved <= _DRIFT or state.has_moved or state.has_hidden_change:
+        is_drift = moved <= _DRIFT and state.in_force.have_changed
+        if is_drift or state.has_moved or state.has_hidden_change:
             return "warranted"
         if np.any(state.scale.values > 1.0):
             n = len(state.samples)

@@ -264,11 +264,19 @@ def test_after_parameters_that_have_moved_the_right_ones_are_written(n_channels,
     assert near(run.held, CHANGED, 0.03)
 
 
-@pytest.mark.parametrize(("share", "judgement"), [(0.03, "warranted"), (0.1, "refuted")])
-def test_a_move_too_long_for_a_drift_must_be_proven_although_nothing_contradicts_what_is_in_force(share, judgement):
+@pytest.mark.parametrize(
+    ("share", "have_changed", "judgement"),
+    [(0.03, True, "warranted"), (0.1, True, "refuted"), (0.03, False, "refuted")],
+    ids=["drift", "too long", "of the start"],
+)
+def test_a_move_that_is_no_drift_must_be_proven_although_nothing_contradicts_what_is_in_force(
+    share, have_changed, judgement
+):
     """In a direction in which the samples, all of them alike, say nothing: both explain them equally well."""
     run = Run("least-squares", 1)
     run.k = 7
+    if have_changed:
+        run.diagnosis.observe(run.sample(CHANGED, 0.0), CHANGED)
     for _ in range(10):
         sample = run.sample(TRUE, 0.0)
         run.diagnosis.observe(sample, TRUE)
@@ -598,6 +606,17 @@ def test_parameters_need_proof_after_samples_were_doubtful_three_times(n_doubts,
             run.retuner.suspend(5.0, run.held, 20)
         run.go(n_quiet).go(4, TRUE, PUSH[1])  # parameters may explain that, but not better than a disturbance
     assert [bool(run.writes) for run in runs] == [is_written] * 5
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_parameters_of_the_start_do_not_move_a_little_for_coloured_noise_while_a_search_goes_on(seed):
+    """Three times the declared noise, which no longer contradicts them by itself as a small move is proposed."""
+    rng, rows = np.random.default_rng(seed), [np.zeros(1)]
+    for _ in range(300):
+        rows.append(0.9 * rows[-1] + 3.0 * SIGMA * np.sqrt(1.0 - 0.9**2) * rng.standard_normal(1))
+    run = Run("target", 1, seed=seed).go(300, TRUE, lambda k: rows[k + 1])
+    assert run.of("trigger")
+    assert not run.writes
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -1407,10 +1426,12 @@ def test_parameters_far_worse_than_those_that_lasted_are_undone(n_channels):
 
 
 def test_a_weak_lag_that_parameters_have_followed_is_found_later():
-    run = Run("least-squares", 1, actuator=SlowActuator(0.015)).go(66)
-    assert not np.array_equal(run.writes[-1][1], TRUE)
-    assert [k for k, _ in run.of("lag")] == [55]
-    assert_array_equal(run.held, TRUE)
+    run = Run("least-squares", 1, seed=1).go(60).go(60, CHANGED)
+    n_writes, run.actuator = len(run.writes), SlowActuator(0.015)
+    run.go(100, CHANGED)
+    assert len(run.writes) > n_writes
+    assert [k for k, _ in run.of("lag")] == [215]
+    assert near(run.held, CHANGED)
 
 
 @SEARCHES

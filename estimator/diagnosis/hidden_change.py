@@ -40,12 +40,25 @@ def hidden_change(rows_at: OfMany, samples: Sequence[Sample], z: Vector, drift: 
     best, n_values = int(np.argmax(gains)), int(np.count_nonzero(before))
     if gains[best] < _PROOF + log(max(n_values, 2)):
         return None
+    if _seen_beside(before, slopes[:, best].reshape(before.shape)) < _PROOF:
+        return None
     left = before - (slopes[:, best] * (along[best] / power[best])).reshape(before.shape)
     by_channel = _left_by_others(before, _effects(samples)) - np.sum(left**2, axis=0)
     if np.sum(by_channel / _inflation(left)) - log(n_values) < _PROOF:
         return None
     known = ArrivalCost.of_window(z, OfMany(lambda places: _flat(rows_at(places))), drift)
     return known if plain_fit(rows_at(known.mean), len(z)).is_explained else None
+
+
+def _seen_beside(rows: Vector, slope: Vector) -> float:
+    """Return by how much the squares of rows (n, c) fall with the slopes (n, c) of the samples beside each.
+
+    The noise of the states is in a sample's slope and in its residual, which correlates them while the plant rests.
+    That of the samples beside it is another: they are instruments, Söderström and Stoica (1983).
+    """
+    beside, inner = slope[:-2] + slope[2:], rows[1:-1]
+    power = float(np.sum(beside[inner != 0.0] ** 2))
+    return float(np.sum(beside * inner)) ** 2 / power if power else 0.0
 
 
 def _flat(rows: Vector) -> Vector:

@@ -50,3 +50,13 @@ def test_a_parameter_that_acts_as_something_else_may_is_not_found(effect, seed):
 @pytest.mark.parametrize("seed", range(5))
 def test_noise_is_no_change(seed):
     assert found(X * U, seed, size=0.0)[0] is None
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_of_the_states_that_is_in_slope_and_residual_is_no_change(seed):
+    """A plant at rest where a parameter acts on the distance from there alone: the slope is that of the noise."""
+    rng = np.random.default_rng(seed)
+    noise = rng.standard_normal((N, 2))  # of the state
+    rows = rng.standard_normal((N, 2)) - 0.5 * noise
+    slope = 4.0 * np.stack([noise, np.zeros((N, 2))], -1)
+    assert hidden_change(OfMany(lambda z: rows + np.einsum("ncd,...d->...nc", slope, z - Z)), SAMPLES, Z, 0.003) is None

@@ -219,6 +219,10 @@ class EpisodeDiagnosis:
         of_lasting, of_before = (_fit(self._window.whitened(theta), 0).score for theta in (lasting, before))
         return lasting if of_lasting + MARGIN <= of_before else before
 
+    def reverted(self, theta: Vector) -> None:
+        """Take a revert of the guard's to theta (d,): nothing returns to others from then on."""
+        self._state.lasting = theta
+
     def fail(self, t: float, theta: Vector | None, held: Vector) -> tuple[Event, ...]:
         """Take the end of a search that has found no parameters, theta (d,) being the best; return the events.
 

@@ -356,6 +356,12 @@ class Diagnosis:
         """Take a return to earlier parameters (d,): what was in force before is over, too."""
         self._state.in_force = InForce(((self._state.n_samples, theta),))
 
+    def reverted(self, theta: Vector) -> None:
+        """Take a revert of the guard's to theta (d,): nothing returns to others from then on."""
+        self.accept(theta)
+        self.returned(theta)
+        self._state.begin_lasting(theta)
+
     def fail(self, t: float, theta: Vector | None, held: Vector) -> Settled | None:
         """Take the end of a search that has found no parameters, theta (d,) being the best.
 

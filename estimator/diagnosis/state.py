@@ -150,13 +150,17 @@ class DiagnosisState:
         self.has_hidden_change, self.quiet = False, []
         self.verdict, self.largest_unexplained = self.verdict.refuted(), None
         if self.lasting is None or self.n_samples >= self.suspected_at + FORGOTTEN:
-            self.lasting, self.lasting_at, self.since_lasting = held, self.n_samples, []
-            self.lasting_until = self.n_samples
-            self.next_effect = 0
+            self.begin_lasting(held)
         self.n_calm = self.n_samples - self.suspected_at - 1
         if self.n_samples >= self.suspected_at + WINDOW:
             self.restless_since, self.next_lag = self.n_samples, 0
             self.path = self.path.begin(z)
+
+    def begin_lasting(self, theta: Vector) -> None:
+        """Take parameters (d,) for those that lasted, from the newest sample on."""
+        self.lasting, self.lasting_at, self.since_lasting = theta, self.n_samples, []
+        self.lasting_until = self.n_samples
+        self.next_effect = 0
 
     def count_suspicious(self, held: Vector) -> None:
         """Count the newest sample among those since the onset; held (d,): in force."""

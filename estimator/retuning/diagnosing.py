@@ -74,8 +74,7 @@ class DiagnosingRetuner(RetunerCounts[Retuner]):
 
     def reverted(self, theta: Vector) -> None:
         """Take a revert of the guard's to theta (d,): no search that fails returns to what was reverted."""
-        self._diagnosis.accept(theta)
-        self._diagnosis.returned(theta)
+        self._diagnosis.reverted(theta)
         self._retuner.distrust()
 
     def suspend(self, t: float, held: Vector, n: int) -> Proposal | None:

@@ -49,6 +49,7 @@ class DiagnosingEpisodes(RetunerCounts[Retuner]):
     def reverted(self, theta: Vector) -> None:
         """Take a revert of the guard's to theta (d,): no search that fails returns to what was reverted."""
         self._before = theta
+        self._diagnosis.reverted(theta)
         self._retuner.reverted(theta)
 
     def suspend(self, t: float, held: Vector, n: int) -> Proposal | None:

@@ -597,6 +597,15 @@ def test_parameters_that_only_doubtful_samples_speak_for_are_undone_however_sure
     assert near(run.held, TRUE)
 
 
+def test_nothing_returns_to_parameters_that_the_guard_has_reverted():
+    """They had lasted for 250 samples when a push contradicts them, and the guard goes back to those before."""
+    run = Run("target", 1).go(100).go(250, CHANGED).go(4, CHANGED, PUSH[1])
+    assert near(run.held, CHANGED)
+    run.retuner.reverted(TRUE)
+    run.held = TRUE
+    assert run.retuner.suspend(20.0, run.held, 20).undo is None  # they are in force
+
+
 @pytest.mark.parametrize(("n_doubts", "n_quiet", "is_written"), [(2, 20, True), (3, 20, False), (3, 250, True)])
 def test_parameters_need_proof_after_samples_were_doubtful_three_times(n_doubts, n_quiet, is_written):
     """A sensor that fails is doubtful twice; a third time the noise is not what it was taken for, until it is again."""

@@ -94,8 +94,10 @@ class Consistency:
         xdot = [*sample.xdot, *(now[i] for i in self.places[n:])]
         changes = [*(abs(a - b) for a, b in zip(sample.xdot, last.xdot, strict=True)), *(abs(d) for d in drift[n:])]
         row = np.array([moved, xdot, drift, changes])
-        is_known = np.isfinite(row).all(axis=0)  # not beside a missing derivative: no motion is compared there
-        self._rows = np.concatenate([self._rows[-SUMMED:], [np.where(is_known, row, 0.0)]])
+        is_finite = np.isfinite(row)
+        is_known = is_finite.all(axis=0)  # not beside a missing derivative: no motion is compared there
+        row = row if is_finite.all() else np.where(is_known, row, 0.0)
+        self._rows = np.concatenate([self._rows[-SUMMED:], row[None]])
         if len(self._rows) <= _FEWEST:
             return Contradictions()
         self._n_block += 1
@@ -104,11 +106,12 @@ class Consistency:
         has_jumped = self._have_jumped()
         if self._is_kinematic.any() and (has_jumped[n:].any() or not self._n_block):
             self._is_kinematic &= self._are_kinematic(sample, now)
-        is_compared = np.append(np.ones(n, dtype=bool), self._is_kinematic)
-        is_beyond = (self._gain.n_wrong > 0) & is_compared
-        is_beyond[:n] |= self._are_beyond(self._rows[1:])[:n]
-        if not (is_beyond.any() or has_jumped.any() or self._distrust.any()):
+        is_wrong, are_beyond = self._gain.n_wrong > 0, self._are_beyond(self._rows[1:])[:n]
+        if not any(map(np.count_nonzero, (is_wrong, are_beyond, has_jumped, self._distrust))):
             return Contradictions()
+        is_compared = np.append(np.ones(n, dtype=bool), self._is_kinematic)
+        is_beyond = is_wrong & is_compared
+        is_beyond[:n] |= are_beyond
         self._distrust = np.clip(self._distrust + np.where(is_beyond, _SHY, -1 * is_known), 0, SUMMED)
         is_state = (np.arange(len(self.places)) >= n) | self._gain.is_state_late
         found = (self._distrust > 0) & ~is_state, (self._distrust > 0) & is_state, has_jumped & is_compared

@@ -84,11 +84,10 @@ def _errors_of(limit: float, blocks: tuple[Vector, ...]) -> Vector:
     is_shown = _are_one_sided(at_end, by_block) & _are_one_sided(at_beginning, by_block)
     is_shown[0] &= np.sum((integrated - integrated.mean(axis=0)) ** 2, axis=0) > _CLEAR * np.sum(own**2, axis=0)
     found, channels = np.zeros(is_shown.shape), is_shown.any(axis=0)
-    errors, others = (
-        _regression(limit, missed[:, channels], by_block[:, channels], std[:, channels])
-        for missed in (at_end, at_beginning)
-    )
-    found[:, channels] = np.where((errors * others > 0.0) & is_shown[:, channels], errors, 0.0)
+    if channels.any():
+        both = np.stack([at_end, at_beginning])[:, :, channels]
+        errors, others = _regressions(limit, both, by_block[:, channels], std[:, channels])
+        found[:, channels] = np.where((errors * others > 0.0) & is_shown[:, channels], errors, 0.0)
     return found
 
 
@@ -99,17 +98,21 @@ def _are_one_sided(missed: Vector, by_block: Vector) -> NDArray[np.bool_]:
     return is_one_sided.T
 
 
-def _regression(limit: float, missed: Vector, by_block: Vector, std: Vector) -> Vector:
-    """Return the errors of gain and delay (2, c), 0 where there is none, of missed (n, c), std (n, c).
+def _regressions(limit: float, missed: Vector, by_block: Vector, std: Vector) -> list[Vector]:
+    """Return the errors of gain and delay (2, c), 0 where there is none, of each of missed (k, n, c); std (n, c).
 
     by_block (n, c, 2): what is integrated, and the change of the derivative.
     """
-    n, missed, by_block = len(missed), missed.T, by_block.transpose(1, 0, 2)  # (c, n, 2)
-    aside, missed_aside = by_block - by_block.mean(axis=1, keepdims=True), missed - missed.mean(axis=1, keepdims=True)
+    n, by_block = len(std), by_block.transpose(1, 0, 2)  # (c, n, 2)
+    aside = by_block - by_block.mean(axis=1, keepdims=True)
     least = np.linalg.pinv(aside, rcond=_RANK)  # (c, 2, n)
-    errors = (least @ missed_aside[..., None])[..., 0]  # (c, 2)
-    left = missed_aside - (aside @ errors[..., None])[..., 0]
-    scatter = np.sqrt(np.sum(left**2, axis=1, keepdims=True) / (n - 3))
-    stds = np.linalg.norm(least * np.maximum(std.T, scatter)[:, None, :], axis=2)
-    is_error = np.abs(errors) > np.maximum(limit * stds, [_LEAST, _LATE])
-    return np.where(is_error, errors, 0.0).T
+    found: list[Vector] = []
+    for one in missed.transpose(0, 2, 1):  # (c, n)
+        missed_aside = one - one.mean(axis=1, keepdims=True)
+        errors = (least @ missed_aside[..., None])[..., 0]  # (c, 2)
+        left = missed_aside - (aside @ errors[..., None])[..., 0]
+        scatter = np.sqrt(np.sum(left**2, axis=1, keepdims=True) / (n - 3))
+        stds = np.linalg.norm(least * np.maximum(std.T, scatter)[:, None, :], axis=2)
+        is_error = np.abs(errors) > np.maximum(limit * stds, [_LEAST, _LATE])
+        found.append(np.where(is_error, errors, 0.0).T)
+    return found

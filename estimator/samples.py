@@ -44,13 +44,29 @@ class Samples(tuple[Sample, ...]):
         self.is_missing = is_missing if is_missing.any() else None
         """True where there is no derivative (n, c); None where there are all."""
         self._columns: dict[tuple[str, int], Vector] = {}
+        self._all: Samples | None = None  # samples that these are the newest of, which have the columns
+
+    def newest(self, n: int) -> "Samples":
+        """Return the newest n of them, whose arrays are part of these."""
+        if n >= len(self):
+            return self
+        newest = tuple.__new__(Samples, self[-n:])
+        newest.xdot = self.xdot[-n:]
+        newest.is_missing = None if self.is_missing is None else self.is_missing[-n:]
+        newest._columns, newest._all = {}, self
+        return newest
 
     def columns(self, name: Literal["x", "u"], k: int) -> Vector:
         """Return states or inputs as columns, k times over: (m, k n)."""
         known = self._columns.get((name, k))
         if known is None:
-            once = np.array([getattr(s, name) for s in self], dtype=float).T
-            known = self._columns[name, k] = once if k == 1 else np.concatenate([once] * k, axis=1)
+            if k > 1:
+                known = np.concatenate([self.columns(name, 1)] * k, axis=1)
+            elif self._all is not None:
+                known = self._all.columns(name, 1)[:, -len(self) :].copy()
+            else:
+                known = np.array([*zip(*(getattr(s, name) for s in self), strict=True)], dtype=float)
+            self._columns[name, k] = known
         return known
 
 
@@ -163,7 +179,7 @@ class DerivativeResidual:
         k, n = len(thetas), len(samples)
         x = samples.columns("x", k)
         u = samples.columns("u", k) if inputs is None else inputs.T
-        named = dict(zip(self.space.names, thetas.repeat(n, axis=0).T, strict=True))
+        named = dict(zip(self.space.names, thetas.T.repeat(n, axis=1), strict=True))
         try:
             with np.errstate(all="ignore"):
                 modelled: Any = self.model(x, u, **named)

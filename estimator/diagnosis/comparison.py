@@ -27,7 +27,6 @@ from ..hypotheses import (
     plain_fit,
 )
 from ..identifiability import information
-from ..samples import Samples
 from ..significance import FALSE_ALARM, chi2_limit
 from ..space import Vector
 from .evidence import Evidence
@@ -179,7 +178,7 @@ class HypothesisComparison:
         if state.resting.n_samples % _IN_REST or not state.resting.n_samples:
             return False
         known = self._residuals.known.on_all_channels()
-        samples = Samples(known.without(sample) for sample in state.newest_hundred)
+        samples = known.without_all(state.newest_hundred)
         at = OfMany(lambda z: self._residuals.scaled_rows(self._space.beyond(z), samples))
         z = self._space.to_unit(held)
         before = at(z)

@@ -96,7 +96,7 @@ class FrictionComparison:
     def _frictionless(self, theta: Vector, samples: Sequence[Sample]) -> Vector:
         """Return the residuals (n, c) of theta (d,) at n samples less what is known, friction aside."""
         known = replace(self._residuals.known, friction=Friction())
-        return self._residuals.scaled_rows(theta, [known.without(sample) for sample in samples])
+        return self._residuals.scaled_rows(theta, known.without_all(samples))
 
     def _beside(self, reference: Vector, samples: Sequence[Sample]) -> Vector | None:
         """Return the parameters (d,) that samples determine beside known friction of any size; or None."""
@@ -122,7 +122,7 @@ class FrictionComparison:
     def _raw(self, samples: Sequence[Sample]) -> Samples:
         """Return samples with the inputs that arrive, no friction or disturbance known, and all channels."""
         state, known = self._state, replace(self._residuals.known.on_all_channels(), friction=Friction())
-        return Samples(known.without(s) for s in samples if not state.inputs.lag or s.t >= state.inputs.begin)
+        return known.without_all([s for s in samples if not state.inputs.lag or s.t >= state.inputs.begin])
 
     def _is_plain(self, theta: Vector, samples: Sequence[Sample], friction: Fit) -> bool:
         """Return whether a smooth disturbance, or other parameters than theta (d,), explain samples as well."""

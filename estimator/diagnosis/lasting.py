@@ -68,8 +68,7 @@ class LastingParameters:
         known = self._residuals.known
         every = [known, known.on_all_channels()] if self._state.is_resting.any() else [known]
         for known in every:
-            corrected = [known.without(sample) for sample in samples]
-            if _explains_far_more(self._residuals.scaled_rows(np.array([lasting, theta]), corrected)):
+            if _explains_far_more(self._residuals.scaled_rows(np.array([lasting, theta]), known.without_all(samples))):
                 return True
         return False
 

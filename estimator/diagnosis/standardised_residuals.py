@@ -28,7 +28,7 @@ class StandardisedResiduals:
     0 for a channel that rests or was not sampled.
     """
 
-    made_anew: ClassVar = ("_basis", "_of_basis", "_known_rows")
+    made_anew: ClassVar = ("_basis", "_corrected", "_of_basis", "_known_rows")
     """Attributes that are in no checkpoint."""
 
     def __init__(self, declared: DerivativeResidual, state: DiagnosisState) -> None:
@@ -38,7 +38,8 @@ class StandardisedResiduals:
         self.sigma = np.array(declared.noise)
         """Declared noise (c,)."""
         self._basis: tuple[Any, ...] = ()  # of the newest samples that are corrected
-        self._of_basis: dict[int, Samples] = {}  # these, by their number
+        self._corrected = Samples()  # these, all of them
+        self._of_basis: dict[int, Samples] = {}  # the newest of them, by their number
         self._known_rows: dict[
             tuple[tuple[int, ...], bytes], Vector
         ] = {}  # declared residuals at the most of them asked for, by candidates
@@ -78,10 +79,7 @@ class StandardisedResiduals:
 
     def rows(self, theta: Vector, samples: Sequence[Sample]) -> Vector:
         """Return the residuals (..., n, c) of candidates theta (..., d) at n samples, corrected here."""
-        if self._is_correcting:
-            known = self.known
-            samples = [known.without(sample) for sample in samples]
-        return self.scaled_rows(theta, samples)
+        return self.scaled_rows(theta, self.known.without_all(samples))
 
     def by_inputs(self, theta: Vector, samples: Sequence[Sample], offset: Vector) -> RowsWith:
         """Return the residuals (k, n, c) of theta (d,) at n samples as a function of what arrives, inputs (k, n, p).
@@ -90,7 +88,7 @@ class StandardisedResiduals:
         """
         friction = self._state.friction
         known = replace(self.known, disturbance=offset * self.sigma, arriving={})
-        corrected = Samples(known.without(sample) for sample in samples)
+        corrected = known.without_all(samples)
         lost = np.array([friction.without(replace(s, u=(0.0,) * len(s.u))).u for s in samples]) if friction else 0.0
 
         def rows_with(inputs: Vector) -> Vector:
@@ -133,8 +131,7 @@ class StandardisedResiduals:
         basis = state.samples[-1], inputs.lag, inputs.arriving, state.friction, state.offset, state.is_resting
         if not (self._basis and all(map(is_, basis, self._basis))):
             self._basis, self._of_basis, self._known_rows = basis, {}, {}
+            self._corrected = self.known.without_all(state.samples)
         if n not in self._of_basis:
-            known = self.known if self._is_correcting else None
-            samples = state.samples[-n:]
-            self._of_basis[n] = Samples(samples if known is None else (known.without(s) for s in samples))
+            self._of_basis[n] = self._corrected.newest(n)
         return self._of_basis[n]

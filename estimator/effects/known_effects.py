@@ -1,12 +1,13 @@
 """Effects on the plant beside its model: a disturbance, late or limited inputs, friction."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..hypotheses import Fit
-from ..samples import Sample
+from ..samples import Sample, Samples
 from ..space import Vector
 from .friction import FoundFriction, Friction
 from .input_lag import FoundLag, Inputs
@@ -29,11 +30,20 @@ class KnownEffects:
         none = np.zeros_like(self.disturbance)
         return replace(self, disturbance=none, is_resting=none.astype(bool))
 
+    def __bool__(self) -> bool:
+        return bool(
+            self.arriving or self.friction or np.count_nonzero(self.disturbance) or np.count_nonzero(self.is_resting)
+        )
+
     def without(self, sample: Sample) -> Sample:
         """Return the sample without them; NaN for channels that rest, or whose friction is not known."""
         xdot = np.where(self.is_resting, np.nan, np.array(sample.xdot) - self.disturbance)
-        left = replace(sample, u=self.arriving.get(sample.t, sample.u), xdot=tuple(xdot.tolist()))
+        left = Sample(sample.t, sample.x, self.arriving.get(sample.t, sample.u), tuple(xdot.tolist()), sample.y)
         return self.friction.without(left) if self.friction else left
+
+    def without_all(self, samples: Sequence[Sample]) -> Samples:
+        """Return samples without them, each as `without` does."""
+        return Samples(map(self.without, samples) if self else samples)
 
 
 @dataclass(frozen=True)

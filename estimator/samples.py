@@ -128,13 +128,7 @@ class DerivativeResidual:
 
         Other exceptions of the model pass through.
         """
-        modelled = self._modelled(self.space.named(theta), sample.x, sample.u)
-        if modelled is None:
-            return np.full(len(self.channels), np.nan)
-        return np.array([
-            (y - f) / s if y == y else 0.0  # a NaN differs from itself
-            for y, f, s in zip(sample.xdot, modelled, self.noise, strict=True)
-        ])  # fmt: skip
+        return np.array(self._whitened(sample, self.space.named(theta)))
 
     def rows(self, theta: Vector, samples: Sequence[Sample]) -> Vector:
         """Return r (..., n, c) of candidates theta (..., d) at n samples, each as `__call__` does, but faster."""
@@ -150,6 +144,8 @@ class DerivativeResidual:
         """Return r (k, n, c) of candidates (k, d) at n samples; inputs (k n, p): in place of theirs."""
         k, n, c = len(thetas), len(samples), len(self.channels)
         few = _FEW if isinstance(self.model, RememberingModel) and self.model.is_plain else 1
+        if 0 < k * n <= few and inputs is None:
+            return np.array([[self._whitened(sample, named) for sample in samples] for named in self._named(thetas)])
         samples = samples if isinstance(samples, Samples) else Samples(samples)
         table = self._at_once(thetas, samples, inputs) if self.is_vectorised and k * n > few else None
         if table is None:
@@ -192,11 +188,24 @@ class DerivativeResidual:
 
     def _one_by_one(self, thetas: Vector, samples: Sequence[Sample], inputs: Vector | None) -> Vector:
         """Return the modelled derivatives (k n, c) of candidates (k, d) at n samples; NaN where one has no value."""
-        names, missing = self.space.names, [nan] * len(self.channels)
-        named = [dict(zip(names, theta, strict=True)) for theta in thetas.tolist()]
+        named, missing = self._named(thetas), [nan] * len(self.channels)
         held = [s.u for s in samples] * len(named) if inputs is None else map(tuple, inputs.tolist())
         points = zip([(own, s.x) for own in named for s in samples], held, strict=True)
         return np.array([self._modelled(own, x, u) or missing for (own, x), u in points], dtype=float)
+
+    def _named(self, thetas: Vector) -> list[dict[str, float]]:
+        """Return candidates (k, d) by name."""
+        return [dict(zip(self.space.names, theta, strict=True)) for theta in thetas.tolist()]
+
+    def _whitened(self, sample: Sample, named: Mapping[str, float]) -> list[float]:
+        """Return r (c,) of one sample, as `__call__` does."""
+        modelled = self._modelled(named, sample.x, sample.u)
+        if modelled is None:
+            return [nan] * len(self.channels)
+        return [
+            (y - f) / s if y == y else 0.0  # a NaN differs from itself
+            for y, f, s in zip(sample.xdot, modelled, self.noise, strict=True)
+        ]
 
     def _modelled(self, named: Mapping[str, float], x: Sequence[float], u: Sequence[float]) -> Sequence[float] | None:
         """Return the modelled derivatives (c,) of the channels; None where the model has no value."""

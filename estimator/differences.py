@@ -54,10 +54,12 @@ def forward_differences(function: Callable[[Vector], Vector], z: Vector, value: 
 
 def value_and_slope(function: Callable[[Vector], Vector], z: Vector, step: float) -> tuple[Vector, Vector]:
     """Return f(z) (D,) and its `forward_differences` (D, d), from one call of a function `OfMany`."""
-    places = z[None].repeat(len(z) + 1, axis=0)
-    places[1:] = aside = _aside(z, step)
+    d = len(z)
+    places = z[None].repeat(d + 1, axis=0)
+    moved = places.reshape(-1)[d :: d + 1]  # the coordinate of each place but the first that is a step aside
+    moved += np.where(z < 0.5, step, -step)
     values = values_at(function, places)
-    return values[0], _slope(values[1:], values[0], aside.diagonal() - z)
+    return values[0], _slope(values[1:], values[0], moved - z)
 
 
 def _aside(z: Vector, step: float) -> Vector:

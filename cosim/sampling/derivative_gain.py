@@ -20,6 +20,8 @@ _LEAST: Final = 0.1
 """Error of the gain below which it is of no account."""
 _LATE: Final = 1.5
 """Delay, in samples, up to which it is of no account: a solver of one step between samples errs by as much."""
+_OF_ACCOUNT: Final = np.array([_LEAST, _LATE])
+"""Errors of gain and delay that are of account."""
 _RANK: Final = 1e-6
 """Share of the larger below which gain and delay are not told apart."""
 _CLEAR: Final = 20.0
@@ -110,9 +112,12 @@ def _regressions(limit: float, missed: Vector, by_block: Vector, std: Vector) ->
     for one in missed.transpose(0, 2, 1):  # (c, n)
         missed_aside = one - one.mean(axis=1, keepdims=True)
         errors = (least @ missed_aside[..., None])[..., 0]  # (c, 2)
+        if not np.any(np.abs(errors) > _OF_ACCOUNT):
+            found.append(np.zeros(errors.T.shape))
+            continue
         left = missed_aside - (aside @ errors[..., None])[..., 0]
         scatter = np.sqrt(np.sum(left**2, axis=1, keepdims=True) / (n - 3))
         stds = np.linalg.norm(least * np.maximum(std.T, scatter)[:, None, :], axis=2)
-        is_error = np.abs(errors) > np.maximum(limit * stds, [_LEAST, _LATE])
+        is_error = np.abs(errors) > np.maximum(limit * stds, _OF_ACCOUNT)
         found.append(np.where(is_error, errors, 0.0).T)
     return found

@@ -5,7 +5,7 @@ Schweppe (1965), "Evaluation of likelihood functions for Gaussian signals". The 
 filter for each of several, weighted by how likely they are, as Magill (1965) does.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -59,12 +59,8 @@ class DriftRival:
         """Return the rival with one more sample: row (c,) of the parameters that stay; known: by the drifting ones."""
         rival, deviance = self._with(row)
         ahead = min(known.deviance - deviance, _MOST)
-        return replace(
-            rival,
-            n_samples=self.n_samples + 1,
-            lead=max(0.0, self.lead + ahead),
-            recent=_RECENT * self.recent + ahead,
-        )
+        lead, recent = max(0.0, self.lead + ahead), _RECENT * self.recent + ahead
+        return DriftRival(rival.mean, rival.variance, rival.unlikeliness, self.n_samples + 1, lead, recent)
 
     def refutes(self, known: ArrivalCost) -> bool:
         """Return whether the parameters do not drift: a disturbance explains the samples better, or neither does."""
@@ -75,11 +71,10 @@ class DriftRival:
         mean, variance, found = _walked(self.mean, self.variance, np.where(np.isfinite(row), row, 0.0))
         faded = _WEIGHED * self.unlikeliness
         unlikeliness = faded + found
-        after, before_it = _mixed(np.stack([unlikeliness, faded]))
-        deviance = float((after - before_it).sum())
-        return replace(
-            self, mean=mean, variance=variance, unlikeliness=unlikeliness - unlikeliness.min(axis=0)
-        ), deviance
+        after, before_it = _mixed(np.array([unlikeliness, faded]))
+        beyond_best = unlikeliness - unlikeliness.min(axis=0)
+        rival = DriftRival(mean, variance, beyond_best, self.n_samples, self.lead, self.recent)
+        return rival, float((after - before_it).sum())
 
 
 def walk_deviances(rows: Vector) -> Vector:

@@ -33,7 +33,7 @@ class LastingParameters:
         if lasting is None or np.array_equal(lasting, held) or plain_fit(of_held[-LONG:], 0).is_explained:
             return False
         n = min(len(of_held) + self._state.n_calm, len(self._state.samples))
-        of_held, of_lasting = self._residuals.of_newest(np.array([held, lasting]), n)
+        of_held, of_lasting = (self._residuals.of_newest(theta, n) for theta in (held, lasting))
         if is_rough(of_lasting):  # the noise is larger
             return False
         return all(

@@ -16,6 +16,7 @@ from ..effects.known_effects import KnownEffects
 from ..effects.lag_search import RowsWith
 from ..samples import DerivativeResidual, Sample, Samples
 from ..space import Vector
+from .settings import LONG
 from .state import DiagnosisState
 
 _LONGER: Final = 1.5
@@ -105,7 +106,10 @@ class StandardisedResiduals:
         samples, of = self._newest(n), (theta.shape, theta.tobytes())
         known = self._known_rows.get(of)
         if known is None or known.shape[-2] < len(samples):
-            known = self._known_rows[of] = self.declared.rows(theta, samples)
+            compared = (
+                samples if n < LONG else self._corrected
+            )  # of many all: it takes no longer, and may be asked next
+            known = self._known_rows[of] = self.declared.rows(theta, compared)
         return known[..., known.shape[-2] - len(samples) :, :] / self._state.scale.effective
 
     def at_newest(self, n: int) -> OfMany:

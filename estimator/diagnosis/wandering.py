@@ -52,15 +52,15 @@ class ParameterPath:
 
     def expect(self, is_determined: NDArray[np.bool_] | None) -> "ParameterPath":
         """Return the path with a proposal that the controller may take; None where there is none."""
-        return replace(self, awaited=is_determined)
+        return ParameterPath(self.start, self.now, self.length, is_determined)
 
     def moved_to(self, z: Vector) -> "ParameterPath":
         """Return the path to z, where the controller has been taken."""
         if self.awaited is None or self.now is None:
-            return replace(self, now=z, awaited=None)
+            return ParameterPath(self.start, z, self.length)
         moved = np.abs(z - self.now)
         length = self.length + np.where(self.awaited & (moved > _FAR), moved, 0.0)
-        return replace(self, now=z, awaited=None, length=length)
+        return ParameterPath(self.start, z, length)
 
     def is_to_and_fro(self, z: Vector) -> bool:
         """Return whether it is longer, by half of the bounds, than from its start to z."""

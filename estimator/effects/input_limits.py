@@ -94,7 +94,7 @@ class InputLimits:
         return found
 
     def _stuck(self, arrived: Sequence[tuple[int, Vector, Vector]]) -> Iterator[Limited]:
-        means = {j: float(np.average(v, weights=w)) for j, v, w in arrived if w.any()}
+        means = {j: _mean(v, w) for j, v, w in arrived if w.any()}
         yield from ({j: (value, value)} for j, value in means.items())
         if len(means) > 1:
             yield {j: (value, value) for j, value in means.items()}
@@ -157,6 +157,11 @@ def _with_values(limits: Limited, values: Vector) -> Limited:
     return moved
 
 
+def _mean(values: Vector, weights: Vector) -> float:
+    """Return the weighted mean of values (n,)."""
+    return float((values * weights).sum() / weights.sum())
+
+
 def _limit(sent: Vector, arrived: Vector, weights: Vector) -> float:
     """Return the largest value that arrives, infinite where too few samples (n,) show one."""
     is_at_limit: NDArray[np.bool_] = (sent - arrived) * np.sqrt(weights) > _SHORT
@@ -164,6 +169,6 @@ def _limit(sent: Vector, arrived: Vector, weights: Vector) -> float:
     for _ in range(_PASSES):
         if np.count_nonzero(is_at_limit) < _LEAST:
             return inf
-        limit = float(np.average(arrived[is_at_limit], weights=weights[is_at_limit]))
+        limit = _mean(arrived[is_at_limit], weights[is_at_limit])
         is_at_limit = (sent > limit) & (weights > 0.0)
     return limit

@@ -32,7 +32,7 @@ class Measurement(NamedTuple):
     @property
     def is_informative(self) -> bool:
         """True where the model has a value that depends on a parameter."""
-        return self.has_value and bool(self.slope.any())
+        return self.has_value and bool(np.count_nonzero(self.slope))
 
 
 class Innovation(NamedTuple):

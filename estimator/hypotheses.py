@@ -228,16 +228,17 @@ def changed_parameters(
     """
     rows = rows_at(z)
     jacobian = np.zeros((rows.size, len(z)))
+    now = float((rows**2).sum())
     for _ in range(0 if plain_fit(rows, len(z)).is_explained else iterations):
         jacobian = forward_differences(rows_at, z, rows, step)
-        if not np.all(np.isfinite(jacobian)):
+        if not np.isfinite(jacobian).all():
             break
-        now = float(np.sum(rows**2))
-        better = _better(rows_at, _damped_steps(jacobian, rows.reshape(-1), z, beyond), now)
+        before, better = now, _better(rows_at, _damped_steps(jacobian, rows.reshape(-1), z, beyond), now)
         if better is None:
             break
         z, rows = better
-        if now - np.sum(rows**2) < max(_ENOUGH, _LITTLE * now):
+        now = float((rows**2).sum())
+        if before - now < max(_ENOUGH, _LITTLE * before):
             break
     n, d = len(rows), len(z)
     constant = plain_fit(rows, d)
@@ -267,7 +268,7 @@ def _damped_steps(jacobian: Vector, r: Vector, z: Vector, beyond: float) -> Vect
     gains = np.divide(s, squares, out=np.zeros(squares.shape), where=(s > _SINGULAR * s[0]) & (squares > 0.0))
     moves = -(gains * (u.T @ r)) @ vt
     longest = np.maximum(np.abs(moves).max(axis=1, keepdims=True), 1e-300)
-    return np.clip(z + moves * np.minimum(1.0, _LONGEST / longest), -beyond, 1.0 + beyond)
+    return np.minimum(np.maximum(z + moves * np.minimum(1.0, _LONGEST / longest), -beyond), 1.0 + beyond)
 
 
 def _better(rows_at: Callable[[Vector], Vector], places: Vector, squares: float) -> tuple[Vector, Vector] | None:
@@ -280,6 +281,6 @@ def _better(rows_at: Callable[[Vector], Vector], places: Vector, squares: float)
         return next((pair for pair in found if np.sum(pair[1] ** 2) < squares), None)  # False where it is no number
     rows = rows_at(places)
     with np.errstate(over="ignore", invalid="ignore"):
-        reached = np.nan_to_num(np.sum(rows**2, axis=(1, 2)), nan=inf)
-    best = int(np.argmin(reached))
+        reached = (rows**2).sum(axis=(1, 2))
+    best = int(np.where(np.isnan(reached), inf, reached).argmin())
     return (places[best], rows[best]) if reached[best] < squares else None

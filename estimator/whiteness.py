@@ -5,8 +5,6 @@ from dataclasses import dataclass
 from math import sqrt
 from typing import Final
 
-import numpy as np
-
 from .space import Vector
 
 _MEMORY: Final = 0.95
@@ -40,10 +38,11 @@ class Whiteness:
 
     def updated(self, innovation: Vector) -> "Whiteness":
         """Return the correlation with one more innovation (c,)."""
-        direction = innovation / max(float(np.linalg.norm(innovation)), 1e-300)
+        squared = float(innovation @ innovation)
+        direction = innovation / max(sqrt(squared), 1e-300)
         cosine = float(direction @ self.newest) if len(self.newest) == len(direction) else 0.0
         weight, cosines = _MEMORY * self.weight + 1.0, _MEMORY * self.cosines + cosine
-        squares = _MEMORY * self.squares + float(innovation @ innovation) / len(innovation)
+        squares = _MEMORY * self.squares + squared / len(innovation)
         return Whiteness(direction, weight, cosines, squares, self.n_samples + 1)
 
     @property

@@ -142,7 +142,7 @@ class Diagnosis:
         without it, for as long as they had been more.
         """
         state = self._state
-        if not state.is_resting.any():
+        if not np.count_nonzero(state.is_resting):
             return False
         rested = self.residuals.declared(held, self.residuals.known.on_all_channels().without(sample))
         state.rested.append(rested)

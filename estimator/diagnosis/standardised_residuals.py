@@ -106,9 +106,7 @@ class StandardisedResiduals:
         samples, of = self._newest(n), (theta.shape, theta.tobytes())
         known = self._known_rows.get(of)
         if known is None or known.shape[-2] < len(samples):
-            compared = (
-                samples if n < LONG else self._corrected
-            )  # of many all: it takes no longer, and may be asked next
+            compared = samples if n < LONG else self._corrected  # of many all, as more of them may be asked for next
             known = self._known_rows[of] = self.declared.rows(theta, compared)
         return known[..., known.shape[-2] - len(samples) :, :] / self._state.scale.effective
 

@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field
+from math import isnan
 from typing import Any, Final
 
 import numpy as np
@@ -171,9 +172,10 @@ class DiagnosisState:
     def count_quiet(self) -> None:
         """Count a quiet sample, the newest; after many a failed search is forgotten, and so are doubtful samples."""
         newest = self.samples[-1]
-        is_usual = not (self.is_resting.any() or np.any(self.scale.values > 1.0) or np.isnan(newest.xdot).any())
+        rests = bool(np.count_nonzero(self.is_resting))
+        is_usual = not (rests or np.count_nonzero(self.scale.values > 1.0) or any(map(isnan, newest.xdot)))
         self.quiet = [*self.quiet, newest][-_MOST_QUIET:] if is_usual else []
-        self.n_quiet += not self.is_resting.any()
+        self.n_quiet += not rests
         if self.n_quiet >= FORGOTTEN:
             self.n_quiet, self.n_failures, self.n_doubts = 0, max(self.n_failures - 1, 0), 0
 
@@ -222,6 +224,8 @@ class DiagnosisState:
 
     def wake(self) -> bool:
         """End the rests that are over; return whether there was one."""
+        if not np.count_nonzero(self.is_resting):
+            return False
         over = self.is_resting & (self.n_samples >= self.rests_until)
         if not over.any():
             return False

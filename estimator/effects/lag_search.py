@@ -141,5 +141,5 @@ def with_fitted_start(made: Vector, moved: Vector, rows: Vector, seen: NDArray[n
     for i, slope in enumerate(slopes):
         if np.all(np.isfinite(slope)):
             steps = np.linalg.lstsq(slope, rows[i].reshape(-1), rcond=1e-7)[0]
-            fitted[i] -= np.tensordot(steps, moved[i], 1)
+            fitted[i] -= (steps[None] @ moved[i].reshape(q, -1)).reshape(fitted[i].shape)
     return fitted

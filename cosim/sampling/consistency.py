@@ -128,17 +128,21 @@ class Consistency:
 
         None that has stood still: a coarse sensor jumps all the time. Nor one whose derivative has: that is a spike.
         """
-        moved, xdot, drift, changes = self._rows.transpose(1, 0, 2)
-        missed = np.abs(moved - self._h * (xdot - 0.5 * drift))
-        of_step = self._h * np.abs(drift[-1])
-        has_jumped: NDArray[np.bool_] = missed[-1] > self._of_declared(1) + of_step
-        if not has_jumped.any():  # what is usual only widens the limits
+        newest, of_step = self._missed(self._rows[-1]), self._h * np.abs(self._rows[-1, 2])
+        has_jumped: NDArray[np.bool_] = newest > self._of_declared(1) + of_step
+        if not np.count_nonzero(has_jumped):  # what is usual only widens the limits
             return has_jumped
+        (moved, _, _, changes), missed = self._rows.transpose(1, 0, 2), self._missed(self._rows.transpose(1, 0, 2))
         usual = np.maximum(2.0 * missed[:-1].max(axis=0), self._limit * 1.4826 * column_medians(missed[:-1]))
         is_own = (moved != 0.0).all(axis=0) & (self._h * changes[-1] < 0.5 * missed[-1])
         is_own &= np.abs(moved[-1] - column_medians(moved)) > 0.5 * missed[-1]
         has_jumped &= (missed[-1] > usual + of_step) & is_own
         return has_jumped
+
+    def _missed(self, rows: Vector) -> Vector:
+        """Return by how much (..., c) the motion over a step differs from the derivative's, rows (4, ..., c)."""
+        moved, xdot, drift, _ = rows
+        return np.abs(moved - self._h * (xdot - 0.5 * drift))
 
     def forget(self) -> None:
         """Forget the gains so far: a state that was wrong has been in them."""
@@ -153,7 +157,7 @@ class Consistency:
         """Return which channels are beyond their limits, from what is known of each sample (n, 4, c)."""
         n = len(rows)
         is_beyond = self._differ(rows, self._of_declared(n))
-        if not is_beyond[: self._n_sampled].any():  # the observed noise only widens the limits
+        if not np.count_nonzero(is_beyond[: self._n_sampled]):  # the observed noise only widens the limits
             return is_beyond
         self._usual = np.where(self._distrust > 0, self._usual, self._observed_noise(rows))
         limit = self._limit_of_noise(self._usual, n)
@@ -198,7 +202,8 @@ class Consistency:
         is_step = self._h * changes > 0.5 * np.maximum(differs, np.roll(differs, 1, axis=0))
         is_step[0] = True  # it began before these rows
         left = rows.copy()
-        for channel, odd in enumerate(is_odd.T):
+        for channel in np.flatnonzero(is_odd.any(axis=0)).tolist():
+            odd = is_odd[:, channel]
             for first, end in np.flatnonzero(np.diff(odd, prepend=False, append=False)).reshape(-1, 2):
                 if end - first <= _BURST and end < len(rows) and is_step[[first, end], channel].all():
                     left[first:end, :, channel] = 0.0

@@ -69,18 +69,22 @@ class DerivativeGain:
     def _errors(self) -> dict[int, Vector]:
         """Errors of gain and delay (2, c), 0 where there is none, by the number of newest blocks, the largest first."""
         numbers = [_GROUPS * size for size in reversed(_SIZES)]
-        return {n: _errors_of(self.limit, self.blocks[-n:]) for n in numbers if len(self.blocks) >= n}
+        if len(self.blocks) < numbers[-1]:
+            return {}
+        blocks = np.stack(self.blocks, axis=1)
+        return {n: _errors_of(self.limit, blocks[:, -n:]) for n in numbers if len(self.blocks) >= n}
 
 
-def _errors_of(limit: float, blocks: tuple[Vector, ...]) -> Vector:
+def _errors_of(limit: float, blocks: Vector) -> Vector:
     """Return the errors of the gain and of the delay [samples] (2, c), 0 where there is none, by a regression.
 
     Of the motion on what is integrated, on the change of the derivative, by which a delay of one sample is off, and on
     a constant offset, which is neither: a model whose derivative changes too fast within a step leaves one. What the
     regression does not explain is noise, too: of a coarse sensor, which declares none. An actuator that lags does not
     hold the input over a step, so that an error must show whether its effect is taken at the step's end or beginning.
+    blocks (6, n, c): values of each, as `DerivativeGain.take` has them.
     """
-    moved, integrated, change, drift, std, own = np.stack(blocks, axis=1)
+    moved, integrated, change, drift, std, own = blocks
     at_end, at_beginning = moved - integrated, moved - integrated + change - drift
     by_block = np.stack([integrated, change], axis=-1)  # (n, c, 2)
     is_shown = _are_one_sided(at_end, by_block) & _are_one_sided(at_beginning, by_block)

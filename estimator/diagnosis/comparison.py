@@ -157,8 +157,8 @@ class HypothesisComparison:
     def _n_obvious(self, theta: Vector) -> int:
         """Return how many newest samples since the onset contradict theta (d,), each even with ten times the noise."""
         rows = self._residuals.of_newest(theta, self._state.n_since) / TOO_SMALL
-        are_explained = [plain_fit(row[None], 0).is_explained for row in rows[::-1]]
-        return are_explained.index(True) if True in are_explained else len(rows)
+        explained = (i for i, row in enumerate(rows[::-1]) if plain_fit(row[None], 0).is_explained)
+        return next(explained, len(rows))
 
     def if_noise(self, held: Vector) -> Vector | None:
         """Return the reference (d,) where noise of ten times the known size explains the samples since the onset.

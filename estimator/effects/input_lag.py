@@ -152,7 +152,7 @@ class InputHistory:
             return NEVER
         places = np.searchsorted(self._times, times)
         if is_known:
-            return plain_fit(rows_with(np.array(self._inputs)[None, places])[0], 0)
+            return plain_fit(rows_with(np.array([[self._inputs[i] for i in places]]))[0], 0)
         found = self._limits(rows_with, places).stuck()
         return NEVER if found is None else found.fit
 
@@ -167,7 +167,7 @@ class InputHistory:
         return bool(np.all((sent >= lower - little) & (sent <= upper + little)))
 
     def _limits(self, rows_with: RowsWith, places: NDArray[np.intp]) -> InputLimits:
-        inputs = np.array(self._inputs)[places]
+        inputs = np.array([self._inputs[i] for i in places])
         return InputLimits(rows_with, inputs, self._places(inputs))
 
     def _limited(self, rows_with: RowsWith, places: NDArray[np.intp]) -> FoundLag:

@@ -54,7 +54,8 @@ class InputLimits:
         """rows_with: residuals (k, n, c) with each of k sets of inputs (k, n, p); inputs (n, p): that were sent;
         places: of those that actuators pass on."""
         self._rows_with, self._inputs, self._places = rows_with, inputs, places
-        self._moving = [j for j in places if len(inputs) and np.ptp(inputs[:, j]) > 0.0]  # of others nothing is told
+        ranges = np.ptp(inputs, axis=0) if len(inputs) else np.zeros(0)
+        self._moving = [j for j in places if len(inputs) and ranges[j] > 0.0]  # of others nothing is told
 
     def stuck(self) -> Tried | None:
         """Return the one input, or all of them, that may be stuck; None where no input varies."""
@@ -79,19 +80,17 @@ class InputLimits:
 
         The weight is the inverse of the variance, 0 where the input reaches no channel.
         """
-        steps = [ASIDE * float(np.abs(self._inputs[:, j]).max()) for j in self._moving]
+        sent = self._inputs[:, self._moving].T  # (q, n)
+        steps = ASIDE * np.abs(sent).max(axis=1)
         moved = np.repeat(self._inputs[None], len(steps) + 1, axis=0)
-        for k, (j, step) in enumerate(zip(self._moving, steps, strict=True), 1):
-            moved[k, :, j] += step
+        for j, inputs, step in zip(self._moving, moved[1:], steps, strict=True):
+            inputs[:, j] += step
         rows = self._rows_with(moved)
-        found: list[tuple[int, Vector, Vector]] = []
-        for j, step, aside in zip(self._moving, steps, rows[1:], strict=True):
-            slope = (aside - rows[0]) / step
-            along, weight = np.sum(slope * rows[0], axis=1), np.sum(slope**2, axis=1)
-            known = np.isfinite(along) & (weight > 0.0)
-            off = np.divide(along, weight, out=np.zeros(len(along)), where=known)
-            found.append((j, self._inputs[:, j] - off, np.where(known, weight, 0.0)))
-        return found
+        slopes = (rows[1:] - rows[0]) / steps[:, None, None]  # (q, n, c)
+        along, weights = (slopes * rows[0]).sum(axis=2), (slopes**2).sum(axis=2)
+        known = np.isfinite(along) & (weights > 0.0)
+        off = np.divide(along, weights, out=np.zeros(along.shape), where=known)
+        return [*zip(self._moving, sent - off, np.where(known, weights, 0.0), strict=True)]
 
     def _stuck(self, arrived: Sequence[tuple[int, Vector, Vector]]) -> Iterator[Limited]:
         means = {j: _mean(v, w) for j, v, w in arrived if w.any()}
@@ -127,7 +126,7 @@ class InputLimits:
         made = np.repeat(self._inputs[None], len(limits), axis=0)
         for arriving, of in zip(made, limits, strict=True):
             for j, (lower, upper) in of.items():
-                arriving[:, j] = np.clip(arriving[:, j], lower, upper)
+                arriving[:, j] = np.minimum(np.maximum(arriving[:, j], lower), upper)
         return [Tried(*one) for one in zip(limits, made, self._rows_with(made), strict=True)]
 
     def _refined(self, found: Tried) -> Tried:

@@ -64,7 +64,7 @@ MUTANTS = [
     # id, module, old, new, the checks that must reject it
     ("lag-by-one-euler-step", LAG, "-np.expm1(-gaps / taus)", "gaps / taus", (ARRIVING,)),
     ("lag-of-the-input-before", LAG, "/ taus), inputs[1:]", "/ taus), inputs[:-1]", (ARRIVING,)),
-    ("limit-of-what-arrives-sign", LIMITS, "self._inputs[:, j] - off", "self._inputs[:, j] + off", (LIMITED,)),
+    ("limit-of-what-arrives-sign", LIMITS, "sent - off", "sent + off", (LIMITED,)),
     ("limit-of-the-samples-within-it", LIMITS, "sent > limit", "sent < limit", (LIMITED,)),
     ("lower-limit-sign", LIMITS, "-_limit(-sent, -v, w)", "_limit(-sent, -v, w)", (LIMITED,)),
     ("dead-time-of-one-sample-more", LAG, "inputs[: max(len(inputs) - lag.n_late, 0)]",

@@ -135,7 +135,7 @@ def with_fitted_start(made: Vector, moved: Vector, rows: Vector, seen: NDArray[n
     moved (k, q, N, p): changes of it; rows (k, n, c): residuals before; seen (n,): places of the samples' inputs.
     """
     k, q, _, p = moved.shape
-    aside = rows_with((made[:, None] + moved)[:, :, seen].reshape(k * q, len(seen), p))
+    aside = rows_with((made[:, None, seen] + moved[:, :, seen]).reshape(k * q, len(seen), p))
     slopes = (aside.reshape(k, q, -1) - rows.reshape(k, 1, -1)).transpose(0, 2, 1)
     fitted = made.copy()
     for i, slope in enumerate(slopes):

@@ -82,6 +82,8 @@ class FaultIsolation:
             self._recent.clear()
         self._recent.append(sample)
         now = {*inconsistent}
+        if not (now or self._faults or any(self._n_inconsistent)):
+            return frozenset()
         for i, (pair, n) in enumerate(zip(self._pairs, self._n_inconsistent, strict=True)):
             goes_on = i in now or 0 < n < _DECIDED[-1]
             self._n_inconsistent[i] = n = n + 1 if goes_on else 0

@@ -58,12 +58,13 @@ class Outliers:
         if self._last is None or not np.isfinite(now).all():
             return self._accept(sample, theta, now), []
         last = self._known[1] if theta is self._known[0] else residual(theta, self._last)
-        change = np.where(np.isnan(sample.xdot) | np.isnan(self._last.xdot), 0.0, np.abs(now - last))
-        of_model = self._change_of_model(sample, now, last)
+        measured = np.subtract(sample.xdot, self._last.xdot) / self._noise  # NaN where one of them is missing
+        change = np.where(np.isnan(measured), 0.0, np.abs(now - last))
+        of_model = np.abs(measured - (now - last))  # the change of the model, whose error may change by as much
         limit = self._limit * sqrt(2.0) + of_model
         if self._suspect is not None or not (change <= limit).all():  # what is usual only widens it
             limit = np.maximum(self._limit * np.maximum(self._usual(change), sqrt(2.0)), self._least) + of_model
-        is_far, outliers = change > limit, np.zeros(len(now), dtype=bool)
+        is_far, names = change > limit, list[str]()
         if np.isfinite(last).all():  # else none of the limits to come would be a number
             self._changes = np.concatenate([self._changes[1 - _MEMORY :], [change]])
         if self._suspect is not None:
@@ -72,9 +73,9 @@ class Outliers:
             is_gone = bool((change <= limit - of_model).all())
             was_far = self._was_far & (np.abs(before - last) > (limit - of_model if is_gone else limit))
             persists = (now - last) / np.where(was_far, before - last, 1.0) >= _PERSISTS
-            outliers, is_far = was_far & ~persists, is_far & ~(persists & was_far)
-        names = [self._names[i] for i in np.flatnonzero(outliers)]
-        if is_far.any() and self._n_suspects < _MOST_SUSPECTS:
+            is_far &= ~(persists & was_far)
+            names = [self._names[i] for i in np.flatnonzero(was_far & ~persists)]
+        if np.count_nonzero(is_far) and self._n_suspects < _MOST_SUSPECTS:
             self._suspect, self._theta, self._was_far = sample, theta, is_far
             self._n_suspects += 1
             return True, names
@@ -95,12 +96,6 @@ class Outliers:
         if self._suspect is not None and np.isfinite(newest).all():
             changes = np.concatenate([changes[:-1], [newest]])
         return 1.4826 * column_medians(changes) if len(changes) else np.zeros(len(self._noise))
-
-    def _change_of_model(self, sample: Sample, now: Vector, last: Vector) -> Vector:
-        """Return the change of the model (c,), in whitened units: its error may change by as much."""
-        assert self._last is not None
-        measured = np.subtract(sample.xdot, self._last.xdot) / self._noise
-        return np.abs(measured - (now - last))
 
     def _accept(self, sample: Sample, theta: Vector, residual: Vector) -> bool:
         self._known = theta, residual

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from .differences import OfMany, forward_differences
+from .differences import OfMany, forward_differences, value_and_slope
 from .significance import FALSE_ALARM, chi2_limit
 from .space import Vector
 
@@ -226,11 +226,15 @@ def changed_parameters(
     in sample intervals; None where each row is an interval after the one before. beyond: share of the scaled bounds by
     which they may lie outside of them.
     """
-    rows = rows_at(z)
-    jacobian = np.zeros((rows.size, len(z)))
+    if is_cheap := isinstance(rows_at, OfMany):
+        rows, jacobian = value_and_slope(rows_at, z, step)
+    else:
+        rows = rows_at(z)
+        jacobian = np.zeros((rows.size, len(z)))
     now = float((rows**2).sum())
-    for _ in range(0 if plain_fit(rows, len(z)).is_explained else iterations):
-        jacobian = forward_differences(rows_at, z, rows, step)
+    for i in range(0 if plain_fit(rows, len(z)).is_explained else iterations):
+        if i or not is_cheap:
+            jacobian = forward_differences(rows_at, z, rows, step)
         if not np.isfinite(jacobian).all():
             break
         before, better = now, _better(rows_at, _damped_steps(jacobian, rows.reshape(-1), z, beyond), now)

@@ -147,12 +147,17 @@ class DerivativeResidual:
         if 0 < k * n <= few and inputs is None:
             return np.array([[self._whitened(sample, named) for sample in samples] for named in self._named(thetas)])
         samples = samples if isinstance(samples, Samples) else Samples(samples)
-        table = self._at_once(thetas, samples, inputs) if self.is_vectorised and k * n > few else None
-        if table is None:
-            table = self._one_by_one(thetas, samples, inputs)
-        table = table.reshape(k, n, c)
+        with np.errstate(all="ignore"):
+            table = self._at_once(thetas, samples, inputs) if self.is_vectorised and k * n > few else None
+            if table is not None:
+                return self._compared(samples, table.reshape(k, n, c))
+        table = self._one_by_one(thetas, samples, inputs)
         with np.errstate(invalid="ignore", over="ignore"):
-            r: Vector = (samples.xdot.reshape(n, c) - table) / self._sigma
+            return self._compared(samples, table.reshape(k, n, c))
+
+    def _compared(self, samples: Samples, table: Vector) -> Vector:
+        """Return r (k, n, c) at n samples, by the modelled derivatives (k, n, c) there."""
+        r: Vector = (samples.xdot.reshape(table.shape[1:]) - table) / self._sigma
         if samples.is_missing is not None:
             r = np.where(samples.is_missing & ~np.isnan(table).all(axis=-1, keepdims=True), 0.0, r)
         return r
@@ -171,14 +176,16 @@ class DerivativeResidual:
         return r if np.all(np.isfinite(r)) else None
 
     def _at_once(self, thetas: Vector, samples: Samples, inputs: Vector | None) -> Vector | None:
-        """Return the modelled derivatives (k n, c) of candidates (k, d) at n samples; None where one has no value."""
+        """Return the modelled derivatives (k n, c) of candidates (k, d) at n samples; None where one has no value.
+
+        NumPy's warnings are the caller's to ignore.
+        """
         k, n = len(thetas), len(samples)
         x = samples.columns("x", k)
         u = samples.columns("u", k) if inputs is None else inputs.T
         named = dict(zip(self.space.names, thetas.T.repeat(n, axis=1), strict=True))
         try:
-            with np.errstate(all="ignore"):
-                modelled: Any = self.model(x, u, **named)
+            modelled: Any = self.model(x, u, **named)
         except (ArithmeticError, ValueError):
             return None
         table = np.empty((k * n, len(self.channels)))

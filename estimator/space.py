@@ -72,6 +72,10 @@ class ParameterSpace:
         return np.array([p.scale == "log" for p in self.parameters])
 
     @cached_property
+    def _has_log(self) -> bool:
+        return bool(self._is_log.any())
+
+    @cached_property
     def _lower(self) -> Vector:
         return np.array([p.lower for p in self.parameters], dtype=float)
 
@@ -96,7 +100,8 @@ class ParameterSpace:
     def to_unit(self, theta: ArrayLike) -> Vector:
         """Return the place in the unit cube of values (..., d); values outside the bounds go to the nearest bound."""
         clipped = np.minimum(np.maximum(theta, self._lower), self._upper)
-        return (np.log(clipped, out=clipped, where=self._is_log) - self._origin) / self._width
+        scaled = np.log(clipped, out=clipped, where=self._is_log) if self._has_log else clipped
+        return (scaled - self._origin) / self._width
 
     def from_unit(self, z: ArrayLike) -> Vector:
         """Return the values at places (..., d) in the unit cube; never outside the bounds."""
@@ -105,7 +110,7 @@ class ParameterSpace:
     def beyond(self, z: ArrayLike) -> Vector:
         """Return the values at places (..., d), which may lie outside the unit cube and so outside the bounds."""
         theta = self._origin + self._width * np.asarray(z, dtype=float)
-        return np.exp(theta, out=theta, where=self._is_log)
+        return np.exp(theta, out=theta, where=self._is_log) if self._has_log else theta
 
     def slope(self, theta: ArrayLike) -> Vector:
         """Return d theta / d z at theta (d,): change in each parameter's unit for a step in the unit cube."""

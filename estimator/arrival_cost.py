@@ -41,6 +41,10 @@ _MOST: Final = 5
 """Largest number of Gauss-Newton steps to the least sum of squares of a window."""
 _LITTLE: Final = 0.01
 """Difference of sums of squares that is none: a tenth of a standard deviation, squared."""
+_HASTENED: Final = (0.03, 0.1, 0.3)
+"""Shares of the rate at which all parameters drift in turn where a filter is too slow for what it follows."""
+_FASTER: Final = 1.5
+"""Factor by which they must drift faster than any does already."""
 _ROUNDING: Final = 1e-12
 """Share of a variance that is none."""
 _WIDEST: Final = 0.5
@@ -180,6 +184,12 @@ class ArrivalCost:
         walking = self.walk[self._is_drifting]
         is_too_slow = len(walking) <= _FEW and bool(np.any(walking < self.rate**2))
         return len(walking) > 0 and not is_too_slow
+
+    def hastened(self) -> Self | None:
+        """Return the arrival cost with parameters that all drift faster than any does now; None where they may not."""
+        now = float(self.walk.max()) ** 0.5 / self.rate if self.rate else np.inf
+        share = next((share for share in _HASTENED if share > _FASTER * now), None)
+        return None if share is None else self._walking(np.full(len(self.walk), (share * self.rate) ** 2))
 
     @property
     def _is_drifting(self) -> NDArray[np.bool_]:

@@ -5,7 +5,7 @@ Schweppe (1965), "Evaluation of likelihood functions for Gaussian signals". The 
 filter for each of several, weighted by how likely they are, as Magill (1965) does.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -24,7 +24,7 @@ _RECENT: Final = 0.98
 _MOST: Final = 2.0
 """Largest lead on one sample: a filter that catches up with a jump is wrong by far for a few."""
 _PROOF: Final = 50.0
-"""Lead of the disturbance that refutes a drift."""
+"""Lead of the disturbance that refutes a drift, as fast as it is taken to be."""
 _CLEAR: Final = 20.0
 """Lead of the drift over the newest samples with which correlated innovations do not refute it."""
 
@@ -62,9 +62,15 @@ class DriftRival:
         lead, recent = max(0.0, self.lead + ahead), _RECENT * self.recent + ahead
         return DriftRival(rival.mean, rival.variance, rival.unlikeliness, self.n_samples + 1, lead, recent)
 
-    def refutes(self, known: ArrivalCost) -> bool:
-        """Return whether the parameters do not drift: a disturbance explains the samples better, or neither does."""
-        return self.lead > _PROOF or (known.is_refuted and self.recent > -_CLEAR)
+    def judged(self, known: ArrivalCost) -> tuple["DriftRival", ArrivalCost | None]:
+        """Return the rival, and the drifting parameters to go on with: None where the samples refute a drift.
+
+        A disturbance explains the samples better, also than parameters that drift faster, or neither does.
+        """
+        is_ahead = self.lead > _PROOF
+        if is_ahead and not known.is_refuted and (faster := known.hastened()):
+            return replace(self, lead=0.0), faster
+        return self, None if is_ahead or (known.is_refuted and self.recent > -_CLEAR) else known
 
     def _with(self, row: Vector) -> tuple["DriftRival", float]:
         """Return the rival with a row (c,), 0 or NaN for channels without a value, and its -2 log likelihood."""

@@ -286,21 +286,22 @@ class Diagnosis:
         state.findings = state.findings.forget()
         return Settled(before, (event, self._failed_searches.rest(t, every)), True)
 
-    def refutes_drift(self, known: ArrivalCost, sample: Sample) -> bool:
-        """Return whether parameters that a filter lets drift do not explain what it has followed, up to a sample.
+    def judged_drift(self, known: ArrivalCost, sample: Sample) -> ArrivalCost | None:
+        """Return what a filter that lets parameters drift goes on with after a sample; None where no drift explains it.
 
         known: by the filter; sample: the newest one, corrected. Where it has begun to follow, the newest 20 samples say
         what disturbance there is beside the parameters that lasted.
         """
         state = self._state
         if state.lasting is None:
-            return known.is_refuted
+            return None if known.is_refuted else known
         rival = state.drift_rival
         if rival is None or rival.n_samples != state.n_samples - 1:
             rows = self.residuals.of_newest(state.lasting, min(len(state.samples), WINDOW))
             rival = DriftRival.of_rows(rows[:-1], state.n_samples - 1)
-        state.drift_rival = rival.updated(self.residuals.scaled(state.lasting, sample), known)
-        return state.drift_rival.refutes(known)
+        updated = rival.updated(self.residuals.scaled(state.lasting, sample), known)
+        state.drift_rival, known_after = updated.judged(known)
+        return known_after
 
     def accept(self, theta: Vector) -> None:
         """Take parameters (d,) that are warranted and in force for those that the next ones are compared with."""

@@ -77,5 +77,5 @@ def make_retuner(
     window = ResidualWindow(residual, n, max_length, rows, slopes)
     if diagnosis is None:
         return Retuner(estimator, window, begins, budget, linear, partial(str, text))
-    retuner = Retuner(estimator, window, begins, budget, linear, partial(str, text), refutes=diagnosis.refutes_drift)
+    retuner = Retuner(estimator, window, begins, budget, linear, partial(str, text), judged=diagnosis.judged_drift)
     return DiagnosingRetuner(retuner, diagnosis, trigger.is_endless, jumps)

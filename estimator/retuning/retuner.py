@@ -59,12 +59,14 @@ class Retuner:
         linear: LinearForm | None = None,
         describe: Callable[[], str] = str,
         closes: bool = True,
-        refutes: Callable[[ArrivalCost, Sample], bool] = lambda known, sample: known.is_refuted,
+        judged: Callable[[ArrivalCost, Sample], ArrivalCost | None] = lambda known, sample: (
+            None if known.is_refuted else known
+        ),
     ) -> None:
         """describe: returns how the window scores candidates, in a line; closes: False where the caller calls `close`
-        when an episode has ended; refutes: returns whether a drift that has been followed explains nothing, from what
-        the filter knows of the samples and the newest of them."""
-        self._closes, self._refutes = closes, refutes
+        when an episode has ended; judged: returns what a filter goes on with, from what it knows of the samples and the
+        newest of them, or None where a drift explains nothing."""
+        self._closes, self._judged = closes, judged
         self.describe = describe
         self._window, self._trigger, self._writes_candidates = window, trigger, budget.commit == "candidate"
         self._search = Search(estimator, budget, linear)
@@ -273,9 +275,9 @@ class Retuner:
         if known is not None and known.n_known <= window.n_kept:
             self._filter.relinearise(window.newest_residuals)
         estimate, known = self._filter.estimate(held), self._filter.arrival_cost
-        is_refuted = known is not None and self._refutes(known, sample)
+        self._filter.arrival_cost = None if known is None else self._judged(known, sample)
         latencies = (perf_counter() - begun,)
-        if is_refuted:
+        if known is not None and self._filter.arrival_cost is None:
             self.distrust()
             return Proposal(undo=self._searched, latencies=latencies)
         if estimate is None or np.array_equal(estimate.theta, held):

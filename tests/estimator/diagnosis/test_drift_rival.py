@@ -1,5 +1,7 @@
 """A walking disturbance against drifting parameters: likelihoods, and which of the two is refuted."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -81,7 +83,8 @@ def fought(truth, residual, n=200, seed=0):
         at = lambda z, place=place, noise=noise, k=k: residual(z, place, k) + noise  # noqa: E731
         known = known.drifted(at) or known.updated(at)
         rival = rival.updated(residual(np.array([0.5, 0.5]), place, k) + noise, known)
-        if rival.refutes(known):
+        rival, known = rival.judged(known)
+        if known is None:
             return k
     return None
 
@@ -110,7 +113,16 @@ def test_coloured_noise_of_three_times_the_declared_size_refutes_them(seed):
 def test_one_sample_is_no_proof_however_unlikely():
     rival = DriftRival.of_rows(np.zeros((1, 3)) + 0.1, 0).updated(np.full(3, 0.1), known_of(1e9))
     assert 0.0 < rival.lead <= 2.0
-    assert not rival.refutes(known_of())
+    assert rival.judged(known_of())[1] is not None
+
+
+def test_a_filter_that_is_too_slow_is_hastened_three_times_before_the_disturbance_refutes_it():
+    rival, known, walks = DriftRival.of_rows(np.zeros((1, 3)), 0), known_of(), []
+    while known is not None:
+        walks.append(np.sqrt(known.walk) / known.rate)
+        rival, known = replace(rival, lead=51.0).judged(known)
+        assert rival.lead == (51.0 if known is None else 0.0)
+    assert_allclose(walks[1:], np.array([[0.03, 0.03], [0.1, 0.1], [0.3, 0.3]]), rtol=1e-12)
 
 
 def test_a_row_without_a_value_is_left_out():

@@ -279,8 +279,8 @@ class Guard:
             reasons = (*reasons, *left_out)
         if refusal := self._refusal(allowed):
             return _Verdict(None, (*reasons, ("veto", refusal)))
-        is_first_doubt = proposal.possible_disturbance is not None and np.array_equal(self._anchor, self._good)
-        if not (is_material or is_first_doubt):
+        may_be_noise = proposal.if_noise is not None and np.array_equal(self._anchor, self._good)
+        if not (is_material or may_be_noise):
             return _Verdict(allowed, reasons)
         if refusal := self._contradicted(allowed, held):
             return _Verdict(None, (*reasons, ("veto", refusal)))

@@ -181,20 +181,19 @@ def test_a_small_change_is_not_looked_into_until_small_changes_add_up():
         assert bool(asked) == (step > 0.5)
 
 
-@pytest.mark.parametrize(("is_doubtful", "is_on_trial"), [(False, False), (True, False), (True, True)])
-def test_a_small_change_that_a_disturbance_explains_as_well_is_looked_into_unless_others_are_on_trial(
-    is_doubtful, is_on_trial
-):
+@pytest.mark.parametrize(("may_be_noise", "is_on_trial"), [(False, False), (True, False), (True, True)])
+def test_a_small_change_that_may_be_noise_is_looked_into_unless_others_are_on_trial(may_be_noise, is_on_trial):
     def peak(controller, plant, disturbance):
         return 1.0 if controller[0] in (2.2, 4.2) else 0.01
 
     watched = guard(seen(*BOTH, truth=GOOD if is_on_trial else START), material=0.05)
     if is_on_trial:
         assert watched.step(2, 0.02, 0.0, proposed(GOOD), peak).write is not None
-    rival = np.array([0.5]) if is_doubtful else None
-    proposal = replace(proposed([4.2, 4.2] if is_on_trial else [2.2, 2.2]), possible_disturbance=rival)
+    proposal = proposed([4.2, 4.2] if is_on_trial else [2.2, 2.2])
+    rival, if_noise = np.array([0.5]), START if may_be_noise else None
+    proposal = replace(proposal, possible_disturbance=rival, if_noise=if_noise)
     reviewed = watched.step(3, 0.03, 0.0, proposal, peak)
-    assert (reviewed.write is None) == (is_doubtful and not is_on_trial)
+    assert (reviewed.write is None) == (may_be_noise and not is_on_trial)
     assert kinds(reviewed) == (["veto"] if reviewed.write is None else [])
 
 

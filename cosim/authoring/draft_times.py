@@ -61,7 +61,7 @@ def settings(components: Mapping[str, Component]) -> list[str]:
         f"name = {quoted(name or 'scenario')}",
         *([said(f"start_time = {times.start!r}", of_times)] if times.start else []),
         said(f"stop_time = {_whole(times, step)!r}", of_times),
-        said(f"macro_step = {step!r}", f"s, of {of_step}" if of_step else "s, GUESS"),
+        said(f"macro_step = {step!r}", f"s, {f'of {of_step}' if of_step else 'GUESS'}: {_number(times, step):,} steps"),
     ]
 
 
@@ -80,8 +80,13 @@ def _round(step: float) -> float:
 
 def _whole(times: Span, step: float) -> float:
     """Return the stop time [s] after a whole number of macro steps: the declared one, where it is such."""
-    length = max(1, round(times.length / step)) * step
+    length = _number(times, step) * step
     return times.stop if isclose(length, times.length, rel_tol=1e-9) else float(f"{times.start + length:.12g}")
+
+
+def _number(times: Span, step: float) -> int:
+    """Return the number of macro steps of a run."""
+    return max(1, round(times.length / step))
 
 
 def rows(times: Span, before: float, after: float) -> str:

@@ -64,3 +64,8 @@ def test_times_that_no_scenario_can_have_count_as_not_declared(drafted, experime
     path, found, _ = drafted(experiment)
     assert found == times
     assert not [str(f) for f in check(path) if f.is_error and f.where.startswith("scenario")]
+
+
+def test_the_number_of_macro_steps_is_said(drafted):
+    path, _, _ = drafted('stopTime="5" stepSize="0.01"', (0, 4000))
+    assert re.search(r"^macro_step = 0.01 +# s, of p\.fmu: 400,000 steps$", path.read_text(), flags=re.M | re.I)

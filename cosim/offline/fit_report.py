@@ -209,7 +209,8 @@ def _of_fit(found: Estimation) -> list[str]:
     if fit.solver_noise > _ROUGH:
         sentences.append(
             f"Between parameters that are all but equal the FMU's results scatter by {fit.solver_noise:.2g} times the "
-            "noise, by its own solver: give it a smaller tolerance, if it has one."
+            "noise, by its own solver: give it a smaller tolerance, if it has one. On an unstable plant rounding "
+            "grows as well: give it shorter windows (--window, which may be repeated)."
         )
     if fit.autocorrelation > _CORRELATED:
         sentences.append(

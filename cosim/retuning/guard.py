@@ -267,7 +267,10 @@ class Guard:
         error: float,
         peak: PredictedPeak | None,
     ) -> _Verdict:
-        """Return the result of the checks before a write, the cheap ones first; theta (d,): proposed."""
+        """Return the result of the checks before a write, the cheap ones first; theta (d,): proposed.
+
+        A small move is predicted only where it may be for noise, away from good parameters while nothing is on trial.
+        """
         if refusal := outside(theta, self._space):
             return _Verdict(None, (("veto", refusal),))
         allowed, reasons = within_rate(theta, held, self._space, self._settings.rate)

@@ -68,7 +68,8 @@ class DriftRival:
         A disturbance explains the samples better, also than parameters that drift faster, or neither does.
         """
         is_ahead = self.lead > _PROOF
-        if is_ahead and not known.is_refuted and (faster := known.hastened()):
+        faster = known.hastened() if is_ahead and not known.is_refuted else None
+        if faster is not None:
             return replace(self, lead=0.0), faster
         return self, None if is_ahead or (known.is_refuted and self.recent > -_CLEAR) else known
 

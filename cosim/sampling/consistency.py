@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from estimator import Sample, Vector
 
+from ..user_code import USERS
 from .derivative_gain import DerivativeGain
 from .medians import column_medians
 from .sensor_checks import SUMMED
@@ -22,6 +23,8 @@ _STILL: Final = 0.5
 """Share of the noise's limit above which a derivative that was inconsistent still is."""
 _BURST: Final = 3
 """Largest number of spikes in a row that are no fault of the derivative once they are over."""
+_OTHER: Final = 1.5
+"""Factor by which inputs are changed to see whether a derivative depends on them."""
 _SHY: Final = 3
 """Number of consistent samples that make good for an inconsistent one."""
 
@@ -118,9 +121,16 @@ class Consistency:
         return Contradictions(*(tuple(np.flatnonzero(pairs).tolist()) for pairs in found))
 
     def _are_kinematic(self, sample: Sample, now: Sequence[float]) -> NDArray[np.bool_]:
-        """Return which unsampled derivatives are the same with other parameters and inputs; now (n,): of all states."""
-        u = [2.0 * value + 1.0 for value in sample.u]
-        others, unsampled = [self._slope(theta, sample.x, u) for theta in self._others], self.places[self._n_sampled :]
+        """Return which unsampled derivatives are the same with other parameters and inputs; now (n,): of all states.
+
+        None where the model has no value there. Inputs that are zero stay: of a vector of disturbances a model may take
+        all or none, and some are left out of the samples.
+        """
+        u, unsampled = [_OTHER * value for value in sample.u], self.places[self._n_sampled :]
+        try:
+            others = [self._slope(theta, sample.x, u) for theta in self._others]
+        except USERS:
+            return np.zeros(len(unsampled), dtype=bool)
         return np.array([all(other[i] == now[i] for other in others) for i in unsampled])
 
     def _have_jumped(self) -> NDArray[np.bool_]:

@@ -162,3 +162,11 @@ def test_a_value_that_it_cannot_have_ends_the_run_in_one_line(pushed, change, st
 def test_what_is_no_input_and_no_tunable_parameter_is_refused(pushed):
     with pytest.raises(WiringError, match=r"'mass\.s' of Axis\.fmu is an output, not a tunable parameter"):
         run(pushed({'changes."plant.mass.s"': "1.0"}), "none")
+
+
+@pytest.mark.parametrize(("name", "force"), [("quadrotor", "F_d_x"), ("rigid-body", "F_d_z"), ("pendulum", "F_d")])
+def test_a_model_that_has_more_inputs_than_are_sampled_ends_no_run(name, force):
+    """One of a vector of forces is changed, and left out of the samples: the model takes all six of them or none."""
+    settings = {"scenario.isolation": '"none"', "scenario.checkpoint": "0", "scenario.stop_time": "0.5"}
+    scenario = Scenario.load(name, settings | {f'changes."plant.{force}"': "[[0.0, 0.0], [0.4, 1.0]]"})
+    assert run(scenario, "target").status == "done"

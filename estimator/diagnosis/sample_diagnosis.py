@@ -358,10 +358,11 @@ class Diagnosis:
         self._state.in_force = InForce(((self._state.n_samples, theta),))
 
     def reverted(self, theta: Vector) -> None:
-        """Take a revert of the guard's to theta (d,): nothing returns to others from then on."""
+        """Take a revert of the guard's to theta (d,): nothing returns to those that came after it."""
+        if self._state.lasting_at >= self._state.in_force.left_at(theta):
+            self._state.begin_lasting(theta)
         self.accept(theta)
         self.returned(theta)
-        self._state.begin_lasting(theta)
 
     def fail(self, t: float, theta: Vector | None, held: Vector) -> Settled | None:
         """Take the end of a search that has found no parameters, theta (d,) being the best.

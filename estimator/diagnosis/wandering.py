@@ -5,6 +5,7 @@ scaled bounds; values are frozen, and a step gives the next.
 """
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -121,6 +122,11 @@ class InForce:
     def have_changed(self) -> bool:
         """True where others than the first ones, or than those that last returned, have been in force."""
         return len(self.changes) > 1
+
+    def left_at(self, theta: Vector) -> int:
+        """Return the number of the first sample at which others were in force after theta (d,), as far as is known."""
+        after = [n for (_, before), (n, _) in pairwise(self.changes) if np.array_equal(before, theta)]
+        return after[-1] if after else next((n for n, _ in self.changes), 0)
 
     def at(self, n: int) -> Vector:
         """Return the parameters (d,) in force at sample n, or the earliest that are known."""

@@ -1,8 +1,8 @@
-"""Parameters that searches have found, one soon after the other: which of them differ from those before."""
+"""Parameters that searches have found, one soon after the other, and those in force: which differ, and from when on."""
 
 import numpy as np
 
-from estimator.diagnosis.wandering import Findings
+from estimator.diagnosis.wandering import Findings, InForce
 
 
 def found(places, std, every=10):
@@ -40,3 +40,12 @@ def test_what_is_found_again_or_by_a_drift_has_not_moved():
 def test_after_many_samples_the_moves_so_far_are_forgotten():
     findings = found(PLACES, [[0.01, 0.01]] * 4)
     assert not findings.take(400, np.array([0.2, 0.5]), np.full(2, 0.01)).are_restless
+
+
+def test_when_others_came_after_parameters_in_force_is_known():
+    one, two, three = (np.full(2, v) for v in (1.0, 2.0, 3.0))
+    in_force = InForce()
+    assert in_force.left_at(one) == 0
+    for n, theta in enumerate((one, one, two, one, three), 5):
+        in_force = in_force.take(n, theta)
+    assert [in_force.left_at(theta) for theta in (one, two)] == [9, 8]

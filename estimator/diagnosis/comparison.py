@@ -70,11 +70,14 @@ class HypothesisComparison:
         self.quiet = QuietComparison(state, residuals)
         """Comparison while no sample contradicts the parameters in force."""
 
-    def judge(self, theta: Vector, held: Vector) -> Judgement:
-        """Return whether parameters theta (d,) in place of those in force are warranted by the newest samples."""
+    def judge(self, theta: Vector, held: Vector, *, is_filter: bool = False) -> Judgement:
+        """Return whether parameters theta (d,) in place of those in force are warranted by the newest samples.
+
+        is_filter: true for those of a filter, which only follows them where they have changed.
+        """
         state = self._state
         if not state.n_since:
-            return self.quiet.judge(theta, held)
+            return self.quiet.judge(theta, held, is_filter=is_filter)
         found_at = state.verdict.found_at
         is_due = state.n_samples >= found_at + (_RENEWED if state.verdict.is_warranted else 1)
         if is_due or found_at < state.n_samples - state.n_since:

@@ -29,24 +29,24 @@ class QuietComparison:
     def __init__(self, state: DiagnosisState, residuals: StandardisedResiduals) -> None:
         self._state, self._residuals, self._space = state, residuals, residuals.space
 
-    def judge(self, theta: Vector, held: Vector) -> Judgement:
-        """Return whether parameters theta (d,) in place of those in force, held (d,), are warranted."""
+    def judge(self, theta: Vector, held: Vector, *, is_filter: bool) -> Judgement:
+        """Return whether parameters theta (d,), of a filter or not, in place of those in force (d,) are warranted."""
         n = min(len(self._state.samples), QUIET)
         is_explained = plain_fit(self._residuals.of_newest(theta, n), 0).is_explained
-        return self._judged(theta, held) if is_explained else "refuted"
+        may_drift = is_filter or self._state.in_force.have_changed
+        return self._judged(theta, held, may_drift=may_drift) if is_explained else "refuted"
 
-    def _judged(self, theta: Vector, held: Vector) -> Judgement:
+    def _judged(self, theta: Vector, held: Vector, *, may_drift: bool) -> Judgement:
         """Return whether parameters theta (d,), which explain the newest samples, may replace those in force (d,).
 
-        A move that is too long for a drift, or the first one from parameters of the start or that have returned, must
-        be proven, where no other parameters were in force since the onset, and no `hidden_change` has been found since.
+        A move that is too long for a drift must be proven, where no other parameters were in force since the onset, and
+        no `hidden_change` has been found since. So must any that may not be a drift, as the first one of a search.
         Where the residuals are larger than declared, which may hide a change, the newest samples must speak for it,
         without the one that does so most; else it is possible.
         """
         state, d = self._state, len(self._space)
         moved = np.abs(self._space.to_unit(theta) - self._space.to_unit(held)).max()
-        is_drift = moved <= _DRIFT and state.in_force.have_changed
-        if is_drift or state.has_moved or state.has_hidden_change:
+        if (moved <= _DRIFT and may_drift) or state.has_moved or state.has_hidden_change:
             return "warranted"
         if np.any(state.scale.values > 1.0):
             n = len(state.samples)

@@ -204,7 +204,8 @@ class DiagnosingRetuner(RetunerCounts[Retuner]):
         if proposal.estimate is None:
             return "refuted"
         diagnosis, theta = self._diagnosis, proposal.theta
-        verdict = diagnosis.comparison.judge(proposal.estimate.theta if theta is None else theta, held)
+        found = proposal.estimate.theta if theta is None else theta
+        verdict = diagnosis.comparison.judge(found, held, is_filter=self._is_endless)
         is_at_bound = theta is not None and diagnosis.is_at_unseen_bound(theta, proposal.estimate.std, held)
         return "refuted" if is_at_bound else verdict
 

@@ -103,18 +103,32 @@ def disturbance_of(rows: Vector, *, may_drift: bool = True) -> Disturbance:
     It enters the residuals linearly, so that it is projected out of them. Zeros are missing values.
     """
     n, n_channels, n_values = len(rows), n_channels_of(rows), int(np.count_nonzero(rows))
-    is_whole = n_values == n * n_channels
     mean = mean_of(rows)
-    constant = plain_fit(rows - mean if is_whole else np.where(rows, rows - mean, 0.0), n_channels, n_values)
-    found = [Disturbance(mean, np.abs(mean), constant, True)]
+    left = rows - mean if n_values == n * n_channels else np.where(rows, rows - mean, 0.0)
+    found = [Disturbance(mean, np.abs(mean), plain_fit(left, n_channels, n_values), True)]
     for order in range(1, min(_ORDER, (n - 1) // 2) + 1) if may_drift else ():
         if found[-1].fit.is_explained:
             break
-        course = _polynomial(n, order) @ rows if is_whole else _course(rows, order)
-        left = rows - course if is_whole else np.where(rows, rows - course, 0.0)
-        fit = plain_fit(left, (order + 1) * n_channels, n_values)
+        course, fit = _polynomial_fit(rows, order)
         found.append(Disturbance(course[-1], np.abs(course).max(axis=0), fit, False))
     return min(found, key=lambda d: d.fit.score)
+
+
+def cubic_disturbance(rows: Vector) -> Fit:
+    """Return the fit to rows (n, c) of a disturbance that goes as a cubic in time on each channel."""
+    return _polynomial_fit(rows, 3)[1]
+
+
+def _polynomial_fit(rows: Vector, order: int) -> tuple[Vector, Fit]:
+    """Return the polynomial (n, c) in time that explains rows (n, c) best, channel by channel, and its fit."""
+    n_channels, n_values = n_channels_of(rows), int(np.count_nonzero(rows))
+    if n_values == len(rows) * n_channels:
+        course = _polynomial(len(rows), order) @ rows
+        left = rows - course
+    else:
+        course = _course(rows, order)
+        left = np.where(rows, rows - course, 0.0)
+    return course, plain_fit(left, (order + 1) * n_channels, n_values)
 
 
 def mean_of(rows: Vector) -> Vector:

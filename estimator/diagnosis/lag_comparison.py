@@ -12,7 +12,7 @@ import numpy as np
 
 from ..effects.input_lag import NO_LAG, FoundLag
 from ..effects.known_effects import Explanation
-from ..hypotheses import MARGIN, Fit, disturbance_of, plain_fit
+from ..hypotheses import MARGIN, Fit, cubic_disturbance, disturbance_of, plain_fit
 from ..samples import Sample
 from ..space import Vector
 from .evidence import Evidence
@@ -108,10 +108,11 @@ class LagComparison:
         """Return whether limits explain samples with parameters theta (d,) far better than noise or a disturbance.
 
         Noise that is correlated from sample to sample, and a slow disturbance, look like anything for a few samples.
-        Limits that inputs have passed before, when these arrived, must be new, and better by twice the margin.
+        The onset of a gust, against which the controller acts, is a cubic. Limits that inputs have passed before, when
+        these arrived, must be new, and better by twice the margin.
         """
         rows = self._residuals.rows(theta, samples)
-        if plain_fit(rows / _NOISE, 0).is_explained:
+        if plain_fit(rows / _NOISE, 0).is_explained or limits.fit.score + MARGIN > cubic_disturbance(rows).score:
             return False
         are_old = self._state.inputs.were_within(limits.lag, samples[0].t)
         return limits.fit.score + (MARGIN if are_old else 2.0 * MARGIN) <= disturbance_of(rows).fit.score

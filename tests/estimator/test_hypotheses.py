@@ -8,7 +8,16 @@ from scipy.stats import chi2
 
 from estimator import hypotheses
 from estimator.differences import OfMany
-from estimator.hypotheses import FALSE_ALARM, MARGIN, Fit, Weighing, changed_parameters, disturbance_of, plain_fit
+from estimator.hypotheses import (
+    FALSE_ALARM,
+    MARGIN,
+    Fit,
+    Weighing,
+    changed_parameters,
+    cubic_disturbance,
+    disturbance_of,
+    plain_fit,
+)
 
 MIDDLE = np.array([0.5, 0.5])
 
@@ -22,6 +31,19 @@ def least_squares_of(design, rows):
     """(coefficients, sum of squares) of NumPy's least squares, channel by channel."""
     coefficients = np.linalg.lstsq(design, rows, rcond=None)[0]
     return coefficients, float(np.sum((rows - design @ coefficients) ** 2))
+
+
+@pytest.mark.parametrize("n_channels", [1, 3])
+def test_a_cubic_disturbance_is_numpys_least_squares(n_channels):
+    rows = np.random.default_rng(n_channels).standard_normal((9, n_channels)) + np.arange(9.0)[:, None] ** 2
+    missing = rows.copy()
+    missing[4, 0] = 0.0
+    powers = np.vander(np.arange(9.0), 4)
+    whole = [least_squares_of(powers, rows[:, [c]])[1] for c in range(n_channels)]
+    without = least_squares_of(np.delete(powers, 4, axis=0), np.delete(rows[:, [0]], 4, axis=0))[1]
+    for found, squares, n in ((rows, whole, rows.size), (missing, [without, *whole[1:]], rows.size - 1)):
+        fit = cubic_disturbance(found)
+        assert_allclose((fit.squares, fit.n_free, fit.n_values), (sum(squares), 4 * n_channels, n), rtol=1e-9)
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 8, 20])

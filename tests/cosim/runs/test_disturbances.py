@@ -170,3 +170,13 @@ def test_a_model_that_has_more_inputs_than_are_sampled_ends_no_run(name, force):
     settings = {"scenario.isolation": '"none"', "scenario.checkpoint": "0", "scenario.stop_time": "0.5"}
     scenario = Scenario.load(name, settings | {f'changes."plant.{force}"': "[[0.0, 0.0], [0.4, 1.0]]"})
     assert run(scenario, "target").status == "done"
+
+
+@pytest.mark.parametrize("seed", [4, 12])
+def test_the_onset_of_a_gust_is_not_taken_for_a_limit_of_the_input_that_acts_against_it(seed):
+    gust = '[[0.0, 0.0], [0.5, "0.15*(1 - cos(2*pi*(t - 0.5)/0.05))"], [0.55, 0.0]]'
+    settings = {"scenario.isolation": '"none"', "scenario.checkpoint": "0", "scenario.stop_time": "0.7"}
+    changes = {'changes."plant.m"': "0.1", 'changes."plant.z_0"': "0.004", 'changes."plant.F_d"': gust}
+    scenario = Scenario.load("magnetic-levitation", settings | changes)
+    retuned, nominal = (run(scenario, estimator, seed) for estimator in ("target", "none"))
+    assert retuned.mse[0] < 0.2 * nominal.mse[0]

@@ -44,7 +44,7 @@ def test_the_tables_have_a_row_for_each_variable(foreign, capsys):
     assert (
         text.index("tunable parameters") < text.index("fixed parameters") < text.index("inputs") < text.index("states")
     )
-    assert max(map(len, text.splitlines())) <= 120
+    assert max(len(line) for line in text.splitlines() if str(foreign) not in line) <= 120
 
 
 def test_json_is_one_object_with_numbers(tmp_path, capsys):

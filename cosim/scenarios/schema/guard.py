@@ -18,7 +18,7 @@ class GuardSettings(Table):
     rate: float = Field(default=0.5, gt=0.0, le=1.0)
     """Largest change of a parameter in a macro step, as a share."""
     material: float = Field(default=0.05, ge=0.0, le=1.0)
-    """Change since the last predicted write, as a share, below which a write is neither predicted nor watched."""
+    """Change since the last predicted write, as a share, below which a write is not watched, and rarely predicted."""
     unseen: float = Field(default=0.35, gt=0.0, le=1.0)
     """Standard deviation, as a share, above which a direction counts as unseen by the data and is not written."""
     lookahead: bool = True

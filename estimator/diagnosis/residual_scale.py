@@ -5,6 +5,7 @@ from math import isfinite
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..hypotheses import NEVER, Fit, n_channels_of
 from ..space import Vector
@@ -150,6 +151,11 @@ def spread_of(rows: Vector) -> Vector:
     """Return the standard deviation (c,) of white noise in rows (n, c), from their differences: robust, and blind to
     whatever changes slowly."""
     return _MAD * np.median(np.abs(np.diff(rows, axis=0)), axis=0) / np.sqrt(2.0)
+
+
+def are_mostly_larger(rows: Vector) -> NDArray[np.bool_]:
+    """Return which channels (c,) of rows (n, c) are larger than noise of the known size, a few outliers apart."""
+    return np.asarray(_MAD * np.median(np.abs(rows), axis=0) > _DEAD_BAND)
 
 
 def _known(rows: Vector) -> list[Vector]:

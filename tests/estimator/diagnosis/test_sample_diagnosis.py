@@ -568,6 +568,14 @@ def test_a_gust_that_parameters_were_written_for_is_told_and_undone_when_it_has_
     assert [k for k, _ in run.of("disturbance", "undo") if k > 120] == []
 
 
+def coloured_noise(seed, n):
+    """Three times the declared noise, correlated by 0.9 from sample to sample."""
+    rng, rows = np.random.default_rng(seed), [np.zeros(1)]
+    for _ in range(n):
+        rows.append(0.9 * rows[-1] + 3.0 * SIGMA * np.sqrt(1.0 - 0.9**2) * rng.standard_normal(1))
+    return lambda k: rows[k + 1]
+
+
 @SEARCHES
 def test_what_was_written_is_undone_where_the_samples_turn_out_to_be_doubtful(estimator):
     run = Run(estimator, 1, is_trusting=True).go(100).go(4, TRUE, PUSH[1])
@@ -617,13 +625,30 @@ def test_parameters_need_proof_after_samples_were_doubtful_three_times(n_doubts,
     assert [bool(run.writes) for run in runs] == [is_written] * 5
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_doubtful_samples_that_a_larger_noise_excuses_say_how_large_it_is(seed):
+    """As where a derivative is inconsistent with its state for its coloured noise, and consistent again later."""
+    run = Run("target", 1, seed=seed).go(100)
+    run.go(60, TRUE, coloured_noise(seed, 60)).retuner.suspend(8.0, run.held, 60)
+    run.held = TRUE
+    (scale,) = (channel["scale"] for channel in run.diagnosis.summary()["channels"].values())
+    assert 1.5 < scale < 6.0
+    written, begun = len(run.writes), len(run.of("trigger"))
+    run.go(100, TRUE, coloured_noise(seed + 10, 100))
+    assert len(run.writes) == written
+    assert len(run.of("trigger")) <= begun + 1
+
+
+def test_a_few_outliers_among_doubtful_samples_are_no_larger_noise():
+    run = Run("target", 1).go(100).go(60, TRUE, lambda k: 20.0 * SIGMA if k % 10 == 0 else 0.0)
+    run.retuner.suspend(8.0, run.held, 60)
+    assert [channel["scale"] for channel in run.diagnosis.summary()["channels"].values()] == [1.0]
+
+
 @pytest.mark.parametrize("seed", [2, 3])
 def test_parameters_of_the_start_do_not_move_a_little_for_coloured_noise_while_a_search_goes_on(seed):
     """Three times the declared noise, which no longer contradicts them by itself as a small move is proposed."""
-    rng, rows = np.random.default_rng(seed), [np.zeros(1)]
-    for _ in range(300):
-        rows.append(0.9 * rows[-1] + 3.0 * SIGMA * np.sqrt(1.0 - 0.9**2) * rng.standard_normal(1))
-    run = Run("target", 1, seed=seed).go(300, TRUE, lambda k: rows[k + 1])
+    run = Run("target", 1, seed=seed).go(300, TRUE, coloured_noise(seed, 300))
     assert run.of("trigger")
     assert not run.writes
 

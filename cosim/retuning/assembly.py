@@ -21,8 +21,8 @@ from ..objectives.choice import ENDLESS, chosen, open_objective
 from ..objectives.model import FmuModel, opened_model
 from ..objectives.model_trial import try_arrays, try_derivatives
 from ..objectives.rollout_fmu import RunningPlant
-from ..sampling.derivative_filter import derivative_noise
-from ..sampling.screen import OutputScreen, SampleScreen, Sensors
+from ..sampling.derivative_filter import derivative_noise, kernel_of, points_apart
+from ..sampling.screen import FilteredScreen, OutputScreen, SampleScreen, Sensors
 from ..scenarios.scenario import Scenario
 from ..scenarios.tuning_rule import TuningRule
 from ..system.plant import Plant
@@ -203,14 +203,17 @@ def _lookahead(
 
 def _screen(
     scenario: Scenario, plant: Plant, whitened: DerivativeResidual | None
-) -> SampleScreen | OutputScreen | None:
-    """Return the screen of the samples; None where they pass a filter or a user's objective."""
-    settings, h = scenario.observations, scenario.scenario.macro_step
-    if not settings.enabled or scenario.sampling.filter is not None:
+) -> SampleScreen | FilteredScreen | OutputScreen | None:
+    """Return the screen of the samples; None where they are for a user's objective."""
+    settings, h, filtering = scenario.observations, scenario.scenario.macro_step, scenario.sampling.filter
+    if not settings.enabled:
         return None
+    if whitened is not None and filtering is not None:
+        kernel, states = kernel_of(filtering, h), SampleScreen(settings, _sensors(scenario, plant, whitened), h)
+        return FilteredScreen(states, len(kernel.weights) + 1, points_apart(filtering, kernel))
     if whitened is not None:
         return SampleScreen(settings, _sensors(scenario, plant, whitened), h)
-    if chosen(scenario).kind != "rollout":
+    if filtering is not None or chosen(scenario).kind != "rollout":
         return None
     outputs = scenario.sampling.outputs
     return OutputScreen(settings, tuple(outputs), tuple(output.noise > 0.0 for output in outputs.values()), h)
@@ -234,10 +237,23 @@ def _sensors(scenario: Scenario, plant: Plant, residual: DerivativeResidual) -> 
     states = [VariableName(f"{plant.name}.{name}") for name in plant.states]
     known = {**scenario.sampling.states, **scenario.sampling.outputs}  # a state among the outputs has its noise there
     noise = [known[name].noise if name in known else 0.0 for name in states]
-    n = len(scenario.sampling.derivatives)
     is_noisy = [own > 0.0 for own in noise]
     others = [residual.space.from_unit(np.full(len(residual.space), z)) for z in (0.25, 0.75)]
+    names, is_filtered = tuple(scenario.sampling.derivatives), scenario.sampling.filter is not None
+    if is_filtered:  # the filter makes them
+        names = ()
     return Sensors(
-        (*scenario.sampling.derivatives, *states), (*[True] * n, *is_noisy), residual.noise,
-        plant.channels, tuple(noise), residual, _Slope(residual), tuple(others),
-    )  # fmt: skip
+        (*names, *states),
+        (*[True] * len(names), *is_noisy),
+        () if is_filtered else residual.noise,
+        () if is_filtered else plant.channels,
+        tuple(noise),
+        _no_residual if is_filtered else residual,
+        _Slope(residual),
+        tuple(others),
+    )
+
+
+def _no_residual(theta: Vector, sample: Sample) -> Vector:
+    """Return the residual (0,) of a sample without derivatives."""
+    return np.empty(0)

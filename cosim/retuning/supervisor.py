@@ -23,7 +23,7 @@ from estimator.retuning.proposal import Proposal
 from estimator.samples import RememberingModel, is_of_model
 
 from ..errors import CosimError, ScenarioError, one_line, seconds
-from ..sampling.screen import Screened
+from ..sampling.screen import FilteredScreen, Screened
 from ..user_code import USERS
 from .data_support import DataSupport, NoDataSupport
 from .decision import Decision, Point
@@ -32,7 +32,7 @@ from .lookahead import Lookahead, Prediction
 
 
 class Screen(Protocol):
-    """Screen that decides which samples the estimator gets: `SampleScreen` or `OutputScreen`."""
+    """Screen that decides which samples the estimator gets: a `SampleScreen` or an `OutputScreen`."""
 
     def step(self, t: float, sample: Sample, theta: Vector) -> Screened: ...
     def summary(self) -> dict[str, Any]: ...
@@ -69,7 +69,7 @@ class Supervisor(RetunerCounts[AnyRetuner]):
         name: str,
         retuner: AnyRetuner,
         support: DataSupport | NoDataSupport,
-        screen: Screen | None = None,
+        screen: Screen | FilteredScreen | None = None,
         guard: Guard | None = None,
         read_back: ReadBack | None = None,
         lookahead: Lookahead | str = "the FMUs do not run",
@@ -148,13 +148,14 @@ class Supervisor(RetunerCounts[AnyRetuner]):
 
     def _screened(self, point: Point, held: Vector) -> tuple[Screened, Vector | None]:
         """Return the screened sample and, after an outlier, the parameters held before it (d,)."""
-        if point.sample is None:
-            return Screened(None), None
-        if self._model is not None:
-            self._model.remember(point.sample)
-        screened = Screened(point.sample)
-        if self._screen is not None:
-            screened = self._screen.step(point.t, point.sample, held)
+        sample, screened = point.sample, Screened(point.sample)
+        if sample is not None and self._model is not None:
+            self._model.remember(sample)
+        if isinstance(self._screen, FilteredScreen):
+            if point.measured is not None:  # unlike in a record
+                screened = self._screen.step(point.t, sample, held, point.measured)
+        elif self._screen is not None and sample is not None:
+            screened = self._screen.step(point.t, sample, held)
         before = self._restored(held) if screened.was_outlier else None
         if screened.sample is not None:
             self._snapshot = self._taken(held if before is None else before) if screened.is_suspect else None

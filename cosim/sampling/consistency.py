@@ -25,6 +25,10 @@ _BURST: Final = 3
 """Largest number of spikes in a row that are no fault of the derivative once they are over."""
 _OTHER: Final = 1.5
 """Factor by which inputs are changed to see whether a derivative depends on them."""
+_UNIT: Final = 0.5
+"""Error of the gain with which a state moves that twenty samples show."""
+_LEFT: Final = 0.1
+"""Largest share of the squares that it may leave of what the model misses of the motion."""
 _SHY: Final = 3
 """Number of consistent samples that make good for an inconsistent one."""
 
@@ -106,15 +110,17 @@ class Consistency:
         self._n_block += 1
         if self._n_block == SUMMED:
             self._gain, self._n_block = self._with_block(self._rows), 0
-        has_jumped = self._have_jumped()
-        if self._is_kinematic.any() and (has_jumped[n:].any() or not self._n_block):
+        has_jumped, has_wrong_unit = self._have_jumped(), self._have_wrong_unit(self._rows[1:])
+        if self._is_kinematic.any() and (has_jumped[n:].any() or has_wrong_unit[n:].any() or not self._n_block):
             self._is_kinematic &= self._are_kinematic(sample, now)
         is_wrong, are_beyond = self._gain.n_wrong > 0, self._are_beyond(self._rows[1:])[:n]
-        if not any(map(np.count_nonzero, (is_wrong, are_beyond, has_jumped, self._distrust))):
+        if not any(map(np.count_nonzero, (is_wrong, are_beyond, has_jumped, has_wrong_unit, self._distrust))):
             return Contradictions()
         is_compared = np.append(np.ones(n, dtype=bool), self._is_kinematic)
         is_beyond = is_wrong & is_compared
         is_beyond[:n] |= are_beyond
+        if not np.count_nonzero((is_beyond | has_jumped | (self._distrust > 0))[:n]):  # else it may be that state's
+            is_beyond |= has_wrong_unit & is_compared
         self._distrust = np.clip(self._distrust + np.where(is_beyond, _SHY, -1 * is_known), 0, SUMMED)
         is_state = (np.arange(len(self.places)) >= n) | self._gain.is_state_late
         found = (self._distrust > 0) & ~is_state, (self._distrust > 0) & is_state, has_jumped & is_compared
@@ -148,6 +154,25 @@ class Consistency:
         is_own &= np.abs(moved[-1] - column_medians(moved)) > 0.5 * missed[-1]
         has_jumped &= (missed[-1] > usual + of_step) & is_own
         return has_jumped
+
+    def _have_wrong_unit(self, rows: Vector) -> NDArray[np.bool_]:
+        """Return which states (k,) without a sampled derivative move by a multiple of what is modelled, far from 1.
+
+        All samples (n, 4, k) must have moved, and not by the same: a coarse sensor stands still or steps, and what a
+        model lacks may be constant.
+        """
+        n, (moved, xdot, drift, _) = self._n_sampled, rows.transpose(1, 0, 2)
+        is_wrong = np.zeros(len(self.places), dtype=bool)
+        if len(rows) < SUMMED:
+            return is_wrong
+        modelled = self._h * (xdot - 0.5 * drift)[:, n:]
+        missed = moved[:, n:] - modelled
+        aside = missed - missed.mean(axis=0)
+        is_more = np.sum(aside**2, axis=0) > 2.0 * self._limit**2 * len(rows) * self._state_variance[n:]
+        if np.count_nonzero(is_more):
+            is_multiple = _is_multiple(missed, modelled) & _is_multiple(aside, modelled - modelled.mean(axis=0))
+            is_wrong[n:] = is_more & is_multiple & (moved[:, n:] != 0.0).all(axis=0)
+        return is_wrong
 
     def _missed(self, rows: Vector) -> Vector:
         """Return by how much (..., c) the motion over a step differs from the derivative's, rows (4, ..., c)."""
@@ -231,3 +256,11 @@ class Consistency:
     def _limit_of_noise(self, sigma: Vector, n: int) -> Vector:
         h = self._h
         return self._limit * np.sqrt(n * h * h * sigma * sigma + 2.0 * self._state_variance)
+
+
+def _is_multiple(missed: Vector, modelled: Vector) -> NDArray[np.bool_]:
+    """Return whether what is missed of each motion (n, k) is a multiple of what is modelled, and of account."""
+    size = np.sum(modelled**2, axis=0)
+    gain = np.divide(np.sum(missed * modelled, axis=0), size, out=np.zeros(len(size)), where=size > 0.0)
+    left = np.sum((missed - gain * modelled) ** 2, axis=0)
+    return np.asarray((left < _LEFT * np.sum(missed**2, axis=0)) & (np.abs(gain) > _UNIT))

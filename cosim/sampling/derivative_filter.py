@@ -106,6 +106,11 @@ def kernel_of(settings: SavitzkyGolay | StateVariable, macro_step: float) -> Ker
             return state_variable(settings, macro_step)
 
 
+def points_apart(settings: SavitzkyGolay | StateVariable, kernel: Kernel) -> int:
+    """Return the number of points between samples with derivatives, by default so many that they share no noise."""
+    return settings.every or kernel.independent_after
+
+
 def derivative_noise(sampling: Sampling, macro_step: float) -> tuple[float, ...]:
     """Return the standard deviation of each derivative's noise (c,): the scenario's, else the filter's |d|_2 sigma."""
     gain = kernel_of(sampling.filter, macro_step).noise_gain if sampling.filter else 0.0
@@ -122,7 +127,7 @@ class DerivativeFilter:
         """channels (c,): places in x of the states whose derivatives are wanted."""
         self.kernel = kernel_of(settings, macro_step)
         self._channels = list(channels)
-        self._every = settings.every or self.kernel.independent_after
+        self._every = points_apart(settings, self.kernel)
         self._points: deque[Sample] = deque(maxlen=len(self.kernel.weights) + 1)
         self._wait = 0
 

@@ -103,7 +103,8 @@ class SampleScreen:
         channels = self._sensors.names[: len(sample.xdot)]
         found = {*self._plain.step(t, sample.t, (*sample.xdot, *sample.x), sample.u, moves)}
         faulty = {name for _, name in found}
-        if faulty < {*channels}:  # else there is nothing to compare the motion of the states with
+        is_compared = faulty < {*channels} if channels else self._consistency.places
+        if is_compared:  # else there is nothing to compare the motion of the states with
             contradictions = self._consistency.step(_without(sample, channels, faulty), theta)
             found |= {("inconsistent", name) for name in self._inconsistent(contradictions, sample, theta) - faulty}
             jumped = {self._sensors.names[len(channels) + self._consistency.places[i]] for i in contradictions.jumps}
@@ -123,8 +124,9 @@ class SampleScreen:
     def _inconsistent(self, found: Contradictions, sample: Sample, theta: Vector) -> set[str]:
         """Return the names of the derivatives that are inconsistent, and of the states whose fault it is."""
         n, names, places = len(sample.xdot), self._sensors.names, self._consistency.places
-        before = self._isolation.states
-        states = self._isolation.step(sample, theta, {*found.derivatives, *found.jumps})
+        before, states = self._isolation.states, frozenset[int]()
+        if n:  # else a motion is all that there is to compare, with the same model
+            states = self._isolation.step(sample, theta, {*found.derivatives, *found.jumps})
         if before and not states:
             self._consistency.forget()
         elif not states:
@@ -153,6 +155,31 @@ def _without(sample: Sample, channels: Sequence[str], bad: Set[str]) -> Sample:
         return sample
     pairs = zip(sample.xdot, channels, strict=True)
     return replace(sample, xdot=tuple(nan if name in bad else value for value, name in pairs))
+
+
+class FilteredScreen:
+    """Screen of the states that a filter makes derivatives of: none of its outputs passes that a bad sample is part of.
+
+    A state is compared with its modelled motion, where neither parameters nor inputs matter to that.
+    """
+
+    def __init__(self, states: SampleScreen, n_points: int, every: int) -> None:
+        """states: without derivatives; n_points: of the filter; every: points from one of its outputs to the next."""
+        self._states, self._n_points, self._every = states, n_points, every
+        self._n_good = 1  # the one before the first step is exact
+
+    def step(self, t: float, sample: Sample | None, theta: Vector, measured: Sample) -> Screened:
+        """Return the filter's output, if there is one; measured: the newest sample; theta (d,): in force at t [s]."""
+        found = self._states.step(t, measured, theta)
+        self._n_good = 0 if found.sample is None else self._n_good + 1
+        is_whole = self._n_good >= self._n_points
+        return Screened(
+            sample if is_whole else None, events=found.events, n_doubtful=-(-found.n_doubtful // self._every)
+        )
+
+    def summary(self) -> dict[str, Any]:
+        """Return the counts as `SampleScreen` does."""
+        return self._states.summary()
 
 
 class OutputScreen:

@@ -239,6 +239,52 @@ def test_a_wrong_state_stays_so_where_the_model_does_not_change_with_it():
     assert set(range(140, 600)) <= set(found["h"])
 
 
+# Without any sampled derivative, as where a filter makes them, only such a motion tells a wrong sensor.
+
+
+def states_screen(noise=(NOISE, NOISE)):
+    nothing = lambda theta, sample: np.empty(0)  # noqa: E731
+    return SampleScreen(ObservationSettings(), Sensors((S, V), (True, True), (), (), noise, nothing, slope, OTHERS), H)
+
+
+def states_only(samples):
+    return [replace(sample, xdot=()) for sample in samples]
+
+
+@pytest.mark.parametrize("name", [S, V])
+@pytest.mark.parametrize("error", [ERRORS["sign"], ERRORS["unit"], lambda v: v / 1000.0], ids=["sign", "unit", "milli"])
+def test_a_state_in_a_wrong_unit_or_of_the_wrong_sign_is_found_as_soon_as_it_has_moved(name, error):
+    """Each is a multiple of what it should be, far from 1."""
+    results, found = seen_in(
+        states_only(wrong(oscillating(300, noise=1e-5), name, error, 0)), states_screen((1e-5, 1e-5))
+    )
+    assert set(found) == {S}
+    assert all(seen.sample is None for seen in results[25:])
+
+
+def test_states_without_derivatives_that_are_right_are_used():
+    results, found = seen_in(states_only(oscillating(500)), states_screen())
+    assert found == {}
+    assert all(seen.sample is not None for seen in results)
+
+
+def test_a_motion_that_the_model_lacks_is_no_wrong_unit():
+    """A road moves the wheel as much as its velocity does."""
+    rng, samples = np.random.default_rng(4), states_only(oscillating(500))
+    road = np.cumsum(rng.normal(0.0, 0.02, len(samples)))
+    rough = [replace(s, x=(s.x[0] + float(r), s.x[1])) for s, r in zip(samples, road, strict=True)]
+    results, found = seen_in(rough, states_screen())
+    assert found == {}
+    assert all(seen.sample is not None for seen in results)
+
+
+@pytest.mark.parametrize("step", [0.05, 0.2])
+def test_a_coarse_position_without_derivatives_is_not_named(step):
+    coarse = [replace(s, x=(step * round(s.x[0] / step), s.x[1])) for s in states_only(oscillating(500))]
+    _, found = seen_in(coarse, states_screen((0.0, NOISE)))
+    assert found == {}
+
+
 # A sensor that is late: the motion by the integrated derivative differs by the derivative's change times the delay.
 
 

@@ -46,6 +46,22 @@ def test_the_mass_of_an_axis_without_derivatives_is_found(bare, overrides, estim
     assert result.n_episodes >= 1
 
 
+WRONG_STATES = {
+    "stuck": ('{ kind = "stuck", sensor = "plant.mass.v", start = 0.5 }', "stuck plant.mass.v"),
+    "in a wrong unit": ('{ kind = "scale", sensor = "plant.mass.v", size = 3.6 }', "inconsistent plant.mass.s"),
+    "late": ('{ kind = "late", steps = 3, start = 0.5 }', "late sample"),
+}
+
+
+@pytest.mark.parametrize(("fault", "told"), WRONG_STATES.values(), ids=WRONG_STATES)
+def test_nothing_is_written_for_a_state_whose_sensor_is_wrong(bare, fault, told):
+    """Neither the plant nor its controller has anything to do with it: only what the filter gets is wrong."""
+    overrides = {"sampling.faults": f"[{fault}]", "changes": '{ "plant.mass.m" = 2.0 }'}
+    result = run(Scenario.load(bare, overrides), "target")
+    assert told in result.observations["found"]
+    assert result["controller.m"][-1] == 2.0
+
+
 def test_what_the_filter_made_is_recorded_with_its_time_beside_what_was_measured(bare, tmp_path):
     """Against NumPy's fit of a polynomial to the points measured, not SciPy's coefficients."""
     result = run(Scenario.load(bare, {"scenario.stop_time": "1.0"}), "none", out=_new(tmp_path))

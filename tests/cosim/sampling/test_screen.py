@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from cosim.sampling.consistency import Consistency
 from cosim.sampling.derivative_gain import DerivativeGain
 from cosim.sampling.outliers import Outliers
-from cosim.sampling.screen import SampleScreen, Sensors
+from cosim.sampling.screen import FilteredScreen, SampleScreen, Sensors
 from cosim.sampling.sensor_checks import SUMMED
 from cosim.scenarios.schema.sampling import ObservationSettings
 from estimator import Sample
@@ -620,3 +620,44 @@ def test_a_suspect_is_retracted_though_the_next_sample_lacks_another_derivative(
     assert (seen[40].is_suspect, seen[41].was_outlier) == (True, True)
     assert np.isnan(seen[41].sample.xdot[0])
     assert seen[41].sample.xdot[1] == pytest.approx(1.0, abs=SIGMA)
+
+
+# The states that a filter makes derivatives of, which has an output every few points.
+
+
+def filtered(n_points, every):
+    still = lambda theta, x, u: [1.0]  # noqa: E731
+    nothing = lambda theta, sample: np.empty(0)  # noqa: E731
+    states = SampleScreen(ObservationSettings(), Sensors(("x",), (True,), (), (), (SIGMA,), nothing, still), H)
+    return FilteredScreen(states, n_points, every)
+
+
+def through(watched, measured):
+    """Whether the estimator gets the filter's output at each of these samples, which is made of the newest ones."""
+    return [watched.step(s.t, s, THETA, s).sample is not None for s in measured]
+
+
+def test_no_output_of_a_filter_passes_that_a_missing_value_is_part_of():
+    samples = [replace(s, xdot=()) for s in moving(20, first=1)]
+    samples[9] = replace(samples[9], x=(nan,))
+    passes = through(filtered(4, 1), samples)
+    assert passes == [False] * 2 + [True] * 7 + [False] * 4 + [True] * 7  # the exact sample before them is one of four
+
+
+def test_a_stuck_state_is_told_and_as_many_outputs_of_the_filter_are_doubtful_as_were_made_since():
+    rng = np.random.default_rng(1)
+    samples = [Sample(k * H, (k * H + rng.normal(0.0, SIGMA),), (1.0,), ()) for k in range(1, 60)]
+    samples += [Sample(k * H, samples[-1].x, (1.0,), ()) for k in range(60, 160)]
+    watched = filtered(4, 5)
+    seen = [watched.step(s.t, s, THETA, s) for s in samples]
+    failed = next(one for one in seen if told(one, "sensor"))
+    assert told(failed, "sensor") == [(None, "x")]
+    assert failed.n_doubtful == 2 * ObservationSettings().patience // 5
+    assert watched.summary()["failed"] == ["x"]
+    assert all(one.sample is None for one in seen[-40:])
+
+
+def test_between_two_outputs_of_a_filter_there_is_no_sample():
+    watched = filtered(4, 1)
+    seen = [watched.step(s.t, None, THETA, replace(s, xdot=())) for s in moving(10, first=1)]
+    assert all(one.sample is None and not one.events for one in seen)

@@ -142,7 +142,9 @@ class Pool:
                 continue
             rows, fault = found.result
             outcomes += [Outcome(row) for row in rows]
-            if fault is not None:
+            if fault is not None and fault.function == "instantiate" and self._is_restartable:
+                self._is_restartable = False  # whatever it declares, a process can have it once only
+            elif fault is not None:
                 outcomes.append(Outcome(None, str(fault)))
         return outcomes
 

@@ -1,6 +1,7 @@
 """Roll-outs on the way to their processes: together, and each for itself where one of them fails."""
 
 from contextlib import contextmanager
+from dataclasses import replace
 
 import pytest
 
@@ -18,8 +19,9 @@ class StubSlave:
     n_killed = 1
     """Times that "killed" will be, in all slaves."""
 
-    def __init__(self, log):
+    def __init__(self, log, is_single=False):
         self.log, self.is_closed = log, False
+        self.is_single = is_single  # whether its process can have it once only
 
     def answer(self, gain):
         if gain == "gone":
@@ -34,6 +36,8 @@ class StubSlave:
     def trials(self, batch, start):
         gains = [trial.legs[-1][1] for trial in batch.trials]
         self.log.append(gains)
+        if self.is_single and batch.state is None and len(gains) > 1:
+            return TrialOutputs([self.answer(gains[0])], SlaveError("shadow", "instantiate", None, "no second one"))
         if "gone" in gains:
             self.answer("gone")
         n = gains.index("odd") if "odd" in gains else len(gains)
@@ -92,6 +96,22 @@ def test_one_that_was_killed_from_outside_is_simulated_once_more(monkeypatch, n_
         monkeypatch.setattr(StubSlave, "n_killed", n_kills)
         outcomes = warm.simulate([plan(gain) for gain in (1.0, "killed", 2.0)])
     assert [o.result for o in outcomes] == [[(1.0,)] * 2, result, [(2.0,)] * 2]
+
+
+def test_an_fmu_that_its_process_can_have_once_only_gets_a_new_one_for_each_roll_out():
+    """As pythonfmu 0.7.0 cannot, where the FMU's class is in a module of its own, though it declares that it can."""
+    log, slaves = [], []
+
+    def opened():
+        slaves.append(StubSlave(log, is_single=True))
+        return slaves[-1]
+
+    with Pool(opened, 1, True) as pool:
+        for _ in range(2):
+            outcomes = pool.simulate([replace(plan(gain), state=None) for gain in (1.0, 2.0, 3.0)] * 20)
+            assert [o.result for o in outcomes] == [[(gain,)] * 2 for gain in (1.0, 2.0, 3.0)] * 20
+    assert len(slaves) >= 60 + 57
+    assert all(slave.is_closed for slave in slaves)
 
 
 def test_the_first_messages_are_short_whatever_a_step_takes():

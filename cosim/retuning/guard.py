@@ -29,6 +29,9 @@ from .probation import Probation, Trial
 
 _NO_WORSE = 2.0
 """Largest ratio of one sum of squares to another, of a write's to that of the parameters held, that is no worse."""
+_MOST_EXPECTED = 3.0
+"""Largest peak that a write may lead to, as a multiple of the present error or of the tolerance: predicted in a plant
+that is wrong, as where a sensor is, it may be anything."""
 _POSTPONED = 2
 """Power of `growth` by which the error may pass its limit where the samples contradict what would return more."""
 _AS_MANY_AGAIN = 2
@@ -316,6 +319,7 @@ class Guard:
         expected = 0.0
         growth = self._settings.growth
         tolerated = max(growth * error, self._probation.tolerated(is_proven=False))
+        most = _MOST_EXPECTED * max(error, self._probation.tolerated(is_proven=True))
         plants: list[tuple[str, Vector, Vector | None, float]] = []
         if proposal.if_noise is not None:
             plants.append(("noise larger than declared", proposal.if_noise, None, tolerated))
@@ -334,7 +338,7 @@ class Guard:
                 reason = f"predicted peak of the tracking error {found:.4g}, without the write {without} ({name})"
                 return reason, found
             if isfinite(found):  # a loop that diverges either way says nothing of what to expect
-                expected = max(expected, found)
+                expected = max(expected, min(found, most))
         return None, expected
 
 

@@ -292,6 +292,17 @@ def test_an_error_that_was_predicted_is_no_regression():
     assert kinds(watched.step(3, 0.03, 1.51, NOTHING, calm)) == ["revert"]
 
 
+@pytest.mark.parametrize(("error", "allowed"), [(0.0, 2.25), (2.0, 9.0)])
+def test_what_a_prediction_excuses_is_at_most_three_times_the_error_or_the_tolerance(error, allowed):
+    """A wrong sensor makes a plant plausible in which the error is large with or without the write."""
+    support = seen(*BOTH)
+    watched = guard(support, growth=1.5)
+    assert watched.step(1, 0.01, error, proposed(GOOD), lambda *_: 1e3).write is not None
+    support.append(MUTE)
+    assert kinds(watched.step(2, 0.02, 0.99 * allowed, NOTHING, calm)) == []
+    assert kinds(watched.step(3, 0.03, 1.01 * allowed, NOTHING, calm)) == ["revert"]
+
+
 def test_the_way_back_leads_to_what_was_confirmed_and_then_to_the_start():
     support = seen(*BOTH)
     watched = guard(support, probation=10)

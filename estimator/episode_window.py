@@ -133,6 +133,13 @@ class EpisodeWindow:
             self._drop(self._anchors[1])
         self._freeze()
 
+    def correct(self, newest: Sample) -> None:
+        """Replace the newest sample, one of whose values has turned out to be wrong."""
+        self._recent[-1] = newest
+        if self._stretch is not None and self._stretch.n_steps + 1 == len(self._recent):
+            self._stretch = self._stretch_from(0)
+            self._judged.clear()
+
     def begin(self, theta: Vector) -> str:
         """Begin an episode with theta (d,) in force; return on which samples, in words."""
         self._judged.clear()

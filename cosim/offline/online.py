@@ -159,7 +159,8 @@ def _watched(
             objective.describe, diagnosis=diagnosis,
         )  # fmt: skip
         macro_step = samples[1].t - samples[0].t
-        screen = OutputScreen(ObservationSettings(), outputs, (True,) * len(outputs), macro_step, may_be_missing=True)
+        of_outputs, of_states = zip(outputs, understood.noise.tolist(), strict=True), zip(states, noise, strict=True)
+        screen = OutputScreen(ObservationSettings(), dict(of_outputs), dict(of_states), macro_step, may_be_missing=True)
         supervisor = Supervisor(request.method, retuner, NoDataSupport(), screen)
         for k, sample in enumerate(samples[1:], 1):
             try:

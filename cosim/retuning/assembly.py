@@ -215,8 +215,8 @@ def _screen(
         return SampleScreen(settings, _sensors(scenario, plant, whitened), h)
     if filtering is not None or chosen(scenario).kind != "rollout":
         return None
-    outputs = scenario.sampling.outputs
-    return OutputScreen(settings, tuple(outputs), tuple(output.noise > 0.0 for output in outputs.values()), h)
+    outputs = {str(name): output.noise for name, output in scenario.sampling.outputs.items()}
+    return OutputScreen(settings, outputs, _state_noise(scenario, plant), h)
 
 
 @dataclass(frozen=True)
@@ -234,24 +234,29 @@ class _Slope:
 
 def _sensors(scenario: Scenario, plant: Plant, residual: DerivativeResidual) -> Sensors:
     """Return the description of the sampled values for the screen."""
-    states = [VariableName(f"{plant.name}.{name}") for name in plant.states]
-    known = {**scenario.sampling.states, **scenario.sampling.outputs}  # a state among the outputs has its noise there
-    noise = [known[name].noise if name in known else 0.0 for name in states]
-    is_noisy = [own > 0.0 for own in noise]
+    noise = _state_noise(scenario, plant)
+    is_noisy = [own > 0.0 for own in noise.values()]
     others = [residual.space.from_unit(np.full(len(residual.space), z)) for z in (0.25, 0.75)]
     names, is_filtered = tuple(scenario.sampling.derivatives), scenario.sampling.filter is not None
     if is_filtered:  # the filter makes them
         names = ()
     return Sensors(
-        (*names, *states),
+        (*names, *noise),
         (*[True] * len(names), *is_noisy),
         () if is_filtered else residual.noise,
         () if is_filtered else plant.channels,
-        tuple(noise),
+        tuple(noise.values()),
         _no_residual if is_filtered else residual,
         _Slope(residual),
         tuple(others),
     )
+
+
+def _state_noise(scenario: Scenario, plant: Plant) -> dict[str, float]:
+    """Return the standard deviation of each state's noise, by name; a state among the outputs has it there."""
+    known = {**scenario.sampling.states, **scenario.sampling.outputs}
+    names = [VariableName(f"{plant.name}.{name}") for name in plant.states]
+    return {name: known[name].noise if name in known else 0.0 for name in names}
 
 
 def _no_residual(theta: Vector, sample: Sample) -> Vector:

@@ -10,7 +10,7 @@ is, by `FaultIsolation`. A bias of a state that was there from the start, or con
 look like another plant and are not detected.
 """
 
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from math import nan
 from typing import Any, Final, NamedTuple
@@ -22,7 +22,8 @@ from ..scenarios.schema.sampling import ObservationSettings
 from .consistency import Consistency, Contradictions
 from .fault_isolation import FaultIsolation, Pair, ResidualModel
 from .outliers import Outliers
-from .sensor_checks import INPUT, LATE, SensorChecks, SensorHealth, Standing, is_most
+from .sensor_checks import LATE, SensorChecks, SensorHealth, Standing, is_most
+from .spikes import Spikes
 
 _STILL: Final = 1e-9
 """Change of a state over a step, relative to its size, below which its bits may stay the same."""
@@ -67,6 +68,8 @@ class Screened(NamedTuple):
     """Events to record."""
     n_doubtful: int = 0
     """Number of samples before this one that turn out to be doubtful, as a sensor is found to be faulty."""
+    before: Sample | None = None
+    """The sample before this one without its isolated values, where it turns out to have had one; else None."""
 
 
 class SampleScreen:
@@ -185,43 +188,53 @@ class FilteredScreen:
 class OutputScreen:
     """Screen of sampled outputs, for roll-outs, which need every sample: a bad value becomes NaN, which is not scored.
 
-    An outlier cannot be distinguished from the effect of other parameters: that takes a model of the outputs.
+    An isolated value is told by the next one. It is not scored either; of a state, in which a roll-out may begin, it
+    becomes the mean of its neighbours.
     """
 
     def __init__(
         self,
         settings: ObservationSettings,
-        names: tuple[str, ...],
-        is_noisy: tuple[bool, ...],
+        outputs: Mapping[str, float],
+        states: Mapping[str, float],
         macro_step: float,
         *,
         may_be_missing: bool = False,
     ) -> None:
-        """names, is_noisy: of the outputs y (c,), and whether noise changes their bits; macro_step [s].
+        """outputs, states: standard deviation of each one's noise, by name, in the samples' order; macro_step [s].
 
         may_be_missing: whether a sample without some of them is no fault of their sensors, as in a log.
         """
-        self._names, self._is_noisy, self._may_be_missing = names, is_noisy, may_be_missing
-        self._plain, self._health = SensorChecks(names, settings.stuck, macro_step), SensorHealth(settings)
-        self._n_kept_out = 0
+        self._outputs, self._n_kept_out, self._may_be_missing = (*outputs,), 0, may_be_missing
+        self._further = [i for i, name in enumerate(states) if name not in outputs and states[name]]
+        self._names = (*outputs, *((*states,)[i] for i in self._further))
+        self._noise = (*outputs.values(), *((*states.values(),)[i] for i in self._further))
+        self._plain, self._health = SensorChecks(self._names, settings.stuck, macro_step), SensorHealth(settings)
+        self._series, self._spikes = (*outputs, *states), Spikes((*outputs.values(), *states.values()))
+        self._last: Sample | None = None
 
     def step(self, t: float, sample: Sample, theta: Vector) -> Screened:
-        """Return the sample at t [s] with NaN for bad values; while a sensor has failed, for all."""
+        """Return the sample at t [s] with NaN for bad values; while a sensor has failed, or a state is bad, for all."""
 
         def moves(i: int, standing: Standing) -> bool:
-            return self._is_noisy[i] and noise_moves(standing)
+            return self._noise[i] > 0.0 and noise_moves(standing)
 
-        found = {*self._plain.step(t, sample.t, sample.y, sample.u, moves)}
+        values = (*sample.y, *(sample.x[i] for i in self._further))
+        found = {*self._plain.step(t, sample.t, values, sample.u, moves)}
         if self._may_be_missing:
             found -= {("missing", name) for name in self._names}
         bad = {name for _, name in found}
-        is_useless = bool(self._health.failed) or LATE in found or INPUT in bad
-        y = tuple(
-            nan if is_useless or name in bad else value for name, value in zip(self._names, sample.y, strict=True)
-        )
+        is_useless = bool(self._health.failed) or LATE in found or not bad <= {*self._outputs}
+        means = self._spikes.step((*sample.y, *sample.x)).tolist()
+        isolated = {name for name, mean in zip(self._series, means, strict=True) if mean == mean}
+        found |= {("outlier", name) for name in isolated}
         self._n_kept_out += bool(found) or is_useless
         events = tuple(self._health.take(t, found))
-        return Screened(replace(sample, t=t, y=y), events=events, n_doubtful=self._health.n_doubtful(events))
+        named = zip(self._outputs, sample.y, strict=True)
+        y = tuple(nan if is_useless or name in bad else value for name, value in named)
+        before, self._last = self._last, replace(sample, t=t, y=y)
+        corrected = _without_spikes(before, means) if isolated and before is not None else None
+        return Screened(self._last, events=events, n_doubtful=self._health.n_doubtful(events), before=corrected)
 
     def summary(self) -> dict[str, Any]:
         """Return the counts as `SampleScreen` does; kept_out: samples with at least one value kept out."""
@@ -230,3 +243,10 @@ class OutputScreen:
 
 def _summary(n_kept_out: int, health: SensorHealth) -> dict[str, Any]:
     return {"kept_out": n_kept_out, "found": dict(sorted(health.counts.items())), "failed": [*health.failed]}
+
+
+def _without_spikes(sample: Sample, means: Sequence[float]) -> Sample:
+    """Return the sample without isolated values; means (c + n,): of their neighbours, NaN for those that are right."""
+    y = tuple(nan if mean == mean else value for value, mean in zip(sample.y, means[: len(sample.y)], strict=True))
+    x = tuple(mean if mean == mean else value for value, mean in zip(sample.x, means[len(sample.y) :], strict=True))
+    return replace(sample, x=x, y=y)

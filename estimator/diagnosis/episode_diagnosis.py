@@ -143,12 +143,19 @@ class EpisodeDiagnosis:
         if self._settings.is_usual(residual, len(residual)):
             self._quiet(newest)
             return None
+        if self._is_only_newest(residual):  # it may be an isolated value, which the next one tells
+            return None
         if state.lasting is None or state.n_samples >= state.suspected_at + FORGOTTEN:
             state.lasting = theta
         if state.n_calm >= WINDOW:
             state.restless_since = state.n_samples
         state.suspected_at, state.n_calm = state.n_samples, 0
         return trigger(sample, tracking_error, theta)
+
+    def _is_only_newest(self, residual: Vector) -> bool:
+        """Return whether a residual (D,) is unusual for its newest sample only."""
+        others = residual.reshape(len(self._outputs), -1)[:, :-1]
+        return self._settings.is_usual(others.ravel(), others.size)
 
     def _of_newest(self, residual: Vector, sample: Sample) -> Vector:
         """Return the newest sample's residual (c,) in standard deviations of the declared noise.

@@ -82,6 +82,9 @@ class DiagnosingRetuner(RetunerCounts[Retuner]):
         reference = self._diagnosis.suspend(n)
         return None if reference is None else self._ended(t, Proposal(), reference, held, (), DOUBTFUL)
 
+    def correct(self, newest: Sample) -> None:
+        """Do nothing: an outlier of derivatives is retracted with what it has led to."""
+
     def keep_input(self, sample: Sample) -> None:
         """Take the input of a sample that is kept out."""
         self._diagnosis.keep_input(sample)

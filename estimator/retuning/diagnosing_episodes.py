@@ -60,6 +60,10 @@ class DiagnosingEpisodes(RetunerCounts[Retuner]):
         self._retuner.close(self._before)
         return going_back(t, Proposal(), self._before, held, (), self._diagnosis.space, DOUBTFUL)
 
+    def correct(self, newest: Sample) -> None:
+        """Replace the newest sample, one of whose values has turned out to be wrong."""
+        self._retuner.correct(self._diagnosis.corrected(newest))
+
     def keep_input(self, sample: Sample) -> None:
         """Take a sample that begins and judges nothing: a simulation needs its input."""
         self._retuner.keep_input(self._diagnosis.corrected(sample))

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..arrival_cost import ArrivalCost
 from ..contract import AskTell, Estimate, Solver
+from ..episode_window import EpisodeWindow
 from ..events import Event
 from ..objective import LinearForm, Window
 from ..parameter_filter import Following
@@ -165,6 +166,11 @@ class Retuner:
         """Take a sample that begins and judges nothing, where a simulation needs its input; else do nothing."""
         if self._sliding is None:
             self._window.append(sample)
+
+    def correct(self, newest: Sample) -> None:
+        """Replace the newest sample, one of whose values has turned out to be wrong, where simulations begin there."""
+        if isinstance(self._window, EpisodeWindow):
+            self._window.correct(newest)
 
     def diagnosis_summary(self) -> None:
         """Return None: there is no diagnosis."""

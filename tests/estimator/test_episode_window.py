@@ -35,7 +35,7 @@ class Ramp:
             return Evaluation(np.array([np.nan]), "negative")
         steps = np.arange(1, stretch.n_steps + 1)
         simulated = stretch.origin[0] + steps * H * theta[0]
-        r = (simulated - [s.y[0] for s in stretch.samples[1:]]) / SIGMA
+        r = np.nan_to_num((simulated - [s.y[0] for s in stretch.samples[1:]]) / SIGMA)
         return Evaluation(r, None, r * r if self.has_squares else None)
 
     def track(self, theta, stretch):
@@ -117,6 +117,22 @@ def test_samples_of_an_episode_stay_and_each_candidate_is_judged_once():
     assert objective.judged[-1] == [[3.0]]  # the others are known, and one that comes twice is judged once
     np.testing.assert_array_equal(both[0], first)
     np.testing.assert_array_equal(both[2], both[3])
+
+
+def test_the_newest_sample_can_be_corrected_before_an_episode_and_when_it_completes_one():
+    """One of its values turns out to be wrong as the next one comes: it is missing then."""
+    samples, window = ramp(41, jump=30), EpisodeWindow(Ramp())
+    for sample in samples[:36]:
+        window.append(replace(sample, y=(9.0,)) if sample is samples[33] else sample)
+        if sample is samples[33]:
+            window.correct(replace(sample, y=(np.nan,)))
+    window.begin(TRUE)
+    for sample in samples[36:]:
+        window.append(replace(sample, y=(9.0,)) if sample is samples[40] else sample)
+    assert np.flatnonzero(np.abs(window.residual(CHANGED)) > 6.0).tolist() == [9]
+    window.correct(replace(samples[40], y=(np.nan,)))
+    assert np.flatnonzero(window.residual(CHANGED) == 0.0).tolist() == [2, 9]
+    assert np.abs(window.residual(CHANGED)).max() < 6.0
 
 
 def test_an_episode_that_ends_leaves_nothing_but_a_belief():

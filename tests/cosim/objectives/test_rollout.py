@@ -244,6 +244,17 @@ def test_a_changed_pendulum_is_found_from_its_outputs_alone(pendulum, leaves_not
     assert "as asked" in result.objective
 
 
+@pytest.mark.parametrize("way", ["state", "measured"])
+def test_a_changed_pendulum_is_found_though_two_in_a_hundred_outputs_are_isolated(pendulum, way):
+    faults = ", ".join(
+        f'{{ kind = "spikes", sensor = "plant.{name}", size = 1.0, probability = 0.02 }}' for name in ("phi", "phi_dot")
+    )
+    settings = EARLY | ROLLOUT | {"estimation.rollout.start": way, "sampling.faults": f"[{faults}]"}
+    result = run(pendulum(settings, 1.5), "target")
+    np.testing.assert_allclose(end(result), OTHER, rtol=0.1)
+    assert result.observations["found"]["outlier plant.phi"] >= 2
+
+
 @pytest.mark.full
 @pytest.mark.parametrize("trigger", [pytest.param("tracking", marks=slow), "innovation"])
 def test_the_same_bits_come_of_any_number_of_processes_and_of_the_same_seed(

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from cosim.sampling.consistency import Consistency
 from cosim.sampling.derivative_gain import DerivativeGain
 from cosim.sampling.outliers import Outliers
-from cosim.sampling.screen import FilteredScreen, SampleScreen, Sensors
+from cosim.sampling.screen import FilteredScreen, OutputScreen, SampleScreen, Sensors
 from cosim.sampling.sensor_checks import SUMMED
 from cosim.scenarios.schema.sampling import ObservationSettings
 from estimator import Sample
@@ -661,3 +661,46 @@ def test_between_two_outputs_of_a_filter_there_is_no_sample():
     watched = filtered(4, 1)
     seen = [watched.step(s.t, None, THETA, replace(s, xdot=())) for s in moving(10, first=1)]
     assert all(one.sample is None and not one.events for one in seen)
+
+
+# Outputs and measured states, for roll-outs.
+
+
+def outputs_screen(**options):
+    return OutputScreen(ObservationSettings(), {"x": SIGMA}, {"x": SIGMA, "v": SIGMA}, H, **options)
+
+
+def rolled(n, seed=0):
+    """n samples of a position, which is the output, and a velocity; both are measured."""
+    rng, t = np.random.default_rng(seed), H * np.arange(1, n + 1)
+    x, v = np.sin(t) + rng.normal(0.0, SIGMA, n), np.cos(t) + rng.normal(0.0, SIGMA, n)
+    return [Sample(*row) for row in zip(t.tolist(), zip(x, v, strict=True), [(1.0,)] * n, [()] * n, [(a,) for a in x])]
+
+
+def test_an_isolated_output_is_told_by_the_next_sample_and_as_a_state_is_the_mean_of_its_neighbours():
+    samples, watched = rolled(100), outputs_screen()
+    spike = replace(samples[60], x=(9.0, samples[60].x[1]), y=(9.0,))
+    seen = steps(watched, [*samples[:60], spike, *samples[61:]])
+    assert told(seen[61]) == [("outlier", "x")]
+    before = seen[61].before
+    assert np.isnan(before.y[0])
+    assert before.x == (pytest.approx(0.5 * (samples[59].x[0] + samples[61].x[0])), samples[60].x[1])
+    assert [one.sample for one in seen] == [*samples[:60], spike, *samples[61:]]
+    assert [k for k, one in enumerate(seen) if one.before is not None] == [61]
+
+
+def test_a_state_that_is_stuck_ends_the_scoring_though_only_roll_outs_begin_in_it():
+    samples, watched = rolled(300), outputs_screen()
+    samples[100:] = [replace(s, x=(s.x[0], 0.5)) for s in samples[100:]]
+    seen = steps(watched, samples)
+    assert watched.summary()["failed"] == ["v"]
+    assert all(np.isnan(one.sample.y[0]) for one in seen[200:])
+    assert [told(one, "sensor") for one in seen if told(one, "sensor")] == [[(None, "v")]]
+
+
+def test_values_that_a_log_lacks_are_no_fault_of_their_sensors():
+    samples = rolled(50)
+    samples[20] = replace(samples[20], x=(nan, samples[20].x[1]), y=(nan,))
+    seen = steps(outputs_screen(may_be_missing=True), samples)
+    assert all(not one.events for one in seen)
+    assert np.isnan(seen[20].sample.y[0])

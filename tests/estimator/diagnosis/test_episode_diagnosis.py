@@ -134,6 +134,27 @@ def test_nothing_begins_while_the_parameters_in_force_explain_everything():
     assert (run.retuner.n_episodes, run.events, run.writes) == (0, [], [])
 
 
+def test_one_sample_that_contradicts_begins_nothing_and_two_do():
+    """It may have an isolated value, which only the next one tells."""
+    for n, begins in ((1, False), (2, True)):
+        run = Run().go(105).go(n, push=4.0)
+        assert ("trigger" in [event.kind for _, event in run.events]) == begins
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_nothing_happens_where_isolated_values_are_corrected(seed):
+    """Each is corrected as the next sample comes, as by the screen; the plant and its parameters stay the same."""
+    run = Run(seed=seed)
+    for k in range(300):
+        run.go(1)
+        if k % 20 == 10:
+            newest = run.window.newest
+            run.window._recent[-1] = Sample(newest.t, newest.x, newest.u, (), (newest.y[0] + 50.0, newest.y[1]))
+            run.diagnosis.reason(lambda *_: "", run.window.newest, 0.0, run.held)
+            run.retuner.correct(Sample(newest.t, newest.x, newest.u, (), (float("nan"), newest.y[1])))
+    assert run.events == []
+
+
 @SEARCHES
 def test_changed_parameters_are_written_once_a_window_is_full(estimator):
     run = Run(estimator).go(100).go(60, CHANGED)

@@ -13,14 +13,14 @@ import numpy as np
 
 from ..episode_window import EpisodeWindow
 from ..events import Event
-from ..hypotheses import MARGIN, Fit, Weighing, changed_parameters, plain_fit
+from ..hypotheses import MARGIN, NEVER, Fit, Weighing, changed_parameters, plain_fit
 from ..objective import DIFFERENCE_STEP
 from ..samples import Sample
 from ..space import ParameterSpace, Vector
 from ..triggers import Trigger
 from .disturbed_inputs import DisturbedInputs, disturbed_inputs
 from .evidence import Evidence
-from .residual_scale import LARGER, MUCH_LARGER, NOISY, ResidualScale, is_rough, spread_of
+from .residual_scale import LARGER, MUCH_LARGER, NOISY, TOO_SMALL, ResidualScale, is_rough, larger_noise, spread_of
 from .resting import RestingResiduals
 from .settings import (
     BETTER,
@@ -37,6 +37,8 @@ from .settings import (
 )
 from .state import WINDOW, channel_summary
 
+_AGAIN: Final = 2
+"""Number of failed searches, one soon after the other, from which on what has passed may be noise."""
 _MORE: Final = "parameters and a disturbance explained fewer samples equally well"
 """Reason of an episode on a longer window."""
 
@@ -82,6 +84,8 @@ class _Unexplained:
     """Number of samples of the sequence: as many quiet ones show that the disturbance has passed."""
     held: Vector
     """Parameters (d,) that were returned to."""
+    rows: Vector
+    """Their residuals (n, c), in standard deviations of the declared noise; 0 where an output was not measured."""
 
 
 class EpisodeDiagnosis:
@@ -108,6 +112,7 @@ class EpisodeDiagnosis:
         self._known: tuple[object, bytes, DisturbedInputs] | None = None
         self._newest: Vector = np.empty(0)
         self._verdict: Judgement = "refuted"
+        self._is_certain = False
         self._judged: object = None  # the sequence that the verdict is about
         self._searched: object = None  # the sequence on which other parameters than the estimator's were tried
 
@@ -175,7 +180,7 @@ class EpisodeDiagnosis:
         """Return whether parameters theta (d,) in place of those in force are warranted by the sequence."""
         window, space = self._window, self.space
         if window.sequence is not self._judged:
-            self._judged, self._verdict = window.sequence, "refuted"
+            self._judged, self._verdict, self._is_certain = window.sequence, "refuted", False
         residual = window.whitened(theta)
         of_held, of_theta = _fit(window.whitened(held), 0), _fit(residual, len(space))
         self._note(nothing=of_held, parameters=of_theta)
@@ -198,10 +203,16 @@ class EpisodeDiagnosis:
         return self._verdict if is_better else "refuted"
 
     def _compare(self, parameters: Fit, nothing: Fit, held: Vector) -> None:
-        weighing = Weighing(parameters, self._disturbed(held).fit, nothing)
+        noise = larger_noise(self._rows(held)) if nothing is not NEVER else NEVER
+        weighing = Weighing(parameters, self._disturbed(held).fit, nothing, noise=noise)
         self._note(**weighing.fits)
         if weighing.are_parameters_possible:
             self._verdict = "warranted" if weighing.are_parameters_proven else "possible"
+            self._is_certain = weighing.are_parameters_certain
+
+    def _rows(self, theta: Vector) -> Vector:
+        """Return the residuals (n, c) of theta (d,) at the sequence's samples, in standard deviations."""
+        return self._window.whitened(theta).reshape(len(self._outputs), -1).T
 
     def _note(self, **fits: Fit) -> None:
         if self._window.sequence is not None:
@@ -210,6 +221,15 @@ class EpisodeDiagnosis:
     def is_at_unseen_bound(self, theta: Vector, std: Vector, held: Vector) -> bool:
         """Return whether a parameter would move to a bound although its standard deviation is as wide as the bounds."""
         return is_at_unseen_bound(self.space, theta, std, held)
+
+    def if_noise(self, held: Vector) -> Vector | None:
+        """Return the parameters held (d,) where noise of ten times the known size explains the sequence with them.
+
+        None where it does not, or the changed parameters that were judged last are certain.
+        """
+        if self._is_certain or not _fit(self._window.whitened(held) / TOO_SMALL, 0).is_explained:
+            return None
+        return held
 
     def disturbance(self, held: Vector) -> Vector:
         """Return the disturbance (p,) of the inputs that may act in place of changed parameters."""
@@ -274,20 +294,27 @@ class EpisodeDiagnosis:
     def _left(self, inputs: Vector, held: Vector) -> _Unexplained | None:
         """Return what a failed search leaves; None where slightly larger noise, or no disturbance, would explain it."""
         sequence = self._window.sequence
-        if sequence is None or not np.any(inputs) or _fit(self._window.whitened(held) / LARGER, 0).is_explained:
+        residual = self._window.whitened(held)
+        if sequence is None or not np.any(inputs) or _fit(residual / LARGER, 0).is_explained:
             return None
-        return _Unexplained(inputs, max(sequence.n_steps, QUIET), held)
+        rows = self._rows(held) * self._state.scale.effective
+        return _Unexplained(inputs, max(sequence.n_steps, QUIET), held, rows)
 
     def passed(self, t: float, held: Vector) -> tuple[Event, ...]:
         """Name a disturbance as the last search has failed and the parameters before it explain the samples again.
 
-        These, held (d,), must do so for as many samples as that search had, in which it would have shown.
+        These, held (d,), must do so for as many samples as that search had, in which it would have shown. The second
+        time, soon after the first, what they had left unexplained is noise, if it is so small that it may be.
         """
         state, found = self._state, self._state.unexplained
         if found is None or state.n_calm < found.n_steps:
             return ()
         state.unexplained = None
         if np.any(state.inputs) or not self.space.are_same(found.held, held):
+            return ()
+        is_small = np.all(np.sqrt(np.mean(found.rows**2, axis=0)) < TOO_SMALL)
+        if state.n_failures >= _AGAIN and is_small and state.scale.admit(found.rows):
+            self._window.weights = 1.0 / state.scale.effective
             return ()
         return (self._disturbance(t, self._sizes(found.inputs), PASSED, is_known=False),)
 

@@ -93,7 +93,8 @@ class DiagnosingEpisodes(RetunerCounts[Retuner]):
             rival = diagnosis.disturbance(before) if verdict == "possible" and theta is not None else None
             if "end" in kinds:
                 self._ended = (held if theta is None else theta, verdict)
-            return replace(proposal, possible_disturbance=rival, is_warranted=rival is None)
+            if_noise = None if theta is None else diagnosis.if_noise(before)
+            return replace(proposal, if_noise=if_noise, possible_disturbance=rival, is_warranted=rival is None)
         if "end" not in kinds:
             return replace(proposal, theta=None)
         before = diagnosis.accepted(before)

@@ -4,9 +4,8 @@ The lumped disturbance is a constant added to each of the plant's inputs; its ef
 moved aside. Otherwise as `diagnosis`.
 """
 
-from collections import Counter
 from collections.abc import Collection
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -19,6 +18,7 @@ from ..samples import Sample
 from ..space import ParameterSpace, Vector
 from ..triggers import Trigger
 from .disturbed_inputs import DisturbedInputs, disturbed_inputs
+from .episode_state import EpisodeState, Unexplained
 from .evidence import Evidence
 from .residual_scale import LARGER, MUCH_LARGER, NOISY, TOO_SMALL, ResidualScale, is_rough, larger_noise, spread_of
 from .resting import RestingResiduals
@@ -43,51 +43,6 @@ _MORE: Final = "parameters and a disturbance explained fewer samples equally wel
 """Reason of an episode on a longer window."""
 
 
-@dataclass
-class _State:
-    """All that changes from sample to sample; arrays are replaced, never changed."""
-
-    scale: ResidualScale
-    inputs: Vector
-    """Known disturbance (p,) of the plant's inputs."""
-    lasting: Vector | None = None
-    """Parameters (d,) in force when the samples contradicted them after a long time; None before that."""
-    suspected_at: int = 0
-    """Number of the last sample that contradicted those in force."""
-    n_failures: int = 0
-    n_quiet: int = 0
-    n_calm: int = 0
-    """Number of samples since the last that contradicted those in force, or that rested."""
-    restless_since: int = 0
-    """Number of the first sample that contradicted those in force after some quiet."""
-    n_samples: int = 0
-    rests_until: int = 0
-    counts: Counter[str] = field(default_factory=Counter[str])
-    """Number of events of each kind."""
-    named: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
-    """The newest disturbances with their times [s] and sizes; replaced, never changed."""
-    unexplained: "_Unexplained | None" = None
-    """The last failed search, until what it left has passed; None where there is none."""
-    rested: list[Vector] = field(default_factory=list[Vector])
-    """Residuals (c,) at the parameters in force since the last rest began."""
-    resting: RestingResiduals = field(default_factory=RestingResiduals)
-    """Their sizes."""
-
-
-@dataclass(frozen=True)
-class _Unexplained:
-    """Sequence that neither parameters nor a constant disturbance explained."""
-
-    inputs: Vector
-    """Disturbance (p,) of the inputs that came closest."""
-    n_steps: int
-    """Number of samples of the sequence: as many quiet ones show that the disturbance has passed."""
-    held: Vector
-    """Parameters (d,) that were returned to."""
-    rows: Vector
-    """Their residuals (n, c), in standard deviations of the declared noise; 0 where an output was not measured."""
-
-
 class EpisodeDiagnosis:
     """Diagnosis on an `EpisodeWindow`."""
 
@@ -108,7 +63,7 @@ class EpisodeDiagnosis:
         self._window, self._outputs, self._inputs = window, outputs, inputs
         self._settings, self.space = settings, space
         self.evidence = Evidence()
-        self._state = _State(ResidualScale(len(outputs)), np.zeros(len(inputs)))
+        self._state = EpisodeState(ResidualScale(len(outputs)), np.zeros(len(inputs)))
         self._known: tuple[object, bytes, DisturbedInputs] | None = None
         self._newest: Vector = np.empty(0)
         self._verdict: Judgement = "refuted"
@@ -291,14 +246,14 @@ class EpisodeDiagnosis:
         reason = f"{state.n_failures} failed searches: re-tuning rests for {length} samples"
         return event, Event(t, "rest", {"channels": list(self._outputs), "n_samples": length, "reason": reason})
 
-    def _left(self, inputs: Vector, held: Vector) -> _Unexplained | None:
+    def _left(self, inputs: Vector, held: Vector) -> Unexplained | None:
         """Return what a failed search leaves; None where slightly larger noise, or no disturbance, would explain it."""
         sequence = self._window.sequence
         residual = self._window.whitened(held)
         if sequence is None or not np.any(inputs) or _fit(residual / LARGER, 0).is_explained:
             return None
         rows = self._rows(held) * self._state.scale.effective
-        return _Unexplained(inputs, max(sequence.n_steps, QUIET), held, rows)
+        return Unexplained(inputs, max(sequence.n_steps, QUIET), held, rows)
 
     def passed(self, t: float, held: Vector) -> tuple[Event, ...]:
         """Name a disturbance as the last search has failed and the parameters before it explain the samples again.

@@ -20,6 +20,7 @@ from ..samples import DerivativeResidual, Sample
 from ..space import Vector
 from .comparison import HypothesisComparison
 from .disturbance_diagnosis import DisturbanceDiagnosis
+from .doubtful_samples import DoubtfulSamples
 from .drift_rival import DriftRival
 from .effect_diagnosis import EffectDiagnosis
 from .evidence import Evidence
@@ -28,7 +29,7 @@ from .friction_comparison import FrictionComparison
 from .lag_comparison import LagComparison
 from .lasting import LastingParameters
 from .record import DiagnosisRecord
-from .residual_scale import NOISY, are_mostly_larger
+from .residual_scale import NOISY
 from .settings import CALM, FEWEST, LONG, PATIENCE, QUIET, DiagnosisSettings, is_at_unseen_bound
 from .settled import Settled
 from .standardised_residuals import StandardisedResiduals
@@ -63,6 +64,7 @@ class Diagnosis:
         self.comparison = HypothesisComparison(state, residuals, evidence, self._lag)
         self._friction = FrictionComparison(state, residuals, evidence)
         self._lasting = LastingParameters(state, residuals)
+        self._doubtful = DoubtfulSamples(state, residuals, self._lasting)
         self._record = DiagnosisRecord(state, residuals, names, inputs)
         self._failed_searches = FailedSearches(state, settings, self._record)
         self._effects = EffectDiagnosis(state, residuals, self._lag, self._friction, self._lasting, self._record)
@@ -336,37 +338,8 @@ class Diagnosis:
         return is_at_unseen_bound(self._space, theta, std, held, not self._state.is_resting.any())
 
     def suspend(self, n: int) -> Vector | None:
-        """End the suspicion, as the newest n samples are doubtful; return the parameters (d,) to go back to.
-
-        Those that lasted, where only doubtful samples have contradicted them, or noise that is larger than known does;
-        else those in force before these. None where there is no suspicion, and they are in force still.
-        """
-        state, to_unit = self._state, self._space.to_unit
-        state.n_doubts += 1
-        if not state.in_force.changes:
-            return None
-        before, now = state.in_force.at(state.n_samples - n), state.in_force.changes[-1][1]
-        if state.lasting is not None and state.n_samples < state.lasting_at + n:
-            before = state.lasting
-        lasting = before if state.lasting is None else state.lasting
-        if self._lasting.accepted(before) is lasting and self._have_larger_noise(lasting, n):
-            state.end_suspicion()
-            return lasting
-        if not state.n_since and agree(to_unit(before), to_unit(now)):
-            return None
-        state.end_suspicion()
-        return before
-
-    def _have_larger_noise(self, theta: Vector, n: int) -> bool:
-        """Take what theta (d,) leave unexplained of the newest n samples for noise, where most is more than known.
-
-        Return whether there is a channel where it is.
-        """
-        n = min(n, len(self._state.samples))
-        if n < NOISY:
-            return False
-        rows = self.residuals.of_newest(theta, n)
-        return self._state.admit_usual(np.where(are_mostly_larger(rows), rows, 0.0))
+        """End the suspicion, as the newest n samples are doubtful; return what to go back to (d,), if anything."""
+        return self._doubtful.undone(n)
 
     def returned(self, theta: Vector) -> None:
         """Take a return to earlier parameters (d,): what was in force before is over, too."""

@@ -195,6 +195,8 @@ class Guard:
         self._n_reverted = n
         self.counts["reverted"] += 1
         reason = f"tracking error {error:.4g} exceeded {allowed:.4g} while on probation"
+        if not is_last:
+            reason = f"{reason}: nothing is written for {self._settings.probation} macro steps"
         events = [Event(t, "revert", {"theta": back.tolist(), "reason": reason, "n": n})]
         self._anchor = self._good = back
         self._probation.clear()

@@ -112,13 +112,14 @@ class Guard:
         self._n_reverted = 0  # but for those in the rest after another one, which are of the same event
         self._refused: tuple[bytes, bool, int] = (b"", False, 0)
         self.counts: Counter[str] = Counter()
-        """Number of proposals written, limited, held in part, vetoed, confirmed, reverted, retracted and undone."""
+        """Number of proposals written, those written while a disturbance explained the samples as well, and of those
+        limited, held in part, vetoed, confirmed, reverted, retracted and undone."""
         self.stopped_at: float | None = None
         """Time [s] at which re-tuning stopped; None while it goes on."""
 
     def summary(self) -> dict[str, Any]:
         """Return the counts as JSON values."""
-        kinds = ("written", "limited", "held", "vetoed", "confirmed", "reverted", "retracted", "undone")
+        kinds = ("written", "undecided", "limited", "held", "vetoed", "confirmed", "reverted", "retracted", "undone")
         return {kind: self.counts[kind] for kind in kinds} | {"stopped_at": self.stopped_at}
 
     def snapshot(self) -> GuardSnapshot:
@@ -177,6 +178,7 @@ class Guard:
         if verdict.theta is None:
             self._refused = (*this, k + self._settings.horizon // 2)
             return Ruling(None, (*confirmed, *events))
+        self.counts["undecided"] += not proposal.is_warranted
         self._put_on_probation(k, verdict.theta, max(error, verdict.expected), is_proven=rival is None)
         return Ruling(verdict.theta, (*confirmed, *events), estimate=estimate_at(verdict.theta, estimate, self._space))
 

@@ -95,7 +95,10 @@ def _oversight(run: Run, events: Sequence[RecordedEvent]) -> list[str]:
     """Return lines on writes, vetoes and reverts of the guard, and on samples that were kept out."""
     lines: list[str] = []
     if guard := run.guard:
-        counts = [f"{guard['written']} written", f"{guard['vetoed']} vetoed", f"{guard['reverted']} reverted"]
+        n = guard.get("undecided", 0)  # of an older run
+        undecided = f" ({n} of them while a disturbance explained the samples as well)" if n else ""
+        written = f"{guard['written']} written{undecided}"
+        counts = [written, f"{guard['vetoed']} vetoed", f"{guard['reverted']} reverted"]
         counts += [f"{guard[kind]} {kind}" for kind in ("limited", "held") if guard[kind]]
         stop = f"; re-tuning stopped at {guard['stopped_at']:g} s" if guard["stopped_at"] is not None else ""
         blind = guard.get("not_rolled_ahead")

@@ -181,6 +181,16 @@ def test_a_small_change_is_not_looked_into_until_small_changes_add_up():
         assert bool(asked) == (step > 0.5)
 
 
+@pytest.mark.parametrize("is_warranted", [False, True])
+def test_what_is_written_undecided_is_counted(is_warranted):
+    """A disturbance explains the samples as well, and the parameters are predicted to do no harm in either case."""
+    watched = guard(seen(*BOTH, truth=GOOD))
+    proposal = replace(proposed(GOOD), possible_disturbance=np.array([0.5]), is_warranted=is_warranted)
+    assert watched.step(3, 0.03, 0.0, proposal, lambda *plant: 0.01).write is not None
+    assert watched.step(4, 0.04, 0.0, NOTHING, calm).write is None
+    assert [watched.summary()[kind] for kind in ("written", "undecided")] == [1, not is_warranted]
+
+
 @pytest.mark.parametrize(("may_be_noise", "is_on_trial"), [(False, False), (True, False), (True, True)])
 def test_a_small_change_that_may_be_noise_is_looked_into_unless_others_are_on_trial(may_be_noise, is_on_trial):
     def peak(controller, plant, disturbance):

@@ -97,8 +97,8 @@ def test_a_limited_move_starts_from_what_is_held_and_is_what_is_looked_into():
         assert support.asked[-1] == pytest.approx((value, value, *[value - 1.25] * 2, 6.0, 6.0, 0.3))
         assert (theta, tuple(BETTER)) in peak.asked
     assert watched.summary() == {
-        "written": 4, "limited": 3, "held": 0, "vetoed": 0, "confirmed": 0, "reverted": 0, "retracted": 0,
-        "undone": 0, "stopped_at": None,
+        "written": 4, "undecided": 0, "limited": 3, "held": 0, "vetoed": 0, "confirmed": 0, "reverted": 0,
+        "retracted": 0, "undone": 0, "stopped_at": None,
     }  # fmt: skip
 
 

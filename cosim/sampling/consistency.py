@@ -26,7 +26,7 @@ _BURST: Final = 3
 _OTHER: Final = 1.5
 """Factor by which inputs are changed to see whether a derivative depends on them."""
 _UNIT: Final = 0.5
-"""Error of the gain with which a state moves that twenty samples show."""
+"""Error of a gain that twenty samples show."""
 _LEFT: Final = 0.1
 """Largest share of the squares that it may leave of what the model misses of the motion."""
 _SHY: Final = 3
@@ -261,6 +261,6 @@ class Consistency:
 def _is_multiple(missed: Vector, modelled: Vector) -> NDArray[np.bool_]:
     """Return whether what is missed of each motion (n, k) is a multiple of what is modelled, and of account."""
     size = np.sum(modelled**2, axis=0)
-    gain = np.divide(np.sum(missed * modelled, axis=0), size, out=np.zeros(len(size)), where=size > 0.0)
-    left = np.sum((missed - gain * modelled) ** 2, axis=0)
-    return np.asarray((left < _LEFT * np.sum(missed**2, axis=0)) & (np.abs(gain) > _UNIT))
+    error = np.divide(np.sum(missed * modelled, axis=0), size, out=np.zeros(len(size)), where=size > 0.0)
+    left = np.sum((missed - error * modelled) ** 2, axis=0)
+    return np.asarray((left < _LEFT * np.sum(missed**2, axis=0)) & (np.abs(error) > _UNIT))

@@ -13,9 +13,9 @@ _MEMORY: Final = 50
 _FEWEST: Final = 10
 """Least number of them that show what is usual."""
 _LIMIT: Final = 5.0
-"""Deviation that is no noise, in standard deviations."""
+"""Deviation that a spike must exceed, in standard deviations of the noise."""
 _MORE: Final = 2.0
-"""Multiple of the largest that is none."""
+"""Multiple of what is usual that it must exceed."""
 
 
 class Spikes:

@@ -250,7 +250,9 @@ class EpisodeDiagnosis:
         """Return what a failed search leaves; None where slightly larger noise, or no disturbance, would explain it."""
         sequence = self._window.sequence
         residual = self._window.whitened(held)
-        if sequence is None or not np.any(inputs) or _fit(residual / LARGER, 0).is_explained:
+        if sequence is None or not np.any(inputs) or not np.all(np.isfinite(residual)):
+            return None
+        if _fit(residual / LARGER, 0).is_explained:
             return None
         rows = self._rows(held) * self._state.scale.effective
         return Unexplained(inputs, max(sequence.n_steps, QUIET), held, rows)

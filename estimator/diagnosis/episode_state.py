@@ -1,4 +1,4 @@
-"""What changes from sample to sample in a diagnosis of sequences."""
+"""State of a diagnosis of sequences: all that changes from sample to sample."""
 
 from collections import Counter
 from dataclasses import dataclass, field

@@ -167,8 +167,10 @@ class Consistency:
             return is_wrong
         modelled = self._h * (xdot - 0.5 * drift)[:, n:]
         missed = moved[:, n:] - modelled
+        usual = np.argsort(np.abs(missed), axis=0)[:-_BURST]  # without spikes
+        missed, modelled = (np.take_along_axis(rows, usual, axis=0) for rows in (missed, modelled))
         aside = missed - missed.mean(axis=0)
-        is_more = np.sum(aside**2, axis=0) > 2.0 * self._limit**2 * len(rows) * self._state_variance[n:]
+        is_more = np.sum(aside**2, axis=0) > 2.0 * self._limit**2 * len(aside) * self._state_variance[n:]
         if np.count_nonzero(is_more):
             is_multiple = _is_multiple(missed, modelled) & _is_multiple(aside, modelled - modelled.mean(axis=0))
             is_wrong[n:] = is_more & is_multiple & (moved[:, n:] != 0.0).all(axis=0)

@@ -112,8 +112,8 @@ class Guard:
         self._n_reverted = 0  # but for those in the rest after another one, which are of the same event
         self._refused: tuple[bytes, bool, int] = (b"", False, 0)
         self.counts: Counter[str] = Counter()
-        """Number of proposals written, those written while a disturbance explained the samples as well, and of those
-        limited, held in part, vetoed, confirmed, reverted, retracted and undone."""
+        """Number of proposals written, undecided (written while a disturbance explained the samples as well), limited,
+        held in part, vetoed, confirmed, reverted, retracted and undone."""
         self.stopped_at: float | None = None
         """Time [s] at which re-tuning stopped; None while it goes on."""
 

@@ -178,6 +178,12 @@ class EpisodeWindow:
         self._stretch, self._is_filling, self._extended = None, False, 0
         self._judged.clear()
 
+    def forget(self) -> None:
+        """Forget all samples before the newest: no later episode begins on them."""
+        if self._origins[-1] is None:
+            self._origins[-1] = self._objective.snapshot(True)
+        self._drop(len(self._recent) - 1)
+
     def revert(self, theta: Vector) -> None:
         """Take earlier parameters theta (d,) for those of the plant since others were accepted."""
         self._objective.revert(theta)

@@ -110,7 +110,10 @@ class EpisodeDiagnosis:
         if state.n_calm >= WINDOW:
             state.restless_since = state.n_samples
         state.suspected_at, state.n_calm = state.n_samples, 0
-        return trigger(sample, tracking_error, theta)
+        reason = trigger(sample, tracking_error, theta)
+        if reason is not None and state.unexplained is not None:  # samples from before may be of what has failed
+            self._window.forget()
+        return reason
 
     def _is_only_newest(self, residual: Vector) -> bool:
         """Return whether a residual (D,) is unusual for its newest sample only."""
@@ -139,6 +142,8 @@ class EpisodeDiagnosis:
         residual = window.whitened(theta)
         of_held, of_theta = _fit(window.whitened(held), 0), _fit(residual, len(space))
         self._note(nothing=of_held, parameters=of_theta)
+        if of_held.is_explained and of_held.score <= of_theta.score + MARGIN:
+            return "refuted"
         if of_theta.is_explained:
             self._compare(of_theta, of_held, held)
         elif self._verdict == "refuted" and window.sequence is not self._searched:
@@ -214,8 +219,10 @@ class EpisodeDiagnosis:
         if self._adopt_noise(theta, held):
             state.unexplained = None
             return ()
-        disturbed = self._disturbed(held)
+        disturbed, nothing = self._disturbed(held), _fit(self._window.whitened(held), 0)
         self._note(disturbance=disturbed.fit)
+        if nothing.is_explained and nothing.score <= disturbed.fit.score + MARGIN:  # a false alarm
+            return ()
         state.n_failures += 1
         if disturbed.fit.is_explained:
             state.unexplained = None

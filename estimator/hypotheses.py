@@ -215,7 +215,7 @@ class ChangedParameters:
     z: Vector
     """Place (d,) in the scaled bounds, or beyond: 0 and 1 are the bounds."""
     rows: Vector
-    """Residuals (n, c) there."""
+    """Residuals (n, c) there, or of parameters that change at a constant rate through it."""
     fit: Fit
     """Fit of these parameters, or of parameters that change at a constant rate through them."""
     rate: float = 0.0
@@ -274,7 +274,7 @@ def changed_parameters(
     line = Fit(float(left @ left), 2 * d, constant.n_values)
     if line.score >= constant.score:
         return ChangedParameters(z, rows, constant)
-    return ChangedParameters(z, rows, line, float(np.abs(moves[d:]).max()) * 2.0 / duration)
+    return ChangedParameters(z, left.reshape(rows.shape), line, float(np.abs(moves[d:]).max()) * 2.0 / duration)
 
 
 def _damped_steps(jacobian: Vector, r: Vector, z: Vector, beyond: float) -> Vector:

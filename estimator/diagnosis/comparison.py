@@ -33,7 +33,7 @@ from .evidence import Evidence
 from .jump import followed_jump, jump_to
 from .lag_comparison import LagComparison
 from .quiet_comparison import QuietComparison, shorter
-from .residual_scale import LARGER, MUCH_LARGER, NOISY, TOO_SMALL, larger_noise, spread_of
+from .residual_scale import LARGER, MUCH_LARGER, NOISY, TOO_SMALL, is_smooth, larger_noise, spread_of
 from .settings import BETTER, FEWEST, LONG, QUIET, Judgement
 from .standardised_residuals import StandardisedResiduals
 from .state import WINDOW, DiagnosisState
@@ -188,7 +188,7 @@ class HypothesisComparison:
         nothing = plain_fit(before, 0)
         if nothing.is_explained or len(samples) < 2 * WINDOW:
             return False
-        parameters = changed_parameters(at, z, may_drift=False).fit
+        parameters = changed_parameters(at, z, may_drift=False, beyond=0.0).fit
         return Weighing(parameters, disturbance_of(before).fit, nothing).are_parameters_certain
 
     @property
@@ -355,7 +355,8 @@ class HypothesisComparison:
                 continue
             times = self._residuals.times_of_newest(n)
             found = changed_parameters(OfMany(lambda z, f=rows_at, larger=larger: f(z) / larger), z, times)
-            if found.rate <= _RATE and found.fit.is_explained:
-                state.scale.enlarge(larger)
+            left = found.rows * larger
+            if found.rate <= _RATE and found.fit.is_explained and not is_smooth(left):
+                state.scale.enlarge(np.maximum(spread_of(left), 1.0))
                 return True
         return False

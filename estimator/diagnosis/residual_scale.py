@@ -20,6 +20,8 @@ _AT_ONCE: Final = 30
 """Least number of samples that give an estimate after a rest."""
 _STEP: Final = 1.2
 """Factor by which an estimate must differ from the scale in use to replace it."""
+_SMOOTH: Final = 0.3
+"""Ratio of second to first differences, by that of white noise, below which rows change smoothly."""
 TOO_SMALL: Final = 10.0
 """Factor by which a declared noise may be too small, as where it is a sensor's last digit."""
 _MAD: Final = 1.4826
@@ -134,6 +136,16 @@ def is_rough(rows: Vector) -> bool:
     """Return whether rows (n, c) change from one to the next by as much as noise does: of white noise the squares of
     the differences are twice its own, von Neumann (1941), of what changes smoothly they are less than once."""
     return bool(np.sum((rows[1:] - rows[:-1]) ** 2) >= np.sum(rows**2))
+
+
+def is_smooth(rows: Vector) -> bool:
+    """Return whether a channel of rows (n, c) that is larger than known noise changes smoothly from row to row.
+
+    The second differences of white noise are 1.7 times as large as the first, those of a sine with twelve rows a period
+    half as large.
+    """
+    first, second = spread_of(rows), spread_of(np.diff(rows, axis=0)) / np.sqrt(3.0)
+    return bool(np.any(np.maximum(second, 1.0) < _SMOOTH * np.maximum(first, 1.0)))
 
 
 def larger_noise(rows: Vector) -> Fit:

@@ -276,6 +276,8 @@ class Diagnosis:
             found = self._lag.in_newest(before, state.n_since)
         if found is not None:
             return self._effects.adopt(t, found)
+        if before is not None and state.n_since:
+            self._disturbances.await_end(self.residuals.of_newest(before, state.n_since))
         state.end_suspicion()
         state.path = state.path.begin(None if before is None else self._space.to_unit(before))
         if before is not None:
@@ -357,7 +359,8 @@ class Diagnosis:
 
         None where the suspicion goes on with newer samples only, or is a false alarm: nothing happened, parameters are
         still changing, or the noise is larger, which the parameters that lasted do not explain by themselves.
-        A disturbance is named where a constant one explains the samples. After the third time, one soon after the
+        A disturbance is named where a constant one explains the samples; one that does so together with changed
+        parameters is known from then on, and these are sought beside it. After the third time, one soon after the
         other, the channels that neither explains rest, longer each time.
         """
         state = self._state
@@ -379,13 +382,14 @@ class Diagnosis:
         if self.comparison.adopt_noise(held):
             return self._effects.only_noise(state.n_since)
         both = self.comparison.with_disturbance(held, n)
-        explaining = [d for d in (found, both) if d is not None and d.fit.is_explained]
         before = self._lasting.before(reference, n)
+        explaining = [d for d in (found, both) if d is not None and d.fit.is_explained]
         if n >= QUIET and explaining:
             best = min(explaining, key=lambda d: d.fit.score)
-            if best is found:
-                best = disturbance_of(self.residuals.of_newest(before, n))
-            return self._disturbances.adopt(t, best, before)
+            if best is not found and best.fit.n_values - best.fit.n_free >= _SPARE:
+                self._disturbances.take_change(best)
+                return None
+            return self._disturbances.adopt(t, disturbance_of(self.residuals.of_newest(before, n)), before)
         return self._nothing_explains(t, theta, before, rows)
 
     def _nothing_explains(self, t: float, theta: Vector | None, before: Vector, rows: Vector) -> Settled:

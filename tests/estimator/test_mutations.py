@@ -210,7 +210,7 @@ MUTANTS = [
     ("disturbance-without-parabola", HYPOTHESES, "_ORDER: Final = 2", "_ORDER: Final = 1", (DISTURBANCE,)),
     ("spread-without-root", SCALE, " / np.sqrt(2.0)", "", (SPREAD,)),
     ("spread-of-the-median", SCALE, "_MAD: Final = 1.4826", "_MAD: Final = 1.0", (SPREAD,)),
-    ("spread-about-the-mean", SCALE, "np.diff(rows, axis=0)", "(rows - rows.mean(axis=0))", (SPREAD,)),
+    ("spread-about-the-mean", SCALE, "np.abs(np.diff(rows, axis=0))", "np.abs(rows - rows.mean(axis=0))", (SPREAD,)),
     ("correlation-inverted", SCALE, "(1.0 + self.correlations) / (1.0 - self.correlations)",
      "(1.0 - self.correlations) / (1.0 + self.correlations)", (EFFECTIVE,)),
     ("correlation-of-another-lag", SCALE, "rows[1:] * rows[:-1]", "rows[2:] * rows[:-2]", (EFFECTIVE,)),

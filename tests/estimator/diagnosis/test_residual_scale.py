@@ -284,3 +284,21 @@ def test_a_larger_noise_is_as_likely_as_the_best_normal_distributions_of_the_cha
 
 def test_residuals_that_are_no_numbers_are_no_noise():
     assert larger_noise(np.array([[np.nan], [1.0]])) is NEVER
+
+
+@pytest.mark.parametrize(("period", "is_smooth"), [(6, False), (10, False), (14, True), (30, True)])
+def test_a_sine_is_smooth_from_twelve_rows_a_period_on(period, is_smooth):
+    """Its differences are 2 sin(pi / period) times as large, each time: 0.52 times at twelve rows."""
+    rows = 500.0 * np.sin(2.0 * np.pi * np.arange(20 * period) / period)[:, None]
+    assert residual_scale.is_smooth(rows) == is_smooth
+    assert residual_scale.is_smooth(np.hstack([noise(0, len(rows)), rows])) == is_smooth
+
+
+@pytest.mark.parametrize("size", [0.1, 1.0, 500.0])
+@pytest.mark.parametrize("rho", [0.0, 0.95])
+def test_noise_of_any_size_is_not_smooth(size, rho):
+    assert not any(residual_scale.is_smooth(autoregressive(seed, 20, rho, size)) for seed in range(200))
+
+
+def test_a_smooth_residual_that_is_smaller_than_the_declared_noise_counts_as_none():
+    assert not residual_scale.is_smooth(0.5 * np.sin(0.1 * np.arange(40))[:, None])

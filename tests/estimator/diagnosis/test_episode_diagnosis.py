@@ -301,6 +301,21 @@ def test_a_push_that_nothing_has_explained_is_named_when_it_has_passed(estimator
 
 @SEARCHES
 @pytest.mark.parametrize("seed", range(3))
+def test_the_search_after_one_in_vain_is_on_samples_after_it(estimator, seed):
+    """A push that ends soon after the first window: what is left of it is not taken for changed parameters."""
+    length = LENGTH + LENGTH // 5
+    run = Run(estimator, seed=seed).go(100).go(length, TRUE, lambda i: 1.0 - np.cos(2.0 * np.pi * i / length))
+    run.go(5 * LENGTH)
+    (first, _), *_ = run.of("unexplained")
+    later = [event.detail["samples"] for k, event in run.of("trigger") if k > first]
+    assert later
+    assert all(text == f"the next {LENGTH}" for text in later)
+    assert_array_equal(run.held, TRUE)
+    assert run.writes == []
+
+
+@SEARCHES
+@pytest.mark.parametrize("seed", range(3))
 def test_a_rest_ends_and_what_it_was_for_is_named_when_that_has_passed(estimator, seed):
     """As long after it as it had lasted; the change that follows is found."""
     run = Run(estimator, seed=seed).go(100).go(6 * LENGTH, TRUE, sine)

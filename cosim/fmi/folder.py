@@ -9,6 +9,7 @@ import re
 import shutil
 import sys
 import tempfile
+import time
 import weakref
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
@@ -21,6 +22,8 @@ from typing import Final
 from ..errors import ModelDescriptionError
 
 PREFIX: Final = "fmu-retune-live-"
+REMOVAL_S: Final = 2.0
+"""Longest time for which the removal of a folder is tried again [s]."""
 
 # What a file URI keeps as it is, and the space, which every loader decodes: pythonfmu's crashes on anything else.
 _SAFE: Final = re.compile(r"[A-Za-z0-9._~/ -]*" if sys.platform != "win32" else r"[A-Za-z0-9._~/\\: -]*")
@@ -121,8 +124,21 @@ def remove_abandoned(parent: str) -> None:
         lock = _Lock()
         with suppress(OSError):
             if lock.take(str(folder)):
-                shutil.rmtree(folder, ignore_errors=True)
+                remove_tree(str(folder))
         lock.give_back()
+
+
+def remove_tree(folder: str) -> None:
+    """Remove a folder with all that is in it, as far as it can be removed.
+
+    Processes whose parent was killed may write to it until they notice, so it is tried again for REMOVAL_S.
+    """
+    deadline = time.monotonic() + REMOVAL_S
+    while True:
+        shutil.rmtree(folder, ignore_errors=True)
+        if not os.path.lexists(folder) or time.monotonic() > deadline:
+            return
+        time.sleep(0.02)
 
 
 class KeptFolder:
@@ -244,5 +260,5 @@ _remove_abandoned_once = cache(remove_abandoned)  # a process: the folder of tem
 
 def _remove(path: str, process_id: int, lock: _Lock) -> None:
     if os.getpid() == process_id:  # not in a fork of it
-        shutil.rmtree(path, ignore_errors=True)
+        remove_tree(path)
         lock.give_back()

@@ -8,7 +8,6 @@ ends with the one that has started it, however that ends, and so do the FMUs tha
 import contextlib
 import os
 import pickle
-import shutil
 import signal
 import subprocess
 import sys
@@ -19,7 +18,7 @@ from typing import Any, Final, NoReturn, ParamSpec, TypeVar
 
 from .. import former_names
 from ..blas_threads import ONE_THREAD
-from ..fmi.folder import PrivateFolder, folders_kept
+from ..fmi.folder import PrivateFolder, folders_kept, remove_tree
 from ..slaves.boot import boot_command
 from ..slaves.channel import Channel, channel_pair, open_channel
 from ..slaves.supervision.fork_server import forked_processes
@@ -156,7 +155,7 @@ def main(channel_argument: str, temporary: str) -> NoReturn:
             _make_calls(channel)
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    shutil.rmtree(temporary, ignore_errors=True)
+    remove_tree(temporary)
     os._exit(0)
 
 

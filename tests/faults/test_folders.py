@@ -36,6 +36,15 @@ HOLDER = """
     while True: time.sleep(0.05)  # a long sleep overlooks a signal that comes just before it
 """
 
+WRITER = """
+    import sys, time
+    print("ready", flush=True)
+    k, end = 0, time.monotonic() + 1.0
+    while time.monotonic() < end:
+        k += 1
+        open(f"{sys.argv[1]}/{k}", "w").close()
+"""
+
 BUILDER = """
     import os, sys, tempfile, time
     from pathlib import Path
@@ -75,6 +84,17 @@ def test_what_a_killed_build_leaves_is_removed_by_the_next(temporary, call):
         assert any(path.name == "source" for path in temporary.rglob("*"))
         process.kill()
     remove_abandoned(str(temporary))
+    assert list(temporary.iterdir()) == []
+
+
+def test_a_folder_is_removed_that_an_orphan_still_writes_to_for_a_moment(temporary):
+    folder = PrivateFolder()
+    with start(WRITER, folder.path, stderr=subprocess.DEVNULL) as orphan:
+        deadline = time.monotonic() + 60.0
+        while not os.path.exists(f"{folder.path}/20") and time.monotonic() < deadline:
+            time.sleep(0.001)
+        folder.remove()
+        orphan.wait(60.0)
     assert list(temporary.iterdir()) == []
 
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from ..hypotheses import MARGIN, Disturbance, plain_fit
 from ..significance import FALSE_ALARM, chi2_limit
 from ..space import Vector
+from .evidence import Evidence
 from .failed_searches import FailedSearches
 from .lasting import LastingParameters
 from .record import DiagnosisRecord
@@ -17,6 +18,7 @@ from .standardised_residuals import StandardisedResiduals
 from .state import WINDOW, DiagnosisState
 from .wandering import agree
 
+_TOGETHER: Final = "a constant disturbance explains the samples together with changed parameters"
 _STEADY: Final = 0.25
 """Largest move of parameters that stay, as a share of the way to them."""
 _OVER: Final = 10
@@ -34,9 +36,10 @@ class DisturbanceDiagnosis:
         lasting: LastingParameters,
         failed_searches: FailedSearches,
         record: DiagnosisRecord,
+        evidence: Evidence,
     ) -> None:
         self._state, self._residuals, self._settings = state, residuals, settings
-        self._lasting, self._failed_searches, self._record = lasting, failed_searches, record
+        self._lasting, self._failed_searches, self._record, self._evidence = lasting, failed_searches, record, evidence
 
     def adopt(self, t: float, found: Disturbance, before: Vector) -> Settled:
         """End a suspicion as a disturbance explains the samples, with the parameters before them (d,)."""
@@ -54,9 +57,14 @@ class DisturbanceDiagnosis:
 
     def take_change(self, change: Disturbance | None) -> bool:
         """Take a change of the known disturbance that comes with changed parameters; return whether there is one."""
-        if change is not None:
-            self._state.offset = self._state.offset + change.newest * self._state.scale.effective
-        return change is not None
+        if change is None:
+            return False
+        state = self._state
+        state.offset = state.offset + change.newest * state.scale.effective
+        acts = _acting(np.abs(state.offset) / state.scale.effective)
+        t = state.samples[-1].t
+        self._evidence.add(self._record.disturbance(t, state.offset, acts, _TOGETHER, is_known=True))
+        return True
 
     def has_passed(self, of_held: Vector, of_reference: Vector, is_changed: bool, is_explained: bool) -> bool:
         """Return whether the reference explains the newest samples again, and those in force do not explain all.

@@ -22,6 +22,7 @@ class Evidence:
         self._n_samples = 0
         self._fits: dict[str, Fit] = {}
         self._rest_ended: tuple[Sequence[str], str] | None = None
+        self._others: tuple[Event, ...] = ()
 
     def outgrown(self, names: Sequence[str], residuals: RestingResiduals) -> None:
         """Take the end of a rest whose residuals have outgrown all before in it; names (c,): of the channels."""
@@ -34,16 +35,24 @@ class Evidence:
         """Take the end of a rest before its time; names: of channels."""
         self._rest_ended = names, reason
 
+    def add(self, event: Event) -> None:
+        """Take the event of what is known from now on, although the suspicion goes on."""
+        self._others = (*self._others, event)
+
     def note(self, n_samples: int, **fits: Fit) -> None:
         """Take fits of hypotheses to the newest n samples, in place of any to another number of samples."""
         known = self._fits if n_samples == self._n_samples else {}
         self._n_samples, self._fits = n_samples, known | fits
 
     def events(self, t: float) -> tuple[Event, ...]:
-        """Return the events at t [s]: a rest's end, a comparison of parameters with a disturbance; begin anew."""
+        """Return the events at t [s]; begin anew.
+
+        A rest's end, those that were added, and a comparison of parameters with a disturbance.
+        """
         n_samples, fits, rest_ended = self._n_samples, self._fits, self._rest_ended
-        self._n_samples, self._fits, self._rest_ended = 0, {}, None
         ended = () if rest_ended is None else (_end_of_rest(t, *rest_ended),)
+        ended = (*ended, *self._others)
+        self._n_samples, self._fits, self._rest_ended, self._others = 0, {}, None, ()
         if not {"parameters", "disturbance"} <= fits.keys():
             return ended
         scores = {name: fit.score if isfinite(fit.score) else None for name, fit in fits.items()}

@@ -69,7 +69,7 @@ class Diagnosis:
         self._failed_searches = FailedSearches(state, settings, self._record)
         self._effects = EffectDiagnosis(state, residuals, self._lag, self._friction, self._lasting, self._record)
         self._disturbances = DisturbanceDiagnosis(
-            state, residuals, settings, self._lasting, self._failed_searches, self._record
+            state, residuals, settings, self._lasting, self._failed_searches, self._record, evidence
         )
 
     @property

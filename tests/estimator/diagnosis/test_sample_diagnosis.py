@@ -116,6 +116,12 @@ class Run:
         channels = self.diagnosis.summary()["channels"]
         return [channels[name]["disturbance"] for name in self.names]
 
+    def told(self):
+        """The disturbance of each channel that the last event of one says is known."""
+        _, event = self.of("disturbance")[-1]
+        assert event.detail["is_known"]
+        return [event.detail["size"].get(name, 0.0) for name in self.names]
+
     def of(self, *kinds):
         return [(k, event) for k, event in self.events if event.kind in kinds]
 
@@ -720,6 +726,7 @@ def test_a_disturbance_that_is_larger_with_the_changed_parameters_is_known_anew(
     run = Run(estimator, 3, seed=seed).go(100).go(60, TRUE, push).go(80, CHANGED, 1.6 * push)
     assert near(run.held, CHANGED, 0.03)
     assert_allclose(run.known(), 1.6 * push, atol=0.05)
+    assert_allclose(run.told(), 1.6 * push, atol=0.05)
     assert not run.of("rest", "undo")
 
 
@@ -738,6 +745,7 @@ def test_parameters_that_change_as_a_disturbance_begins_are_found(estimator):
     run = Run(estimator, 3).go(100).go(120, CHANGED, PUSH[3])
     assert near(run.held, CHANGED, 0.03)
     assert_allclose(run.known(), PUSH[3], atol=0.04)
+    assert_allclose(run.told(), PUSH[3], atol=0.05)
 
 
 def test_residuals_are_less_the_known_disturbance_for_all_who_ask():

@@ -63,17 +63,7 @@ def ours(system: System, isolation: Any) -> Generator[Steps]:
 
 
 def _of_master(system: System, slaves: Mapping[str, Slave]) -> Steps:
-    wiring = {
-        name: Wiring(
-            {
-                v.name: system.connections[f"{name}.{v.name}"]
-                for v in system.variables(name, "input")
-                if f"{name}.{v.name}" in system.connections
-            },
-            (), tuple(v.name for v in system.variables(name, "output")), {},
-        ) for name in slaves
-    }  # fmt: skip
-    master = Master(slaves, wiring, system.groups)
+    master = Master(slaves, {name: _wiring(system, name) for name in slaves}, system.groups)
     master.initialize(0.0, 1e9)
 
     def steps(k: int, n: int) -> Sequence[float]:
@@ -83,6 +73,14 @@ def _of_master(system: System, slaves: Mapping[str, Slave]) -> Steps:
         return master.values
 
     return steps
+
+
+def _wiring(system: System, name: str) -> Wiring:
+    """Return the wiring of one FMU, whose inputs that no output feeds are set at each step, too."""
+    inputs, outputs = (tuple(v.name for v in system.variables(name, c)) for c in ("input", "output"))
+    fed = {own: system.connections[f"{name}.{own}"] for own in inputs if f"{name}.{own}" in system.connections}
+    held = tuple(own for own in inputs if own not in fed)
+    return Wiring(fed, (), outputs, dict.fromkeys(held, HELD), disturbances=held)
 
 
 def _of_slave(system: System, slave: Slave) -> Steps:

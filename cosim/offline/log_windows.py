@@ -128,11 +128,10 @@ def _table(log: Log, signals: LogColumns, component: Component) -> tuple[Vector,
     the stamps were in. Raises LogError."""
     if signals.time is None:
         log = log.on_one_raster(signals.inputs.values(), [*signals.measured.values(), *signals.start.values()])
-    stamps = _stamps(log, signals)
+    stamps, warnings = _stamps(log, signals)
     time = _converted(stamps, understood("s"), f"{log.path}: time", understood)
     roles = {"input": signals.inputs, "measured": signals.measured, "start": signals.start}
     table = {role: _columns(log, columns, component, len(time)) for role, columns in roles.items()}
-    warnings: list[str] = []
     known = np.isfinite(time)
     if n := np.count_nonzero(~known):
         warnings.append(f"{log.path}: {counted(int(n), 'row')} without a time stamp left out.")
@@ -155,14 +154,18 @@ def _table(log: Log, signals: LogColumns, component: Component) -> tuple[Vector,
     return time, table, warnings, stamps.unit or "s"
 
 
-def _stamps(log: Log, signals: LogColumns) -> Column:
-    """Return the column of time stamps, in the unit that is stated. Raises LogError."""
+def _stamps(log: Log, signals: LogColumns) -> tuple[Column, list[str]]:
+    """Return the column of time stamps, in the unit that is stated, and warnings. Raises LogError."""
     stamps, unit = log.time_column(signals.time), signals.time_unit
     if unit is not None and stamps.is_date and unit != "s":
         raise LogError(f"{log.path}: time consists of dates, which are read in seconds; leave out --time-unit {unit}.")
     if unit is None and stamps.unit is None:
         _check_epoch(log, stamps)
-    return stamps if unit is None else replace(stamps, unit=unit)
+    if unit is None:
+        return stamps, []
+    is_other = stamps.unit not in (None, unit) and not stamps.is_date
+    text = f"{log.path}: its heading says that time is in {stamps.unit}; --time-unit {unit} is used."
+    return replace(stamps, unit=unit), [text] if is_other else []
 
 
 def _check_epoch(log: Log, stamps: Column) -> None:

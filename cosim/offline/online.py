@@ -23,7 +23,9 @@ from estimator.triggers import InnovationSettings
 
 from ..errors import ScenarioError, WiringError
 from ..fmi.archive import capabilities, has_fixed_step
+from ..fmi.component import Component
 from ..fmi.ports import Catalogue
+from ..fmi.types import is_real
 from ..objectives.rollout import RolloutObjective
 from ..objectives.rollout_check import PROOF_STEPS
 from ..objectives.rollout_fmu import START_METHODS, Shadow, StartMethod, obstacles_in_words
@@ -138,11 +140,14 @@ def _watched(
     """
     theta, space = understood.nominal, understood.space
     interface: Any = capabilities(understood.component.description)
-    samples, u0 = _samples(window, request.step, has_fixed_step(understood.component.description))
+    others = _other_inputs(request, understood.component)
+    inputs = (*request.inputs, *others)
+    is_even = has_fixed_step(understood.component.description)
+    samples, u0 = _samples(window, request.step, is_even, tuple(others.values()))
     names, states, outputs = set(space.names), _states(request), tuple(request.measured)
-    start = dict(zip(request.inputs, u0, strict=True)) | request.constants | dict(window.start)
+    start = dict(zip(inputs, u0, strict=True)) | request.constants | dict(window.start)
     shadow = Shadow(
-        request.fmu, tuple(request.inputs), states, tuple(request.measured), tuple(understood.noise.tolist()),
+        request.fmu, inputs, states, tuple(request.measured), tuple(understood.noise.tolist()),
         space.names, {name: value for name, value in start.items() if name not in names}, samples[0].t, samples[-1].t,
         not interface.canBeInstantiatedOnlyOncePerProcess, obstacles, request.timeout,
         request.environment, told_by=_told_by(request, understood),
@@ -152,7 +157,7 @@ def _watched(
     with NoisyStartObjective(partial(RolloutObjective, shadow, theta, None, None, request.jobs), noise) as objective:
         n_samples, n_per_sample = counts
         stretch = EpisodeWindow(objective, n_samples)
-        diagnosis = EpisodeDiagnosis(stretch, outputs, tuple(request.inputs), DiagnosisSettings(), space)
+        diagnosis = EpisodeDiagnosis(stretch, outputs, inputs, DiagnosisSettings(), space)
         budget = Budget(request.evaluations, n_per_sample)
         retuner = make_episodes(
             _search(request, space, theta, rng), stretch, InnovationSettings(), budget,
@@ -210,17 +215,30 @@ def _grid(window: LogWindow, step: float | None, is_even: bool) -> Grid:
     return grid if not is_beyond else grid._replace(times=grid.times[:-1], inputs=grid.inputs[:-1])
 
 
-def _samples(window: LogWindow, step: float | None, is_even: bool) -> tuple[list[Sample], list[float]]:
-    """Return a sample for each row, or communication point, in the FMU's time; and the inputs in the first row."""
+def _samples(
+    window: LogWindow, step: float | None, is_even: bool, others: tuple[float, ...]
+) -> tuple[list[Sample], list[float]]:
+    """Return a sample for each row, or communication point, in the FMU's time; and the inputs in the first row.
+
+    others: values of the inputs that have no column, which come last.
+    """
     times, inputs, rows = _grid(window, step, is_even)
     table = np.column_stack([window.states, window.measured])
     if rows is not None:
         table = np.column_stack([np.interp(times, rows, column, right=np.nan) for column in table.T])
     held, n = [inputs[0], *inputs], window.states.shape[1]
     return [
-        Sample(t, tuple(row[:n]), tuple(u), (), tuple(row[n:]))
+        Sample(t, tuple(row[:n]), (*u, *others), (), tuple(row[n:]))
         for t, u, row in zip(times, held, table.tolist(), strict=True)
-    ], held[0]
+    ], [*held[0], *others]
+
+
+def _other_inputs(request: Request, component: Component) -> dict[str, float]:
+    """Return the values of the inputs without a column: what the log does not show may act on them all the same."""
+    taken = {*request.inputs, *request.start_columns}
+    others = [v for v in component.having("input") if is_real(v.type) and v.name not in taken]
+    start = {v.name: request.constants.get(v.name, v.start) for v in others}
+    return {name: float(value) for name, value in start.items() if value is not None}
 
 
 def _states(request: Request) -> tuple[str, ...]:

@@ -102,6 +102,8 @@ def _signals(request: Request, component: Component) -> LogColumns:
     catalogue = Catalogue(request.fmu.name, component.description.modelVariables)
     catalogue.ports("input", tuple(request.inputs))
     catalogue.ports("output", tuple(request.measured))
+    if double := next((p.name for p in request.parameters if p.name in request.inputs), None):
+        raise EstimateError(f"--parameter {double} is an --input, too: it is sought, or in a column.")
     inputs = {v.name for v in component.description.modelVariables if v.causality == "input"}
     if given := next((name for name in request.measured if name in inputs), None):
         raise EstimateError(f"--measured '{given}' is an input of {request.fmu.name}, which no parameter changes.")

@@ -315,6 +315,14 @@ def test_an_infinite_value_is_none_that_is_missing(plant, oracles, tmp_path, mon
     assert capsys.readouterr().err == f"retune: {log}: column 'x' for x has values up to inf: too large.\n"
 
 
+@pytest.mark.parametrize(("unit", "n_warnings"), [("ms", 1), ("s", 0), (None, 0)])
+def test_a_unit_that_is_not_that_of_the_heading_is_told(plant, oracles, tmp_path, unit, n_warnings):
+    log = oracles.write_log(tmp_path / "log.csv", oracles.measure(0))
+    roles = {"x": "x"}, {"F": "force"}
+    found = understand(Request(plant, (log,), (Sought("m", 0.5, 4.0),), *roles, time_unit=unit))
+    assert found.warnings == [f"{log}: its heading says that time is in s; --time-unit ms is used."] * n_warnings
+
+
 @pytest.mark.parametrize("experiment", EXPERIMENTS)
 def test_the_unit_that_is_given_is_taken(plant, oracles, tmp_path, monkeypatch, capsys, experiment):
     monkeypatch.chdir(tmp_path)

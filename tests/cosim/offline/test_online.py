@@ -206,6 +206,18 @@ def test_a_bad_channel_is_never_written_as_parameters_and_is_told(ask, oracles, 
     assert "kept out" in text or "no parameters explain" in text
 
 
+@pytest.mark.parametrize(("weight", "given"), [(5.0, {"F": 5.0}), (0.0, {})])
+def test_a_load_on_an_input_without_a_column_is_named_and_not_written(ask, oracles, weight, given):
+    """A weight [N] hangs on the spring and is in no column; from 4 s on it is 3 N more."""
+    columns = oracles.measure(0, force=lambda t: np.where(t < 4.0, weight, weight + 3.0))
+    del columns["force [N]"]
+    (watched,) = ask(columns, inputs={}, start=KNOWN | STATES | given, parameters=(MASS, SPRING)).watched
+    assert watched.theta == pytest.approx([1.7, 23.0])
+    (named,) = of(watched, "disturbance")
+    assert 4.0 < named.t < 5.0
+    assert named.detail["size"] == {"F": pytest.approx(3.0, rel=0.03)}
+
+
 def test_what_cannot_be_is_refused(ask, oracles):
     columns = oracles.measure(0, end=1.0)
     with pytest.raises(EstimateError, match=r"no way to begin a roll-out: .*'k' of Plant.fmu is a fixed parameter"):
@@ -216,6 +228,8 @@ def test_what_cannot_be_is_refused(ask, oracles):
         ask(columns, start=STATES, parameters=(Sought("k", 21.0, 30.0),))
     with pytest.raises(EstimateError, match=r"in force, and --start m=1\.7 is outside of 0\.5 to 1\.5: give"):
         ask(columns, parameters=(Sought("m", 0.5, 1.5),))
+    with pytest.raises(EstimateError, match="--parameter F is an --input, too"):
+        ask(columns, parameters=(MASS, Sought("F", -1.0, 1.0)))
     with pytest.raises(EstimateError, match="leave out --holdout"):
         ask(columns, holdout=0.5)
     with pytest.raises(EstimateError, match=r"samples 0\.01 s apart: --step"):

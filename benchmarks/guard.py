@@ -173,13 +173,6 @@ def worst_lines(folder: Path, runs: Sequence[Row]) -> dict[tuple[str, ...], str]
     return dict(zip(worst, repeating_lines(read_study(folder)[0], list(worst.values())), strict=True))
 
 
-def written(text: str, rows: Sequence[Row]) -> str:
-    """Return the document with the tables of these rows between its marks."""
-    head, begin, rest = text.partition("<!-- guard -->\n")
-    _, end, tail = rest.partition("\n<!-- end -->")
-    return f"{head}{begin}{markdown(rows)}{end}{tail}"
-
-
 def in_order(rows: Iterable[Row]) -> list[Row]:
     """Return the rows in the order of the tables."""
     order: Mapping[tuple[str, ...], int] = {
@@ -203,7 +196,7 @@ def main() -> None:
     kept = in_order(report.updated("guard", new, *_KEYS))
     measured = ", ".join(dict.fromkeys(f"{row['estimator']} on {row['objective']}" for row in new))
     report.keep(report.RESULTS, "guard", kept, f"of commit {chosen.commit}: {measured}")
-    write_text(SAFETY, written(SAFETY.read_text(encoding="utf-8"), kept))
+    write_text(SAFETY, report.replaced(SAFETY.read_text(encoding="utf-8"), "guard", markdown(kept)))
     for row in new:
         if missed := misses(row):
             key = tuple(row[k] for k in _KEYS)

@@ -77,7 +77,7 @@ def table(rows: Sequence[Row]) -> str:
     A value made by `spread` is shown as median [q1, q3].
     """
     columns = list(dict.fromkeys(key for row in rows for key in row))
-    cells = [[_cell(row.get(column, "")) for column in columns] for row in rows]
+    cells = [[cell(row.get(column, "")) for column in columns] for row in rows]
     width = [max(map(len, column)) for column in zip(columns, *cells, strict=True)]
     is_text = [all(isinstance(row.get(column, ""), str) for row in rows) for column in columns]
     lines = [
@@ -85,6 +85,26 @@ def table(rows: Sequence[Row]) -> str:
         for line in [columns, *cells]
     ]
     return "\n".join(lines)
+
+
+def cell(value: object) -> str:
+    """Return a value as text of three digits; one made by `spread` as median [q1, q3]."""
+    if isinstance(value, dict):
+        if not {"median", "q1", "q3"} <= value.keys():
+            return "..."
+        return f"{cell(value['median'])} [{cell(value['q1'])}, {cell(value['q3'])}]" if value.get("n", 1) else "-"
+    if isinstance(value, bool) or not isinstance(value, float):
+        return "" if value is None else str(value)
+    return "-" if math.isnan(value) else f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.3g}"
+
+
+def replaced(text: str, name: str, table: str) -> str:
+    """Return a document with a table between its mark `<!-- NAME -->` and the end's. Raises ValueError without them."""
+    head, begin, rest = text.partition(f"<!-- {name} -->\n")
+    _, end, tail = rest.partition("\n<!-- end -->")
+    if not end:
+        raise ValueError(f"the document has no <!-- {name} --> with <!-- end --> after it.")
+    return f"{head}{begin}{table}{end}{tail}"
 
 
 def machine() -> Row:
@@ -116,16 +136,6 @@ def _processor() -> str:
     info = Path("/proc/cpuinfo")
     lines = info.read_text(encoding="utf-8").splitlines() if info.exists() else []
     return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.machine())
-
-
-def _cell(value: object) -> str:
-    if isinstance(value, dict):
-        if not {"median", "q1", "q3"} <= value.keys():
-            return "..."
-        return f"{_cell(value['median'])} [{_cell(value['q1'])}, {_cell(value['q3'])}]" if value.get("n", 1) else "-"
-    if isinstance(value, bool) or not isinstance(value, float):
-        return "" if value is None else str(value)
-    return "-" if math.isnan(value) else f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.3g}"
 
 
 if __name__ == "__main__":

@@ -95,9 +95,3 @@ def test_a_row_misses_the_targets_of_its_case(case, figures, missed):
 def test_the_quadrotor_has_targets_of_its_own():
     runs = [_run(name, scenario="quadrotor", case="bias") for name in ("none", "target")]
     assert guard.misses(*guard.rows(runs)) == ["mse 2 > 0.15"]
-
-
-def test_a_document_gets_the_tables_of_its_rows_and_nothing_else():
-    text = "before\n<!-- guard -->\nold\n<!-- end -->\nafter\n"
-    found = guard.rows([_run("none"), _run()])
-    assert guard.written(text, found) == f"before\n<!-- guard -->\n{guard.markdown(found)}\n<!-- end -->\nafter\n"

@@ -67,3 +67,11 @@ def test_the_kept_files_are_small():
     assert kept
     # Half of it are the guard's: a row for each case, estimator and objective, 542 of 280 bytes.
     assert sum(path.stat().st_size for path in kept) <= 350_000
+
+
+def test_a_document_gets_a_table_between_its_marks_and_nothing_else():
+    text = "before\n<!-- a -->\nold\n<!-- end -->\n<!-- b -->\nother\n<!-- end -->\nafter\n"
+    assert report.replaced(text, "a", "new") == text.replace("old", "new")
+    assert report.replaced(text, "b", "new") == text.replace("other", "new")
+    with pytest.raises(ValueError, match="no <!-- c -->"):
+        report.replaced(text, "c", "new")

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from math import isfinite
 from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
@@ -123,7 +124,8 @@ class EpisodeWindow:
     def append(self, sample: Sample) -> None:
         """Add a sample."""
         self._objective.add_sample(sample)
-        is_anchor = not self._anchors or len(self._recent) - self._anchors[-1] >= self._max_length
+        is_due = not self._anchors or len(self._recent) - self._anchors[-1] >= self._max_length
+        is_anchor = is_due and (not self._anchors or _is_whole(sample))
         if is_anchor:
             self._anchors.append(len(self._recent))
         self._recent.append(sample)
@@ -163,6 +165,7 @@ class EpisodeWindow:
             change = None if squares is None else _last_explained(squares, len(found.residual))
             if change is not None and self._origins[change] is not None:
                 first = change
+        first = self._beginning(first)
         if self._origins[first] is None:
             self._origins[first] = self._objective.snapshot(True)
         self._drop(first)
@@ -180,9 +183,10 @@ class EpisodeWindow:
 
     def forget(self) -> None:
         """Forget all samples before the newest: no later episode begins on them."""
-        if self._origins[-1] is None:
-            self._origins[-1] = self._objective.snapshot(True)
-        self._drop(len(self._recent) - 1)
+        first = self._beginning(len(self._recent) - 1)
+        if self._origins[first] is None:
+            self._origins[first] = self._objective.snapshot(True)
+        self._drop(first)
 
     def revert(self, theta: Vector) -> None:
         """Take earlier parameters theta (d,) for those of the plant since others were accepted."""
@@ -299,6 +303,13 @@ class EpisodeWindow:
         if self._is_filling and len(self._recent) > n_wanted and self._objective.is_ready:
             self._is_filling, self._stretch = False, self._stretch_from(0)
 
+    def _beginning(self, first: int) -> int:
+        """Return the place nearest to one, if possible after it, of a sample that a simulation can begin at."""
+        newest = len(self._recent) - 1
+        places = [*range(first, newest + 1), *range(first - 1, -1, -1)]
+        can_begin = (k for k in places if k == newest or self._origins[k] is not None)
+        return next((k for k in can_begin if _is_whole(self._recent[k])), first)
+
     def _stretch_from(self, first: int) -> SampleSequence:
         return SampleSequence(tuple(self._recent[first:]), self._origins[first])
 
@@ -318,6 +329,11 @@ class EpisodeWindow:
         if self.weights is None or len(residual) % len(self.weights):
             return residual
         return (residual.reshape(len(self.weights), -1) * self.weights[:, None]).reshape(-1)
+
+
+def _is_whole(sample: Sample) -> bool:
+    """Return whether no state is missing, so that a simulation can begin there."""
+    return all(map(isfinite, sample.x))
 
 
 def _with_inputs(sample: Sample, moved: Vector) -> Sample:

@@ -266,8 +266,8 @@ def _obstacles(request: Request, understood: Understood) -> dict[StartMethod, st
         obstacles["measured"] = "no --start names the columns of the states"
     elif numbers := [name for name in request.constants if component.variables[name].causality in _MOVING]:
         obstacles["measured"] = f"--start gives {numbers[0]} a number, which is no measurement"
-    elif any(np.isnan(w.states).any() for w in understood.windows):
-        obstacles["measured"] = "values are missing in the columns of the states"
+    elif any(np.isnan(w.states[0]).any() for w in understood.windows):
+        obstacles["measured"] = "values are missing in the first row of the states' columns"
     if unknown := [p.name for p in understood.space if component.variables[p.name].causality != "parameter"]:
         raise EstimateError(f"--online estimates parameters, and '{unknown[0]}' is none: leave out --online.")
     try:

@@ -239,6 +239,22 @@ def test_what_cannot_be_is_refused(ask, oracles):
 
 
 @pytest.mark.full
+@pytest.mark.parametrize("seed", range(3))
+def test_a_jump_is_found_though_states_are_missing_in_some_rows(ask, oracles, seed):
+    columns = oracles.jump(seed)
+    rng = np.random.default_rng(seed)
+    for name in ("x [m]", "v [m/s]"):
+        columns[name][rng.integers(1, 801, 40)] = np.nan
+        columns[name][[401, 402, 403, 450]] = np.nan  # where the jump shows, and the next anchor
+    (watched,) = ask(columns, seed=seed).watched
+    assert "from measured states" in watched.how
+    (trigger,) = of(watched, "trigger")
+    assert 4.0 < trigger.t <= 4.15
+    z = (watched.theta - [2.6, 1.4]) / of(watched, "write")[-1].detail["std"]
+    assert np.abs(z).max() < 4.0
+
+
+@pytest.mark.full
 def test_each_window_begins_anew(ask, oracles):
     columns = oracles.jump(0, end=12.0)
     columns["force [N]"][600:620] = np.nan  # a gap after the jump

@@ -167,13 +167,14 @@ class Consistency:
             return is_wrong
         modelled = self._h * (xdot - 0.5 * drift)[:, n:]
         missed = moved[:, n:] - modelled
-        usual = np.argsort(np.abs(missed), axis=0)[:-_BURST]  # without spikes
-        missed, modelled = (np.take_along_axis(rows, usual, axis=0) for rows in (missed, modelled))
-        aside = missed - missed.mean(axis=0)
-        is_more = np.sum(aside**2, axis=0) > 2.0 * self._limit**2 * len(aside) * self._state_variance[n:]
+        usual = np.argsort(np.abs(missed), axis=0)[:-_BURST], np.arange(missed.shape[1])  # without spikes
+        missed, modelled = missed[usual], modelled[usual]
+        aside = missed - missed.sum(axis=0) / len(missed)
+        is_more = _products(aside, aside) > 2.0 * self._limit**2 * len(aside) * self._state_variance[n:]
+        is_more &= _is_multiple(missed, modelled)
         if np.count_nonzero(is_more):
-            is_multiple = _is_multiple(missed, modelled) & _is_multiple(aside, modelled - modelled.mean(axis=0))
-            is_wrong[n:] = is_more & is_multiple & (moved[:, n:] != 0.0).all(axis=0)
+            is_more &= _is_multiple(aside, modelled - modelled.sum(axis=0) / len(modelled))
+            is_wrong[n:] = is_more & (moved[:, n:] != 0.0).all(axis=0)
         return is_wrong
 
     def _missed(self, rows: Vector) -> Vector:
@@ -261,8 +262,14 @@ class Consistency:
 
 
 def _is_multiple(missed: Vector, modelled: Vector) -> NDArray[np.bool_]:
-    """Return whether what is missed of each motion (n, k) is a multiple of what is modelled, and of account."""
-    size = np.sum(modelled**2, axis=0)
-    error = np.divide(np.sum(missed * modelled, axis=0), size, out=np.zeros(len(size)), where=size > 0.0)
-    left = np.sum((missed - error * modelled) ** 2, axis=0)
-    return np.asarray((left < _LEFT * np.sum(missed**2, axis=0)) & (np.abs(error) > _UNIT))
+    """Return whether what is missed of each motion (n, k) is a multiple of what is modelled, and of account.
+
+    That is where the squares that a regression leaves, total - both^2 / size, are a small share of the total.
+    """
+    size, total, both = _products(modelled, modelled), _products(missed, missed), _products(missed, modelled)
+    return np.asarray((both**2 > (1.0 - _LEFT) * total * size) & (np.abs(both) > _UNIT * size))
+
+
+def _products(a: Vector, b: Vector) -> Vector:
+    """Return the scalar product (k,) of each column of a and b (n, k)."""
+    return np.einsum("nk,nk->k", a, b)

@@ -142,7 +142,7 @@ class EpisodeDiagnosis:
         residual = window.whitened(theta)
         of_held, of_theta = _fit(window.whitened(held), 0), _fit(residual, len(space))
         self._note(nothing=of_held, parameters=of_theta)
-        if of_held.is_explained and of_held.score <= of_theta.score + MARGIN:
+        if any(f.is_explained and f.score <= of_theta.score + MARGIN for f in (of_held, self._of_lasting(held))):
             return "refuted"
         if of_theta.is_explained:
             self._compare(of_theta, of_held, held)
@@ -161,6 +161,13 @@ class EpisodeDiagnosis:
                 self._compare(found.fit, of_held, held)
         is_better = of_theta.is_explained or of_theta.squares < BETTER * of_held.squares
         return self._verdict if is_better else "refuted"
+
+    def _of_lasting(self, held: Vector) -> Fit:
+        """Return the fit of the parameters that lasted, where others are in force, held (d,)."""
+        lasting = self._state.lasting
+        if lasting is None or self.space.are_same(lasting, held):
+            return NEVER
+        return _fit(self._window.whitened(lasting), 0)
 
     def _compare(self, parameters: Fit, nothing: Fit, held: Vector) -> None:
         noise = larger_noise(self._rows(held)) if nothing is not NEVER else NEVER

@@ -99,6 +99,13 @@ def _real_time(rows: Sequence[Row]) -> str:
     return _table(header, ([r["run"], *(cell(r.get(key, "")) for key in figures)] for r in rows))
 
 
+def _parts(rows: Sequence[Row]) -> str:
+    """Return a line for each part, with its share of each run, the largest of the first run first."""
+    shares = {(r["part"], r["run"]): f"{r['share']:.1%}".replace("%", " %") for r in rows}
+    runs, names = (tuple(dict.fromkeys(r[key] for r in rows)) for key in ("run", "part"))
+    return _table(("part of a guarded run", *runs), ([n, *(shares.get((n, run), "") for run in runs)] for n in names))
+
+
 def _startup(rows: Sequence[Row]) -> str:
     lines = ([r["from process start to"], cell(r["s"]), cell(r["reach"])] for r in rows)
     return _table(("from the start of the process to", "s", "asked for"), lines)
@@ -106,7 +113,8 @@ def _startup(rows: Sequence[Row]) -> str:
 
 TABLES: Final[Mapping[str, Callable[[Sequence[Row]], str]]] = {
     "estimators": _estimators, "horizon": _horizon, "oscillating_masses": _masses, "coverage": _coverage,
-    "master": _master, "fmus": _fmus, "run": _run, "real_time": _real_time, "startup": _startup,
+    "master": _master, "fmus": _fmus, "run": _run, "real_time": _real_time, "real_time_parts": _parts,
+    "startup": _startup,
 }  # fmt: skip
 """Function that makes the table of each benchmark's rows, by the name of both."""
 

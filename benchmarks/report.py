@@ -33,10 +33,19 @@ def write(name: str, rows: Sequence[Row], notes: str = "") -> None:
 
 
 def keep(folder: Path, name: str, rows: Sequence[Row], notes: str = "") -> None:
-    """Write NAME.json, whole or not at all; not-a-number and infinities become null."""
+    """Write NAME.json, whole or not at all, to six digits; not-a-number and infinities become null."""
     folder.mkdir(parents=True, exist_ok=True)
-    content = {"benchmark": name, "machine": machine(), "notes": notes, "rows": rows}
+    content = {"benchmark": name, "machine": machine(), "notes": notes, "rows": [_rounded(row) for row in rows]}
     write_text(folder / f"{name}.json", to_lines(content))
+
+
+def _rounded(value: Any) -> Any:
+    """Return a JSON value with each number to six digits."""
+    if isinstance(value, Mapping):
+        return {key: _rounded(v) for key, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(v) for v in value]
+    return float(f"{value:.6g}") if isinstance(value, float) else value
 
 
 def stored(folder: Path, name: str) -> list[Row]:

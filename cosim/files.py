@@ -63,12 +63,13 @@ def sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def to_json(value: object, indent: int | None = None) -> str:
-    """Return a value as JSON, with null for numbers that are not finite."""
+def to_json(value: object, indent: int | None = None, *, is_compact: bool = False) -> str:
+    """Return a value as JSON, with null for numbers that are not finite; is_compact: without spaces."""
+    separators = (",", ":") if is_compact else None
     try:
-        return json.dumps(value, indent=indent, allow_nan=False)
+        return json.dumps(value, indent=indent, separators=separators, allow_nan=False)
     except (TypeError, ValueError):  # NumPy's types, or a number that is not finite
-        return json.dumps(_jsonable(value), indent=indent, allow_nan=False)
+        return json.dumps(_jsonable(value), indent=indent, separators=separators, allow_nan=False)
 
 
 def _jsonable(value: object) -> object:

@@ -84,7 +84,7 @@ class Recorder:
     def event(self, t: float, kind: str, detail: Mapping[str, Any]) -> None:
         """Record one event."""
         if self._events is not None:
-            self._lines.append(to_json({"t": t, "kind": kind, **detail}) + "\n")
+            self._lines.append(to_json({"t": t, "kind": kind, **detail}, is_compact=True) + "\n")
 
     def flush(self) -> None:
         """Hand everything recorded so far to the operating system."""

@@ -246,7 +246,7 @@ def end_folder(run: Run, folder: Path, units: Mapping[str, Unit], unit_of: Mappi
     units: unit definitions of the FMUs, by name; unit_of: the unit of each parameter that a formula gives.
     """
     write_json(folder / RESULT, run.summary())
-    write_text(folder / LATENCIES, to_json(run.latencies) + "\n")
+    write_text(folder / LATENCIES, to_json(run.latencies, is_compact=True) + "\n")
     if len(run.time):
         parameters = run.scenario.estimation.parameters
         unit_of = {**unit_of, **{name: p.unit for p in parameters if p.is_written_as_it_is for name in p.written}}

@@ -55,7 +55,7 @@ class Evidence:
         self._n_samples, self._fits, self._rest_ended, self._others = 0, {}, None, ()
         if not {"parameters", "disturbance"} <= fits.keys():
             return ended
-        scores = {name: fit.score if isfinite(fit.score) else None for name, fit in fits.items()}
+        scores = {name: float(f"{fit.score:.5g}") if isfinite(fit.score) else None for name, fit in fits.items()}
         explained = [name for name, fit in fits.items() if fit.is_explained]
         return (*ended, Event(t, "evidence", {"n_samples": n_samples, "scores": scores, "explained": explained}))
 

@@ -180,7 +180,7 @@ def test_the_evidence_of_no_change_is_the_sum_of_squares_of_the_samples():
         run.take(sample)
         (found,) = [event.detail for at, event in run.of("evidence") if at == k]
         assert found["n_samples"] == len(squares)
-        assert_allclose(found["scores"]["nothing"], sum(squares), rtol=1e-9)
+        assert_allclose(found["scores"]["nothing"], sum(squares), rtol=1e-4)  # five digits
 
 
 # --- quiet ---------------------------------------------------------------------------------------------------------

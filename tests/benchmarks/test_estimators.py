@@ -76,10 +76,10 @@ def test_ours_and_peers_are_measured_and_those_that_are_absent_or_fail_are_named
         assert rows[name]["J error [kg.m2]"] is None
     assert rows["target"]["over target"] == 1.0
     assert rows["target"]["m error [kg]"]["median"] < 0.05 * 4.271  # twenty evaluations suffice here
-    # The diagonal's best place is known: log m and log l at the same share of their bounds.
+    # The diagonal's best place is known: log m and log l at the same share of their bounds. Six digits are kept.
     shares = [(k + 0.5) / 20 for k in range(20)]
     masses = [0.1 * 50.0**share for share in shares]
-    assert min(abs(abs(m - 4.271) - rows["optuna-gp"]["m error [kg]"]["median"]) for m in masses) < 1e-9
+    assert min(abs(abs(m - 4.271) - rows["optuna-gp"]["m error [kg]"]["median"]) for m in masses) < 1e-5
     for name, reason in {
         "emukit": "absent: pip install '.[peers]'",
         "gpyopt": "ValueError: no such kernel",

@@ -49,15 +49,14 @@ class Evidence:
 
         A rest's end, those that were added, and a comparison of parameters with a disturbance.
         """
-        n_samples, fits, rest_ended = self._n_samples, self._fits, self._rest_ended
-        ended = () if rest_ended is None else (_end_of_rest(t, *rest_ended),)
-        ended = (*ended, *self._others)
+        n_samples, fits, rest_ended, others = self._n_samples, self._fits, self._rest_ended, self._others
         self._n_samples, self._fits, self._rest_ended, self._others = 0, {}, None, ()
+        known = (*(() if rest_ended is None else (_end_of_rest(t, *rest_ended),)), *others)
         if not {"parameters", "disturbance"} <= fits.keys():
-            return ended
+            return known
         scores = {name: float(f"{fit.score:.5g}") if isfinite(fit.score) else None for name, fit in fits.items()}
         explained = [name for name, fit in fits.items() if fit.is_explained]
-        return (*ended, Event(t, "evidence", {"n_samples": n_samples, "scores": scores, "explained": explained}))
+        return (*known, Event(t, "evidence", {"n_samples": n_samples, "scores": scores, "explained": explained}))
 
 
 def _end_of_rest(t: float, names: Sequence[str], reason: str) -> Event:

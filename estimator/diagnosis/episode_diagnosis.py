@@ -68,6 +68,8 @@ class EpisodeDiagnosis:
         self._newest: Vector = np.empty(0)
         self._verdict: Judgement = "refuted"
         self._is_certain = False
+        self._of_rivals: tuple[object, Fit] = (None, NEVER)  # the fit of the rival on a sequence
+        self._is_undoing = False  # the last failed search goes back for the rival
         self._judged: object = None  # the sequence that the verdict is about
         self._searched: object = None  # the sequence on which other parameters than the estimator's were tried
 
@@ -106,7 +108,7 @@ class EpisodeDiagnosis:
         if self._is_only_newest(residual):  # it may be an isolated value, which the next one tells
             return None
         if state.lasting is None or state.n_samples >= state.suspected_at + FORGOTTEN:
-            state.lasting = theta
+            state.lasting, state.rival = theta, None
         if state.n_calm >= WINDOW:
             state.restless_since = state.n_samples
         state.suspected_at, state.n_calm = state.n_samples, 0
@@ -142,7 +144,8 @@ class EpisodeDiagnosis:
         residual = window.whitened(theta)
         of_held, of_theta = _fit(window.whitened(held), 0), _fit(residual, len(space))
         self._note(nothing=of_held, parameters=of_theta)
-        if any(f.is_explained and f.score <= of_theta.score + MARGIN for f in (of_held, self._of_lasting(held))):
+        others = of_held, self._of_lasting(held), self._of_rival(held)
+        if any(f.is_explained and f.score <= of_theta.score + MARGIN for f in others):
             return "refuted"
         if of_theta.is_explained:
             self._compare(of_theta, of_held, held)
@@ -169,11 +172,31 @@ class EpisodeDiagnosis:
             return NEVER
         return _fit(self._window.whitened(lasting), 0)
 
+    def _of_rival(self, held: Vector) -> Fit:
+        """Return the fit of the parameters that lasted with the disturbance that may act in place of those held (d,).
+
+        It was found on the samples that these were written for, so that nothing is fitted here. Where it does not
+        explain the sequence, it is forgotten.
+        """
+        state, sequence = self._state, self._window.sequence
+        if state.lasting is None or state.rival is None or self.space.are_same(state.lasting, held):
+            return NEVER
+        if self._of_rivals[0] is not sequence:
+            self._of_rivals = sequence, _fit(self._window.with_inputs(state.lasting, state.rival), 0)
+        fit = self._of_rivals[1]
+        if fit.is_explained:
+            return fit
+        state.rival = None
+        return NEVER
+
     def _compare(self, parameters: Fit, nothing: Fit, held: Vector) -> None:
         noise = larger_noise(self._rows(held)) if nothing is not NEVER else NEVER
         weighing = Weighing(parameters, self._disturbed(held).fit, nothing, noise=noise)
         self._note(**weighing.fits)
         if weighing.are_parameters_possible:
+            state, disturbed = self._state, self._disturbed(held)
+            if state.lasting is not None and self.space.are_same(state.lasting, held):
+                state.rival = disturbed.inputs if disturbed.fit.is_explained else None
             self._verdict = "warranted" if weighing.are_parameters_proven else "possible"
             self._is_certain = weighing.are_parameters_certain
 
@@ -207,15 +230,17 @@ class EpisodeDiagnosis:
 
         The latter where they explain the sequence better: a search has followed something that came and went.
         """
-        lasting = self._state.lasting
+        lasting, self._is_undoing = self._state.lasting, False
         if lasting is None or self.space.are_same(lasting, before):
             return before
         of_lasting, of_before = (_fit(self._window.whitened(theta), 0).score for theta in (lasting, before))
-        return lasting if of_lasting + MARGIN <= of_before else before
+        of_rival = self._of_rival(before).score
+        self._is_undoing = of_rival + MARGIN <= of_before
+        return lasting if self._is_undoing or of_lasting + MARGIN <= of_before else before
 
     def reverted(self, theta: Vector) -> None:
         """Take a revert of the guard's to theta (d,): nothing returns to others from then on."""
-        self._state.lasting = theta
+        self._state.lasting, self._state.rival = theta, None
 
     def fail(self, t: float, theta: Vector | None, held: Vector) -> tuple[Event, ...]:
         """Take the end of a search that has found no parameters, theta (d,) being the best; return the events.
@@ -223,7 +248,7 @@ class EpisodeDiagnosis:
         There is none where the noise is larger than was known, and nothing has happened.
         """
         state = self._state
-        if self._adopt_noise(theta, held):
+        if not self._is_undoing and self._adopt_noise(theta, held):
             state.unexplained = None
             return ()
         disturbed, nothing = self._disturbed(held), _fit(self._window.whitened(held), 0)
@@ -232,7 +257,7 @@ class EpisodeDiagnosis:
             return ()
         state.n_failures += 1
         if disturbed.fit.is_explained:
-            state.unexplained = None
+            state.unexplained = state.rival = None
             now = state.inputs + disturbed.inputs
             is_over = bool(np.any(state.inputs)) and _fit(self._window.with_inputs(held, -state.inputs), 0).is_explained
             before, state.inputs = state.inputs, np.zeros(len(now)) if is_over else now

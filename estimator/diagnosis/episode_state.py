@@ -18,6 +18,8 @@ class EpisodeState:
     """Known disturbance (p,) of the plant's inputs."""
     lasting: Vector | None = None
     """Parameters (d,) in force when the samples contradicted them after a long time; None before that."""
+    rival: Vector | None = None
+    """Disturbance (p,) that explained, with those that lasted, what others were written for; or None."""
     suspected_at: int = 0
     """Number of the last sample that contradicted those in force."""
     n_failures: int = 0

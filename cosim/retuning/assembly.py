@@ -209,8 +209,9 @@ def _screen(
     if not settings.enabled:
         return None
     if whitened is not None and filtering is not None:
-        kernel, states = kernel_of(filtering, h), SampleScreen(settings, _sensors(scenario, plant, whitened), h)
-        return FilteredScreen(states, len(kernel.weights) + 1, points_apart(filtering, kernel))
+        kernel, sensors = kernel_of(filtering, h), _sensors(scenario, plant, whitened)
+        n_points, every = len(kernel.weights) + 1, points_apart(filtering, kernel)
+        return FilteredScreen(SampleScreen(settings, sensors, h), sensors.state_noise, n_points, every)
     if whitened is not None:
         return SampleScreen(settings, _sensors(scenario, plant, whitened), h)
     if filtering is not None or chosen(scenario).kind != "rollout":

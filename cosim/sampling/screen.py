@@ -10,7 +10,7 @@ is, by `FaultIsolation`. A bias of a state that was there from the start, or con
 look like another plant and are not detected.
 """
 
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from math import nan
 from typing import Any, Final, NamedTuple
@@ -93,9 +93,13 @@ class SampleScreen:
         self._plain = SensorChecks(sensors.names, settings.stuck, macro_step)
         self._health = SensorHealth(settings, sensors.names[:n])
         self._n_kept_out, self._n_outliers = 0, 0
+        self._bad: set[str] = set()  # sensors that the newest sample's faults are of
 
-    def step(self, t: float, sample: Sample, theta: Vector) -> Screened:
-        """Return the screened sample; theta (d,): parameters in force at t [s]."""
+    def step(self, t: float, sample: Sample, theta: Vector, were_isolated: Iterable[bool] = ()) -> Screened:
+        """Return the screened sample; theta (d,): parameters in force at t [s].
+
+        were_isolated: whether each state of the sample before was an isolated value, which is counted.
+        """
 
         def moves(i: int, standing: Standing) -> bool:
             is_state, is_noisy = i >= len(sample.xdot), self._sensors.is_noisy[i]
@@ -119,10 +123,14 @@ class SampleScreen:
         if is_suspect and self._n_outliers:  # this one may be another
             is_kept_out, is_suspect = True, False
         self._n_outliers += len(outliers)
-        self._n_kept_out += (bool(bad) or is_kept_out) + bool(outliers)
+        was_outlier = bool(outliers)
+        self._n_kept_out += (bool(bad) or is_kept_out) + was_outlier
+        isolated = {name for name, was in zip(self._sensors.names[len(channels) :], were_isolated, strict=False) if was}
+        outliers += isolated - self._bad
+        self._bad = {name for _, name in found}
         events = self._health.take(t, found | {("outlier", name) for name in outliers})
         n_doubtful = self._health.n_doubtful(events, self._consistency.n_doubtful) if events else 0
-        return Screened(None if is_kept_out else sample, is_suspect, bool(outliers), tuple(events), n_doubtful)
+        return Screened(None if is_kept_out else sample, is_suspect, was_outlier, tuple(events), n_doubtful)
 
     def _inconsistent(self, found: Contradictions, sample: Sample, theta: Vector) -> set[str]:
         """Return the names of the derivatives that are inconsistent, and of the states whose fault it is."""
@@ -163,22 +171,30 @@ def _without(sample: Sample, channels: Sequence[str], bad: Set[str]) -> Sample:
 class FilteredScreen:
     """Screen of the states that a filter makes derivatives of: none of its outputs passes that a bad sample is part of.
 
-    A state is compared with its modelled motion, where neither parameters nor inputs matter to that.
+    A state is compared with its modelled motion, where neither parameters nor inputs matter to that. An isolated value
+    is told by the next one; an output whose newest value may be one waits for that.
     """
 
-    def __init__(self, states: SampleScreen, n_points: int, every: int) -> None:
-        """states: without derivatives; n_points: of the filter; every: points from one of its outputs to the next."""
+    def __init__(self, states: SampleScreen, noise: Sequence[float], n_points: int, every: int) -> None:
+        """states: without derivatives; noise: standard deviation of each; n_points: of the filter; every: points from
+        one of its outputs to the next.
+        """
         self._states, self._n_points, self._every = states, n_points, every
+        self._spikes = Spikes(noise)
+        self._waiting: Sample | None = None  # an output whose newest value may be isolated
         self._n_good = 1  # the one before the first step is exact
 
     def step(self, t: float, sample: Sample | None, theta: Vector, measured: Sample) -> Screened:
         """Return the filter's output, if there is one; measured: the newest sample; theta (d,): in force at t [s]."""
-        found = self._states.step(t, measured, theta)
+        were_isolated = [mean == mean for mean in self._spikes.step(measured.x).tolist()]
+        found = self._states.step(t, measured, theta, were_isolated)
+        if any(were_isolated):
+            self._n_good, self._waiting = 0, None
         self._n_good = 0 if found.sample is None else self._n_good + 1
-        is_whole = self._n_good >= self._n_points
-        return Screened(
-            sample if is_whole else None, events=found.events, n_doubtful=-(-found.n_doubtful // self._every)
-        )
+        made = sample if sample is not None and self._n_good >= self._n_points else self._waiting
+        self._waiting = made if self._spikes.is_suspect else None
+        kept = None if self._spikes.is_suspect else made
+        return Screened(kept, events=found.events, n_doubtful=-(-found.n_doubtful // self._every))
 
     def summary(self) -> dict[str, Any]:
         """Return the counts as `SampleScreen` does."""

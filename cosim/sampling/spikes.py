@@ -28,6 +28,8 @@ class Spikes:
     def __init__(self, noise: Sequence[float]) -> None:
         """noise (k,): standard deviation of each series; one without noise has no spikes."""
         self._noise = np.array(noise)
+        self.is_suspect = False
+        """True where a newest value may turn out to be a spike: it has changed by as much as one that is."""
         none = np.full(len(self._noise), np.nan)
         self._before, self._last, self._newest = none, none, none
         self._usual: deque[Vector] = deque(maxlen=_MEMORY)
@@ -43,6 +45,8 @@ class Spikes:
         usual = np.max(self._usual, axis=0) if len(self._usual) >= _FEWEST else np.inf
         limit = np.maximum(_LIMIT * np.sqrt(1.5) * self._noise, _MORE * usual)
         is_spike = (off > limit) & (off > np.abs(now - self._before)) & (self._noise > 0.0)
+        has_changed = np.abs(now - self._last) > np.maximum(_LIMIT * np.sqrt(2.0) * self._noise, _MORE * usual)
+        self.is_suspect = bool(np.any(has_changed & ~is_spike & (self._noise > 0.0)))
         # What the newest value differed by is the spike's own.
         self._usual.append(np.where(is_spike | np.isnan(self._newest), 0.0, self._newest))
         self._newest = np.where(is_spike, np.nan, np.maximum(off, np.abs(now - self._last)))

@@ -625,11 +625,13 @@ def test_a_suspect_is_retracted_though_the_next_sample_lacks_another_derivative(
 # The states that a filter makes derivatives of, which has an output every few points.
 
 
-def filtered(n_points, every):
+def filtered(n_points, every, *, is_kinematic=False):
     still = lambda theta, x, u: [1.0]  # noqa: E731
     nothing = lambda theta, sample: np.empty(0)  # noqa: E731
-    states = SampleScreen(ObservationSettings(), Sensors(("x",), (True,), (), (), (SIGMA,), nothing, still), H)
-    return FilteredScreen(states, n_points, every)
+    others = (THETA,) if is_kinematic else ()
+    sensors = Sensors(("x",), (True,), (), (), (SIGMA,), nothing, still, others)
+    states = SampleScreen(ObservationSettings(), sensors, H)
+    return FilteredScreen(states, (SIGMA,), n_points, every)
 
 
 def through(watched, measured):
@@ -642,6 +644,38 @@ def test_no_output_of_a_filter_passes_that_a_missing_value_is_part_of():
     samples[9] = replace(samples[9], x=(nan,))
     passes = through(filtered(4, 1), samples)
     assert passes == [False] * 2 + [True] * 7 + [False] * 4 + [True] * 7  # the exact sample before them is one of four
+
+
+def carried(n, change=lambda k: 0.0, seed=0):
+    """n samples of a state that moves as modelled but for a change (1,) of each, with noise."""
+    rng = np.random.default_rng(seed)
+    return [Sample(k * H, (k * H + change(k) + rng.normal(0.0, SIGMA),), (1.0,), ()) for k in range(1, n + 1)]
+
+
+@pytest.mark.parametrize("parity", [0, 1], ids=["made with it", "made without it"])
+def test_no_output_of_a_filter_passes_that_an_isolated_value_is_part_of(parity):
+    """The next value tells, so that an output which ends with it waits, and is not passed then."""
+    samples, watched = carried(60, lambda k: 30.0 * SIGMA if k == 41 else 0.0), filtered(4, 2)
+    made = [s.t if k % 2 == parity else None for k, s in enumerate(samples)]
+    seen = [watched.step(s.t, s if t else None, THETA, s) for s, t in zip(samples, made, strict=True)]
+    assert [told(one) for one in seen if told(one)] == [[("outlier", "x")]]
+    passed = [k for k, one in enumerate(seen, 1) if one.sample is not None]
+    assert passed == [k for k in range(3, 61) if k % 2 != parity and not 41 <= k < 45]
+
+
+def test_an_output_of_a_filter_after_a_step_of_its_state_passes_one_sample_late():
+    samples, watched = carried(60, lambda k: 30.0 * SIGMA if k >= 41 else 0.0), filtered(4, 2)
+    seen = [watched.step(s.t, s if k % 2 else None, THETA, s) for k, s in enumerate(samples, 1)]
+    assert [k for k, one in enumerate(seen, 1) if one.sample is not None and k > 36] == [37, 39, 42, *range(43, 61, 2)]
+    assert seen[41].sample is samples[40]
+    assert watched.summary()["found"] == {}
+
+
+def test_an_isolated_value_is_told_once_though_it_is_a_jump_against_the_motion_too():
+    samples, watched = carried(60, lambda k: 30.0 * SIGMA if k == 41 else 0.0), filtered(4, 2, is_kinematic=True)
+    for s in samples:
+        watched.step(s.t, s, THETA, s)
+    assert watched.summary()["found"] == {"jump x": 1}
 
 
 def test_a_stuck_state_is_told_and_as_many_outputs_of_the_filter_are_doubtful_as_were_made_since():

@@ -29,6 +29,8 @@ _UNIT: Final = 0.5
 """Error of a gain that twenty samples show."""
 _LEFT: Final = 0.1
 """Largest share of the squares that it may leave of what the model misses of the motion."""
+_CLOSE: Final = 0.3
+"""Share of each motion that may be missed without such an error: it is less than 0.5 of what is modelled."""
 _SHY: Final = 3
 """Number of consistent samples that make good for an inconsistent one."""
 
@@ -110,7 +112,8 @@ class Consistency:
         self._n_block += 1
         if self._n_block == SUMMED:
             self._gain, self._n_block = self._with_block(self._rows), 0
-        has_jumped, has_wrong_unit = self._have_jumped(), self._have_wrong_unit(self._rows[1:])
+        missed = self._missed(self._rows.transpose(1, 0, 2))
+        has_jumped, has_wrong_unit = self._have_jumped(missed), self._have_wrong_unit(self._rows[1:], missed[1:])
         if self._is_kinematic.any() and (has_jumped[n:].any() or has_wrong_unit[n:].any() or not self._n_block):
             self._is_kinematic &= self._are_kinematic(sample, now)
         is_wrong, are_beyond = self._gain.n_wrong > 0, self._are_beyond(self._rows[1:])[:n]
@@ -139,34 +142,34 @@ class Consistency:
             return np.zeros(len(unsampled), dtype=bool)
         return np.array([all(other[i] == now[i] for other in others) for i in unsampled])
 
-    def _have_jumped(self) -> NDArray[np.bool_]:
+    def _have_jumped(self, missed: Vector) -> NDArray[np.bool_]:
         """Return which states (k,) have moved by far more against their derivatives than before.
 
         None that has stood still: a coarse sensor jumps all the time. Nor one whose derivative has: that is a spike.
+        missed (n, k): of the motions by the derivatives.
         """
-        newest, of_step = self._missed(self._rows[-1]), self._h * np.abs(self._rows[-1, 2])
-        has_jumped: NDArray[np.bool_] = newest > self._of_declared(1) + of_step
+        missed, of_step = np.abs(missed), self._h * np.abs(self._rows[-1, 2])
+        has_jumped: NDArray[np.bool_] = missed[-1] > self._of_declared(1) + of_step
         if not np.count_nonzero(has_jumped):  # what is usual only widens the limits
             return has_jumped
-        (moved, _, _, changes), missed = self._rows.transpose(1, 0, 2), self._missed(self._rows.transpose(1, 0, 2))
+        moved, _, _, changes = self._rows.transpose(1, 0, 2)
         usual = np.maximum(2.0 * missed[:-1].max(axis=0), self._limit * 1.4826 * column_medians(missed[:-1]))
         is_own = (moved != 0.0).all(axis=0) & (self._h * changes[-1] < 0.5 * missed[-1])
         is_own &= np.abs(moved[-1] - column_medians(moved)) > 0.5 * missed[-1]
         has_jumped &= (missed[-1] > usual + of_step) & is_own
         return has_jumped
 
-    def _have_wrong_unit(self, rows: Vector) -> NDArray[np.bool_]:
+    def _have_wrong_unit(self, rows: Vector, missed: Vector) -> NDArray[np.bool_]:
         """Return which states (k,) without a sampled derivative move by a multiple of what is modelled, far from 1.
 
         All samples (n, 4, k) must have moved, and not by the same: a coarse sensor stands still or steps, and what a
-        model lacks may be constant.
+        model lacks may be constant. missed (n, k): of the motions by the derivatives.
         """
         n, (moved, xdot, drift, _) = self._n_sampled, rows.transpose(1, 0, 2)
-        is_wrong = np.zeros(len(self.places), dtype=bool)
-        if len(rows) < SUMMED:
+        is_wrong, missed = np.zeros(len(self.places), dtype=bool), missed[:, n:]
+        if len(rows) < SUMMED or (np.abs(missed) <= _CLOSE * np.abs(moved[:, n:])).all():
             return is_wrong
         modelled = self._h * (xdot - 0.5 * drift)[:, n:]
-        missed = moved[:, n:] - modelled
         usual = np.argsort(np.abs(missed), axis=0)[:-_BURST], np.arange(missed.shape[1])  # without spikes
         missed, modelled = missed[usual], modelled[usual]
         aside = missed - missed.sum(axis=0) / len(missed)
@@ -178,9 +181,9 @@ class Consistency:
         return is_wrong
 
     def _missed(self, rows: Vector) -> Vector:
-        """Return by how much (..., c) the motion over a step differs from the derivative's, rows (4, ..., c)."""
+        """Return by how much (..., c) the motion over a step exceeds the derivative's, rows (4, ..., c)."""
         moved, xdot, drift, _ = rows
-        return np.abs(moved - self._h * (xdot - 0.5 * drift))
+        return moved - self._h * (xdot - 0.5 * drift)
 
     def forget(self) -> None:
         """Forget the gains so far: a state that was wrong has been in them."""

@@ -1,5 +1,6 @@
 """End of a suspicion as something that the model lacks explains the samples: a lag, friction, or a larger noise."""
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -12,7 +13,7 @@ from .friction_comparison import FrictionComparison
 from .lag_comparison import LagComparison
 from .lasting import LastingParameters
 from .record import DiagnosisRecord
-from .settings import FEWEST
+from .settings import BETTER, FEWEST
 from .settled import Settled
 from .standardised_residuals import StandardisedResiduals
 from .state import DiagnosisState, FrictionTrial
@@ -111,21 +112,30 @@ class EffectDiagnosis:
         followed = NEVER if rests else plain_fit(rows(held, state.every_since_lasting), len(space))
         if followed.is_explained:
             return None
-        found = self._friction.since_lasting(state.lasting) if state.n_since else self.lacking(state.lasting)
-        if found is None and self._friction.take_beside(held):
+        if self._friction.take_beside(held):
             state.path = state.path.begin(space.to_unit(held))
             return self.adopt_friction(t, None)
+        found = self._friction.since_lasting(state.lasting) if state.n_since else self.lacking(state.lasting)
         if found is None or found.has_limits or found.fit.score + MARGIN > followed.score:
             return None  # parameters that drift may do the same as a limit
         return self.adopt(t, found)
 
     def _has_failed_trial(self) -> bool:
-        """Return whether samples soon contradict friction that was found where parameters had followed them."""
+        """Return whether samples soon contradict friction that was found where parameters had followed them.
+
+        Much more than what had followed them without it: else the parameters may have changed.
+        """
         state, trial = self._state, self._state.trial
         if trial is None or state.n_samples > trial.n_samples or not state.friction:
             state.trial = None
             return False
-        return state.n_since >= FEWEST
+        if state.n_since < FEWEST:
+            return False
+        residuals, samples = self._residuals, state.samples[-state.n_since :]
+        before = replace(residuals.known, friction=Friction(), disturbance=trial.offset * residuals.sigma)
+        with_friction = residuals.rows(state.reference_or(trial.theta), samples)
+        without = residuals.scaled_rows(trial.theta, before.without_all(samples))
+        return bool(np.sum(without**2) + MARGIN <= BETTER * np.sum(with_friction**2))
 
     def _take_back(self, t: float) -> Settled:
         """Forget friction that has not proven itself, and return to the parameters that had followed the samples."""

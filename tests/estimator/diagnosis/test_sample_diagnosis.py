@@ -81,11 +81,16 @@ class Run:
     def sample(self, truth, added):
         """A sample in which u and x excite both parameters."""
         t = 0.05 * self.k
-        u, x = np.sin(1.7 * t) + 0.6 * np.sign(np.sin(0.9 * t)), np.cos(1.1 * t) + 0.5 * np.sin(4.3 * t + 0.3)
+        u, x = self.motion(t)
         noise = self.noise * SIGMA * self.rng.standard_normal(self.n_channels)
         arrives = u if self.actuator is None else self.actuator(t, float(u))
         xdot = np.array(self.plant((x,), (arrives,), *truth)) + added + noise
         return Sample(t, (float(x),), (float(u),), tuple(xdot.tolist()))
+
+    @staticmethod
+    def motion(t):
+        """Input and state at time t."""
+        return np.sin(1.7 * t) + 0.6 * np.sign(np.sin(0.9 * t)), np.cos(1.1 * t) + 0.5 * np.sin(4.3 * t + 0.3)
 
     def go(self, n, truth=TRUE, added=0.0):
         """Take n samples; truth and added: values, or functions of the number of the sample since the first."""
@@ -1697,6 +1702,41 @@ def test_friction_that_is_found_while_the_parameters_that_lasted_are_in_force_mu
     ]
     assert not run.diagnosis.summary()["known_friction"]
     assert_array_equal(run.held, TRUE)
+
+
+def drag(run, coefficient):
+    """Quadratic friction on the plant's derivative, as `Run.go` takes it: a function of the sample's number."""
+
+    def added(i):
+        x = run.motion(0.05 * run.k)[1]
+        return -coefficient * x * abs(x)
+
+    return added
+
+
+def test_friction_on_trial_stays_where_parameters_change():
+    """Those that lasted, without the friction, explain the samples no better."""
+    run = Run(seed=3).go(100)
+    friction = Friction((FrictionTerm("quadratic", 0, (0,), coefficient=0.3),))
+    found = Explanation(FoundFriction(friction, 0.0, Fit(0.0, 3, 40)), TRUE, np.zeros(1), 40)
+    run.diagnosis._state.lasting, run.diagnosis._state.lasting_at = TRUE, run.k - 40
+    run.diagnosis._effects.adopt(5.0, found)
+    run.go(5, TRUE, drag(run, 0.3)).go(30, CHANGED, drag(run, 0.3))
+    assert run.of("friction", "undo") == []
+    assert run.diagnosis.summary()["known_friction"]
+    assert near(run.held, CHANGED)
+
+
+def test_parameters_that_explain_the_samples_beside_friction_of_another_size_come_before_other_friction(monkeypatch):
+    """Friction of other terms with the parameters that lasted explains the samples of a while as well."""
+    run = Run(seed=3).go(100).go(2, TRUE, 1.0)
+    effects, found = run.diagnosis._effects, FoundFriction(Friction((FrictionTerm("dry", 0, (0,)),)), 0.0, Fit(0, 1, 9))
+    run.diagnosis._state.lasting = TRUE
+    monkeypatch.setattr(effects, "_is_due", lambda: True)
+    monkeypatch.setattr(effects._friction, "since_lasting", lambda _: Explanation(found, TRUE, np.zeros(1), 9))
+    monkeypatch.setattr(effects._friction, "take_beside", lambda _: True)
+    settled = effects.since_lasting(5.0, CHANGED)
+    assert (settled.undo, [event.kind for event in settled.events]) == (None, ["friction"])
 
 
 def test_what_a_known_disturbance_has_explained_is_no_noise():

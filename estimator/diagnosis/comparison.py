@@ -33,7 +33,7 @@ from .evidence import Evidence
 from .jump import followed_jump, jump_to
 from .lag_comparison import LagComparison
 from .quiet_comparison import QuietComparison, shorter
-from .residual_scale import LARGER, MUCH_LARGER, NOISY, TOO_SMALL, is_smooth, larger_noise, spread_of
+from .residual_scale import LARGER, MUCH_LARGER, NOISY, TOO_SMALL, is_rough, is_smooth, larger_noise, spread_of
 from .settings import BETTER, FEWEST, LONG, QUIET, Judgement
 from .standardised_residuals import StandardisedResiduals
 from .state import WINDOW, DiagnosisState
@@ -336,6 +336,23 @@ class HypothesisComparison:
             squares = np.nan_to_num(np.sum(rows**2, axis=0), nan=np.inf)
         lacks = squares > chi2_limit(FALSE_ALARM / rows.shape[1], len(rows))
         return lacks if lacks.any() else ~self._state.is_resting
+
+    def adopt_white_noise(self, held: Vector, reference: Vector) -> bool:
+        """Adopt a larger noise where a white one explains a full window since the onset, and nothing else does as well.
+
+        With the parameters from before it, the reference (d,). held (d,): in force.
+        """
+        state, n = self._state, self._state.n_since
+        if n < WINDOW or state.verdict.is_warranted:
+            return False
+        rows = self._residuals.of_newest(reference, n)
+        if not is_rough(rows) or is_smooth(rows):
+            return False
+        others = disturbance_of(rows).fit, self.best(held, n, may_drift=True).fit
+        if larger_noise(rows).score + MARGIN > min(fit.score for fit in others):
+            return False
+        state.scale.enlarge(np.maximum(np.sqrt(np.mean(rows**2, axis=0)), 1.0))
+        return True
 
     def adopt_noise(self, held: Vector) -> bool:
         """Adopt a larger noise where that explains the samples since the onset, with those in force or the best ones.

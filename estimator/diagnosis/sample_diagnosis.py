@@ -213,12 +213,14 @@ class Diagnosis:
         of_held, of_reference: residuals (n, c) of the parameters in force, held (d,), which explain the very newest
         samples or not, and of the reference.
         """
-        n, reference = len(of_held), self._state.reference_or(held)
+        state, n = self._state, len(of_held)
+        reference = state.reference_or(held)
         is_changed = of_reference is not of_held
         disturbance = disturbance_of(of_reference, may_drift=False)
         parameters, nothing = plain_fit(of_held, len(self._space)), plain_fit(of_reference, 0)
         self.evidence.note(n, nothing=nothing, disturbance=disturbance.fit)
-        if is_changed and nothing.is_explained and nothing.score <= min(parameters.score, disturbance.fit.score):
+        is_noise = is_changed and nothing.is_explained and nothing.score <= min(parameters.score, disturbance.fit.score)
+        if is_noise or self.comparison.adopt_white_noise(held, reference):
             return self._effects.larger_noise(reference, held, n)
         if is_changed and is_explained and parameters.is_explained:
             self.evidence.note(n, parameters=parameters)

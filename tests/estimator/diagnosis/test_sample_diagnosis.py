@@ -1704,6 +1704,16 @@ def test_friction_that_is_found_while_the_parameters_that_lasted_are_in_force_mu
     assert_array_equal(run.held, TRUE)
 
 
+@pytest.mark.parametrize("seed", [4, 5, 10])
+@pytest.mark.parametrize("noise", [4.0, 6.0])
+def test_noise_that_is_larger_than_declared_from_the_first_sample_on_moves_nothing_for_long(noise, seed):
+    """Parameters explain any sample or two, so that the search does not fail; white noise explains a window."""
+    run = Run("target", noise=noise, seed=seed, is_trusting=True).go(80)
+    assert run.diagnosis._state.scale.values == pytest.approx(noise, rel=0.6)
+    assert_array_equal(run.held, TRUE)
+    assert not run.diagnosis.is_suspicious
+
+
 def drag(run, coefficient):
     """Quadratic friction on the plant's derivative, as `Run.go` takes it: a function of the sample's number."""
 

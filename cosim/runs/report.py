@@ -105,6 +105,8 @@ def _oversight(run: Run, events: Sequence[RecordedEvent]) -> list[str]:
         lines.append(
             f"guard: {', '.join(counts)}{stop}{f'; the loop was not simulated ahead: {blind}' if blind else ''}"
         )
+        if n and n == guard["written"]:
+            lines.append("if such a disturbance acted, the estimates and their ± are wrong: no write speaks against it")
         vetoes = [e for e in events if e.get("kind") == "veto"]
         if vetoes:
             lines.append(f"the last veto, at t = {vetoes[-1]['t']:g} s: {vetoes[-1].get('reason', '')}")

@@ -8,6 +8,7 @@ import pytest
 
 from cosim.runs.diagnosis_report import diagnosed, diagnosis_report, resting
 from cosim.runs.recorded_events import read_events
+from cosim.runs.report import report
 from cosim.runs.simulation import run
 from cosim.scenarios.scenario import Scenario
 
@@ -54,6 +55,16 @@ def test_a_run_that_faulted_before_its_first_row_is_reported(tmp_path):
         diagnosis=found() | {"channels": channels},
     )  # fmt: skip
     assert diagnosis_report(empty, ()) == []
+
+
+@pytest.mark.parametrize("n", [0, 3, 4])
+def test_estimates_that_a_disturbance_explains_in_every_write_are_doubted(tmp_path, n):
+    counts = {"written": 4, "undecided": n, "limited": 0, "held": 0, "vetoed": 0, "reverted": 0, "stopped_at": None}
+    one = run(Scenario.load("pendulum", SHORT | {"scenario.stop_time": "0.01"}), "none", out=tmp_path)
+    lines = [line for line in report(replace(one, guard=counts), {}).splitlines() if "±" in line]
+    assert lines == ["if such a disturbance acted, the estimates and their ± are wrong: no write speaks against it"] * (
+        n == 4
+    )
 
 
 SHORT = {

@@ -10,7 +10,6 @@ import numpy as np
 from ..identifiability import IDENTIFIABLE_BELOW, Information, information
 from ..space import Vector
 from .evaluated import CubeResidual, Evaluated
-from .solver_noise import solver_noise
 
 _ROUNDS: Final = 8
 """Largest number of Gauss-Newton steps."""
@@ -31,12 +30,11 @@ _UNSEEN: Final = 0.3
 class Descent:
     """Minimum near the best place that was evaluated, with the residuals' sensitivity there.
 
-    `noise` is the norm of the solver's noise over all rows, which bounds what differences can show.
+    noise: norm of the solver's noise over all rows, which bounds what differences can show.
     """
 
-    def __init__(self, seen: CubeResidual, best: Evaluated) -> None:
-        self._seen = seen
-        self.noise = solver_noise(lambda places: [one.r for one in seen.many(places)], best.z)
+    def __init__(self, seen: CubeResidual, best: Evaluated, noise: float) -> None:
+        self._seen, self._noise = seen, noise
         steps = self._steps(self._jacobian(best, np.full(len(best.z), 1e-3)), best.misfit)
         self.place, self.jacobian = self._minimum(best, steps)
         self.refine()
@@ -79,12 +77,12 @@ class Descent:
         for _ in range(_REFINEMENTS):
             found = self.information
             directions, s = found.directions, np.maximum(found.singular_values, 1e-12)
-            steps = np.clip((1.0 + _ABOVE_NOISE * self.noise / self.place.misfit) / s, 1e-6, IDENTIFIABLE_BELOW)
+            steps = np.clip((1.0 + _ABOVE_NOISE * self._noise / self.place.misfit) / s, 1e-6, IDENTIFIABLE_BELOW)
             slopes, distances = self._slopes(self.place, directions, steps)
             halfway, _ = self._slopes(self.place, directions, 0.5 * steps)
             norms = np.linalg.norm(slopes, axis=0)
             likeness = np.sum(slopes * halfway, axis=0) / np.maximum(norms * np.linalg.norm(halfway, axis=0), 1e-300)
-            changes = norms * distances / np.maximum(np.sqrt(2.0) * self.noise, 1e-300)
+            changes = norms * distances / np.maximum(np.sqrt(2.0) * self._noise, 1e-300)
             drowned = (changes <= _VISIBLE) | ((likeness < _ALIKE) & (changes < _ABOVE_NOISE))
             slopes = np.where(drowned, 0.0, slopes)
             cornered = distances < 0.2 * steps  # bounds stop it on both sides
@@ -118,7 +116,7 @@ class Descent:
 
     def _scatter(self, place: Evaluated) -> float:
         """Return the change of the sum of squares that the solver's noise makes, twice its standard deviation."""
-        return 2.0 * float(np.sqrt(place.cost / len(place.r))) * 2.0 * self.noise
+        return 2.0 * float(np.sqrt(place.cost / len(place.r))) * 2.0 * self._noise
 
     def _trials(self, place: Evaluated, jacobian: Vector) -> list[Evaluated]:
         """Return the places after steps of different damping, in the parameters that no bound stops."""
@@ -155,7 +153,7 @@ class Descent:
 
     def _steps(self, jacobian: Vector, misfit: float) -> Vector:
         """Return differences (d,) that change the residuals by about the misfit, and by far more than the noise."""
-        change = misfit + _ABOVE_NOISE * self.noise
+        change = misfit + _ABOVE_NOISE * self._noise
         return np.clip(change / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300), 1e-6, 1e-2)
 
 

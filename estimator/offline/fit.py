@@ -18,6 +18,7 @@ from .correlated_residuals import information_of_correlated
 from .descent import Descent
 from .evaluated import CubeResidual, FitProgress, Residual
 from .robust_loss import LinearEquivalent, Loss, ShrunkResidual, linear_equivalent
+from .solver_noise import solver_noise
 
 OFFLINE: Final = ("target", "least-squares", "multi-start")
 """Methods for a whole log: those that take residual vectors in standard deviations."""
@@ -109,7 +110,9 @@ def fit(
             break
     if seen.best is None:
         raise NoFitError
-    descent = Descent(seen, seen.best)
+    # of the residuals themselves: over its distances a loss bends far ones so much that it looks like noise
+    noise = solver_noise(lambda places: residual.many([space.from_unit(z) for z in places]), seen.best.z)
+    descent = Descent(seen, seen.best, noise)
     descent.hold(space.to_unit(nominal))
     place, theta = descent.place, space.from_unit(descent.place.z)
     least = LinearEquivalent(place.r, descent.jacobian, place.misfit, 1.0)
@@ -129,7 +132,7 @@ def fit(
         place=place.z,
         residual=place.r,
         jacobian=descent.jacobian,
-        solver_noise=descent.noise / np.sqrt(len(place.r)),
+        solver_noise=noise / np.sqrt(len(place.r)),
         loss=loss,
         curvature=least.curvature,
     )

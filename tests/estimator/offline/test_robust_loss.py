@@ -20,15 +20,15 @@ SEEDS = range(20)
 class Decay:
     """Residuals of a exp(-b x), in standard deviations of the noise."""
 
-    def __init__(self, y, x=X):
-        self._x, self._y, self.n_evaluations = x, y, 0
+    def __init__(self, y, x=X, noise=NOISE):
+        self._x, self._y, self._noise, self.n_evaluations = x, y, noise, 0
 
     def __call__(self, theta):
         return self.many([theta])[0]
 
     def many(self, thetas):
         self.n_evaluations += len(thetas)
-        return [(a * np.exp(-b * self._x) - self._y) / NOISE for a, b in thetas]
+        return [(a * np.exp(-b * self._x) - self._y) / self._noise for a, b in thetas]
 
 
 def spiked(seed, x=X, share=0.01):
@@ -48,6 +48,20 @@ def test_the_minimum_is_that_of_scipy(name, method):
     theirs = scipy.optimize.least_squares(objective, found.theta, loss=name, f_scale=1.3, xtol=1e-12, ftol=1e-12)
     assert found.theta == pytest.approx(theirs.x, abs=0.02 * found.std.min())
     assert found.residual @ found.residual == pytest.approx(2.0 * theirs.cost, rel=1e-5)
+
+
+@pytest.mark.parametrize("name", ROBUST)
+def test_what_is_seen_to_a_hundred_thousandth_of_the_bounds_is_so_under_a_loss(name):
+    """A loss bends residuals that pass through thousands of deviations, which is no noise of a solver."""
+    noise = 1e-5
+    y = TRUTH[0] * np.exp(-TRUTH[1] * X) + noise * np.random.default_rng(0).standard_normal(len(X))
+    objective = Decay(y, noise=noise)
+    found = fit(objective, SPACE, NOMINAL, "least-squares", loss=Loss(name))
+    theirs = scipy.optimize.least_squares(objective, TRUTH, loss=name, x_scale=noise, xtol=1e-14, ftol=1e-14)
+    assert found.solver_noise < 1e-3
+    assert found.theta == pytest.approx(theirs.x, abs=0.05 * found.std.min())
+    plain = fit(Decay(y, noise=noise), SPACE, NOMINAL, "least-squares")
+    assert found.white_std == pytest.approx(plain.white_std, rel=0.3)
 
 
 @pytest.mark.parametrize("name", ["huber", *(pytest.param(n, marks=pytest.mark.full) for n in ROBUST if n != "huber")])

@@ -71,6 +71,8 @@ class LogWindow:
     """The log's file."""
     time_unit: str = "s"
     """Unit that its time stamps were taken to be in."""
+    part: int = 1
+    """Number of the part, from 1, into which gaps split what was asked for."""
 
 
 def windows_of(
@@ -107,6 +109,7 @@ def windows_of(
                     len(part),
                     log.path,
                     unit,
+                    number,
                 )
             )
     for i, (variable, column) in enumerate(signals.measured.items()):

@@ -52,6 +52,8 @@ class Watched:
     """Result of the replay over one window of a log."""
 
     window: LogWindow
+    start: Vector
+    """Parameters (d,) in use at the start."""
     events: tuple[Event, ...]
     """Events in order, at the log's time; those of candidates left out."""
     n_candidates: int
@@ -62,6 +64,8 @@ class Watched:
     """Description of the objective."""
     failure: str | None
     """Reason why the roll-out with the parameters in use failed before the end, or None."""
+    not_begun: str | None
+    """Reason why no roll-out was made, and nothing judged, or None."""
     found: Mapping[str, Any]
     """Findings of screen and diagnosis, as JSON values."""
 
@@ -81,16 +85,33 @@ class Online:
 
     @property
     def failure(self) -> str | None:
-        """The first failure, with the name of its window, or None."""
-        return next((f"{w.window.name}: {w.failure}" for w in self.watched if w.failure is not None), None)
+        """The first failure, with the name of its window, or why nothing was judged at all, or None."""
+        named = {w.window.name: w.failure if self.is_judged else w.not_begun for w in self.watched}
+        return next((f"{name}: {why}" for name, why in named.items() if why is not None), None)
+
+    @property
+    def is_judged(self) -> bool:
+        """False where no roll-out was made in any window."""
+        return any(w.not_begun is None for w in self.watched)
+
+    @property
+    def warnings(self) -> list[str]:
+        """Warnings about what was not used of the logs, and about windows in which nothing was judged."""
+        left = [f"{w.window.name}: {w.not_begun}" for w in self.watched if w.not_begun is not None]
+        if not left or not self.is_judged:
+            return self.understood.warnings
+        n, verb, first = len(left), *(("is", "") if len(left) == 1 else ("are", "the first "))
+        told = f"{n} of {len(self.watched)} windows {verb} passed over, {first}{left[0]}."
+        return [*self.understood.warnings, told]
 
 
 def run_online(
     request: Request, n_samples: int, progress: SampleProgress = lambda n, n_all: None, n_per_sample: int = 1
 ) -> Online:
-    """Replay algorithm 1 on each window of the logs, sample by sample, each from the start and independently.
+    """Replay algorithm 1 on each window of the logs, sample by sample, each independently.
 
-    The parameters are at first the FMU's start values, or the request's. Candidates are evaluated on n_samples
+    The parameters are at first the FMU's start values, or the request's, and after a gap those in force before it.
+    Candidates are evaluated on n_samples
     samples: begun in measured states, where the request names their columns, else simulated from the window's first
     row with the parameters accepted on the way. The request's evaluations are those of an episode, n_per_sample of
     them at each sample; nothing is held out.
@@ -113,10 +134,13 @@ def run_online(
     rngs = np.random.default_rng(request.seed).spawn(len(understood.windows))
     n_before, n_all = 0, sum(len(w.time) for w in understood.windows)
     watched: list[Watched] = []
+    theta = understood.nominal
     for window, rng in zip(understood.windows, rngs, strict=True):
         report_progress = partial(_told, progress, n_before, n_all)
         counts = n_samples, n_per_sample
-        watched.append(_watched(request, understood, obstacles, window, counts, rng, report_progress))
+        theta = understood.nominal if window.part == 1 else theta
+        watched.append(_watched(request, understood, obstacles, window, theta, counts, rng, report_progress))
+        theta = watched[-1].theta
         n_before += len(window.time)
     return Online(request, understood, n_samples, tuple(watched), perf_counter() - began)
 
@@ -130,15 +154,17 @@ def _watched(
     understood: Understood,
     obstacles: Mapping[StartMethod, str],
     window: LogWindow,
+    theta: Vector,
     counts: tuple[int, int],
     rng: np.random.Generator,
     progress: Callable[[int], None],
 ) -> Watched:
     """Replay one window, with a loop and an FMU of its own.
 
+    theta: parameters (d,) in use at its start.
     counts: samples that a candidate is evaluated on, candidates evaluated at each sample.
     """
-    theta, space = understood.nominal, understood.space
+    start_theta, space = theta, understood.space
     interface: Any = capabilities(understood.component.description)
     others = _other_inputs(request, understood.component)
     inputs = (*request.inputs, *others)
@@ -176,9 +202,12 @@ def _watched(
             events += [replace(event, t=window.origin + event.t) for event in told]
             theta = theta if decision.write is None else decision.write
             progress(k + 1)
-        failure = objective.why_lost if objective.is_ready else _not_begun(len(samples))
-        found = _in_time_of_log(supervisor.summary(), window.origin)
-        return Watched(window, tuple(events), retuner.n_evaluations, theta, objective.describe(), failure, found)
+        return Watched(
+            window, start_theta, tuple(events), retuner.n_evaluations, theta, objective.describe(),
+            failure=objective.why_lost if objective.is_ready else None,
+            not_begun=None if objective.is_ready else _not_begun(len(samples)),
+            found=_in_time_of_log(supervisor.summary(), window.origin),
+        )  # fmt: skip
 
 
 def _in_time_of_log(found: Mapping[str, Any], origin: float) -> Mapping[str, Any]:

@@ -31,10 +31,12 @@ def report(found: Online) -> str:
         f"triggered {_times(found, 'trigger')}, written {_times(found, 'write')}",
         f"{counted(n_candidates, 'candidate')}, each on {counted(found.n_samples, 'sample')}, method {request.method}, "
         f"seed {request.seed}, {found.seconds:.1f} s",
-        *dict.fromkeys(w.how for w in windows),
-        *(f"warning: {warning}" for warning in found.understood.warnings),
+        *dict.fromkeys(w.how for w in windows if w.not_begun is None),
+        *(f"warning: {warning}" for warning in found.warnings),
     ]
     for w in windows:
+        if w.not_begun is not None:
+            continue
         lines += [
             "",
             *([w.window.name] if len(windows) > 1 else []),
@@ -64,14 +66,16 @@ def summary(found: Online) -> dict[str, Any]:
                 "how": w.how,
                 "candidates": w.n_candidates,
                 "failure": w.failure,
+                "not_begun": w.not_begun,
                 "diagnosis": w.found["diagnosis"],
                 "observations": w.found["observations"],
+                "start": space.named(w.start),
                 "events": [{"time": e.t, "event": e.kind, **e.detail} for e in w.events],
                 "end": space.named(w.theta),
             }
             for w in found.watched
         ],
-        "warnings": list(found.understood.warnings),
+        "warnings": found.warnings,
         "seconds": found.seconds,
     }
 
@@ -101,7 +105,7 @@ def _table(found: Online, watched: Watched) -> list[str]:
     cells = [["time [s]", "event", *(f"{p.name} [{p.unit}]" for p in space)]]
     texts = [""]
     start = watched.window.time[0]
-    cells.append([f"{start:.6g}", "start", *(f"{v:.6g}" for v in found.understood.nominal)])
+    cells.append([f"{start:.6g}", "start", *(f"{v:.6g}" for v in watched.start)])
     texts.append("in force")
     for event, text in _shown(watched.events):
         values = [""] * n

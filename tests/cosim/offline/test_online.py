@@ -168,8 +168,10 @@ def test_a_number_is_no_measurement_of_a_state(ask, oracles):
 
 @pytest.mark.full
 def test_where_nothing_moves_nothing_is_proved(ask, oracles):
-    (watched,) = ask(at_rest_first(oracles, rest=9.0), noise={"x": 2e-3, "v": 2e-3}).watched
-    assert watched.failure.startswith("the FMU hardly moves in these 301 rows")
+    found = ask(at_rest_first(oracles, rest=9.0), noise={"x": 2e-3, "v": 2e-3})
+    (watched,) = found.watched
+    assert watched.not_begun.startswith("the FMU hardly moves in these 301 rows")
+    assert watched.not_begun in found.failure
 
 
 @pytest.mark.full
@@ -254,14 +256,28 @@ def test_a_jump_is_found_though_states_are_missing_in_some_rows(ask, oracles, se
     assert np.abs(z).max() < 4.0
 
 
-@pytest.mark.full
-def test_each_window_begins_anew(ask, oracles):
-    columns = oracles.jump(0, end=12.0)
-    columns["force [N]"][600:620] = np.nan  # a gap after the jump
+def test_after_a_gap_the_parameters_in_force_are_kept_and_what_is_too_short_is_passed_over(ask, oracles):
+    columns = oracles.jump(0, end=7.0)
+    columns["force [N]"][[*range(600, 620), 625]] = np.nan  # gaps after the jump, five rows apart
     found = ask(columns)
-    first, second = found.watched
-    assert (len(first.window.time), len(second.window.time)) == (600, 581)
-    for watched, begins in ((first, 4.0), (second, 6.2)):
+    first, short, last = found.watched
+    assert [len(w.window.time) for w in found.watched] == [600, 5, 75]
+    assert of(first, "write")
+    assert first.theta == pytest.approx([2.6, 1.4], rel=0.05)
+    assert short.not_begun == "5 rows are too few to begin"
+    assert short.start.tolist() == last.start.tolist() == first.theta.tolist()
+    assert of(last, "trigger") == []
+    assert found.failure is None
+    (told,) = [text for text in found.warnings if "passed over" in text]
+    assert told.startswith("1 of 3 windows is passed over, ")
+    assert told.endswith(".csv, part 2: 5 rows are too few to begin.")
+    assert f"{first.theta[0]:.6g}" in next(line for line in report(found).splitlines() if line.startswith("6.26 "))
+
+
+@pytest.mark.full
+def test_each_window_that_is_asked_for_begins_anew(ask, oracles):
+    found = ask(oracles.jump(0, end=12.0), windows=((0.0, 6.0), (6.2, 12.0)))
+    for watched, begins in zip(found.watched, (4.0, 6.2), strict=True):
         (trigger,) = of(watched, "trigger")
         assert begins < trigger.t <= begins + 0.2  # the second with the old parameters in force, from the tenth sample
         assert watched.theta == pytest.approx([2.6, 1.4], rel=0.05)

@@ -1,5 +1,6 @@
 """Report of an estimation from logs: in words for the terminal, and as files."""
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from math import isfinite
 from pathlib import Path
@@ -118,7 +119,9 @@ def _profile_of(found: Estimation, name: str) -> dict[str, Any]:
     if not found.profiles:
         return {}
     p = found.profiles[found.space.names.index(name)]
-    ends = {"lower": p.lower, "upper": p.upper, "is_flat": p.is_flat}
+    ends: dict[str, Any] = {"lower": p.lower, "upper": p.upper, "is_flat": p.is_flat}
+    for end, numbers_of in (("lower_set_by", p.lower_set_by), ("upper_set_by", p.upper_set_by)):
+        ends[end] = [found.space.names[k] for k in numbers_of]
     return {"profile": ends | {"values": p.values.tolist(), "rise": p.rise.tolist()}}
 
 
@@ -270,8 +273,14 @@ def _of_identifiability(found: Estimation) -> list[str]:
     return sentences
 
 
+def _bounds_of(found: Estimation, numbers_of: Sequence[int]) -> str:
+    """Return "the bounds of a and b" for the parameters of these numbers."""
+    names = [found.space.names[k] for k in numbers_of]
+    return f"the bound{'s' if len(names) > 1 else ''} of {' and '.join(names)}"
+
+
 def _of_profiles(found: Estimation) -> list[str]:
-    """Return a sentence for each profile: its 95 % interval, or the side to which it is open."""
+    """Return a sentence for each profile: its 95 % interval, what sets its ends, or the side to which it is open."""
     sentences: list[str] = []
     for p, one in zip(found.space, found.profiles, strict=False):
         if one.is_flat:
@@ -279,6 +288,16 @@ def _of_profiles(found: Estimation) -> list[str]:
         elif one.lower is None or one.upper is None:
             ends = [text for text, end in (("below", one.lower), ("above", one.upper)) if end is None]
             sentences.append(f"{p.name} is not identifiable: its profile is open {' and '.join(ends)}.")
+        elif not one.is_identifiable:
+            ends = [
+                f"its {side} end by {_bounds_of(found, set_by)}"
+                for side, set_by in (("lower", one.lower_set_by), ("upper", one.upper_set_by))
+                if set_by
+            ]
+            sentences.append(
+                f"{p.name} is not identifiable: 95 % by its profile, {one.lower:.6g} to {one.upper:.6g}, is set not by "
+                f"the data but {' and '.join(ends)}."
+            )
         else:
             sentences.append(f"95 % of {p.name} by its profile: {one.lower:.6g} to {one.upper:.6g}.")
     return sentences

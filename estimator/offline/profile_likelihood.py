@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..space import ParameterSpace, Vector
 from .evaluated import CubeResidual, Evaluated, Residual
@@ -43,11 +44,16 @@ class Profile:
     """Lower end of the 95 % interval; None: open to the bound."""
     upper: float | None
     """Upper end of the 95 % interval; None: open to the bound."""
+    lower_set_by: tuple[int, ...]
+    """Numbers of the other parameters whose bounds set the lower end: up to these they make up for any value."""
+    upper_set_by: tuple[int, ...]
+    """The same of the upper end."""
 
     @property
     def is_identifiable(self) -> bool:
-        """True where the 95 % interval ends within the bounds on both sides."""
-        return self.lower is not None and self.upper is not None
+        """True where the data end the 95 % interval on both sides, not bounds, its own or others'."""
+        is_closed = self.lower is not None and self.upper is not None
+        return is_closed and not self.lower_set_by and not self.upper_set_by
 
     @property
     def is_flat(self) -> bool:
@@ -69,8 +75,11 @@ def profile(residual: Residual, space: ParameterSpace, fit: OfflineFit, j: int) 
     rise = (costs - costs.min()) / unit
     values = np.array([space.from_unit(one.z)[j] for one in row])
     least = int(np.argmin(costs))
-    lower, upper = _crossing(values[least::-1], rise[least::-1]), _crossing(values[least:], rise[least:])
-    return Profile(values, rise, lower, upper)
+    is_at_bound = np.array([(one.z <= 0.0) | (one.z >= 1.0) for one in row])
+    is_at_bound[:, j] = False
+    ways = slice(least, None, -1), slice(least, None)
+    lower, upper = (_crossing(values[way], rise[way]) for way in ways)
+    return Profile(values, rise, lower, upper, *(_set_by(is_at_bound[way], rise[way]) for way in ways))
 
 
 def _side(
@@ -125,6 +134,19 @@ def _follow(
         z = trial.z.copy()
         z[others] -= np.linalg.pinv(jacobian[:, others], rcond=1e-7) @ trial.r
     return best or last, jacobian
+
+
+def _set_by(is_at_bound: NDArray[np.bool_], rise: Vector) -> tuple[int, ...]:
+    """Return the parameters that meet their bounds while the profile is still flat, and stay there up to the limit.
+
+    is_at_bound: (n, d); rise: (n,), from the least outwards.
+    """
+    beyond = np.flatnonzero(rise > LIMIT)
+    if not len(beyond):
+        return ()
+    free = [np.flatnonzero(~column) for column in is_at_bound[: beyond[0] + 1].T]
+    last = [int(within[-1]) if len(within) else int(beyond[0]) for within in free]
+    return tuple(k for k, i in enumerate(last) if i < beyond[0] and rise[i] < _FLAT)
 
 
 def _crossing(values: Vector, rise: Vector) -> float | None:

@@ -87,8 +87,12 @@ def test_profiles_decide_and_are_drawn(command, oracles, capsys, tmp_path):
     assert "m is not identifiable: its profile is flat, the others make up for any value." in printed
     assert "Each parameter is identifiable" not in printed
     folder = tmp_path / "work" / "runs" / "Plant-estimate-1"
-    m = json.loads((folder / "estimate.json").read_text())["parameters"]["m"]
+    assert re.search(r"k is not identifiable: 95 % by its profile, 1\d\.\d* to 4\d\.\d*, is set not by the", printed)
+    parameters = json.loads((folder / "estimate.json").read_text())["parameters"]
+    m = parameters["m"]
     assert m["is_identifiable"] is False
+    assert parameters["k"]["profile"]["lower_set_by"] == parameters["k"]["profile"]["upper_set_by"] == ["m"]
+    assert "its lower end by the bound of m and its upper end by the bound of m" in printed
     assert (m["profile"]["lower"], m["profile"]["upper"]) == (None, None)
     assert (m["profile"]["values"][0], m["profile"]["values"][-1]) == pytest.approx((0.85, 3.4))
     assert max(m["profile"]["rise"]) < 1.0

@@ -38,6 +38,7 @@ def test_of_a_linear_model_the_interval_is_that_of_the_normal_distribution():
     half = 1.96 * found.std
     for j, p in enumerate(profiles):
         assert p.is_identifiable
+        assert p.lower_set_by == p.upper_set_by == ()
         assert [p.lower, p.upper] == pytest.approx(
             [found.theta[j] - half[j], found.theta[j] + half[j]], abs=0.02 * half[j]
         )
@@ -53,7 +54,8 @@ def test_a_free_common_factor_makes_profiles_flat(scale):
     assert a.is_flat
     assert not a.is_identifiable
     assert (a.values[0], a.values[-1]) == pytest.approx((0.5, 2.0))
-    assert b.is_identifiable  # a's bounds hold it: within 1/2 and 2, and a little more
+    assert (b.lower_set_by, b.upper_set_by) == ((0,), (0,))  # a's bounds hold it: within 1/2 and 2, and a little more
+    assert not b.is_identifiable
     assert (b.lower, b.upper) == pytest.approx((0.5, 2.0), rel=0.1)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from estimator import ParameterSpace, Vector
 from estimator.events import Event
+from estimator.offline.identifiability_report import at_bounds, bounds_met
 
 from ..files import write_json, write_text
 from ..runs.diagnosis_report import diagnosed, resting
@@ -41,6 +42,7 @@ def report(found: Online) -> str:
             "",
             *([w.window.name] if len(windows) > 1 else []),
             *_table(found, w),
+            *(at_bounds(found.understood.space, w.theta) if _is_written(w) else []),
             *(diagnosed(told) + resting(told) if (told := w.found["diagnosis"]) else []),
         ]
         lines += screened(w.found["observations"])
@@ -72,6 +74,7 @@ def summary(found: Online) -> dict[str, Any]:
                 "start": space.named(w.start),
                 "events": [{"time": e.t, "event": e.kind, **e.detail} for e in w.events],
                 "end": space.named(w.theta),
+                "at_bounds": bounds_met(space, w.theta),
             }
             for w in found.watched
         ],
@@ -115,8 +118,18 @@ def _table(found: Online, watched: Watched) -> list[str]:
             pairs = zip(event.detail["theta"], event.detail["std"], strict=True)
             values = [_value(v, s, p.upper - p.lower) for (v, s), p in zip(pairs, space, strict=True)]
         cells.append([f"{event.t:.6g}", event.kind, *values])
-        texts.append(text)
+        texts.append(text + _at_bounds(space, event))
     return [f"{line}  {text}".rstrip() for line, text in zip(_padded(aligned(cells)), texts, strict=True)]
+
+
+def _is_written(watched: Watched) -> bool:
+    return any(event.kind == "write" for event in watched.events)
+
+
+def _at_bounds(space: ParameterSpace, event: Event) -> str:
+    """Return, in words behind a reason, which parameters a write puts at a bound."""
+    met = bounds_met(space, np.array(event.detail["theta"])) if event.kind == "write" else {}
+    return "".join(f", {name} at its {side} bound" for name, side in met.items())
 
 
 def _value(value: float, std: float, width: float) -> str:

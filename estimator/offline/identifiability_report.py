@@ -29,7 +29,7 @@ def findings(
     and what the data determine of two parameters is the product of powers that stays constant.
     """
     parameters = list(space)
-    sentences = list(_at_bounds(space, theta))
+    sentences = at_bounds(space, theta)
     groups = _together(_sparse(information.flat(identifiable_below)))
     sentences += [_flat(parameters, space, theta, group) for group in groups]
     named = {int(j) for group in groups for direction in group for j in _parts(direction)}
@@ -44,12 +44,21 @@ def _percent(share: float) -> str:
     return f"{float(f'{100.0 * share:.2g}'):g}"
 
 
-def _at_bounds(space: ParameterSpace, theta: Vector) -> Iterator[str]:
-    for p, value, z in zip(space, theta, space.to_unit(theta), strict=True):
-        if not 1e-6 < z < 1.0 - 1e-6:
-            side = "lower" if z < 0.5 else "upper"
-            at = f"{p.name} is at its {side} bound, {_with_unit(float(value), p.unit)}"
-            yield f"{at}: widen it unless it is a physical limit, or doubt the model."
+def bounds_met(space: ParameterSpace, theta: Vector) -> dict[str, str]:
+    """Return "lower" or "upper" by the name of each parameter that is at that bound."""
+    places = zip(space.names, space.to_unit(theta).tolist(), strict=True)
+    return {name: "lower" if z < 0.5 else "upper" for name, z in places if not 1e-6 < z < 1.0 - 1e-6}
+
+
+def at_bounds(space: ParameterSpace, theta: Vector) -> list[str]:
+    """Return a sentence for each parameter at a bound."""
+    met = bounds_met(space, theta)
+    return [
+        f"{p.name} is at its {met[p.name]} bound, {_with_unit(float(value), p.unit)}: widen it unless it is a physical "
+        "limit, or doubt the model."
+        for p, value in zip(space, theta, strict=True)
+        if p.name in met
+    ]
 
 
 def _sparse(directions: Vector) -> list[Vector]:

@@ -17,7 +17,7 @@ from cosim.objectives.rollout import RolloutObjective
 from cosim.objectives.rollout_fmu import Shadow
 from cosim.objectives.rollout_start import NoisyStartObjective
 from cosim.offline.online import run_online
-from cosim.offline.online_report import report
+from cosim.offline.online_report import report, summary
 from cosim.offline.request import EstimateError, Request, Sought
 from cosim.ssv.document import read_ssv
 from estimator import Sample, SampleSequence
@@ -272,6 +272,15 @@ def test_after_a_gap_the_parameters_in_force_are_kept_and_what_is_too_short_is_p
     assert told.startswith("1 of 3 windows is passed over, ")
     assert told.endswith(".csv, part 2: 5 rows are too few to begin.")
     assert f"{first.theta[0]:.6g}" in next(line for line in report(found).splitlines() if line.startswith("6.26 "))
+
+
+def test_a_parameter_that_is_written_at_its_bound_is_named(ask, oracles):
+    columns = {name: values[:520] for name, values in oracles.jump(0).items()}
+    found = ask(columns, parameters=(Sought("m", 0.5, 2.59), DAMPER))  # it becomes 2.6
+    assert summary(found)["windows"][0]["at_bounds"] == {"m": "upper"}
+    text = report(found)
+    assert "incumbent, m at its upper bound" in text
+    assert "m is at its upper bound, 2.59 kg: widen it unless it is a physical limit, or doubt the model." in text
 
 
 @pytest.mark.full

@@ -1,5 +1,6 @@
 """Reading of measured data from files: CSV, Parquet, MAT and MDF4. Nothing is interpolated."""
 
+import codecs
 import csv
 import re
 from collections import Counter
@@ -28,6 +29,7 @@ _NOT_IN_CP1252: Final = (0x81, 0x8D, 0x8F, 0x90, 0x9D)
 _NEVER: Final = -(2**63)
 _EXACT: Final = 2**53
 """Largest whole number up to which a float holds each."""
+_SPREADSHEETS: Final = (".xlsx", ".xlsm", ".xls", ".ods")
 _MISSING: Final = ["", "nan", "NaN", "NAN", "-nan", "null", "NULL", "NA", "N/A", "#N/A", "None", "-"]
 
 
@@ -51,6 +53,10 @@ class Column:
     """Whole number that the values are counted from: nanoseconds since 1970 are too large for a float."""
     is_date: bool = False
     """Whether the values are dates, counted from the first one."""
+    text_row: int | None = None
+    """Row of the first cell that is no number, from 1 below the header, where it is known."""
+    is_text_alone: bool = False
+    """Whether all cells after it are numbers."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +86,12 @@ class Log:
     def _numbers(self, name: str) -> Column:
         found = self.columns[self.name_of(name)]
         if found.text is not None:
-            raise LogError(f"{self.path}: column '{name}' must hold numbers, got '{one_line(found.text)}'.")
+            text = one_line(found.text)
+            where = f" in row {found.text_row} below the header" if found.text_row is not None else ""
+            told = f"{self.path}: column '{name}' must hold numbers, got '{text}'{where}"
+            if found.text_row == 1 and found.is_text_alone:
+                told += f"; if that row has units, leave it out, and name the column '{self.name_of(name)} [{text}]'"
+            raise LogError(f"{told}.")
         return found
 
     def on_one_raster(self, held: Iterable[str], others: Iterable[str]) -> "Log":
@@ -122,6 +133,8 @@ def read_log(path: Path) -> Log:
     readers = {".parquet": _read_parquet, ".pq": _read_parquet, ".mat": _read_mat}
     try:
         readable(path)
+        if path.suffix.lower() in _SPREADSHEETS:
+            raise LogError(f"{path} is a spreadsheet; export it as CSV.")
         if path.suffix.lower() in (".mf4", ".mdf"):
             return Log(path, _read_mdf(path))
         headings, columns = readers.get(path.suffix.lower(), _read_csv)(path)
@@ -143,6 +156,8 @@ def read_log(path: Path) -> Log:
 
 def _read_csv(path: Path) -> tuple[Sequence[str], Sequence[Any]]:
     content = path.read_bytes()
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):  # "Unicode text" of spreadsheets
+        content = content.decode("utf-16", "replace").encode()
     encoding = "utf-8-sig"
     try:
         start = content[:100_000].decode(encoding, "ignore").splitlines()
@@ -204,8 +219,10 @@ def _column(column: Any, unit: str | None) -> Column:
     if pa.types.is_boolean(kind):
         column, kind = pc.cast(column, pa.int8()), pa.int8()
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)):
-        cells = (str(cell) for cell in column.to_pylist() if cell is not None)
-        return Column(np.empty(0), unit, next((cell for cell in cells if not _is_plain_number(cell)), str(kind)))
+        cells = ((row, str(cell)) for row, cell in enumerate(column.to_pylist(), start=1) if cell is not None)
+        texts = ((row, cell) for row, cell in cells if cell not in _MISSING and not _is_plain_number(cell))
+        row, text = next(texts, (None, str(kind)))
+        return Column(np.empty(0), unit, text, text_row=row, is_text_alone=next(texts, None) is None)
     first = _first(column) if kind in (pa.int64(), pa.uint64()) else 0
     if first:
         counts = [pc.cast(column, pa.int64(), safe=False), pa.scalar(first, pa.int64())]

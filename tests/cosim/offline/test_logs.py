@@ -1,5 +1,7 @@
 """Logs from files: what is read, what is refused in one line, what is passed over with a warning."""
 
+import codecs
+
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet
@@ -22,8 +24,10 @@ ROWS = {"time": [0.0, 0.1, 0.25], "u": [1.0, 2.0, -3.5e-2]}
         (b'"time"\t"u [\xc2\xb0C]"\n0\t1\n0.1\t2\n0.25\t-0.035\n', "°C"),
         (b"time,u [\xb0C]\n0,1\n0.1,2\n0.25,-0.035\n", "°C"),
         (b"time,u,,\n0,1,,\n0.1,2,,\n0.25,-0.035,,\n", None),
+        (codecs.BOM_UTF16_LE + "time\tu [°C]\r\n0\t1\r\n0.1\t2\r\n0.25\t-0.035\r\n".encode("utf-16-le"), "°C"),
+        (codecs.BOM_UTF16_BE + "time;u [°C]\n0;1\n0,1;2\n0,25;-0,035\n".encode("utf-16-be"), "°C"),
     ],
-    ids=["plain", "units", "decimal-comma", "tabs", "cp1252", "trailing-commas"],
+    ids=["plain", "units", "decimal-comma", "tabs", "cp1252", "trailing-commas", "utf-16", "utf-16-big-endian"],
 )
 def test_csv(tmp_path, content, unit):
     path = tmp_path / "log.csv"
@@ -120,6 +124,8 @@ def test_what_is_no_mdf_file_is_one_line(tmp_path):
         ("log.csv", b"0,1\n0.1,2\n", "must begin with a header that names its columns, got '0,1'"),
         ("log.csv", b"t,u\n0,1\n0.1\n", "cannot be read: CSV parse error: .*Expected 2 columns, got 1"),
         ("log.csv", b"t,u,u [N]\n0,1,1\n", "has two columns 'u'"),
+        ("log.csv", codecs.BOM_UTF16_LE + b"\0", "cannot be read"),
+        ("log.XLSX", b"PK\3\4", "is a spreadsheet; export it as CSV"),
         ("log.parquet", b"no", "cannot be read"),
         ("log.mat", b"no MAT file at all, and it is long enough to be looked into" * 4, "is no MAT file"),
     ],
@@ -178,6 +184,23 @@ def test_a_cell_that_is_a_number_to_python_or_with_a_comma_is_told_as_it_is(tmp_
     (tmp_path / "log.csv").write_text(f'clock,speed\n0,1.5\n1,"{cell}"\n')
     with pytest.raises(LogError, match=f"'speed' must hold numbers, got '{cell}'"):
         read_log(tmp_path / "log.csv").column("speed")
+
+
+def test_a_row_of_units_is_told_and_what_is_no_number_elsewhere_by_its_row(tmp_path):
+    (tmp_path / "log.csv").write_text("time,torque,note,speed\ns,N.m,a,rpm\n0,1,b,1\n1,2,c,\n2,3,d,off\n")
+    log = read_log(tmp_path / "log.csv")
+    with pytest.raises(LogError) as refused:
+        log.column("torque")
+    assert str(refused.value).endswith(
+        "column 'torque' must hold numbers, got 'N.m' in row 1 below the header; if that row has units, leave it "
+        "out, and name the column 'torque [N.m]'."
+    )
+    for name in ("note", "speed"):
+        with pytest.raises(LogError, match=r"got '\w+' in row 1 below the header\.$"):
+            log.column(name)
+    (tmp_path / "log.csv").write_text("time,torque\n0,1\n1,\n2,oops\n")
+    with pytest.raises(LogError, match=r"got 'oops' in row 3 below the header\.$"):
+        read_log(tmp_path / "log.csv").column("torque")
 
 
 def test_columns_that_are_not_there_or_no_numbers(tmp_path):

@@ -31,7 +31,7 @@ def estimate_online(options: argparse.Namespace, request: Request) -> int:
         with recording(options.ssv.parent):
             write_text(options.ssv, estimates_ssv(found))
     print(to_json(summary(found)) if options.json else f"{report(found)}\n\nwritten to {folder}")
-    if not options.json:
+    if found.is_judged and not options.json:
         tell_next("run", "SCENARIO", "--start-values", f"plant={folder / 'estimates.ssv'}")
     if found.failure is not None:
         print(f"retune: {found.failure}; what was recorded so far is in {folder}", file=sys.stderr)

@@ -105,8 +105,12 @@ def estimate(
 
 
 def sought(name: str, bounds: Bounds) -> Sought:
-    """Return a parameter to estimate, as its bounds say."""
-    return Sought(name, bounds[0], bounds[1], "linear" if len(bounds) == 2 else bounds[2])
+    """Return a parameter to estimate, as its bounds say. Raises EstimateError."""
+    try:
+        lower, upper, scale = bounds if len(bounds) == 3 else (*bounds, "linear")
+        return Sought(name, float(lower), float(upper), scale)
+    except (TypeError, ValueError) as e:
+        raise EstimateError(f"bounds of {name} must be (lower, upper) or (lower, upper, scale), got {bounds!r}.") from e
 
 
 def cuts_of(windows: Sequence[Cut]) -> tuple[Cut, ...]:

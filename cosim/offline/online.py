@@ -83,6 +83,18 @@ class Online:
     seconds: float
     """Wall time [s]."""
 
+    def __repr__(self) -> str:
+        """Return one line with what was done and the parameters at the end: events and series would fill pages."""
+        end = self.understood.space.named(self.watched[-1].theta)
+        values = ", ".join(f"{name} = {value:.5g}" for name, value in end.items())
+        counts = f"triggered {self.times('trigger')}, written {self.times('write')}"
+        return f"<Online of {self.request.fmu.name}: {counts if self.is_judged else 'nothing judged'}, {values}>"
+
+    def times(self, kind: str) -> str:
+        """Return, in words, how many events of that kind there were."""
+        n = sum(e.kind == kind for w in self.watched for e in w.events)
+        return ("never", "once", "twice")[n] if n < 3 else f"{n} times"
+
     @property
     def failure(self) -> str | None:
         """The first failure, with the name of its window, or why nothing was judged at all, or None."""

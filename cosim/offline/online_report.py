@@ -27,9 +27,10 @@ def report(found: Online) -> str:
     """Return the report for the terminal: of consecutive writes only the last."""
     request, windows = found.request, found.watched
     n_rows, n_candidates = sum(len(w.window.time) for w in windows), sum(w.n_candidates for w in windows)
+    judged = f"triggered {found.times('trigger')}, written {found.times('write')}"
     lines = [
         f"{request.fmu.name}, {', '.join(path.name for path in request.logs)}: {counted(n_rows, 'row')} as if online, "
-        f"triggered {_times(found, 'trigger')}, written {_times(found, 'write')}",
+        f"{judged if found.is_judged else 'nothing judged'}",
         f"{counted(n_candidates, 'candidate')}, each on {counted(found.n_samples, 'sample')}, method {request.method}, "
         f"seed {request.seed}, {found.seconds:.1f} s",
         *dict.fromkeys(w.how for w in windows if w.not_begun is None),
@@ -96,11 +97,6 @@ def estimates_ssv(found: Online) -> str:
     end = found.watched[-1].theta.tolist()
     values = [ParameterValue(p.name, v, p.unit) for p, v in zip(understood.space, end, strict=True)]
     return to_ssv(f"{found.request.fmu.stem} online", values, understood.component.units)
-
-
-def _times(found: Online, kind: str) -> str:
-    n = sum(e.kind == kind for w in found.watched for e in w.events)
-    return ("never", "once", "twice")[n] if n < 3 else f"{n} times"
 
 
 def _table(found: Online, watched: Watched) -> list[str]:

@@ -92,6 +92,13 @@ def test_the_functions_of_the_library_refuse_in_one_line(plant, tmp_path, functi
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("function", [cosim.estimate, cosim.estimate_online])
+@pytest.mark.parametrize("bounds", [(1,), (), 1.0, ("a", 2.0), (1.0, 2.0, "log", 3.0)])
+def test_bounds_that_are_none_are_refused_in_one_line(plant, tmp_path, function, bounds):
+    with pytest.raises(cosim.CosimError, match=r"bounds of m must be \(lower, upper\) or .*, got [^\n]*\.$"):
+        function(plant, tmp_path / "no.csv", {"m": bounds}, {"x": "x"})
+
+
 @pytest.mark.full
 def test_intervals_cover_the_truth(ask, oracles):
     found = [estimate(ask(oracles.measure(seed), seed=seed)) for seed in range(12)]

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from functools import partial
 from pathlib import Path
 
@@ -278,6 +279,7 @@ def test_a_parameter_that_is_written_at_its_bound_is_named(ask, oracles):
     columns = {name: values[:520] for name, values in oracles.jump(0).items()}
     found = ask(columns, parameters=(Sought("m", 0.5, 2.59), DAMPER))  # it becomes 2.6
     assert summary(found)["windows"][0]["at_bounds"] == {"m": "upper"}
+    assert re.fullmatch(r"<Online of Plant.fmu: triggered once, written \d+ times, m = 2.59, c = [\d.]+>", repr(found))
     text = report(found)
     assert "incumbent, m at its upper bound" in text
     assert "m is at its upper bound, 2.59 kg: widen it unless it is a physical limit, or doubt the model." in text
@@ -395,6 +397,15 @@ def test_what_it_prints_and_writes(command, capsys, tmp_path):
     assert float(last["m [kg]"]) == window["end"]["m"]
     assert f"{float(last['m [kg]']):.3f} ± {float(last['std m [kg]']):.3f}" in printed
     assert ssv.read_text() == (folder / "estimates.ssv").read_text()
+
+
+def test_where_nothing_is_judged_nothing_is_said_to_have_never_triggered(command, capsys):
+    assert command("--start", "x=x", "--start", "v=v", "--samples", "5", "--window", "0:0.08") == 1
+    printed, error = capsys.readouterr()
+    assert error.startswith("retune: log.csv, 0 to 0.08 s: 9 rows are too few to begin; what was recorded")
+    assert "9 rows as if online, nothing judged\n" in printed
+    assert "never" not in printed
+    assert "next:" not in printed
 
 
 @pytest.mark.parametrize(

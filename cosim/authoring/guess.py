@@ -2,10 +2,13 @@
 
 Names are compared by their words: `phiRef` and `phi_ref` are phi, ref. After that, words that only denote a variable's
 role are left out, and only the last words of a structured name are compared: `s_meas` matches `mass.s`.
+
+A plant takes the controller's outputs, and one of the reference that has exactly its input's name, such as the weather
+that the controller measures.
 """
 
 import re
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from difflib import SequenceMatcher
 from functools import lru_cache
@@ -139,23 +142,38 @@ def sources(name: str, variable: str) -> tuple[str, ...]:
     return (CONTROLLER,) if name == PLANT else (PLANT,)
 
 
+def _offers(
+    name: str, v: ModelVariable, components: Mapping[str, Component]
+) -> Iterator[tuple[int, str, ModelVariable]]:
+    """Yield what may feed an input: place of the component among its sources, component and output.
+
+    The plant's may also be fed with the reference's output of exactly its name.
+    """
+    others = sources(name, v.name)
+    for place, other in enumerate(others):
+        for o in components[other].having("output") if other in components else ():
+            yield place, other, o
+    if name == PLANT and REFERENCE in components and v.name in components[REFERENCE].outputs:
+        yield len(others), REFERENCE, components[REFERENCE].outputs[v.name]
+
+
 def _guess(target: str, v: ModelVariable, components: Mapping[str, Component], taken: Container[str | None]) -> Guess:
     """Return the guess for an input; taken: outputs that are set points of another input, and so measure nothing."""
     name = VariableName(target).component
     found: list[tuple[bool, int, int, float, str, str, bool]] = []
-    for role, other in enumerate(sources(name, v.name)):
-        for o in components[other].having("output") if other in components else ():
-            how, unit = alike(v.name, o.name), have_one_unit(components[name], v.name, components[other], o.name)
-            if how is None or unit is False:
-                continue
-            ratio = SequenceMatcher(None, v.name, o.name).ratio()
-            reason = f"{how}, {'same unit' if unit else 'no unit to compare'}"
-            is_crossed = is_desired(v.name) != is_desired(o.name)  # a measurement and a set point
-            if is_crossed and f"{other}.{o.name}" in taken:
-                continue
-            found.append(
-                (is_crossed, ORDER.index(how), role, -ratio, f"{other}.{o.name}", reason, is_likely(how, unit))
-            )
+    for place, other, o in _offers(name, v, components):
+        source = f"{other}.{o.name}"
+        how, unit = alike(v.name, o.name), have_one_unit(components[name], v.name, components[other], o.name)
+        if how is None or unit is False:
+            continue
+        ratio = SequenceMatcher(None, v.name, o.name).ratio()
+        reason = f"{how}, {'same unit' if unit else 'no unit to compare'}"
+        is_crossed = is_desired(v.name) != is_desired(o.name)  # a measurement and a set point
+        if is_crossed and source in taken:
+            continue
+        is_weather = name == PLANT and other == REFERENCE  # comes after the controller's of the same words
+        order = max(ORDER.index(how), ORDER.index(SAME_WORDS) if is_weather else 0)
+        found.append((is_crossed, order, place, -ratio, source, reason, is_likely(how, unit) and not is_weather))
     if not found:
         return _converted(target, v, components) or Guess(target, None, "no output has a name like it", False)
     found.sort()
@@ -167,14 +185,13 @@ def _guess(target: str, v: ModelVariable, components: Mapping[str, Component], t
 def _converted(target: str, v: ModelVariable, components: Mapping[str, Component]) -> Guess | None:
     """Return a guess with an output of the same words in another unit, which a run converts; or None."""
     name = VariableName(target).component
-    for other in sources(name, v.name):
-        for o in components[other].having("output") if other in components else ():
-            units = components[other].unit(o.name), components[name].unit(v.name)
-            if alike(v.name, o.name) not in (SAME, SAME_WORDS) or is_desired(v.name) != is_desired(o.name):
-                continue
-            if units[0] is not None and _can_be_converted(*units):
-                reason = f"{alike(v.name, o.name)}, converted from {units[0].name}"
-                return Guess(target, f"{other}.{o.name}", reason, False)
+    for _, other, o in _offers(name, v, components):
+        units = components[other].unit(o.name), components[name].unit(v.name)
+        if alike(v.name, o.name) not in (SAME, SAME_WORDS) or is_desired(v.name) != is_desired(o.name):
+            continue
+        if units[0] is not None and _can_be_converted(*units):
+            reason = f"{alike(v.name, o.name)}, converted from {units[0].name}"
+            return Guess(target, f"{other}.{o.name}", reason, False)
     return None
 
 

@@ -49,13 +49,15 @@ def variables(**units):
 
 @pytest.fixture
 def joined(described):
-    """What is guessed for a plant and a controller with these variables: source and likelihood by target."""
+    """What is guessed for FMUs with these variables: source and likelihood by target."""
 
-    def guess(plant, controller):
+    def guess(plant, controller, reference=None):
         components = {
             "plant": read_component(described(variables(**plant), name="P")),
             "controller": read_component(described(variables(**controller), name="C")),
         }
+        if reference:
+            components["reference"] = read_component(described(variables(**reference), name="R"))
         return {g.target: (g.source, g.is_likely) for g in guess_connections(components)}
 
     return guess
@@ -82,3 +84,22 @@ def test_two_outputs_that_fit_alike_are_no_likely_guess(joined):
 def test_an_input_without_a_name_like_it_takes_the_only_output_left_in_its_unit(joined):
     found = joined({"u": ("input", "N"), "w": ("input", "K")}, {"thrust": ("output", "N"), "heat": ("output", "W")})
     assert found == {"plant.u": ("controller.thrust", False), "plant.w": (None, False)}
+
+
+def test_a_plant_takes_what_the_reference_has_by_its_exact_name_to_be_looked_at(joined):
+    found = joined(
+        {"u": ("input", ""), "To": ("input", "K"), "vh": ("input", ""), "T": ("output", "K")},
+        {"T": ("input", "K"), "To": ("input", "K"), "u": ("output", "")},
+        {"To": ("output", "K"), "vh_ref": ("output", "")},
+    )
+    assert found["plant.To"] == ("reference.To", False)
+    assert found["controller.To"] == ("reference.To", True)
+    assert found["plant.vh"] == (None, False)  # the same words are not enough: it would be a set point
+
+
+def test_a_plant_takes_the_controllers_output_of_the_same_words_before_the_references_of_its_name(joined):
+    plant, reference = {"s": ("input", "m")}, {"s": ("output", "m")}
+    assert joined(plant, {"s_cmd": ("output", "m")}, reference)["plant.s"] == ("controller.s_cmd", True)
+    assert joined(plant, {"ds": ("output", "m")}, reference)["plant.s"] == ("reference.s", False)
+    converted = joined(plant, {"v": ("output", "K")}, {"s": ("output", "mm")})
+    assert converted["plant.s"] == ("reference.s", False)

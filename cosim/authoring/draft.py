@@ -140,9 +140,13 @@ def _connections(components: Mapping[str, Component]) -> list[str]:
         of = f" [{unit.name}]" if unit else ""
         if guess.source is None and guess.is_likely:
             lines.append(said(f'# {quoted(guess.target)} = ""', f"{guess.reason}{of}"))
+        elif guess.beside is not None:
+            note = f"GUESS{of}: a disturbance: {guess.reason}; it stays at its start, unless [changes] names it"
+            lines.append(said(f'# {quoted(guess.target)} = ""', note))
         elif guess.source is None:
             left = _offered(guess.target, components)
-            note = f"FILL{of}: {guess.reason}{left}; as it is it stays at its start"
+            changed = ", unless [changes] names it" if name == PLANT else ""
+            note = f"FILL{of}: {guess.reason}{left}; as it is it stays at its start{changed}"
             lines.append(said(f'# {quoted(guess.target)} = ""', note))
         else:
             mark = "guess" if guess.is_likely else "GUESS"

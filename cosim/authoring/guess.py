@@ -4,7 +4,8 @@ Names are compared by their words: `phiRef` and `phi_ref` are phi, ref. After th
 role are left out, and only the last words of a structured name are compared: `s_meas` matches `mass.s`.
 
 A plant takes the controller's outputs, and one of the reference that has exactly its input's name, such as the weather
-that the controller measures.
+that the controller measures. An output that an input takes by its exact name is given to no other input of the same
+component by a likeness: `dU` beside `U` is a disturbance.
 """
 
 import re
@@ -51,6 +52,8 @@ class Guess:
     """Similarity of the two, or the reason why there is no source."""
     is_likely: bool
     """True where name and unit agree; otherwise somebody should check it."""
+    beside: str | None = None
+    """Another input of the plant, which takes the output with a name like this one's: it may be a disturbance."""
 
 
 def guess_connections(components: Mapping[str, Component]) -> list[Guess]:
@@ -61,16 +64,18 @@ def guess_connections(components: Mapping[str, Component]) -> list[Guess]:
         for v in (components[name].having("input") if name in components else ())
     }
     guesses: dict[str, Guess] = {}
+    exact = _exact(inputs, components)
     set_points: set[str | None] = set()
     for target, v in sorted(inputs.items(), key=lambda item: not is_desired(item[1].name)):  # set points come first
         if is_disturbance(v):
             guesses[target] = Guess(target, None, DISTURBANCE, True)
             continue
-        guesses[target] = guess = _guess(target, v, components, set_points)
+        guesses[target] = guess = _guess(target, v, components, set_points, exact)
         set_points |= {guess.source} if is_desired(v.name) else set()
     used = {g.source for g in guesses.values()}
     ordered = [guesses[target] for target in inputs]
-    return [_by_unit(g, used, components) if g.source is None and not g.is_likely else g for g in ordered]
+    is_open = [g.source is None and not g.is_likely and g.beside is None for g in ordered]
+    return [_by_unit(g, used, components) if is_it else g for g, is_it in zip(ordered, is_open, strict=True)]
 
 
 def alike(name: str, other: str) -> str | None:
@@ -157,10 +162,39 @@ def _offers(
         yield len(others), REFERENCE, components[REFERENCE].outputs[v.name]
 
 
-def _guess(target: str, v: ModelVariable, components: Mapping[str, Component], taken: Container[str | None]) -> Guess:
-    """Return the guess for an input; taken: outputs that are set points of another input, and so measure nothing."""
+def _exact(inputs: Mapping[str, ModelVariable], components: Mapping[str, Component]) -> dict[tuple[str, str], str]:
+    """Return the input that takes an output by its exact name, by the input's component and the output."""
+    found: dict[tuple[str, str], str] = {}
+    for target, v in inputs.items():
+        name = VariableName(target).component
+        offered = [] if is_disturbance(v) else _offers(name, v, components)
+        others = (other for _, other, o in offered if o.name == v.name)
+        source = next((other for other in others if _can_feed(components[other], components[name], v.name)), None)
+        if source is not None:
+            found[name, f"{source}.{v.name}"] = target
+    return found
+
+
+def _can_feed(source: Component, owner: Component, name: str) -> bool:
+    """Return whether an output is in the unit of the input of its name, or can be converted to it."""
+    is_one = have_one_unit(source, name, owner, name)
+    return is_one is not False or _can_be_converted(source.unit(name), owner.unit(name))
+
+
+def _guess(
+    target: str,
+    v: ModelVariable,
+    components: Mapping[str, Component],
+    taken: Container[str | None],
+    exact: Mapping[tuple[str, str], str],
+) -> Guess:
+    """Return the guess for an input.
+
+    taken: outputs that are set points of another input, and so measure nothing; exact: see `_exact`.
+    """
     name = VariableName(target).component
     found: list[tuple[bool, int, int, float, str, str, bool]] = []
+    beside: list[tuple[int, str, str]] = []
     for place, other, o in _offers(name, v, components):
         source = f"{other}.{o.name}"
         how, unit = alike(v.name, o.name), have_one_unit(components[name], v.name, components[other], o.name)
@@ -171,22 +205,49 @@ def _guess(target: str, v: ModelVariable, components: Mapping[str, Component], t
         is_crossed = is_desired(v.name) != is_desired(o.name)  # a measurement and a set point
         if is_crossed and source in taken:
             continue
+        if (its := _other_taker(target, source, exact)) is not None:
+            beside.append((ORDER.index(how), its, source))
+            continue
         is_weather = name == PLANT and other == REFERENCE  # comes after the controller's of the same words
         order = max(ORDER.index(how), ORDER.index(SAME_WORDS) if is_weather else 0)
         found.append((is_crossed, order, place, -ratio, source, reason, is_likely(how, unit) and not is_weather))
     if not found:
-        return _converted(target, v, components) or Guess(target, None, "no output has a name like it", False)
+        return _converted(target, v, components, exact) or _nothing(target, beside)
     found.sort()
     source, reason, likely = found[0][4:]
     rival = next((f"; or {other[4]}" for other in found[1:] if other[:3] == found[0][:3]), "")
     return Guess(target, source, reason + rival, likely and not rival)
 
 
-def _converted(target: str, v: ModelVariable, components: Mapping[str, Component]) -> Guess | None:
+def _other_taker(target: str, source: str, exact: Mapping[tuple[str, str], str]) -> str | None:
+    """Return the other input of the component that takes an output by its exact name, or None.
+
+    Several inputs may take a set point of the reference.
+    """
+    component, name = VariableName(target).parts
+    its = exact.get((component, source), target)
+    is_shared = VariableName(source).component == REFERENCE and is_desired(name)
+    return None if its == target or is_shared else its
+
+
+def _nothing(target: str, beside: Iterable[tuple[int, str, str]]) -> Guess:
+    """Return the guess for an input without a source; beside: likeness, input and output of those that are taken."""
+    _, its, source = min(beside, default=(0, None, ""))
+    if its is None:
+        return Guess(target, None, "no output has a name like it", False)
+    reason = f"the output with a name like it, {source}, goes to {its}"
+    return Guess(target, None, reason, False, its if VariableName(target).component == PLANT else None)
+
+
+def _converted(
+    target: str, v: ModelVariable, components: Mapping[str, Component], exact: Mapping[tuple[str, str], str]
+) -> Guess | None:
     """Return a guess with an output of the same words in another unit, which a run converts; or None."""
     name = VariableName(target).component
     for _, other, o in _offers(name, v, components):
         units = components[other].unit(o.name), components[name].unit(v.name)
+        if _other_taker(target, f"{other}.{o.name}", exact) is not None:
+            continue
         if alike(v.name, o.name) not in (SAME, SAME_WORDS) or is_desired(v.name) != is_desired(o.name):
             continue
         if units[0] is not None and _can_be_converted(*units):

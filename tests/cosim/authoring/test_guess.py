@@ -103,3 +103,23 @@ def test_a_plant_takes_the_controllers_output_of_the_same_words_before_the_refer
     assert joined(plant, {"ds": ("output", "m")}, reference)["plant.s"] == ("reference.s", False)
     converted = joined(plant, {"v": ("output", "K")}, {"s": ("output", "mm")})
     assert converted["plant.s"] == ("reference.s", False)
+
+
+def test_what_an_input_takes_by_its_exact_name_is_not_given_to_another_by_a_likeness(joined):
+    found = joined(
+        {"U": ("input", "m"), "dU": ("input", "m"), "U_d": ("input", ""), "U_in": ("input", "mm")},
+        {"U": ("output", "m"), "monitor": ("output", "m")},
+    )
+    assert found["plant.U"] == ("controller.U", True)
+    assert {found[f"plant.{name}"] for name in ("dU", "U_d")} == {(None, False)}
+    assert found["plant.U_in"][0] != "controller.U"  # nor is it converted
+
+
+def test_of_two_inputs_with_a_like_name_that_are_no_exact_one_both_take_the_output(joined):
+    found = joined({"a.f": ("input", "N"), "b.f": ("input", "N")}, {"f": ("output", "N")})
+    assert {source for source, _ in found.values()} == {"controller.f"}
+
+
+def test_a_set_point_is_shared_with_an_input_of_its_exact_name(joined):
+    found = joined({"y": ("output", "")}, {"T": ("input", ""), "T_set": ("input", "")}, {"T": ("output", "")})
+    assert found["controller.T_set"][0] == "reference.T"

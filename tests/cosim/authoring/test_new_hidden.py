@@ -214,6 +214,23 @@ def test_a_measurement_is_not_fed_with_the_set_point_and_what_the_controller_com
     assert written["tracking"] == {"plant.T_thermocouple": "reference.T_set"}
 
 
+def test_a_disturbance_beside_a_plants_input_stays_at_its_start_and_the_weather_comes_from_the_table(described):
+    """`dU` took `controller.U` as well as `U`, so that the plant got its input twice, and `To` nothing."""
+    plant = described("".join(pin(name, "input", i) for i, name in enumerate(("U", "To", "dU", "w"))) +
+                      pin("T", "output", 9), name="P")  # fmt: skip
+    controller = described(pin("T", "input", 0) + pin("To", "input", 1) + pin("U", "output", 2), name="C")
+    wanted = described(pin("To", "output", 0), name="R")
+    text = draft({"plant": plant, "controller": controller, "reference": wanted}, plant.parent).text
+    assert tomllib.loads(text)["connections"] == {
+        "controller.T": "plant.T", "controller.To": "reference.To", "plant.U": "controller.U",
+        "plant.To": "reference.To",
+    }  # fmt: skip
+    (line,) = [line for line in text.splitlines() if line.startswith('# "plant.dU" = ""')]
+    assert "GUESS: a disturbance: the output with a name like it, controller.U, goes to plant.U; it stays at" in line
+    (line,) = [line for line in text.splitlines() if line.startswith('# "plant.w" = ""')]
+    assert line.endswith("; controller's outputs: U; as it is it stays at its start, unless [changes] names it")
+
+
 def test_outputs_with_the_name_of_a_derivative_are_sampled_where_there_is_a_model(described):
     plant = described("".join(pin(name, "output", i) for i, name in enumerate(("i", "w", "phi", "di", "dw"))), name="P")
     written = tomllib.loads(draft({"plant": plant}, plant.parent, "plant_model:derivative").text)["sampling"]

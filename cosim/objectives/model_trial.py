@@ -19,11 +19,18 @@ _ROUNDING: Final = 1e-9
 
 
 def try_derivatives(
-    model: Callable[..., Sequence[float]], plant: Plant, space: ParameterSpace, theta: Vector, first: Sample, name: str
+    model: Callable[..., Sequence[float]],
+    plant: Plant,
+    space: ParameterSpace,
+    theta: Vector,
+    first: Sample,
+    name: str,
+    given: str,
 ) -> None:
     """Call the model at the first sample with theta (d,) and, where it has no value there, at points about it.
 
-    name: the model's, for messages. Exceptions of the model pass through, but for those that say that it has no value.
+    name and given: the model's, and what x and u are, for messages. Exceptions of the model pass through, but for those
+    that say that it has no value; of these a ValueError may be that of a function of other arguments.
     Raises ScenarioError for a model of another number of derivatives than states, or without a value at any point.
     """
     reason = ""
@@ -31,7 +38,8 @@ def try_derivatives(
         try:
             modelled: Any = model(sample.x, sample.u, **space.named(at))
         except (ArithmeticError, ValueError) as e:
-            reason = reason or f": {type(e).__name__}: {one_line(str(e))}"
+            of_arguments = f"; {given}" if isinstance(e, ValueError) else ""
+            reason = reason or f": {type(e).__name__}: {one_line(str(e))}{of_arguments}"
             continue
         values = np.asarray(modelled, dtype=float)
         if values.shape != (len(plant.states),):

@@ -16,7 +16,7 @@ from estimator.retuning.factory import AnyRetuner, make_episodes, make_retuner
 from estimator.retuning.search import Budget
 from estimator.samples import RememberingModel
 
-from ..errors import CosimError, ScenarioError
+from ..errors import CosimError, ScenarioError, one_line
 from ..objectives.choice import ENDLESS, chosen, open_objective
 from ..objectives.model import FmuModel, opened_model
 from ..objectives.model_trial import try_arrays, try_derivatives
@@ -83,18 +83,18 @@ def try_model(scenario: Scenario, estimator: str, plant: Plant, theta: Vector, f
     """Call the scenario's model, and its linear form where the estimator uses it, once. Raises ScenarioError."""
     if estimator in ("none", "true") or chosen(scenario).kind != "derivative":
         return
-    settings = scenario.estimation
+    settings, given = scenario.estimation, _arguments(scenario, plant)
     try:
         with ExitStack() as stack:
             model = _residual(scenario, plant, stack).model
-            try_derivatives(model, plant, settings.space, theta, first, settings.model or "")
+            try_derivatives(model, plant, settings.space, theta, first, settings.model or "", given)
             if settings.takes_arrays:
                 try_arrays(model, plant, settings.space, theta, first, settings.model or "")
     except CosimError:
         raise
     except USERS as e:
         call = f"{settings.model}(x ({len(first.x)},), u ({len(first.u)},), {', '.join(settings.space.names)})"
-        raise ScenarioError(f"estimation.model: {call} failed: {type(e).__name__}: {e}.") from e
+        raise ScenarioError(f"estimation.model: {call} failed: {type(e).__name__}: {e}; {given}.") from e
     form = _linear_form(find_method(estimator, scenario), scenario)
     if form is None:
         return
@@ -104,6 +104,14 @@ def try_model(scenario: Scenario, estimator: str, plant: Plant, theta: Vector, f
             raise ValueError(f"rows are {rows.shape}, targets {targets.shape}")
     except USERS as e:
         raise ScenarioError(f"estimation.linear: failed: {type(e).__name__}: {e}.") from e
+
+
+def _arguments(scenario: Scenario, plant: Plant) -> str:
+    """Return what a model's x and u are, by name and in order, and which inputs leave u once they are changed."""
+    x, u = (", ".join(map(one_line, names)) for names in (plant.states, plant.inputs))
+    loose = [one_line(name) for name in plant.inputs if f"{plant.name}.{name}" not in scenario.connections]
+    left = f"; not connected, and in u until [changes] names it: {', '.join(loose)}"
+    return f"x is ({x}), u is ({u}){left if loose else ''}"
 
 
 def _retuner(

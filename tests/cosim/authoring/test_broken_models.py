@@ -16,7 +16,7 @@ BROKEN = {
     "three derivatives for two states": ("return v, v, v", "returns 3 derivatives for 2 states, mass.v, mass.s"),
     "one derivative": ("return (v,)", "returns 1 derivative for 2 states"),
     "a matrix": ("return [[v], [s]]", r"returns an array of shape \(2, 1\) for 2 states"),
-    "other states": ("a, b, c = x", "has no value .* ValueError: not enough values to unpack"),
+    "other states": ("a, b, c = x", r"ValueError: not enough .*; x is \(mass\.v, mass\.s\), u is \(f\)\.$"),
     "a division by zero": ("return 1 / 0, v", "has no value .* ZeroDivisionError"),
     "nothing": ("pass", "failed: TypeError|has no value|returns an array of shape"),
 }
@@ -46,6 +46,17 @@ def test_a_model_that_cannot_be_used_is_refused_by_check_and_run(broken, line, r
         run(Scenario.load(path))
     assert found[0].what in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_what_is_not_connected_is_named_where_a_model_takes_another_number_of_inputs(broken):
+    """It is part of u until it changes, which a model that does not know of it has no place for."""
+    path = broken("() = u", ('"plant.f" = "controller.f_cmd"\n', ""))
+    (found,) = (f for f in check(path) if f.is_error)
+    told = "u is (f); not connected, and in u until [changes] names it: f"
+    assert found.what.endswith(f"ValueError: too many values to unpack (expected 0); x is (mass.v, mass.s), {told}")
+    with pytest.raises(ScenarioError) as caught:
+        run(Scenario.load(path))
+    assert found.what in str(caught.value)
 
 
 def test_a_model_without_a_value_at_the_start_only_is_used(broken):

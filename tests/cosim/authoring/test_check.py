@@ -164,7 +164,10 @@ def test_a_run_may_end_before_time_0_but_not_before_its_start(axis, start, n_err
     ("model", "message"),
     [
         ("def derivative(x, u, mass):\n    return (0.0, x[0])\n", "unexpected keyword argument 'm'"),
-        ("def derivative(x, u, m):\n    return x[2] / m\n", "IndexError: tuple index out of range"),
+        (
+            "def derivative(x, u, m):\n    return x[2] / m\n",
+            "IndexError: tuple index out of range; x is (mass.v, mass.s), u is (f)",
+        ),
         ("def derivate(x, u, m):\n    return (0.0, x[0])\n", "has no attribute 'derivative'"),
     ],
 )

@@ -60,18 +60,19 @@ def draft(fmus: Mapping[str, Path], folder: Path, model: str | None = None) -> D
     _check_size(components)
     shared = shared_parameters(components)
     gained = None if shared else gain_parameter(components)
-    tracked = guess_tracking(components)
+    tracked, guesses = guess_tracking(components), guess_connections(components)
+    names = [one.name for one in shared] if gained is None else [last_name(gained)]
     model, is_fmu = _model(model, components[PLANT], folder)
     blocks = [
         _LEGEND,
         settings(components),
         _components(components, folder),
-        _connections(components),
+        _connections(components, guesses),
         _changes(components, [one.its for one in shared] if gained is None else [gained]),
         _tracking(components, tracked),
         *_limits(components, tracked),
         sampling(components[PLANT], model),
-        estimation(components[PLANT], model, [one.name for one in shared] if gained is None else [last_name(gained)]),
+        estimation(components[PLANT], model, names, {g.target for g in guesses if g.source is None}),
         *(parameters(components, shared, is_fmu) if gained is None else gains(components, gained, is_fmu)),
     ]
     return Draft("\n\n".join("\n".join(block) for block in blocks) + "\n")
@@ -132,9 +133,9 @@ def _components(components: Mapping[str, Component], folder: Path) -> list[str]:
     return lines
 
 
-def _connections(components: Mapping[str, Component]) -> list[str]:
+def _connections(components: Mapping[str, Component], guesses: list[Guess]) -> list[str]:
     lines = ["[connections]           # input = output"]
-    for guess in guess_connections(components):
+    for guess in guesses:
         name, variable = VariableName(guess.target).parts
         unit = components[name].unit(variable)
         of = f" [{unit.name}]" if unit else ""

@@ -1,6 +1,6 @@
 """Sampling and estimation in a draft scenario: see `draft`."""
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from typing import Final
 
 from ..errors import one_line
@@ -184,8 +184,11 @@ def _dependencies(plant: Component) -> dict[str, bool]:
     return found
 
 
-def estimation(plant: Component, model: str | None, arguments: list[str]) -> list[str]:
-    """Return the lines for objective, trigger and budget; arguments: the names of the estimates."""
+def estimation(plant: Component, model: str | None, arguments: list[str], loose: Container[str]) -> list[str]:
+    """Return the lines for objective, trigger and budget.
+
+    arguments: the names of the estimates; loose: inputs that are not connected, `plant.variable`.
+    """
     if is_rolled_out(plant, model):
         return [
             "[estimation]",
@@ -197,7 +200,7 @@ def estimation(plant: Component, model: str | None, arguments: list[str]) -> lis
         ]
     return [
         "[estimation]",
-        *_model(plant, model, arguments),
+        *_model(plant, model, arguments, loose),
         said('trigger = { kind = "innovation" }', 'or { kind = "tracking", threshold = ... }: of the tracking error'),
         said("budget = 30", "evaluations an episode")
         if _has_rates(plant) or named_rates(plant)
@@ -206,17 +209,21 @@ def estimation(plant: Component, model: str | None, arguments: list[str]) -> lis
     ]
 
 
-def _model(plant: Component, model: str | None, arguments: list[str]) -> list[str]:
-    if model is not None:
+def _model(plant: Component, model: str | None, arguments: list[str], loose: Container[str]) -> list[str]:
+    """Return the line that names the model, after the signature of a function, with x and u in their order."""
+    if model is not None and model.lower().endswith(".fmu"):
         return [f"model = {quoted(model)}"]
     states, inputs = model_states(plant), [v.name for v in plant.having("input")]
+    until = [", until [changes] names it" if f"{PLANT}.{its}" in loose else "" for its in inputs]
+    name = (model or "derivative").rpartition(":")[2].rpartition(".")[2]
+    where = "the function" if model else "a function in a Python file beside this one, plant_model.py"
     return [
-        "# The plant's equations, a function in a Python file beside this one, plant_model.py:",
-        f"#   def derivative({', '.join(['x', 'u', *arguments])}):",
+        f"# The plant's equations, {where}:",
+        f"#   def {name}({', '.join(['x', 'u', *arguments])}):",
         *(f"#       # x[{i}]: {_labelled(plant, name)}" for i, name in enumerate(states)),
-        *(f"#       # u[{i}]: {_labelled(plant, name)}" for i, name in enumerate(inputs)),
+        *(f"#       # u[{i}]: {_labelled(plant, name)}{until[i]}" for i, name in enumerate(inputs)),
         f"#       return ({', '.join(f'der_{identifier(name)}' for name in states)},)",
-        said('model = "plant_model:derivative"', "FILL"),
+        f"model = {quoted(model)}" if model else said('model = "plant_model:derivative"', "FILL"),
     ]
 
 

@@ -248,6 +248,22 @@ def test_outputs_with_the_name_of_a_derivative_are_sampled_where_there_is_a_mode
     )
 
 
+def test_a_model_that_is_given_has_its_signature_in_the_draft_and_a_disturbance_its_end(described):
+    plant = described(pin("dU", "input", 0) + pin("U", "input", 1) + pin("i", "output", 2), name="P")
+    controller = described(pin("i", "input", 0) + pin("U", "output", 1), name="C")
+    text = draft({"plant": plant, "controller": controller}, plant.parent, "mine:Coil.slope").text
+    signature = """# The plant's equations, the function:
+#   def slope(x, u):
+#       # x[0]: i [1]
+#       # u[0]: dU [1], until [changes] names it
+#       # u[1]: U [1]
+#       return (der_i,)
+model = "mine:Coil.slope"
+"""
+    assert signature in text
+    assert "#   def derivative(x, u):" in draft({"plant": described(variable("i", "N", 0))}, plant.parent).text
+
+
 def test_an_output_that_tells_an_input_again_is_no_state_and_not_tracked(described):
     """`tau1_held`, the echo of `tau1`, has a name like `a1`, and seemed to be a state as all outputs do."""
     outputs = ("q1", "w1", "der_w1", "tau1_held", "bar_held")

@@ -1,5 +1,6 @@
 """Sampling and estimation in a draft scenario: see `draft`."""
 
+import math
 from collections.abc import Container, Mapping
 from typing import Final
 
@@ -15,8 +16,8 @@ from .draft_parameters import unit_name
 from .guess import PLANT, echoes
 from .toml_lines import quoted, said
 
-_NOISE: Final = 1e-3  # of the nominal value
-_GUESS: Final = "GUESS of the noise: a run measures it"
+_NOISE: Final = 1e-3  # of the nominal value, else of the start value, else of 1
+_LEAST: Final = 1e-12  # smallest noise that is guessed: a start of less is zero, but for rounding
 _SAVED: Final = 20  # samples of a roll-out that begins in the plant's saved state
 _REPLAYED: Final = 100  # of one that begins where earlier, wrong parameters have led: its end must say enough
 _RATES: Final = ("d{}", "d_{}", "der_{}", "der{}", "d{}_dt", "d{}dt", "{}_dot", "{}dot", "{}_der")
@@ -36,12 +37,21 @@ def sampling(plant: Component, model: str | None) -> list[str]:
     telling = {rate for rate, depends in _dependencies(plant).items() if rate in rates and depends}
     lines = ["[sampling.derivatives]  # what is measured, with the standard deviation of its noise"]
     for rate in rates:
-        nominal = float(attribute(plant.variables[rate], "nominal") or 1.0)
-        text = f"{quoted(f'{PLANT}.{rate}')} = {{ noise = {_NOISE * abs(nominal):g} }}"
+        noise, guess = _noise(plant.variables[rate])
+        text = f"{quoted(f'{PLANT}.{rate}')} = {{ noise = {noise} }}"
         is_used = rate in telling or not telling
-        note = f"[{unit_name(plant, rate)}] " + (_GUESS if is_used else "depends on states only")
+        note = f"[{unit_name(plant, rate)}] " + (f"{guess}: a run measures it" if is_used else "depends on states only")
         lines.append(said(text if is_used else f"# {text}", note))
     return lines if rates else _filtered(plant)
+
+
+def _noise(v: ModelVariable) -> tuple[str, str]:
+    """Return a guess at the standard deviation of a variable's noise, in proportion to its size, and its reason."""
+    for value, what in ((attribute(v, "nominal"), "nominal value"), (v.start, "start value")):
+        noise = _NOISE * abs(float(value or 0.0))
+        if noise >= _LEAST and math.isfinite(noise):
+            return f"{noise:.3g}", f"GUESS of the noise, a thousandth of the {what}"
+    return f"{_NOISE:g}", "GUESS of the noise, as nothing tells the size"
 
 
 def named_rates(plant: Component) -> dict[str, str]:
@@ -69,8 +79,9 @@ def _by_name(plant: Component, named: Mapping[str, str]) -> list[str]:
     """Return the lines for derivatives known by their names, and for the states."""
     lines = ["[sampling.derivatives]  # what is measured, with the standard deviation of its noise"]
     for state, rate in named.items():
-        text = f"{quoted(f'{PLANT}.{rate}')} = {{ noise = {_NOISE:g}, of = {quoted(f'{PLANT}.{state}')} }}"
-        lines.append(said(text, f"[{unit_name(plant, rate)}] GUESS by its name, and {_GUESS}"))
+        noise, guess = _noise(plant.variables[rate])
+        text = f"{quoted(f'{PLANT}.{rate}')} = {{ noise = {noise}, of = {quoted(f'{PLANT}.{state}')} }}"
+        lines.append(said(text, f"[{unit_name(plant, rate)}] GUESS by its name, and {guess}: a run measures it"))
     lines += ["", "[sampling.states]       # the model's x, in this order"]
     return lines + [
         said(f"{quoted(f'{PLANT}.{name}')} = {{}}", "GUESS that it is a state") for name in model_states(plant)
@@ -100,10 +111,10 @@ def _outputs(plant: Component) -> list[str]:
     lines = ["[sampling.outputs]      # what is measured, with the standard deviation of its noise"]
     echoed = echoes(plant)
     for v in plant.having("output"):
-        nominal = float(attribute(v, "nominal") or 1.0)
-        text = f"{quoted(f'{PLANT}.{v.name}')} = {{ noise = {_NOISE * abs(nominal):g} }}"
         if is_real(v.type) and v.name not in echoed:
-            lines.append(said(text, f"[{unit_name(plant, v.name)}] {_GUESS}"))
+            noise, guess = _noise(v)
+            text = f"{quoted(f'{PLANT}.{v.name}')} = {{ noise = {noise} }}"
+            lines.append(said(text, f"[{unit_name(plant, v.name)}] {guess}: a run measures it"))
     return lines
 
 
@@ -142,9 +153,9 @@ def _filtered(plant: Component) -> list[str]:
         "[sampling.states]       # the model's x, in the FMU's order, with the standard deviation of the noise",
     ]
     for state in states:
-        nominal = float(attribute(plant.variables[state], "nominal") or 1.0)
-        text = f"{quoted(f'{PLANT}.{state}')} = {{ noise = {_NOISE * abs(nominal):g} }}"
-        note = _GUESS if is_declared else "GUESS of the noise, and that it is a state"
+        noise, guess = _noise(plant.variables[state])
+        text = f"{quoted(f'{PLANT}.{state}')} = {{ noise = {noise} }}"
+        note = f"{guess}: a run measures it" if is_declared else f"{guess}, and that it is a state"
         lines.append(said(text, f"[{unit_name(plant, state)}] {note}"))
     return [
         *lines,

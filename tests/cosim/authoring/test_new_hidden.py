@@ -264,6 +264,29 @@ model = "mine:Coil.slope"
     assert "#   def derivative(x, u):" in draft({"plant": described(variable("i", "N", 0))}, plant.parent).text
 
 
+@pytest.mark.parametrize(
+    ("declared", "noise", "reason"),
+    [
+        ('start="8000"', 8.0, "a thousandth of the start value"),
+        ('start="-1e-4"', 1e-7, "a thousandth of the start value"),
+        ('start="8000" nominal="50"', 0.05, "a thousandth of the nominal value"),
+        ('start="0"', 1e-3, "as nothing tells the size"),
+        ('start="1e-300"', 1e-3, "as nothing tells the size"),
+    ],
+    ids=["a large start", "a small one", "nominal", "zero", "next to zero"],
+)
+@pytest.mark.parametrize("rate", ["", "dM"], ids=["filtered", "by name"])
+def test_the_noise_goes_with_the_size_of_what_is_measured(described, declared, noise, reason, rate):
+    outputs = variable("M", "kg", 0) + (variable("dM", "W", 1) if rate else "")
+    name = rate or "M"
+    outputs = re.sub(rf'(name="{name}".*?<Real )start="0"', rf"\1{declared}", outputs)
+    text = draft({"plant": described(outputs, name="P")}, Path(), "m:derivative").text
+    sampling = tomllib.loads(text)["sampling"]
+    (line,) = (line for line in text.splitlines() if line.startswith(f'"plant.{name}" = {{ noise'))
+    assert sampling["derivatives" if rate else "states"][f"plant.{name}"]["noise"] == pytest.approx(noise)
+    assert f"GUESS of the noise, {reason}" in line
+
+
 def test_an_output_that_tells_an_input_again_is_no_state_and_not_tracked(described):
     """`tau1_held`, the echo of `tau1`, has a name like `a1`, and seemed to be a state as all outputs do."""
     outputs = ("q1", "w1", "der_w1", "tau1_held", "bar_held")

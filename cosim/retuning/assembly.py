@@ -12,6 +12,7 @@ import numpy as np
 from estimator import DerivativeResidual, EpisodeWindow, LinearForm, Method, Sample, Vector
 from estimator.diagnosis.episode_diagnosis import EpisodeDiagnosis
 from estimator.diagnosis.sample_diagnosis import Diagnosis
+from estimator.effects.step_means import StepMeans
 from estimator.retuning.factory import AnyRetuner, make_episodes, make_retuner
 from estimator.retuning.search import Budget
 from estimator.samples import RememberingModel
@@ -63,7 +64,7 @@ def make_supervisor(
         names = tuple(scenario.sampling.derivatives)
         late = through_actuators(scenario, plant)
         inputs = [f"{plant.name}.{name}" for name in plant.inputs]
-        diagnosis = Diagnosis(whitened, names, scenario.diagnosis, late, inputs)
+        diagnosis = Diagnosis(whitened, names, scenario.diagnosis, late, inputs, _step_means(scenario))
     retuner = _retuner(scenario, estimator, plant, held, rng, stack, whitened, live, diagnosis)
     support: DataSupport | NoDataSupport = NoDataSupport()
     if whitened is not None:
@@ -169,6 +170,15 @@ def through_actuators(scenario: Scenario, plant: Plant) -> list[int]:
     computing = {target.component for target in scenario.connections}
     sources = {str(target): source.component for target, source in scenario.connections.items()}
     return [i for i, name in enumerate(plant.inputs) if sources.get(f"{plant.name}.{name}") in computing]
+
+
+def _step_means(scenario: Scenario) -> StepMeans | None:
+    """Return the means that the filter's samples have of the inputs; None without a filter."""
+    settings = scenario.sampling.filter
+    if settings is None:
+        return None
+    kernel = kernel_of(settings, scenario.scenario.macro_step)
+    return StepMeans(tuple(kernel.weights.tolist()), kernel.delay, points_apart(settings, kernel))
 
 
 def _linear_form(method: Method, scenario: Scenario) -> LinearForm | None:

@@ -25,6 +25,8 @@ class Point:
     """Outputs of all FMUs, where they run, including the parameters read back."""
     reference: Sequence[float] = ()
     """Values that the tracked outputs are to follow, where the FMUs run."""
+    inputs: tuple[float, ...] | None = None
+    """Inputs (p,) held up to t, where samples are the output of a filter, which has means of them; None else."""
 
 
 @dataclass(frozen=True)

@@ -134,6 +134,8 @@ class Supervisor(RetunerCounts[AnyRetuner]):
     def _proposal(self, point: Point, screened: Screened, held: Vector) -> Proposal:
         """Return the retuner's proposal, which knows the input at every point, whatever becomes of the sample."""
         n, kept = screened.n_doubtful, screened.sample
+        if point.inputs is not None:
+            self._retuner.take_input(point.t, point.inputs)
         if screened.before is not None:
             self._retuner.correct(screened.before)
         undone = self._retuner.suspend(point.t, held, n) if n else None

@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from ..arrival_cost import ArrivalCost
+from ..effects.step_means import StepMeans
 from ..hypotheses import MARGIN, disturbance_of, plain_fit
 from ..samples import DerivativeResidual, Sample
 from ..space import Vector
@@ -52,12 +53,13 @@ class Diagnosis:
         settings: DiagnosisSettings,
         may_lag: Sequence[int] | None,
         inputs: Sequence[str] = (),
+        means: StepMeans | None = None,
     ) -> None:
         """declared: residual (c,) in standard deviations of the declared noise; names (c,): of the channels; settings:
         of false alarms and rests; may_lag: places in the input of what actuators may delay, None for all; inputs (p,):
-        names."""
+        names; means: that a filter's samples have of the inputs, None where samples have those of their own step."""
         self._settings, self._space = settings, declared.space
-        self._state = state = DiagnosisState.at_start(len(names), may_lag)
+        self._state = state = DiagnosisState.at_start(len(names), may_lag, means or StepMeans())
         self.residuals = residuals = StandardisedResiduals(declared, state)
         self.evidence = evidence = Evidence()
         self._lag = LagComparison(state, residuals, evidence)
@@ -101,8 +103,15 @@ class Diagnosis:
 
     def keep_input(self, sample: Sample) -> None:
         """Take the input of a sample that is kept out: it acts on the plant all the same, and later perhaps."""
+        if self._state.inputs.means:
+            return  # those of the steps are known
         self._state.inputs = self._state.inputs.copy()  # what is made of the one before is made anew
         self._state.inputs.take(sample)
+
+    def take_input(self, t: float, u: tuple[float, ...]) -> None:
+        """Take the input (p,) held up to t [s], where samples have means of those of several steps."""
+        if self._state.inputs.means:
+            self._state.inputs.take_input(t, u)
 
     def observe(self, sample: Sample, held: Vector, expects: Callable[[Sample], bool] = lambda sample: False) -> bool:
         """Take a sample, with the parameters in force (d,); return whether residuals are to be computed anew.

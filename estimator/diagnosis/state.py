@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..effects.friction import Friction
 from ..effects.input_lag import InputHistory
+from ..effects.step_means import StepMeans
 from ..samples import Sample
 from ..space import Vector
 from .drift_rival import DriftRival
@@ -127,10 +128,13 @@ class DiagnosisState:
     """Number of the sample from which on constant parameters are sought again, none having explained the samples."""
 
     @classmethod
-    def at_start(cls, n_channels: int, may_lag: Sequence[int] | None) -> "DiagnosisState":
-        """Return the state before the first sample; may_lag: places of inputs that may be late, None for all."""
+    def at_start(cls, n_channels: int, may_lag: Sequence[int] | None, means: StepMeans) -> "DiagnosisState":
+        """Return the state before the first sample.
+
+        may_lag: places of inputs that may be late, None for all; means: that samples have of the inputs.
+        """
         none = np.zeros(n_channels)
-        known = InputHistory(None if may_lag is None else tuple(may_lag))
+        known = InputHistory(None if may_lag is None else tuple(may_lag), means=means)
         return cls([], ResidualScale(n_channels), none, none.astype(np.intp), none.astype(bool), known)
 
     def reference_or(self, held: Vector) -> Vector:

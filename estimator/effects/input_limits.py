@@ -5,7 +5,7 @@ constant where the actuator is stuck, and where it is at its limit it is that: f
 (2016), "Diagnosis and Fault-Tolerant Control", chapter 3.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from math import inf, isfinite
 from typing import Final, NamedTuple
 
@@ -50,11 +50,18 @@ class Tried(NamedTuple):
 class InputLimits:
     """Limits that explain n samples."""
 
-    def __init__(self, rows_with: RowsWith, inputs: Vector, places: Sequence[int]) -> None:
-        """rows_with: residuals (k, n, c) with each of k sets of inputs (k, n, p); inputs (n, p): that were sent;
-        places: of those that actuators pass on."""
-        self._rows_with, self._inputs, self._places = rows_with, inputs, places
-        ranges = np.ptp(inputs, axis=0) if len(inputs) else np.zeros(0)
+    def __init__(
+        self,
+        rows_with: RowsWith,
+        inputs: Vector,
+        places: Sequence[int],
+        of_samples: Callable[[Vector], Vector] = lambda inputs: inputs,
+    ) -> None:
+        """rows_with: residuals (k, n, c) with each of k sets of inputs (k, n, p); inputs (N, p): that were sent in each
+        step; places: of those that actuators pass on; of_samples: what samples have of them, (k, n, p) of (k, N, p)."""
+        self._rows_with, self._inputs, self._places, self._of_samples = rows_with, inputs, places, of_samples
+        self._sent = of_samples(inputs[None])[0]
+        ranges = np.ptp(self._sent, axis=0) if len(inputs) else np.zeros(0)
         self._moving = [j for j in places if len(inputs) and ranges[j] > 0.0]  # of others nothing is told
 
     def stuck(self) -> Tried | None:
@@ -80,9 +87,9 @@ class InputLimits:
 
         The weight is the inverse of the variance, 0 where the input reaches no channel.
         """
-        sent = self._inputs[:, self._moving].T  # (q, n)
+        sent = self._sent[:, self._moving].T  # (q, n)
         steps = ASIDE * np.abs(sent).max(axis=1)
-        moved = np.repeat(self._inputs[None], len(steps) + 1, axis=0)
+        moved = np.repeat(self._sent[None], len(steps) + 1, axis=0)
         for j, inputs, step in zip(self._moving, moved[1:], steps, strict=True):
             inputs[:, j] += step
         rows = self._rows_with(moved)
@@ -101,7 +108,7 @@ class InputLimits:
     def _at_limit(self, arrived: Sequence[tuple[int, Vector, Vector]]) -> Iterator[Limited]:
         """Yield an upper limit of each input, a lower one, and both, as far as the samples show them."""
         for j, v, w in arrived:
-            sent = self._inputs[:, j]
+            sent = self._sent[:, j]
             upper, lower = _limit(sent, v, w), -_limit(-sent, -v, w)
             if upper < inf:
                 yield {j: (-inf, upper)}
@@ -127,12 +134,13 @@ class InputLimits:
         for arriving, of in zip(made, limits, strict=True):
             for j, (lower, upper) in of.items():
                 arriving[:, j] = np.minimum(np.maximum(arriving[:, j], lower), upper)
+        made = self._of_samples(made)
         return [Tried(*one) for one in zip(limits, made, self._rows_with(made), strict=True)]
 
     def _refined(self, found: Tried) -> Tried:
         """Return the limits a Gauss-Newton step away."""
         values: Vector = np.array(_values(found.limits))
-        step = ASIDE * float(np.abs(self._inputs[:, [*found.limits]]).max())
+        step = ASIDE * float(np.abs(self._sent[:, [*found.limits]]).max())
         aside = self._tried([_with_values(found.limits, moved) for moved in values + step * np.identity(len(values))])
         slopes = np.array([(one.rows - found.rows).reshape(-1) / step for one in aside])
         if not np.all(np.isfinite(slopes)):

@@ -1,12 +1,11 @@
 """Search for the lag of the inputs that explains samples: a dead time, a first-order lag, or limited rates."""
 
 from collections.abc import Callable, Sequence
-from math import inf, isfinite
+from math import ceil, inf, isfinite, log
 from typing import Final, NamedTuple
 
 import numpy as np
 import scipy  # its parts, 0.3 s, are loaded when they are used
-from numpy.typing import NDArray
 
 from ..hypotheses import Fit
 from ..significance import FALSE_ALARM, chi2_limit
@@ -14,9 +13,11 @@ from ..space import Vector
 from .lag import Lag
 
 _TIME_CONSTANTS: Final = np.geomspace(0.25, 20.0, 10)
-"""Time constants that are tried, in intervals of sampling, before the best one is refined."""
+"""Time constants that are tried, in intervals of sampling, before the best one is refined; from a quarter of a step."""
 _MOST_LATE: Final = 16
-"""Longest dead time that is tried, in samples."""
+"""Longest dead time that is tried, in intervals of sampling; of more steps, some."""
+_LONGER: Final = 1.15
+"""Ratio of one dead time to the one before, of those of more steps."""
 _RATES: Final = np.geomspace(0.02, 0.98, 14)
 """Limits of the rate that are tried, as shares of the fastest change of an input."""
 _PROMISING: Final = 0.5
@@ -49,25 +50,51 @@ Fits = Callable[[Sequence[Lag]], list[TriedLag]]
 """Function that tries lags."""
 
 
-def best_lag(fits: Fits, times: Vector, inputs: Vector, none: Fit, *, is_free: bool) -> TriedLag | None:
+def best_lag(fits: Fits, times: Vector, inputs: Vector, none: Fit, *, is_free: bool, every: int = 1) -> TriedLag | None:
     """Return the best of all lags of inputs (n, q), held up to times (n,) [s], or None.
 
-    none: fit without a lag. is_free: whether what arrives first is fitted, too; rates are not limited then.
+    none: fit without a lag. is_free: whether what arrives first is fitted, too; rates are not limited then. every:
+    number of times from one sample to the next.
     """
-    most = min(_MOST_LATE, len(times) // 2 if is_free else len(times) - LEAST)
-    late = fits([Lag(n_late=n) for n in range(1, most + 1)]) if most > 0 else []
+    most = min(_MOST_LATE * every, len(times) // 2 if is_free else len(times) - LEAST)
+    late = _late(fits, most, none)
     found = [_inner(late)]
-    if found[0] is not None and found[0].fit.is_explained:
+    if every == 1 and found[0] is not None and found[0].fit.is_explained:
         return found[0]
     step = float(np.median(np.diff(times)))
-    slow = fits([Lag(tau) for tau in (step * _TIME_CONSTANTS).tolist()])
+    time_constants = _over_samples(_TIME_CONSTANTS, every, longer=True)
+    slow = fits([Lag(tau) for tau in (step * time_constants).tolist()])
     best = _inner(slow)
     if best is not None and _is_near(best, none):
-        found.append(_refined(fits, best, lambda tau: Lag(tau), best.lag.time_constant, _TIME_CONSTANTS))
+        found.append(_refined(fits, best, lambda tau: Lag(tau), best.lag.time_constant, time_constants))
     is_late = min(one.fit.squares for one in [*late, *slow]) <= _PROMISING * none.squares
     if is_late and not is_free and not any(one is not None and one.fit.is_explained for one in found):
-        found.append(_limited(fits, times, inputs, none))
+        found.append(_limited(fits, times, inputs, none, _over_samples(_RATES, every, longer=False)))
     return min((one for one in found if one is not None), key=lambda one: one.fit.score, default=None)
+
+
+def _late(fits: Fits, most: int, none: Fit) -> list[TriedLag]:
+    """Return the dead times of up to so many steps, by their length: of long ones some, and those near the best."""
+    if most < 1:
+        return []
+    steps = [*range(1, min(most, _MOST_LATE) + 1)]
+    few = steps[-1]
+    steps += np.geomspace(few, most, round(log(most / few) / log(_LONGER)) + 1)[1:].round().astype(int).tolist()
+    late = fits([Lag(n_late=n) for n in steps])
+    best = _inner(late)
+    if best is None or best.lag.n_late < few or not _is_near(best, none):
+        return late
+    place = steps.index(best.lag.n_late)
+    close = [n for n in range(steps[place - 1] + 1, steps[place + 1]) if n != steps[place]]
+    return sorted([*late, *fits([Lag(n_late=n) for n in close])], key=lambda one: one.lag.n_late) if close else late
+
+
+def _over_samples(tried: Vector, every: int, *, longer: bool) -> Vector:
+    """Return values that are tried, for samples so many steps apart: in the same ratios, to larger or smaller ones."""
+    if every == 1:
+        return tried
+    n = len(tried) + ceil(log(every) / log(tried[1] / tried[0]))
+    return np.geomspace(tried[0], every * tried[-1], n) if longer else np.geomspace(tried[0] / every, tried[-1], n)
 
 
 def _inner(tried: Sequence[TriedLag]) -> TriedLag | None:
@@ -96,19 +123,22 @@ def _refined(fits: Fits, best: TriedLag, lag_of: Callable[[float], Lag], value: 
     return min(best, found[refined.x], key=lambda one: one.fit.squares)
 
 
-def _limited(fits: Fits, times: Vector, inputs: Vector, none: Fit) -> TriedLag | None:
-    """Return the best limits of the inputs' rates, or None: first one share of all, then each by itself."""
+def _limited(fits: Fits, times: Vector, inputs: Vector, none: Fit, shares: Vector) -> TriedLag | None:
+    """Return the best limits of the inputs' rates, or None: first one share of all, then each by itself.
+
+    shares: of the fastest change of an input, that are tried.
+    """
     fastest = np.abs(np.diff(inputs, axis=0) / np.diff(times)[:, None]).max(axis=0)
     fastest = np.where(fastest > 0.0, fastest, inf)
-    best = _inner(fits([Lag(rates=tuple(rates.tolist())) for rates in _RATES[:, None] * fastest]))
+    best = _inner(fits([Lag(rates=tuple(rates.tolist())) for rates in shares[:, None] * fastest]))
     if best is None or best.fit.squares > _PROMISING * none.squares:
         return None
     limited = [j for j, most in enumerate(fastest) if isfinite(most)]
     for j in limited:
-        best = _limited_at(fits, best, j, float(fastest[j]))
+        best = _limited_at(fits, best, j, (shares * fastest[j]).tolist())
     if _is_near(best, none):
         for j in limited:
-            best = _refined_at(fits, best, j)
+            best = _refined_at(fits, best, j, shares)
     return best
 
 
@@ -117,25 +147,30 @@ def _with_rate(lag: Lag, j: int, rate: float) -> Lag:
     return Lag(rates=(*lag.rates[:j], rate, *lag.rates[j + 1 :]))
 
 
-def _limited_at(fits: Fits, best: TriedLag, j: int, fastest: float) -> TriedLag:
-    """Return the best of those limits of the rate of input j that are tried, or none, beside the others' limits."""
-    tried = fits([_with_rate(best.lag, j, rate) for rate in [*(_RATES * fastest).tolist(), inf]])
+def _limited_at(fits: Fits, best: TriedLag, j: int, rates: Sequence[float]) -> TriedLag:
+    """Return the best of these limits of the rate of input j, or none, beside the others' limits."""
+    tried = fits([_with_rate(best.lag, j, rate) for rate in [*rates, inf]])
     return min([best, *tried], key=lambda one: one.fit.score)
 
 
-def _refined_at(fits: Fits, best: TriedLag, j: int) -> TriedLag:
-    """Return the best limit of the rate of input j close to the one it has, if any, beside the others' limits."""
+def _refined_at(fits: Fits, best: TriedLag, j: int, tried: Vector) -> TriedLag:
+    """Return the best limit of the rate of input j close to the one it has, if any, beside the others' limits.
+
+    tried: rates that have been tried, in their ratio.
+    """
     rate = best.lag.rates[j]
-    return best if rate == inf else _refined(fits, best, lambda r: _with_rate(best.lag, j, r), rate, _RATES)
+    return best if rate == inf else _refined(fits, best, lambda r: _with_rate(best.lag, j, r), rate, tried)
 
 
-def with_fitted_start(made: Vector, moved: Vector, rows: Vector, seen: NDArray[np.intp], rows_with: RowsWith) -> Vector:
+def with_fitted_start(
+    made: Vector, moved: Vector, rows: Vector, of_samples: Callable[[Vector], Vector], rows_with: RowsWith
+) -> Vector:
     """Return what arrives with each of k lags (k, N, p), what arrives first being fitted to the samples.
 
-    moved (k, q, N, p): changes of it; rows (k, n, c): residuals before; seen (n,): places of the samples' inputs.
+    moved (k, q, N, p): changes of it; rows (k, n, c): residuals before; of_samples: what samples have of it.
     """
     k, q, _, p = moved.shape
-    aside = rows_with((made[:, None, seen] + moved[:, :, seen]).reshape(k * q, len(seen), p))
+    aside = rows_with(of_samples(made[:, None] + moved).reshape(k * q, -1, p))
     slopes = (aside.reshape(k, q, -1) - rows.reshape(k, 1, -1)).transpose(0, 2, 1)
     fitted = made.copy()
     for i, slope in enumerate(slopes):

@@ -89,6 +89,10 @@ class DiagnosingRetuner(RetunerCounts[Retuner]):
         """Take the input of a sample that is kept out."""
         self._diagnosis.keep_input(sample)
 
+    def take_input(self, t: float, u: tuple[float, ...]) -> None:
+        """Take the input (p,) held up to t [s], where samples have means of those of several steps."""
+        self._diagnosis.take_input(t, u)
+
     def step(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
         """Take one communication point's sample, where there is one; return what to write, and why."""
         proposal = self._proposal(t, sample, tracking_error, held)

@@ -68,6 +68,9 @@ class DiagnosingEpisodes(RetunerCounts[Retuner]):
         """Take a sample that begins and judges nothing: a simulation needs its input."""
         self._retuner.keep_input(self._diagnosis.corrected(sample))
 
+    def take_input(self, t: float, u: tuple[float, ...]) -> None:
+        """Do nothing: samples have all that is to be known of the inputs."""
+
     def step(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
         """Take one communication point's sample, where there is one; return what to write, and why."""
         proposal = self._proposal(t, sample, tracking_error, held)

@@ -167,6 +167,9 @@ class Retuner:
         if self._sliding is None:
             self._window.append(sample)
 
+    def take_input(self, t: float, u: tuple[float, ...]) -> None:
+        """Do nothing: without a diagnosis of derivatives, samples have all that is to be known of the inputs."""
+
     def correct(self, newest: Sample) -> None:
         """Replace the newest sample, one of whose values has turned out to be wrong, where simulations begin there."""
         if isinstance(self._window, EpisodeWindow):

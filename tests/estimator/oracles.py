@@ -603,6 +603,28 @@ def check_inputs_of_limited_rates_against_small_steps(lag):
     assert_allclose(made[1:, 1], inputs[1:, 1])
 
 
+def check_means_over_steps_against_small_steps(lag):
+    """Of a lag, a limited rate and a dead time, by the trapezoidal rule over 2000 small steps of each interval."""
+    rng = np.random.default_rng(12)
+    times, inputs, start = np.cumsum(rng.uniform(0.02, 0.1, 25)), rng.standard_normal((25, 2)), np.array([0.7, -1.3])
+    lags = [lag.Lag(0.04), lag.Lag(rates=(12.0, np.inf)), lag.Lag(n_late=3)]
+    made = lag.arriving(lags, times, inputs, start)
+    means = lag.step_means(lags, times, inputs, made)
+    assert_allclose(means[:, 0], made[:, 0])
+    assert_allclose(means[2], made[2])
+    assert_allclose(means[1, 1:, 1], inputs[1:, 1])
+    for k in range(1, 25):
+        dt = (times[k] - times[k - 1]) / 2000
+        slow, limited = [made[0, k - 1]], [made[1, k - 1, 0]]
+        for _ in range(2000):
+            slow.append(inputs[k] + (slow[-1] - inputs[k]) * np.exp(-dt / 0.04))
+            limited.append(limited[-1] + np.clip(inputs[k, 0] - limited[-1], -12.0 * dt, 12.0 * dt))
+        assert_allclose(means[0, k], np.trapezoid(slow, dx=1.0 / 2000, axis=0), atol=1e-5)
+        assert_allclose(means[1, k, 0], np.trapezoid(limited, dx=1.0 / 2000), atol=1e-5)
+    both = lag.step_means(lags, times, inputs, np.stack([made, 2.0 * made], axis=1))
+    assert_allclose(both[:, 0], means)
+
+
 def check_limits_against_a_grid(input_limits):
     """Upper and lower limits are the best of a grid; the slope by the input changes, and the noise is not small."""
     rng = np.random.default_rng(9)

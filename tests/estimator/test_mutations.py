@@ -37,6 +37,7 @@ DISTURBANCE = "check_disturbance_against_least_squares"
 ARRIVING = "check_arriving_inputs_against_integration"
 LIMITED = "check_limits_against_a_grid"
 RATES = "check_inputs_of_limited_rates_against_small_steps"
+MEANS = "check_means_over_steps_against_small_steps"
 FADING = "check_fading_is_what_is_left_of_the_start"
 DRIVES = "check_friction_in_drives_is_found_and_taken_out"
 DRAG = "check_drag_on_one_derivative_is_found_and_taken_out"
@@ -62,15 +63,18 @@ MATERNS = (MATERN, MATERN_TEXTBOOK)
 
 MUTANTS = [
     # id, module, old, new, the checks that must reject it
-    ("lag-by-one-euler-step", LAG, "-np.expm1(-gaps / taus)", "gaps / taus", (ARRIVING,)),
-    ("lag-of-the-input-before", LAG, "/ taus), inputs[1:]", "/ taus), inputs[:-1]", (ARRIVING,)),
+    ("lag-by-one-euler-step", LAG, "(-np.expm1(-gaps / lag.time_constant))", "(gaps / lag.time_constant)", (ARRIVING,)),
+    ("lag-of-the-input-before", LAG, "inputs[1:].T.tolist()", "inputs[:-1].T.tolist()", (ARRIVING, RATES)),
+    ("mean-of-a-lag-sign", LAG, "inputs[1:] - lag.time_constant", "inputs[1:] + lag.time_constant", (MEANS,)),
+    ("mean-of-a-rate-twice-as-far", LAG, "/ (2.0 * gaps *", "/ (gaps *", (MEANS,)),
+    ("mean-of-a-rate-in-one-direction", LAG, "moves * np.abs(moves)", "moves * moves", (MEANS,)),
     ("limit-of-what-arrives-sign", LIMITS, "sent - off", "sent + off", (LIMITED,)),
     ("limit-of-the-samples-within-it", LIMITS, "sent > limit", "sent < limit", (LIMITED,)),
     ("lower-limit-sign", LIMITS, "-_limit(-sent, -v, w)", "_limit(-sent, -v, w)", (LIMITED,)),
     ("dead-time-of-one-sample-more", LAG, "inputs[: max(len(inputs) - lag.n_late, 0)]",
      "inputs[[0, *range(len(inputs) - lag.n_late - 1)]]", (ARRIVING,)),
-    ("rate-by-the-sample", LAG, "zip(gaps * rates,", "zip(gaps * 0.0 + rates,", (RATES,)),
-    ("rate-of-the-input-before", LAG, "np.maximum(u - v, -most)", "np.maximum(u - start, -most)", (RATES,)),
+    ("rate-by-the-sample", LAG, "[(gaps * rate).tolist()", "[(gaps * 0.0 + rate).tolist()", (RATES,)),
+    ("rate-of-the-input-before", LAG, "max(u - v, -limit)", "max(u, -limit)", (RATES,)),
     ("fading-twice-as-fast", LAG, "np.exp(-(times - times[0]) /", "np.exp(-2.0 * (times - times[0]) /", (FADING,)),
     ("fading-one-sample-longer", LAG, "np.arange(len(times)) < self.n_late", "np.arange(len(times)) <= self.n_late",
      (FADING,)),

@@ -75,6 +75,18 @@ def test_a_runs_own_estimator_makes_the_same_of_its_samples(
     assert [len(step) for step in again.latencies] == [len(step) for step in original.latencies]
 
 
+def test_a_lag_of_the_actuator_is_that_of_the_steps_in_a_run_and_its_replay(tmp_path: Path) -> None:
+    """Not of the filter's samples: what arrives in each step is averaged as they are."""
+    late = {"changes": '{ "plant.m" = 1.75, "plant.l" = 0.75, "plant.tau_u" = 0.03 }', "scenario.stop_time": "1.0"}
+    late |= {"components.reference.start.phi_final": "0.7", "guard.enabled": "false"}
+    original = run(Scenario.load("pendulum", late | FILTER), "least-squares", 5, tmp_path)
+    again = replayed(read_run(tmp_path), "least-squares", 5)
+    for one in (original, again):
+        assert one.diagnosis is not None
+        assert one.diagnosis["input_lag"]["time_constant"] == pytest.approx(0.03, rel=0.1)
+    assert again.diagnosis == original.diagnosis
+
+
 def test_a_replay_reports_no_guard_of_the_recorded_run(recorded: Run) -> None:
     again = replayed(recorded, "least-squares", 5)
     assert recorded.guard is not None

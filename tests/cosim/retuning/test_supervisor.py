@@ -18,6 +18,7 @@ from cosim.scenarios.schema.guard import GuardSettings
 from estimator import DerivativeResidual, Estimate, Parameter, ParameterSpace, Sample
 from estimator.diagnosis.sample_diagnosis import Diagnosis
 from estimator.diagnosis.settings import DiagnosisSettings
+from estimator.effects.step_means import StepMeans
 from estimator.retuning.factory import make_retuner
 from estimator.retuning.proposal import Proposal
 from estimator.retuning.search import Budget
@@ -246,6 +247,21 @@ def test_the_input_of_a_sample_is_known_whatever_becomes_of_it():
     assert suspicious == [5, 6, 11, 13]
     assert inputs._inputs == [(float(k),) for k in range(1, 14)]
     assert inputs._times == pytest.approx([0.01 * k for k in range(1, 14)])
+
+
+def test_the_inputs_of_the_steps_are_known_where_samples_have_means_of_them():
+    """At every point, whether there is a sample, one is kept out, or re-tuning goes on; a sample's own is none."""
+    residual = DerivativeResidual(lambda x, u, a: [a], SPACE, (0,), (SIGMA,))
+    means = StepMeans((0.5, 0.5), 0.01, 3)
+    diagnosis = Diagnosis(residual, ("plant.der(x)",), DiagnosisSettings(), None, means=means)
+    retuner = make_retuner(Mean([]), residual, InnovationSettings(), Budget(20), 5, diagnosis=diagnosis)
+    supervisor = Supervisor("mine", retuner, NoDataSupport(), ScriptedScreen([], at_6=lambda _: Screened(None)))
+    for k in range(14):
+        sample = None if k % 3 or not k else Sample(0.01 * k - 0.01, (1.0,), (k - 0.5,), (2.0,))
+        supervisor.step(Point(k, 0.01 * k, sample, 0.0, inputs=(float(k),)), START)
+    inputs = diagnosis.snapshot().inputs
+    assert inputs._inputs == [(float(k),) for k in range(1, 14)]
+    assert inputs._sampled == pytest.approx([0.02, 0.08, 0.11])
 
 
 def test_the_sample_that_ends_a_search_is_kept_as_it_was_screened():

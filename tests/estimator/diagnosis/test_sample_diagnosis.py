@@ -21,6 +21,7 @@ from estimator.effects.friction import FoundFriction, Friction, FrictionTerm
 from estimator.effects.input_lag import InputHistory
 from estimator.effects.known_effects import Explanation
 from estimator.effects.lag import Lag
+from estimator.effects.step_means import StepMeans
 from estimator.hypotheses import NEVER, Fit
 from estimator.retuning.factory import make_retuner
 from estimator.retuning.search import Budget
@@ -1389,6 +1390,78 @@ def test_a_known_lag_goes_on_from_a_snapshot():
     assert run.diagnosis.summary()["input_lag"] == after["input_lag"]
     residuals = run.diagnosis.residuals
     assert_allclose(residuals.scaled(TRUE, residuals.corrected(sample)), residuals.rows(TRUE, [sample])[0])
+
+
+class FilteredRun(Run):
+    """A loop of which every fifth step gives a sample, of weighted means over ten steps."""
+
+    MEANS = StepMeans(tuple((np.arange(1.0, 11.0) / 55.0).tolist()), 0.02, 5)
+
+    def __post_init__(self):
+        super().__post_init__()
+        whitened = self.diagnosis.residuals.declared
+        self.diagnosis = Diagnosis(whitened, self.names, self.settings, None, means=self.MEANS)
+        search, budget = STARTS[self.estimator](SPACE, TRUE, np.random.default_rng(self.seed + 1)), Budget(30, 3)
+        self.retuner = make_retuner(search, whitened, InnovationSettings(), budget, 10, diagnosis=self.diagnosis)
+        self.steps = []  # (x, u, what arrives) of the newest, the newest first
+
+    def sample(self, truth, added):
+        while True:
+            t = 0.01 * len(self.steps)
+            u, x = np.sin(1.7 * t) + 0.6 * np.sign(np.sin(0.9 * t)), np.cos(1.1 * t) + 0.5 * np.sin(4.3 * t + 0.3)
+            arrives = u if self.actuator is None else self.actuator(t, float(u))
+            self.steps.insert(0, (x, u, arrives))
+            self.retuner.take_input(t, (float(u),))
+            if len(self.steps) >= 10 and not len(self.steps) % 5:
+                break
+        x, u, arrives = np.array(self.MEANS.weights) @ np.array(self.steps[:10])
+        noise = self.noise * SIGMA * self.rng.standard_normal(self.n_channels)
+        xdot = np.array(self.plant((x,), (arrives,), *truth)) + added + noise
+        return Sample(t - 0.02, (float(x),), (float(u),), tuple(xdot.tolist()))
+
+
+def mean_behind(tau):
+    """An actuator with a first-order lag, of which the mean over a step arrives."""
+    state = 0.4
+
+    def actuator(_, u):
+        nonlocal state
+        before, state = state, u + (state - u) * np.exp(-0.01 / tau)
+        return u - tau * (state - before) / 0.01
+
+    return actuator
+
+
+@pytest.mark.full_but("0.05-target", "0.2-least-squares")
+@SEARCHES
+@pytest.mark.parametrize("tau", [0.05, 0.2])
+def test_a_lag_of_inputs_that_samples_have_means_of_is_that_of_the_steps(estimator, tau):
+    """It is named, what arrives is known from then on, and parameters that change behind it are found."""
+    run = FilteredRun(estimator, actuator=mean_behind(tau)).go(60)
+    assert run.diagnosis.summary()["input_lag"]["time_constant"] == pytest.approx(tau, rel=0.05)
+    assert near(run.held, TRUE)
+    assert not run.of("disturbance", "unexplained", "rest")
+    run.go(60, CHANGED)
+    assert near(run.held, CHANGED, 0.05)
+    assert len(run.of("lag")) == 1
+
+
+def test_a_dead_time_of_inputs_that_samples_have_means_of_is_in_steps():
+    run = FilteredRun("least-squares", actuator=LateActuator(7)).go(60)
+    known = run.diagnosis.summary()["input_lag"]
+    assert (known["time_constant"], known["dead_time"]) == (0.0, pytest.approx(0.07))
+    assert near(run.held, TRUE)
+
+
+def test_a_sample_that_is_kept_out_tells_no_inputs_of_steps():
+    run = FilteredRun("least-squares").go(20)
+    before = run.diagnosis.snapshot().inputs
+    run.diagnosis.keep_input(Sample(99.0, (0.0,), (9.0,), (0.0,)))
+    run.go(5)
+    inputs = run.diagnosis.snapshot().inputs
+    assert inputs._times[: len(before._times)] == before._times
+    assert 9.0 not in {u for (u,) in inputs._inputs}
+    assert len(inputs._sampled) == len(before._sampled) + 5
 
 
 def coloured(n_channels, size, seed=1):

@@ -242,6 +242,7 @@ class HypothesisComparison:
         if n == self._state.n_since:
             weighing = replace(weighing, inputs=inputs)
         is_possible = weighing.are_parameters_possible and not self._lag.explains_more(inputs, reference, n)
+        is_possible = is_possible and not self._lag.may_be_late(reference, parameters)
         if is_possible or is_recorded:
             self._evidence.note(n, **weighing.fits)
         if is_possible:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..effects.input_lag import NO_LAG, FoundLag
 from ..effects.known_effects import Explanation
-from ..hypotheses import MARGIN, Fit, cubic_disturbance, disturbance_of, plain_fit
+from ..hypotheses import MARGIN, NEVER, Fit, cubic_disturbance, disturbance_of, plain_fit
 from ..samples import Sample
 from ..space import Vector
 from .evidence import Evidence
@@ -29,6 +29,7 @@ class LagComparison:
 
     def __init__(self, state: DiagnosisState, residuals: StandardisedResiduals, evidence: Evidence) -> None:
         self._state, self._residuals, self._evidence = state, residuals, evidence
+        self._late: tuple[Sample, bytes, FoundLag] | None = None  # of the newest sample and a reference
 
     @property
     def is_due(self) -> bool:
@@ -43,6 +44,37 @@ class LagComparison:
         longest = min(restless + 1, len(state.samples))
         found = (self._explaining(state.samples[-m:], reference) for m in dict.fromkeys((max(longest, n), n)))
         return next((late for late in found if late is not None), None)
+
+    def at_once(self, reference: Vector, rival: Fit) -> Explanation | None:
+        """Return the lag that explains three to five samples since the onset far better than a rival, or None.
+
+        reference (d,): parameters then. Only of a filter's first samples, as `may_be_late`.
+        """
+        n = self._state.n_since
+        found = self._late_from_start(reference) if n >= FEWEST else NO_LAG
+        if not found.fit.is_explained or found.fit.score + MARGIN > rival.score:
+            return None
+        return Explanation(found, reference, self._state.offset, n)
+
+    def may_be_late(self, reference: Vector, parameters: Fit) -> bool:
+        """Return whether a lag may explain the few samples since the onset, nearly as well as changed parameters.
+
+        reference (d,): parameters then. Only of a filter's first samples: they last long, and what arrived before the
+        inputs that are known is not; without a filter there are six samples soon.
+        """
+        late = self._late_from_start(reference).fit
+        return late is not NEVER and late.is_possible and late.score <= parameters.score + MARGIN
+
+    def _late_from_start(self, reference: Vector) -> FoundLag:
+        state = self._state
+        if not state.inputs.means or not state.n_since < LONG:
+            return NO_LAG
+        newest, theta = state.samples[-1], reference.tobytes()
+        if self._late is None or self._late[0] is not newest or self._late[1] != theta:
+            samples = state.samples[-state.n_since :]
+            rows_with = self._residuals.by_inputs(reference, samples, state.offset)
+            self._late = newest, theta, state.inputs.late_from_start(rows_with, [sample.t for sample in samples])
+        return self._late[2]
 
     def since_lasting(self, reference: Vector) -> Explanation | None:
         """Return the lag that explains the samples since other parameters than the reference were tried, or None.

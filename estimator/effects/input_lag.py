@@ -21,6 +21,8 @@ _KEPT: Final = 120
 """Number of samples whose inputs are kept: what came before has faded to less than a hundredth of the longest lag."""
 _LITTLE: Final = 0.05
 """Share of their range by which inputs may have passed a limit before that was noticed."""
+_FIRST: Final = 3
+"""Number of the first samples whose inputs are kept, which what arrived before may explain."""
 Inputs = Mapping[float, tuple[float, ...]]
 """Inputs (p,) that arrive at the plant, by the time [s]."""
 
@@ -201,6 +203,22 @@ class InputHistory:
                 found.append(self._best(rows_with, places, none.fit, first, is_free=True))
         if not self.lag or self.lag.limits:
             found.append(self._limited(rows_with, places))
+        return min(found, key=lambda one: one.fit.score)
+
+    def late_from_start(self, rows_with: RowsWith, times: Sequence[float]) -> FoundLag:
+        """Return the lag that explains best the first samples whose inputs are kept; `NO_LAG` for others.
+
+        What arrived before them may be fitted, too; `NO_LAG` where a lag is known, or none shows. rows_with, times: as
+        of `search`.
+        """
+        may_be_late = self.may_lag != () and not self.lag and bool(np.any(np.diff(self._inputs, axis=0)))
+        if not may_be_late or not times or times[0] < self.begin:
+            return NO_LAG
+        places = self._places_of(times)
+        if places[0] >= _FIRST * self.means.every + self.means.n_before:
+            return NO_LAG
+        none = plain_fit(rows_with(self.means.of(np.array(self._inputs)[None], places))[0], 0)
+        found = (self._best(rows_with, places, none, 0, is_free=is_free) for is_free in (False, True))
         return min(found, key=lambda one: one.fit.score)
 
     def stuck_or_free(self, rows_with: RowsWith, times: Sequence[float]) -> Fit:

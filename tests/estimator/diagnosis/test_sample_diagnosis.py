@@ -1446,6 +1446,24 @@ def test_a_lag_of_inputs_that_samples_have_means_of_is_that_of_the_steps(estimat
     assert len(run.of("lag")) == 1
 
 
+@SEARCHES
+def test_a_lag_from_the_start_of_inputs_that_samples_have_means_of_writes_nothing(estimator):
+    """Three samples are enough, before which changed parameters would explain as much; a later lag takes six."""
+    run = FilteredRun(estimator, actuator=mean_behind(0.1)).go(3)
+    assert [k for k, _ in run.of("lag")] == [2]
+    assert run.diagnosis.summary()["input_lag"]["time_constant"] == pytest.approx(0.1, rel=0.1)
+    assert not run.writes
+
+
+@SEARCHES
+def test_parameters_that_change_later_are_not_taken_for_a_lag_from_the_start(estimator):
+    run = FilteredRun(estimator).go(30).go(2, CHANGED)
+    assert run.writes or run.unsure
+    run.go(40, CHANGED)
+    assert near(run.held, CHANGED, 0.05)
+    assert not run.of("lag")
+
+
 def test_a_dead_time_of_inputs_that_samples_have_means_of_is_in_steps():
     run = FilteredRun("least-squares", actuator=LateActuator(7)).go(60)
     known = run.diagnosis.summary()["input_lag"]

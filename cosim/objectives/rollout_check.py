@@ -17,9 +17,9 @@ PROOF_STEPS: Final = 10
 """Number of samples after which a restart from states is tried first."""
 _MOVED: Final = 10.0
 """Change of an output, in standard deviations of the noise, by which states left at their start values would show."""
-_SAME: Final = 1e-9
+SAME: Final = 1e-9
 """Relative difference of outputs that may be rounding: a step's length is computed in two ways."""
-_HARMLESS: Final = 0.1
+HARMLESS: Final = 0.1
 """Difference, in standard deviations of the noise, that a solver's fresh start may make."""
 
 
@@ -44,7 +44,7 @@ def steps_like_the_plant(shadow: Shadow, live: RunningPlant, state: bytes, sampl
     now = live.slave.get()
     real = np.array([now[i] for i in places])
     scale = np.maximum(np.abs(real), shadow.noise)
-    if np.all(np.abs(np.array(repeated) - real) <= _SAME * scale):
+    if np.all(np.abs(np.array(repeated) - real) <= SAME * scale):
         return None
     worst = int(np.argmax(np.abs(np.array(repeated) - real) / scale))
     return f"a repeated step gave {shadow.outputs[worst]} = {repeated[worst]:.9g}, the plant {real[worst]:.9g}"
@@ -81,8 +81,8 @@ def prove_restart(shadow: Shadow, history: History) -> RestartProof:
     if other.result is None:
         return RestartProof(f"it cannot begin there: {other.reason}", has_moved)
     a, b = outputs[place:], np.array(other.result)[:, :n_outputs]
-    off = np.abs(a - b) / np.maximum(np.array(shadow.noise), _SAME * np.abs(a))
-    if np.all(off <= _HARMLESS):
+    off = np.abs(a - b) / np.maximum(np.array(shadow.noise), SAME * np.abs(a))
+    if np.all(off <= HARMLESS):
         return RestartProof(None, has_moved)
     worst = shadow.outputs[int(np.argmax(off.max(axis=0)))]
     return RestartProof(

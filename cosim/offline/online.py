@@ -26,6 +26,7 @@ from ..fmi.archive import capabilities, has_fixed_step
 from ..fmi.component import Component
 from ..fmi.ports import Catalogue
 from ..fmi.types import is_real
+from ..objectives.hidden_states import Suspect, hidden_states
 from ..objectives.rollout import RolloutObjective
 from ..objectives.rollout_check import PROOF_STEPS
 from ..objectives.rollout_fmu import START_METHODS, Shadow, StartMethod, obstacles_in_words
@@ -190,6 +191,10 @@ def _watched(
         not interface.canBeInstantiatedOnlyOncePerProcess, obstacles, request.timeout,
         request.environment, told_by=_told_by(request, understood),
     )  # fmt: skip
+    suspects = _suspects(understood.component, shadow)
+    if "measured" not in obstacles and suspects:
+        hidden = hidden_states(shadow, samples, theta, suspects, 2 * counts[0])
+        shadow = shadow if hidden is None else replace(shadow, obstacles={**obstacles, "measured": hidden})
     noise = noise_of([replace(w, measured=w.states) for w in understood.windows]).tolist()
     events: list[Event] = []
     with NoisyStartObjective(partial(RolloutObjective, shadow, theta, None, None, request.jobs), noise) as objective:
@@ -285,6 +290,19 @@ def _other_inputs(request: Request, component: Component) -> dict[str, float]:
 def _states(request: Request) -> tuple[str, ...]:
     """Return the variables that start as their column does: the states; that none is missing is tested later."""
     return tuple(request.start_columns)
+
+
+def _suspects(component: Component, shadow: Shadow) -> list[Suspect]:
+    """Return the variables that may be states without a column: with a start value, or a declared derivative."""
+    known = {*shadow.states, *shadow.told_by.values()}
+    moving = [v for v in component.variables.values() if v.causality in _MOVING and is_real(v.type)]
+    return [
+        Suspect(v.name, float(v.start or 0.0))
+        for v in moving
+        if v.name not in known
+        and v.variability in ("continuous", "discrete")
+        and (v.start is not None or v.name in component.derivatives)
+    ]
 
 
 def _told_by(request: Request, understood: Understood) -> dict[str, str]:

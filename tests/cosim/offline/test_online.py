@@ -155,6 +155,49 @@ def test_a_hidden_state_is_found_where_the_log_moves(ask, oracles, rest):
     assert watched.events == ()
 
 
+@pytest.fixture(scope="session")
+def heated(made_once):
+    """A barrel whose melt's temperature is a slow state, 230 s: at first its start value is nearly right."""
+    slave = Path(__file__).with_name("slow_state_slave.py")
+    return made_once(lambda folder: FmuBuilder.build_FMU(slave, dest=folder), slave) / "SlowState.fmu"
+
+
+def heating(seed=0, n=700):
+    """A log of that barrel [s, W, degC, degC, J], every 2 s: Heun's method in place of Euler's."""
+    rng, t = np.random.default_rng(seed), 2.0 * np.arange(n)
+    power = 1150.0 + 350.0 * np.sign(np.sin(2.0 * np.pi * t / 900.0))
+    rows = [np.array([180.0, 178.0, 0.0])]
+    for p in power[:-1].tolist():
+        x = rows[-1]
+        for _ in range(8):
+            rate = heating_rate(x, p)
+            x = x + 0.125 * (rate + heating_rate(x + 0.25 * rate, p))
+        rows.append(x)
+    noisy = np.array(rows) + [0.1, 0.1, 0.1] * rng.standard_normal((n, 3))
+    return dict(zip(["time [s]", "power", "T", "Tm", "energy"], [t, power, *noisy.T], strict=True))
+
+
+def heating_rate(x, power):
+    flow = 12.0 * (x[0] - x[1])
+    return np.array([(power - 6.0 * (x[0] - 25.0) - flow) / 8000.0, (flow - (x[1] - 25.0)) / 3000.0, power])
+
+
+BARREL = {"parameters": (Sought("G", 2.0, 20.0, "log"),), "measured": {"T": "T"}, "inputs": {"P": "power"}}
+
+
+def test_a_slow_state_that_is_hidden_is_found_from_the_beginning(ask, heated):
+    (watched,) = ask(heating(), fmu=heated, start={"T": "T"}, **BARREL).watched
+    assert "simulated again from the start" in watched.how
+    assert "begun without Tm, energy at the states of another" in watched.how
+    assert watched.events == ()
+
+
+def test_a_variable_that_no_output_depends_on_is_not_missed(ask, heated):
+    (watched,) = ask(heating(), fmu=heated, start={"T": "T", "Tm": "Tm"}, **BARREL).watched
+    assert "from measured states" in watched.how
+    assert (watched.events, watched.failure) == ((), None)
+
+
 @pytest.mark.full
 def test_states_are_proved_measured_where_the_log_moves(ask, oracles):
     (watched,) = ask(at_rest_first(oracles)).watched

@@ -152,52 +152,22 @@ class RolloutObjective:
             return np.empty(0)
         return self._residual(outcome.result[-stretch.n_steps :], stretch.samples[1:])
 
-    def accept(self, theta: Vector, stretch: SampleSequence, n_before: int = 0) -> None:
-        """Use theta from so many samples before the stretch on in simulations from the start."""
+    def accept(self, theta: Vector, stretch: SampleSequence) -> None:
+        """Use theta from the stretch's beginning on in simulations from the start."""
         if self.way == "replay":
-            self._history.accept(stretch.origin.place - n_before, theta.tolist())
-            self._go_back_to(stretch.origin.place - n_before)
+            self._history.accept(stretch.origin.place, theta.tolist())
+            self._go_back_to(stretch.origin.place)
 
     def revert(self, theta: Vector) -> None:
         """Use theta in place of what was accepted after it, in simulations from the start."""
         if self.way == "replay":
             self._go_back_to(self._history.revert(theta.tolist()))
 
-    def move_inputs(self, moved: Vector, stretch: SampleSequence, n_before: int = 0) -> None:
-        """Move the inputs by (p,) from so many samples before the stretch on in simulations from the start.
-
-        The roll-out that is followed goes back to there, too.
-        """
-        place = stretch.origin.place - n_before
+    def move_inputs(self, moved: Vector, stretch: SampleSequence) -> None:
+        """Move the inputs by (p,) from the stretch's beginning on in simulations from the start, and as followed."""
         if self.way == "replay":
-            self._history.move_inputs(place, moved.tolist())
-        self._go_back_to(place)
-
-    @property
-    def newest_place(self) -> int:
-        """Place of the newest sample in the history."""
-        return len(self._history.inputs)
-
-    def moved(self, stretch: SampleSequence) -> Vector:
-        """Return by how much (p,) the inputs of a stretch differ from those that were sampled, in its first step."""
-        return np.array(stretch.samples[1].u) - np.array(self._history.inputs[stretch.origin.place])
-
-    def is_held(self, theta: Vector, place: int) -> bool:
-        """Return whether theta (d,) is simulated up to a place of the history, too."""
-        return [*self._history.at(place)] == theta.tolist()
-
-    def begun_earlier(self, stretch: SampleSequence, moved: Vector, n_before: int) -> SampleSequence:
-        """Return a stretch begun so many samples earlier, with inputs moved by (p,), where nothing is compared."""
-        if not n_before:
-            return stretch
-        first, place, history = stretch.samples[0], stretch.origin.place, self._history
-        nothing = (np.nan,) * len(self._noise)
-        before = [
-            Sample(history.times[k], (), tuple((np.array(history.inputs[k - 1]) + moved).tolist()), (), nothing)
-            for k in range(place - n_before, place)
-        ]
-        last = replace(first, y=nothing, u=tuple((np.array(history.inputs[place - 1]) + moved).tolist()))
-        return SampleSequence((*before, last, *stretch.samples[1:]), Origin(place - n_before, None))
+            self._history.move_inputs(stretch.origin.place, moved.tolist())
+        self._go_back_to(stretch.origin.place)
 
     def _go_back_to(self, place: int) -> None:
         """Simulate anew what comes after a place of the history."""

@@ -93,10 +93,6 @@ class History:
         """Take theta (d,) for the parameters from that place on."""
         self.changes = [*(b for b in self.changes if b[0] < place), (place, theta)]
 
-    def at(self, place: int) -> Sequence[float]:
-        """Return the parameters (d,) of the step to that place, and on."""
-        return next((theta for begun, theta in reversed(self.changes) if begun <= place), self.theta)
-
     def revert(self, theta: Sequence[float]) -> int:
         """Take theta (d,), accepted before, for the parameters since others were; return the place where that was."""
         place, changes = len(self.inputs), [*self.changes]

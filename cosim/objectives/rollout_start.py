@@ -11,7 +11,6 @@ import scipy  # its parts, 0.3 s, are loaded when they are used
 from estimator import Evaluation, Sample, SampleSequence, Vector
 
 from .rollout import RolloutObjective
-from .rollout_onset import Onset
 
 
 class NoisyStartObjective:
@@ -28,7 +27,6 @@ class NoisyStartObjective:
         self._noise, self._stack = np.array(noise), ExitStack()
         n_noisy = np.count_nonzero(self._noise)
         self._objective, *self._aside = (self._stack.enter_context(opened()) for _ in range(n_noisy + 1))
-        self._onset = Onset(self._objective)
         self._factor: tuple[Sample, int, Vector] | None = None  # of which first sample and how many steps
 
     def __enter__(self) -> "NoisyStartObjective":
@@ -61,10 +59,7 @@ class NoisyStartObjective:
 
     def accept(self, theta: Vector, stretch: SampleSequence) -> None:
         """Pass the accepted parameters on to the inner objective."""
-        if self._objective.way == "replay":
-            self._objective.accept(theta, stretch, self._onset.accept(theta, stretch))
-        else:
-            self._objective.accept(theta, stretch)
+        self._objective.accept(theta, stretch)
 
     def revert(self, theta: Vector) -> None:
         """Pass the parameters on to the inner objective."""
@@ -72,17 +67,14 @@ class NoisyStartObjective:
 
     def move_inputs(self, moved: Vector, stretch: SampleSequence) -> None:
         """Pass the moved inputs on to the inner objectives, whose roll-outs are followed."""
-        n_before = self._onset.move_inputs(moved, stretch) if self._objective.way == "replay" else 0
         for objective in (self._objective, *self._aside):
-            objective.move_inputs(moved, stretch, n_before)
+            objective.move_inputs(moved, stretch)
 
     def evaluate(self, thetas: Sequence[Vector], stretch: SampleSequence) -> list[Evaluation]:
         """Evaluate the candidates over the stretch; all are whitened by the factor of the first that does not fail.
 
         It stays for later candidates, and for the same stretch with other inputs.
         """
-        if self._objective.way == "replay":
-            return self._onset.evaluate(thetas, stretch)
         found = self._objective.evaluate(thetas, stretch)
         if self._objective.way != "measured":
             return found

@@ -129,32 +129,6 @@ def test_without_states_it_is_simulated_from_the_start(ask, oracles):
     assert watched.theta == pytest.approx([2.6, 1.4], rel=0.05)
 
 
-def test_a_window_begun_after_the_change_is_explained_by_the_new_parameters(plant, oracles):
-    """Without noise: the state at the window's beginning was simulated with parameters that were no longer true."""
-    columns = oracles.jump(0, noise=0.0)
-    t, u = columns["time [s]"][300:461], columns["force [N]"][300:461]
-    y = np.column_stack([columns["x [m]"], columns["v [m/s]"]])[300:461]
-    start = {"k": 23.0, "x": y[0, 0], "v": y[0, 1]}
-    shadow = Shadow(
-        plant, ("F",), (), ("x", "v"), (2e-3, 2e-3), ("m", "c"), start, t[0], t[-1], True,
-        {"state": "no", "measured": "no"},
-    )  # fmt: skip
-    before, after = np.array([1.7, 0.9]), np.array([2.6, 1.4])
-    opened = partial(RolloutObjective, shadow, before, None, None, 1)
-    with NoisyStartObjective(opened, ()) as objective:
-        samples = [Sample(t[k], (), (u[k - 1],), (), tuple(y[k])) for k in range(1, len(t))]
-        origins = []
-        for sample in samples:
-            objective.add_sample(sample)
-            origins.append(objective.snapshot(True))
-        begun = 107  # eight samples after the change
-        stretch = SampleSequence(tuple(samples[begun:]), origins[begun])
-        (late,) = objective.evaluate([after], stretch)
-        (of_before,) = objective.evaluate([before], stretch)
-    assert np.abs(late.residual).max() < 0.5
-    assert np.abs(of_before.residual).max() > 5.0
-
-
 @pytest.mark.parametrize("share", [0.4, 0.6])
 def test_an_output_that_is_often_missing_has_not_failed(ask, oracles, share):
     columns = oracles.jump(0, end=5.0)

@@ -21,7 +21,7 @@ from ..runs.latencies import Latencies
 from ..runs.lock import new_locked_folder
 from ..runs.record import recording
 from ..runs.result import Run, read_run
-from ..sampling.sampler import recorded_inputs, recorded_samples
+from ..sampling.sampler import recorded_measurements, recorded_samples
 from ..scenarios.scenario import Scenario
 from ..scenarios.schema.guard import GuardSettings
 from ..scenarios.trust import check_trust, trusted, with_own
@@ -75,7 +75,7 @@ def replayed(recorded: Run, estimator: str, seed: int) -> Run:
         errors = np.array(list(recorded.errors.values())).T
         _ = recorded.true_parameters
         samples = recorded_samples(scenario, recorded.plant, recorded.series, range(len(recorded.time)))
-        inputs = recorded_inputs(scenario, recorded.plant, recorded.series)
+        measured = recorded_measurements(scenario, recorded.plant, recorded.series)
         held = np.array([recorded.series[name] for name in columns]).T
     except KeyError as e:
         raise FolderError(f"{recorded.folder} lacks the column {e}: it was recorded by another version.") from e
@@ -92,10 +92,10 @@ def replayed(recorded: Run, estimator: str, seed: int) -> Run:
         first = next((sample for sample in samples if sample is not None), None)
         if first is not None:
             try_model(scenario, estimator, recorded.plant, theta, first)
-        points = zip(recorded.time.tolist(), samples, errors, inputs, strict=True)
-        for k, (t, sample, error, u) in enumerate(points):
+        points = zip(recorded.time.tolist(), samples, errors, measured, strict=True)
+        for k, (t, sample, error, measurement) in enumerate(points):
             if k:
-                decision = supervisor.step(Point(k, t, sample, hypot(*error), inputs=u), theta)
+                decision = supervisor.step(Point(k, t, sample, hypot(*error), measurement), theta)
                 latencies.append(k, decision.latencies)
                 theta = theta if decision.write is None else decision.write
                 thetas.append(theta)

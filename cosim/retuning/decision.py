@@ -20,13 +20,11 @@ class Point:
     error: float
     """Norm of the tracking error."""
     measured: Sample | None = None
-    """The plant as measured, where the FMUs run."""
+    """The plant as measured, where the FMUs run or samples are the output of a filter."""
     values: Sequence[float] = ()
     """Outputs of all FMUs, where they run, including the parameters read back."""
     reference: Sequence[float] = ()
     """Values that the tracked outputs are to follow, where the FMUs run."""
-    inputs: tuple[float, ...] | None = None
-    """Inputs (p,) held up to t, where samples are the output of a filter, which has means of them; None else."""
 
 
 @dataclass(frozen=True)

@@ -134,8 +134,8 @@ class Supervisor(RetunerCounts[AnyRetuner]):
     def _proposal(self, point: Point, screened: Screened, held: Vector) -> Proposal:
         """Return the retuner's proposal, which knows the input at every point, whatever becomes of the sample."""
         n, kept = screened.n_doubtful, screened.sample
-        if point.inputs is not None:
-            self._retuner.take_input(point.t, point.inputs)
+        if point.measured is not None:
+            self._retuner.take_input(point.t, point.measured.u)
         if screened.before is not None:
             self._retuner.correct(screened.before)
         undone = self._retuner.suspend(point.t, held, n) if n else None
@@ -156,7 +156,7 @@ class Supervisor(RetunerCounts[AnyRetuner]):
         if sample is not None and self._model is not None:
             self._model.remember(sample)
         if isinstance(self._screen, FilteredScreen):
-            if point.measured is not None:  # unlike in a record
+            if point.measured is not None:
                 screened = self._screen.step(point.t, sample, held, point.measured)
         elif self._screen is not None and sample is not None:
             screened = self._screen.step(point.t, sample, held)

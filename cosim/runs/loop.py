@@ -184,8 +184,7 @@ class Loop:
         errors = [master.values[a] - r for (a, _), r in zip(self._tracked, reference, strict=True)]
         has_diverged = not all(abs(e) <= self._scenario.limits.divergence for e in errors)
         measured = self._sampler.take(t, master.values, master.inputs.get(self._scenario.plant, {}))
-        sample, inputs = self._sampler.filtered(measured), self._sampler.inputs(measured)
-        point = Point(k, t, sample, hypot(*errors), measured, master.values, reference, inputs)
+        point = Point(k, t, self._sampler.filtered(measured), hypot(*errors), measured, master.values, reference)
         self._take(t, self.policy.step(point, self._held), recorder)
         truth = {reference: value(t) for reference, value in self._truth.items()}
         is_stepping = k < settings.n_steps and not has_diverged

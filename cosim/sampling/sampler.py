@@ -66,10 +66,6 @@ class Sampler:
         """Return the sample for the estimator: the measurement, or the filter's delayed output, or None."""
         return measured if self._filter is None else self._filter(measured)
 
-    def inputs(self, measured: Sample) -> tuple[float, ...] | None:
-        """Return the measured inputs (p,), of which the filter's output has means; None without a filter."""
-        return None if self._filter is None else measured.u
-
     def exact(self, t: float, values: Sequence[float]) -> Sample:
         """Return the sample before the first step: without noise, inputs at their start values."""
         sample = self._sample(t, values, {}, [0.0] * len(self._sigma))
@@ -135,15 +131,15 @@ def recorded_samples(
     ]
 
 
-def recorded_inputs(
+def recorded_measurements(
     scenario: Scenario, plant: Plant, series: Mapping[str, np.ndarray[Any, np.dtype[np.float64]]]
-) -> list[tuple[float, ...] | None]:
-    """Return the inputs (p,) held up to each row of a run's record, of which a filter has means; None without a filter.
+) -> list[Sample | None]:
+    """Return the measurement at each row of a run's record, which a filter makes samples of; None without a filter.
 
     Raises KeyError for a missing column.
     """
-    n = len(series["time"])
+    t = series["time"].tolist()
     if scenario.sampling.filter is None:
-        return [None] * n
-    names = measured_columns(scenario, plant)[1]
-    return [*zip(*(series[name].tolist() for name in names), strict=True)] if names else [()] * n
+        return [None] * len(t)
+    columns = [[series[name].tolist() for name in names] for names in measured_columns(scenario, plant)]
+    return [Sample(t[k], *(tuple(column[k] for column in part) for part in columns)) for k in range(len(t))]

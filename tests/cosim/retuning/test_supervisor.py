@@ -258,7 +258,8 @@ def test_the_inputs_of_the_steps_are_known_where_samples_have_means_of_them():
     supervisor = Supervisor("mine", retuner, NoDataSupport(), ScriptedScreen([], at_6=lambda _: Screened(None)))
     for k in range(14):
         sample = None if k % 3 or not k else Sample(0.01 * k - 0.01, (1.0,), (k - 0.5,), (2.0,))
-        supervisor.step(Point(k, 0.01 * k, sample, 0.0, inputs=(float(k),)), START)
+        measured = Sample(0.01 * k, (1.0,), (float(k),), ())
+        supervisor.step(Point(k, 0.01 * k, sample, 0.0, measured), START)
     inputs = diagnosis.snapshot().inputs
     assert inputs._inputs == [(float(k),) for k in range(1, 14)]
     assert inputs._sampled == pytest.approx([0.02, 0.08, 0.11])

@@ -124,10 +124,9 @@ def run_online(
     """Replay algorithm 1 on each window of the logs, sample by sample, each independently.
 
     The parameters are at first the FMU's start values, or the request's, and after a gap those in force before it.
-    Candidates are evaluated on n_samples
-    samples: begun in measured states, where the request names their columns, else simulated from the window's first
-    row with the parameters accepted on the way. The request's evaluations are those of an episode, n_per_sample of
-    them at each sample; nothing is held out.
+    Candidates are evaluated on n_samples samples: begun in measured states, where the request names their columns, else
+    simulated from the window's first row with the parameters accepted on the way. The request's evaluations are those
+    of an episode, n_per_sample of them at each sample; nothing is held out.
 
     Raises CosimError in one line for what is refused.
     """

@@ -191,10 +191,10 @@ class EpisodeDiagnosis:
 
     def _compare(self, parameters: Fit, nothing: Fit, held: Vector) -> None:
         noise = larger_noise(self._rows(held)) if nothing is not NEVER else NEVER
-        weighing = Weighing(parameters, self._disturbed(held).fit, nothing, noise=noise)
+        state, disturbed = self._state, self._disturbed(held)
+        weighing = Weighing(parameters, disturbed.fit, nothing, noise=noise)
         self._note(**weighing.fits)
         if weighing.are_parameters_possible:
-            state, disturbed = self._state, self._disturbed(held)
             if state.lasting is not None and self.space.are_same(state.lasting, held):
                 state.rival = disturbed.inputs if disturbed.fit.is_explained else None
             self._verdict = "warranted" if weighing.are_parameters_proven else "possible"

@@ -203,10 +203,9 @@ class Diagnosis:
             return self._disturbances.passed(t, reference, of_reference, is_changed)
         if n < LONG:
             late = self._lag.at_once(reference, disturbance_of(of_reference).fit)
-            is_best = (
-                late is not None and self.comparison.best(held, n, may_drift=True).fit.score >= late.fit.score + MARGIN
-            )
-            return self._effects.adopt(t, late) if late is not None and is_best else None
+            if late is None or late.fit.score + MARGIN > self.comparison.best(held, n, may_drift=True).fit.score:
+                return None
+            return self._effects.adopt(t, late)
         if self._lasting.are_better(held, of_held):
             return self.give_up(t)
         return self._weighed(t, held, of_held, of_reference, is_explained)

@@ -604,7 +604,7 @@ def check_inputs_of_limited_rates_against_small_steps(lag):
 
 
 def check_means_over_steps_against_small_steps(lag):
-    """Of a lag, a limited rate and a dead time, by the trapezoidal rule over 2000 small steps of each interval."""
+    """Check the means of a lag, a limited rate and a dead time by the trapezoidal rule over 2000 steps an interval."""
     rng = np.random.default_rng(12)
     times, inputs, start = np.cumsum(rng.uniform(0.02, 0.1, 25)), rng.standard_normal((25, 2)), np.array([0.7, -1.3])
     lags = [lag.Lag(0.04), lag.Lag(rates=(12.0, np.inf)), lag.Lag(n_late=3)]

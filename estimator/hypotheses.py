@@ -39,6 +39,8 @@ _ORDER: Final = 2
 """Highest power of time in a disturbance that changes."""
 MARGIN: Final = 10.0
 """Least difference of two scores: "very strong evidence", Kass and Raftery (1995), "Bayes factors"."""
+_CLEARLY: Final = 4.0
+"""Number of margins by which changed parameters must explain samples better than coloured noise to be written early."""
 
 
 @dataclass(frozen=True)
@@ -175,6 +177,8 @@ class Weighing:
     """The parameters in force, with inputs that are stuck."""
     noise: Fit = NEVER
     """The parameters in force, with a noise that is larger than known."""
+    coloured: Fit = NEVER
+    """The parameters in force, with a noise that is correlated from sample to sample; compared while it is unknown."""
 
     @property
     def are_parameters_possible(self) -> bool:
@@ -197,14 +201,19 @@ class Weighing:
         return self.parameters.is_explained and lead >= 2.0 * MARGIN
 
     @property
+    def may_be_coloured(self) -> bool:
+        """True where a noise that is correlated from sample to sample explains them nearly as well as parameters do."""
+        return self.coloured.score - self.parameters.score < _CLEARLY * MARGIN
+
+    @property
     def fits(self) -> dict[str, Fit]:
         """Fits of the hypotheses that were compared; a larger noise is one only where parameters are to be certain."""
         fits = vars(self).items()
-        return {name: fit for name, fit in fits if name != "noise" and (name != "inputs" or fit is not NEVER)}
+        return {name: fit for name, fit in fits if name != "noise" and fit is not NEVER}
 
     @property
     def _lead(self) -> float:
-        others = self.nothing.score, self.disturbance.score, self.inputs.score
+        others = self.nothing.score, self.disturbance.score, self.inputs.score, self.coloured.score
         return min(others) - self.parameters.score
 
 

@@ -33,7 +33,17 @@ from .evidence import Evidence
 from .jump import followed_jump, jump_to
 from .lag_comparison import LagComparison
 from .quiet_comparison import QuietComparison, shorter
-from .residual_scale import LARGER, MUCH_LARGER, NOISY, TOO_SMALL, is_rough, is_smooth, larger_noise, spread_of
+from .residual_scale import (
+    LARGER,
+    MUCH_LARGER,
+    NOISY,
+    TOO_SMALL,
+    coloured_noise,
+    is_rough,
+    is_smooth,
+    larger_noise,
+    spread_of,
+)
 from .settings import BETTER, FEWEST, LONG, QUIET, Judgement
 from .standardised_residuals import StandardisedResiduals
 from .state import WINDOW, DiagnosisState
@@ -238,6 +248,8 @@ class HypothesisComparison:
             return False
         before = self._residuals.of_newest(reference, n)
         weighing = Weighing(parameters, disturbance_of(before).fit, plain_fit(before, 0), noise=larger_noise(before))
+        if not self._state.is_noise_known:
+            weighing = replace(weighing, coloured=coloured_noise(before))
         inputs = self._lag.stuck_or_free(reference) if weighing.are_parameters_possible else NEVER
         if n == self._state.n_since:
             weighing = replace(weighing, inputs=inputs)
@@ -246,7 +258,9 @@ class HypothesisComparison:
         if is_possible or is_recorded:
             self._evidence.note(n, **weighing.fits)
         if is_possible:
-            needs_proof = self._state.is_resting.any() or self._state.n_doubts >= _DOUBTS
+            self._state.is_noise_known |= weighing.are_parameters_certain
+            is_doubtful = weighing.may_be_coloured or self._state.n_doubts >= _DOUBTS
+            needs_proof = is_doubtful or self._state.is_resting.any()
             unproven: Judgement = "refuted" if needs_proof else "possible"
             self._state.verdict = Verdict(
                 "warranted" if weighing.are_parameters_proven else unproven,

@@ -8,17 +8,19 @@ import numpy as np
 
 from ..arrival_cost import ArrivalCost
 from ..differences import OfMany
-from ..hypotheses import USUAL_RATE, Weighing, changed_parameters, disturbance_of, plain_fit
+from ..hypotheses import NEVER, USUAL_RATE, Weighing, changed_parameters, disturbance_of, plain_fit
 from ..samples import Samples
 from ..space import Vector
 from .hidden_change import hidden_change
-from .residual_scale import NOISY
+from .residual_scale import NOISY, coloured_noise
 from .settings import QUIET, Judgement
 from .standardised_residuals import StandardisedResiduals
 from .state import WINDOW, DiagnosisState
 
 _DRIFT: Final = WINDOW * USUAL_RATE
 """Longest move of a parameter that drifts over as many samples as are compared, as a share of the scaled bounds."""
+_CALM: Final = 30
+"""Number of quiet samples in a row, of which the newest are no more than noise, that show the noise to be known."""
 _HIDDEN: Final = 50
 """Least number of quiet samples in which a change is sought that none of them shows, and how many pass between."""
 
@@ -42,13 +44,15 @@ class QuietComparison:
         A move that is too long for a drift must be proven, where no other parameters were in force since the onset, and
         no `hidden_change` has been found since. So must any that may not be a drift, as the first one of a search.
         Where the residuals are larger than declared, which may hide a change, the newest samples must speak for it,
-        without the one that does so most; else it is possible.
+        without the one that does so most; else it is possible. While the noise is not known yet every move must be
+        proven, and coloured noise must explain the samples much less.
         """
         state, d = self._state, len(self._space)
         moved = np.abs(self._space.to_unit(theta) - self._space.to_unit(held)).max()
-        if (moved <= _DRIFT and may_drift) or state.has_moved or state.has_hidden_change:
+        is_known = state.is_noise_known
+        if is_known and ((moved <= _DRIFT and may_drift) or state.has_moved or state.has_hidden_change):
             return "warranted"
-        if np.any(state.scale.values > 1.0):
+        if is_known and np.any(state.scale.values > 1.0):
             n = len(state.samples)
             gains = np.sum(self._residuals.of_newest(held, n) ** 2 - self._residuals.of_newest(theta, n) ** 2, axis=1)
             are_many = gains.sum() - gains.max() > d * log(n * len(state.scale.values))
@@ -56,9 +60,19 @@ class QuietComparison:
         for n in shorter(len(state.samples)):
             before = self._residuals.of_newest(held, n)
             parameters = plain_fit(self._residuals.of_newest(theta, n), d)
-            if Weighing(parameters, disturbance_of(before).fit, plain_fit(before, 0)).are_parameters_proven:
+            coloured = NEVER if is_known else coloured_noise(before)
+            nothing, disturbance = plain_fit(before, 0), disturbance_of(before).fit
+            weighing = Weighing(parameters, disturbance, nothing, coloured=coloured)
+            if weighing.are_parameters_proven:
+                state.is_noise_known |= weighing.are_parameters_certain
                 return "warranted"
         return "refuted"
+
+    def learn_noise(self, held: Vector) -> None:
+        """Take the noise for known once it explains the newest of many quiet samples; held (d,): in force."""
+        state = self._state
+        if not state.is_noise_known and state.n_quiet >= _CALM:
+            state.is_noise_known = plain_fit(self._residuals.of_newest(held, WINDOW), 0).is_explained
 
     def hidden_change(self, held: Vector, drift: float) -> ArrivalCost | None:
         """Return what many quiet samples say of the parameters where they together contradict held (d,), in force.

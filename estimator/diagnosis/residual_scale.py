@@ -24,6 +24,8 @@ _SMOOTH: Final = 0.3
 """Ratio of second to first differences, by that of white noise, below which rows change smoothly."""
 TOO_SMALL: Final = 10.0
 """Factor by which a declared noise may be too small, as where it is a sensor's last digit."""
+_CORRELATIONS: Final = (0.5, 0.8, 0.9, 0.95)
+"""Correlations from one sample to the next of the coloured noise that is thought of."""
 _MAD: Final = 1.4826
 """Ratio of a normal variable's standard deviation to its median absolute deviation."""
 NOISY: Final = 8
@@ -157,6 +159,24 @@ def larger_noise(rows: Vector) -> Fit:
     variance = np.clip(squares / np.maximum(n, 1), 1.0, TOO_SMALL**2)
     fitted = float(np.sum(squares / variance + n * np.log(variance)))
     return Fit(fitted, n_channels_of(rows), int(n.sum())) if isfinite(fitted) else NEVER
+
+
+def coloured_noise(rows: Vector) -> Fit:
+    """Return the fit of noise that is correlated from one of rows (n, c) to the next, up to ten times the known size.
+
+    On each channel it is a stationary autoregression of first order, Box and Jenkins (1970), "Time Series Analysis",
+    chapter 7, whose innovations are at least as large as known noise. Its squares are as those of `larger_noise`.
+    """
+    n = len(rows)
+    total = np.zeros((len(_CORRELATIONS), rows.shape[1]))
+    for i, rho in enumerate(_CORRELATIONS):
+        innovations = rows[1:] - rho * rows[:-1]
+        shrink = 1.0 - rho**2
+        squares = np.sum(innovations**2, axis=0) / shrink + rows[0] ** 2
+        variance = np.clip(squares / n, 1.0 / shrink, TOO_SMALL**2)
+        total[i] = squares / variance + n * np.log(variance) + (n - 1) * np.log(shrink)
+    fitted = float(total.min(axis=0)[rows.any(axis=0)].sum())
+    return Fit(fitted, 2 * n_channels_of(rows), int(np.count_nonzero(rows))) if isfinite(fitted) else NEVER
 
 
 def spread_of(rows: Vector) -> Vector:

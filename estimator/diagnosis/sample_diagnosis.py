@@ -142,6 +142,7 @@ class Diagnosis:
             state.count_suspicious(held)
             return self._disturbances.take_change(self.comparison.changed_with_disturbance(held)) or is_anew
         state.count_quiet()
+        self.comparison.quiet.learn_noise(held)
         if is_expected:
             return is_anew
         return state.scale.learn(np.where(is_missing, np.nan, declared)) or is_anew

@@ -66,6 +66,8 @@ class DiagnosisState:
     """Parameters (d,) in force when that disturbance became known; None before one did."""
     n_failures: int = 0
     """Number of failed searches, one soon after the other."""
+    is_noise_known: bool = False
+    """True since the known noise has explained many quiet samples, or parameters have where coloured noise does not."""
     n_doubts: int = 0
     """Number of times that samples have turned out to be doubtful, since many were quiet in a row."""
     largest_unexplained: Vector | None = None

@@ -12,9 +12,10 @@ import GPy
 import numpy as np
 from numpy.testing import assert_allclose
 from scipy.integrate import quad, solve_ivp
+from scipy.linalg import toeplitz
 from scipy.optimize import brentq, least_squares
 from scipy.signal import lfilter
-from scipy.stats import lognorm, ncx2, norm
+from scipy.stats import lognorm, multivariate_normal, ncx2, norm
 
 from estimator.samples import Sample
 
@@ -734,6 +735,25 @@ def check_spread_is_that_of_white_noise_about_a_slow_mean(residual_scale):
     slow = 50.0 * np.sin(1e-3 * np.arange(200_000))
     rows = np.random.default_rng(4).standard_normal((200_000, 2)) * [1.0, 7.0] + slow[:, None]
     assert_allclose(residual_scale.spread_of(rows), [1.0, 7.0], rtol=0.015)
+
+
+def check_coloured_noise_against_normal_distributions(residual_scale):
+    """The covariance of an autoregression is s^2 rho^|i - j|: the likeliest of four correlations and many sizes."""
+    for rho, sigma in ((0.9, 3.0), (0.5, 6.0), (0.95, 9.0), (0.9, 0.5)):
+        draws = np.random.default_rng(6).standard_normal((15, 2)) * np.sqrt(1.0 - rho * rho)
+        rows = sigma * lfilter([1.0], [1.0, -rho], draws, axis=0)
+        likeliest = 0.0
+        for of_channel in rows.T:
+            found = []
+            for tried in (0.5, 0.8, 0.9, 0.95):
+                known = toeplitz(tried ** np.arange(15.0))
+                least = 1.0 / np.sqrt(1.0 - tried**2)  # innovations as large as known noise
+                sizes = np.geomspace(least, 10.0, 4001)
+                found.append(min(-2.0 * multivariate_normal.logpdf(of_channel, cov=s**2 * known) for s in sizes))
+            likeliest += min(found) - 15.0 * np.log(2.0 * np.pi)
+        fit = residual_scale.coloured_noise(rows)
+        assert_allclose(fit.squares, likeliest, rtol=1e-4)
+        assert (fit.n_free, fit.n_values) == (4, 30)
 
 
 def check_effective_scale_is_that_of_means_of_correlated_samples(residual_scale):

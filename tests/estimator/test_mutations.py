@@ -44,6 +44,7 @@ DRAG = "check_drag_on_one_derivative_is_found_and_taken_out"
 NEAR_REST = "check_dry_friction_is_not_known_near_rest"
 SPREAD = "check_spread_is_that_of_white_noise_about_a_slow_mean"
 HUBER = "check_step_is_the_minimum_of_hubers_loss"
+COLOURED = "check_coloured_noise_against_normal_distributions"
 EFFECTIVE = "check_effective_scale_is_that_of_means_of_correlated_samples"
 
 GP = "estimator.bayesian.gaussian_process"
@@ -215,6 +216,9 @@ MUTANTS = [
     ("spread-without-root", SCALE, " / np.sqrt(2.0)", "", (SPREAD,)),
     ("spread-of-the-median", SCALE, "_MAD: Final = 1.4826", "_MAD: Final = 1.0", (SPREAD,)),
     ("spread-about-the-mean", SCALE, "np.abs(np.diff(rows, axis=0))", "np.abs(rows - rows.mean(axis=0))", (SPREAD,)),
+    ("coloured-not-stationary", SCALE, " / shrink + rows[0] ** 2", " / shrink", (COLOURED,)),
+    ("coloured-without-determinant", SCALE, " + (n - 1) * np.log(shrink)", "", (COLOURED,)),
+    ("coloured-of-any-innovations", SCALE, "1.0 / shrink, TOO_SMALL**2", "1.0, TOO_SMALL**2", (COLOURED,)),
     ("correlation-inverted", SCALE, "(1.0 + self.correlations) / (1.0 - self.correlations)",
      "(1.0 - self.correlations) / (1.0 + self.correlations)", (EFFECTIVE,)),
     ("correlation-of-another-lag", SCALE, "rows[1:] * rows[:-1]", "rows[2:] * rows[:-2]", (EFFECTIVE,)),

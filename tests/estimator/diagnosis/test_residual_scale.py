@@ -7,7 +7,7 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import norm
 
 from estimator.diagnosis import residual_scale
-from estimator.diagnosis.residual_scale import ResidualScale, larger_noise
+from estimator.diagnosis.residual_scale import ResidualScale, coloured_noise, larger_noise
 from estimator.hypotheses import NEVER
 
 
@@ -282,8 +282,18 @@ def test_a_larger_noise_is_as_likely_as_the_best_normal_distributions_of_the_cha
     assert (fit.n_free, fit.n_values) == (2, 23)
 
 
-def test_residuals_that_are_no_numbers_are_no_noise():
-    assert larger_noise(np.array([[np.nan], [1.0]])) is NEVER
+def test_coloured_noise_is_as_likely_as_the_best_of_some_normal_distributions(oracles):
+    oracles.check_coloured_noise_against_normal_distributions(residual_scale)
+
+
+@pytest.mark.parametrize("noise_of", [larger_noise, coloured_noise])
+def test_residuals_that_are_no_numbers_are_no_noise(noise_of):
+    assert noise_of(np.array([[np.nan], [1.0]])) is NEVER
+
+
+def test_a_channel_without_values_has_no_coloured_noise():
+    rows = autoregressive(4, 12, 0.9, 3.0)
+    assert coloured_noise(np.hstack([rows, np.zeros_like(rows)])).squares == coloured_noise(rows).squares
 
 
 @pytest.mark.parametrize(("period", "is_smooth"), [(6, False), (10, False), (14, True), (30, True)])

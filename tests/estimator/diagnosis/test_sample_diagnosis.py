@@ -289,7 +289,7 @@ def test_a_move_that_is_no_drift_must_be_proven_although_nothing_contradicts_wha
     run.k = 7
     if have_changed:
         run.diagnosis.observe(run.sample(CHANGED, 0.0), CHANGED)
-    for _ in range(10):
+    for _ in range(40):
         sample = run.sample(TRUE, 0.0)
         run.diagnosis.observe(sample, TRUE)
     comparison, blind = run.diagnosis.comparison, np.array([sample.x[0], -sample.u[0]])
@@ -649,6 +649,22 @@ def test_doubtful_samples_that_a_larger_noise_excuses_say_how_large_it_is(seed):
     run.go(100, TRUE, coloured_noise(seed + 10, 100))
     assert len(run.writes) == written
     assert len(run.of("trigger")) <= begun + 1
+
+
+@pytest.mark.parametrize("estimator", ["target", "ukf", "least-squares"])
+def test_coloured_noise_before_any_quiet_is_not_taken_for_parameters(estimator):
+    """Of three times the declared size, and correlated by 0.9 from sample to sample, in twelve runs of 120 samples: 139
+    (`target`), 169 (`ukf`) and 64 writes (`least-squares`) while small steps of a filter needed no proof."""
+    n_writes = []
+    for seed in range(12):
+        noise = 3.0 * np.random.default_rng([seed, 17]).standard_normal(120)
+        for k in range(1, len(noise)):
+            noise[k] = 0.9 * noise[k - 1] + np.sqrt(1.0 - 0.9**2) * noise[k]
+        run = Run(estimator=estimator, seed=seed, noise=0.0)
+        run.go(120, added=lambda i, noise=noise: SIGMA * noise[i])
+        n_writes.append(len(run.writes))
+    assert np.median(n_writes) <= 1
+    assert sum(n_writes) <= 40
 
 
 def test_a_few_outliers_among_doubtful_samples_are_no_larger_noise():
@@ -1072,7 +1088,9 @@ def test_a_change_that_is_larger_than_what_the_model_lacks_is_found_after_the_re
 
 @pytest.mark.parametrize("seed", range(3))
 def test_what_larger_noise_would_explain_is_said_with_a_proposal_and_an_obvious_change_is_none(seed):
-    noisy = Run("least-squares", 1, noise=10.0, seed=seed).go(30)
+    noisy = Run("least-squares", 1, seed=seed).go(40)
+    noisy.noise = 10.0
+    noisy.go(30)
     assert np.mean([theta is not None for theta in noisy.if_noise]) > 0.8
     changed = Run("least-squares", 1, seed=seed).go(40).go(20, CHANGED)
     assert changed.if_noise[0] is None
@@ -1112,7 +1130,10 @@ def test_noise_ten_times_larger_than_declared_is_not_written_as_parameters(seed,
 
 @SEARCHES
 def test_what_was_written_before_the_noise_is_known_is_taken_back_as_it_is_only_noise(estimator):
-    runs = [Run(estimator, 1, noise=10.0, seed=seed).go(300) for seed in range(12)]
+    runs = [Run(estimator, 1, seed=seed).go(40) for seed in range(12)]
+    for run in runs:
+        run.noise = 10.0
+        run.go(300)
     assert any(run.writes for run in runs)
     assert [run.seed for run in runs if not np.array_equal(run.held, TRUE)] == []
 

@@ -67,7 +67,10 @@ class DiagnosisState:
     n_failures: int = 0
     """Number of failed searches, one soon after the other."""
     is_noise_known: bool = False
-    """True since the known noise has explained many quiet samples, or parameters have where coloured noise does not."""
+    """True since the known noise has explained many quiet samples, or parameters have where coloured noise does not.
+
+    And for samples of a filter.
+    """
     n_doubts: int = 0
     """Number of times that samples have turned out to be doubtful, since many were quiet in a row."""
     largest_unexplained: Vector | None = None
@@ -137,7 +140,9 @@ class DiagnosisState:
         """
         none = np.zeros(n_channels)
         known = InputHistory(None if may_lag is None else tuple(may_lag), means=means)
-        return cls([], ResidualScale(n_channels), none, none.astype(np.intp), none.astype(bool), known)
+        state = cls([], ResidualScale(n_channels), none, none.astype(np.intp), none.astype(bool), known)
+        state.is_noise_known = bool(means)  # a filter's samples are too far apart for coloured noise to be seen in them
+        return state
 
     def reference_or(self, held: Vector) -> Vector:
         """Return the reference (d,); the parameters in force, held (d,), where there is none."""

@@ -1476,6 +1476,16 @@ def test_a_lag_from_the_start_of_inputs_that_samples_have_means_of_writes_nothin
     assert not run.writes
 
 
+@pytest.mark.parametrize(("make", "is_known"), [(Run, False), (FilteredRun, True)], ids=["sampled", "filtered"])
+def test_the_noise_of_samples_is_known_after_a_quiet_stretch_that_of_a_filter_at_once(make, is_known):
+    run = make("target")
+    assert run.diagnosis.snapshot().is_noise_known == is_known
+    run.go(29)
+    assert run.diagnosis.snapshot().is_noise_known == is_known
+    run.go(1)
+    assert run.diagnosis.snapshot().is_noise_known
+
+
 @SEARCHES
 def test_parameters_that_change_later_are_not_taken_for_a_lag_from_the_start(estimator):
     run = FilteredRun(estimator).go(30).go(2, CHANGED)

@@ -8,7 +8,7 @@ from bokeh.models import Legend, LegendItem, Span
 
 from estimator.hypotheses import MARGIN
 
-from ..plots.palette import BLACK, BLUE, GREEN, GREY, PURPLE
+from ..plots.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE
 from ..runs.recorded_events import RecordedEvent
 from ..text_table import counted
 from .marks import Sign, thinned
@@ -20,6 +20,7 @@ HYPOTHESES: Final[Mapping[str, Sign]] = {
     "inputs": Sign("inputs are stuck, or free again", "square_dot", PURPLE),
     "lag": Sign("inputs arrive late, or are limited", "diamond_dot", PURPLE),
     "friction": Sign("friction that the model lacks", "circle_cross", PURPLE),
+    "coloured": Sign("noise is correlated from sample to sample", "triangle_dot", ORANGE),
     "both": Sign("both", "square", GREEN),
     "parameters": Sign("parameters have changed", "triangle", BLUE),
 }

@@ -15,7 +15,7 @@ class Evidence:
 
     `nothing`: the parameters in force; `parameters`: changed ones; `disturbance`: one with the parameters before it;
     `both`: changed parameters and a constant disturbance; `lag`: inputs that arrive late or are limited; `inputs`: that
-    are stuck since the onset, or arrive again.
+    are stuck since the onset, or arrive again; `coloured`: noise that is correlated from sample to sample.
     """
 
     def __init__(self) -> None:
@@ -55,7 +55,8 @@ class Evidence:
         if not {"parameters", "disturbance"} <= fits.keys():
             return known
         scores = {name: float(f"{fit.score:.5g}") if isfinite(fit.score) else None for name, fit in fits.items()}
-        explained = [name for name, fit in fits.items() if fit.is_explained]
+        tested = {name: fit for name, fit in fits.items() if name != "coloured"}  # whose size is fitted to the samples
+        explained = [name for name, fit in tested.items() if fit.is_explained]
         return (*known, Event(t, "evidence", {"n_samples": n_samples, "scores": scores, "explained": explained}))
 
 

@@ -1,6 +1,7 @@
 """`retune report`: one file that asks for nothing, whatever is in the run."""
 
 import base64
+import dataclasses
 import json
 import re
 
@@ -14,9 +15,11 @@ from cosim.pages.list_page import listed, run_folders
 from cosim.pages.marks import SIGNS
 from cosim.pages.pictures import draw_pictures
 from cosim.pages.runs_page import read_page
+from cosim.pages.weighed import HYPOTHESES
 from cosim.plots.palette import RUNS
 from cosim.runs.manifest import read_manifest
 from cosim.runs.recorded_events import read_events
+from estimator.hypotheses import Weighing
 
 HOSTILE = "</script><img src=http://evil.example/x onerror=alert(1)>$$x$$"
 
@@ -108,6 +111,11 @@ def test_a_truth_and_a_reference_are_drawn_again_where_they_differ(made_up):
         drawn = {key: s.data[f"{name} 0"] for key, s in pictures.columns.sources.items() if f"{name} 0" in s.data}
         assert {*drawn} == {"r0", "r2"}
         assert drawn["r2"][0] == runs[2].run["plant.m" if name == "true m" else name][0]
+
+
+def test_every_hypothesis_that_is_compared_has_a_sign():
+    names = {field.name for field in dataclasses.fields(Weighing)} - {"noise"}  # that is never recorded
+    assert names <= HYPOTHESES.keys()
 
 
 def test_the_evidence_of_the_hypotheses_is_drawn_and_told(made_up, page_of):

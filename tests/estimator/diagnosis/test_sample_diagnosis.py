@@ -663,6 +663,9 @@ def test_coloured_noise_before_any_quiet_is_not_taken_for_parameters(estimator):
         run = Run(estimator=estimator, seed=seed, noise=0.0)
         run.go(120, added=lambda i, noise=noise: SIGMA * noise[i])
         n_writes.append(len(run.writes))
+        scores = [event.detail for _, event in run.of("evidence") if "coloured" in event.detail["scores"]]
+        assert not any("coloured" in detail["explained"] for detail in scores)
+    assert scores
     assert np.median(n_writes) <= 1
     assert sum(n_writes) <= 40
 

@@ -25,6 +25,8 @@ HYPOTHESES: Final[Mapping[str, Sign]] = {
     "parameters": Sign("parameters have changed", "triangle", BLUE),
 }
 """Hypotheses, those of most interest last: they are drawn above the others."""
+_ABREAST: Final = 4
+"""Number of hypotheses in a line of the legend: more do not fit."""
 _LEAST: Final = 1.0
 """Least difference that is drawn: less is nothing."""
 
@@ -77,7 +79,7 @@ def draw_hypotheses(sketch: Sketch) -> None:
         if drawn:
             items.append(LegendItem(label=sign.text, renderers=drawn))
     plot.add_layout(Span(location=MARGIN, dimension="width", line_dash="dotted", line_color=BLACK))
-    legend = Legend(items=items[::-1], orientation="horizontal", margin=2, border_line_color=None)
+    legend = Legend(items=items[::-1], orientation="horizontal", ncols=_ABREAST, margin=2, border_line_color=None)
     plot.add_layout(legend, "above")
 
 

@@ -208,8 +208,8 @@ class Weighing:
     @property
     def fits(self) -> dict[str, Fit]:
         """Fits of the hypotheses that were compared; a larger noise is one only where parameters are to be certain."""
-        fits = vars(self).items()
-        return {name: fit for name, fit in fits if name != "noise" and fit is not NEVER}
+        not_compared = {"noise"} | {name for name in ("inputs", "coloured") if getattr(self, name) is NEVER}
+        return {name: fit for name, fit in vars(self).items() if name not in not_compared}
 
     @property
     def _lead(self) -> float:

@@ -38,7 +38,6 @@ from .residual_scale import (
     MUCH_LARGER,
     NOISY,
     TOO_SMALL,
-    coloured_noise,
     is_rough,
     is_smooth,
     larger_noise,
@@ -247,9 +246,9 @@ class HypothesisComparison:
         if not (parameters.is_possible or is_recorded):
             return False
         before = self._residuals.of_newest(reference, n)
-        weighing = Weighing(parameters, disturbance_of(before).fit, plain_fit(before, 0), noise=larger_noise(before))
-        if not self._state.is_noise_known:
-            weighing = replace(weighing, coloured=coloured_noise(before))
+        noise, coloured = larger_noise(before), self._state.coloured_noise(before)
+        rivals = disturbance_of(before).fit, plain_fit(before, 0)
+        weighing = Weighing(parameters, *rivals, noise=noise, coloured=coloured)
         inputs = self._lag.stuck_or_free(reference) if weighing.are_parameters_possible else NEVER
         if n == self._state.n_since:
             weighing = replace(weighing, inputs=inputs)

@@ -8,11 +8,11 @@ import numpy as np
 
 from ..arrival_cost import ArrivalCost
 from ..differences import OfMany
-from ..hypotheses import NEVER, USUAL_RATE, Weighing, changed_parameters, disturbance_of, plain_fit
+from ..hypotheses import USUAL_RATE, Weighing, changed_parameters, disturbance_of, plain_fit
 from ..samples import Samples
 from ..space import Vector
 from .hidden_change import hidden_change
-from .residual_scale import NOISY, coloured_noise
+from .residual_scale import NOISY
 from .settings import QUIET, Judgement
 from .standardised_residuals import StandardisedResiduals
 from .state import WINDOW, DiagnosisState
@@ -60,9 +60,8 @@ class QuietComparison:
         for n in shorter(len(state.samples)):
             before = self._residuals.of_newest(held, n)
             parameters = plain_fit(self._residuals.of_newest(theta, n), d)
-            coloured = NEVER if is_known else coloured_noise(before)
             nothing, disturbance = plain_fit(before, 0), disturbance_of(before).fit
-            weighing = Weighing(parameters, disturbance, nothing, coloured=coloured)
+            weighing = Weighing(parameters, disturbance, nothing, coloured=state.coloured_noise(before))
             if weighing.are_parameters_proven:
                 state.is_noise_known |= weighing.are_parameters_certain
                 return "warranted"

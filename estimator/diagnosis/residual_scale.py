@@ -166,6 +166,7 @@ def coloured_noise(rows: Vector) -> Fit:
 
     On each channel it is a stationary autoregression of first order, Box and Jenkins (1970), "Time Series Analysis",
     chapter 7, whose innovations are at least as large as known noise. Its squares are as those of `larger_noise`.
+    Missing values, which are zeros, count as values.
     """
     n = len(rows)
     total = np.zeros((len(_CORRELATIONS), rows.shape[1]))

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from ..effects.friction import Friction
 from ..effects.input_lag import InputHistory
 from ..effects.step_means import StepMeans
+from ..hypotheses import NEVER, Fit
 from ..samples import Sample
 from ..space import Vector
 from .drift_rival import DriftRival
-from .residual_scale import TOO_SMALL, ResidualScale
+from .residual_scale import TOO_SMALL, ResidualScale, coloured_noise
 from .resting import RestingResiduals
 from .settings import FORGOTTEN, KINDS
 from .verdict import Verdict
@@ -67,9 +68,9 @@ class DiagnosisState:
     n_failures: int = 0
     """Number of failed searches, one soon after the other."""
     is_noise_known: bool = False
-    """True since the known noise has explained many quiet samples, or parameters have where coloured noise does not.
+    """True since the declared noise has explained many quiet samples, or parameters have where coloured noise does not.
 
-    And for samples of a filter.
+    From the start for a filter's samples, which are too far apart for coloured noise to be seen in them.
     """
     n_doubts: int = 0
     """Number of times that samples have turned out to be doubtful, since many were quiet in a row."""
@@ -140,9 +141,12 @@ class DiagnosisState:
         """
         none = np.zeros(n_channels)
         known = InputHistory(None if may_lag is None else tuple(may_lag), means=means)
-        state = cls([], ResidualScale(n_channels), none, none.astype(np.intp), none.astype(bool), known)
-        state.is_noise_known = bool(means)  # a filter's samples are too far apart for coloured noise to be seen in them
-        return state
+        scale, rests_until, is_resting = ResidualScale(n_channels), none.astype(np.intp), none.astype(bool)
+        return cls([], scale, none, rests_until, is_resting, known, is_noise_known=bool(means))
+
+    def coloured_noise(self, rows: Vector) -> Fit:
+        """Return the fit of coloured noise to residuals (n, c), `NEVER` since the noise is known."""
+        return NEVER if self.is_noise_known else coloured_noise(rows)
 
     def reference_or(self, held: Vector) -> Vector:
         """Return the reference (d,); the parameters in force, held (d,), where there is none."""

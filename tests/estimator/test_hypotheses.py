@@ -11,6 +11,7 @@ from estimator.differences import OfMany
 from estimator.hypotheses import (
     FALSE_ALARM,
     MARGIN,
+    NEVER,
     Fit,
     Weighing,
     changed_parameters,
@@ -368,3 +369,11 @@ def test_a_channel_that_rests_takes_no_disturbance_and_rows_that_are_not_finite_
     assert (found.fit.n_values, found.newest[1]) == (23, 0.0)
     rows[5, 2] = np.nan
     assert not disturbance_of(rows).fit.is_possible
+
+
+def test_what_cannot_be_told_is_recorded_and_what_was_not_compared_is_not():
+    """A disturbance of residuals that are no numbers is compared, as far as that goes."""
+    known = Fit(1.0, 2, 8)
+    compared = {"parameters", "disturbance", "nothing"}
+    assert Weighing(known, NEVER, known).fits.keys() == compared
+    assert Weighing(known, NEVER, known, coloured=known).fits.keys() == compared | {"coloured"}

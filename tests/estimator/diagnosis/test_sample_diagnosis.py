@@ -653,8 +653,8 @@ def test_doubtful_samples_that_a_larger_noise_excuses_say_how_large_it_is(seed):
 
 @pytest.mark.parametrize("estimator", ["target", "ukf", "least-squares"])
 def test_coloured_noise_before_any_quiet_is_not_taken_for_parameters(estimator):
-    """Of three times the declared size, and correlated by 0.9 from sample to sample, in twelve runs of 120 samples: 139
-    (`target`), 169 (`ukf`) and 64 writes (`least-squares`) while small steps of a filter needed no proof."""
+    """Noise of three times the declared size, correlated by 0.9 from sample to sample, led to 139, 169 and 64 writes in
+    twelve runs of 120 samples while small steps of a filter needed no proof."""
     n_writes = []
     for seed in range(12):
         noise = 3.0 * np.random.default_rng([seed, 17]).standard_normal(120)

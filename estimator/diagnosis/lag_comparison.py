@@ -5,6 +5,7 @@ known. Limits, one value each, must explain them much better than a disturbance 
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from math import inf
 from typing import Final
 
@@ -12,7 +13,7 @@ import numpy as np
 
 from ..effects.input_lag import NO_LAG, FoundLag
 from ..effects.known_effects import Explanation
-from ..hypotheses import MARGIN, NEVER, Fit, cubic_disturbance, disturbance_of, plain_fit
+from ..hypotheses import MARGIN, NEVER, Fit, changed_parameters, cubic_disturbance, disturbance_of, plain_fit
 from ..samples import Sample
 from ..space import Vector
 from .evidence import Evidence
@@ -22,6 +23,11 @@ from .state import DiagnosisState
 
 _NOISE: Final = 5.0
 """Factor by which the noise may be larger than known before limits of the inputs explain samples."""
+
+_FEWEST_BESIDE: Final = 10
+"""Least number of samples that tell a lag beside changed parameters."""
+_FEW_STEPS: Final = 3
+"""Number of Gauss-Newton steps to changed parameters, with each lag that is tried."""
 
 
 class LagComparison:
@@ -83,6 +89,32 @@ class LagComparison:
         """
         samples = [s for s in self._state.since_lasting if s.t >= self._state.inputs.begin]
         return self._explaining(samples, reference, is_long=True) if len(samples) >= LONG else None
+
+    def beside_change(self, theta: Vector) -> Explanation | None:
+        """Return the lag that explains the samples since the onset together with changed parameters, or None.
+
+        Where neither does so alone, and no disturbance nearly as well. theta (d,): parameters before.
+        """
+        state, residuals = self._state, self._residuals
+        samples = state.samples[-state.n_since :]
+        if len(samples) < _FEWEST_BESIDE or state.inputs.lag.limits:
+            return None
+        z, offset = residuals.space.to_unit(theta), state.offset
+        if changed_parameters(residuals.at_newest(len(samples)), z, may_drift=False).fit.is_explained:
+            return None
+
+        def changed(inputs: Vector) -> Vector:
+            at = residuals.with_inputs(inputs, samples, offset)
+            return changed_parameters(at, z, iterations=_FEW_STEPS, may_drift=False).rows
+
+        found = state.inputs.late(lambda inputs: np.array([*map(changed, inputs)]), [sample.t for sample in samples])
+        if not found.lag:
+            return None
+        fit = replace(found.fit, n_free=found.fit.n_free + len(z))
+        self._evidence.note(len(samples), lag=fit)
+        if not fit.is_explained or fit.score + MARGIN > disturbance_of(residuals.rows(theta, samples)).fit.score:
+            return None
+        return Explanation(replace(found, fit=fit), theta, offset, len(samples))
 
     def take_again(self, held: Vector) -> bool:
         """Take a better value of a lag that is known, where with it nothing contradicts parameters (d,) any more."""

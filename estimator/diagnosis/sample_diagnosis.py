@@ -288,7 +288,7 @@ class Diagnosis:
         before = state.lasting if state.reference is None else self._lasting.accepted(state.reference)
         found = None if before is None else self._effects.lacking(before)
         if found is None and before is not None and state.n_since >= LONG:
-            found = self._lag.in_newest(before, state.n_since)
+            found = self._lag.in_newest(before, state.n_since) or self._lag.beside_change(before)
         if found is not None:
             return self._effects.adopt(t, found)
         if before is not None and state.n_since:
@@ -398,6 +398,10 @@ class Diagnosis:
             return self._effects.only_noise(state.n_since)
         both = self.comparison.with_disturbance(held, n)
         before = self._lasting.before(reference, n)
+        late = self._lag.beside_change(before)
+        rival = None if late is None else self.comparison.with_disturbance(held, late.n)
+        if late is not None and (rival is None or late.fit.score + MARGIN <= rival.fit.score):
+            return self._effects.adopt(t, late)
         explaining = [d for d in (found, both) if d is not None and d.fit.is_explained]
         if n >= QUIET and explaining:
             best = min(explaining, key=lambda d: d.fit.score)

@@ -97,6 +97,16 @@ class StandardisedResiduals:
 
         return rows_with
 
+    def with_inputs(self, inputs: Vector, samples: Sequence[Sample], offset: Vector) -> OfMany:
+        """Return the residuals (..., n, c) at n samples as a function of places (..., d), inputs (n, p) arriving.
+
+        offset (c,): known disturbance, in standard deviations of the declared noise.
+        """
+        arriving = dict(zip((sample.t for sample in samples), map(tuple, inputs.tolist()), strict=True))
+        known = replace(self.known, disturbance=offset * self.sigma, arriving=arriving)
+        corrected = known.without_all(samples)
+        return OfMany(lambda z: self.scaled_rows(self.space.beyond(z), corrected))
+
     def slopes(self, theta: Vector, samples: Sequence[Sample]) -> Vector | None:
         """Return the slopes (n, c, d) of `rows` at theta (d,) in the unit cube; None where the model has none."""
         return self.scaled_slopes(theta, [self.corrected(sample) for sample in samples])

@@ -205,6 +205,17 @@ class InputHistory:
             found.append(self._limited(rows_with, places))
         return min(found, key=lambda one: one.fit.score)
 
+    def late(self, rows_with: RowsWith, times: Sequence[float]) -> FoundLag:
+        """Return the lag of all inputs that are kept that explains best; `NO_LAG` where there is none.
+
+        rows_with, times: as of `search`.
+        """
+        if self.may_lag == () or not np.any(np.diff(self._inputs, axis=0)) or times[0] < self.begin:
+            return NO_LAG
+        places = self._places_of(times)
+        none = plain_fit(rows_with(self.means.of(np.array(self._inputs)[None], places))[0], 0)
+        return self._best(rows_with, places, none, 0, is_free=False)
+
     def late_from_start(self, rows_with: RowsWith, times: Sequence[float]) -> FoundLag:
         """Return the lag that explains best the first samples whose inputs are kept; `NO_LAG` for others.
 

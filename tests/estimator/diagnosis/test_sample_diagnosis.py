@@ -1344,6 +1344,22 @@ def test_parameters_that_change_behind_a_known_lag_are_found(estimator, n_channe
     assert len(run.of("lag")) == 1
 
 
+INPUT_BEFORE = np.sin(1.7 * 1.95) + 0.6 * np.sign(np.sin(0.9 * 1.95))
+"""Input of the last of the first forty samples."""
+
+
+@pytest.mark.full_but("0.2-target")
+@SEARCHES
+@pytest.mark.parametrize("tau", [0.1, 0.2])
+def test_a_lag_that_begins_as_parameters_change_is_found_beside_them(estimator, tau):
+    run = Run(estimator, 3, actuator=SlowActuator(0.0)).go(40)
+    run.actuator.state, run.actuator.tau = INPUT_BEFORE, tau
+    run.go(60, CHANGED)
+    assert run.diagnosis.summary()["input_lag"]["time_constant"] == pytest.approx(tau, rel=0.05)
+    assert near(run.held, CHANGED, 0.05)
+    assert not run.of("unexplained", "rest")
+
+
 @pytest.mark.full_but("5-3-target")
 @SEARCHES
 @CHANNELS
@@ -1360,7 +1376,7 @@ def test_a_dead_time_is_named_and_changes_no_parameter(estimator, n_channels, n_
 @CHANNELS
 def test_a_lag_that_begins_in_flight_and_ends_is_named_both_times(estimator, n_channels):
     run = Run(estimator, n_channels, actuator=SlowActuator(0.0)).go(40)
-    run.actuator.state, run.actuator.tau = np.sin(1.7 * 1.95) + 0.6 * np.sign(np.sin(0.9 * 1.95)), 0.2
+    run.actuator.state, run.actuator.tau = INPUT_BEFORE, 0.2
     run.go(60)
     assert run.diagnosis.summary()["input_lag"]["time_constant"] == pytest.approx(0.2, rel=0.1)
     run.actuator.tau = 0.0
@@ -1454,6 +1470,14 @@ def mean_behind(tau):
         return u - tau * (state - before) / 0.01
 
     return actuator
+
+
+@SEARCHES
+def test_a_lag_that_begins_as_parameters_change_is_that_of_the_steps_of_a_filter(estimator):
+    late, began = mean_behind(0.2), 210 * 0.01
+    run = FilteredRun(estimator, 1, actuator=lambda t, u: late(t, u) if t >= began else u).go(40).go(80, CHANGED)
+    assert run.diagnosis.summary()["input_lag"]["time_constant"] == pytest.approx(0.2, rel=0.05)
+    assert near(run.held, CHANGED, 0.05)
 
 
 @pytest.mark.full_but("0.05-target", "0.2-least-squares")

@@ -132,6 +132,11 @@ CASES: Final[Mapping[str, Case]] = {
     "dry": Case("dry friction that the model lacks", _friction("F_c")),
     "lag": Case("actuators with a lag of three macro steps", lambda p, _: _lag(p)),
     "lag-change": Case("the same, and the parameters jump", lambda p, _: {**_lag(p), **_changed(p)}, has_change=True),
+    "lag-begins": Case(
+        "the same lag begins as the parameters jump",
+        lambda p, _: {"tau_u": [[0.0, 0.0], [_CHANGE * p.n_steps * p.step, _LATE * p.step]], **_changed(p)},
+        has_change=True,
+    ),
     "rate": Case("actuators with a limited rate", lambda p, _: {"rate_u": p.rate}),
     "limited": Case("the first actuator gives no more than a limit", lambda p, _: {"limit_u": p.limit}),
     "limited-change": Case(

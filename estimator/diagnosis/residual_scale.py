@@ -24,8 +24,8 @@ _SMOOTH: Final = 0.3
 """Ratio of second to first differences, by that of white noise, below which rows change smoothly."""
 TOO_SMALL: Final = 10.0
 """Factor by which a declared noise may be too small, as where it is a sensor's last digit."""
-_CORRELATIONS: Final = (0.5, 0.8, 0.9, 0.95)
-"""Correlations from one sample to the next of the coloured noise that is thought of."""
+_CORRELATIONS: Final = np.array([[0.5], [0.8], [0.9], [0.95]])
+"""Correlations (k, 1) from one sample to the next of the coloured noise that is thought of."""
 _MAD: Final = 1.4826
 """Ratio of a normal variable's standard deviation to its median absolute deviation."""
 NOISY: Final = 8
@@ -168,14 +168,11 @@ def coloured_noise(rows: Vector) -> Fit:
     chapter 7, whose innovations are at least as large as known noise. Its squares are as those of `larger_noise`.
     Missing values, which are zeros, count as values.
     """
-    n = len(rows)
-    total = np.zeros((len(_CORRELATIONS), rows.shape[1]))
-    for i, rho in enumerate(_CORRELATIONS):
-        innovations = rows[1:] - rho * rows[:-1]
-        shrink = 1.0 - rho**2
-        squares = np.sum(innovations**2, axis=0) / shrink + rows[0] ** 2
-        variance = np.clip(squares / n, 1.0 / shrink, TOO_SMALL**2)
-        total[i] = squares / variance + n * np.log(variance) + (n - 1) * np.log(shrink)
+    n, shrink = len(rows), 1.0 - _CORRELATIONS**2
+    innovations = rows[1:] - _CORRELATIONS[:, None] * rows[:-1]
+    squares = np.sum(innovations**2, axis=1) / shrink + rows[0] ** 2
+    variance = np.clip(squares / n, 1.0 / shrink, TOO_SMALL**2)
+    total = squares / variance + n * np.log(variance) + (n - 1) * np.log(shrink)
     fitted = float(total.min(axis=0)[rows.any(axis=0)].sum())
     return Fit(fitted, 2 * n_channels_of(rows), int(np.count_nonzero(rows))) if isfinite(fitted) else NEVER
 

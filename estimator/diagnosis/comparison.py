@@ -87,9 +87,7 @@ class HypothesisComparison:
         state = self._state
         if not state.n_since:
             return self.quiet.judge(theta, held, is_filter=is_filter)
-        found_at = state.verdict.found_at
-        is_due = state.n_samples >= found_at + (_RENEWED if state.verdict.is_warranted else 1)
-        if is_due or found_at < state.n_samples - state.n_since:
+        if self._is_due(theta):
             self._weigh(theta, held)
         if state.verdict.is_refuted:
             return "refuted"
@@ -97,6 +95,18 @@ class HypothesisComparison:
         if plain_fit(now, 0).is_explained or np.sum(now**2) < BETTER * np.sum(self._residuals.of_newest(held, 1) ** 2):
             return state.verdict.judgement
         return "refuted"
+
+    def _is_due(self, theta: Vector) -> bool:
+        """Return whether the hypotheses are to be compared anew, with another sample.
+
+        Now and then only where changed parameters have been proven and theta (d,) explains the newest samples.
+        """
+        state = self._state
+        n_passed = state.n_samples - state.verdict.found_at
+        if not state.verdict.is_warranted or n_passed >= min(_RENEWED, state.n_since + 1):
+            return n_passed > 0
+        few = self._residuals.of_newest(theta, min(state.n_since, FEWEST))
+        return n_passed > 0 and not plain_fit(few, 0).is_explained
 
     def has_changed(self, held: Vector, n: int, *, at_most: float = inf) -> bool:
         """Return whether changed parameters explain the newest n samples, and nothing else nearly as well.
@@ -225,8 +235,13 @@ class HypothesisComparison:
         return (state.offset + found.newest * state.scale.effective) * self._residuals.sigma
 
     def _weigh(self, theta: Vector, held: Vector) -> None:
-        """Compare the hypotheses on the newest samples since the onset, fewer of them where nothing explains more."""
+        """Compare the hypotheses on the newest samples since the onset, fewer of them where nothing explains more.
+
+        No fewer than five, once parameters that were proven have not explained the samples that followed: what the
+        model lacks may look like other parameters for a few samples, again and again.
+        """
         state, space = self._state, self._space
+        was_proven = state.verdict.is_warranted and state.n_samples < state.verdict.found_at + state.n_since
         state.verdict = replace(state.verdict, found_at=state.n_samples, judgement="refuted")
         reference = state.reference_or(held)
         residuals = self._residuals.of_newest(theta, state.n_since)
@@ -235,6 +250,9 @@ class HypothesisComparison:
                 return
         z = space.to_unit(theta) if state.changed is None else state.changed
         for n in [n for n in _LENGTHS if n <= state.n_since]:
+            state.is_disproved |= was_proven and n < state.n_since
+            if state.is_disproved and n < min(QUIET, state.n_since):
+                return
             found = changed_parameters(self._residuals.at_newest(n), z, self._residuals.times_of_newest(n))
             if found.rate <= _RATE and self._wins(found.fit, reference, n):
                 state.changed = found.z

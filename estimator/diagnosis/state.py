@@ -116,6 +116,8 @@ class DiagnosisState:
     """Parameters (d,) in force at the onset, or accepted since."""
     has_moved: bool = False
     """True where other parameters have been in force since the onset."""
+    is_disproved: bool = False
+    """True where parameters that were proven did not explain the samples that followed, since it last was quiet."""
     has_hidden_change: bool = False
     """True where many quiet samples together have contradicted the parameters in force since the last suspicion."""
     changed: Vector | None = None
@@ -170,7 +172,7 @@ class DiagnosisState:
         self.n_calm = self.n_samples - self.suspected_at - 1
         if self.n_samples >= self.suspected_at + WINDOW:
             self.restless_since, self.next_lag = self.n_samples, 0
-            self.path = self.path.begin(z)
+            self.path, self.is_disproved = self.path.begin(z), False
 
     def begin_lasting(self, theta: Vector) -> None:
         """Take parameters (d,) for those that lasted, from the newest sample on."""

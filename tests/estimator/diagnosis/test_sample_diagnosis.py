@@ -1003,6 +1003,7 @@ def moved(places):
         for _ in range(3):
             diagnosis.observe(run.sample(CHANGED, PUSH[3]), np.array(theta))
             diagnosis.expect([True, True])
+            run.k += 1
     return diagnosis
 
 
@@ -1135,7 +1136,7 @@ def test_noise_ten_times_larger_than_declared_is_not_written_as_parameters(seed,
 def test_what_was_written_before_the_noise_is_known_is_taken_back_as_it_is_only_noise(estimator):
     runs = [Run(estimator, 1, seed=seed).go(40) for seed in range(12)]
     for run in runs:
-        run.noise = 10.0
+        run.noise = 6.0
         run.go(300)
     assert any(run.writes for run in runs)
     assert [run.seed for run in runs if not np.array_equal(run.held, TRUE)] == []
@@ -1342,6 +1343,15 @@ def test_parameters_that_change_behind_a_known_lag_are_found(estimator, n_channe
     run = Run(estimator, n_channels, actuator=SlowActuator(0.15)).go(60).go(60, CHANGED)
     assert near(run.held, CHANGED, 0.05)
     assert len(run.of("lag")) == 1
+
+
+@SEARCHES
+def test_after_proven_parameters_are_refuted_no_sample_by_itself_speaks_for_others(estimator):
+    """Three channels are explained by two parameters: any sample is, nearly, and the next one by others."""
+    others = np.random.default_rng(6).uniform([2.0, -2.5], [4.0, -0.5], (9, 2))
+    run = Run(estimator, 3).go(40).go(9, lambda i: CHANGED if i < 3 else others[i])
+    assert near(run.held, CHANGED)
+    assert run.writes[-1][0] < 43
 
 
 INPUT_BEFORE = np.sin(1.7 * 1.95) + 0.6 * np.sign(np.sin(0.9 * 1.95))

@@ -26,6 +26,8 @@ _NEAR: Final = 0.12
 """Share below which a lag is refined: one that explains has less beside it, a quarter of its time constant away."""
 _EXPLAINING: Final = 4.0
 """Sum of squares by the chi-square limit up to which it is refined, too: of a lag that hardly shows."""
+_PASSES: Final = 3
+"""Largest number of times that the limits of several rates are refined, one after the other: each depends on all."""
 _PRECISION: Final = 1e-4
 """Relative precision of the time constant, and of a limited rate."""
 ASIDE: Final = 0.01
@@ -124,20 +126,26 @@ def _refined(fits: Fits, best: TriedLag, lag_of: Callable[[float], Lag], value: 
 
 
 def _limited(fits: Fits, times: Vector, inputs: Vector, none: Fit, shares: Vector) -> TriedLag | None:
-    """Return the best limits of the inputs' rates, or None: first one share of all, then each by itself.
+    """Return the best limits of the inputs' rates, or None: first one for all or one share of all, then each by itself.
 
     shares: of the fastest change of an input, that are tried.
     """
     fastest = np.abs(np.diff(inputs, axis=0) / np.diff(times)[:, None]).max(axis=0)
     fastest = np.where(fastest > 0.0, fastest, inf)
-    best = _inner(fits([Lag(rates=tuple(rates.tolist())) for rates in shares[:, None] * fastest]))
+    limited = [j for j, most in enumerate(fastest) if isfinite(most)]
+    same = np.where(np.isfinite(fastest), fastest[limited].max(), inf)
+    scales = [fastest] if np.array_equal(same, fastest) else [fastest, same]
+    tried = [_inner(fits([Lag(rates=tuple(rates.tolist())) for rates in shares[:, None] * of])) for of in scales]
+    best = min((one for one in tried if one is not None), key=lambda one: one.fit.squares, default=None)
     if best is None or best.fit.squares > _PROMISING * none.squares:
         return None
-    limited = [j for j, most in enumerate(fastest) if isfinite(most)]
+    if _is_near(best, none):
+        rates = best.lag.rates
+        best = _refined(fits, best, lambda share: Lag(rates=tuple(share * rate for rate in rates)), 1.0, shares)
     for j in limited:
         best = _limited_at(fits, best, j, (shares * fastest[j]).tolist())
     if _is_near(best, none):
-        for j in limited:
+        for j in limited * min(len(limited), _PASSES):
             best = _refined_at(fits, best, j, shares)
     return best
 

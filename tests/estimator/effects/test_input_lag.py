@@ -93,6 +93,23 @@ def test_a_limited_rate_is_found():
     assert found.lag.rates == (pytest.approx(1.2, rel=0.02),)
 
 
+@pytest.mark.parametrize("rates", [(6.0, 6.0), (9.0, 4.0)])
+def test_limited_rates_of_inputs_of_which_one_is_faster_are_found(rates):
+    history, made, dt = InputHistory(), [], 0.05
+    for k in range(56):
+        t = dt * k
+        u = np.array([3.0 * np.sin(1.7 * t), np.sin(0.9 * t)]) + np.array([9.0, 2.5]) * (k >= 40)
+        made.append(u if not made else made[-1] + np.clip(u - made[-1], -dt * np.array(rates), dt * np.array(rates)))
+        history.take(Sample(t, (0.0,), tuple(u.tolist()), (0.0, 0.0)))
+    noise = SIGMA * np.random.default_rng(3).standard_normal((16, 2))
+    true, effects = np.array(made)[-16:], np.array([[2.0, 0.7], [-1.0, 1.5]])
+    found = history.search(
+        lambda inputs: ((true - inputs) @ effects + noise) / SIGMA, (dt * np.arange(40, 56)).tolist()
+    )
+    assert found.fit.is_explained
+    assert found.lag.rates == pytest.approx(rates, rel=0.02)
+
+
 def test_a_limit_of_which_samples_have_means_is_found():
     _, found = found_in(np.minimum(sent()[:, 0], 0.9))
     assert found.fit.is_explained

@@ -93,15 +93,13 @@ class LagComparison:
     def beside_change(self, theta: Vector) -> Explanation | None:
         """Return the lag that explains the samples since the onset together with changed parameters, or None.
 
-        Where neither does so alone, and no disturbance nearly as well. theta (d,): parameters before.
+        Where no disturbance does so nearly as well. theta (d,): parameters before.
         """
         state, residuals = self._state, self._residuals
         samples = state.samples[-state.n_since :]
         if len(samples) < _FEWEST_BESIDE or state.inputs.lag.limits:
             return None
         z, offset = residuals.space.to_unit(theta), state.offset
-        if changed_parameters(residuals.at_newest(len(samples)), z, may_drift=False).fit.is_explained:
-            return None
 
         def changed(inputs: Vector) -> Vector:
             at = residuals.with_inputs(inputs, samples, offset)

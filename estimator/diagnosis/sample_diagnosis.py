@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from ..arrival_cost import ArrivalCost
+from ..effects.known_effects import Explanation
 from ..effects.step_means import StepMeans
 from ..hypotheses import MARGIN, disturbance_of, plain_fit
 from ..samples import DerivativeResidual, Sample
@@ -288,7 +289,7 @@ class Diagnosis:
         before = state.lasting if state.reference is None else self._lasting.accepted(state.reference)
         found = None if before is None else self._effects.lacking(before)
         if found is None and before is not None and state.n_since >= LONG:
-            found = self._lag.in_newest(before, state.n_since) or self._lag.beside_change(before)
+            found = self._lag.in_newest(before, state.n_since) or self._late_beside_change(before, before)
         if found is not None:
             return self._effects.adopt(t, found)
         if before is not None and state.n_since:
@@ -389,7 +390,9 @@ class Diagnosis:
         if plain_fit(rows, 0).score <= found.fit.score:  # a false alarm
             state.end_suspicion()
             return None
+        before = self._lasting.before(reference, n)
         late = self._lag.in_newest(reference, state.n_since) if state.n_since >= LONG else None
+        late = late or self._late_beside_change(held, before)
         if late is not None:
             return self._effects.adopt(t, late)
         if self.comparison.is_changing(held, n) and not state.is_resting.any():
@@ -397,11 +400,6 @@ class Diagnosis:
         if self.comparison.adopt_noise(held):
             return self._effects.only_noise(state.n_since)
         both = self.comparison.with_disturbance(held, n)
-        before = self._lasting.before(reference, n)
-        late = self._lag.beside_change(before)
-        rival = None if late is None else self.comparison.with_disturbance(held, late.n)
-        if late is not None and (rival is None or late.fit.score + MARGIN <= rival.fit.score):
-            return self._effects.adopt(t, late)
         explaining = [d for d in (found, both) if d is not None and d.fit.is_explained]
         if n >= QUIET and explaining:
             best = min(explaining, key=lambda d: d.fit.score)
@@ -410,6 +408,19 @@ class Diagnosis:
                 return None
             return self._disturbances.adopt(t, disturbance_of(self.residuals.of_newest(before, n)), before)
         return self._nothing_explains(t, theta, before, rows)
+
+    def _late_beside_change(self, held: Vector, before: Vector) -> Explanation | None:
+        """Return the lag that explains all samples since the onset together with changed parameters, or None.
+
+        None too where parameters do so alone, those in force, held (d,), or others; or beside a constant disturbance,
+        nearly as well. before (d,): parameters before the onset.
+        """
+        n = self._state.n_since
+        if n < LONG or self.comparison.is_changing(held, n):
+            return None
+        late = self._lag.beside_change(before)
+        both = None if late is None else self.comparison.with_disturbance(held, n)
+        return None if late is not None and both is not None and both.fit.score < late.fit.score + MARGIN else late
 
     def _nothing_explains(self, t: float, theta: Vector | None, before: Vector, rows: Vector) -> Settled:
         """End a suspicion as nothing explains the newest samples, theta (d,) best; rows (n, c): residuals before it."""

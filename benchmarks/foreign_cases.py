@@ -25,6 +25,8 @@ _STUCK_STEPS, _NO_RATE = 20, 1e-9
 """Number of macro steps in which actuators are stuck; a rate at which they hardly move."""
 _SHARE: Final = 0.7
 """Share of the inputs that weak actuators give."""
+_RATES: Final = 4.0
+"""Ratio of a limit of the actuators' rates that shows where parameters change to one that shows before."""
 _WINDOW: Final = 20
 """Largest number of samples that a candidate is judged by."""
 
@@ -138,6 +140,11 @@ CASES: Final[Mapping[str, Case]] = {
         has_change=True,
     ),
     "rate": Case("actuators with a limited rate", lambda p, _: {"rate_u": p.rate}),
+    "rate-change": Case(
+        "actuators with a limited rate that shows as the parameters jump",
+        lambda p, _: {"rate_u": _RATES * p.rate, **_changed(p)},
+        has_change=True,
+    ),
     "limited": Case("the first actuator gives no more than a limit", lambda p, _: {"limit_u": p.limit}),
     "limited-change": Case(
         "the same, and the parameters jump", lambda p, _: {"limit_u": p.limit, **_changed(p)}, has_change=True

@@ -237,8 +237,8 @@ class HypothesisComparison:
     def _weigh(self, theta: Vector, held: Vector) -> None:
         """Compare the hypotheses on the newest samples since the onset, fewer of them where nothing explains more.
 
-        No fewer than five, once parameters that were proven have not explained the samples that followed: what the
-        model lacks may look like other parameters for a few samples, again and again.
+        No fewer than five, once none explain the samples that followed proven ones, even with ten times the noise: what
+        the model lacks may look like other parameters for a few samples, again and again.
         """
         state, space = self._state, self._space
         was_proven = state.verdict.is_warranted and state.n_samples < state.verdict.found_at + state.n_since
@@ -250,10 +250,11 @@ class HypothesisComparison:
                 return
         z = space.to_unit(theta) if state.changed is None else state.changed
         for n in [n for n in _LENGTHS if n <= state.n_since]:
-            state.is_disproved |= was_proven and n < state.n_since
             if state.is_disproved and n < min(QUIET, state.n_since):
                 return
             found = changed_parameters(self._residuals.at_newest(n), z, self._residuals.times_of_newest(n))
+            if was_proven and n == min(QUIET, state.n_since):
+                state.is_disproved |= not plain_fit(found.rows / TOO_SMALL, 0).is_explained
             if found.rate <= _RATE and self._wins(found.fit, reference, n):
                 state.changed = found.z
                 return

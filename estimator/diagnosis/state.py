@@ -117,7 +117,7 @@ class DiagnosisState:
     has_moved: bool = False
     """True where other parameters have been in force since the onset."""
     is_disproved: bool = False
-    """True where parameters that were proven did not explain the samples that followed, since it last was quiet."""
+    """True where samples after proven parameters were explained by none, by far, since it last was quiet."""
     has_hidden_change: bool = False
     """True where many quiet samples together have contradicted the parameters in force since the last suspicion."""
     changed: Vector | None = None

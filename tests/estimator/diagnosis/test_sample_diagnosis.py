@@ -1485,7 +1485,7 @@ def mean_behind(tau):
 @SEARCHES
 def test_a_lag_that_begins_as_parameters_change_is_that_of_the_steps_of_a_filter(estimator):
     late, began = mean_behind(0.2), 210 * 0.01
-    run = FilteredRun(estimator, 1, actuator=lambda t, u: late(t, u) if t >= began else u).go(40).go(80, CHANGED)
+    run = FilteredRun(estimator, 3, actuator=lambda t, u: late(t, u) if t >= began else u).go(40).go(80, CHANGED)
     assert run.diagnosis.summary()["input_lag"]["time_constant"] == pytest.approx(0.2, rel=0.05)
     assert near(run.held, CHANGED, 0.05)
 

@@ -133,6 +133,8 @@ def _limited(fits: Fits, times: Vector, inputs: Vector, none: Fit, shares: Vecto
     fastest = np.abs(np.diff(inputs, axis=0) / np.diff(times)[:, None]).max(axis=0)
     fastest = np.where(fastest > 0.0, fastest, inf)
     limited = [j for j, most in enumerate(fastest) if isfinite(most)]
+    if not limited:
+        return None
     same = np.where(np.isfinite(fastest), fastest[limited].max(), inf)
     scales = [fastest] if np.array_equal(same, fastest) else [fastest, same]
     tried = [_inner(fits([Lag(rates=tuple(rates.tolist())) for rates in shares[:, None] * of])) for of in scales]

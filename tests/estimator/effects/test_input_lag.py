@@ -110,6 +110,17 @@ def test_limited_rates_of_inputs_of_which_one_is_faster_are_found(rates):
     assert found.lag.rates == pytest.approx(rates, rel=0.02)
 
 
+def test_inputs_that_do_not_change_have_no_lag():
+    history = InputHistory((0,))
+    for k in range(30):
+        history.take(Sample(0.05 * k, (0.0,), (1.0, float(k)), (0.0,)))
+    for size in (0.0, 9.0):
+        found = history.search(
+            lambda inputs, size=size: np.full((len(inputs), 20, 1), size), (0.05 * np.arange(10, 30)).tolist()
+        )
+        assert found.lag == Lag()
+
+
 def test_a_limit_of_which_samples_have_means_is_found():
     _, found = found_in(np.minimum(sent()[:, 0], 0.9))
     assert found.fit.is_explained

@@ -87,7 +87,9 @@ class HypothesisComparison:
         state = self._state
         if not state.n_since:
             return self.quiet.judge(theta, held, is_filter=is_filter)
-        if self._is_due(theta):
+        found_at = state.verdict.found_at
+        is_due = state.n_samples >= found_at + (_RENEWED if state.verdict.is_warranted else 1)
+        if is_due or found_at < state.n_samples - state.n_since:
             self._weigh(theta, held)
         if state.verdict.is_refuted:
             return "refuted"
@@ -95,18 +97,6 @@ class HypothesisComparison:
         if plain_fit(now, 0).is_explained or np.sum(now**2) < BETTER * np.sum(self._residuals.of_newest(held, 1) ** 2):
             return state.verdict.judgement
         return "refuted"
-
-    def _is_due(self, theta: Vector) -> bool:
-        """Return whether the hypotheses are to be compared anew, with another sample.
-
-        Now and then only where changed parameters have been proven and theta (d,) explains the newest samples.
-        """
-        state = self._state
-        n_passed = state.n_samples - state.verdict.found_at
-        if not state.verdict.is_warranted or n_passed >= min(_RENEWED, state.n_since + 1):
-            return n_passed > 0
-        few = self._residuals.of_newest(theta, min(state.n_since, FEWEST))
-        return n_passed > 0 and not plain_fit(few, 0).is_explained
 
     def has_changed(self, held: Vector, n: int, *, at_most: float = inf) -> bool:
         """Return whether changed parameters explain the newest n samples, and nothing else nearly as well.

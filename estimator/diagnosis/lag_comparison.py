@@ -23,8 +23,7 @@ from .state import DiagnosisState
 
 _NOISE: Final = 5.0
 """Factor by which the noise may be larger than known before limits of the inputs explain samples."""
-
-_FEWEST_BESIDE: Final = 10
+FEWEST_BESIDE: Final = 10
 """Least number of samples that tell a lag beside changed parameters."""
 _FEW_STEPS: Final = 3
 """Number of Gauss-Newton steps to changed parameters, with each lag that is tried."""
@@ -96,9 +95,9 @@ class LagComparison:
         Where no disturbance does so nearly as well. theta (d,): parameters before.
         """
         state, residuals = self._state, self._residuals
-        samples = state.samples[-state.n_since :]
-        if len(samples) < _FEWEST_BESIDE or state.inputs.lag.limits:
+        if state.inputs.lag.limits:
             return None
+        samples = state.samples[-state.n_since :]
         z, offset = residuals.space.to_unit(theta), state.offset
 
         def changed(inputs: Vector) -> Vector:

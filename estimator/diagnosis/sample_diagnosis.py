@@ -28,7 +28,7 @@ from .effect_diagnosis import EffectDiagnosis
 from .evidence import Evidence
 from .failed_searches import FailedSearches
 from .friction_comparison import FrictionComparison
-from .lag_comparison import LagComparison
+from .lag_comparison import FEWEST_BESIDE, LagComparison
 from .lasting import LastingParameters
 from .record import DiagnosisRecord
 from .residual_scale import NOISY
@@ -416,11 +416,13 @@ class Diagnosis:
         nearly as well. before (d,): parameters before the onset.
         """
         n = self._state.n_since
-        if n < LONG or self.comparison.is_changing(held, n):
+        if n < FEWEST_BESIDE or self.comparison.is_changing(held, n):
             return None
         late = self._lag.beside_change(before)
-        both = None if late is None else self.comparison.with_disturbance(held, n)
-        return None if late is not None and both is not None and both.fit.score < late.fit.score + MARGIN else late
+        if late is None:
+            return None
+        both = self.comparison.with_disturbance(held, n)
+        return late if both is None or late.fit.score + MARGIN <= both.fit.score else None
 
     def _nothing_explains(self, t: float, theta: Vector | None, before: Vector, rows: Vector) -> Settled:
         """End a suspicion as nothing explains the newest samples, theta (d,) best; rows (n, c): residuals before it."""

@@ -35,12 +35,12 @@ from .check_fmu import check_fmu
 from .check_model import check_model, plain, split
 from .check_noise import check_noise
 from .check_times import check_times
-from .check_wiring import check_connections, check_inputs, check_loops, check_starts, check_steps
+from .check_wiring import check_connections, check_inputs, check_loops, check_roles, check_starts, check_steps
 from .dry_run import dry_run
 
 _CHECKS: tuple[Callable[[Scenario, Mapping[str, Component]], Iterator[Finding]], ...] = (
-    check_starts, check_connections, check_inputs, check_changes, check_tracking, check_tolerance, check_sampling,
-    check_filter, check_parameters, check_undeclared, check_loops, check_steps, check_times,
+    check_starts, check_roles, check_connections, check_inputs, check_changes, check_tracking, check_tolerance,
+    check_sampling, check_filter, check_parameters, check_undeclared, check_loops, check_steps, check_times,
 )  # fmt: skip
 
 

@@ -15,6 +15,7 @@ from ..scenarios.scenario import Scenario
 from ..system.unit_conversions import different
 from ..units import IDENTITY, conversion
 from ..variable_name import VariableName
+from .guess import SWAPPED, are_swapped
 
 MOST_LISTED: Final = 20
 """Variables that are listed one by one."""
@@ -118,6 +119,12 @@ def check_inputs(scenario: Scenario, components: Components) -> Iterator[Finding
             if not is_disturbance(v) and f"{name}.{v.name}" not in taken:
                 start = scenario.components[name].start.get(v.name, v.start)
                 yield warning(f'connections."{name}.{v.name}"', f"the input is not connected: it stays {start}")
+
+
+def check_roles(scenario: Scenario, components: Components) -> Iterator[Finding]:
+    """Yield a warning where plant and controller seem to be swapped."""
+    if are_swapped(components, scenario.connections.items()):
+        yield warning("components", SWAPPED)
 
 
 def check_loops(scenario: Scenario, components: Components) -> Iterator[Finding]:

@@ -21,7 +21,18 @@ from .draft_estimation import estimation, is_settable, model_states, sampling
 from .draft_gains import gain_parameter, gains
 from .draft_parameters import described, last_name, parameters, shared_parameters, unit_name
 from .draft_times import rows, settings, span
-from .guess import CONTROLLER, PLANT, REFERENCE, Guess, echoes, guess_connections, have_one_unit, sources
+from .guess import (
+    CONTROLLER,
+    PLANT,
+    REFERENCE,
+    SWAPPED,
+    Guess,
+    are_swapped,
+    echoes,
+    guess_connections,
+    have_one_unit,
+    sources,
+)
 from .guess_tracking import guess_tracking
 from .set_points import size_of
 from .toml_lines import key, quoted, said
@@ -66,7 +77,7 @@ def draft(fmus: Mapping[str, Path], folder: Path, model: str | None = None) -> D
     blocks = [
         _LEGEND,
         settings(components),
-        _components(components, folder),
+        _components(components, folder, guesses),
         _connections(components, guesses),
         _changes(components, [one.its for one in shared] if gained is None else [gained]),
         _tracking(components, tracked),
@@ -115,8 +126,9 @@ _LEGEND: Final = [
 ]
 
 
-def _components(components: Mapping[str, Component], folder: Path) -> list[str]:
-    lines = ["[components]"]
+def _components(components: Mapping[str, Component], folder: Path, guesses: list[Guess]) -> list[str]:
+    is_doubtful = are_swapped(components, [(g.target, g.source) for g in guesses if g.source is not None])
+    lines = [said("[components]", f"GUESS: {SWAPPED}") if is_doubtful else "[components]"]
     for name in (PLANT, CONTROLLER, REFERENCE):
         if name not in components:
             file = 'table = "FILL.csv"' if name == REFERENCE else 'fmu = "FILL.fmu"'

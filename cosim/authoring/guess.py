@@ -37,6 +37,7 @@ SAME, SAME_WORDS, LAST_WORDS, LIKE, ONLY_UNIT = (
 )
 _ECHOES: Final = {"held", "echo", "applied", "cmd", "command", "in"}
 DISTURBANCE: Final = "a disturbance, which may be left unconnected"
+SWAPPED: Final = "are plant and controller swapped? The plant takes set points, and the controller none"
 ORDER: Final = (SAME, SAME_WORDS, LAST_WORDS, LIKE)
 
 
@@ -130,6 +131,27 @@ def is_desired(name: str) -> bool:
     """Return whether a name is that of a set point: phi_ref, r_d_x."""
     words = _words(name)
     return bool(_DESIRED & set(words)) or "d" in words[1:]
+
+
+def are_swapped(components: Mapping[str, Component], connections: Iterable[tuple[str, str]]) -> bool:
+    """Return whether plant and controller seem to be swapped: the plant takes set points, and the controller none.
+
+    connections: each connected input with its source. A plant's set points are not those that the controller gives it;
+    and where it declares derivatives of its states and the controller none, it is taken for the plant that it is.
+    """
+    if PLANT not in components or CONTROLLER not in components:
+        return False
+    plant, controller = components[PLANT], components[CONTROLLER]
+    if plant.derivatives and not controller.derivatives:
+        return False
+    given = {target for target, source in connections if VariableName(source).component == CONTROLLER}
+    own = [name for name in _set_points(plant) if f"{PLANT}.{name}" not in given]
+    return bool(own) and not _set_points(controller)
+
+
+def _set_points(component: Component) -> list[str]:
+    """Return the inputs that are named as set points."""
+    return [v.name for v in component.having("input") if is_desired(v.name) and not is_disturbance(v)]
 
 
 def echoes(component: Component) -> set[str]:

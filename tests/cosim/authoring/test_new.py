@@ -139,6 +139,18 @@ def test_names_units_and_bounds_are_those_of_the_fmus_and_guesses_are_marked(the
     assert "# Tunable in the controller too, but not estimated: Kp, Kd" in drafted.text  # nor g, which is a constant
 
 
+def test_a_plant_and_a_controller_that_are_swapped_are_asked_about(ours, tmp_path, capsys):
+    swapped = {"plant": ours["controller"], "controller": ours["plant"], "reference": ours["reference"]}
+    path = tmp_path / "swapped.toml"
+    assert new(swapped, path) == 0
+    asked = "are plant and controller swapped? The plant takes set points, and the controller none"
+    assert f"GUESS: {asked}" in capsys.readouterr().out
+    assert f"components: warning: {asked}" in [str(f) for f in check(path)]
+    assert new(ours, tmp_path / "right.toml") == 0
+    assert asked not in capsys.readouterr().out
+    assert asked not in [f.what for f in check(tmp_path / "right.toml")]
+
+
 def test_a_file_that_exists_is_never_overwritten(ours, tmp_path, capsys):
     path = tmp_path / "my.toml"
     path.write_text("mine")

@@ -13,7 +13,7 @@ from .friction_comparison import FrictionComparison
 from .lag_comparison import LagComparison
 from .lasting import LastingParameters
 from .record import DiagnosisRecord
-from .settings import BETTER, FEWEST
+from .settings import BETTER, FEWEST, LONG
 from .settled import Settled
 from .standardised_residuals import StandardisedResiduals
 from .state import DiagnosisState, FrictionTrial
@@ -67,6 +67,19 @@ class EffectDiagnosis:
         """Return the lag or the friction that explains the samples since the parameters that lasted, or None."""
         late = self._lag.since_lasting(reference)
         return self._friction.since_lasting(reference) if late is None else late
+
+    def late(self, reference: Vector) -> Explanation | None:
+        """Return the lag that explains all samples since the onset, which must be many; reference (d,), or None."""
+        n = self._state.n_since
+        return self._lag.in_newest(reference, n) if n >= LONG else None
+
+    def late_beside_change(self, before: Vector) -> Explanation | None:
+        """Return the lag that explains all samples since the onset with parameters that have changed from before."""
+        return self._lag.beside_change(before)
+
+    def doubt_friction(self, before: Vector) -> None:
+        """Forget known friction where parameters before (d,) explain the samples as well without it."""
+        self._friction.doubt(before)
 
     def adopt(self, t: float, effect: Explanation) -> Settled:
         """End a suspicion as an effect that the model lacks explains the samples, or the end of one does."""

@@ -5,8 +5,9 @@ suspicious   they do not, from an onset on; new parameters are warranted where t
 
 A suspicion ends when the parameters in force, new ones perhaps, explain the samples again; or with a search for
 parameters that has found none: then either a constant disturbance explains them, and is subtracted from now on, or
-nothing does, and the channels concerned rest. See `comparison` for how that is found; `effect_diagnosis` and
-`disturbance_diagnosis` for the ends of a suspicion that something beside the model has won.
+nothing does, and the channels concerned rest. See `comparison` for how that is found. The ends of a suspicion that
+something beside the model has won are in `effect_diagnosis` and `disturbance_diagnosis`, those that come with the end
+of a search in `search_diagnosis`.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,7 +16,6 @@ from typing import Any, Final
 import numpy as np
 
 from ..arrival_cost import ArrivalCost
-from ..effects.known_effects import Explanation
 from ..effects.step_means import StepMeans
 from ..hypotheses import MARGIN, disturbance_of, plain_fit
 from ..samples import DerivativeResidual, Sample
@@ -28,11 +28,11 @@ from .effect_diagnosis import EffectDiagnosis
 from .evidence import Evidence
 from .failed_searches import FailedSearches
 from .friction_comparison import FrictionComparison
-from .lag_comparison import FEWEST_BESIDE, LagComparison
+from .lag_comparison import LagComparison
 from .lasting import LastingParameters
 from .record import DiagnosisRecord
-from .residual_scale import NOISY
-from .settings import CALM, FEWEST, LONG, PATIENCE, QUIET, DiagnosisSettings, is_at_unseen_bound
+from .search_diagnosis import SearchDiagnosis
+from .settings import CALM, FEWEST, LONG, QUIET, DiagnosisSettings, is_at_unseen_bound
 from .settled import Settled
 from .standardised_residuals import StandardisedResiduals
 from .state import WINDOW, DiagnosisState
@@ -40,8 +40,6 @@ from .wandering import InForce, agree
 
 _SURE: Final = 10
 """Number of samples on which a lag need not explain better than changed parameters, which have more values."""
-_SPARE: Final = 10
-"""Least number of explained values in excess of the fitted ones that makes good for a failed search."""
 
 
 class Diagnosis:
@@ -69,11 +67,15 @@ class Diagnosis:
         self._lasting = LastingParameters(state, residuals)
         self._doubtful = DoubtfulSamples(state, residuals, self._lasting)
         self._record = DiagnosisRecord(state, residuals, names, inputs)
-        self._failed_searches = FailedSearches(state, settings, self._record)
+        failed_searches = FailedSearches(state, settings, self._record)
         self._effects = EffectDiagnosis(state, residuals, self._lag, self._friction, self._lasting, self._record)
         self._disturbances = DisturbanceDiagnosis(
-            state, residuals, settings, self._lasting, self._failed_searches, self._record, evidence
+            state, residuals, settings, self._lasting, failed_searches, self._record, evidence
         )
+        self.searches = SearchDiagnosis(
+            state, residuals, self.comparison, self._lasting, self._effects, self._disturbances, failed_searches,
+            self._record, evidence,
+        )  # fmt: skip
 
     @property
     def is_suspicious(self) -> bool:
@@ -209,7 +211,7 @@ class Diagnosis:
                 return None
             return self._effects.adopt(t, late)
         if self._lasting.are_better(held, of_held):
-            return self.give_up(t)
+            return self.searches.give_up(t)
         return self._weighed(t, held, of_held, of_reference, is_explained)
 
     def _is_changing(self, held: Vector, n: int, is_explained: bool) -> bool:
@@ -275,36 +277,10 @@ class Diagnosis:
 
     def _changed(self, t: float, held: Vector) -> Settled:
         """End a suspicion that changed parameters, those in force, have won."""
-        if self._is_restless(held):
-            return self.give_up(t, rests=True)
+        if self.searches.is_restless(held):
+            return self.searches.give_up(t, rests=True)
         self._state.n_since, self._state.reference = 0, held
         return Settled(None)
-
-    def give_up(self, t: float, *, rests: bool = False) -> Settled:
-        """Return to the parameters that lasted, as others explain the samples for a while only.
-
-        The third time, or where it rests at once, all channels rest.
-        """
-        state = self._state
-        before = state.lasting if state.reference is None else self._lasting.accepted(state.reference)
-        found = None if before is None else self._effects.lacking(before)
-        if found is None and before is not None and state.n_since >= LONG:
-            found = self._lag.in_newest(before, state.n_since) or self._late_beside_change(before, before)
-        if found is not None:
-            return self._effects.adopt(t, found)
-        if before is not None and state.n_since:
-            self._disturbances.await_end(self.residuals.of_newest(before, state.n_since))
-        state.end_suspicion()
-        state.path = state.path.begin(None if before is None else self._space.to_unit(before))
-        if before is not None:
-            self._friction.doubt(before)
-        every = ~state.is_resting
-        event = self._record.unexplained(t, every, "parameters explain {} for a few samples only")
-        state.n_failures = max(state.n_failures + 1, PATIENCE if rests else 0)
-        if state.n_failures < PATIENCE:
-            return Settled(before, (event,), True)
-        state.findings = state.findings.forget()
-        return Settled(before, (event, self._failed_searches.rest(t, every)), True)
 
     def judged_drift(self, known: ArrivalCost, sample: Sample) -> ArrivalCost | None:
         """Return what a filter that lets parameters drift goes on with after a sample; None where no drift explains it.
@@ -369,86 +345,3 @@ class Diagnosis:
             self._state.begin_lasting(theta)
         self.accept(theta)
         self.returned(theta)
-
-    def fail(self, t: float, theta: Vector | None, held: Vector) -> Settled | None:
-        """Take the end of a search that has found no parameters, theta (d,) being the best.
-
-        None where the suspicion goes on with newer samples only, or is a false alarm: nothing happened, parameters are
-        still changing, or the noise is larger, which the parameters that lasted do not explain by themselves.
-        A disturbance is named where a constant one explains the samples; one that does so together with changed
-        parameters is known from then on, and these are sought beside it. After the third time, one soon after the
-        other, the channels that neither explains rest, longer each time.
-        """
-        state = self._state
-        n = min(state.n_since, QUIET)
-        if state.n_since < NOISY and self.comparison.if_noise(held) is not None:  # as where a filter gives few samples
-            return None
-        reference = state.reference_or(held)
-        rows = self.residuals.of_newest(reference, n)
-        found = disturbance_of(rows)
-        self.evidence.note(n, nothing=plain_fit(rows, 0), disturbance=found.fit)
-        if plain_fit(rows, 0).score <= found.fit.score:  # a false alarm
-            state.end_suspicion()
-            return None
-        before = self._lasting.before(reference, n)
-        late = self._lag.in_newest(reference, state.n_since) if state.n_since >= LONG else None
-        late = late or self._late_beside_change(held, before)
-        if late is not None:
-            return self._effects.adopt(t, late)
-        if self.comparison.is_changing(held, n) and not state.is_resting.any():
-            return None
-        if self.comparison.adopt_noise(held):
-            return self._effects.only_noise(state.n_since)
-        both = self.comparison.with_disturbance(held, n)
-        explaining = [d for d in (found, both) if d is not None and d.fit.is_explained]
-        if n >= QUIET and explaining:
-            best = min(explaining, key=lambda d: d.fit.score)
-            if best is not found and best.fit.n_values - best.fit.n_free >= _SPARE:
-                self._disturbances.take_change(best)
-                return None
-            return self._disturbances.adopt(t, disturbance_of(self.residuals.of_newest(before, n)), before)
-        return self._nothing_explains(t, theta, before, rows)
-
-    def _late_beside_change(self, held: Vector, before: Vector) -> Explanation | None:
-        """Return the lag that explains all samples since the onset together with changed parameters, or None.
-
-        None too where parameters do so alone, those in force, held (d,), or others; or beside a constant disturbance,
-        nearly as well. before (d,): parameters before the onset.
-        """
-        n = self._state.n_since
-        if n < FEWEST_BESIDE or self.comparison.is_changing(held, n):
-            return None
-        late = self._lag.beside_change(before)
-        if late is None:
-            return None
-        both = self.comparison.with_disturbance(held, n)
-        return late if both is None or late.fit.score + MARGIN <= both.fit.score else None
-
-    def _nothing_explains(self, t: float, theta: Vector | None, before: Vector, rows: Vector) -> Settled:
-        """End a suspicion as nothing explains the newest samples, theta (d,) best; rows (n, c): residuals before it."""
-        self._disturbances.await_end(self.residuals.of_newest(before, self._state.n_since))
-        self._state.end_suspicion()
-        self._friction.doubt(before)
-        lacks = self.comparison.lacking_channels(rows if theta is None else self.residuals.of_newest(theta, len(rows)))
-        event = self._record.unexplained(t, lacks, "no parameters explain {}")
-        events = (event, *self._failed_searches.count(t, lacks))
-        return Settled(self._lasting.undone(before), events, True)
-
-    def succeed(self, t: float, theta: Vector) -> Settled | None:
-        """Take the end of a search that has found parameters theta (d,).
-
-        Earlier failures count less, if that proves anything. But parameters that are never proven and move on from
-        search to search, by more than they may drift, explain nothing: the third time they are undone.
-        """
-        state = self._state
-        if self._is_restless(theta):
-            return self.give_up(t, rests=True)
-        if state.verdict.n_spare >= _SPARE and not state.findings.has_moved:
-            state.n_failures = max(state.n_failures - 1, 0)
-        return None
-
-    def _is_restless(self, theta: Vector) -> bool:
-        """Take parameters (d,) that were found; return whether three of five such, soon one after the other, differ."""
-        state, z = self._state, self._space.to_unit(theta)
-        state.findings = state.findings.take(state.n_samples, z, self.comparison.determined(z))
-        return state.findings.are_restless

@@ -109,7 +109,7 @@ class DiagnosingRetuner(RetunerCounts[Retuner]):
                 self._solver = self._retuner.snapshot() if self._is_endless else None
             elif held.tobytes() == self._warranted:
                 diagnosis.accept(held)
-            settled = diagnosis.give_up(t) if diagnosis.is_wandering(held) else diagnosis.settle(t, held)
+            settled = diagnosis.searches.give_up(t) if diagnosis.is_wandering(held) else diagnosis.settle(t, held)
             if settled is not None:
                 if settled.ends_search:
                     return self._ended(t, Proposal(), settled.undo, held, settled.events)
@@ -124,7 +124,7 @@ class DiagnosingRetuner(RetunerCounts[Retuner]):
                 return without_rounding(self._retuner.follow_jump(t, sample, hidden, held), held, self._space)
         proposal = without_rounding(self._stepped(t, sample, tracking_error, held), held, self._space)
         if proposal.undo is not None:  # a drift that explains nothing
-            settled = diagnosis.give_up(t)
+            settled = diagnosis.searches.give_up(t)
             return self._ended(t, replace(proposal, undo=None), settled.undo, held, settled.events)
         return self._judged(t, proposal, held)
 
@@ -169,12 +169,12 @@ class DiagnosingRetuner(RetunerCounts[Retuner]):
             self._retuner.distrust()
         has_ended |= self._is_endless and diagnosis.n_since >= _PATIENCE
         if has_ended and diagnosis.n_since >= _FEWEST and diagnosis.comparison.has_failed:
-            failed = diagnosis.fail(t, best, held)
+            failed = diagnosis.searches.fail(t, best, held)
             if failed is not None:
                 return self._ended(t, proposal, failed.undo, held, failed.events)
             self._retuner.forget()  # the noise may be larger, or older samples of parameters that have changed since
         if has_ended and diagnosis.is_suspicious and best is not None and not diagnosis.comparison.has_failed:
-            settled = diagnosis.succeed(t, best)
+            settled = diagnosis.searches.succeed(t, best)
             if settled is not None:
                 return self._ended(t, proposal, settled.undo, held, settled.events)
         return None

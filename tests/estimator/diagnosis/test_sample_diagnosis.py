@@ -441,7 +441,7 @@ def test_what_no_parameters_explain_is_named_a_disturbance_once_it_has_passed(n_
 
     for is_again, is_named in ((False, n_quiet >= 5), (True, False)):
         go(*[0.3, -0.3] * 3)
-        failed = run.diagnosis.fail(0.05 * run.k, None, TRUE)
+        failed = run.diagnosis.searches.fail(0.05 * run.k, None, TRUE)
         assert [event.kind for event in failed.events] == ["unexplained"]
         named = go(*[0.0] * (2 if is_again else n_quiet), *[0.3] * is_again, *[0.0] * (n_quiet * is_again))
         assert [event.kind for event in named] == ["disturbance"] * is_named
@@ -458,7 +458,7 @@ def test_an_event_has_the_whole_known_disturbance_and_all_its_channels_rest():
         for _ in range(6):
             run.k += 1
             run.diagnosis.observe(run.sample(TRUE, np.array(added)), TRUE)
-        told += run.diagnosis.fail(0.05 * run.k, None, TRUE).events
+        told += run.diagnosis.searches.fail(0.05 * run.k, None, TRUE).events
     assert [event.kind for event in told] == ["disturbance"] * 3 + ["rest"]
     sizes = [event.detail["size"] for event in told[:3]]
     assert [list(size) for size in sizes] == [["der0"], ["der0", "der1"], ["der0", "der1"]]
@@ -1013,7 +1013,7 @@ def test_parameters_that_go_to_and_fro_are_wandering_and_those_that_go_on_are_no
     assert not moved(onward).is_wandering(np.array(onward[-1]))
     back = [TRUE, [4.7, -1.0], TRUE, TRUE]
     assert moved(back).is_wandering(TRUE)
-    settled = moved(back).give_up(5.0)
+    settled = moved(back).searches.give_up(5.0)
     assert_array_equal(settled.undo, TRUE)
 
 
@@ -1574,14 +1574,14 @@ def test_parameters_that_long_explain_far_more_than_those_before_are_what_return
     diagnosis = contradicted(n_channels, CHANGED, 80, CHANGED)
     assert diagnosis.is_suspicious
     diagnosis.accept(CHANGED)
-    assert_array_equal(diagnosis.give_up(9.0).undo, CHANGED)
+    assert_array_equal(diagnosis.searches.give_up(9.0).undo, CHANGED)
 
 
 @CHANNELS
 def test_parameters_that_explain_no_more_than_those_before_do_not_return(n_channels):
     diagnosis = contradicted(n_channels, CHANGED, 80, TRUE)
     diagnosis.accept(CHANGED)
-    assert_array_equal(diagnosis.give_up(9.0).undo, TRUE)
+    assert_array_equal(diagnosis.searches.give_up(9.0).undo, TRUE)
 
 
 def judged(n_channels, *phases, changed=CHANGED):

@@ -20,6 +20,8 @@ from .set_points import size_of
 
 _SAME: Final = 1e-6
 """Relative difference of start values that is none."""
+_MOST_CHANGES: Final = 10_000
+"""Most communication points at which a change is compared with the bounds."""
 _MOST_POINTS: Final = 1_000_000
 """Most communication points at which a change is evaluated: of a longer run every second, third, ..."""
 
@@ -162,6 +164,7 @@ def _problems(scenario: Scenario, parameter: EstimatedParameter, components: Com
         yield True, f"'{true}' has no start value; give it one under components.{scenario.plant}.start"
     if plant is not None and name in plant.variables:
         yield from _beginnings(scenario, parameter, true, components)
+        yield from _outside(scenario, parameter, true)
     for reference in parameter.written:
         yield from _written(scenario, parameter, reference, components)
     if plant is None or name not in plant.variables:
@@ -186,6 +189,24 @@ def _beginnings(
         return
     if begins is not None and holds is not None and not isclose(begins, holds, rel_tol=_SAME):
         yield False, f"'{true}' starts at {begins:.6g}, and {whose} at {holds:.6g}"
+
+
+def _outside(scenario: Scenario, parameter: EstimatedParameter, true: VariableName) -> Iterator[tuple[bool, str]]:
+    """Yield a change of the plant's parameter to where its estimate cannot follow."""
+    if true not in scenario.changes:
+        return
+    settings, change = scenario.scenario, scenario.change_functions()[true]
+    last = settings.n_steps
+    times = (settings.time(k) for k in range(0, last, max(1, last // _MOST_CHANGES)))
+    try:
+        values = [value_of_change(true, change, t) for t in times]
+    except ScenarioError:  # `check_changes` tells
+        return
+    outside = [value for value in values if not parameter.lower <= value <= parameter.upper]
+    if outside:
+        farthest = max(outside, key=lambda value: abs(value - 0.5 * (parameter.lower + parameter.upper)))
+        bounds = f"[{parameter.lower:g}, {parameter.upper:g}]"
+        yield False, f"'{true}' changes to {farthest:.6g}, outside {bounds}: no estimate can follow it there"
 
 
 def _written(

@@ -9,7 +9,7 @@ from .check_wiring import Components
 
 
 def check_times(scenario: Scenario, _: Components) -> Iterator[Finding]:
-    """Yield changes and sensor faults that come too late for the run, and instants outside of it."""
+    """Yield changes and sensor faults that come too late or early for the run, and instants outside of it."""
     start, stop = scenario.scenario.start_time, scenario.scenario.stop_time
     for reference, change in scenario.changes.items():
         rows = change if isinstance(change, tuple) else ()
@@ -17,7 +17,11 @@ def check_times(scenario: Scenario, _: Components) -> Iterator[Finding]:
         if late and len(late) == len(rows):
             text = f"its first row, at {seconds(late[0])} s, holds from the start on: {_ends(stop)}"
             yield warning(f'changes."{reference}"', text)
-        elif late:
+            continue
+        if rows and rows[0][0] > start + 0.5 * scenario.scenario.macro_step:
+            text = f"its first row, at {seconds(rows[0][0])} s, holds from the start on: begin with one at"
+            yield warning(f'changes."{reference}"', f"{text} {seconds(start)} s")
+        if late:
             yield warning(f'changes."{reference}"', f"changes at {seconds(late[0])} s, but {_ends(stop)}")
     for i, fault in enumerate(scenario.sampling.faults):
         if fault.start >= stop:

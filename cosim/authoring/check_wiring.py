@@ -15,10 +15,14 @@ from ..scenarios.scenario import Scenario
 from ..system.unit_conversions import different
 from ..units import IDENTITY, conversion
 from ..variable_name import VariableName
-from .guess import SWAPPED, are_swapped
+from .guess import CONTROLLER, PLANT, SWAPPED, are_swapped, is_desired
 
 MOST_LISTED: Final = 20
 """Variables that are listed one by one."""
+_LITTLE: Final = 0.01
+"""Share of a table's rows below which their times are perhaps in ms."""
+_LONG: Final = 50.0
+"""Number of the FMU's own steps from which on a macro step is unusually long."""
 Components = Mapping[str, Component]
 """Components that could be read, by instance name."""
 
@@ -122,9 +126,14 @@ def check_inputs(scenario: Scenario, components: Components) -> Iterator[Finding
 
 
 def check_roles(scenario: Scenario, components: Components) -> Iterator[Finding]:
-    """Yield a warning where plant and controller seem to be swapped."""
+    """Yield a warning where plant and controller seem to be swapped, or a set point is a measurement."""
     if are_swapped(components, scenario.connections.items()):
         yield warning("components", SWAPPED)
+    for target, source in scenario.connections.items():
+        is_set_point = target.component == CONTROLLER and is_desired(target.variable)
+        if is_set_point and source.component == PLANT and not is_desired(source.variable):
+            text = f"'{target.variable}' is a set point by its name, and '{source}' a measurement"
+            yield warning(f'connections."{target}"', text)
 
 
 def check_loops(scenario: Scenario, components: Components) -> Iterator[Finding]:
@@ -155,6 +164,9 @@ def check_steps(scenario: Scenario, components: Components) -> Iterator[Finding]
             if start > settings.start_time or end < settings.stop_time:
                 text = f"its rows cover {start:g} to {end:g} s: outside them the nearest is held"
                 yield warning(f"components.{name}", text)
+            elif settings.stop_time - settings.start_time < _LITTLE * (end - start):
+                text = f"the run is a small part of its rows, which end at {end:g} s: are their times in s?"
+                yield warning(f"components.{name}", text)
             continue
         if needs_its_tool(component.description):
             yield warning(
@@ -165,4 +177,7 @@ def check_steps(scenario: Scenario, components: Components) -> Iterator[Finding]
         is_fixed = has_fixed_step(component.description)
         if is_fixed and step is not None and abs(step - settings.macro_step) > 1e-9 * settings.macro_step:
             text = f"{component.fmu.name} supports no other steps than {step:g} s"
+            yield warning("scenario.macro_step", text)
+        elif not is_fixed and step is not None and settings.macro_step >= _LONG * step:
+            text = f"{settings.macro_step / step:.3g} times the step that {component.fmu.name} is made for, {step:g} s"
             yield warning("scenario.macro_step", text)

@@ -136,15 +136,17 @@ def is_desired(name: str) -> bool:
 def are_swapped(components: Mapping[str, Component], connections: Iterable[tuple[str, str]]) -> bool:
     """Return whether plant and controller seem to be swapped: the plant takes set points, and the controller none.
 
-    connections: each connected input with its source. A plant's set points are not those that the controller gives it;
-    and where it declares derivatives of its states and the controller none, it is taken for the plant that it is.
+    connections: each connected input with its source. A plant's set points are not those that the controller gives it,
+    unless these are its states; and where the plant declares derivatives of its states and the controller none, it is
+    taken for the plant that it is.
     """
     if PLANT not in components or CONTROLLER not in components:
         return False
     plant, controller = components[PLANT], components[CONTROLLER]
     if plant.derivatives and not controller.derivatives:
         return False
-    given = {target for target, source in connections if VariableName(source).component == CONTROLLER}
+    own_states = {f"{CONTROLLER}.{name}" for name in controller.derivatives}
+    given = {t for t, source in connections if source.startswith(f"{CONTROLLER}.") and source not in own_states}
     own = [name for name in _set_points(plant) if f"{PLANT}.{name}" not in given]
     return bool(own) and not _set_points(controller)
 
@@ -225,7 +227,8 @@ def _guess(
         ratio = SequenceMatcher(None, v.name, o.name).ratio()
         reason = f"{how}, {'same unit' if unit else 'no unit to compare'}"
         is_crossed = is_desired(v.name) != is_desired(o.name)  # a measurement and a set point
-        if is_crossed and source in taken:
+        is_measured = is_desired(v.name) and other == PLANT  # is no set point
+        if is_crossed and (source in taken or is_measured):
             continue
         if (its := _other_taker(target, source, exact)) is not None:
             beside.append((ORDER.index(how), its, source))

@@ -105,7 +105,7 @@ def estimate(request: Request, progress: FitProgress = lambda n, cost: None) -> 
     """
     began = perf_counter()
     component, space, nominal, windows, noise, warnings = understand(request)
-    warnings += counted_twice(request.logs, request.windows)
+    warnings += counted_twice(request.logs, request.windows, request.validation)
     start_noise = start_noise_of(request.start_columns, request.measured, component, windows, noise)
     noisy_start = NoisyStart(_plant(request), component, windows, space, noise, start_noise, request.jobs)
     with Rollouts(_plant(request), component, windows, request.jobs) as rollouts:

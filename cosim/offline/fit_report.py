@@ -216,10 +216,9 @@ def _of_fit(found: Estimation) -> list[str]:
             "grows as well: give it shorter windows (--window, which may be repeated)."
         )
     if fit.autocorrelation > _CORRELATED:
-        sentences.append(
-            f"The residuals are correlated from row to row ({fit.autocorrelation:.2f}): they are more than noise. "
-            f"± includes it: it is up to {fit.inflation.max():.2g} times what white noise would give."
-        )
+        text = f"The residuals are correlated from row to row ({fit.autocorrelation:.2f}): they are more than noise."
+        larger = f"{fit.inflation.max():.2g}"
+        sentences.append(text if larger == "1" else f"{text} ± includes it, and is up to {larger} times as large.")
     sentences += _of_step(found)
     if told := worst_part(found):
         sentences.append(told)

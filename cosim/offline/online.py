@@ -238,8 +238,8 @@ def _not_begun(n_rows: int) -> str:
     if n_rows <= PROOF_STEPS:
         return f"{n_rows} rows are too few to begin"
     return (
-        f"the FMU hardly moves in these {n_rows} rows: nothing shows whether all states are measured; without --start "
-        "COLUMN it is simulated from the first row"
+        f"the FMU hardly moves beside the noise in these {n_rows} rows: nothing shows whether all states are measured; "
+        "without --start COLUMN it is simulated from the first row"
     )
 
 

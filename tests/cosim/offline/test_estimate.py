@@ -12,6 +12,7 @@ from scipy.linalg import block_diag
 
 import cosim
 from cosim.errors import SlaveError, WiringError
+from cosim.offline.counted_twice import counted_twice
 from cosim.offline.estimate import FailedError, estimate
 from cosim.offline.fit_report import report, words, write_files
 from cosim.offline.logs import LogError
@@ -266,6 +267,14 @@ def test_a_validation_log_is_held_out_as_a_whole(ask, oracles, tmp_path):
     found = estimate(ask(oracles.measure(7), validation=(other,)))
     assert [w.n_fit for w in found.windows] == [801, 0]
     assert found.rms(found.after, True) == pytest.approx([2e-3, 2e-3], rel=0.15)
+
+
+def test_a_log_that_is_fitted_to_does_not_validate():
+    log, other = Path("log.csv"), Path("other.csv")
+    assert counted_twice([log], (), [other]) == []
+    assert counted_twice([log], (), [other, Path("./log.csv")]) == [
+        "log.csv is fitted to as well: what --validate shows of it is no check."
+    ]
 
 
 @pytest.mark.full

@@ -153,6 +153,12 @@ def test_a_decimal_comma_may_come_late(tmp_path):
     assert read_log(tmp_path / "log.csv").column("u").values[-2:].tolist() == [59.0, 0.25]
 
 
+def test_numbers_in_another_form_than_those_of_other_columns_are_shown(tmp_path):
+    (tmp_path / "log.csv").write_text("time;u;y\n0,5;0,1;0.25\n1,5;0,2;0.5\n")
+    with pytest.raises(LogError, match=r"column 'y' must hold numbers, got '0\.25' in row 1 below the header"):
+        read_log(tmp_path / "log.csv").column("y")
+
+
 def test_a_byte_that_no_code_page_of_windows_has_is_read(tmp_path):
     (tmp_path / "log.csv").write_bytes(b"time,u [\xb0C],note\n0,1,\x81\n0.1,2,b\n0.25,-0.035,c\n")
     assert read_log(tmp_path / "log.csv").column("u").values.tolist() == ROWS["u"]

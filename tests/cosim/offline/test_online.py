@@ -214,7 +214,7 @@ def test_a_number_is_no_measurement_of_a_state(ask, oracles):
 def test_where_nothing_moves_nothing_is_proved(ask, oracles):
     found = ask(at_rest_first(oracles, rest=9.0), noise={"x": 2e-3, "v": 2e-3})
     (watched,) = found.watched
-    assert watched.not_begun.startswith("the FMU hardly moves in these 301 rows")
+    assert watched.not_begun.startswith("the FMU hardly moves beside the noise in these 301 rows")
     assert watched.not_begun in found.failure
 
 

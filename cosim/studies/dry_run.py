@@ -7,6 +7,7 @@ from tempfile import TemporaryDirectory
 from time import perf_counter
 from typing import Final
 
+from ..errors import one_line
 from ..files import to_json
 from ..runs.simulation import run
 from ..text_table import counted
@@ -31,6 +32,7 @@ def dry_run(study: Study, runs: Mapping[str, PlannedRun], jobs: int | None) -> s
         first.setdefault((planned.source, planned.estimator), planned)
     n_like = Counter((planned.source, planned.estimator) for planned in runs.values())
     begun, times, sizes = perf_counter(), list[float](), list[int]()
+    failed = list[str]()
     with TemporaryDirectory() as folder:
         for k, planned in enumerate(first.values()):
             if times and perf_counter() - begun > LONGEST_S:
@@ -39,6 +41,10 @@ def dry_run(study: Study, runs: Mapping[str, PlannedRun], jobs: int | None) -> s
             before = perf_counter()
             made = run(study.scenario_at(planned.source, planned.point), planned.estimator, planned.seed, place)
             times.append(perf_counter() - before)
+            if made.status != "done":
+                failed.append(
+                    f"one with {planned.estimator}: {made.status}{', ' if made.error else ''}{made.error or ''}"
+                )
             kept = sum(p.stat().st_size for p in place.iterdir()) if place is not None else 0
             sizes.append(kept + _OF_A_ROW * len(to_json(study.point_of(planned) | row_of(made))))
     seconds, size = (of_all(made, [n_like[of] for of in first]) for made in (times, sizes))
@@ -51,6 +57,7 @@ def dry_run(study: Study, runs: Mapping[str, PlannedRun], jobs: int | None) -> s
             f"about {_duration(seconds / jobs)} with {counted(jobs, 'run')} at a time: "
             f"{min(times):.2g} to {max(times):.2g} s each, by {counted(len(times), 'run')} made now",
             f"about {_size(size)} on the disk" + (", run folders included" if study.definition.study.keep else ""),
+            *map(one_line, failed),
         ]
     )
 

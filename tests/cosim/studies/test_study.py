@@ -200,6 +200,15 @@ def test_a_dry_run_makes_no_folder_and_says_how_many(write, tmp_path, capsys, mo
 
 
 @pytest.mark.full
+def test_a_dry_run_says_why_a_run_would_end_early(write, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["study", write(-4.0), "--dry-run"]) == 0
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last.startswith("one with none: faulted, ")
+    assert "must be within" in last
+
+
+@pytest.mark.full
 @pytest.mark.usefixtures("leaves_nothing")
 def test_a_sweep_is_a_study_over_its_values(tmp_path, capsys):
     out = tmp_path / "out"

@@ -155,8 +155,7 @@ def _in_vain(record: Mapping[str, Any]) -> list[str]:
 
 
 def _title(comparison: ComparisonFigures) -> str:
-    settings = comparison.scenario.scenario
-    return f"{settings.name}: {settings.description}" if settings.description else settings.name
+    return comparison.scenario.scenario.title
 
 
 def _subtitle(comparison: ComparisonFigures) -> str:

@@ -16,14 +16,13 @@ _ROLES = {"none": "nominal controller", "true": "true parameters (floor)"}
 def report(run: Run, baselines: Mapping[str, Run]) -> str:
     """Return the report: tracking errors beside the baselines', parameters beside true ones, latency, guard, screen."""
     scenario = run.scenario.scenario
-    title = f"{scenario.name}: {scenario.description}" if scenario.description else scenario.name
     duration = float(run.time[-1]) - scenario.start_time if len(run.time) else 0.0
     pace = f" in {run.wall:.1f} s, {duration / run.wall:.1f} times real time" if run.wall > 0.0 else " so far"
     judged = [f"candidates judged by {run.objective}"] if run.objective else []
     events = read_events(run.folder) if run.folder else []
     blocks = [
         [
-            title,
+            scenario.title,
             f"estimator {run.estimator}, seed {run.seed}; {duration:g} s simulated{pace}",
             *judged,
         ],

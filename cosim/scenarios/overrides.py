@@ -11,6 +11,8 @@ def override(tree: dict[str, Any], key: str, text: str) -> None:
     path = key_path(key)
     for name in path[:-1]:
         below: Any = tree.setdefault(name, {})
+        if isinstance(below, list):
+            raise ScenarioError(f"--set {key}={text}: '{name}' is a list, which is set as a whole, or in the file.")
         if not isinstance(below, dict):
             raise ScenarioError(f"--set {key}={text}: '{name}' is not a table.")
         tree = cast(dict[str, Any], below)

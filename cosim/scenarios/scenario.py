@@ -90,6 +90,11 @@ class Scenario(Table):
 
         Raises ScenarioError.
         """
+        try:
+            str(folder.absolute()).encode()
+        except UnicodeEncodeError as e:
+            text = "the name of its folder is not UTF-8 here, which FMUs need: rename it, or try LC_ALL=C.UTF-8"
+            raise ScenarioError(f"{label}: {text}.") from e
         tree = dict(tables)
         for key, value in (overrides or {}).items():
             override(tree, key, value)

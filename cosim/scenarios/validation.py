@@ -63,7 +63,8 @@ def _text(first: Mapping[str, Any], root: type[Table]) -> str:
     if first["type"] in _UNKNOWN:
         _, table = _place(first["loc"][:-1], root)
         known = _known_keys(table) if table is not None else set[str]()
-        return f"{key}: unknown key{did_you_mean(str(first['loc'][-1]), known)}"
+        name = str(first["loc"][-1])
+        return f"{key}: unknown key{did_you_mean(name, known) or _elsewhere(name, keys, root)}"
     message = first["msg"].removeprefix("Value error, ").rstrip(".")
     for jargon, plain in _JARGON:
         message = jargon.sub(plain, message)
@@ -121,6 +122,13 @@ def _types(table: type[Any]) -> dict[str, Any]:
         return {name: field.annotation for name, field in table.model_fields.items()}
     hints = get_type_hints(table)
     return {field.name: hints[field.name] for field in fields(table)}
+
+
+def _elsewhere(name: str, keys: Sequence[str], root: type[Table]) -> str:
+    """Return a hint at the tables that have a key which the file's first level, where it is given, has not."""
+    below = {key: _tables(kind) for key, kind in _types(root).items()} if len(keys) == 1 else {}
+    found = [f"{key}.{name}" for key, tables in below.items() if len(tables) == 1 and name in _known_keys(tables[0])]
+    return f"; there is {' and '.join(found)}" if found else ""
 
 
 def _known_keys(table: type[Any]) -> set[str]:

@@ -4,8 +4,10 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, model_validator
 
+from ...errors import one_line
 from .table import MOST, StartValue, Table
 
+_MOST_STEPS: Final = 1e9
 MOST_COMPONENTS: Final = 64
 """FMUs that are started without being asked for."""
 
@@ -43,7 +45,11 @@ class SimulationSettings(Table):
     @model_validator(mode="after")
     def _spans_whole_steps(self) -> Self:
         steps = (self.stop_time - self.start_time) / self.macro_step
-        if not 1.0 - 1e-6 <= steps < 1e9 or abs(steps - round(steps)) > 1e-6 * max(1.0, steps):
+        if self.stop_time <= self.start_time:
+            raise ValueError(f"stop_time, {self.stop_time:g} s, must be after start_time, {self.start_time:g} s")
+        if steps >= _MOST_STEPS:
+            raise ValueError(f"it spans {steps:.3g} steps of macro_step: fewer than {_MOST_STEPS:g} can be made")
+        if steps < 1.0 - 1e-6 or abs(steps - round(steps)) > 1e-6 * max(1.0, steps):
             raise ValueError(
                 f"stop_time - start_time must be a whole multiple of macro_step, "
                 f"got {self.stop_time - self.start_time:g} s and {self.macro_step:g} s"
@@ -55,6 +61,11 @@ class SimulationSettings(Table):
         if n_fmus > self.most_components:
             more = f"scenario.most_components is {self.most_components}: give --set scenario.most_components={n_fmus}"
             raise ValueError(f"it has {n_fmus} FMUs, each in a process of its own, and {more}")
+
+    @property
+    def title(self) -> str:
+        """Name and description, on one line that can be printed."""
+        return one_line(f"{self.name}: {self.description}" if self.description else self.name)
 
     @property
     def slave_options(self) -> dict[str, Any]:

@@ -2,6 +2,8 @@
 
 import json
 import math
+import os
+import sys
 import tomllib
 from importlib.resources import files
 from pathlib import Path
@@ -201,7 +203,8 @@ BAD_VALUES = [
     ("scenario.macro_step", "20.0", "scenario", "whole multiple"),
     ("scenario.stop_time", "inf", "scenario.stop_time", "finite"),
     ("scenario.stop_time", "soon", "scenario.stop_time", "must be a number, got 'soon'"),
-    ("scenario.start_time", "20.0", "scenario", "whole multiple"),
+    ("scenario.start_time", "20.0", "scenario", "stop_time, 10 s, must be after start_time, 20 s"),
+    ("scenario.macro_step", "1e-9", "scenario", "it spans 1e+10 steps of macro_step"),
     ("scenario.name", "a/b", "scenario.name", "pattern"),
     ("scenario.coupling", "paralel", "scenario.coupling", "'sequential' or 'parallel', got 'paralel'"),
     ("scenario.timeout", "1e-9", "scenario.timeout", "greater than or equal to 0.001"),
@@ -300,6 +303,15 @@ def test_a_byte_order_mark_is_no_part_of_a_file(tmp_path):
     path.write_text("[scenario]", encoding="utf-16")
     with pytest.raises(ScenarioError, match="not a readable TOML file: it is not UTF-8"):
         Scenario.load(path)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are bytes on Linux only")
+def test_a_folder_whose_name_is_not_utf_8_is_refused_before_anything_runs(tmp_path):
+    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/lat\xe9"))
+    folder.mkdir()
+    (folder / "pendulum.toml").write_text(PENDULUM, encoding="utf-8")
+    with pytest.raises(ScenarioError, match="the name of its folder is not UTF-8 here, which FMUs need"):
+        Scenario.load(folder / "pendulum.toml")
 
 
 @pytest.mark.parametrize(("old", "new", "rule"), [b[1:] for b in BAD_FILES], ids=[b[0] for b in BAD_FILES])

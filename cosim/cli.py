@@ -82,6 +82,8 @@ def _ended(arguments: Sequence[str] | None) -> int:
         return UNFINISHED
     except BaseException as e:  # nothing that we know of; it must not look like success, nor like a refusal
         why = f"{type(e).__name__}: {e}; --debug shows where"
+        if isinstance(e, OSError) and e.filename is not None:
+            why = f"cannot read or write {e.filename}: {e.strerror or e}; --debug shows where"
         if isinstance(e, OSError) and (not can_print() or (e.errno == errno.ENOSPC and e.filename is None)):
             drop_output()
             why = f"cannot write its output: {e.strerror or e}"

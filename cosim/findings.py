@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from .errors import one_line
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -17,7 +19,8 @@ class Finding:
     """True for information on what `run` will do, neither an error nor a warning."""
 
     def __str__(self) -> str:
-        return f"{self.where}: {'note' if self.is_note else 'error' if self.is_error else 'warning'}: {self.what}"
+        kind = "note" if self.is_note else "error" if self.is_error else "warning"
+        return one_line(f"{self.where}: {kind}: {self.what}", longest=4000)
 
 
 def warning(where: str, what: str) -> Finding:

@@ -61,8 +61,7 @@ def read_manifest(folder: Path) -> Manifest:
     """Return the manifest of a run folder. Raises FolderError."""
     read_json(folder, MANIFEST, Manifest)
     content = json.loads((folder / MANIFEST).read_bytes())
-    if content.get(_SEAL, _digest(content)) != _digest(content):  # one of an older version has none
-        raise FolderError(f"{folder} is damaged: {MANIFEST} is not as it was written.")
+    _check_seal(folder, content)
     return TypeAdapter(Manifest).validate_json(json.dumps(content))  # of what the hash is of, however it was written
 
 
@@ -77,6 +76,12 @@ def scenario_of(folder: Path, manifest: Manifest) -> Scenario:
         return Scenario.model_validate(manifest.scenario | {"folder": manifest.folder, "origin": origin})
     except ValidationError as e:
         raise FolderError(f"{folder} holds a scenario of another version: {_first(e)}.") from e
+
+
+def _check_seal(folder: Path, content: Mapping[str, Any]) -> None:
+    """Raise FolderError for a manifest that is not as it was written; one of an older version has no seal."""
+    if content.get(_SEAL, _digest(content)) != _digest(content):
+        raise FolderError(f"{folder} is damaged: {MANIFEST} is not as it was written.")
 
 
 def read_sealed(folder: Path, name: str) -> tuple[dict[str, Any], bool]:
@@ -100,9 +105,16 @@ def write_manifest(folder: Path, content: Mapping[str, Any], is_own: bool, name:
 
 def check_whole(folder: Path) -> None:
     """Raise FolderError where a file of a run that has ended is not as it was written; of any kind of run."""
-    digests = read_json(folder, MANIFEST, dict[str, Any]).get("sha256", {})
+    content = read_json(folder, MANIFEST, dict[str, Any])
+    _check_seal(folder, content)
+    digests = content.get("sha256", {})
     for name in digests:
         check_file(folder, name, digests)
+
+
+def is_signed_run(folder: Path) -> bool:
+    """Return whether a run folder's manifest has a signature, without which later commands take it for a stranger's."""
+    return bool(read_json(folder, MANIFEST, dict[str, Any]).get(_SIGNATURE))
 
 
 def check_file(folder: Path, name: str, digests: Mapping[str, str]) -> None:

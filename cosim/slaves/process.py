@@ -189,7 +189,8 @@ class FmuProcess:
     def _death(self, function: str, t: float | None) -> SlaveError:
         how = self._process.how_it_ended(CLOSE_TIMEOUT_S)
         self._end_after_fault()
-        return SlaveError(self._name, function, t, f"the FMU's process {how}", IN_THE_CALL)
+        during = "its start" if function == "bind" else function
+        return SlaveError(self._name, during, t, f"the FMU's process {how}", IN_THE_CALL)
 
     def _end_after_fault(self) -> None:
         """End the process and all that the FMU has started."""

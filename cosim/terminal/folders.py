@@ -47,7 +47,7 @@ def must_be_new(path: Path | None, option: str) -> None:
     """Raise FolderError, before anything is computed, if a file of the user's would be overwritten."""
     if path is None:
         return
-    if os.path.exists(path):
+    if os.path.lexists(path):  # a link that leads nowhere, too
         raise FolderError(f"{path} exists; give {option} a new file.")
     if not path.parent.is_dir():
         raise FolderError(f"{path} is in no folder that there is; give {option} a new file.")

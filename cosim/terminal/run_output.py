@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ..files import to_json
 from ..objectives.choice import chosen
+from ..runs.manifest import is_signed_run
 from ..runs.record import recording
 from ..runs.report import ending, report
 from ..runs.result import Run
@@ -42,8 +43,9 @@ def _next_step(folder: Path, result: Run) -> tuple[object, ...]:
     """Return the command that follows on a run; nothing where none does."""
     if result.status == "faulted":
         return ("resume", folder) if why_not_resumable(folder) is None else ()
+    trust = () if is_signed_run(folder) else ("--trust",)
     others = ("ukf", "target") if chosen(result.scenario).kind == "derivative" else ("least-squares", "target")
-    return "replay", folder, "--estimator", next(name for name in others if name != result.estimator)
+    return "replay", folder, "--estimator", next(name for name in others if name != result.estimator), *trust
 
 
 @contextmanager

@@ -56,6 +56,10 @@ def test_a_long_run_has_its_csv_when_asked_for(pendulum, tmp_path, capsys):
     assert mine.read_text() == "mine"
     assert main(["csv", str(tmp_path)]) == 2
     assert "has no readable series.arrow" in capsys.readouterr().err
+    manifest = (large / "manifest.json").read_text()
+    (large / "manifest.json").write_text(manifest.replace('"status": "done"', '"status": "running"'))
+    assert main(["csv", str(large), "-o", str(tmp_path / "new.csv")]) == 2
+    assert "manifest.json is not as it was written" in capsys.readouterr().err
     with (small / "events.jsonl").open("a") as file:
         file.write("x\n")
     for more in ([], ["-o", str(tmp_path / "new.csv")]):

@@ -77,6 +77,14 @@ def test_a_run_ends_with_the_line_that_replays_it(workplace, called, estimator, 
 
 
 @pytest.mark.fmu
+def test_a_run_that_cannot_be_signed_proposes_trust(workplace, called, tmp_path, monkeypatch):
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "file"))
+    code, out, _ = called("run", "pendulum", *SHORT, "--estimator", "none")
+    assert (code, out.splitlines()[-1]) == (0, "next: retune replay runs/pendulum-1 --estimator ukf --trust")
+
+
+@pytest.mark.fmu
 def test_json_is_followed_by_nothing(workplace, called):
     for arguments in (["run", "pendulum", *SHORT, "--estimator", "none"], ["compare", "pendulum", "--help"]):
         assert "next:" not in called(*arguments, "--json")[1]

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import sqrt
 
 import numpy as np
 
@@ -26,6 +27,7 @@ class FaultInjection:
         self._faults = [(f, [i for i, name in enumerate(sensors) if f.sensor in (None, name)]) for f in faults]
         self._rng = rng
         self._frozen: dict[int, tuple[float, ...]] = {}
+        self._errors: dict[int, dict[int, float]] = {}
         self._past: list[Sample] = []
         self._memory = 1 + max((f.steps for f in faults), default=0)
 
@@ -37,6 +39,7 @@ class FaultInjection:
             draw, sign = self._rng.random(), 1.0 if self._rng.random() < 0.5 else -1.0
             if not fault.is_in_force(sample.t):
                 self._frozen.pop(i, None)
+                self._errors.pop(i, None)
             elif draw < fault.probability:
                 old = self._past[max(len(self._past) - 1 - fault.steps, 0)]
                 if fault.kind == "late":
@@ -46,11 +49,18 @@ class FaultInjection:
                 if fault.kind == "stuck":
                     source = self._frozen.setdefault(i, source)
                 for place in places:
-                    noise = float(self._rng.standard_normal()) if fault.kind == "noise" else sign
+                    noise = self._noise(i, place, fault.correlation) if fault.kind == "noise" else sign
                     measured[place] = _faulty(fault, source[place], noise)
         n = len(sample.xdot)
         m = n + len(sample.x)
         return replace(sample, t=stamp, xdot=tuple(measured[:n]), x=tuple(measured[n:m]), y=tuple(measured[m:]))
+
+    def _noise(self, fault: int, place: int, correlation: float) -> float:
+        """Return the next value of a sensor's noise, of unit variance (Box and Jenkins 1970, first-order process)."""
+        draw, errors = float(self._rng.standard_normal()), self._errors.setdefault(fault, {})
+        before = errors.get(place)
+        errors[place] = draw if before is None else correlation * before + sqrt(1.0 - correlation**2) * draw
+        return errors[place]
 
 
 def _faulty(fault: SensorFault, value: float, draw: float) -> float:

@@ -102,6 +102,8 @@ class SensorFault(Table):
     """Time before which it ends [s]; by default it lasts to the end."""
     size: float = 0.0
     """Size of a bias, of noise or of spikes, in the sensor's unit; the factor of scale."""
+    correlation: float = Field(default=0.0, ge=0.0, lt=1.0)
+    """Correlation of noise from one sample to the next: an autoregression of first order, of the same `size`."""
     steps: int = Field(default=1, ge=1, le=10_000)
     """Macro steps of a delay, or by which a sample is late."""
     probability: float = Field(default=1.0, gt=0.0, le=1.0)
@@ -114,6 +116,8 @@ class SensorFault(Table):
         needs_size = self.kind in ("bias", "noise", "spikes", "scale")
         if needs_size != ("size" in self.model_fields_set and (needs_size or self.size != 0.0)):  # a manifest has all
             raise ValueError(f"{self.kind} needs 'size'" if needs_size else f"{self.kind} has no 'size'")
+        if self.correlation and self.kind != "noise":
+            raise ValueError(f"{self.kind} has no 'correlation'")
         if self.stop is not None and self.stop <= self.start:
             raise ValueError(f"stop must be after start, got {self.stop:g} s and {self.start:g} s")
         return self

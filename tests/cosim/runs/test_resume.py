@@ -182,6 +182,9 @@ OTHERWISE = {
     "with a sensor that fails": EARLY_CHANGE | IN_PROCESS | {
         "sampling.faults": '[{ kind = "spikes", sensor = "plant.der(phi_dot)", probability = 0.2, size = 3.0 }]'
     },
+    "with coloured noise": EARLY_CHANGE | IN_PROCESS | {
+        "sampling.faults": '[{ kind = "noise", sensor = "plant.der(phi_dot)", size = 1e-3, correlation = 0.9 }]'
+    },
 }  # fmt: skip
 
 

@@ -156,6 +156,12 @@ CASES: Final[Mapping[str, Case]] = {
         "the same, and the parameters jump", lambda p, _: _changed(p), 10.0, has_change=True, loop="change"
     ),
     "coloured": Case("coloured noise of three times the declared size is added", _coloured, loop="none"),
+    "coloured-change": Case(
+        "the same, and the parameters jump",
+        lambda p, seed: {**_coloured(p, seed), **_changed(p)},
+        has_change=True,
+        loop="change",
+    ),
     "bias": Case(
         "a derivative is sampled with a bias of ten standard deviations, from some time on",
         _nothing,
@@ -226,7 +232,7 @@ def tables(plant: ForeignPlant, case: str, seed: int) -> dict[str, Any]:
 
 def write_scenario(plant: ForeignPlant, case: str, seed: int, folder: Path) -> Path:
     """Write the scenario file of a case into the folder, and return it: one for all seeds, but for coloured noise."""
-    suffix = f"-{seed}" if case == "coloured" else ""
+    suffix = f"-{seed}" if case.startswith("coloured") else ""
     path = folder / f"{plant.name}-{case}{suffix}.toml"
     write_text(path, tomli_w.dumps(tables(plant, case, seed)))
     return path

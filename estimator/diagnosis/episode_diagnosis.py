@@ -37,6 +37,8 @@ from .settings import (
 )
 from .state import WINDOW, channel_summary
 
+_LITTLE: Final = 0.1
+"""Share of the squares left beside a disturbance that parameters may leave for a noise that is correlated."""
 _AGAIN: Final = 2
 """Number of failed searches, one soon after the other, from which on what has passed may be noise."""
 _MORE: Final = "parameters and a disturbance explained fewer samples equally well"
@@ -342,6 +344,26 @@ class EpisodeDiagnosis:
                 self._window.weights = 1.0 / self._state.scale.effective
                 return True
         return False
+
+    def adopt_rest(self, theta: Vector, held: Vector) -> bool:
+        """Adopt what parameters theta (d,) leave unexplained of the sequence as noise, where it is little.
+
+        It is no more than ten times the known noise, and may be correlated: a hundredth of what those in force, held
+        (d,), leave, and a tenth of what is left beside any constant disturbance.
+        """
+        if not np.all(np.isfinite(self._window.whitened(theta))):  # its simulation has failed
+            return False
+        rows = self._rows(theta)
+        squares = np.mean(rows**2, axis=0)
+        largest = _LITTLE * min(
+            _LITTLE * _fit(self._window.whitened(held), 0).squares, self._disturbed(held).fit.squares
+        )
+        if np.sum(rows**2) >= largest or squares.max() >= TOO_SMALL**2:
+            return False
+        self._known = None  # what is left beside a disturbance is smaller, too
+        self._state.scale.enlarge(np.maximum(np.sqrt(squares), 1.0))
+        self._window.weights = 1.0 / self._state.scale.effective
+        return True
 
     def _rest(self, newest: Vector) -> None:
         """Take the newest sample's residual (c,) in a rest, and end the rest where that is over, early perhaps.

@@ -92,6 +92,8 @@ class DiagnosingEpisodes(RetunerCounts[Retuner]):
         verdict: Judgement = "refuted" if best is None else diagnosis.judge(best if theta is None else theta, before)
         if proposal.estimate is not None and theta is not None:
             verdict = "refuted" if diagnosis.is_at_unseen_bound(theta, proposal.estimate.std, held) else verdict
+        if verdict == "refuted" and "end" in kinds and best is not None and diagnosis.adopt_rest(best, before):
+            proposal, theta, verdict = replace(proposal, theta=best), best, diagnosis.judge(best, before)
         if verdict != "refuted":
             rival = diagnosis.disturbance(before) if verdict == "possible" and theta is not None else None
             if "end" in kinds:

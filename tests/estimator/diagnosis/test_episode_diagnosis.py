@@ -189,6 +189,17 @@ def test_changed_parameters_are_found_whatever_the_noise(seed):
     assert run.of("disturbance", "unexplained", "rest", "undo") == []
 
 
+@SEARCHES
+@pytest.mark.parametrize("seed", range(5))
+def test_a_change_far_above_coloured_noise_is_found_whatever_that_leaves_unexplained(estimator, seed):
+    """Four declared deviations, by which the end of the first search is unexplained; noise is as large from then on."""
+    run = Run(estimator, noise=4.0, correlation=0.9, seed=seed).go(LENGTH + 8, CHANGED)
+    assert near(run.held, CHANGED, 0.1)
+    assert run.of("disturbance", "unexplained", "rest", "undo") == []
+    scales = [channel["scale"] for channel in run.diagnosis.summary()["channels"].values()]
+    assert 1.5 < max(scales) < 8.0
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_what_comes_and_goes_leaves_the_parameters_from_before_it(seed):
     """Those are in force again, not others near them that a search on the samples after it finds."""

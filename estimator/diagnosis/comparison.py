@@ -363,18 +363,19 @@ class HypothesisComparison:
     def adopt_white_noise(self, held: Vector, reference: Vector) -> bool:
         """Adopt a larger noise where a white one explains a full window since the onset, and nothing else does as well.
 
-        With the parameters from before it, the reference (d,). held (d,): in force.
+        With the parameters from before it, the reference (d,), and up to twenty times as large. held (d,): in force.
         """
         state, n = self._state, self._state.n_since
         if n < WINDOW or state.verdict.is_warranted:
             return False
         rows = self._residuals.of_newest(reference, n)
-        if not is_rough(rows) or is_smooth(rows):
+        size = np.maximum(np.sqrt(np.mean(rows**2, axis=0)), 1.0)
+        if size.max() >= 2.0 * TOO_SMALL or not is_rough(rows) or is_smooth(rows):
             return False
         others = disturbance_of(rows).fit, self.best(held, n, may_drift=True).fit
         if larger_noise(rows).score + MARGIN > min(fit.score for fit in others):
             return False
-        state.scale.enlarge(np.maximum(np.sqrt(np.mean(rows**2, axis=0)), 1.0))
+        state.scale.enlarge(size)
         return True
 
     def adopt_noise(self, held: Vector) -> bool:

@@ -221,7 +221,8 @@ def _column(column: Any, unit: str | None) -> Column:
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)):
         cells = [(row, str(cell)) for row, cell in enumerate(column.to_pylist(), start=1) if cell is not None]
         texts = ((row, cell) for row, cell in cells if cell not in _MISSING and not _is_plain_number(cell))
-        row, text = next(texts, cells[0])  # or numbers, in another form than those of other columns
+        own = cells[0] if cells else (None, str(kind))  # a number in another form than those of other columns
+        row, text = next(texts, own)
         return Column(np.empty(0), unit, text, text_row=row, is_text_alone=next(texts, None) is None)
     first = _first(column) if kind in (pa.int64(), pa.uint64()) else 0
     if first:

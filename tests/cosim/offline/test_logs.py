@@ -159,6 +159,13 @@ def test_numbers_in_another_form_than_those_of_other_columns_are_shown(tmp_path)
         read_log(tmp_path / "log.csv").column("y")
 
 
+def test_a_column_of_texts_without_any_is_no_column_of_numbers(tmp_path):
+    columns = {"time": pa.array([0.0, 1.0]), "y": pa.array([None, None], pa.string())}
+    pyarrow.parquet.write_table(pa.table(columns), tmp_path / "log.parquet")
+    with pytest.raises(LogError, match="column 'y' must hold numbers, got 'string'"):
+        read_log(tmp_path / "log.parquet").column("y")
+
+
 def test_a_byte_that_no_code_page_of_windows_has_is_read(tmp_path):
     (tmp_path / "log.csv").write_bytes(b"time,u [\xb0C],note\n0,1,\x81\n0.1,2,b\n0.25,-0.035,c\n")
     assert read_log(tmp_path / "log.csv").column("u").values.tolist() == ROWS["u"]

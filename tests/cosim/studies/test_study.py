@@ -203,9 +203,10 @@ def test_a_dry_run_makes_no_folder_and_says_how_many(write, tmp_path, capsys, mo
 def test_a_dry_run_says_why_a_run_would_end_early(write, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["study", write(-4.0), "--dry-run"]) == 0
-    last = capsys.readouterr().out.splitlines()[-1]
-    assert last.startswith("one with none: faulted, ")
-    assert "must be within" in last
+    *_, nominal, retuned = capsys.readouterr().out.splitlines()
+    for estimator, line in (("none", nominal), ("target", retuned)):
+        assert line.startswith(f"one with {estimator}: faulted, ")
+        assert "'m' must be within" in line
 
 
 @pytest.mark.full

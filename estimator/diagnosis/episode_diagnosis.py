@@ -345,7 +345,7 @@ class EpisodeDiagnosis:
                 return True
         return False
 
-    def adopt_rest(self, theta: Vector, held: Vector) -> bool:
+    def adopt_unexplained(self, theta: Vector, held: Vector) -> bool:
         """Adopt what parameters theta (d,) leave unexplained of the sequence as noise, where it is little.
 
         It is no more than ten times the known noise, and may be correlated: a hundredth of what those in force, held

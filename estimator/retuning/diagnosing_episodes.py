@@ -90,7 +90,7 @@ class DiagnosingEpisodes(RetunerCounts[Retuner]):
         best = None if proposal.estimate is None else proposal.estimate.theta
         theta, before = proposal.theta, held if self._before is None else self._before
         verdict: Judgement = "refuted" if best is None else diagnosis.judge(best if theta is None else theta, before)
-        if verdict == "refuted" and "end" in kinds and best is not None and diagnosis.adopt_rest(best, before):
+        if verdict == "refuted" and "end" in kinds and best is not None and diagnosis.adopt_unexplained(best, before):
             proposal, theta, verdict = replace(proposal, theta=best), best, diagnosis.judge(best, before)
         if proposal.estimate is not None and theta is not None:
             verdict = "refuted" if diagnosis.is_at_unseen_bound(theta, proposal.estimate.std, held) else verdict

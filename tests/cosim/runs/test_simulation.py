@@ -495,7 +495,7 @@ def test_a_folder_with_anything_in_it_is_refused_and_left(pendulum, tmp_path):
 
 @pytest.mark.full
 def test_a_mass_that_drifts_on_is_no_noise():
-    """Of this seed's samples a white noise of 500 times the declared one was said to explain twenty, at 7.4 s."""
+    """A white noise of 500 times the declared one does not explain it, as it was said to for this seed at 7.4 s."""
     quick = {"scenario.stop_time": "7.8", "scenario.isolation": "none", "scenario.checkpoint": "0"}
     result = run(Scenario.load("quadrotor", quick), "target", seed=9)
     late = np.asarray(result.time) > 7.3

@@ -33,6 +33,8 @@ _CLOSE: Final = 0.3
 """Share of each motion that may be missed without such an error: it is less than 0.5 of what is modelled."""
 _SHY: Final = 3
 """Number of consistent samples that make good for an inconsistent one."""
+_WANDERING: Final = 10.0
+"""Largest mean over twenty samples, in standard deviations, of noise that wanders to both sides of zero."""
 
 
 class Contradictions(NamedTuple):
@@ -54,8 +56,9 @@ class Consistency:
     noise, declared or observed, whichever is larger, of twice that error, and of h/2 sum |xdot_i - xdot_(i-1)|, the
     last counted twice, so that a spike is no bias; nor are a few in a row, once they are over. A channel that was
     inconsistent is so until it has been below this, with half of the noise that it had before, for three times as many
-    samples, at most 20: a derivative with the wrong sign fits, too, where it is small. A wrong `DerivativeGain` over a
-    hundred samples or more is inconsistent, too.
+    samples, at most 20: a derivative with the wrong sign fits, too, where it is small. What is beyond the limit now to
+    this side and now to that, by little, is noise that is correlated from sample to sample, and widens it. A wrong
+    `DerivativeGain` over a hundred samples or more is inconsistent, too.
 
     A state whose derivative is not sampled has a gain by its modelled derivative, where neither parameters nor inputs
     matter to that: kinematics, as of a position.
@@ -80,12 +83,13 @@ class Consistency:
         """Places in x of the states that are checked, a pair each (k,), those with sampled derivatives first."""
         self._slope, self._h, self._limit, self._others = slope, h, limit, others
         self._n_sampled, self._is_kinematic = len(channels), np.ones(len(unsampled), dtype=bool)
-        self._noise = np.array([*noise, *[0.0] * len(unsampled)])
+        self._noise = self._declared = np.array([*noise, *[0.0] * len(unsampled)])
         self._state_variance = np.square(np.array(state_noise)[self.places])
         # Motion of the state, derivative, its modelled change, and the size of its change.
         self._rows = np.empty((0, 4, len(self.places)))
         self._noises: dict[int, Vector] = {}  # limits of the declared noise, by the number of changes
         self._usual = self._noise  # observed noise while a derivative is trusted
+        self._lowest, self._highest = np.zeros((2, len(self.places)))  # means beyond the limit, to either side
         self.forget()
         self._last: Sample | None = None
         self._distrust = np.zeros(len(self.places), dtype=np.intp)  # number of samples for which it is inconsistent yet
@@ -202,7 +206,25 @@ class Consistency:
             return is_beyond
         self._usual = np.where(self._distrust > 0, self._usual, self._observed_noise(rows))
         limit = self._limit_of_noise(self._usual, n)
-        return self._differ(rows, limit) & self._differ(self._without_bursts(rows, self._usual), limit)
+        is_beyond &= self._differ(rows, limit) & self._differ(self._without_bursts(rows, self._usual), limit)
+        if n == SUMMED and np.count_nonzero(is_beyond):
+            self._admit_wandering(rows, is_beyond)
+        return is_beyond
+
+    def _admit_wandering(self, rows: Vector, is_beyond: NDArray[np.bool_]) -> None:
+        """Take what wanders to both sides, by little, for noise that is correlated from sample to sample.
+
+        A bias stays on one side. rows (n, 4, k): the newest samples; is_beyond (k,): of the pairs.
+        """
+        mean = self._missed(rows.sum(axis=0)) / (self._h * len(rows))
+        self._lowest = np.where(is_beyond, np.minimum(self._lowest, mean), self._lowest)
+        self._highest = np.where(is_beyond, np.maximum(self._highest, mean), self._highest)
+        size = np.maximum(-self._lowest, self._highest)
+        wanders = is_beyond & (self._lowest < 0.0) & (self._highest > 0.0) & (size < _WANDERING * self._declared)
+        if np.count_nonzero(wanders):
+            of_size = 1.2 * size * np.sqrt(len(rows)) / self._limit
+            self._noise = np.where(wanders, np.maximum(self._noise, of_size), self._noise)
+            self._noises.clear()
 
     def _with_block(self, rows: Vector) -> DerivativeGain:
         """Return the gain with a block of samples (n, 4, c), integrated by the trapezoidal rule as the model has it.

@@ -397,6 +397,26 @@ def test_the_rectangle_errs_where_the_modelled_derivative_changes(bias, is_found
     assert bool(inconsistent(bias=bias, model=lambda theta, x, u: [sign * x[0]])) == is_found
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_noise_that_wanders_to_both_sides_is_consistent_once_it_has_done_so(seed):
+    """Of 3 declared standard deviations, correlated by 0.95 from sample to sample, as scipy's filter makes it."""
+    white = np.random.default_rng(seed).standard_normal(3000)
+    noise = lfilter([3.0 * SIGMA * np.sqrt(1.0 - 0.95**2)], [1.0, -0.95], white)
+    odd = inconsistent(bias=noise)
+    assert len([k for k in odd if k < 1500]) > 20
+    assert len([k for k in odd if k >= 1500]) <= 60
+    biased = np.where(np.arange(3000) < 2000, noise, noise + 20.0 * SIGMA)
+    assert {*range(2100, 3000)} <= {*inconsistent(bias=biased)}
+
+
+@pytest.mark.parametrize("size", [0.05, 0.2])
+def test_what_is_beyond_to_one_side_or_far_beyond_is_no_noise_that_wanders(size):
+    """A bias that comes and goes, and one of 20 standard deviations that comes back to either side."""
+    sign = np.repeat([1.0, 0.0, 1.0 if size < 0.1 else -1.0, 0.0, 1.0], 100)
+    odd = {*inconsistent(bias=size * sign, rates=np.full(500, 10.0))}  # large: 20 deviations are no gain
+    assert {*range(430, 500)} <= odd
+
+
 def test_an_input_that_was_held_over_the_step_is_no_error_of_the_rectangle():
     inputs = [100.0 * (-1.0) ** k for k in range(60)]
     assert inconsistent(bias=0.0195, inputs=inputs) == [*range(17, 60)]

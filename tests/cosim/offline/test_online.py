@@ -252,6 +252,7 @@ def test_a_bad_channel_is_never_written_as_parameters_and_is_told(ask, oracles, 
     assert "kept out" in text or "no parameters explain" in text
 
 
+@pytest.mark.full_but("5.0-given0")
 @pytest.mark.parametrize(("weight", "given"), [(5.0, {"F": 5.0}), (0.0, {})])
 def test_a_load_on_an_input_without_a_column_is_named_and_not_written(ask, oracles, weight, given):
     """A weight [N] hangs on the spring and is in no column; from 4 s on it is 3 N more."""

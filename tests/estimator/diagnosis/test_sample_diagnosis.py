@@ -213,6 +213,7 @@ def test_false_alarms_are_as_rare_as_the_settings_say(n_channels):
     assert near(run.held, TRUE)
 
 
+@pytest.mark.full_but("ukf-1", "ukf-3")
 @CHANNELS
 @pytest.mark.parametrize("estimator", FILTERS)
 def test_a_filter_that_follows_the_noise_moves_no_parameters(estimator, n_channels):
@@ -314,6 +315,7 @@ def test_where_the_noise_is_larger_a_move_that_one_sample_speaks_for_is_possible
     assert run.diagnosis.comparison.judge(moved, TRUE) == judgement
 
 
+@pytest.mark.full
 def test_noise_of_ten_times_the_declared_size_makes_no_parameters_certain(monkeypatch):
     """With one seed in ten two parameters explain the newest few samples far better than anything of that size."""
     certain, wins = [], HypothesisComparison._wins
@@ -651,6 +653,7 @@ def test_doubtful_samples_that_a_larger_noise_excuses_say_how_large_it_is(seed):
     assert len(run.of("trigger")) <= begun + 1
 
 
+@pytest.mark.full_but("ukf")
 @pytest.mark.parametrize("estimator", ["target", "ukf", "least-squares"])
 def test_coloured_noise_before_any_quiet_is_not_taken_for_parameters(estimator):
     """Noise of three times the declared size, correlated by 0.9 from sample to sample, led to 139, 169 and 64 writes in

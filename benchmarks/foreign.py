@@ -1,13 +1,13 @@
 """Plants that no scenario of the package has, with what their models do not know: is a loop worse for being re-tuned?
 
     python -m benchmarks.foreign [--plants ball ...] [--cases gust ...] [--seeds N] [--first-seed K] [--jobs J]
-                                 [--estimator target] [--out FILE.json] [--keep DIR] [--quick]
+                                 [--estimator target] [--objective filtered] [--out FILE.json] [--keep DIR] [--quick]
 
 Ten plants (foreign_plants) in twenty-four cases (foreign_cases), as `retune run` runs a scenario file, guard and all.
 A run is compared with the nominal controller's in the same case and, where parameters change, with that of a controller
-which is told the true ones at once: the floor. These two do not depend on the seed, for the states are measured
-exactly, and are run once. A run is lost when it is not done. A parameter's error is relative, the largest at the end
-counts.
+which is told the true ones at once: the floor. These two do not depend on the seed, for the controller has the exact
+states, and are run once. A run is lost when it is not done. A parameter's error is relative, the largest at the end
+counts. Candidates are compared with derivatives, or, by --objective, with what `foreign_cases.OBJECTIVES` says.
 
 The table has the mean squared error over the nominal controller's: the median and the worst of the seeds, and how many
 runs were lost, `*` where the nominal controller's is lost as well. --keep leaves FMUs, scenarios and run folders in a
@@ -34,7 +34,7 @@ from typing import Final
 
 import cosim
 from benchmarks import report
-from benchmarks.foreign_cases import CASES, write_reference, write_scenario
+from benchmarks.foreign_cases import CASES, OBJECTIVES, write_reference, write_scenario
 from benchmarks.foreign_fmus import PLANTS, build, plant_named
 from benchmarks.report import Row
 from cosim.files import write_text
@@ -52,6 +52,7 @@ class Task:
     case: str
     seed: int
     estimator: str
+    objective: str
     folder: Path
     """Folder of FMUs and scenarios."""
     is_kept: bool
@@ -60,12 +61,12 @@ class Task:
 
 def measured(task: Task) -> Row:
     """Return the figures of a run; one that raises an exception has its traceback as `error`."""
-    plant, begun = plant_named(task.plant), time.perf_counter()
+    begun = time.perf_counter()
     out = task.folder / "runs" / f"{task.plant}-{task.case}-{task.seed}-{task.estimator.replace(':', '.')}"
     row: Row = {"plant": task.plant, "case": task.case, "seed": task.seed, "estimator": task.estimator}
     rmtree(out, ignore_errors=True)
     try:
-        run = cosim.run(write_scenario(plant, task.case, task.seed, task.folder), task.estimator, task.seed, out)
+        run = cosim.run(_scenario(task), task.estimator, task.seed, out)
     except Exception:
         wall = time.perf_counter() - begun
         return row | {"status": "raised", "error": format_exc(), "mse": nan, "wall": wall} | _counts([])
@@ -78,6 +79,10 @@ def measured(task: Task) -> Row:
     error = max(errors, default=nan)  # a run that fails at the start has none
     figures = {"status": run.status, "error": run.error, "mse": sum(run.mse), "parameter error": error}
     return row | figures | _counts(events) | {"wall": time.perf_counter() - begun}
+
+
+def _scenario(task: Task) -> Path:
+    return write_scenario(plant_named(task.plant), task.case, task.seed, task.objective, task.folder)
 
 
 def _events(folder: Path) -> list[str]:
@@ -172,6 +177,7 @@ def main() -> int:
     parser.add_argument("--first-seed", type=int, default=0, metavar="K")
     parser.add_argument("--jobs", type=int, default=2, metavar="J", help="runs at a time; no figure depends on it")
     parser.add_argument("--estimator", default="target")
+    parser.add_argument("--objective", choices=OBJECTIVES, default=OBJECTIVES[0])
     parser.add_argument("--out", type=Path, metavar="FILE", help="JSON file for aggregates and runs")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="folder for FMUs, scenarios and run folders")
     parser.add_argument("--quick", action="store_true", help="four plants and four cases, unless they are given")
@@ -185,11 +191,9 @@ def main() -> int:
         for plant in map(plant_named, plants):
             build(plant, folder)
             write_reference(plant, folder)
-        is_kept = options.keep is not None
-        firsts = [Task(p, c, 0, e, folder, is_kept) for p, c, e in references(plants, cases)]
-        tasks = [
-            Task(p, c, s, options.estimator, folder, is_kept) for (p, c), s in product(pairs(plants, cases), seeds)
-        ]
+        common = (options.objective, folder, options.keep is not None)
+        firsts = [Task(p, c, 0, e, *common) for p, c, e in references(plants, cases)]
+        tasks = [Task(p, c, s, options.estimator, *common) for (p, c), s in product(pairs(plants, cases), seeds)]
         with ProcessPoolExecutor(options.jobs) as pool:
             found = {(r["plant"], r["case"], r["estimator"]): r for r in pool.map(measured, firsts)}
             runs = [compared(row, found) for row in pool.map(measured, tasks)]
@@ -201,7 +205,12 @@ def main() -> int:
     walls = [run["wall"] for run in runs]
     print(f"\n{len(runs)} runs, {median(walls):.2g} s each in the median, {max(walls):.2g} s the longest")
     if options.out:
-        content = {"benchmark": "foreign", "machine": report.machine(), "estimator": options.estimator}
+        content = {
+            "benchmark": "foreign",
+            "machine": report.machine(),
+            "estimator": options.estimator,
+            "objective": options.objective,
+        }
         write_text(
             options.out, report.to_lines(content | {"rows": rows, "references": [*found.values()], "runs": runs})
         )

@@ -29,6 +29,10 @@ _RATES: Final = 4.0
 """Ratio of a limit of the actuators' rates that shows where parameters change to one that shows before."""
 _WINDOW: Final = 20
 """Largest number of samples that a candidate is judged by."""
+_POINTS, _ORDER = 9, 3
+"""Points and order of the filter of Savitzky and Golay that makes derivatives of states."""
+OBJECTIVES: Final = ("derivatives", "filtered", "roll-outs")
+"""What candidates are compared with: measured derivatives, derivatives filtered from noisy states, or noisy states."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +90,7 @@ def _friction(variable: str) -> Callable[[ForeignPlant, int], Changes]:
 
 
 def _coloured(plant: ForeignPlant, seed: int) -> Changes:
+    """Return errors of the measured derivatives; of measured states, `_sampled` has them."""
     ratio, correlation = _COLOURED
     rng = np.random.default_rng([seed, 17])
     found: dict[str, Any] = {}
@@ -97,14 +102,44 @@ def _coloured(plant: ForeignPlant, seed: int) -> Changes:
     return found
 
 
-def _faults(plant: ForeignPlant, fault: Mapping[str, Any] | None) -> list[dict[str, Any]]:
-    """Return the faults of a scenario file."""
+def _faults(plant: ForeignPlant, fault: Mapping[str, Any] | None, objective: str) -> list[dict[str, Any]]:
+    """Return the faults of a scenario file: of the first derivative's sensor, or of its state's."""
     if fault is None:
         return []
-    name, sigma = next(iter(plant.noise.items()))
+    name, sigma = next(iter(_noises(plant, objective).items()))
     size = {"size": fault["size"] * sigma} if "size" in fault else {}
-    begun = {"sensor": f"plant.der({name})", "start": round(_CHANGE * plant.n_steps) * plant.step}
+    begun = {"sensor": _sensor(name, objective), "start": round(_CHANGE * plant.n_steps) * plant.step}
     return [{**fault, **size, **begun}]
+
+
+def _noises(plant: ForeignPlant, objective: str) -> dict[str, float]:
+    """Return the declared standard deviation of each noisy sensor, by its state; a state's is that of one step."""
+    scale = 1.0 if objective == "derivatives" else plant.step
+    return {name: scale * sigma for name, sigma in plant.noise.items()}
+
+
+def _sensor(name: str, objective: str) -> str:
+    return f"plant.der({name})" if objective == "derivatives" else f"plant.{name}"
+
+
+def _sampled(plant: ForeignPlant, case: str, objective: str) -> dict[str, Any]:
+    """Return the table `sampling`; the states without a sampled derivative are measured exactly."""
+    noises = {_sensor(name, objective): {"noise": sigma} for name, sigma in _noises(plant, objective).items()}
+    faults = _faults(plant, CASES[case].fault, objective)
+    found: dict[str, Any] = {"noise_ratio": CASES[case].noise_ratio}
+    if objective == "derivatives":
+        return found | {"faults": faults, "derivatives": noises}
+    if case.startswith("coloured"):
+        ratio, correlation = _COLOURED
+        faults += [
+            {"kind": "noise", "sensor": sensor, "size": ratio * of["noise"], "correlation": correlation}
+            for sensor, of in noises.items()
+        ]
+    if objective == "roll-outs":
+        return found | {"faults": faults, "outputs": noises}
+    filtered = {f"plant.der({name})": {"of": f"plant.{name}"} for name in plant.noise}
+    kind = {"kind": "savitzky-golay", "points": _POINTS, "order": _ORDER}
+    return found | {"faults": faults, "derivatives": filtered, "filter": kind, "states": noises}
 
 
 def _stuck(plant: ForeignPlant, seed: int) -> Changes:
@@ -176,10 +211,12 @@ CASES: Final[Mapping[str, Case]] = {
 }
 
 
-def tables(plant: ForeignPlant, case: str, seed: int) -> dict[str, Any]:
+def tables(plant: ForeignPlant, case: str, seed: int, objective: str = OBJECTIVES[0]) -> dict[str, Any]:
     """Return the tables of the scenario file, with the FMUs and the reference in its folder."""
-    changes = dict.fromkeys(("d", *(f"e_{name}" for name in plant.noise)), 0.0)
-    changes |= CASES[case].changes(plant, seed)
+    errors = [f"e_{name}" for name in plant.noise]
+    changes = dict.fromkeys(("d", *errors), 0.0) | dict(CASES[case].changes(plant, seed))
+    if objective != "derivatives":
+        changes |= dict.fromkeys(errors, 0.0)
     fed = {s.name: f"plant.{s.name}" for s in plant.states}
     fed |= {s.name: f"reference.{s.name}" for s in plant.references}
     return {
@@ -202,13 +239,9 @@ def tables(plant: ForeignPlant, case: str, seed: int) -> dict[str, Any]:
         },
         "changes": {f"plant.{name}": change for name, change in changes.items()},
         "tracking": {f"plant.{name}": f"reference.{ref}" for name, ref in plant.tracked.items()},
-        "sampling": {
-            "noise_ratio": CASES[case].noise_ratio,
-            "faults": _faults(plant, CASES[case].fault),
-            "derivatives": {f"plant.der({name})": {"noise": sigma} for name, sigma in plant.noise.items()},
-        },
+        "sampling": _sampled(plant, case, objective),
         "estimation": {
-            "model": f"benchmarks.foreign_plants.{plant.name}:derivative",
+            **_compared(plant, objective),
             "trigger": {"kind": "innovation", "false_alarm": 1e-6},
             "budget": 30,
             "evaluations_per_step": 2,
@@ -230,11 +263,17 @@ def tables(plant: ForeignPlant, case: str, seed: int) -> dict[str, Any]:
     }
 
 
-def write_scenario(plant: ForeignPlant, case: str, seed: int, folder: Path) -> Path:
+def _compared(plant: ForeignPlant, objective: str) -> dict[str, Any]:
+    if objective == "roll-outs":
+        return {"objective": "rollout", "rollout": {"jobs": 1}}
+    return {"model": f"benchmarks.foreign_plants.{plant.name}:derivative"}
+
+
+def write_scenario(plant: ForeignPlant, case: str, seed: int, objective: str, folder: Path) -> Path:
     """Write the scenario file of a case into the folder, and return it: one for all seeds, but for coloured noise."""
     suffix = f"-{seed}" if case.startswith("coloured") else ""
     path = folder / f"{plant.name}-{case}{suffix}.toml"
-    write_text(path, tomli_w.dumps(tables(plant, case, seed)))
+    write_text(path, tomli_w.dumps(tables(plant, case, seed, objective)))
     return path
 
 

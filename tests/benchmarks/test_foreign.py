@@ -1,6 +1,7 @@
 """The benchmark on plants that no scenario has: each plant, its controller, and the comparison of runs."""
 
 import json
+from itertools import product
 from math import isnan
 from types import SimpleNamespace
 
@@ -9,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from benchmarks import foreign
-from benchmarks.foreign_cases import CASES, tables
+from benchmarks.foreign_cases import CASES, OBJECTIVES, tables
 from benchmarks.foreign_fmus import PLANTS, plant_named
 
 EVERY = pytest.mark.parametrize("plant", [plant_named(name) for name in PLANTS], ids=PLANTS)
@@ -42,14 +43,35 @@ def test_the_controller_follows_the_reference_where_its_parameters_are_right(pla
 @EVERY
 def test_what_is_left_out_is_a_case_and_the_others_have_scenarios(plant):
     assert set(plant.omitted) <= set(CASES)
-    for case in set(CASES) - set(plant.omitted):
-        assert tables(plant, case, 0)["scenario"]["name"] == f"{plant.name}-{case}"
+    for case, objective in product(set(CASES) - set(plant.omitted), OBJECTIVES):
+        found = tables(plant, case, 0, objective)
+        assert found["scenario"]["name"] == f"{plant.name}-{case}"
+        sensors = {f"plant.der({name})" if objective == "derivatives" else f"plant.{name}" for name in plant.noise}
+        assert {fault["sensor"] for fault in found["sampling"]["faults"]} <= sensors
+
+
+@pytest.mark.parametrize("objective", OBJECTIVES)
+def test_coloured_noise_is_of_the_sensors_that_are_compared_with(objective):
+    """Of three times the declared size; that of a state is the noise of its derivative over a step, 5 ms."""
+    plant = plant_named("ball")
+    found = tables(plant, "coloured", 0, objective)
+    if objective == "derivatives":
+        (changes,) = [np.array(found["changes"]["plant.e_v"])]
+        assert changes[:, 1].std() == pytest.approx(3.0 * plant.noise["v"], rel=0.3)
+    else:
+        sizes = {fault["sensor"]: fault["size"] for fault in found["sampling"]["faults"]}
+        assert sizes == {f"plant.{name}": pytest.approx(3.0 * 0.005 * sigma) for name, sigma in plant.noise.items()}
 
 
 @pytest.mark.fmu
-def test_runs_are_compared_with_the_nominal_controller_and_the_true_parameters(tmp_path, monkeypatch, capsys):
+@pytest.mark.full_but("derivatives")
+@pytest.mark.parametrize("objective", OBJECTIVES)
+def test_runs_are_compared_with_the_nominal_controller_and_the_true_parameters(
+    tmp_path, monkeypatch, capsys, objective
+):
     out = tmp_path / "found.json"
     arguments = ["foreign", "--plants", "ball", "--cases", "none", "change", "--jobs", "1", "--out", str(out)]
+    arguments += ["--objective", objective]
     monkeypatch.setattr("sys.argv", arguments)
     foreign.main()
     none, change = json.loads(out.read_text())["rows"]
@@ -64,7 +86,7 @@ def test_a_run_that_fails_at_the_start_is_a_row_with_its_reason(tmp_path, monkey
     empty = {"m": np.empty(0)}
     run = SimpleNamespace(status="faulted", error="plant: refused", mse=(0.0,), true_parameters=empty, estimates=empty)
     monkeypatch.setattr(foreign.cosim, "run", lambda *_: run)
-    row = foreign.measured(foreign.Task("ball", "none", 0, "target", tmp_path, is_kept=False))
+    row = foreign.measured(foreign.Task("ball", "none", 0, "target", "filtered", tmp_path, is_kept=False))
     assert (row["status"], row["error"]) == ("faulted", "plant: refused")
     assert isnan(row["parameter error"])
 

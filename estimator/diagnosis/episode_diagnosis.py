@@ -39,6 +39,8 @@ from .state import WINDOW, channel_summary
 
 _LITTLE: Final = 0.1
 """Share of the squares left beside a disturbance that parameters may leave for a noise that is correlated."""
+_FAR_LESS: Final = 0.05
+"""Share of the squares of the parameters that lasted which those that a rest keeps may have."""
 _AGAIN: Final = 2
 """Number of failed searches, one soon after the other, from which on what has passed may be noise."""
 _MORE: Final = "parameters and a disturbance explained fewer samples equally well"
@@ -112,7 +114,7 @@ class EpisodeDiagnosis:
         if state.lasting is None or state.n_samples >= state.suspected_at + FORGOTTEN:
             state.lasting, state.rival = theta, None
         if state.n_calm >= WINDOW:
-            state.restless_since = state.n_samples
+            state.restless_since, state.is_provisional = state.n_samples, False
         state.suspected_at, state.n_calm = state.n_samples, 0
         reason = trigger(sample, tracking_error, theta)
         if reason is not None and state.unexplained is not None:  # samples from before may be of what has failed
@@ -240,6 +242,19 @@ class EpisodeDiagnosis:
         self._is_undoing = of_rival + MARGIN <= of_before
         return lasting if self._is_undoing or of_lasting + MARGIN <= of_before else before
 
+    def in_rest(self, before: Vector) -> Vector:
+        """Return the parameters (d,) to rest at where a rest has just begun: those before it, or those that lasted.
+
+        The latter where the others were written as what they left was adopted as noise, have not explained a window's
+        samples since, and do not explain the sequence far better.
+        """
+        state = self._state
+        if state.lasting is None or not state.is_provisional or state.rests_until <= state.n_samples:
+            return before
+        state.is_provisional = False
+        of_lasting, of_before = (_fit(self._window.whitened(theta), 0).squares for theta in (state.lasting, before))
+        return before if of_before < _FAR_LESS * of_lasting else state.lasting
+
     def reverted(self, theta: Vector) -> None:
         """Take a revert of the guard's to theta (d,): nothing returns to others from then on."""
         self._state.lasting, self._state.rival = theta, None
@@ -360,6 +375,7 @@ class EpisodeDiagnosis:
         )
         if np.sum(rows**2) >= largest or squares.max() >= TOO_SMALL**2:
             return False
+        self._state.is_provisional = True
         self._known = None  # what is left beside a disturbance is smaller, too
         self._state.scale.enlarge(np.maximum(np.sqrt(squares), 1.0))
         self._window.weights = 1.0 / self._state.scale.effective

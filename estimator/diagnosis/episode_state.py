@@ -18,6 +18,8 @@ class EpisodeState:
     """Known disturbance (p,) of the plant's inputs."""
     lasting: Vector | None = None
     """Parameters (d,) in force when the samples contradicted them after a long time; None before that."""
+    is_provisional: bool = False
+    """Whether parameters were written as what they left was adopted as noise, and have explained no window since."""
     rival: Vector | None = None
     """Disturbance (p,) that explained, with those that lasted, what others were written for; or None."""
     suspected_at: int = 0

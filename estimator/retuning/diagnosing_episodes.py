@@ -104,6 +104,7 @@ class DiagnosingEpisodes(RetunerCounts[Retuner]):
             return replace(proposal, theta=None)
         before = diagnosis.accepted(before)
         events = diagnosis.fail(t, best, before)
+        before = diagnosis.in_rest(before)
         self._retuner.close(before)
         return going_back(t, proposal, before, held, events, diagnosis.space)
 

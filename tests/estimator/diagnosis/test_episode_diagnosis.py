@@ -200,6 +200,21 @@ def test_a_change_far_above_coloured_noise_is_found_whatever_that_leaves_unexpla
     assert 1.5 < max(scales) < 8.0
 
 
+@SEARCHES
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(
+    ("n_quiet", "size", "rests_at"),
+    [(0, 1.0, TRUE), (0, 0.1, CHANGED), (100, 1.0, CHANGED)],
+    ids=["at once", "far better", "lasted"],
+)
+def test_a_rest_is_not_at_parameters_that_only_adopted_noise_spoke_for(estimator, seed, n_quiet, size, rests_at):
+    """Unless they have explained a window's samples since, or the sequence far better than those before."""
+    run = Run(estimator, noise=4.0, correlation=0.9, seed=seed).go(LENGTH + 8 + n_quiet, CHANGED)
+    run.go(160, CHANGED, lambda i: size * sine(i))
+    assert len(run.of("rest")) == 1
+    assert near(run.held, rests_at, 0.1)
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_what_comes_and_goes_leaves_the_parameters_from_before_it(seed):
     """Those are in force again, not others near them that a search on the samples after it finds."""

@@ -35,6 +35,7 @@ from .lag_comparison import LagComparison
 from .quiet_comparison import QuietComparison, shorter
 from .residual_scale import (
     LARGER,
+    LARGEST,
     MUCH_LARGER,
     NOISY,
     TOO_SMALL,
@@ -370,7 +371,7 @@ class HypothesisComparison:
             return False
         rows = self._residuals.of_newest(reference, n)
         size = np.maximum(np.sqrt(np.mean(rows**2, axis=0)), 1.0)
-        if size.max() >= 2.0 * TOO_SMALL or not is_rough(rows) or is_smooth(rows):
+        if size.max() >= LARGEST or not is_rough(rows) or is_smooth(rows):
             return False
         others = disturbance_of(rows).fit, self.best(held, n, may_drift=True).fit
         if larger_noise(rows).score + MARGIN > min(fit.score for fit in others):
@@ -392,7 +393,7 @@ class HypothesisComparison:
             rows_at = self._residuals.at_newest(n)
             rows = rows_at(z)
             larger = np.maximum(spread_of(rows), 1.0)
-            if not np.all(np.isfinite(rows)) or np.all(larger < least):
+            if not np.all(np.isfinite(rows)) or np.all(larger < least) or larger.max() >= LARGEST:
                 continue
             times = self._residuals.times_of_newest(n)
             found = changed_parameters(OfMany(lambda z, f=rows_at, larger=larger: f(z) / larger), z, times)

@@ -20,7 +20,17 @@ from ..triggers import Trigger
 from .disturbed_inputs import DisturbedInputs, disturbed_inputs
 from .episode_state import EpisodeState, Unexplained
 from .evidence import Evidence
-from .residual_scale import LARGER, MUCH_LARGER, NOISY, TOO_SMALL, ResidualScale, is_rough, larger_noise, spread_of
+from .residual_scale import (
+    LARGER,
+    LARGEST,
+    MUCH_LARGER,
+    NOISY,
+    TOO_SMALL,
+    ResidualScale,
+    is_rough,
+    larger_noise,
+    spread_of,
+)
 from .resting import RestingResiduals
 from .settings import (
     BETTER,
@@ -354,7 +364,7 @@ class EpisodeDiagnosis:
             if not np.all(np.isfinite(rows)) or not is_rough(rows):
                 continue
             larger = np.maximum(spread_of(rows), 1.0)
-            if larger.max() >= least and plain_fit(rows / larger, 0).is_explained:
+            if least <= larger.max() < LARGEST and plain_fit(rows / larger, 0).is_explained:
                 self._state.scale.enlarge(larger)
                 self._window.weights = 1.0 / self._state.scale.effective
                 return True

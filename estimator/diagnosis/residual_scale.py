@@ -24,6 +24,8 @@ _SMOOTH: Final = 0.3
 """Ratio of second to first differences, by that of white noise, below which rows change smoothly."""
 TOO_SMALL: Final = 10.0
 """Factor by which a declared noise may be too small, as where it is a sensor's last digit."""
+LARGEST: Final = 2.0 * TOO_SMALL
+"""Factor from which on what is unexplained is no noise, however rough it is."""
 _CORRELATIONS: Final = np.array([[0.5], [0.8], [0.9], [0.95]])
 """Correlations (k, 1) from one sample to the next of the coloured noise that is thought of."""
 _MAD: Final = 1.4826

@@ -803,12 +803,23 @@ def test_a_model_that_lacks_a_sine_rests_after_three_failed_searches(estimator, 
 @CHANNELS
 def test_a_sine_of_few_samples_a_period_passes_for_noise_and_is_not_written(n_channels, pulse):
     """10 and 6 samples a period: it differs from sample to sample by about as much as noise of its size."""
-    run = Run("least-squares", n_channels).go(100).go(300, TRUE, lambda i: 0.3 * np.sin(pulse * i))
+    run = Run("least-squares", n_channels).go(100).go(300, TRUE, lambda i: 0.25 * np.sin(pulse * i))
     assert_array_equal(run.held, TRUE)
     assert run.writes == []
-    rms = 0.3 / np.sqrt(2.0) / SIGMA
+    rms = 0.25 / np.sqrt(2.0) / SIGMA
     assert np.all(run.diagnosis._state.scale.values > 0.4 * rms)
     assert np.all(run.diagnosis._state.scale.values < 1.5 * rms)
+
+
+@pytest.mark.parametrize("size", [1.0, 3.0])
+@pytest.mark.parametrize("pulse", [0.6, 1.0])
+@CHANNELS
+def test_what_is_larger_than_twenty_times_the_declared_noise_is_none(n_channels, pulse, size):
+    """The same sine: 70 and 210 standard deviations."""
+    run = Run("least-squares", n_channels).go(100).go(60, TRUE, lambda i: size * np.sin(pulse * i))
+    assert_array_equal(run.diagnosis._state.scale.values, 1.0)
+    assert len(run.of("rest")) == 1
+    assert run.writes == []
 
 
 @pytest.mark.parametrize("estimator", ["least-squares", "ukf"])

@@ -18,6 +18,7 @@ from ..samples import Sample
 from ..space import ParameterSpace, Vector
 from ..triggers import Trigger
 from .disturbed_inputs import DisturbedInputs, disturbed_inputs
+from .episode_rest import EpisodeRest
 from .episode_state import EpisodeState, Unexplained
 from .evidence import Evidence
 from .residual_scale import (
@@ -31,10 +32,8 @@ from .residual_scale import (
     larger_noise,
     spread_of,
 )
-from .resting import RestingResiduals
 from .settings import (
     BETTER,
-    CALM,
     FORGOTTEN,
     KINDS,
     MOST_NAMED,
@@ -49,8 +48,6 @@ from .state import WINDOW, channel_summary
 
 _LITTLE: Final = 0.1
 """Share of the squares left beside a disturbance that parameters may leave for a noise that is correlated."""
-_FAR_LESS: Final = 0.05
-"""Share of the squares of the parameters that lasted which those that a rest keeps may have."""
 _AGAIN: Final = 2
 """Number of failed searches, one soon after the other, from which on what has passed may be noise."""
 _MORE: Final = "parameters and a disturbance explained fewer samples equally well"
@@ -78,6 +75,7 @@ class EpisodeDiagnosis:
         self._settings, self.space = settings, space
         self.evidence = Evidence()
         self._state = EpisodeState(ResidualScale(len(outputs)), np.zeros(len(inputs)))
+        self._rest = EpisodeRest(window, outputs, settings, space, self._state, self.evidence)
         self._known: tuple[object, bytes, DisturbedInputs] | None = None
         self._newest: Vector = np.empty(0)
         self._verdict: Judgement = "refuted"
@@ -90,8 +88,7 @@ class EpisodeDiagnosis:
     def summary(self) -> dict[str, Any]:
         """Return what is known of each output and input, and the number of events of each kind, as JSON values."""
         state = self._state
-        rests = state.n_samples < state.rests_until
-        channels = {n: row | {"is_resting": rests} for n, row in channel_summary(self._outputs, state.scale)}
+        channels = {n: row | {"is_resting": self._rest.is_on} for n, row in channel_summary(self._outputs, state.scale)}
         inputs = dict(zip(self._inputs, state.inputs.tolist(), strict=True))
         counts = {kind: state.counts[kind] for kind in KINDS}
         return {"channels": channels, "inputs": inputs, "disturbances": state.named} | counts
@@ -108,8 +105,8 @@ class EpisodeDiagnosis:
         state.n_samples += 1
         residual = self._newest = self._window.track(theta)
         newest = self._of_newest(residual, sample)
-        if state.n_samples < state.rests_until:
-            self._rest(newest)
+        if self._rest.is_on:
+            self._rest.take(newest)
             return None
         if not len(residual):
             state.n_calm = 0
@@ -253,17 +250,8 @@ class EpisodeDiagnosis:
         return lasting if self._is_undoing or of_lasting + MARGIN <= of_before else before
 
     def in_rest(self, before: Vector) -> Vector:
-        """Return the parameters (d,) to rest at where a rest has just begun: those before it, or those that lasted.
-
-        The latter where the others were written as what they left was adopted as noise, have not explained a window's
-        samples since, and do not explain the sequence far better.
-        """
-        state = self._state
-        if state.lasting is None or not state.is_provisional or state.rests_until <= state.n_samples:
-            return before
-        state.is_provisional = False
-        of_lasting, of_before = (_fit(self._window.whitened(theta), 0).squares for theta in (state.lasting, before))
-        return before if of_before < _FAR_LESS * of_lasting else state.lasting
+        """Return the parameters (d,) to rest at where a rest has just begun, else those before it."""
+        return self._rest.parameters(before)
 
     def reverted(self, theta: Vector) -> None:
         """Take a revert of the guard's to theta (d,): nothing returns to others from then on."""
@@ -301,16 +289,7 @@ class EpisodeDiagnosis:
             state.counts[event.kind] += 1
         if state.n_failures < PATIENCE:
             return (event,)
-        state.counts["rest"] += 1
-        if len(state.rested) > 1:
-            state.scale.admit(np.array(state.rested))
-            self._window.weights = 1.0 / state.scale.effective
-        length = self._settings.rest_length(state.n_failures)
-        state.rests_until = state.n_samples + length
-        state.rested.clear()
-        state.resting = RestingResiduals()
-        reason = f"{state.n_failures} failed searches: re-tuning rests for {length} samples"
-        return event, Event(t, "rest", {"channels": list(self._outputs), "n_samples": length, "reason": reason})
+        return event, self._rest.begin(t)
 
     def _left(self, inputs: Vector, held: Vector) -> Unexplained | None:
         """Return what a failed search leaves; None where slightly larger noise, or no disturbance, would explain it."""
@@ -390,35 +369,6 @@ class EpisodeDiagnosis:
         self._state.scale.enlarge(np.maximum(np.sqrt(squares), 1.0))
         self._window.weights = 1.0 / self._state.scale.effective
         return True
-
-    def _rest(self, newest: Vector) -> None:
-        """Take the newest sample's residual (c,) in a rest, and end the rest where that is over, early perhaps.
-
-        What was unexplained has outgrown all before; or it has passed: residuals have been no more than noise for as
-        long as they had been more.
-        """
-        state = self._state
-        state.n_calm = 0
-        if np.any(np.isfinite(newest)):
-            state.rested.append(newest)
-            state.resting = state.resting.take(newest, state.scale.values)
-        if state.resting.is_calm(state.n_samples - state.restless_since - state.resting.n_calm):
-            self.evidence.rest_ended(self._outputs, CALM)
-            state.rests_until, state.n_calm = state.n_samples, state.resting.n_calm
-        elif self._has_other_scale():
-            self._window.weights = 1.0 / state.scale.effective
-
-    def _has_other_scale(self) -> bool:
-        """Return whether a rest ends with another scale of the residuals."""
-        state = self._state
-        if state.resting.is_outgrown:
-            self.evidence.outgrown(self._outputs, state.resting)
-            state.rests_until, state.unexplained = state.n_samples, None
-            return state.scale.admit(np.array(state.rested[: state.resting.n_usual - state.resting.n_samples]))
-        if state.n_samples < state.rests_until - 1:
-            return False
-        state.unexplained = None
-        return state.scale.wake(np.array(state.rested))
 
     def wait(self) -> bool:
         """Wait for more samples, on which the next episode begins; return False where there are many already."""

@@ -35,7 +35,7 @@ class EpisodeRest:
 
     @property
     def is_on(self) -> bool:
-        """Whether searches wait until the rest is over."""
+        """True while no search begins."""
         return self._state.n_samples < self._state.rests_until
 
     def begin(self, t: float) -> Event:

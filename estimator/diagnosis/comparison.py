@@ -393,12 +393,15 @@ class HypothesisComparison:
             rows_at = self._residuals.at_newest(n)
             rows = rows_at(z)
             larger = np.maximum(spread_of(rows), 1.0)
-            if not np.all(np.isfinite(rows)) or np.all(larger < least) or larger.max() >= LARGEST:
+            if not np.all(np.isfinite(rows)) or np.all(larger < least):
                 continue
             times = self._residuals.times_of_newest(n)
             found = changed_parameters(OfMany(lambda z, f=rows_at, larger=larger: f(z) / larger), z, times)
             left = found.rows * larger
-            if found.rate <= _RATE and found.fit.is_explained and not is_smooth(left):
-                state.scale.enlarge(np.maximum(spread_of(left), 1.0))
+            noise = np.maximum(spread_of(left), 1.0)
+            if noise.max() >= LARGEST or is_smooth(left):
+                continue
+            if found.rate <= _RATE and found.fit.is_explained:
+                state.scale.enlarge(noise)
                 return True
         return False

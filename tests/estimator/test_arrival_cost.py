@@ -276,6 +276,7 @@ def test_innovations_smaller_than_the_declared_noise_are_not_refuted_though_they
     assert whiteness.is_refuted == is_refuted
 
 
+@pytest.mark.full
 def test_errors_are_as_large_as_it_says():
     """Normalised errors squared over 300 seeds: chi-square of 3 each, constant parameters."""
     total = 0.0

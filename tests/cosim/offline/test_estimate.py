@@ -317,6 +317,7 @@ def test_a_log_is_not_touched(ask, oracles):
     assert (request.logs[0].read_bytes(), request.logs[0].stat().st_mtime_ns) == before
 
 
+@pytest.mark.full
 def test_a_log_that_is_given_twice_is_told_and_windows_that_touch_are_not(ask, oracles):
     windows = ((0.5, 1.0), (0.0, 0.5))
     request = ask(oracles.measure(0, end=2.0), evaluations=4, windows=windows, start={"x": "x", "v": "v"})

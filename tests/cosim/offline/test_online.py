@@ -338,6 +338,7 @@ def test_each_window_that_is_asked_for_begins_anew(ask, oracles):
         assert watched.theta == pytest.approx([2.6, 1.4], rel=0.05)
 
 
+@pytest.mark.full
 def test_a_log_whose_time_begins_anywhere_is_watched_alike(ask, oracles):
     """Its first stamp is no reason to take samples for late; events are at the log's time."""
     columns = {name: values[:450] for name, values in oracles.jump(0).items()}

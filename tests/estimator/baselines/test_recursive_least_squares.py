@@ -255,6 +255,7 @@ def test_on_a_model_linear_in_z_it_is_the_ordinary_kalman_filter(alpha, n_rows):
         assert estimate.n_evaluations == 5 * n
 
 
+@pytest.mark.full
 def test_errors_are_as_large_as_it_says():
     """Normalised error squared of a parameter that walks as the filter believes, on a log scale, from a drawn start.
 

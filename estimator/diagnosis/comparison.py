@@ -399,9 +399,8 @@ class HypothesisComparison:
             found = changed_parameters(OfMany(lambda z, f=rows_at, larger=larger: f(z) / larger), z, times)
             left = found.rows * larger
             noise = np.maximum(spread_of(left), 1.0)
-            if noise.max() >= LARGEST or is_smooth(left):
-                continue
-            if found.rate <= _RATE and found.fit.is_explained:
+            is_noise = noise.max() < LARGEST and not is_smooth(left)
+            if is_noise and found.rate <= _RATE and found.fit.is_explained:
                 state.scale.enlarge(noise)
                 return True
         return False

@@ -75,7 +75,7 @@ class EpisodeDiagnosis:
         self._settings, self.space = settings, space
         self.evidence = Evidence()
         self._state = EpisodeState(ResidualScale(len(outputs)), np.zeros(len(inputs)))
-        self._rest = EpisodeRest(window, outputs, settings, space, self._state, self.evidence)
+        self._rest = EpisodeRest(window, outputs, settings, self._state, self.evidence)
         self._known: tuple[object, bytes, DisturbedInputs] | None = None
         self._newest: Vector = np.empty(0)
         self._verdict: Judgement = "refuted"

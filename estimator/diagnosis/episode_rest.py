@@ -7,7 +7,7 @@ import numpy as np
 from ..episode_window import EpisodeWindow
 from ..events import Event
 from ..hypotheses import plain_fit
-from ..space import ParameterSpace, Vector
+from ..space import Vector
 from .episode_state import EpisodeState
 from .evidence import Evidence
 from .resting import RestingResiduals
@@ -25,13 +25,12 @@ class EpisodeRest:
         window: EpisodeWindow,
         outputs: tuple[str, ...],
         settings: DiagnosisSettings,
-        space: ParameterSpace,
         state: EpisodeState,
         evidence: Evidence,
     ) -> None:
         """outputs: names of the channels; state: the diagnosis', which this changes."""
         self._window, self._outputs, self._settings = window, outputs, settings
-        self._space, self._state, self._evidence = space, state, evidence
+        self._state, self._evidence = state, evidence
 
     @property
     def is_on(self) -> bool:

@@ -52,7 +52,7 @@ def test_what_is_left_out_is_a_case_and_the_others_have_scenarios(plant):
 
 @pytest.mark.parametrize("objective", OBJECTIVES)
 def test_coloured_noise_is_of_the_sensors_that_are_compared_with(objective):
-    """Of three times the declared size; that of a state is the noise of its derivative over a step, 5 ms."""
+    """The noise has three times the declared size, which is, for a state, its derivative's over a step of 5 ms."""
     plant = plant_named("ball")
     found = tables(plant, "coloured", 0, objective)
     if objective == "derivatives":

@@ -32,6 +32,26 @@ class Information:
         s = self.singular_values
         return self.directions[(s * np.abs(change @ self.directions.T) > n_std) | (s * std > 1.0)]
 
+    def least_moved(self, change: Vector, n_std: float) -> Vector:
+        """Return the change (d,) without those parameters that it moves by less than n_std standard deviations.
+
+        They are held one by one, from the least moved, as long as each raises the squared distance by no more than
+        n_std squared: Wald (1943), "Tests of statistical hypotheses concerning several parameters". The others go to
+        where they are most probable then.
+        """
+        P = self.covariance(1.0)
+        order = np.argsort(np.abs(change) / np.sqrt(P.diagonal()), kind="stable")
+        nearest, cost = change, 0.0
+        for n in range(1, len(change) + 1):
+            held = order[:n]
+            weights = np.linalg.solve(P[np.ix_(held, held)], change[held])
+            before, cost = cost, float(change[held] @ weights)
+            if cost - before > n_std**2:
+                break
+            nearest = change - P[:, held] @ weights
+            nearest[held] = 0.0  # exactly
+        return nearest
+
     def distance(self, change: Vector) -> float:
         """Return the length of a change (d,) in standard deviations: Mahalanobis' distance."""
         return float(np.linalg.norm(self.singular_values * (self.directions @ change)))

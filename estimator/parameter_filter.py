@@ -17,7 +17,7 @@ from .space import ParameterSpace, Vector
 _AGREES = 4.0
 """Squared distance, in standard deviations and by parameter, up to which a filtered estimate is that of a write."""
 _WORTH = 1.0
-"""Squared distance, in standard deviations, of a filtered estimate that is worth a write."""
+"""Standard deviations by which a parameter must differ for a write to move it."""
 _DRIFTING = 0.01
 """Probability that parameters seem to have drifted since a search began, though they are constant."""
 
@@ -136,11 +136,12 @@ class ParameterFilter:
         Directions that it does not know, and in which it does not differ significantly from held, stay there.
         """
         known, z = self.arrival_cost, self._space.to_unit(held)
-        if known is None or known.distance(z) < _WORTH:
+        if known is None or known.distance(z) < _WORTH**2:  # then no parameter differs by so much
             return None
-        seen, away = known.information, known.mean - z
+        seen = known.information
+        away = seen.least_moved(known.mean - z, _WORTH)
         moved = seen.written(away, self._significance, self._identifiable_below)
-        if not len(moved):
+        if not (len(moved) and away.any()):
             return None
         place = z + moved.T @ (moved @ away)
         std = np.minimum(np.hypot(seen.std(), known.mean - place), 1.0)

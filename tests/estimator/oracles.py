@@ -12,7 +12,7 @@ import GPy
 import numpy as np
 from numpy.testing import assert_allclose
 from scipy.integrate import quad, solve_ivp
-from scipy.linalg import toeplitz
+from scipy.linalg import lstsq, toeplitz
 from scipy.optimize import brentq, least_squares
 from scipy.signal import lfilter
 from scipy.stats import lognorm, multivariate_normal, ncx2, norm
@@ -488,6 +488,36 @@ def check_distance_is_that_of_the_inverse_covariance(identifiability):
         covariance = np.linalg.inv(X.T @ X)
         expected = np.sqrt(change @ np.linalg.solve(covariance, change))
         assert_allclose(identifiability.information(X).distance(change), expected, rtol=1e-9)
+
+
+def check_least_moved_is_least_squares_with_parameters_held(identifiability):
+    """Squares over the rows of data and prior, by SciPy; a parameter is held by leaving out its column."""
+    rng = np.random.default_rng(7)
+
+    def free(rows, change, moved):
+        found = np.zeros(len(change))
+        found[moved] = lstsq(rows[:, moved], rows @ change)[0] if len(moved) else 0.0
+        return found, np.sum((rows @ (found - change)) ** 2)
+
+    n_held = set()
+    for d, n in ((2, 6), (4, 9), (4, 2), (6, 30)):
+        for _ in range(20):
+            X = rng.normal(size=(n, d)) * 10.0 ** rng.uniform(0.5, 2.0, d)
+            rows = np.vstack([X, np.eye(d)])
+            std = np.sqrt(np.diag(np.linalg.inv(rows.T @ rows)))
+            change = rng.normal(size=d) * std * 2.0
+            moved = [*np.argsort(-np.abs(change) / std)]
+            expected, squares = free(rows, change, moved)
+            while moved:
+                fewer, more = free(rows, change, moved[:-1])
+                if more - squares > 1.5**2:
+                    break
+                expected, squares, moved = fewer, more, moved[:-1]
+            found = identifiability.information(X).least_moved(change, 1.5)
+            assert_allclose(found, expected, rtol=1e-7, atol=1e-9 * float(np.abs(change).max()))
+            assert np.count_nonzero(found) == len(moved)
+            n_held.add(d - len(moved))
+    assert n_held >= {0, 1, 2, 3, 4}
 
 
 def projector(seen, change, n_std):

@@ -23,6 +23,10 @@ def test_covariance_with_a_prior_is_that_of_the_normal_equations(oracles):
     oracles.check_covariance_with_a_prior_is_that_of_the_normal_equations(identifiability)
 
 
+def test_least_moved_is_least_squares_with_parameters_held(oracles):
+    oracles.check_least_moved_is_least_squares_with_parameters_held(identifiability)
+
+
 def test_significant_directions_by_hand(oracles):
     oracles.check_significant_directions_by_hand(identifiability)
 

@@ -57,6 +57,16 @@ def test_less_than_a_standard_deviation_is_not_worth_a_write(n_std, is_worth_it)
     assert (known.estimate(np.array([m, c])) is not None) == is_worth_it
 
 
+def test_a_write_moves_only_parameters_that_differ_by_a_standard_deviation():
+    known, noise = begun()
+    mean, std = (SIGMA * np.array([1.0, 0.2]) * of for of in (noise.mean(axis=0), 1.0 / np.sqrt(40.0)))
+    held = TRUTH - mean + np.array([0.5, 4.0]) * std
+    estimate = known.estimate(held)
+    assert estimate.theta[0] == held[0]
+    assert_allclose(estimate.theta[1], TRUTH[1] - mean[1], rtol=1e-3)
+    assert_allclose(estimate.std, std * np.array([np.hypot(1.0, 0.5), 1.0]), rtol=0.2)
+
+
 def test_what_the_samples_do_not_see_stays_where_it_is_held():
     known, _ = begun(sees_c=False)
     estimate = known.estimate(np.array([6.0, 1.1]))

@@ -77,6 +77,29 @@ def _coverage(rows: Sequence[Row]) -> str:
     return _table(("estimator", "how", "scenario", *counts, *shares), lines)
 
 
+def _limit(rows: Sequence[Row]) -> str:
+    """Return a line for each scenario: `target` at its instants after a change."""
+    found = {
+        scenario: ", ".join(
+            f"{r['instant']}: {r['rms error / bound']:.2f} ({r['median']:.2f}, {r['worst']:.1f})"
+            for r in rows
+            if (r["scenario"], r["estimator"]) == (scenario, "target") and r["instant"] != "all" and r["worst"] > 0.0
+        )
+        for scenario in dict.fromkeys(r["scenario"] for r in rows)
+    }
+    header = ("scenario", "at the instants after a change: error by bound (median, largest)")
+    return _table(header, [*found.items()])
+
+
+def _writes(rows: Sequence[Row]) -> str:
+    counts = ("moves", "worse by a fifth", "by 0.001 of the truth", "by 0.01", "by 0.2")
+    lines = (
+        [r["scenario"], r["estimator"], str(r["seeds"]), *(f"{r[key]:,}" for key in counts), f"{r['largest']:.2g}"]
+        for r in rows
+    )
+    return _table(("scenario", "estimator", "seeds", *counts, "largest"), lines)
+
+
 def _master(rows: Sequence[Row]) -> str:
     masters = tuple(dict.fromkeys(r["master"] for r in rows))
     known = {(r["system"], r["master"]): cell(r.get("us a macro step")) or "-" for r in rows}
@@ -113,8 +136,8 @@ def _startup(rows: Sequence[Row]) -> str:
 
 TABLES: Final[Mapping[str, Callable[[Sequence[Row]], str]]] = {
     "estimators": _estimators, "horizon": _horizon, "oscillating_masses": _masses, "coverage": _coverage,
-    "master": _master, "fmus": _fmus, "run": _run, "real_time": _real_time, "real_time_parts": _parts,
-    "startup": _startup,
+    "limit": _limit, "writes": _writes, "master": _master, "fmus": _fmus, "run": _run, "real_time": _real_time,
+    "real_time_parts": _parts, "startup": _startup,
 }  # fmt: skip
 """Function that makes the table of each benchmark's rows, by the name of both."""
 

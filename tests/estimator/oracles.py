@@ -13,7 +13,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 from scipy.integrate import quad, solve_ivp
 from scipy.linalg import lstsq, toeplitz
-from scipy.optimize import brentq, least_squares
+from scipy.optimize import brentq, least_squares, minimize_scalar
 from scipy.signal import lfilter
 from scipy.stats import lognorm, multivariate_normal, ncx2, norm
 
@@ -778,8 +778,14 @@ def check_coloured_noise_against_normal_distributions(residual_scale):
             for tried in (0.5, 0.8, 0.9, 0.95):
                 known = toeplitz(tried ** np.arange(15.0))
                 least = 1.0 / np.sqrt(1.0 - tried**2)  # innovations as large as known noise
-                sizes = np.geomspace(least, 10.0, 4001)
-                found.append(min(-2.0 * multivariate_normal.logpdf(of_channel, cov=s**2 * known) for s in sizes))
+                found.append(
+                    minimize_scalar(
+                        lambda s, y=of_channel, known=known: -2.0 * multivariate_normal.logpdf(y, cov=s**2 * known),
+                        bounds=(least, 10.0),
+                        method="bounded",
+                        options={"xatol": 1e-6},
+                    ).fun
+                )
             likeliest += min(found) - 15.0 * np.log(2.0 * np.pi)
         fit = residual_scale.coloured_noise(rows)
         assert_allclose(fit.squares, likeliest, rtol=1e-4)

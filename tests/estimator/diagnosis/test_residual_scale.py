@@ -282,7 +282,6 @@ def test_a_larger_noise_is_as_likely_as_the_best_normal_distributions_of_the_cha
     assert (fit.n_free, fit.n_values) == (2, 23)
 
 
-@pytest.mark.full
 def test_coloured_noise_is_as_likely_as_the_best_of_some_normal_distributions(oracles):
     oracles.check_coloured_noise_against_normal_distributions(residual_scale)
 

@@ -39,17 +39,18 @@ class Information:
         n_std squared: Wald (1943), "Tests of statistical hypotheses concerning several parameters". The others go to
         where they are most probable then.
         """
-        P = self.covariance(1.0)
-        order = np.argsort(np.abs(change) / np.sqrt(P.diagonal()), kind="stable")
+        prior = np.eye(len(change))  # as wide as the bounds
+        rows = np.vstack([self.singular_values[:, None] * self.directions, prior])
+        std = np.sqrt(self.covariance(1.0).diagonal())
+        order = np.argsort(np.abs(change) / std, kind="stable")
         nearest, cost = change, 0.0
         for n in range(1, len(change) + 1):
-            held = order[:n]
-            weights = np.linalg.solve(P[np.ix_(held, held)], change[held])
-            before, cost = cost, float(change[held] @ weights)
+            moved, found = order[n:], np.zeros(len(change))
+            found[moved] = np.linalg.lstsq(rows[:, moved], rows @ change)[0]
+            before, cost = cost, float(np.sum((rows @ (found - change)) ** 2))
             if cost - before > n_std**2:
                 break
-            nearest = change - P[:, held] @ weights
-            nearest[held] = 0.0  # exactly
+            nearest = found
         return nearest
 
     def distance(self, change: Vector) -> float:

@@ -12,7 +12,7 @@ import GPy
 import numpy as np
 from numpy.testing import assert_allclose
 from scipy.integrate import quad, solve_ivp
-from scipy.linalg import lstsq, toeplitz
+from scipy.linalg import toeplitz
 from scipy.optimize import brentq, least_squares, minimize_scalar
 from scipy.signal import lfilter
 from scipy.stats import lognorm, multivariate_normal, ncx2, norm
@@ -490,34 +490,38 @@ def check_distance_is_that_of_the_inverse_covariance(identifiability):
         assert_allclose(identifiability.information(X).distance(change), expected, rtol=1e-9)
 
 
-def check_least_moved_is_least_squares_with_parameters_held(identifiability):
-    """Squares over the rows of data and prior, by SciPy; a parameter is held by leaving out its column."""
+def check_least_moved_is_the_mean_given_the_parameters_held(identifiability):
+    """The conditional mean of a normal distribution, and Mahalanobis' distance of what is held: Anderson (1984)."""
     rng = np.random.default_rng(7)
-
-    def free(rows, change, moved):
-        found = np.zeros(len(change))
-        found[moved] = lstsq(rows[:, moved], rows @ change)[0] if len(moved) else 0.0
-        return found, np.sum((rows @ (found - change)) ** 2)
-
     n_held = set()
     for d, n in ((2, 6), (4, 9), (4, 2), (6, 30)):
         for _ in range(20):
             X = rng.normal(size=(n, d)) * 10.0 ** rng.uniform(0.5, 2.0, d)
-            rows = np.vstack([X, np.eye(d)])
-            std = np.sqrt(np.diag(np.linalg.inv(rows.T @ rows)))
+            P = np.linalg.inv(X.T @ X + np.eye(d))
+            std = np.sqrt(np.diag(P))
             change = rng.normal(size=d) * std * 2.0
-            moved = [*np.argsort(-np.abs(change) / std)]
-            expected, squares = free(rows, change, moved)
-            while moved:
-                fewer, more = free(rows, change, moved[:-1])
-                if more - squares > 1.5**2:
+            held, distance = np.array([], dtype=int), 0.0
+            for i in np.argsort(np.abs(change) / std):
+                more = np.append(held, i)
+                further = change[more] @ np.linalg.inv(P[np.ix_(more, more)]) @ change[more]
+                if further - distance > 1.5**2:
                     break
-                expected, squares, moved = fewer, more, moved[:-1]
+                held, distance = more, further
+            expected = change - P[:, held] @ np.linalg.inv(P[np.ix_(held, held)]) @ change[held]
             found = identifiability.information(X).least_moved(change, 1.5)
-            assert_allclose(found, expected, rtol=1e-7, atol=1e-9 * float(np.abs(change).max()))
-            assert np.count_nonzero(found) == len(moved)
-            n_held.add(d - len(moved))
+            assert_allclose(found / std, expected / std, atol=1e-7)
+            assert not found[held].any()
+            n_held.add(len(held))
     assert n_held >= {0, 1, 2, 3, 4}
+
+
+def check_least_moved_of_parameters_that_are_known_to_rounding(identifiability):
+    """Of a sum known to 1e-12 and a difference known to a tenth, a change of both moves what it must."""
+    both = np.array([[1.0, 1.0], [1.0, -1.0]]) / np.sqrt(2.0)
+    seen = identifiability.Information(np.array([1e12, 10.0]), both)
+    assert_allclose(seen.least_moved(np.array([0.3, -0.3]), 1.0), [0.3, -0.3], rtol=1e-9)
+    assert_allclose(seen.least_moved(np.array([0.01, -0.01]), 1.0), 0.0)
+    assert_allclose(seen.least_moved(np.array([0.02, 0.0]), 1.0), [0.02, 0.0], atol=1e-9)
 
 
 def projector(seen, change, n_std):

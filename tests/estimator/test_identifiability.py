@@ -23,8 +23,12 @@ def test_covariance_with_a_prior_is_that_of_the_normal_equations(oracles):
     oracles.check_covariance_with_a_prior_is_that_of_the_normal_equations(identifiability)
 
 
-def test_least_moved_is_least_squares_with_parameters_held(oracles):
-    oracles.check_least_moved_is_least_squares_with_parameters_held(identifiability)
+def test_least_moved_is_the_mean_given_the_parameters_held(oracles):
+    oracles.check_least_moved_is_the_mean_given_the_parameters_held(identifiability)
+
+
+def test_least_moved_of_parameters_that_are_known_to_rounding(oracles):
+    oracles.check_least_moved_of_parameters_that_are_known_to_rounding(identifiability)
 
 
 def test_significant_directions_by_hand(oracles):

@@ -27,7 +27,8 @@ MATERN_TEXTBOOK = "check_matern_prediction_against_the_textbook"
 STD = "check_std_against_the_covariance_of_least_squares"
 REFITS = "check_std_against_refits_of_noisy_data"
 UNSEEN = "check_std_of_what_is_not_seen_is_the_whole_cube"
-LEAST_MOVED = "check_least_moved_is_least_squares_with_parameters_held"
+LEAST_MOVED = "check_least_moved_is_the_mean_given_the_parameters_held"
+TO_ROUNDING = "check_least_moved_of_parameters_that_are_known_to_rounding"
 DISTANCE = "check_distance_is_that_of_the_inverse_covariance"
 WITH_PRIOR = "check_covariance_with_a_prior_is_that_of_the_normal_equations"
 BY_HAND = "check_significant_directions_by_hand"
@@ -189,12 +190,14 @@ MUTANTS = [
      "(self.singular_values + spread**-2)", (WITH_PRIOR,)),
     ("held-from-the-most-moved", IDENTIFIABILITY, "np.argsort(np.abs(change)", "np.argsort(-np.abs(change)",
      (LEAST_MOVED,)),
-    ("held-by-variances", IDENTIFIABILITY, "np.sqrt(P.diagonal()), kind", "P.diagonal(), kind", (LEAST_MOVED,)),
+    ("held-by-variances", IDENTIFIABILITY, "np.sqrt(self.covariance(1.0).diagonal())",
+     "self.covariance(1.0).diagonal()", (LEAST_MOVED,)),
     ("held-as-long-as-all-cost-little", IDENTIFIABILITY, "if cost - before >", "if cost >", (LEAST_MOVED,)),
     ("held-beyond-the-square-root", IDENTIFIABILITY, "> n_std**2:", "> n_std:", (LEAST_MOVED,)),
-    ("others-stay-where-parameters-are-held", IDENTIFIABILITY, "nearest = change - P[:, held] @ weights",
-     "nearest = change.copy()", (LEAST_MOVED,)),
-    ("held-without-the-prior", IDENTIFIABILITY, "self.covariance(1.0)", "self.covariance(1e3)", (LEAST_MOVED,)),
+    ("others-stay-where-parameters-are-held", IDENTIFIABILITY, "np.linalg.lstsq(rows[:, moved], rows @ change)[0]",
+     "change[moved]", (LEAST_MOVED, TO_ROUNDING)),
+    ("held-without-the-prior", IDENTIFIABILITY, "prior = np.eye(", "prior = 1e-3 * np.eye(",
+     (LEAST_MOVED,)),
     ("distance-in-variances", IDENTIFIABILITY, "np.linalg.norm(self.singular_values *",
      "np.linalg.norm(self.singular_values**2 *", (DISTANCE,)),
     ("distance-unweighted", IDENTIFIABILITY, "np.linalg.norm(self.singular_values *", "np.linalg.norm(", (DISTANCE,)),

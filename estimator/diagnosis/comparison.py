@@ -128,8 +128,9 @@ class HypothesisComparison:
 
         A filter can go on from parameters that only the newest samples explain, and that they do not determine, too.
         A search can where every sample contradicts what was in force by far: the nearest parameters that explain two
-        samples are written if they are predicted to do no harm. While the parameters drift there is nothing for a
-        search: it seeks again after a quarter as many samples as that has lasted, 20 at most.
+        samples, or one of a derivative filter, which lasts long, are written if they are predicted to do no harm. While
+        the parameters drift there is nothing for a search: it seeks again after a quarter as many samples as that has
+        lasted, 20 at most.
         """
         state = self._state
         if not is_filter and state.n_samples < state.next_jump and state.n_since >= QUIET:
@@ -140,7 +141,8 @@ class HypothesisComparison:
         is_obvious = not is_filter and self._n_obvious(reference) == state.n_since
         if not (is_filter or is_obvious) and state.n_since < 2:
             return None
-        found = jump_to(self._residuals.at_newest, dict.fromkeys(lengths), z, self._space, may_be_exact=is_obvious)
+        may_be_exact = is_obvious and (state.n_since > 1 or bool(state.inputs.means))
+        found = jump_to(self._residuals.at_newest, dict.fromkeys(lengths), z, self._space, may_be_exact=may_be_exact)
         restless = min(state.n_samples - state.restless_since, 4 * WINDOW)
         state.next_jump = state.n_samples + max(state.n_since, restless) // 4 if found is None else 0
         return found if found is None or is_filter or is_obvious or all(found.is_identifiable) else None

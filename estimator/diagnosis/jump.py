@@ -37,12 +37,12 @@ def jump_to(
 
     rows_at: returns the residuals (..., n, c) at the newest n samples, in standard deviations, as a function of places
     (..., d) in the unit cube; lengths: numbers n to try, the best first; z (d,): place to begin at; may_be_exact: true
-    where two samples or more are enough, though they have no more values than parameters: those near z are taken, which
-    the next sample has yet to prove. None without such parameters.
+    where samples are enough that have no more values than there are parameters: those near z are taken, which the next
+    sample has yet to prove. None without such parameters.
     """
     for n in lengths:
         found = changed_parameters(rows_at(n), z, may_drift=False, beyond=0.0)
-        may_be = may_be_exact and n > 1 and found.rows.size <= len(space)
+        may_be = may_be_exact and found.rows.size <= len(space)
         if not (found.fit.is_explained or (may_be and plain_fit(found.rows, 0, found.rows.size).is_explained)):
             continue
         slope = forward_differences(rows_at(n), found.z, found.rows, _STEP)

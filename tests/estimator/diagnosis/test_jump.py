@@ -116,9 +116,6 @@ def test_as_many_values_of_several_samples_are_enough_where_the_next_one_will_pr
     H, y = measured(3, 1)
     found = jump_to(rows_at(H, y), (3,), START, SPACE, may_be_exact=True)
     assert_allclose(SPACE.to_unit(found.theta), normal_equations(H, y, 3)[0], atol=1e-6)
-    for seed in range(9):
-        H, y = measured(1, 3, seed=seed)
-        assert jump_to(rows_at(H, y), (1,), START, SPACE, may_be_exact=True) is None  # one sample may be an outlier
     H, y = measured(3, 1, truth=np.array([1.8, 0.4, 30.0]))
     assert jump_to(rows_at(H, y), (3,), START, SPACE, may_be_exact=True) is None  # beyond the bounds
 

@@ -1545,6 +1545,17 @@ def test_parameters_that_change_later_are_not_taken_for_a_lag_from_the_start(est
     assert not run.of("lag")
 
 
+@pytest.mark.parametrize(("make", "is_exact"), [(Run, False), (FilteredRun, True)])
+def test_one_sample_of_a_filter_that_no_noise_excuses_is_explained_at_once(make, is_exact):
+    """Without a filter it may be an outlier, and the next one comes soon."""
+    run = make("target").go(30).go(1, np.array([4.0, -3.0]))
+    estimate = run.diagnosis.comparison.jump(TRUE, is_filter=False)
+    assert (estimate is not None) == is_exact
+    if is_exact:
+        newest = run.diagnosis.residuals.of_newest(estimate.theta, 1)
+        assert_allclose(newest, 0.0, atol=0.1)
+
+
 def test_a_dead_time_of_inputs_that_samples_have_means_of_is_in_steps():
     run = FilteredRun("least-squares", actuator=LateActuator(7)).go(60)
     known = run.diagnosis.summary()["input_lag"]

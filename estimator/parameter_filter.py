@@ -133,7 +133,8 @@ class ParameterFilter:
     def estimate(self, held: Vector) -> Estimate | None:
         """Return the estimate after the newest sample; None where the samples do not tell it from held (d,).
 
-        Directions that it does not know, and in which it does not differ significantly from held, stay there.
+        Parameters that do not differ from held by a standard deviation stay there, and so do directions that it does
+        not know, and in which it does not differ significantly.
         """
         known, z = self.arrival_cost, self._space.to_unit(held)
         if known is None or known.distance(z) < _WORTH**2:  # then no parameter differs by so much

@@ -516,7 +516,7 @@ def check_least_moved_is_the_mean_given_the_parameters_held(identifiability):
 
 
 def check_least_moved_of_parameters_that_are_known_to_rounding(identifiability):
-    """Of a sum known to 1e-12 and a difference known to a tenth, a change of both moves what it must."""
+    """Two parameters move where their sum, known to 1e-12, or their difference, known to a tenth, asks for it."""
     both = np.array([[1.0, 1.0], [1.0, -1.0]]) / np.sqrt(2.0)
     seen = identifiability.Information(np.array([1e12, 10.0]), both)
     assert_allclose(seen.least_moved(np.array([0.3, -0.3]), 1.0), [0.3, -0.3], rtol=1e-9)

@@ -152,7 +152,7 @@ def _retuner(
         sequences = EpisodeDiagnosis(
             window, outputs, tuple(plant.inputs), scenario.diagnosis, scenario.estimation.space, driven or None
         )
-    return make_episodes(search, window, loop.trigger, budget, objective.describe, form, sequences)
+    return make_episodes(search, window, loop.trigger, budget, objective.describe, form, sequences, method.jumps)
 
 
 def _residual(scenario: Scenario, plant: Plant, stack: ExitStack) -> DerivativeResidual:

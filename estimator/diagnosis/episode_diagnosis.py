@@ -4,15 +4,18 @@ The lumped disturbance is a constant added to each of the plant's inputs; its ef
 moved aside. Otherwise as `diagnosis`.
 """
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 
+from ..contract import Estimate, scaled_estimate
+from ..differences import forward_differences
 from ..episode_window import EpisodeWindow
 from ..events import Event
-from ..hypotheses import MARGIN, NEVER, Fit, Weighing, changed_parameters, plain_fit
+from ..hypotheses import MARGIN, NEVER, ChangedParameters, Fit, Weighing, changed_parameters, plain_fit
+from ..identifiability import IDENTIFIABLE_BELOW, information
 from ..objective import DIFFERENCE_STEP
 from ..samples import Sample
 from ..space import ParameterSpace, Vector
@@ -84,6 +87,7 @@ class EpisodeDiagnosis:
         self._is_undoing = False  # the last failed search goes back for the rival
         self._judged: object = None  # the sequence that the verdict is about
         self._searched: object = None  # the sequence on which other parameters than the estimator's were tried
+        self._found: Estimate | None = None  # those, where they explain it and are warranted
 
     def summary(self) -> dict[str, Any]:
         """Return what is known of each output and input, and the number of events of each kind, as JSON values."""
@@ -152,6 +156,7 @@ class EpisodeDiagnosis:
         window, space = self._window, self.space
         if window.sequence is not self._judged:
             self._judged, self._verdict, self._is_certain = window.sequence, "refuted", False
+            self._found = None
         residual = window.whitened(theta)
         of_held, of_theta = _fit(window.whitened(held), 0), _fit(residual, len(space))
         self._note(nothing=of_held, parameters=of_theta)
@@ -173,8 +178,26 @@ class EpisodeDiagnosis:
             self._note(parameters=found.fit)
             if found.fit.is_explained:
                 self._compare(found.fit, of_held, held)
+                self._found = None if self._verdict == "refuted" else self._estimate(rows_at, found)
         is_better = of_theta.is_explained or of_theta.squares < BETTER * of_held.squares
         return self._verdict if is_better else "refuted"
+
+    def _estimate(self, rows_at: Callable[[Vector], Vector], found: ChangedParameters) -> Estimate | None:
+        """Return the estimate that explains the sequence; None where no differences can be had."""
+        z = np.clip(found.z, 0.0, 1.0)
+        slope = forward_differences(rows_at, z, found.rows, DIFFERENCE_STEP)
+        if not np.all(np.isfinite(slope)):
+            return None
+        known = information(slope.reshape(-1, len(z)))
+        return scaled_estimate(
+            self.space, z, known.std(), IDENTIFIABLE_BELOW, known, cost=found.fit.squares, n_evaluations=0,
+            reason="parameters that explain the samples",
+        )  # fmt: skip
+
+    def jump(self) -> Estimate | None:
+        """Return the parameters that the comparison has found to explain the sequence, once, where a search has not."""
+        found, self._found = self._found, None
+        return found
 
     def _of_lasting(self, held: Vector) -> Fit:
         """Return the fit of the parameters that lasted, where others are in force, held (d,)."""

@@ -30,9 +30,10 @@ class EpisodeTrigger:
 class DiagnosingEpisodes(RetunerCounts[Retuner]):
     """Retuner with a diagnosis of sequences beside it: the same calls, and only warranted proposals."""
 
-    def __init__(self, retuner: Retuner, diagnosis: EpisodeDiagnosis) -> None:
-        """retuner: on the diagnosis' window, with an `EpisodeTrigger`."""
-        self._retuner, self._diagnosis = retuner, diagnosis
+    def __init__(self, retuner: Retuner, diagnosis: EpisodeDiagnosis, jumps: bool) -> None:
+        """retuner: on the diagnosis' window, with an `EpisodeTrigger`; jumps: whether parameters that the diagnosis has
+        found replace an estimate that lags behind, and end its search."""
+        self._retuner, self._diagnosis, self._jumps = retuner, diagnosis, jumps
         self._before: Vector | None = None  # in force at the beginning of the episode
         self._ended: tuple[Vector, Judgement] | None = None  # what the last episode proposed in the end
 
@@ -87,9 +88,14 @@ class DiagnosingEpisodes(RetunerCounts[Retuner]):
             self._before = held
         if proposal.estimate is None and "end" not in kinds:
             return replace(proposal, events=(*proposal.events, *diagnosis.passed(t, held)))
+        before = held if self._before is None else self._before
+        verdict = self._verdict(proposal, before)
+        jump = diagnosis.jump() if self._jumps else None
+        if jump is not None:
+            proposal = without_rounding(self._retuner.end_at(t, jump, proposal), held, diagnosis.space)
+            kinds, verdict = ["end"], self._verdict(proposal, before)
         best = None if proposal.estimate is None else proposal.estimate.theta
-        theta, before = proposal.theta, held if self._before is None else self._before
-        verdict: Judgement = "refuted" if best is None else diagnosis.judge(best if theta is None else theta, before)
+        theta = proposal.theta
         if verdict == "refuted" and "end" in kinds and best is not None and diagnosis.adopt_unexplained(best, before):
             proposal, theta, verdict = replace(proposal, theta=best), best, diagnosis.judge(best, before)
         if proposal.estimate is not None and theta is not None:
@@ -107,6 +113,12 @@ class DiagnosingEpisodes(RetunerCounts[Retuner]):
         before = diagnosis.in_rest(before)
         self._retuner.close(before)
         return going_back(t, proposal, before, held, events, diagnosis.space)
+
+    def _verdict(self, proposal: Proposal, before: Vector) -> Judgement:
+        """Return whether a proposal, or else its estimate, is warranted in place of the parameters before (d,)."""
+        if proposal.estimate is None:
+            return "refuted"
+        return self._diagnosis.judge(proposal.estimate.theta if proposal.theta is None else proposal.theta, before)
 
     def _close(self, held: Vector) -> None:
         """Close the window of the last episode; wait for more samples where its proposal was possible, and refused."""

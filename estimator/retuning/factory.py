@@ -30,17 +30,19 @@ def make_episodes(
     describe: Callable[[], str],
     linear: LinearForm | None = None,
     diagnosis: EpisodeDiagnosis | None = None,
+    jumps: bool = True,
 ) -> AnyRetuner:
     """Return the loop for an estimator that works on sequences of samples.
 
     describe: returns how the window scores candidates, in a line. diagnosis: on this window; None to write whatever
-    is proposed.
+    is proposed. jumps: whether parameters that the diagnosis has found are written in place of an estimate that lags
+    behind.
     """
     begins = trigger.trigger(window.innovation if diagnosis is None else diagnosis.innovation)
     if diagnosis is None:
         return Retuner(estimator, window, begins, budget, linear, describe)
     retuner = Retuner(estimator, window, EpisodeTrigger(begins, diagnosis), budget, linear, describe, closes=False)
-    return DiagnosingEpisodes(retuner, diagnosis)
+    return DiagnosingEpisodes(retuner, diagnosis, jumps)
 
 
 def make_retuner(

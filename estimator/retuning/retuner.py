@@ -147,6 +147,14 @@ class Retuner:
         theta = None if np.array_equal(wanted, held) else wanted
         return Proposal(theta, estimate, events, (perf_counter() - begun,))
 
+    def end_at(self, t: float, estimate: Estimate, proposal: Proposal) -> Proposal:
+        """End the search, if it has not ended, with an estimate in place of a proposal's; return it."""
+        self._search.end()
+        self._believed = estimate.theta
+        events = tuple(event for event in proposal.events if event.kind != "end")
+        events = (*events, self._end_event(t, estimate))
+        return replace(proposal, theta=estimate.theta, estimate=estimate, events=events, is_candidate=False)
+
     def expects(self, sample: Sample) -> bool:
         """Return whether a sample is as a filter expects it, which knows more than the parameters in force say."""
         window = self._sliding

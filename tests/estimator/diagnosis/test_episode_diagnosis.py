@@ -76,6 +76,7 @@ class Run:
     settings: DiagnosisSettings = field(default_factory=DiagnosisSettings)
     inputs: tuple[str, ...] = ("u",)
     is_bold: bool = False  # also writes what a disturbance would explain, as the guard does where it is safe
+    jumps: bool = True  # whether parameters that the diagnosis has found end a search
     objective: Simulated = field(default_factory=Simulated)
     events: list = field(default_factory=list)
     writes: list = field(default_factory=list)
@@ -89,7 +90,9 @@ class Run:
         self.diagnosis = EpisodeDiagnosis(window, ("y0", "y1"), self.inputs, self.settings, SPACE)
         search = STARTS[self.estimator](SPACE, TRUE, np.random.default_rng(self.seed + 1))
         trigger, describe = InnovationSettings(), Simulated().describe
-        self.retuner = make_episodes(search, window, trigger, Budget(24, 6), describe, diagnosis=self.diagnosis)
+        self.retuner = make_episodes(
+            search, window, trigger, Budget(24, 6), describe, diagnosis=self.diagnosis, jumps=self.jumps
+        )
         self.held, self.k, self.x, self.last = TRUE, 0, np.zeros(2), np.zeros(2)
 
     def go(self, n, truth=TRUE, push=0.0, drive=None, moment=0.0):
@@ -182,6 +185,38 @@ def test_the_evidence_on_record_is_for_what_has_happened():
         assert won in last.detail["explained"]
 
 
+def test_parameters_that_the_comparison_has_found_end_the_search_at_once():
+    """It has simulated them anyway; without them the search goes on over several steps, and writes on its way."""
+    at_once, searched = (Run(jumps=jumps).go(100).go(5 * LENGTH, CHANGED) for jumps in (True, False))
+    for run, n_writes in ((at_once, 1), (searched, 2)):
+        assert [event.detail["episode"] for _, event in run.of("end")] == [1]
+        assert len(run.writes) >= n_writes
+        assert near(run.held, CHANGED)
+    assert len(at_once.writes) == 1
+    assert at_once.of("end")[0][1].detail["reason"] == "parameters that explain the samples"
+    assert at_once.writes[0][0] < searched.writes[-1][0]
+    assert at_once.retuner.n_model_calls < searched.retuner.n_model_calls
+    assert near(at_once.go(3 * LENGTH, TRUE).held, TRUE)  # the search has ended, and the next one begins
+
+
+def test_the_uncertainty_of_what_the_comparison_has_found_is_the_cramer_rao_bound():
+    """Sensitivities by differentiating the recursion of `after`, not by differences of simulations."""
+    run = Run().go(100)
+    while not run.writes:
+        run.go(1, CHANGED)
+    ((_, end),) = run.of("end")
+    x, to_a, to_b, information = np.array(run.window.sequence.origin), np.zeros(2), np.zeros(2), np.zeros((2, 2))
+    a, b = end.detail["theta"]
+    for sample in run.window.sequence.samples[1:]:
+        u = sample.u[0]
+        to_a = np.array([x[0] + a * to_a[0], 0.7 * to_a[1] + 0.5 * to_a[0]])
+        to_b = np.array([u + a * to_b[0], 0.7 * to_b[1] + 0.5 * to_b[0]])
+        x = after(x, u, (a, b))
+        rows = np.column_stack([to_a, to_b]) / SIGMA[:, None]
+        information += rows.T @ rows
+    assert_allclose(end.detail["std"], np.sqrt(np.linalg.inv(information).diagonal()), rtol=0.01)
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_changed_parameters_are_found_whatever_the_noise(seed):
     run = Run("least-squares", seed=seed).go(60 + 7 * seed).go(60, CHANGED)
@@ -225,7 +260,7 @@ def test_what_comes_and_goes_leaves_the_parameters_from_before_it(seed):
 
 
 def test_a_search_on_samples_that_turn_out_to_be_doubtful_ends_and_is_undone():
-    run = Run("target").go(100)
+    run = Run("target", jumps=False).go(100)
     assert run.retuner.suspend(10.0, run.held, 20) is None
     while not run.writes:
         run.go(1, CHANGED)

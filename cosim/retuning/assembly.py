@@ -229,7 +229,8 @@ def _screen(
     if whitened is not None and filtering is not None:
         kernel, sensors = kernel_of(filtering, h), _sensors(scenario, plant, whitened)
         n_points, every = len(kernel.weights) + 1, points_apart(filtering, kernel)
-        return FilteredScreen(SampleScreen(settings, sensors, h), sensors.state_noise, n_points, every)
+        states = SampleScreen(settings, sensors, h)
+        return FilteredScreen(states, sensors.state_noise, n_points, every, whitened.has_corner)
     if whitened is not None:
         return SampleScreen(settings, _sensors(scenario, plant, whitened), h)
     if filtering is not None or chosen(scenario).kind != "rollout":

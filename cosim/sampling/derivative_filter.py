@@ -7,15 +7,16 @@ their slopes, and the mean slope of a macro step is the mean of xdot over it:
 
 with w = W_i / h, constant over a step. So whatever the filter, x and u are averaged with the same W: u, constant over
 a step, exactly, and x by the trapezoidal rule. Then xdot_bar = f(x_bar, u_bar) for an f that is linear in x and u,
-however long the filter is and however the input jumps. Otherwise it is off by about 1/2 f'' times the variance of
-(x, u) under w, and by f' h^2/12 times the second derivative of x. All three belong to the time t_k - delay.
+however long the filter is and however the input jumps. For any other f, f(x_bar, u_bar) is off by about 1/2 f'' times
+the variance of (x, u) under w, so the sample has its macro steps as nodes, over which the mean of f is taken by the
+midpoint rule. What is left is of the order of h^2: f' h^2/12 times the second derivative of x. All three belong to the
+time t_k - delay.
 """
 
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import islice
 from math import isfinite
 from typing import Final
 
@@ -23,10 +24,12 @@ import numpy as np
 import scipy  # its parts, 0.3 s, are loaded when they are used
 
 from estimator import Sample, Vector
+from estimator.samples import Node
 
 from ..scenarios.schema.sampling import Sampling, SavitzkyGolay, StateVariable
 
 _CORRELATED: Final = 0.05  # what two samples' noise may share
+_MOST_NODES: Final = 50
 
 
 @dataclass(frozen=True)
@@ -144,13 +147,31 @@ class DerivativeFilter:
         if self._wait or len(self._points) <= len(self.kernel.weights):
             return None
         self._wait = self._every
-        x = np.array([p.x for p in self._points])
-        u = np.array(
-            [p.u for p in islice(self._points, len(self.kernel.weights))]
-        )  # the oldest's is of the step before
-        t = measured.t - self.kernel.delay
-        xdot = self.kernel.difference @ x[:, self._channels]
-        return Sample(t, _tuple(self.kernel.mean @ x), _tuple(self.kernel.weights @ u), _tuple(xdot))
+        return averaged(self.kernel, [*self._points], self._channels)
+
+
+def averaged(kernel: Kernel, points: Sequence[Sample], channels: list[int]) -> Sample:
+    """Return the sample that measurements (n + 1,) make, the newest first; channels (c,): places in x.
+
+    A node is a macro step, of a long filter the mean of as many steps as leave no more than 50 nodes.
+    """
+    x = np.array([p.x for p in points])
+    u = np.array([p.u for p in points[:-1]])  # the oldest's is of the step before
+    begins = np.arange(0, len(u), -(-len(u) // _MOST_NODES))
+    weights = np.add.reduceat(kernel.weights, begins)
+    lengths = np.diff(np.append(begins, len(u)))[:, None]
+    middle, held = (np.add.reduceat(of_steps, begins) / lengths for of_steps in ((x[:-1] + x[1:]) / 2.0, u))
+    change = np.add.reduceat(x[:-1] - x[1:], begins)
+    of_nodes = middle - weights @ middle, held - weights @ held, change
+    nodes = zip(weights.tolist(), *(map(_tuple, table) for table in of_nodes), strict=True)
+    xdot = kernel.difference @ x[:, channels]
+    return Sample(
+        points[0].t - kernel.delay,
+        _tuple(kernel.mean @ x),
+        _tuple(kernel.weights @ u),
+        _tuple(xdot),
+        nodes=tuple([Node(*node) for node in nodes]),
+    )
 
 
 def _tuple(values: Vector) -> tuple[float, ...]:

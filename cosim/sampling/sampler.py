@@ -13,7 +13,7 @@ from estimator import Sample
 from ..scenarios.scenario import Scenario
 from ..scenarios.schema.sampling import Noise
 from ..system.plant import Plant
-from .derivative_filter import DerivativeFilter
+from .derivative_filter import DerivativeFilter, averaged, kernel_of
 from .fault_injection import FaultInjection
 
 
@@ -116,6 +116,8 @@ def recorded_samples(
 ) -> list[Sample | None]:
     """Return the estimator's sample at each of these rows of a run's record; None where the filter had none.
 
+    A filter's samples get their nodes from the measurements that it made them of.
+
     Raises KeyError for a missing column.
     """
     x, u, xdot, y = measured_columns(scenario, plant)
@@ -125,9 +127,19 @@ def recorded_samples(
         time, x, u, xdot = filtered[0], filtered[1:n], filtered[n:m], filtered[m:]
     parts = [[series[name].tolist() for name in names] for names in (x, u, xdot, y)]
     t = series[time].tolist()
-    return [
+    samples = [
         None if math.isnan(t[k]) else Sample(t[k], *(tuple(column[k] for column in part) for part in parts))
         for k in rows
+    ]
+    settings = scenario.sampling.filter
+    if settings is None:
+        return samples
+    kernel = kernel_of(settings, scenario.scenario.macro_step)
+    n, measured = len(kernel.weights), recorded_measurements(scenario, plant, series)
+    made_of = ([m for m in measured[k - n : k + 1] if m is not None][::-1] for k in rows)
+    return [
+        sample and replace(sample, nodes=averaged(kernel, points, []).nodes)
+        for sample, points in zip(samples, made_of, strict=True)
     ]
 
 

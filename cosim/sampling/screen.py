@@ -15,6 +15,9 @@ from dataclasses import dataclass, replace
 from math import nan
 from typing import Any, Final, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from estimator import Sample, Vector
 from estimator.events import Event
 
@@ -172,14 +175,24 @@ class FilteredScreen:
     """Screen of the states that a filter makes derivatives of: none of its outputs passes that a bad sample is part of.
 
     A state is compared with its modelled motion, where neither parameters nor inputs matter to that. An isolated value
-    is told by the next one; an output whose newest value may be one waits for that.
+    is told by the next one; an output whose newest value may be one waits for that. A derivative is left out where the
+    model has a corner within a macro step, of which points at its ends show too little; not two in a row, since then
+    the step is long for all of the model.
     """
 
-    def __init__(self, states: SampleScreen, noise: Sequence[float], n_points: int, every: int) -> None:
+    def __init__(
+        self,
+        states: SampleScreen,
+        noise: Sequence[float],
+        n_points: int,
+        every: int,
+        has_corner: Callable[[Vector, Sample], NDArray[np.bool_]],
+    ) -> None:
         """states: without derivatives; noise: standard deviation of each; n_points: of the filter; every: points from
-        one of its outputs to the next.
+        one of its outputs to the next; has_corner: of `DerivativeResidual`.
         """
-        self._states, self._n_points, self._every = states, n_points, every
+        self._states, self._n_points, self._every, self._has_corner = states, n_points, every, has_corner
+        self._had_corner = False  # the output before
         self._spikes = Spikes(noise)
         self._waiting: Sample | None = None  # an output whose newest value may be isolated
         self._n_good = 1  # the one before the first step is exact
@@ -193,8 +206,19 @@ class FilteredScreen:
         self._n_good = 0 if found.sample is None else self._n_good + 1
         made = sample if sample is not None and self._n_good >= self._n_points else self._waiting
         self._waiting = made if self._spikes.is_suspect else None
-        kept = None if self._spikes.is_suspect else made
+        kept = None if self._spikes.is_suspect or made is None else self._resolved(theta, made)
         return Screened(kept, events=found.events, n_doubtful=-(-found.n_doubtful // self._every))
+
+    def _resolved(self, theta: Vector, made: Sample) -> Sample | None:
+        """Return the sample without derivatives that a corner of the model is in; None where none is left."""
+        corners = self._has_corner(theta, made)
+        self._had_corner = bool(corners.any()) and not self._had_corner
+        if not self._had_corner:
+            return made
+        if corners.all():
+            return None
+        left = zip(corners.tolist(), made.xdot, strict=True)
+        return replace(made, xdot=tuple([nan if is_lost else value for is_lost, value in left]))
 
     def summary(self) -> dict[str, Any]:
         """Return the counts as `SampleScreen` does."""

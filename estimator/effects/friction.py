@@ -198,7 +198,7 @@ def _friction_columns(
     """
     x, u = np.array([s.x for s in samples]), np.array([s.u for s in samples])
     by_input = {j: _slope(rows_of, samples, rows, j) for j in np.flatnonzero(u.any(axis=0)).tolist()}
-    by_derivative = rows - rows_of([Sample(s.t, s.x, s.u, tuple([y + 1.0 for y in s.xdot])) for s in samples])
+    by_derivative = rows - rows_of([replace(s, xdot=tuple([y + 1.0 for y in s.xdot])) for s in samples])
     columns: list[_Column] = []
     for (channel, place), law in product(enumerate(places), get_args(Law)):
         if place >= x.shape[1] or not _is_told_apart(law, x[:, place]):
@@ -230,7 +230,7 @@ def _simplicity(column: _Column) -> tuple[int, int, bool]:
 def _slope(rows_of: Callable[[Sequence[Sample]], Vector], samples: Sequence[Sample], rows: Vector, j: int) -> Vector:
     """Return the slope (n, c) of the residuals by input j."""
     step = _ASIDE * max(abs(s.u[j]) for s in samples)
-    moved = [Sample(s.t, s.x, (*s.u[:j], s.u[j] + step, *s.u[j + 1 :]), s.xdot) for s in samples]
+    moved = [replace(s, u=(*s.u[:j], s.u[j] + step, *s.u[j + 1 :])) for s in samples]
     return (rows_of(moved) - rows) / step
 
 

@@ -38,7 +38,7 @@ class KnownEffects:
     def without(self, sample: Sample) -> Sample:
         """Return the sample without them; NaN for channels that rest, or whose friction is not known."""
         xdot = np.where(self.is_resting, np.nan, np.array(sample.xdot) - self.disturbance)
-        left = Sample(sample.t, sample.x, self.arriving.get(sample.t, sample.u), tuple(xdot.tolist()), sample.y)
+        left = replace(sample, u=self.arriving.get(sample.t, sample.u), xdot=tuple(xdot.tolist()))
         return self.friction.without(left) if self.friction else left
 
     def without_all(self, samples: Sequence[Sample]) -> Samples:

@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from estimator import DerivativeResidual, Parameter, ParameterSpace, ResidualWindow, Sample, chi2_limit, sliding_window
+from estimator.samples import Node, Samples
 
 
 def sample(t, *xdot):
@@ -110,6 +111,81 @@ def test_rows_with_other_inputs_are_those_of_samples_that_have_them(is_vectorise
     others = [[replace(s, u=tuple(u)) for s, u in zip(seen, own, strict=True)] for own in inputs.tolist()]
     expected = [residual.rows(theta, other) for other in others]
     np.testing.assert_array_equal(residual.rows_with(inputs, theta, seen), expected)
+
+
+QUADRATIC = ParameterSpace((Parameter("a", 0.5, 4.0), Parameter("b", 0.1, 2.0)))
+
+
+def quadratic(x, u, a, b):
+    return (a * x[0] ** 2 + b * u[0], a * b * x[0] * u[0])
+
+
+def spread(t, *nodes):
+    """A sample with nodes at these (weight, state, input, change), its x and u being their means."""
+    x, u = (sum(node[0] * node[i] for node in nodes) for i in (1, 2))
+    return Sample(t, (x,), (u,), (5.0, 6.0), nodes=tuple(Node(w, (s - x,), (v - u,), (c,)) for w, s, v, c in nodes))
+
+
+SPREAD = [
+    spread(0.0, (0.25, 1.0, 2.0, 0.1), (0.5, 1.5, -1.0, 0.2), (0.25, 3.0, 0.5, -0.1)),
+    spread(1.0, (0.5, 0.0, 1.0, 0.1), (-0.5, 1.0, 1.0, 0.2), (1.0, 2.0, 0.5, 0.3)),
+]
+
+
+def test_the_model_of_a_sample_with_nodes_is_the_mean_over_them_by_hand():
+    """a = 2, b = 0.5: 2 x^2 + u / 2 is 3, 4, 18.25 at the first one's nodes, and x u 2, -1.5, 1.5."""
+    residual = DerivativeResidual(quadratic, QUADRATIC, channels=(0, 1), noise=(0.5, 2.0))
+    theta = np.array([2.0, 0.5])
+    means = 0.25 * 3.0 + 0.5 * 4.0 + 0.25 * 18.25, 0.25 * 2.0 - 0.5 * 1.5 + 0.25 * 1.5
+    assert_allclose(residual(theta, SPREAD[0]), [(5.0 - means[0]) / 0.5, (6.0 - means[1]) / 2.0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("is_vectorised", [False, True])
+def test_a_table_of_samples_with_nodes_is_that_of_each_by_itself(is_vectorised):
+    n_calls = 0
+
+    def counted(x, u, a, b):
+        nonlocal n_calls
+        n_calls += 1
+        return quadratic(x, u, a, b)
+
+    single = DerivativeResidual(quadratic, QUADRATIC, channels=(0, 1), noise=(0.5, 2.0))
+    residual = replace(single, model=counted, is_vectorised=is_vectorised)
+    thetas, samples = np.array([[2.0, 0.5], [1.0, 1.5]]), Samples(SPREAD * 3)
+    one_by_one = [[single(theta, sample) for sample in samples] for theta in thetas]
+    assert_allclose(residual.rows(thetas, samples), one_by_one, rtol=1e-12)
+    assert_allclose(residual.rows(thetas, samples.newest(3)), [rows[-3:] for rows in one_by_one], rtol=1e-12)
+    inputs = np.arange(12.0).reshape(2, 6, 1)
+    moved = [[replace(s, u=(float(v),)) for s, (v,) in zip(samples, held, strict=True)] for held in inputs]
+    expected = [[single(thetas[0], sample) for sample in row] for row in moved]
+    assert_allclose(residual.rows_with(inputs, thetas[0], samples), expected, rtol=1e-12)
+    assert n_calls == (3 if is_vectorised else 3 * 2 * (6 + 3 + 6))
+
+
+def test_slopes_at_samples_with_nodes_are_means_over_them():
+    def slopes(x, u, a, b):
+        return [[x[0] ** 2, u[0]], [b * x[0] * u[0], a * x[0] * u[0]]]
+
+    residual = DerivativeResidual(quadratic, QUADRATIC, channels=(0, 1), noise=(0.5, 2.0), slopes=slopes)
+    z, step = np.array([0.4, 0.6]), 1e-6
+    aside = [QUADRATIC.from_unit(z + side * step * axis) for axis in np.eye(2) for side in (1, -1)]
+    rows = residual.rows(np.array(aside), SPREAD)
+    differences = np.stack([rows[0] - rows[1], rows[2] - rows[3]], axis=-1) / (2.0 * step)
+    assert_allclose(residual.slope_rows(QUADRATIC.from_unit(z), SPREAD), differences, rtol=1e-7)
+
+
+@pytest.mark.parametrize(("weight", "has_corner"), [(0.16, True), (0.14, False)])
+def test_dry_friction_that_turns_round_within_a_step_is_a_corner(weight, has_corner):
+    """It is 2 and -2 at the ends of the step and -2 in the middle: the rules differ by 2 w, which is 20 w sigma."""
+
+    def friction(x, u, a, b):
+        return (-a * np.sign(x[0]), x[0])
+
+    residual = DerivativeResidual(friction, QUADRATIC, channels=(0, 1), noise=(0.1, 0.1))
+    crossing = spread(0.0, (weight, 0.01, 0.0, 0.1), (1.0 - weight, 0.3, 0.0, 0.1))
+    assert residual.has_corner(np.array([2.0, 1.0]), crossing).tolist() == [has_corner, False]
+    smooth = spread(0.0, (weight, 0.2, 0.0, 0.1), (1.0 - weight, 0.3, 0.0, 0.1))
+    assert not residual.has_corner(np.array([2.0, 1.0]), smooth).any()
 
 
 @pytest.mark.parametrize("error", [KeyError, TypeError, RuntimeError])

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from scipy import integrate, signal, stats
+from scipy import integrate, linalg, signal, stats
 
 from cosim.sampling.derivative_filter import DerivativeFilter, derivative_noise, kernel_of
 from cosim.scenarios.schema.sampling import Sampling, SavitzkyGolay, StateVariable
-from estimator import Sample
+from estimator import DerivativeResidual, Parameter, ParameterSpace, Sample
 
 H = 0.01  # s
 FILTERS = {
@@ -197,6 +197,47 @@ def test_bias_is_within_what_curvature_and_spread_say(settings, wild):
     limit = G / L * (spread / 2 + H**2 / 12 * np.sum(np.abs(kernel.weights)) * acceleration) * 1.05
     assert np.abs(residual).max() < limit
     assert np.abs(residual).max() < 0.03 * acceleration  # and it is small
+
+
+@each
+def test_the_mean_of_the_model_over_the_steps_is_off_by_what_a_step_hides_only(settings, wild):
+    """In a step the state is a straight line, off by h^2/12 x'' in the mean, of a variance of (h x')^2/12 for f''/2."""
+    x, u = wild
+    weights = np.abs(kernel_of(settings, H).weights).sum()
+    space = ParameterSpace((Parameter("l", 0.1, 1.0),))
+    model = DerivativeResidual(lambda x, u, l: swing(x, u[0]), space, channels=(1,), noise=(1.0,))
+    samples = filtered(settings, x, u, [1])
+    residual = np.array([model(np.array([0.5]), s)[0] for s in samples])
+    rate, acceleration = abs(x[:, 1]).max(), abs(np.diff(x[:, 1]) / H).max()
+    jerk = G / L * rate + B / M * acceleration  # between two inputs
+    limit = weights * H**2 / 12 * (G / L * (acceleration + rate**2 / 2) + B / M * jerk)
+    assert np.abs(residual).max() < 1.05 * limit
+    of_means = [s.xdot[0] - swing(s.x, s.u[0])[1] for s in samples]
+    has_spread = kernel_of(settings, H).variance > H**2  # a polynomial of third order has none
+    assert np.std(residual) < (0.2 if has_spread else 0.9) * np.std(of_means)
+
+
+@pytest.mark.parametrize(("points", "n_steps", "n_nodes"), [(51, 1, 50), (53, 2, 26), (251, 5, 50)])
+def test_a_long_filter_has_nodes_of_several_steps_and_is_exact_where_the_plant_is_linear(points, n_steps, n_nodes):
+    """But for what a step hides; of an oscillator with an input that jumps, by its matrix exponential."""
+    rng, matrix = np.random.default_rng(4), np.array([[0.0, 1.0], [-4.0, -0.3]])
+    space = ParameterSpace((Parameter("k", 1.0, 9.0),))
+    model = DerivativeResidual(lambda x, u, k: (x[1], u[0] - k * x[0] - 0.3 * x[1]), space, channels=(1,), noise=(1.0,))
+    propagator, x, u = linalg.expm(matrix * H), [np.array([1.0, 0.0])], rng.uniform(-1.0, 1.0, (400, 1))
+    for (held,) in u[1:]:
+        rest = np.linalg.solve(matrix, [0.0, -held])
+        x.append(rest + propagator @ (x[-1] - rest))
+    x = np.array(x)
+    settings = SavitzkyGolay(kind="savitzky-golay", points=points, order=3)
+    samples = filtered(settings, x, u, [1])
+    assert {len(sample.nodes) for sample in samples} == {n_nodes}
+    steps = np.array_split(np.arange(points - 1, 0, -1), range(n_steps, points - 1, n_steps))  # of the first sample
+    means = [np.mean((x[k] + x[k - 1]) / 2.0, axis=0) for k in steps]
+    assert np.diff([node.dx for node in samples[0].nodes], axis=0) == pytest.approx(np.diff(means, axis=0), abs=1e-12)
+    rate, acceleration = np.abs(x[:, 1]).max(), np.abs(np.diff(x[:, 1]) / H).max()
+    hidden = H**2 / 12 * (4.0 * acceleration + 0.3 * (4.0 * rate + 0.3 * acceleration))
+    limit = hidden * np.abs(kernel_of(settings, H).weights).sum()
+    assert np.abs([model(np.array([4.0]), sample)[0] for sample in samples]).max() < limit
 
 
 def test_newest_state_and_input_beside_a_filtered_derivative_would_be_far_off(wild):

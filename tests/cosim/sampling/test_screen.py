@@ -651,7 +651,7 @@ def filtered(n_points, every, *, is_kinematic=False):
     others = (THETA,) if is_kinematic else ()
     sensors = Sensors(("x",), (True,), (), (), (SIGMA,), nothing, still, others)
     states = SampleScreen(ObservationSettings(), sensors, H)
-    return FilteredScreen(states, (SIGMA,), n_points, every)
+    return FilteredScreen(states, (SIGMA,), n_points, every, lambda theta, sample: np.array(sample.y, bool))
 
 
 def through(watched, measured):
@@ -689,6 +689,19 @@ def test_an_output_of_a_filter_after_a_step_of_its_state_passes_one_sample_late(
     assert [k for k, one in enumerate(seen, 1) if one.sample is not None and k > 36] == [37, 39, 42, *range(43, 61, 2)]
     assert seen[41].sample is samples[40]
     assert watched.summary()["found"] == {}
+
+
+def test_a_derivative_beside_a_corner_of_the_model_is_left_out_but_not_two_in_a_row():
+    """Whether the model has one at a sample is in y."""
+    corners = [(0, 0), (1, 0), (1, 1), (1, 1), (1, 1), (0, 0)]
+    samples, watched = carried(20), filtered(4, 1)
+    made = [replace(s, xdot=(1.0, 2.0), y=(0, 0)) for s in samples]
+    for k, y in enumerate(corners, 10):
+        made[k] = replace(made[k], y=y)
+    seen = [watched.step(s.t, m, THETA, s).sample for s, m in zip(samples, made, strict=True)]
+    left = [None if s is None else s.xdot for s in seen[10:16]]
+    assert str(left) == str([(1.0, 2.0), (nan, 2.0), (1.0, 2.0), None, (1.0, 2.0), (1.0, 2.0)])
+    assert all(s is not None for s in seen[16:])
 
 
 def test_an_isolated_value_is_told_once_though_it_is_a_jump_against_the_motion_too():

@@ -137,7 +137,7 @@ class HypothesisComparison:
             return None
         reference = state.reference_or(held)
         z = self._space.to_unit(reference)
-        lengths = (state.n_since, state.verdict.n_explained) if is_filter else (state.n_since,)
+        lengths = (*self._since_jump(state.n_since), *((state.verdict.n_explained,) if is_filter else ()))
         is_obvious = not is_filter and self._n_obvious(reference) == state.n_since
         if not (is_filter or is_obvious) and state.n_since < 2:
             return None
@@ -154,20 +154,31 @@ class HypothesisComparison:
         suspicion goes on from the first of them: those before it are of other parameters.
         drift: standard deviation of a parameter's change from sample to sample, as a share of the scaled bounds.
         """
-        state, space = self._state, self._space
+        state = self._state
         reference = state.reference_or(held)
-        n = 0 if state.is_resting.any() else self._n_obvious(reference)
-        if not 1 < n <= QUIET:
-            return None
-        found = followed_jump(self._residuals.at_newest(n), n, space.to_unit(reference), drift)
+        n_obvious = 0 if state.is_resting.any() else self._n_obvious(reference)
+        for n in self._since_jump(n_obvious):
+            found = self._followed_jump(reference, n, drift) if 1 < n <= QUIET else None
+            if found is not None:
+                state.n_since = n
+                return found
+        return None
+
+    def _followed_jump(self, reference: Vector, n: int, drift: float) -> ArrivalCost | None:
+        """Return what the newest n samples say of parameters that have jumped before them, if nothing else does."""
+        found = followed_jump(self._residuals.at_newest(n), n, self._space.to_unit(reference), drift)
         if found is None:
             return None
         before = self._residuals.of_newest(reference, n)
         weighing = Weighing(found[1], disturbance_of(before).fit, plain_fit(before, 0))
-        if not weighing.are_parameters_proven:
-            return None
-        state.n_since = n
-        return found[0]
+        return found[0] if weighing.are_parameters_proven else None
+
+    def _since_jump(self, n: int) -> range:
+        """Return how many samples may be of the parameters since a jump, n having contradicted those before it.
+
+        The first ones of a derivative filter may be means over the jump, which no parameters explain.
+        """
+        return range(n, max(n - self._state.inputs.means.n_mixed, 1) - 1, -1)
 
     def _n_obvious(self, theta: Vector) -> int:
         """Return how many newest samples since the onset contradict theta (d,), each even with ten times the noise."""
@@ -246,11 +257,16 @@ class HypothesisComparison:
             if state.is_disproved and n < min(QUIET, state.n_since):
                 return
             found = changed_parameters(self._residuals.at_newest(n), z, self._residuals.times_of_newest(n))
-            if was_proven and n == min(QUIET, state.n_since):
+            if was_proven and n == min(QUIET, state.n_since) and not self._may_be_over_jump(reference, n):
                 state.is_disproved |= not plain_fit(found.rows / TOO_SMALL, 0).is_explained
             if found.rate <= _RATE and self._wins(found.fit, reference, n):
                 state.changed = found.z
                 return
+
+    def _may_be_over_jump(self, reference: Vector, n: int) -> bool:
+        """Return whether some of the newest n samples of a derivative filter may be from before a jump, or over it."""
+        n_mixed = self._state.inputs.means.n_mixed
+        return n_mixed > 0 and self._n_obvious(reference) < n + n_mixed
 
     def _wins(self, parameters: Fit, reference: Vector, n: int) -> bool:
         """Set the verdict where changed parameters are possible by their fit to the newest n samples."""

@@ -33,6 +33,11 @@ class StepMeans:
         return len(self.weights) if self else 0
 
     @property
+    def n_mixed(self) -> int:
+        """Number of samples that may be means over the same jump; 0 where they are no means."""
+        return -(-len(self.weights) // self.every) if self else 0
+
+    @property
     def lead(self) -> float:
         """Least time from a sample to the end of its newest step, but for rounding [s]."""
         return self.delay * (1.0 + _ROUNDING)

@@ -14,7 +14,7 @@ from .proposal import DOUBTFUL, Proposal, going_back, without_rounding
 from .retuner import Retuner, RetunerSnapshot
 
 _FEWEST: Final = 5
-"""Least number of samples since the onset at which a search fails."""
+"""Least number of samples since the onset, and since the first search of several, at which a search fails."""
 _PATIENCE: Final = 20
 """Number of samples after which a search without end counts as failed."""
 _TOLD_APART: Final = 1.5
@@ -168,7 +168,8 @@ class DiagnosingRetuner(RetunerCounts[Retuner]):
         if has_ended and best is not None and self._is_vain(verdict):
             self._retuner.distrust()
         has_ended |= self._is_endless and diagnosis.n_since >= _PATIENCE
-        if has_ended and diagnosis.n_since >= _FEWEST and diagnosis.comparison.has_failed:
+        n_samples = min(diagnosis.n_since, self._retuner.n_searched)
+        if has_ended and n_samples >= _FEWEST and diagnosis.comparison.has_failed:
             failed = diagnosis.searches.fail(t, best, held)
             if failed is not None:
                 return self._ended(t, proposal, failed.undo, held, failed.events)

@@ -25,6 +25,8 @@ from ..triggers import Trigger
 from .proposal import Proposal
 from .search import Budget, Search, SearchSnapshot
 
+_APART = 5
+"""Number of samples without a search after which the next one has nothing to do with the one before."""
 _TOGETHER = "many samples together contradict the parameters in force, though none does by itself"
 
 
@@ -38,6 +40,8 @@ class RetunerSnapshot:
     arrival_cost: ArrivalCost | None
     before_search: ArrivalCost | None
     searched: Vector | None
+    n_searched: int
+    n_idle: int
     is_waiting: bool
 
     def copy(self) -> "RetunerSnapshot":
@@ -75,6 +79,9 @@ class Retuner:
         self._filter = cast(Following, estimator).filter if is_following else None
         self._is_waiting = False  # whether the newest episode began on a window that waits
         self._searched: Vector | None = None  # where the newest search ended
+        self._n_idle = 0  # samples since the newest search
+        self.n_searched = 0
+        """Number of samples since the newest search began, or the first of several, one soon after the other."""
         self._believed: Vector | None = None  # the newest estimate of the present episode
         self.n_episodes = 0
 
@@ -87,6 +94,8 @@ class Retuner:
         begun = perf_counter()
         if sample is not None:
             self._window.append(sample)
+            self.n_searched += 1
+            self._n_idle = 0 if self.is_searching else self._n_idle + 1
         elif not self.is_searching or self._search.solves:  # an equal window has nothing new to solve
             return Proposal()
         events: list[Event] = []
@@ -227,8 +236,9 @@ class Retuner:
             return None
         known = (None, None) if self._filter is None else (self._filter.arrival_cost, self._filter.before_search)
         return RetunerSnapshot(
-            self._sliding.copy(), self._search.snapshot(), self._believed, *known, self._searched, self._is_waiting
-        )
+            self._sliding.copy(), self._search.snapshot(), self._believed, *known, self._searched, self.n_searched,
+            self._n_idle, self._is_waiting,
+        )  # fmt: skip
 
     def restore(self, snapshot: RetunerSnapshot, held: Vector) -> None:
         """Go back to a snapshot, which is used up; held (d,): the controller's parameters then.
@@ -238,6 +248,7 @@ class Retuner:
         snapshot.window.n_model_calls = self._window.n_model_calls
         self._window, self._believed = snapshot.window, snapshot.believed
         self._searched, self._is_waiting = snapshot.searched, snapshot.is_waiting
+        self.n_searched, self._n_idle = snapshot.n_searched, snapshot.n_idle
         if self._filter is not None:
             self._filter.arrival_cost, self._filter.before_search = snapshot.arrival_cost, snapshot.before_search
         self._search.restore(snapshot.search, held)
@@ -304,6 +315,8 @@ class Retuner:
     def _begin(self, t: float, held: Vector, reason: str) -> Event:
         """Begin an episode; return its event at t [s], with its samples in words, if not simply the newest ones."""
         self.n_episodes += 1
+        if self._n_idle > _APART:
+            self.n_searched = 1
         if self._filter is not None:
             self._filter.begin_search(held)
         self._search.begin(self._window, held)

@@ -7,8 +7,10 @@ import pytest
 
 from cosim.authoring.check import check
 from cosim.campaigns.compare import compare
+from cosim.campaigns.replay import replayed
 from cosim.errors import CosimError, ScenarioError
 from cosim.estimator_fmu.settings import estimator_settings
+from cosim.runs.result import read_run
 from cosim.runs.simulation import run
 from cosim.scenarios.scenario import Scenario
 
@@ -60,6 +62,51 @@ def test_nothing_is_written_for_a_state_whose_sensor_is_wrong(bare, fault, told)
     result = run(Scenario.load(bare, overrides), "target")
     assert told in result.observations["found"]
     assert result["controller.m"][-1] == 2.0
+
+
+FRICTION = {
+    "scenario.stop_time": "2.9",  # before anything changes
+    "sampling": (
+        '{ derivatives = { "plant.der(phi_dot)" = { of = "plant.phi_dot" } }, '
+        'filter = { kind = "savitzky-golay", points = 9, order = 3 }, '
+        'states = { "plant.phi" = { noise = 1e-4 }, "plant.phi_dot" = { noise = 1e-4 } } }'
+    ),
+}
+
+
+@pytest.mark.full_but("0-target")
+@pytest.mark.parametrize("estimator", ["target", "least-squares"])
+@pytest.mark.parametrize("seed", range(3))
+def test_friction_and_a_dead_band_within_a_filter_s_mean_are_no_changed_parameters(tmp_path, estimator, seed):
+    """Neither where it runs nor where it is replayed: the true parameters explain each sample that is judged."""
+    result = run(Scenario.load("stiction", FRICTION), estimator, seed, _new(tmp_path))
+    assert result.n_episodes == 0
+    assert [result.diagnosis[kind] for kind in ("disturbance", "unexplained", "rest")] == [0, 0, 0]
+    assert replayed(read_run(tmp_path / "run"), estimator, seed).n_episodes == 0
+
+
+SPEEDS = [f"plant.{name}" for name in ("v_x", "v_y", "v_z", "Omega_x", "Omega_y", "Omega_z")]
+PLACES = [f"plant.{name}" for name in ("r_x", "r_y", "r_z", *(f"R_{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)))]
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(
+    ("seed", "n_points", "every", "noisy", "budget"),
+    [(1, 9, 8, SPEEDS, 30), (3, 11, 11, [*PLACES, *SPEEDS], 150), (2, 11, 5, [*PLACES, *SPEEDS], 30)],
+)
+def test_a_jump_soon_after_a_drift_is_found(seed, n_points, every, noisy, budget):
+    """The mass drifts for seconds, so that samples are suspicious all the time: that a search has failed follows from
+    those since it began. It began on a mean over the jump at t = 9 s, which no parameters explain; of samples that
+    overlap there are two."""
+    derivatives = {f"plant.der({name.removeprefix('plant.')})": {"of": name} for name in SPEEDS}
+    states = {name: {"noise": 1e-4} for name in noisy}
+    points = {"kind": "savitzky-golay", "points": n_points, "order": 3, "every": every}
+    sampling = {"derivatives": derivatives, "filter": points, "states": states}
+    settings = {"scenario.stop_time": 9.6, "sampling": sampling, "estimation.budget": budget}
+    result = run(Scenario.load("quadrotor", settings), "target", seed)
+    assert result.diagnosis["rest"] == 0
+    assert result["plant.m"][[890, 960]].round(2).tolist() == [1.33, 2.1]
+    assert result["controller.m"][[890, 930, 960]] == pytest.approx(result["plant.m"][[890, 930, 960]], rel=0.02)
 
 
 def test_what_the_filter_made_is_recorded_with_its_time_beside_what_was_measured(bare, tmp_path):

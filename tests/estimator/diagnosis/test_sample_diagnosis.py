@@ -1526,6 +1526,15 @@ def test_a_lag_from_the_start_of_inputs_that_samples_have_means_of_writes_nothin
     assert not run.writes
 
 
+@pytest.mark.parametrize("n_channels", [1, 3])
+@pytest.mark.parametrize("seed", range(3))
+def test_two_samples_after_a_mean_over_a_jump_are_enough(n_channels, seed):
+    """The mean itself is of no parameters: those before it and after it make what no others do."""
+    run = FilteredRun("target", n_channels, seed=seed, is_trusting=True).go(40)
+    run.go(1, 0.6 * TRUE + 0.4 * CHANGED, added=0.15).go(2, CHANGED)
+    assert near(run.held, CHANGED, 0.06)
+
+
 @pytest.mark.parametrize(("make", "is_known"), [(Run, False), (FilteredRun, True)], ids=["sampled", "filtered"])
 def test_the_noise_of_samples_is_known_after_a_quiet_stretch_that_of_a_filter_at_once(make, is_known):
     run = make("target")

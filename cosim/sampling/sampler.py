@@ -116,9 +116,7 @@ def recorded_samples(
 ) -> list[Sample | None]:
     """Return the estimator's sample at each of these rows of a run's record; None where the filter had none.
 
-    A filter's samples get their nodes from the measurements that it made them of.
-
-    Raises KeyError for a missing column.
+    A filter's samples get their nodes from the measurements that it made them of. Raises KeyError for a missing column.
     """
     x, u, xdot, y = measured_columns(scenario, plant)
     time = "time"

@@ -27,6 +27,10 @@ _OTHER: Final = 1.5
 """Factor by which inputs are changed to see whether a derivative depends on them."""
 _UNIT: Final = 0.5
 """Error of a gain that twenty samples show."""
+_PARTED: Final = 2
+"""Number of newest samples in which a state must not follow its derivative."""
+_UNUSUAL: Final = 2.0
+"""Multiple of the most that was missed of a motion before by which each of them must be off."""
 _LEFT: Final = 0.1
 """Largest share of the squares that it may leave of what the model misses of the motion."""
 _CLOSE: Final = 0.3
@@ -61,7 +65,8 @@ class Consistency:
     `DerivativeGain` over a hundred samples or more is inconsistent, too.
 
     A state whose derivative is not sampled has a gain by its modelled derivative, where neither parameters nor inputs
-    matter to that: kinematics, as of a position.
+    matter to that: kinematics, as of a position. Where no derivative is sampled, two samples tell that it does not
+    follow that any more.
     """
 
     def __init__(
@@ -118,6 +123,8 @@ class Consistency:
             self._gain, self._n_block = self._with_block(self._rows), 0
         missed = self._missed(self._rows.transpose(1, 0, 2))
         has_jumped, has_wrong_unit = self._have_jumped(missed), self._have_wrong_unit(self._rows[1:], missed[1:])
+        if not n:  # else the pair of the state whose sensor is wrong tells
+            has_wrong_unit |= self._have_parted(missed)
         if self._is_kinematic.any() and (has_jumped[n:].any() or has_wrong_unit[n:].any() or not self._n_block):
             self._is_kinematic &= self._are_kinematic(sample, now)
         is_wrong, are_beyond = self._gain.n_wrong > 0, self._are_beyond(self._rows[1:])[:n]
@@ -183,6 +190,22 @@ class Consistency:
             is_more &= _is_multiple(aside, modelled - modelled.sum(axis=0) / len(modelled))
             is_wrong[n:] = is_more & (moved[:, n:] != 0.0).all(axis=0)
         return is_wrong
+
+    def _have_parted(self, missed: Vector) -> NDArray[np.bool_]:
+        """Return which states (k,) do not follow their modelled derivatives any more, as they did a moment ago.
+
+        So it is where the sensor of a state that they depend on begins to be wrong: the derivative jumps, and the
+        motion does not. None that stands still, as a coarse sensor does. missed (n, k): of the motions by the
+        derivatives; the older half of them shows what is usual.
+        """
+        older, newest = np.abs(missed[: len(missed) // 2]), missed[-_PARTED:]
+        if len(older) < _FEWEST:
+            return np.zeros(len(self.places), dtype=bool)
+        moved, xdot, drift, _ = self._rows[-_PARTED:].transpose(1, 0, 2)
+        usual = self._of_declared(1) + _UNUSUAL * older.max(axis=0)
+        is_far = np.abs(newest) > np.maximum(usual + self._h * np.abs(drift), _UNIT * self._h * np.abs(xdot))
+        is_one_sided = np.abs(np.sign(newest).sum(axis=0)) == _PARTED
+        return np.asarray((is_far & (moved != 0.0)).all(axis=0) & is_one_sided)
 
     def _missed(self, rows: Vector) -> Vector:
         """Return by how much (..., c) the motion over a step exceeds the derivative's, rows (4, ..., c)."""

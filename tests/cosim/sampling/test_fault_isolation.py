@@ -285,6 +285,33 @@ def test_a_coarse_position_without_derivatives_is_not_named(step):
     assert found == {}
 
 
+@pytest.mark.parametrize("first", range(200, 320, 15))
+def test_a_velocity_whose_sign_becomes_wrong_is_found_at_its_third_sample(first):
+    """The position shows it, which moves by 1e-3 a sample at least, a hundred times its noise."""
+    samples = wrong(oscillating(360, noise=1e-5), V, ERRORS["sign"], first)
+    assert abs(samples[first].x[1]) > 0.1 or pytest.skip("it turns round")
+    results, found = seen_in(states_only(samples), states_screen((1e-5, 1e-5)))
+    assert (found[S][0], set(found)) == (first + 2, {S})
+    assert all(seen.sample is None for seen in results[first + 2 : first + 30])
+
+
+@pytest.mark.parametrize("size", [0.3, 3.0])
+def test_a_blow_is_no_sensor_that_becomes_wrong(size):
+    """It moves the position as well."""
+    samples = states_only(oscillating(400, kick=lambda k: size if k == 250 else 0.0, noise=1e-5))
+    _, found = seen_in(samples, states_screen((1e-5, 1e-5)))
+    assert found == {}
+
+
+@pytest.mark.parametrize("step", [0.002, 0.02])
+def test_a_coarse_position_that_sets_off_is_not_named(step):
+    """From rest on, by up to several steps of its sensor a sample; the velocity is exact."""
+    moving = [(0.5 * 3.0 * (t := max(0.0, k * H - 1.0)) ** 2, 3.0 * t) for k in range(300)]
+    coarse = [Sample(k * H, (step * round(s / step), v), (0.0,), ()) for k, (s, v) in enumerate(moving)]
+    _, found = seen_in(coarse, states_screen((0.0, 0.0)))
+    assert found == {}
+
+
 # A sensor that is late: the motion by the integrated derivative differs by the derivative's change times the delay.
 
 

@@ -35,6 +35,8 @@ _SPARE: Final = 12
 """Least number of values in excess of those fitted that can tell drifting parameters from whatever changes smoothly."""
 USUAL_RATE: Final = 0.0025
 """Standard deviation of a drifting parameter's change from sample to sample, as a share of the scaled bounds."""
+LARGEST_RATE: Final = 2.0 * USUAL_RATE
+"""Largest change of a parameter from sample to sample, as a share of the scaled bounds: faster, it is none."""
 _ORDER: Final = 2
 """Highest power of time in a disturbance that changes."""
 MARGIN: Final = 10.0

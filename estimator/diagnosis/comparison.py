@@ -10,13 +10,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrival_cost import ArrivalCost
-from ..contract import Estimate
 from ..differences import OfMany, value_and_slope
 from ..hypotheses import (
+    LARGEST_RATE,
     MARGIN,
     NEVER,
-    USUAL_RATE,
     ChangedParameters,
     Disturbance,
     Fit,
@@ -30,19 +28,13 @@ from ..identifiability import information
 from ..significance import FALSE_ALARM, chi2_limit
 from ..space import Vector
 from .evidence import Evidence
-from .jump import followed_jump, jump_to
+from .jump_comparison import JumpComparison
 from .lag_comparison import LagComparison
+from .noise_comparison import NoiseComparison
 from .quiet_comparison import QuietComparison, shorter
 from .residual_scale import (
-    LARGER,
-    LARGEST,
-    MUCH_LARGER,
-    NOISY,
     TOO_SMALL,
-    is_rough,
-    is_smooth,
     larger_noise,
-    spread_of,
 )
 from .settings import BETTER, FEWEST, LONG, QUIET, Judgement
 from .standardised_residuals import StandardisedResiduals
@@ -51,8 +43,6 @@ from .verdict import Verdict
 
 _LENGTHS: Final = (5, 4, 3, 2, 1)
 """Numbers of newest samples on which the hypotheses are compared, until changed parameters explain them."""
-_RATE: Final = 2.0 * USUAL_RATE
-"""Largest change of a parameter from sample to sample, as a share of the scaled bounds: faster, it is none."""
 _SPARE: Final = 8
 """Least number of values in excess of those fitted that show a known disturbance to have changed with parameters."""
 _STEP: Final = 1e-6
@@ -79,6 +69,10 @@ class HypothesisComparison:
         self._space = residuals.space
         self.quiet = QuietComparison(state, residuals)
         """Comparison while no sample contradicts the parameters in force."""
+        self.jumps = JumpComparison(state, residuals)
+        """Comparison on the samples after a jump of the parameters."""
+        self.noise = NoiseComparison(state, residuals, self.best)
+        """Comparison with larger noise."""
 
     def judge(self, theta: Vector, held: Vector, *, is_filter: bool = False) -> Judgement:
         """Return whether parameters theta (d,) in place of those in force are warranted by the newest samples.
@@ -114,7 +108,7 @@ class HypothesisComparison:
         Now and then. held (d,): in force.
         """
         state = self._state
-        return not state.n_samples % QUIET and self.has_changed(held, len(state.samples), at_most=_RATE)
+        return not state.n_samples % QUIET and self.has_changed(held, len(state.samples), at_most=LARGEST_RATE)
 
     def lags(self, theta: Vector) -> bool:
         """Return whether an estimate theta (d,) does not explain the newest samples, which other parameters may."""
@@ -122,78 +116,6 @@ class HypothesisComparison:
         if not state.n_since or state.verdict.is_refuted:
             return False
         return not plain_fit(self._residuals.of_newest(theta, min(state.verdict.n_explained, FEWEST)), 0).is_explained
-
-    def jump(self, held: Vector, *, is_filter: bool) -> Estimate | None:
-        """Return the parameters that explain the samples since the onset and are determined by them, or None.
-
-        A filter can go on from parameters that only the newest samples explain, and that they do not determine, too.
-        A search can where every sample contradicts what was in force by far: the nearest parameters that explain two
-        samples, or one of a derivative filter, which lasts long, are written if they are predicted to do no harm. While
-        the parameters drift there is nothing for a search: it seeks again after a quarter as many samples as that has
-        lasted, 20 at most.
-        """
-        state = self._state
-        if not is_filter and state.n_samples < state.next_jump and state.n_since >= QUIET:
-            return None
-        reference = state.reference_or(held)
-        z = self._space.to_unit(reference)
-        lengths = (*self._since_jump(state.n_since), *((state.verdict.n_explained,) if is_filter else ()))
-        is_obvious = not is_filter and self._n_obvious(reference) == state.n_since
-        if not (is_filter or is_obvious) and state.n_since < 2:
-            return None
-        may_be_exact = is_obvious and (state.n_since > 1 or bool(state.inputs.means))
-        found = jump_to(self._residuals.at_newest, dict.fromkeys(lengths), z, self._space, may_be_exact=may_be_exact)
-        restless = min(state.n_samples - state.restless_since, 4 * WINDOW)
-        state.next_jump = state.n_samples + max(state.n_since, restless) // 4 if found is None else 0
-        return found if found is None or is_filter or is_obvious or all(found.is_identifiable) else None
-
-    def followed_jump(self, held: Vector, drift: float) -> ArrivalCost | None:
-        """Return what the samples after a jump of the parameters say of them, while they drift; None without a jump.
-
-        Each of these samples contradicts what was in force by far, and nothing else explains them nearly as well. The
-        suspicion goes on from the first of them: those before it are of other parameters.
-        drift: standard deviation of a parameter's change from sample to sample, as a share of the scaled bounds.
-        """
-        state = self._state
-        reference = state.reference_or(held)
-        n_obvious = 0 if state.is_resting.any() else self._n_obvious(reference)
-        for n in self._since_jump(n_obvious):
-            found = self._followed_jump(reference, n, drift) if 1 < n <= QUIET else None
-            if found is not None:
-                state.n_since = n
-                return found
-        return None
-
-    def _followed_jump(self, reference: Vector, n: int, drift: float) -> ArrivalCost | None:
-        """Return what the newest n samples say of parameters that have jumped before them, if nothing else does."""
-        found = followed_jump(self._residuals.at_newest(n), n, self._space.to_unit(reference), drift)
-        if found is None:
-            return None
-        before = self._residuals.of_newest(reference, n)
-        weighing = Weighing(found[1], disturbance_of(before).fit, plain_fit(before, 0))
-        return found[0] if weighing.are_parameters_proven else None
-
-    def _since_jump(self, n: int) -> range:
-        """Return how many samples may be of the parameters since a jump, n having contradicted those before it.
-
-        The first ones of a derivative filter may be means over the jump, which no parameters explain.
-        """
-        return range(n, max(n - self._state.inputs.means.n_mixed, 1) - 1, -1)
-
-    def _n_obvious(self, theta: Vector) -> int:
-        """Return how many newest samples since the onset contradict theta (d,), each even with ten times the noise."""
-        rows = self._residuals.of_newest(theta, self._state.n_since) / TOO_SMALL
-        explained = (i for i, row in enumerate(rows[::-1]) if plain_fit(row[None], 0).is_explained)
-        return next(explained, len(rows))
-
-    def if_noise(self, held: Vector) -> Vector | None:
-        """Return the reference (d,) where noise of ten times the known size explains the samples since the onset.
-
-        held (d,): in force, for want of a reference. None where they are no noise.
-        """
-        reference = self._state.reference_or(held)
-        rows = self._residuals.of_newest(reference, self._state.n_since) / TOO_SMALL
-        return reference if plain_fit(rows, 0).is_explained else None
 
     def has_changed_in_rest(self, held: Vector) -> bool:
         """Return whether changed parameters explain the newest hundred samples, and nothing else nearly as well.
@@ -257,16 +179,11 @@ class HypothesisComparison:
             if state.is_disproved and n < min(QUIET, state.n_since):
                 return
             found = changed_parameters(self._residuals.at_newest(n), z, self._residuals.times_of_newest(n))
-            if was_proven and n == min(QUIET, state.n_since) and not self._may_be_over_jump(reference, n):
+            if was_proven and n == min(QUIET, state.n_since) and not self.jumps.may_be_over(reference, n):
                 state.is_disproved |= not plain_fit(found.rows / TOO_SMALL, 0).is_explained
-            if found.rate <= _RATE and self._wins(found.fit, reference, n):
+            if found.rate <= LARGEST_RATE and self._wins(found.fit, reference, n):
                 state.changed = found.z
                 return
-
-    def _may_be_over_jump(self, reference: Vector, n: int) -> bool:
-        """Return whether some of the newest n samples of a derivative filter may be from before a jump, or over it."""
-        n_mixed = self._state.inputs.means.n_mixed
-        return n_mixed > 0 and self._n_obvious(reference) < n + n_mixed
 
     def _wins(self, parameters: Fit, reference: Vector, n: int) -> bool:
         """Set the verdict where changed parameters are possible by their fit to the newest n samples."""
@@ -318,7 +235,7 @@ class HypothesisComparison:
         """Return whether parameters, constant ones or slowly changing, explain the newest n samples."""
         found = self.best(held, n, may_drift=may_drift)
         self._evidence.note(n, parameters=found.fit)
-        return found.fit.is_explained and found.rate <= _RATE
+        return found.fit.is_explained and found.rate <= LARGEST_RATE
 
     def with_disturbance(self, held: Vector, n: int, channels: NDArray[np.bool_] | None = None) -> Disturbance | None:
         """Return the constant disturbance that explains the newest n samples together with changed parameters.
@@ -378,47 +295,3 @@ class HypothesisComparison:
             squares = np.nan_to_num(np.sum(rows**2, axis=0), nan=np.inf)
         lacks = squares > chi2_limit(FALSE_ALARM / rows.shape[1], len(rows))
         return lacks if lacks.any() else ~self._state.is_resting
-
-    def adopt_white_noise(self, held: Vector, reference: Vector) -> bool:
-        """Adopt a larger noise where a white one explains a full window since the onset, and nothing else does as well.
-
-        With the parameters from before it, the reference (d,), and up to twenty times as large. held (d,): in force.
-        """
-        state, n = self._state, self._state.n_since
-        if n < WINDOW or state.verdict.is_warranted:
-            return False
-        rows = self._residuals.of_newest(reference, n)
-        size = np.maximum(np.sqrt(np.mean(rows**2, axis=0)), 1.0)
-        if size.max() >= LARGEST or not is_rough(rows) or is_smooth(rows):
-            return False
-        others = disturbance_of(rows).fit, self.best(held, n, may_drift=True).fit
-        if larger_noise(rows).score + MARGIN > min(fit.score for fit in others):
-            return False
-        state.scale.enlarge(size)
-        return True
-
-    def adopt_noise(self, held: Vector) -> bool:
-        """Adopt a larger noise where that explains the samples since the onset, with those in force or the best ones.
-
-        Noise is what differs from sample to sample by as much as in the whole: what a model lacks is smooth.
-        """
-        state = self._state
-        if state.n_since < NOISY:
-            return False
-        few = min(state.n_since, WINDOW // 2)
-        best = self.best(held, few, may_drift=False).z
-        for n, z, least in ((state.n_since, self._space.to_unit(held), MUCH_LARGER), (few, best, LARGER)):
-            rows_at = self._residuals.at_newest(n)
-            rows = rows_at(z)
-            larger = np.maximum(spread_of(rows), 1.0)
-            if not np.all(np.isfinite(rows)) or np.all(larger < least):
-                continue
-            times = self._residuals.times_of_newest(n)
-            found = changed_parameters(OfMany(lambda z, f=rows_at, larger=larger: f(z) / larger), z, times)
-            left = found.rows * larger
-            noise = np.maximum(spread_of(left), 1.0)
-            is_noise = noise.max() < LARGEST and not is_smooth(left)
-            if is_noise and found.rate <= _RATE and found.fit.is_explained:
-                state.scale.enlarge(noise)
-                return True
-        return False

@@ -236,7 +236,7 @@ class Diagnosis:
         parameters, nothing = plain_fit(of_held, len(self._space)), plain_fit(of_reference, 0)
         self.evidence.note(n, nothing=nothing, disturbance=disturbance.fit)
         is_noise = is_changed and nothing.is_explained and nothing.score <= min(parameters.score, disturbance.fit.score)
-        if is_noise or self.comparison.adopt_white_noise(held, reference):
+        if is_noise or self.comparison.noise.adopt_white(held, reference):
             return self._effects.larger_noise(reference, held, n)
         if is_changed and is_explained and parameters.is_explained:
             self.evidence.note(n, parameters=parameters)

@@ -79,7 +79,9 @@ class SearchDiagnosis:
         """
         state = self._state
         n = min(state.n_since, QUIET)
-        if state.n_since < NOISY and self._comparison.if_noise(held) is not None:  # as where a filter gives few samples
+        if (
+            state.n_since < NOISY and self._comparison.noise.if_noise(held) is not None
+        ):  # as where a filter gives few samples
             return None
         reference = state.reference_or(held)
         rows = self._residuals.of_newest(reference, n)
@@ -94,7 +96,7 @@ class SearchDiagnosis:
             return self._effects.adopt(t, late)
         if self._comparison.is_changing(held, n) and not state.is_resting.any():
             return None
-        if self._comparison.adopt_noise(held):
+        if self._comparison.noise.adopt(held):
             return self._effects.only_noise(state.n_since)
         both = self._comparison.with_disturbance(held, n)
         explaining = [d for d in (found, both) if d is not None and d.fit.is_explained]

@@ -132,7 +132,7 @@ class DiagnosingRetuner(RetunerCounts[Retuner]):
         """Return the retuner's proposal: a filter's in the place of its search, where one has followed a jump."""
         drift = self._retuner.drift_to_follow
         if sample is not None and drift is not None:
-            known = self._diagnosis.comparison.followed_jump(held, drift)
+            known = self._diagnosis.comparison.jumps.followed(held, drift)
             if known is not None:
                 return self._retuner.follow_jump(t, sample, known, held)
         return self._retuner.step(t, sample, tracking_error, held)
@@ -157,7 +157,7 @@ class DiagnosingRetuner(RetunerCounts[Retuner]):
         comparison, is_warranted = diagnosis.comparison, verdict == "warranted"
         if is_warranted and not comparison.may_be_disturbed:
             return proposal
-        if_noise, rival = comparison.if_noise(held), comparison.disturbance(held)
+        if_noise, rival = comparison.noise.if_noise(held), comparison.disturbance(held)
         return replace(proposal, if_noise=if_noise, possible_disturbance=rival, is_warranted=is_warranted)
 
     def _search_ended(self, t: float, proposal: Proposal, verdict: Judgement, held: Vector) -> Proposal | None:
@@ -222,7 +222,7 @@ class DiagnosingRetuner(RetunerCounts[Retuner]):
 
         A filter's own parameters are not written where no parameters explain more than can always be explained.
         """
-        jump = self._diagnosis.comparison.jump(held, is_filter=self._is_endless)
+        jump = self._diagnosis.comparison.jumps.found(held, is_filter=self._is_endless)
         if jump is None:
             return proposal, "refuted" if self._is_endless and not self._diagnosis.comparison.is_tested else verdict
         if self._is_endless:

@@ -489,7 +489,7 @@ def test_two_samples_are_enough_for_two_parameters_where_both_contradict(truth, 
     for first in (True, False):  # a change stays, a spike does not
         run.diagnosis.observe(run.sample(truth, added if first else 0.0), TRUE)
         run.k += 20
-        found = run.diagnosis.comparison.jump(TRUE, is_filter=False)
+        found = run.diagnosis.comparison.jumps.found(TRUE, is_filter=False)
         assert found is None or not first
     assert (found is not None) == is_found
     assert found is None or near(found.theta, CHANGED)
@@ -499,12 +499,12 @@ def test_two_samples_are_enough_for_two_parameters_where_both_contradict(truth, 
 def test_constant_parameters_are_seldom_sought_while_they_drift(is_filter, most, monkeypatch):
     run, sought = Run("target", 3), []
     monkeypatch.setattr(
-        "estimator.diagnosis.comparison.jump_to", lambda *a, **k: sought.append(run.k) or jump_to(*a, **k)
+        "estimator.diagnosis.jump_comparison.jump_to", lambda *a, **k: sought.append(run.k) or jump_to(*a, **k)
     )
     for k in range(40):
         run.diagnosis.observe(run.sample(TRUE + 0.05 * k, 0.0), TRUE)
         run.k += 1
-        found = run.diagnosis.comparison.jump(TRUE, is_filter=is_filter)
+        found = run.diagnosis.comparison.jumps.found(TRUE, is_filter=is_filter)
     assert found is None
     assert len(sought) <= most
     assert sought[-1] >= 33
@@ -1558,7 +1558,7 @@ def test_parameters_that_change_later_are_not_taken_for_a_lag_from_the_start(est
 def test_one_sample_of_a_filter_that_no_noise_excuses_is_explained_at_once(make, is_exact):
     """Without a filter it may be an outlier, and the next one comes soon."""
     run = make("target").go(30).go(1, np.array([4.0, -3.0]))
-    estimate = run.diagnosis.comparison.jump(TRUE, is_filter=False)
+    estimate = run.diagnosis.comparison.jumps.found(TRUE, is_filter=False)
     assert (estimate is not None) == is_exact
     if is_exact:
         newest = run.diagnosis.residuals.of_newest(estimate.theta, 1)

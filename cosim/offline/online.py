@@ -8,42 +8,32 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from time import perf_counter
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
-from estimator import METHODS, EpisodeWindow, ParameterSpace, Sample, Vector
+from estimator import METHODS, EpisodeWindow, ParameterSpace, Vector
 from estimator.contract import Rescoring
 from estimator.diagnosis.episode_diagnosis import EpisodeDiagnosis
 from estimator.diagnosis.settings import DiagnosisSettings
 from estimator.events import Event
-from estimator.retuning.factory import make_episodes
+from estimator.retuning.factory import AnyRetuner, make_episodes
 from estimator.retuning.search import Budget
 from estimator.triggers import InnovationSettings
 
-from ..errors import ScenarioError, WiringError
-from ..fmi.archive import capabilities, has_fixed_step
-from ..fmi.component import Component
-from ..fmi.ports import Catalogue
-from ..fmi.types import is_real
-from ..objectives.hidden_states import Suspect, hidden_states
+from ..errors import ScenarioError
 from ..objectives.rollout import RolloutObjective
 from ..objectives.rollout_check import PROOF_STEPS
-from ..objectives.rollout_fmu import START_METHODS, Shadow, StartMethod, obstacles_in_words
 from ..objectives.rollout_start import NoisyStartObjective
 from ..retuning.data_support import NoDataSupport
 from ..retuning.decision import Point
 from ..retuning.supervisor import Supervisor
-from ..sampling.screen import OutputScreen
-from ..scenarios.schema.sampling import ObservationSettings
 from .log_windows import LogWindow
 from .one_by_one import OneByOne
+from .online_plant import OnlinePlant
 from .request import EstimateError, Request
-from .rollout import Grid, grid_of, noise_of
 from .understood import Understood, out_of_bounds, understand
 
-_MOVING: Final = ("output", "local")
-"""Causalities of variables that change while the FMU runs: with a start value, they are states."""
 SampleProgress = Callable[[int, int], None]
 """Function called with the number of samples taken so far, and the number of all."""
 
@@ -137,12 +127,11 @@ def run_online(
     understood = understand(request)
     if wrong := next(iter(out_of_bounds(request, understood.component)), None):
         raise EstimateError(f"--online begins with the values in force, and {wrong}: give wider bounds, or --start.")
-    is_even = has_fixed_step(understood.component.description)
-    n_points = max(len(_grid(window, request.step, is_even).times) for window in understood.windows)
+    plant = OnlinePlant(request, understood)
+    n_points = max(plant.n_points(window) for window in understood.windows)
     if n_samples >= n_points:
         points = f"{n_points} {'rows' if request.step is None else 'communication points'}"
         raise EstimateError(f"--samples must be less than the {points} of the longest window, got {n_samples}.")
-    obstacles = _obstacles(request, understood)
     rngs = np.random.default_rng(request.seed).spawn(len(understood.windows))
     n_before, n_all = 0, sum(len(w.time) for w in understood.windows)
     watched: list[Watched] = []
@@ -151,7 +140,7 @@ def run_online(
         report_progress = partial(_told, progress, n_before, n_all)
         counts = n_samples, n_per_sample
         theta = understood.nominal if window.part == 1 else theta
-        watched.append(_watched(request, understood, obstacles, window, theta, counts, rng, report_progress))
+        watched.append(_watched(request, plant, window, theta, counts, rng, report_progress))
         theta = watched[-1].theta
         n_before += len(window.time)
     return Online(request, understood, n_samples, tuple(watched), perf_counter() - began)
@@ -163,8 +152,7 @@ def _told(progress: SampleProgress, n_before: int, n_all: int, n: int) -> None:
 
 def _watched(
     request: Request,
-    understood: Understood,
-    obstacles: Mapping[StartMethod, str],
+    plant: OnlinePlant,
     window: LogWindow,
     theta: Vector,
     counts: tuple[int, int],
@@ -176,39 +164,15 @@ def _watched(
     theta: parameters (d,) in use at its start.
     counts: samples that a candidate is evaluated on, candidates evaluated at each sample.
     """
-    start_theta, space = theta, understood.space
-    interface: Any = capabilities(understood.component.description)
-    others = _other_inputs(request, understood.component)
-    inputs = (*request.inputs, *others)
-    is_even = has_fixed_step(understood.component.description)
-    samples, u0 = _samples(window, request.step, is_even, tuple(others.values()))
-    names, states, outputs = set(space.names), _states(request), tuple(request.measured)
-    start = dict(zip(inputs, u0, strict=True)) | request.constants | dict(window.start)
-    shadow = Shadow(
-        request.fmu, inputs, states, tuple(request.measured), tuple(understood.noise.tolist()),
-        space.names, {name: value for name, value in start.items() if name not in names}, samples[0].t, samples[-1].t,
-        not interface.canBeInstantiatedOnlyOncePerProcess, obstacles, request.timeout,
-        request.environment, told_by=_told_by(request, understood),
-    )  # fmt: skip
-    suspects = _suspects(understood.component, shadow)
-    if "measured" not in obstacles and suspects:
-        hidden = hidden_states(shadow, samples, theta, suspects, 2 * counts[0])
-        shadow = shadow if hidden is None else replace(shadow, obstacles={**obstacles, "measured": hidden})
-    noise = noise_of([replace(w, measured=w.states) for w in understood.windows]).tolist()
+    start_theta = theta
+    samples, shadow = plant.replayed(window, theta, 2 * counts[0])
+    noise = plant.noise_of_states
     events: list[Event] = []
     with NoisyStartObjective(partial(RolloutObjective, shadow, theta, None, None, request.jobs), noise) as objective:
-        n_samples, n_per_sample = counts
-        stretch = EpisodeWindow(objective, n_samples)
-        diagnosis = EpisodeDiagnosis(stretch, outputs, inputs, DiagnosisSettings(), space)
-        budget = Budget(request.evaluations, n_per_sample)
-        retuner = make_episodes(
-            _search(request, space, theta, rng), stretch, InnovationSettings(), budget,
-            objective.describe, diagnosis=diagnosis,
-        )  # fmt: skip
+        search = _search(request, plant.understood.space, theta, rng)
+        retuner = _retuner(request, plant, search, objective, counts)
         macro_step = samples[1].t - samples[0].t
-        of_outputs, of_states = zip(outputs, understood.noise.tolist(), strict=True), zip(states, noise, strict=True)
-        screen = OutputScreen(ObservationSettings(), dict(of_outputs), dict(of_states), macro_step, may_be_missing=True)
-        supervisor = Supervisor(request.method, retuner, NoDataSupport(), screen)
+        supervisor = Supervisor(request.method, retuner, NoDataSupport(), plant.screen(macro_step))
         for k, sample in enumerate(samples[1:], 1):
             try:
                 decision = supervisor.step(Point(k, sample.t, sample, 0.0), theta)
@@ -224,6 +188,19 @@ def _watched(
             not_begun=None if objective.is_ready else _not_begun(len(samples)),
             found=_in_time_of_log(supervisor.summary(), window.origin),
         )  # fmt: skip
+
+
+def _retuner(
+    request: Request, plant: OnlinePlant, search: Any, objective: NoisyStartObjective, counts: tuple[int, int]
+) -> AnyRetuner:
+    """Return the re-tuning of one window, by episodes of a search on roll-outs; counts: as in `_watched`."""
+    n_samples, n_per_sample = counts
+    stretch = EpisodeWindow(objective, n_samples)
+    diagnosis = EpisodeDiagnosis(
+        stretch, tuple(request.measured), plant.inputs, DiagnosisSettings(), plant.understood.space
+    )
+    budget = Budget(request.evaluations, n_per_sample)
+    return make_episodes(search, stretch, InnovationSettings(), budget, objective.describe, diagnosis=diagnosis)
 
 
 def _in_time_of_log(found: Mapping[str, Any], origin: float) -> Mapping[str, Any]:
@@ -248,92 +225,3 @@ def _search(request: Request, space: ParameterSpace, theta: Vector, rng: np.rand
     of_method = {k: v for k, v in method.defaults.items() if k in method.setting_names}
     search = method.estimator(space, theta, rng, method.settings(**of_method))
     return OneByOne(search) if isinstance(search, Rescoring) else search
-
-
-def _grid(window: LogWindow, step: float | None, is_even: bool) -> Grid:
-    """Return the communication points within the window. Raises EstimateError, LogError."""
-    distance = float(np.median(np.diff(window.time)))
-    if step is not None and step < 0.99 * distance:
-        raise EstimateError(f"--online takes samples {distance:g} s apart: --step must be so long at least.")
-    grid = grid_of(window, step, is_even)
-    is_beyond = grid.rows is not None and grid.times[-1] > grid.rows[-1] + 1e-9 * distance
-    return grid if not is_beyond else grid._replace(times=grid.times[:-1], inputs=grid.inputs[:-1])
-
-
-def _samples(
-    window: LogWindow, step: float | None, is_even: bool, others: tuple[float, ...]
-) -> tuple[list[Sample], list[float]]:
-    """Return a sample for each row, or communication point, in the FMU's time; and the inputs in the first row.
-
-    others: values of the inputs that have no column, which come last.
-    """
-    times, inputs, rows = _grid(window, step, is_even)
-    table = np.column_stack([window.states, window.measured])
-    if rows is not None:
-        table = np.column_stack([np.interp(times, rows, column, right=np.nan) for column in table.T])
-    held, n = [inputs[0], *inputs], window.states.shape[1]
-    return [
-        Sample(t, tuple(row[:n]), (*u, *others), (), tuple(row[n:]))
-        for t, u, row in zip(times, held, table.tolist(), strict=True)
-    ], [*held[0], *others]
-
-
-def _other_inputs(request: Request, component: Component) -> dict[str, float]:
-    """Return the values of the inputs without a column: what the log does not show may act on them all the same."""
-    taken = {*request.inputs, *request.start_columns}
-    others = [v for v in component.having("input") if is_real(v.type) and v.name not in taken]
-    start = {v.name: request.constants.get(v.name, v.start) for v in others}
-    return {name: float(value) for name, value in start.items() if value is not None}
-
-
-def _states(request: Request) -> tuple[str, ...]:
-    """Return the variables that start as their column does: the states; that none is missing is tested later."""
-    return tuple(request.start_columns)
-
-
-def _suspects(component: Component, shadow: Shadow) -> list[Suspect]:
-    """Return the variables that may be states without a column: with a start value, or a declared derivative."""
-    known = {*shadow.states, *shadow.told_by.values()}
-    moving = [v for v in component.variables.values() if v.causality in _MOVING and is_real(v.type)]
-    return [
-        Suspect(v.name, float(v.start or 0.0))
-        for v in moving
-        if v.name not in known
-        and v.variability in ("continuous", "discrete")
-        and (v.start is not None or v.name in component.derivatives)
-    ]
-
-
-def _told_by(request: Request, understood: Understood) -> dict[str, str]:
-    """Return the output with the column, and the unit, of each parameter that a state starts as."""
-    variables, unit = understood.component.variables, understood.component.unit
-    outputs = [(column, unit(name), name) for name, column in request.measured.items()]
-    found: dict[str, str] = {}
-    for name in _states(request):
-        same = [output for column, of, output in outputs if (column, of) == (request.start[name], unit(name))]
-        if same and variables[name].causality == "parameter":
-            found[name] = same[0]
-    return found
-
-
-def _obstacles(request: Request, understood: Understood) -> dict[StartMethod, str]:
-    """Return the ways of beginning a roll-out that do not work, with reasons. Raises EstimateError if none is left."""
-    component = understood.component
-    obstacles: dict[StartMethod, str] = {"state": "there is only the log"}
-    if not _states(request):
-        obstacles["measured"] = "no --start names the columns of the states"
-    elif numbers := [name for name in request.constants if component.variables[name].causality in _MOVING]:
-        obstacles["measured"] = f"--start gives {numbers[0]} a number, which is no measurement"
-    elif any(np.isnan(w.states[0]).any() for w in understood.windows):
-        obstacles["measured"] = "values are missing in the first row of the states' columns"
-    if unknown := [p.name for p in understood.space if component.variables[p.name].causality != "parameter"]:
-        raise EstimateError(f"--online estimates parameters, and '{unknown[0]}' is none: leave out --online.")
-    try:
-        Catalogue(request.fmu.name, component.description.modelVariables).ports(
-            "tunable parameter", understood.space.names
-        )
-    except WiringError as e:
-        obstacles["replay"] = str(e).rstrip(".")
-    if len(obstacles) == len(START_METHODS):
-        raise EstimateError(f"--online has no way to begin a roll-out: {obstacles_in_words(obstacles)}.")
-    return obstacles

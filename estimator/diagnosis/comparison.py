@@ -142,6 +142,12 @@ class HypothesisComparison:
         return self._state.verdict.is_warranted or self._state.verdict.n_spare > 0
 
     @property
+    def explains_newest_only(self) -> bool:
+        """True where parameters explain but the newest of several samples, which has as many values as they or more."""
+        verdict = self._state.verdict
+        return verdict.n_explained == 1 and self._state.n_since >= FEWEST and verdict.n_spare >= 0
+
+    @property
     def may_be_disturbed(self) -> bool:
         """True where a disturbance is to be thought of when parameters are written that are warranted."""
         return self._state.n_since > 0 and not self._state.verdict.is_certain
@@ -203,17 +209,28 @@ class HypothesisComparison:
             self._evidence.note(n, **weighing.fits)
         if is_possible:
             self._state.is_noise_known |= weighing.are_parameters_certain
-            is_doubtful = weighing.may_be_coloured or self._state.n_doubts >= _DOUBTS
-            needs_proof = is_doubtful or self._state.is_resting.any()
+            needs_proof = weighing.may_be_coloured or self._needs_proof(n, parameters)
             unproven: Judgement = "refuted" if needs_proof else "possible"
             self._state.verdict = Verdict(
                 "warranted" if weighing.are_parameters_proven else unproven,
                 weighing.are_parameters_certain,
-                n_spare=parameters.n_values - parameters.n_free,
+                n_spare=rivals[1].n_values - parameters.n_free,  # of parameters that are exact a value may be 0
                 n_explained=n,
                 found_at=self._state.n_samples,
             )
         return is_possible
+
+    def _needs_proof(self, n: int, parameters: Fit) -> bool:
+        """Return whether parameters that explain the newest n samples must be proven by them.
+
+        Where samples were doubtful too often, channels rest, or a changing disturbance has been named and not passed.
+        And where they explain several samples, but less than half of those since the onset, with more values than they
+        have: what changes all the time, as a gust, looks like parameters for a few samples, again and again.
+        """
+        state = self._state
+        if state.n_doubts >= _DOUBTS or state.is_resting.any() or state.is_disturbed:
+            return True
+        return 1 < n < state.n_since / 2 and parameters.n_values > parameters.n_free
 
     def best(self, held: Vector, n: int, *, may_drift: bool) -> ChangedParameters:
         """Return the parameters that explain the newest n samples best, whatever the search has found."""

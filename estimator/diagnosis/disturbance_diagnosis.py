@@ -47,8 +47,10 @@ class DisturbanceDiagnosis:
         state.end_suspicion()
         offset = state.offset + found.newest * state.scale.effective
         acts = _acting(np.maximum(found.largest, np.abs(offset) / state.scale.effective))
-        if found.is_constant:  # else it is another one in the next sample
+        if found.is_constant:
             state.offset, state.undisturbed = offset, before
+        else:  # it is another one in the next sample
+            state.is_disturbed = True
         how = "constant" if found.is_constant else "changing"
         reason = f"a {how} disturbance explains the samples, changed parameters do not"
         named = self._record.disturbance(t, offset, acts, reason, is_known=found.is_constant)

@@ -116,6 +116,8 @@ class DiagnosisState:
     """Parameters (d,) in force at the onset, or accepted since."""
     has_moved: bool = False
     """True where other parameters have been in force since the onset."""
+    is_disturbed: bool = False
+    """True since a changing disturbance was named, until it has been quiet."""
     is_disproved: bool = False
     """True where samples after proven parameters were explained by none, by far, since it last was quiet."""
     has_hidden_change: bool = False
@@ -172,7 +174,7 @@ class DiagnosisState:
         self.n_calm = self.n_samples - self.suspected_at - 1
         if self.n_samples >= self.suspected_at + WINDOW:
             self.restless_since, self.next_lag = self.n_samples, 0
-            self.path, self.is_disproved = self.path.begin(z), False
+            self.path, self.is_disproved, self.is_disturbed = self.path.begin(z), False, False
 
     def begin_lasting(self, theta: Vector) -> None:
         """Take parameters (d,) for those that lasted, from the newest sample on."""

@@ -214,8 +214,12 @@ class DiagnosingRetuner(RetunerCounts[Retuner]):
         diagnosis, theta = self._diagnosis, proposal.theta
         found = proposal.estimate.theta if theta is None else theta
         verdict = diagnosis.comparison.judge(found, held, is_filter=self._is_endless)
-        is_at_bound = theta is not None and diagnosis.is_at_unseen_bound(theta, proposal.estimate.std, held)
-        return "refuted" if is_at_bound else verdict
+        if theta is None:
+            return verdict
+        is_of_newest = verdict == "possible" and diagnosis.comparison.explains_newest_only
+        if is_of_newest and not all(proposal.estimate.is_identifiable):
+            return "refuted"
+        return "refuted" if diagnosis.is_at_unseen_bound(theta, proposal.estimate.std, held) else verdict
 
     def _jumped(self, proposal: Proposal, verdict: Judgement, held: Vector) -> tuple[Proposal, Judgement]:
         """Return a proposal that lags behind a jump of the plant's parameters after it has caught up, where it can.

@@ -8,7 +8,10 @@ import fmu_models
 from benchmarks.foreign_plants.plant import ForeignPlant
 from fmu_models.build import assemble, sources
 
-PLANTS: Final = ("ball", "servo", "boost", "bio", "ship", "generator", "heater", "arm", "cartpole", "crane")
+PLANTS: Final = (
+    "ball", "servo", "boost", "bio", "ship", "generator", "heater", "arm", "cartpole", "crane",
+    "maglev", "motor", "glucose", "cstr", "cylinder", "segway", "drone", "vehicle",
+)  # fmt: skip
 _ENTRY: Final = '''"""Entry script of {name}.fmu."""
 
 from benchmarks.foreign_plants.{module} import PLANT

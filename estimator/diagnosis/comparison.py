@@ -225,12 +225,14 @@ class HypothesisComparison:
 
         Where samples were doubtful too often, channels rest, or a changing disturbance has been named and not passed.
         And where they explain several samples, but less than half of those since the onset, with more values than they
-        have: what changes all the time, as a gust, looks like parameters for a few samples, again and again.
+        have: what changes all the time, as a gust, looks like parameters for a few samples, again and again. Not those
+        of a derivative filter, between which parameters that drift move far.
         """
         state = self._state
         if state.n_doubts >= _DOUBTS or state.is_resting.any() or state.is_disturbed:
             return True
-        return 1 < n < state.n_since / 2 and parameters.n_values > parameters.n_free
+        is_of_few = 1 < n < state.n_since / 2 and parameters.n_values > parameters.n_free
+        return is_of_few and not state.inputs.means
 
     def best(self, held: Vector, n: int, *, may_drift: bool) -> ChangedParameters:
         """Return the parameters that explain the newest n samples best, whatever the search has found."""

@@ -524,7 +524,9 @@ def test_an_estimator_of_ones_own_is_compared(called, own):
         "--out",
         "out",
     ]
-    code, out, err = called(*command, "--set", "scenario.stop_time=0.2", *EARLY_CHANGE)
+    code, out, err = called(
+        *command, "--set", "scenario.stop_time=0.2", "--set", "diagnosis.enabled=false", *EARLY_CHANGE
+    )
     assert (code, err) == (0, "")
     run = json.loads(out)["runs"][-1]
     assert (run["estimator"], run["run"]) == (f"{own}:Asker", f"out/{own}.Asker-0")

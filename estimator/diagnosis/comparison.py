@@ -3,6 +3,7 @@
 See `hypotheses` for the evidence, and `diagnosis` for what follows from it.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from math import inf
 from typing import Final
@@ -141,11 +142,21 @@ class HypothesisComparison:
         """True where the hypothesis of changed parameters has been proven, or could have been refuted."""
         return self._state.verdict.is_warranted or self._state.verdict.n_spare > 0
 
-    @property
-    def explains_newest_only(self) -> bool:
-        """True where parameters explain but the newest of several samples, which has as many values as they or more."""
-        verdict = self._state.verdict
-        return verdict.n_explained == 1 and self._state.n_since >= FEWEST and verdict.n_spare >= 0
+    def explains_few(self, is_identifiable: Sequence[bool]) -> bool:
+        """Return whether parameters, not proven, explain too few of the samples since the onset to be written.
+
+        Several samples, but less than half, with more values than they have: what changes all the time, as a gust,
+        looks like parameters for a few samples, again and again. Not those of a derivative filter, between which
+        parameters that drift move far. Or, of three samples at least, the newest alone, with as many values as they
+        have, where it does not determine all of them (d,).
+        """
+        state, verdict = self._state, self._state.verdict
+        if verdict.judgement != "possible":
+            return False
+        if verdict.n_explained == 1:
+            return state.n_since >= FEWEST and verdict.n_spare >= 0 and not all(is_identifiable)
+        is_of_few = verdict.n_explained < state.n_since / 2 and verdict.n_spare > 0
+        return is_of_few and not state.inputs.means
 
     @property
     def may_be_disturbed(self) -> bool:
@@ -209,7 +220,8 @@ class HypothesisComparison:
             self._evidence.note(n, **weighing.fits)
         if is_possible:
             self._state.is_noise_known |= weighing.are_parameters_certain
-            needs_proof = weighing.may_be_coloured or self._needs_proof(n, parameters)
+            is_doubtful = weighing.may_be_coloured or self._state.n_doubts >= _DOUBTS
+            needs_proof = is_doubtful or self._state.is_resting.any() or self._state.is_disturbed
             unproven: Judgement = "refuted" if needs_proof else "possible"
             self._state.verdict = Verdict(
                 "warranted" if weighing.are_parameters_proven else unproven,
@@ -219,20 +231,6 @@ class HypothesisComparison:
                 found_at=self._state.n_samples,
             )
         return is_possible
-
-    def _needs_proof(self, n: int, parameters: Fit) -> bool:
-        """Return whether parameters that explain the newest n samples must be proven by them.
-
-        Where samples were doubtful too often, channels rest, or a changing disturbance has been named and not passed.
-        And where they explain several samples, but less than half of those since the onset, with more values than they
-        have: what changes all the time, as a gust, looks like parameters for a few samples, again and again. Not those
-        of a derivative filter, between which parameters that drift move far.
-        """
-        state = self._state
-        if state.n_doubts >= _DOUBTS or state.is_resting.any() or state.is_disturbed:
-            return True
-        is_of_few = 1 < n < state.n_since / 2 and parameters.n_values > parameters.n_free
-        return is_of_few and not state.inputs.means
 
     def best(self, held: Vector, n: int, *, may_drift: bool) -> ChangedParameters:
         """Return the parameters that explain the newest n samples best, whatever the search has found."""

@@ -331,33 +331,44 @@ def pushed(*steps):
 
 
 @pytest.mark.parametrize(
-    ("steps", "judgement"),
+    ("steps", "are_few"),
     [
-        (((4, 0.9),), "possible"),
-        (((3, 0.3), (3, 0.9)), "possible"),
-        (((4, 0.3), (3, 0.9)), "refuted"),
-        (((4, 0.3), (5, 0.9)), "possible"),
-        (((9, 0.3), (5, 0.9)), "refuted"),
-        (((8, 0.3), (2, 0.9)), "possible"),  # as many values as parameters explain anything
+        (((4, 0.9),), False),
+        (((3, 0.3), (3, 0.9)), False),
+        (((4, 0.3), (3, 0.9)), True),
+        (((4, 0.3), (5, 0.9)), False),
+        (((9, 0.3), (5, 0.9)), True),
+        (((8, 0.3), (2, 0.9)), False),  # as many values as parameters explain anything
     ],
 )
-def test_parameters_that_explain_less_than_half_of_the_samples_since_the_onset_must_be_proven(steps, judgement):
+def test_parameters_that_explain_less_than_half_of_the_samples_since_the_onset_explain_few(steps, are_few):
     run, theta = pushed(*steps)
+    comparison = run.diagnosis.comparison
     assert run.diagnosis.n_since == sum(n for n, _ in steps)
-    assert run.diagnosis.comparison.judge(theta, TRUE) == judgement
+    assert comparison.judge(theta, TRUE) == "possible"
     assert run.diagnosis._state.verdict.n_explained == min(steps[-1][0], 5)
+    assert comparison.explains_few([True, True]) == are_few
+    run.diagnosis._state.inputs.means = StepMeans((0.5, 0.5))
+    assert not comparison.explains_few([True, True])
+    run.diagnosis._state.inputs.means = StepMeans()
+    run.diagnosis._state.verdict = replace(run.diagnosis._state.verdict, judgement="warranted")
+    assert not comparison.explains_few([True, True])
 
 
-def test_parameters_that_explain_the_newest_sample_are_possible_whatever_came_before():
-    """Of six samples, the last, whose three values they explain; a disturbance does so, too."""
+@pytest.mark.parametrize(
+    ("n", "is_identifiable", "are_few"), [(6, [True, True], False), (6, [True, False], True), (3, [True, False], True)]
+)
+def test_the_newest_sample_alone_speaks_for_parameters_that_it_determines(n, is_identifiable, are_few):
+    """A disturbance explains it, too."""
     run = Run("target", 3).go(100)
-    changes = [0.4 * np.cos(k) for k in range(5)] + [0.9]
-    for change in changes:
-        xdot = np.array(run.plant((0.5,), (1.0,), *TRUE + np.array([change, 0.0]))) + SIGMA * run.rng.standard_normal(3)
+    for change in [0.4 * np.cos(k) for k in range(n - 1)] + [0.9]:
+        xdot = np.array(run.plant((0.5,), (1.0,), *TRUE + np.array([change, 0.0])))
+        xdot += SIGMA * run.rng.standard_normal(3)
         run.diagnosis.observe(Sample(0.05 * run.k, (0.5,), (1.0,), tuple(xdot.tolist())), TRUE)
         run.k += 1
     assert run.diagnosis.comparison.judge(TRUE + np.array([0.9, 0.0]), TRUE) == "possible"
-    assert (run.diagnosis._state.verdict.n_explained, run.diagnosis.n_since) == (1, 6)
+    assert (run.diagnosis._state.verdict.n_explained, run.diagnosis.n_since) == (1, n)
+    assert run.diagnosis.comparison.explains_few(is_identifiable) == are_few
 
 
 def test_after_a_changing_disturbance_parameters_must_be_proven_until_it_has_been_quiet():

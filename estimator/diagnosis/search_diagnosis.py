@@ -79,10 +79,8 @@ class SearchDiagnosis:
         """
         state = self._state
         n = min(state.n_since, QUIET)
-        if (
-            state.n_since < NOISY and self._comparison.noise.if_noise(held) is not None
-        ):  # as where a filter gives few samples
-            return None
+        if state.n_since < NOISY and self._comparison.noise.if_noise(held) is not None:
+            return None  # so few samples show no noise, as where a filter makes them
         reference = state.reference_or(held)
         rows = self._residuals.of_newest(reference, n)
         found = disturbance_of(rows)

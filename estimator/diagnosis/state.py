@@ -117,7 +117,7 @@ class DiagnosisState:
     has_moved: bool = False
     """True where other parameters have been in force since the onset."""
     is_disturbed: bool = False
-    """True since a changing disturbance was named, until it has been quiet."""
+    """True since a changing disturbance was named, until no sample was suspicious for twenty."""
     is_disproved: bool = False
     """True where samples after proven parameters were explained by none, by far, since it last was quiet."""
     has_hidden_change: bool = False

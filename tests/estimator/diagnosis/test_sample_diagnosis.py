@@ -320,8 +320,9 @@ def test_where_the_noise_is_larger_a_move_that_one_sample_speaks_for_is_possible
 
 
 def pushed(*steps):
-    """A run in which a disturbance has this many samples of each size, where u and x do not move, so that they tell
-    none from other parameters; and these."""
+    """A run with a disturbance of some sizes, each for so many samples, and the parameters that explain the last.
+
+    u and x do not move, so that the samples tell no disturbance from other parameters."""
     run = Run("target", 1).go(100)
     for size in [size for n, size in steps for _ in range(n)]:
         xdot = *run.plant((0.5,), (1.0,), *TRUE), size + SIGMA * run.rng.standard_normal()

@@ -142,21 +142,15 @@ class HypothesisComparison:
         """True where the hypothesis of changed parameters has been proven, or could have been refuted."""
         return self._state.verdict.is_warranted or self._state.verdict.n_spare > 0
 
-    def explains_few(self, is_identifiable: Sequence[bool]) -> bool:
-        """Return whether parameters, not proven, explain too few of the samples since the onset to be written.
+    def explains_newest_only(self, is_identifiable: Sequence[bool]) -> bool:
+        """Return whether parameters, not proven, explain but the newest of three samples or more.
 
-        Several samples, but less than half, with more values than they have: what changes all the time, as a gust,
-        looks like parameters for a few samples, again and again. Not those of a derivative filter, between which
-        parameters that drift move far. Or, of three samples at least, the newest alone, with as many values as they
-        have, where it does not determine all of them (d,).
+        Where it has as many values as they have, or more, and does not determine all of them, is_identifiable (d,).
         """
         state, verdict = self._state, self._state.verdict
-        if verdict.judgement != "possible":
+        if verdict.judgement != "possible" or verdict.n_explained > 1 or verdict.n_spare < 0:
             return False
-        if verdict.n_explained == 1:
-            return state.n_since >= FEWEST and verdict.n_spare >= 0 and not all(is_identifiable)
-        is_of_few = verdict.n_explained < state.n_since / 2 and verdict.n_spare > 0
-        return is_of_few and not state.inputs.means
+        return state.n_since >= FEWEST and not all(is_identifiable)
 
     @property
     def may_be_disturbed(self) -> bool:
@@ -189,7 +183,7 @@ class HypothesisComparison:
         reference = state.reference_or(held)
         residuals = self._residuals.of_newest(theta, state.n_since)
         for n in shorter(state.n_since):
-            if self._wins(plain_fit(residuals[-n:], len(space)), reference, n):
+            if self._wins(plain_fit(residuals[-n:], len(space)), theta, reference, n):
                 return
         z = space.to_unit(theta) if state.changed is None else state.changed
         for n in [n for n in _LENGTHS if n <= state.n_since]:
@@ -198,12 +192,12 @@ class HypothesisComparison:
             found = changed_parameters(self._residuals.at_newest(n), z, self._residuals.times_of_newest(n))
             if was_proven and n == min(QUIET, state.n_since) and not self.jumps.may_be_over(reference, n):
                 state.is_disproved |= not plain_fit(found.rows / TOO_SMALL, 0).is_explained
-            if found.rate <= LARGEST_RATE and self._wins(found.fit, reference, n):
+            if found.rate <= LARGEST_RATE and self._wins(found.fit, space.from_unit(found.z), reference, n):
                 state.changed = found.z
                 return
 
-    def _wins(self, parameters: Fit, reference: Vector, n: int) -> bool:
-        """Set the verdict where changed parameters are possible by their fit to the newest n samples."""
+    def _wins(self, parameters: Fit, theta: Vector, reference: Vector, n: int) -> bool:
+        """Set the verdict where changed parameters, theta (d,), are possible by their fit to the newest n samples."""
         is_recorded = n == min(self._state.n_since, _LENGTHS[0])
         if not (parameters.is_possible or is_recorded):
             return False
@@ -222,15 +216,30 @@ class HypothesisComparison:
             self._state.is_noise_known |= weighing.are_parameters_certain
             is_doubtful = weighing.may_be_coloured or self._state.n_doubts >= _DOUBTS
             needs_proof = is_doubtful or self._state.is_resting.any() or self._state.is_disturbed
-            unproven: Judgement = "refuted" if needs_proof else "possible"
+            n_spare = rivals[1].n_values - parameters.n_free  # of parameters that are exact a value may be 0
+            is_of_few = self._explains_few(theta, n, n_spare)
+            unproven: Judgement = "refuted" if needs_proof or is_of_few else "possible"
             self._state.verdict = Verdict(
                 "warranted" if weighing.are_parameters_proven else unproven,
                 weighing.are_parameters_certain,
-                n_spare=rivals[1].n_values - parameters.n_free,  # of parameters that are exact a value may be 0
+                n_spare=n_spare,
                 n_explained=n,
                 found_at=self._state.n_samples,
             )
         return is_possible
+
+    def _explains_few(self, theta: Vector, n: int, n_spare: int) -> bool:
+        """Return whether parameters theta (d,) that explain the newest n samples explain few of those since the onset.
+
+        Several in a row, with n_spare values more than the parameters, but, each by itself, less than half of all: what
+        changes all the time, as a gust, looks like parameters for a few samples, again and again. Not so of a filter's,
+        between which parameters that drift move far.
+        """
+        state = self._state
+        if n_spare <= 0 or not 1 < n < state.n_since / 2 or state.inputs.means:
+            return False
+        rows = self._residuals.of_newest(theta, state.n_since)
+        return sum(plain_fit(row, 0).is_explained for row in rows) < state.n_since / 2
 
     def best(self, held: Vector, n: int, *, may_drift: bool) -> ChangedParameters:
         """Return the parameters that explain the newest n samples best, whatever the search has found."""

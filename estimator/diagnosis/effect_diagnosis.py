@@ -73,9 +73,9 @@ class EffectDiagnosis:
         n = self._state.n_since
         return self._lag.in_newest(reference, n) if n >= LONG else None
 
-    def late_beside_change(self, before: Vector) -> Explanation | None:
+    def late_beside_change(self, before: Vector, *, is_early: bool) -> Explanation | None:
         """Return the lag that explains all samples since the onset with parameters that have changed from before."""
-        return self._lag.beside_change(before)
+        return self._lag.beside_change(before, is_early=is_early)
 
     def doubt_friction(self, before: Vector) -> None:
         """Forget known friction where parameters before (d,) explain the samples as well without it."""
@@ -92,7 +92,10 @@ class EffectDiagnosis:
             return self.adopt_friction(t, effect.theta)
         state.end_suspicion()
         state.inputs.adopt(found)
-        return Settled(self._lasting.undone(effect.theta), (self._record.lag(t, found.lag),), True)
+        held = state.in_force.at(state.n_samples)
+        left, of_held = (np.sum(self._residuals.of_newest(theta, effect.n) ** 2) for theta in (effect.theta, held))
+        back = None if of_held < BETTER * left else self._lasting.undone(effect.theta)
+        return Settled(back, (self._record.lag(t, found.lag),), True)
 
     def adopt_friction(self, t: float, theta: Vector | None) -> Settled:
         """End a suspicion, and all rests, as known friction explains the samples; return to theta (d,) where given."""

@@ -89,10 +89,11 @@ class LagComparison:
         samples = [s for s in self._state.since_lasting if s.t >= self._state.inputs.begin]
         return self._explaining(samples, reference, is_long=True) if len(samples) >= LONG else None
 
-    def beside_change(self, theta: Vector) -> Explanation | None:
+    def beside_change(self, theta: Vector, *, is_early: bool = False) -> Explanation | None:
         """Return the lag that explains the samples since the onset together with changed parameters, or None.
 
-        Where no disturbance does so nearly as well. theta (d,): parameters before.
+        Where no disturbance does so nearly as well. theta (d,): parameters before; is_early: few samples tell no lag,
+        but limited rates that the inputs have not passed before.
         """
         state, residuals = self._state, self._residuals
         if state.inputs.lag.limits:
@@ -105,7 +106,7 @@ class LagComparison:
             return changed_parameters(at, z, iterations=_FEW_STEPS, may_drift=False).rows
 
         found = state.inputs.late(lambda inputs: np.array([*map(changed, inputs)]), [sample.t for sample in samples])
-        if not found.lag:
+        if not found.lag or (is_early and not (found.lag.rates and state.inputs.were_slower(found.lag, samples[0].t))):
             return None
         fit = replace(found.fit, n_free=found.fit.n_free + len(z))
         self._evidence.note(len(samples), lag=fit)

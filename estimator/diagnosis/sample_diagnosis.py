@@ -241,12 +241,16 @@ class Diagnosis:
         if is_changed and is_explained and parameters.is_explained:
             self.evidence.note(n, parameters=parameters)
             return self._changed(t, held) if disturbance.fit.score >= parameters.score + MARGIN else None
-        late = self._lag.in_newest(reference, n) if self._lag.is_due else None
+        is_due = self._lag.is_due
+        late = self._lag.in_newest(reference, n) if is_due else None
         if late is not None:
             best = self.comparison.best(held, late.n, may_drift=True).fit
             is_told_apart = not (late.has_limits and best.is_explained)  # a drift of parameters has more values
             if is_told_apart and late.fit.score + (MARGIN if late.n < _SURE else 0.0) <= best.score:
                 return self._effects.adopt(t, late)
+        beside = self.searches.late_beside_change(held, reference, is_early=True) if is_due else None
+        if beside is not None:
+            return self._effects.adopt(t, beside)
         is_named = disturbance.fit.is_explained and disturbance.fit.score + MARGIN <= nothing.score
         if is_named and n % 2 == 0 and not self.comparison.may_be_parameters(held, n, disturbance.fit):
             before = self._lasting.before(reference, n)

@@ -51,7 +51,7 @@ class SearchDiagnosis:
         before = state.lasting if state.reference is None else self._lasting.accepted(state.reference)
         found = None if before is None else self._effects.lacking(before)
         if found is None and before is not None and state.n_since >= LONG:
-            found = self._effects.late(before) or self._late_beside_change(before, before)
+            found = self._effects.late(before) or self.late_beside_change(before, before)
         if found is not None:
             return self._effects.adopt(t, found)
         if before is not None and state.n_since:
@@ -73,6 +73,7 @@ class SearchDiagnosis:
 
         None where the suspicion goes on with newer samples only, or is a false alarm: nothing happened, parameters are
         still changing, or the noise is larger, which the parameters that lasted do not explain by themselves.
+        Parameters that move on from search to search are given up, as in `succeed`.
         A disturbance is named where a constant one explains the samples; one that does so together with changed
         parameters is known from then on, and these are sought beside it. After the third time, one soon after the
         other, the channels that neither explains rest, longer each time.
@@ -81,6 +82,8 @@ class SearchDiagnosis:
         n = min(state.n_since, QUIET)
         if state.n_since < NOISY and self._comparison.noise.if_noise(held) is not None:
             return None  # so few samples show no noise, as where a filter makes them
+        if theta is not None and self.is_restless(theta):
+            return self.give_up(t, rests=True)
         reference = state.reference_or(held)
         rows = self._residuals.of_newest(reference, n)
         found = disturbance_of(rows)
@@ -89,7 +92,7 @@ class SearchDiagnosis:
             state.end_suspicion()
             return None
         before = self._lasting.before(reference, n)
-        late = self._effects.late(reference) or self._late_beside_change(held, before)
+        late = self._effects.late(reference) or self.late_beside_change(held, before)
         if late is not None:
             return self._effects.adopt(t, late)
         if self._comparison.is_changing(held, n) and not state.is_resting.any():
@@ -125,16 +128,16 @@ class SearchDiagnosis:
         state.findings = state.findings.take(state.n_samples, z, self._comparison.determined(z))
         return state.findings.are_restless
 
-    def _late_beside_change(self, held: Vector, before: Vector) -> Explanation | None:
+    def late_beside_change(self, held: Vector, before: Vector, *, is_early: bool = False) -> Explanation | None:
         """Return the lag that explains all samples since the onset together with changed parameters, or None.
 
         None too where parameters do so alone, those in force, held (d,), or others; or beside a constant disturbance,
-        nearly as well. before (d,): parameters before the onset.
+        nearly as well. before (d,): parameters before the onset; is_early: limited rates only, and of fewer samples.
         """
         n = self._state.n_since
-        if n < FEWEST_BESIDE or self._comparison.is_changing(held, n):
+        if n < (LONG if is_early else FEWEST_BESIDE) or self._comparison.is_changing(held, n):
             return None
-        late = self._effects.late_beside_change(before)
+        late = self._effects.late_beside_change(before, is_early=is_early)
         if late is None:
             return None
         both = self._comparison.with_disturbance(held, n)

@@ -257,6 +257,15 @@ class InputHistory:
         little = _LITTLE * np.ptp(sent, axis=0)
         return bool(np.all((sent >= lower - little) & (sent <= upper + little)))
 
+    def were_slower(self, lag: Lag, t: float) -> bool:
+        """Return whether the inputs before time t [s] moved within limited rates; False without two of them."""
+        n = max(int(self._places_of([t])[0]) - self.means.n_before, 0)
+        if n < 2:
+            return False
+        before = np.array(self._inputs[:n])
+        moves = np.abs(np.diff(before[:, self._places(before)], axis=0))
+        return bool(np.all(moves <= np.diff(self._times[:n])[:, None] * np.array(lag.rates)))
+
     def _limits(self, rows_with: RowsWith, places: NDArray[np.intp]) -> InputLimits:
         first = max(int(places[0]) - self.means.n_before, 0)
         inputs = np.array(self._inputs[first : int(places[-1]) + 1])

@@ -216,7 +216,7 @@ class DiagnosingRetuner(RetunerCounts[Retuner]):
         verdict = diagnosis.comparison.judge(found, held, is_filter=self._is_endless)
         if theta is None:
             return verdict
-        if verdict == "possible" and diagnosis.comparison.explains_few(proposal.estimate.is_identifiable):
+        if diagnosis.comparison.explains_newest_only(proposal.estimate.is_identifiable):
             return "refuted"
         return "refuted" if diagnosis.is_at_unseen_bound(theta, proposal.estimate.std, held) else verdict
 

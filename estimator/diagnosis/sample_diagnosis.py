@@ -248,9 +248,10 @@ class Diagnosis:
             is_told_apart = not (late.has_limits and best.is_explained)  # a drift of parameters has more values
             if is_told_apart and late.fit.score + (MARGIN if late.n < _SURE else 0.0) <= best.score:
                 return self._effects.adopt(t, late)
-        beside = self.searches.late_beside_change(held, reference, is_early=True) if is_due else None
-        if beside is not None:
-            return self._effects.adopt(t, beside)
+        if is_due and not state.inputs.means:  # a filter's samples are too few
+            beside = self.searches.late_beside_change(held, reference, is_early=True)
+            if beside is not None:
+                return self._effects.adopt(t, beside)
         is_named = disturbance.fit.is_explained and disturbance.fit.score + MARGIN <= nothing.score
         if is_named and n % 2 == 0 and not self.comparison.may_be_parameters(held, n, disturbance.fit):
             before = self._lasting.before(reference, n)

@@ -82,7 +82,10 @@ class EffectDiagnosis:
         self._friction.doubt(before)
 
     def adopt(self, t: float, effect: Explanation) -> Settled:
-        """End a suspicion as an effect that the model lacks explains the samples, or the end of one does."""
+        """End a suspicion as an effect that the model lacks explains the samples, or the end of one does.
+
+        Parameters in force stay where they explain the samples much better with a lag than those that it was found for.
+        """
         state, found, before = self._state, effect.found, self._state.offset
         state.offset = effect.offset
         if isinstance(found, FoundFriction):

@@ -89,7 +89,7 @@ class LagComparison:
         samples = [s for s in self._state.since_lasting if s.t >= self._state.inputs.begin]
         return self._explaining(samples, reference, is_long=True) if len(samples) >= LONG else None
 
-    def beside_change(self, theta: Vector, *, is_early: bool = False) -> Explanation | None:
+    def beside_change(self, theta: Vector, *, is_early: bool) -> Explanation | None:
         """Return the lag that explains the samples since the onset together with changed parameters, or None.
 
         Where no disturbance does so nearly as well. theta (d,): parameters before; is_early: few samples tell no lag,

@@ -324,7 +324,8 @@ def test_where_the_noise_is_larger_a_move_that_one_sample_speaks_for_is_possible
 def pushed(*steps):
     """A run with a disturbance of some sizes, each for so many samples, and the parameters that explain the last.
 
-    u and x do not move, so that the samples tell no disturbance from other parameters."""
+    u and x do not move, so that the samples tell no disturbance from other parameters.
+    """
     run = Run("target", 1).go(100)
     for size in [size for n, size in steps for _ in range(n)]:
         xdot = *run.plant((0.5,), (1.0,), *TRUE), size + SIGMA * run.rng.standard_normal()
@@ -377,8 +378,8 @@ def test_the_newest_sample_alone_speaks_for_parameters_that_it_determines(n, is_
     ("n_explained", "n_spare", "n_since", "is_alone"),
     [(1, 0, 3, True), (1, 0, 2, False), (1, -1, 3, False), (2, 0, 3, False)],
 )
-def test_parameters_explain_the_newest_alone(n_explained, n_spare, n_since, is_alone):
-    """Of three samples or more, with as many values as there are parameters."""
+def test_only_the_newest_of_three_samples_is_explained_alone(n_explained, n_spare, n_since, is_alone):
+    """It must have as many values as there are parameters, which are not proven."""
     diagnosis = Run("target", 2).diagnosis
     diagnosis._state.n_since = n_since
     diagnosis._state.verdict = Verdict("possible", n_spare=n_spare, n_explained=n_explained)
@@ -1495,7 +1496,7 @@ class LivelierRun(Run):
 
 @pytest.mark.parametrize("n_channels", [2, 3])
 def test_a_limited_rate_that_shows_as_parameters_change_is_found_before_the_search_ends(n_channels):
-    """By six to nine samples, while a search of twenty goes on."""
+    """Six to nine samples tell it, while a search of twenty goes on."""
     run = LivelierRun("target", n_channels, actuator=LimitedActuator(np.inf), n_search=20).go(40)
     run.actuator.rate = 2.5
     run.go(10, CHANGED)

@@ -78,6 +78,7 @@ class EpisodeRest:
         if state.resting.is_calm(state.n_samples - state.restless_since - state.resting.n_calm):
             self._evidence.rest_ended(self._outputs, CALM)
             state.rests_until, state.n_calm = state.n_samples, state.resting.n_calm
+            state.rested.clear()
         elif self._has_other_scale():
             self._window.weights = 1.0 / state.scale.effective
 
@@ -87,7 +88,9 @@ class EpisodeRest:
         if state.resting.is_outgrown:
             self._evidence.outgrown(self._outputs, state.resting)
             state.rests_until, state.unexplained = state.n_samples, None
-            return state.scale.admit(np.array(state.rested[: state.resting.n_usual - state.resting.n_samples]))
+            usual = np.array(state.rested[: state.resting.n_usual - state.resting.n_samples])
+            state.rested.clear()
+            return state.scale.admit(usual)
         if state.n_samples < state.rests_until - 1:
             return False
         state.unexplained = None

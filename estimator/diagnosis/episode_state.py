@@ -25,13 +25,16 @@ class EpisodeState:
     suspected_at: int = 0
     """Number of the last sample that contradicted those in force."""
     n_failures: int = 0
+    """Number of failed searches, one soon after the other."""
     n_quiet: int = 0
+    """Number of samples that did not contradict those in force, whatever came between; after 200 it begins again."""
     n_calm: int = 0
     """Number of samples since the last that contradicted those in force, or that rested."""
     restless_since: int = 0
     """Number of the first sample that contradicted those in force after some quiet."""
     n_samples: int = 0
     rests_until: int = 0
+    """Number of the sample at which a rest ends."""
     counts: Counter[str] = field(default_factory=Counter[str])
     """Number of events of each kind."""
     named: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])

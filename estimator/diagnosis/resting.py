@@ -44,8 +44,12 @@ class RestingResiduals:
     """Number of newest residuals that may be noise."""
 
     def take(self, residual: Vector, noise: Vector | float = 1.0) -> "RestingResiduals":
-        """Return the sizes with one more residual (c,), NaN being none; noise (c,): its known standard deviation."""
-        size = np.nan_to_num(np.abs(residual), nan=0.0)
+        """Return the sizes with one more residual (c,); noise (c,): its known standard deviation.
+
+        NaN, where nothing was measured, is as large as the one before.
+        """
+        size = np.abs(residual)
+        size = np.where(np.isnan(size), self.newest[-1] if self.newest else 0.0, size)
         n, newest = self.n_samples + 1, (*self.newest, size)[-_NEWEST:]
         is_calm = bool(np.all(np.median(newest, axis=0) < _CALM * np.asarray(noise)))
         known = replace(self, n_samples=n, newest=newest, n_calm=self.n_calm + 1 if is_calm else 0)

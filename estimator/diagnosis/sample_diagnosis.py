@@ -160,6 +160,7 @@ class Diagnosis:
         if not np.count_nonzero(state.is_resting):
             return False
         rested = self.residuals.declared(held, self.residuals.known.on_all_channels().without(sample))
+        rested = np.where(state.is_resting & np.isnan(sample.xdot), np.nan, rested)
         state.rested.append(rested)
         least = np.where(np.abs(rested) < np.abs(rested - state.offset), rested, rested - state.offset)
         state.resting = state.resting.take(np.where(state.is_resting, least, 0.0), state.scale.values)

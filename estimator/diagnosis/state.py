@@ -77,7 +77,7 @@ class DiagnosisState:
     largest_unexplained: Vector | None = None
     """Largest residuals (c,) of the last failed search; None before one, and since samples were suspicious again."""
     n_quiet: int = 0
-    """Number of quiet samples in a row."""
+    """Number of quiet samples in a row, those of a rest not among them; after 200 it begins again."""
     quiet: list[Sample] = field(default_factory=list[Sample])
     """The newest quiet samples in a row with all their values, while no channel rests and residuals are as declared.
 
@@ -109,7 +109,7 @@ class DiagnosisState:
     """Their sizes since the last rest began."""
     n_samples: int = 0
     n_since: int = 0
-    """Number of samples since the onset of the suspicion; 0 while quiet."""
+    """Number of the samples kept since the onset of the suspicion, 20 at most; 0 while quiet."""
     n_calm: int = 0
     """Number of samples before the onset that the reference has explained."""
     reference: Vector | None = None
@@ -257,8 +257,8 @@ class DiagnosisState:
     def wake_early(self) -> None:
         """End all rests, as something has happened: what residuals were until then is what the model lacks."""
         self._admit(self.rested[: self.resting.n_usual - self.resting.n_samples], self.is_resting)
-        self.is_resting = np.zeros_like(self.is_resting)
         self.n_since = 0
+        self.wake_all()
 
     def wake_calm(self) -> None:
         """End all rests, as the parameters in force have long explained the samples again."""
@@ -272,7 +272,7 @@ class DiagnosisState:
         self.wake_all()
 
     def wake_all(self) -> None:
-        """End all rests, as what the channels rested for is known."""
+        """End all rests, as what the channels rested for is known; what follows is not of them."""
         self.rests_until, self.is_resting = np.zeros_like(self.rests_until), np.zeros_like(self.is_resting)
         self.rested.clear()
         self.resting = RestingResiduals()

@@ -567,6 +567,27 @@ def test_the_size_of_the_residuals_in_a_rest_is_known_after_it_whatever_its_last
     assert np.all(state.scale.values > 2.0)
 
 
+@pytest.mark.parametrize("ends", ["outgrown", "calm"])
+def test_what_a_rest_was_for_is_not_taken_for_noise_by_the_next_one(ends):
+    """Residuals grow from 6 to 200 standard deviations, or have been 50 and are noise again; then another rest."""
+    run = Run("least-squares").go(10)
+    state, rest, rng = run.diagnosis._state, run.diagnosis._rest, np.random.default_rng(5)
+    state.n_failures, state.restless_since = 3, state.n_samples
+    rest.begin(0.0)
+    for i in range(400):
+        noise = rng.standard_normal(2)
+        size = 6.0 * noise + 200.0 * (i >= 60) if ends == "outgrown" else noise + 50.0 * np.sin(i) * (i < 100)
+        state.n_samples += 1
+        rest.take(size)
+        if not rest.is_on:
+            break
+    assert not rest.is_on
+    before = state.scale.values
+    assert np.all(before < 10.0)
+    rest.begin(1.0)
+    assert_array_equal(state.scale.values, before)
+
+
 def test_samples_without_a_value_in_a_rest_are_not_learnt_from():
     settings = DiagnosisSettings(rest=100, longest_rest=100)
     run = Run("least-squares", settings=settings).go(100).go(80, TRUE, sine)

@@ -44,6 +44,12 @@ def test_a_channel_that_is_not_sampled_is_none():
     assert after(*[[np.nan, 1.0]] * 40, *[[np.nan, 9.0]] * 5).growth.tolist() == [0.0, 9.0]
 
 
+def test_a_value_that_is_missing_is_no_calm():
+    loud, lost = [[20.0, 0.1]] * 40, [[np.nan, 0.1]] * 100
+    assert after(*loud, *lost).n_calm == 0
+    assert after(*loud, *lost, *[[0.1, 0.1]] * 10).n_calm == 8  # once most of the newest five are
+
+
 def test_a_growth_that_takes_longer_than_the_newest_is_noticed():
     """Twice as large every 20 residuals: none is ever three times as large as those just before it."""
     growing = [[4.0 * 2.0 ** (k / 20.0), 0.0] for k in range(80)]

@@ -2132,6 +2132,40 @@ def test_a_rest_ends_when_the_parameters_in_force_have_explained_the_samples_for
     assert near(run.held, CHANGED)
 
 
+def resting(n_channels, *, channels):
+    """A diagnosis whose channels rest from its first sample on."""
+    run = Run("least-squares", n_channels).go(1)
+    run.diagnosis._state.rest(np.array(channels), 1000)
+    return run, run.diagnosis._state
+
+
+def test_what_has_ended_a_rest_is_not_taken_for_noise_by_the_next_one():
+    """Residuals grow from 6 to 300 standard deviations, and are noise again; then something else rests."""
+    run, state = resting(2, channels=[True, True])
+    lacking = SIGMA * 6.0 * np.random.default_rng(3).standard_normal((60, 2))
+    for i in range(100):
+        run.diagnosis.observe(run.sample(TRUE, lacking[i] if i < 60 else 300.0 * SIGMA), TRUE)
+        run.k += 1
+    assert not state.is_resting.any()
+    assert np.all(state.scale.values < 10.0)
+    run.go(250)
+    before = state.scale.values
+    state.rest(np.array([True, True]), 1000)
+    assert_array_equal(state.scale.values, before)
+
+
+@pytest.mark.parametrize("is_lost", [False, True])
+def test_a_channel_that_rests_does_not_wake_as_its_sensor_is_lost(is_lost):
+    run, state = resting(2, channels=[False, True])
+    for i in range(400):
+        sample = run.sample(TRUE, np.array([0.0, 20.0 * SIGMA * np.sin(0.7 * i)]))
+        if is_lost and i > 60:
+            sample = replace(sample, xdot=(sample.xdot[0], np.nan))
+        run.diagnosis.observe(sample, TRUE)
+        run.k += 1
+    assert state.is_resting.tolist() == [False, True]
+
+
 @SEARCHES
 def test_a_rest_goes_on_while_what_the_model_lacks_comes_and_goes(estimator):
     run = Run(estimator).go(100).go(600, added=lambda i: shaking(i % 160))

@@ -111,8 +111,8 @@ def _table(found: Online, watched: Watched) -> list[str]:
         if event.kind == "undo":
             values = [f"{v:.6g}" for v in event.detail["theta"]]
         if event.kind == "write":
-            pairs = zip(event.detail["theta"], event.detail["std"], strict=True)
-            values = [_value(v, s, p.upper - p.lower) for (v, s), p in zip(pairs, space, strict=True)]
+            theta, std = event.detail["theta"], event.detail["std"]
+            values = [_value(*known) for known in zip(theta, std, space.slope(theta).tolist(), strict=True)]
         cells.append([f"{event.t:.6g}", event.kind, *values])
         texts.append(text + _at_bounds(space, event))
     return [f"{line}  {text}".rstrip() for line, text in zip(_padded(aligned(cells)), texts, strict=True)]

@@ -54,7 +54,7 @@ class NoisyNorm:
     def __init__(
         self, space: ParameterSpace, start: Vector, rng: np.random.Generator, settings: NormSettings | None = None
     ) -> None:
-        self._rng, self._settings = rng, settings or NormSettings()
+        self._space, self._rng, self._settings = space, rng, settings or NormSettings()
         self._bounds = [(p.lower, p.upper) for p in space]
         self._nominal = self._theta = self._clipped(start)
         self._cost, self._n_evaluations = np.inf, 0
@@ -84,10 +84,8 @@ class NoisyNorm:
 
     def estimate(self) -> Estimate:
         """Return the last result; std is as wide as the bounds, because the minimum of one number has none."""
-        width = np.array([upper - lower for lower, upper in self._bounds])
-        return Estimate(
-            self._theta, width, (False,) * len(width), self._cost, self._n_evaluations, self._settings.minimizer
-        )
+        width, none = self._space.slope(self._theta), (False,) * len(self._theta)
+        return Estimate(self._theta, width, none, self._cost, self._n_evaluations, self._settings.minimizer)
 
     def _clipped(self, theta: Vector) -> Vector:
         return np.clip(np.asarray(theta, dtype=float), *np.array(self._bounds).T)

@@ -330,6 +330,12 @@ def test_a_wide_step_stays_inside_the_bounds(minimizer, noise, difference_step, 
     assert np.all(np.abs(asked - centre) <= half * (1.0 + 2e-8))
 
 
+def test_the_deviation_is_as_wide_as_the_bounds_in_the_parameter_s_scale():
+    space = ParameterSpace((Parameter("J", 0.1, 12.0, "kg.m2", "log"), Parameter("c", -1.0, 4.0)))
+    estimate = NoisyNorm(space, np.array([6.0, 0.5]), np.random.default_rng(0)).estimate()
+    assert_allclose(estimate.std, [6.0 * np.log(12.0 / 0.1), 5.0])
+
+
 @FLAT
 def test_each_solve_starts_from_the_nominal_parameters(minimizer):
     """Not from the last result, nor from where an episode begins."""

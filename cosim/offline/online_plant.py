@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -20,10 +20,8 @@ from ..scenarios.schema.sampling import ObservationSettings
 from .log_windows import LogWindow
 from .request import EstimateError, Request
 from .rollout import Grid, grid_of, noise_of
+from .start_states import MOVING
 from .understood import Understood
-
-_MOVING: Final = ("output", "local")
-"""Causalities of variables that change while the FMU runs: with a start value, they are states."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +80,7 @@ class OnlinePlant:
         obstacles: dict[StartMethod, str] = {"state": "there is only the log"}
         if not self._states:
             obstacles["measured"] = "no --start names the columns of the states"
-        elif numbers := [name for name in request.constants if component.variables[name].causality in _MOVING]:
+        elif numbers := [name for name in request.constants if component.variables[name].causality in MOVING]:
             obstacles["measured"] = f"--start gives {numbers[0]} a number, which is no measurement"
         elif any(np.isnan(w.states[0]).any() for w in self.understood.windows):
             obstacles["measured"] = "values are missing in the first row of the states' columns"
@@ -154,7 +152,7 @@ class OnlinePlant:
 def _suspects(component: Component, shadow: Shadow) -> list[Suspect]:
     """Return the variables that may be states without a column: with a start value, or a declared derivative."""
     known = {*shadow.states, *shadow.told_by.values()}
-    moving = [v for v in component.variables.values() if v.causality in _MOVING and is_real(v.type)]
+    moving = [v for v in component.variables.values() if v.causality in MOVING and is_real(v.type)]
     return [
         Suspect(v.name, float(v.start or 0.0))
         for v in moving

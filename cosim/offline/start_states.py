@@ -7,7 +7,7 @@ from typing import Final
 from ..fmi.component import Component
 from .log_windows import LogWindow
 
-_MOVING: Final = ("output", "local")
+MOVING: Final = ("output", "local")
 """Causalities of variables that change while the FMU runs: with a start value, they are states."""
 
 
@@ -22,7 +22,7 @@ def start_warnings(
 
     start: columns or values by variable; sought: variables that are estimated; own: those with a value for each log.
     """
-    states = [name for name in dict.fromkeys((*start, *sought)) if component.variables[name].causality in _MOVING]
+    states = [name for name in dict.fromkeys((*start, *sought)) if component.variables[name].causality in MOVING]
     but = f" but for {', '.join(states)}, given or estimated" if states else ""
     later = [w.name for w in windows if w.time[0] > w.origin and not w.start]
     shared = {name: _n_sharing(windows, name in own) for name in states if name in sought}

@@ -9,7 +9,18 @@ from ..identifiability import IDENTIFIABLE_BELOW, information_of_covariance
 from ..objective import Objective
 from ..positive import must_be_positive
 from ..space import ParameterSpace, Vector
-from .linearisation import EnsemblePoints, Normal, Points, Reached, SigmaPoints, ensemble, iterated, root_of, updated
+from .linearisation import (
+    EnsemblePoints,
+    Normal,
+    Points,
+    Reached,
+    SigmaPoints,
+    ensemble,
+    identifiable_from,
+    iterated,
+    root_of,
+    updated,
+)
 
 
 @dataclass(frozen=True)
@@ -78,7 +89,7 @@ class UnscentedKalman:
 
     def estimate(self) -> Estimate:
         """Return the mean; cost: sum of squared residuals of the newest sample before it, or of an episode's."""
-        below = _below(self._settings.identifiable_below, self._settings.spread)
+        below = identifiable_from(self._settings.identifiable_below, self._settings.spread)
         return _estimate(self._space, self._now, below, self._cost, self._n_evaluations, "unscented Kalman filter")
 
 
@@ -151,7 +162,7 @@ class EnsembleKalman:
 
     def estimate(self) -> Estimate:
         """Return the mean; cost: sum of squares of the members' mean residual before the sample, or of an episode's."""
-        below = _below(self._settings.identifiable_below, self._settings.spread)
+        below = identifiable_from(self._settings.identifiable_below, self._settings.spread)
         return _estimate(self._space, self._now, below, self._cost, self._n_evaluations, "ensemble Kalman filter")
 
     def _take(self, objective: Objective) -> None:
@@ -191,11 +202,6 @@ def _after_jump(estimate: Estimate, space: ParameterSpace, spread: float) -> Nor
     """Return the distribution after a jump to an estimate; spread: standard deviation where the data say nothing."""
     assert estimate.information is not None
     return Normal(space.to_unit(estimate.theta), root_of(estimate.information.covariance(spread)))
-
-
-def _below(identifiable_below: float, spread: float) -> float:
-    """Return the deviation of an identifiable parameter: less than half the start's, or the data have added nothing."""
-    return min(identifiable_below, 0.5 * spread)
 
 
 def _estimate(

@@ -56,6 +56,11 @@ def root_of(P: Vector) -> Vector:
     return np.asarray(np.linalg.cholesky(P), dtype=np.float64)
 
 
+def identifiable_from(identifiable_below: float, spread: float) -> float:
+    """Return the deviation of an identifiable parameter: less than half the start's, or the data have added nothing."""
+    return min(identifiable_below, 0.5 * spread)
+
+
 def solved(A: Vector, b: Vector) -> Vector:
     """Return x of A x = b."""
     return np.asarray(np.linalg.solve(A, b), dtype=np.float64)

@@ -16,7 +16,7 @@ from ..positive import must_be_positive
 from ..samples import Sample
 from ..space import ParameterSpace, Vector
 from .counted_residual import FAILED, CountedResidual, NoValueError, SpentError
-from .linearisation import Normal, root_of, solved, widened
+from .linearisation import Normal, identifiable_from, root_of, solved, widened
 
 _LITTLE = 1e-3
 """Move, in standard deviations, at which the iteration ends."""
@@ -118,8 +118,7 @@ class MovingHorizon:
     def estimate(self) -> Estimate:
         """Return the parameters at the newest sample; cost: its sum of squared residuals at those before it."""
         known = information_of_covariance(self._now.covariance)
-        # Less than half of the start's: else the data have added nothing to the assumption.
-        below = min(self._settings.identifiable_below, 0.5 * self._settings.spread)
+        below = identifiable_from(self._settings.identifiable_below, self._settings.spread)
         return scaled_estimate(
             self._space, self._now.mean, np.minimum(known.std(), 1.0), below, known,
             cost=self._cost, n_evaluations=self._n_evaluations, reason="moving-horizon estimate",

@@ -73,14 +73,6 @@ class EffectDiagnosis:
         n = self._state.n_since
         return self._lag.in_newest(reference, n) if n >= LONG else None
 
-    def late_beside_change(self, before: Vector, *, is_early: bool) -> Explanation | None:
-        """Return the lag that explains all samples since the onset with parameters that have changed from before."""
-        return self._lag.beside_change(before, is_early=is_early)
-
-    def doubt_friction(self, before: Vector) -> None:
-        """Forget known friction where parameters before (d,) explain the samples as well without it."""
-        self._friction.doubt(before)
-
     def adopt(self, t: float, effect: Explanation) -> Settled:
         """End a suspicion as an effect that the model lacks explains the samples, or the end of one does.
 

@@ -73,8 +73,8 @@ class Diagnosis:
             state, residuals, settings, self._lasting, failed_searches, self._record, evidence
         )
         self.searches = SearchDiagnosis(
-            state, residuals, self.comparison, self._lasting, self._effects, self._disturbances, failed_searches,
-            self._record, evidence,
+            state, residuals, self.comparison, self._lag, self._friction, self._lasting, self._effects,
+            self._disturbances, failed_searches, self._record, evidence,
         )  # fmt: skip
 
     @property
@@ -89,7 +89,7 @@ class Diagnosis:
 
     @property
     def n_since(self) -> int:
-        """Number of samples since the onset of the suspicion, at most 20; 0 while quiet."""
+        """Number of the samples kept since the onset of the suspicion, 20 at most; 0 while quiet."""
         return self._state.n_since
 
     def snapshot(self) -> DiagnosisState:

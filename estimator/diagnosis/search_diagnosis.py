@@ -10,7 +10,8 @@ from .disturbance_diagnosis import DisturbanceDiagnosis
 from .effect_diagnosis import EffectDiagnosis
 from .evidence import Evidence
 from .failed_searches import FailedSearches
-from .lag_comparison import FEWEST_BESIDE
+from .friction_comparison import FrictionComparison
+from .lag_comparison import FEWEST_BESIDE, LagComparison
 from .lasting import LastingParameters
 from .record import DiagnosisRecord
 from .residual_scale import NOISY
@@ -31,6 +32,8 @@ class SearchDiagnosis:
         state: DiagnosisState,
         residuals: StandardisedResiduals,
         comparison: HypothesisComparison,
+        lag: LagComparison,
+        friction: FrictionComparison,
         lasting: LastingParameters,
         effects: EffectDiagnosis,
         disturbances: DisturbanceDiagnosis,
@@ -39,6 +42,7 @@ class SearchDiagnosis:
         evidence: Evidence,
     ) -> None:
         self._state, self._residuals, self._comparison, self._lasting = state, residuals, comparison, lasting
+        self._lag, self._friction = lag, friction
         self._effects, self._disturbances, self._failed_searches = effects, disturbances, failed_searches
         self._record, self._evidence = record, evidence
 
@@ -59,7 +63,7 @@ class SearchDiagnosis:
         state.end_suspicion()
         state.path = state.path.begin(None if before is None else self._residuals.space.to_unit(before))
         if before is not None:
-            self._effects.doubt_friction(before)
+            self._friction.doubt(before)
         every = ~state.is_resting
         event = self._record.unexplained(t, every, "parameters explain {} for a few samples only")
         state.n_failures = max(state.n_failures + 1, PATIENCE if rests else 0)
@@ -137,7 +141,7 @@ class SearchDiagnosis:
         n = self._state.n_since
         if n < (LONG if is_early else FEWEST_BESIDE) or self._comparison.is_changing(held, n):
             return None
-        late = self._effects.late_beside_change(before, is_early=is_early)
+        late = self._lag.beside_change(before, is_early=is_early)
         if late is None:
             return None
         both = self._comparison.with_disturbance(held, n)
@@ -147,7 +151,7 @@ class SearchDiagnosis:
         """End a suspicion as nothing explains the newest samples, theta (d,) best; rows (n, c): residuals before it."""
         self._disturbances.await_end(self._residuals.of_newest(before, self._state.n_since))
         self._state.end_suspicion()
-        self._effects.doubt_friction(before)
+        self._friction.doubt(before)
         lacks = self._comparison.lacking_channels(
             rows if theta is None else self._residuals.of_newest(theta, len(rows))
         )

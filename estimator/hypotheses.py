@@ -99,6 +99,7 @@ class Disturbance:
     """Its largest size (c,) in the rows: a changing one may pass through zero."""
     fit: Fit
     is_constant: bool
+    """True of a constant one, False of a line or a parabola in time."""
 
 
 def disturbance_of(rows: Vector, *, may_drift: bool = True) -> Disturbance:

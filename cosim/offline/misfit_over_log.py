@@ -16,6 +16,7 @@ class PartMisfit(NamedTuple):
     """Root mean square residual of an output over a part of a window, in standard deviations of the noise."""
 
     window: int
+    """Number of the window, from 0 on."""
     output: str
     begin: float
     """Time of the log [s]."""

@@ -91,9 +91,11 @@ class MaternBounds:
     """Bounds of the hyperparameters, for values of mean 0 and deviation 1 on the unit cube; equal ones fix them."""
 
     variance: tuple[float, float] = (1e-3, 1e3)
+    """Variance of the function."""
     noise: tuple[float, float] = (1e-6, 1.0)
     """Noise variance; without a bound it drifts to 1e-63."""
     lengthscale: tuple[float, float] = (0.02, 10.0)
+    """Lengthscales, in sides of the cube."""
 
 
 class ScalarSurrogate:

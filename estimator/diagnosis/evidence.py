@@ -15,7 +15,8 @@ class Evidence:
 
     `nothing`: the parameters in force; `parameters`: changed ones; `disturbance`: one with the parameters before it;
     `both`: changed parameters and a constant disturbance; `lag`: inputs that arrive late or are limited; `inputs`: that
-    are stuck since the onset, or arrive again; `coloured`: noise that is correlated from sample to sample.
+    are stuck since the onset, or arrive again; `friction`: one that the model lacks; `coloured`: noise that is
+    correlated from sample to sample.
     """
 
     def __init__(self) -> None:

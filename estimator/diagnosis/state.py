@@ -52,11 +52,13 @@ class DiagnosisState:
     samples: list[Sample]
     """The newest samples, from old to new; during a suspicion the older ones are thinned out."""
     scale: ResidualScale
+    """True size of the residuals, which replaces the declared noise."""
     offset: Vector
     """Known disturbance (c,), in standard deviations of the declared noise."""
     rests_until: NDArray[np.intp]
     """Number of the sample (c,) at which a channel's rest ends."""
     is_resting: NDArray[np.bool_]
+    """Whether a channel (c,) rests."""
     inputs: InputHistory = field(default_factory=InputHistory)
     """Inputs of the newest samples, and their known lag."""
     friction: Friction = field(default_factory=Friction)
@@ -108,6 +110,7 @@ class DiagnosisState:
     resting: RestingResiduals = field(default_factory=RestingResiduals)
     """Their sizes since the last rest began."""
     n_samples: int = 0
+    """Number of samples so far."""
     n_since: int = 0
     """Number of the samples kept since the onset of the suspicion, 20 at most; 0 while quiet."""
     n_calm: int = 0

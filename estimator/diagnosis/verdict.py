@@ -10,6 +10,7 @@ class Verdict:
     """Judgement of changed parameters, and what it is founded on."""
 
     judgement: Judgement = "refuted"
+    """Whether changed parameters are warranted: proven, possible beside a rival, or refuted."""
     is_certain: bool = False
     """True where it says that parameters are warranted, and could hardly have done so by chance."""
     n_spare: int = 0

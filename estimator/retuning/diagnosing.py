@@ -5,6 +5,7 @@ from typing import Any, Final
 
 from ..diagnosis.sample_diagnosis import Diagnosis
 from ..diagnosis.settings import Judgement
+from ..diagnosis.state import DiagnosisState
 from ..events import Event
 from ..samples import Sample
 from ..space import Vector
@@ -26,9 +27,11 @@ class DiagnosingSnapshot:
     """State of retuner and diagnosis before a sample that may be an outlier."""
 
     retuner: RetunerSnapshot
-    diagnosis: Any
+    diagnosis: DiagnosisState
     warranted: bytes
+    """Parameters, as bytes, that were proposed last as warranted."""
     solver: RetunerSnapshot | None
+    """State of an endless search at the onset of a suspicion; None where there is none."""
 
 
 @dataclass(frozen=True)

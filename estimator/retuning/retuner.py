@@ -37,12 +37,19 @@ class RetunerSnapshot:
     window: ResidualWindow
     search: SearchSnapshot
     believed: Vector | None
+    """Newest estimate (d,) of the episode; None before one."""
     arrival_cost: ArrivalCost | None
+    """What the filter knows; None without a filter, or before a search has ended."""
     before_search: ArrivalCost | None
+    """What it knew when the newest search began."""
     searched: Vector | None
+    """Parameters (d,) at which the newest search ended; None before one."""
     n_searched: int
+    """Number of samples since the newest search began, or the first of several, one soon after the other."""
     n_idle: int
+    """Number of samples since the newest search ended."""
     is_waiting: bool
+    """True where the newest episode began on a window that waits for samples."""
 
     def copy(self) -> "RetunerSnapshot":
         """Return an independent copy, which evaluates the same residuals."""

@@ -42,7 +42,9 @@ class SearchSnapshot:
     """State of a search before a sample that may be an outlier."""
 
     remaining: float
+    """Number of evaluations left in the episode."""
     solver: Solver | None
+    """Copy of a solver; None of an estimator that asks for candidates."""
 
 
 class Search:

@@ -14,6 +14,8 @@ from .significance import chi2_limit, is_explained
 from .sliding_window import ResidualWindow
 from .space import ParameterSpace, Vector
 
+FILTERED = "filtered"
+"""Reason of an estimate whose information is that of all samples since the parameters changed, and of nothing else."""
 _AGREES = 4.0
 """Squared distance, in standard deviations and by parameter, up to which a filtered estimate is that of a write."""
 _WORTH = 1.0
@@ -148,7 +150,7 @@ class ParameterFilter:
         std = np.minimum(np.hypot(seen.std(), known.mean - place), 1.0)
         return scaled_estimate(
             self._space, place, std, self._identifiable_below, seen,
-            cost=known.cost, n_evaluations=0, reason="filtered",
+            cost=known.cost, n_evaluations=0, reason=FILTERED,
         )  # fmt: skip
 
     def recall(self, held: Vector) -> None:

@@ -18,6 +18,7 @@ import numpy as np
 from estimator import Estimate, ParameterSpace, Vector, chi2_limit
 from estimator.events import Event
 from estimator.identifiability import IDENTIFIABLE_BELOW
+from estimator.parameter_filter import FILTERED
 from estimator.retuning.proposal import Proposal
 from estimator.significance import FALSE_ALARM, SAMPLE_FALSE_ALARM
 
@@ -38,8 +39,6 @@ _AS_MANY_AGAIN = 2
 """Least number of values, by parameter, that parameters explain where they are more than fitted to them."""
 _LITTLE = 0.01
 """Share of the scaled bounds below which a move in an unidentified direction, or an uncertainty, is ignored."""
-_FILTERED = "filtered"
-"""Reason of an estimate whose information is that of all samples since the parameters changed, and of nothing else."""
 _AWAY = 0.1
 """Share of the scaled bounds from a write beyond which parameters are others."""
 _TRIED = 0.25
@@ -283,7 +282,7 @@ class Guard:
         allowed, reasons = within_rate(theta, held, self._space, self._settings.rate)
         if is_material := self._is_material(allowed):
             unseen = self._settings.unseen
-            is_known = estimate.reason == _FILTERED and proposal.possible_disturbance is None
+            is_known = estimate.reason == FILTERED and proposal.possible_disturbance is None
             known = estimate.information if is_known else None
             allowed, left_out = self._support.identifiable_part(allowed, held, estimate.theta, unseen, _LITTLE, known)
             reasons = (*reasons, *left_out)

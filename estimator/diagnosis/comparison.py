@@ -231,15 +231,19 @@ class HypothesisComparison:
     def _explains_few(self, theta: Vector, n: int, n_spare: int) -> bool:
         """Return whether parameters theta (d,) that explain the newest n samples explain few of those since the onset.
 
-        Several in a row, with n_spare values more than the parameters, but, each by itself, less than half of all: what
-        changes all the time, as a gust, looks like parameters for a few samples, again and again. Not so of a filter's,
-        between which parameters that drift move far.
+        Several in a row, with n_spare values more than the parameters, but less than half of all, each by itself: what
+        changes all the time, as a gust, looks like parameters for a few samples, again and again. Parameters that drift
+        explain the newest half together. Not so of a filter's samples, between which they move far.
         """
         state = self._state
         if n_spare <= 0 or not 1 < n < state.n_since / 2 or state.inputs.means:
             return False
         rows = self._residuals.of_newest(theta, state.n_since)
-        return sum(plain_fit(row, 0).is_explained for row in rows) < state.n_since / 2
+        if sum(plain_fit(row, 0).is_explained for row in rows) >= state.n_since / 2:
+            return False
+        drifting = self.best(theta, (state.n_since + 1) // 2, may_drift=True)
+        are_explained = all(plain_fit(row, 0).is_explained for row in drifting.rows)
+        return not are_explained or drifting.rate > LARGEST_RATE
 
     def best(self, held: Vector, n: int, *, may_drift: bool) -> ChangedParameters:
         """Return the parameters that explain the newest n samples best, whatever the search has found."""

@@ -2112,6 +2112,28 @@ def test_a_disturbance_that_was_found_with_friction_is_named_when_that_is_over()
     assert run.diagnosis.summary()["disturbances"] == [{"t": 5.0, "size": {"der0": pytest.approx(0.3)}}]
 
 
+class SlowRun(Run):
+    """A loop that is hardly excited: a disturbance explains a few samples nearly as well as parameters do."""
+
+    @staticmethod
+    def motion(t):
+        return 1.0 + 0.1 * np.sin(0.2 * t), 0.3 + 0.05 * np.sin(0.3 * t + 1.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("n_channels", [2, 3])
+@ESTIMATORS
+def test_a_drift_that_speeds_up_is_followed_though_older_samples_contradict_it(estimator, n_channels, seed):
+    """After a jump a grows by two fifths in 120 samples; the last step is of a standard deviation and a half."""
+    run = SlowRun(estimator, n_channels, seed=seed, is_trusting=True).go(30).go(30, 1.2 * TRUE)
+    errors = []
+    for i in range(120):
+        truth = 1.2 * TRUE + [(i / 120.0) ** 2, 0.0]
+        run.take(run.sample(truth, 0.0))
+        errors.append(abs(run.held[0] - truth[0]))
+    assert max(errors) < 0.08
+
+
 # --- rests that end --------------------------------------------------------------------------------------------------
 
 

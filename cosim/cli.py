@@ -20,7 +20,7 @@ from .terminal.completion import VARIABLE, complete
 from .terminal.exit_codes import INTERRUPTED, REFUSED, UNFINISHED
 from .terminal.options import make_parser
 from .terminal.signals import SignalHandler
-from .terminal.streams import can_print, drop_output, ready_streams
+from .terminal.streams import answers_alone, can_print, drop_output, ready_streams
 from .warnings_log import warnings_logged
 
 _NEW_OBJECTS: Final = 10_000
@@ -67,7 +67,9 @@ def _ended(arguments: Sequence[str] | None) -> int:
     except ImportError as e:
         return _end(options, str(e), REFUSED)
     try:
-        with warnings_logged(), _everything_logged() if options.debug else nullcontext():
+        is_json = getattr(options, "json", False)
+        logged = _everything_logged() if options.debug else nullcontext()
+        with answers_alone() if is_json else nullcontext(), warnings_logged(), logged:
             code = import_module(f".commands.{options.command}", __package__).command(options)
         sys.stdout.flush()
         return code

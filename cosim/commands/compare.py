@@ -14,6 +14,7 @@ from ..terminal.folders import new_folder
 from ..terminal.next_step import set_options, tell_next
 from ..terminal.progress import bar_of_runs
 from ..terminal.run_output import BASELINES
+from ..terminal.streams import answer
 from ..terminal.study_output import telling_how_to_go_on
 from .study import make
 
@@ -34,7 +35,7 @@ def command(options: argparse.Namespace) -> int:
             scenario, options.estimators, options.seeds, options.jobs, folder, options.keep, progress, options.on,
             options.plain,
         )  # fmt: skip
-    print(result.to_json() if options.json else result.table())
+    answer(result.to_json() if options.json else result.table())
     if not options.json:
         name = next((name for name in result.estimators if name not in BASELINES), "target")
         tell_next("run", options.scenario, "--estimator", name, *set_options(options.overrides))

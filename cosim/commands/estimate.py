@@ -14,6 +14,7 @@ from ..terminal.exit_codes import DONE, INTERRUPTED, UNFINISHED
 from ..terminal.folders import must_be_new, new_folder
 from ..terminal.next_step import tell_next
 from ..terminal.progress import progress_bar
+from ..terminal.streams import answer
 
 
 def command(options: argparse.Namespace) -> int:
@@ -45,7 +46,7 @@ def command(options: argparse.Namespace) -> int:
     if options.ssv:
         with recording(options.ssv.parent):
             write_text(options.ssv, estimates_ssv(found))
-    print(to_json(summary(found)) if options.json else f"{report(found)}\n\nwritten to {folder}")
+    answer(to_json(summary(found)) if options.json else f"{report(found)}\n\nwritten to {folder}")
     if not options.json:
         written = next(iter(ssv_files(found)))
         tell_next("run", "SCENARIO", "--start-values", f"plant={folder / written}")

@@ -12,6 +12,7 @@ from ..terminal.exit_codes import DONE, INTERRUPTED, UNFINISHED
 from ..terminal.folders import new_folder
 from ..terminal.next_step import tell_next
 from ..terminal.progress import progress_bar
+from ..terminal.streams import answer
 
 
 def estimate_online(options: argparse.Namespace, request: Request) -> int:
@@ -30,7 +31,7 @@ def estimate_online(options: argparse.Namespace, request: Request) -> int:
     if options.ssv:
         with recording(options.ssv.parent):
             write_text(options.ssv, estimates_ssv(found))
-    print(to_json(summary(found)) if options.json else f"{report(found)}\n\nwritten to {folder}")
+    answer(to_json(summary(found)) if options.json else f"{report(found)}\n\nwritten to {folder}")
     if found.is_judged and not options.json:
         tell_next("run", "SCENARIO", "--start-values", f"plant={folder / 'estimates.ssv'}")
     if found.failure is not None:

@@ -21,6 +21,7 @@ from ..studies.ledger import LEDGER, open_ledger
 from ..terminal.consent import consented, is_consented
 from ..terminal.exit_codes import DONE
 from ..terminal.run_output import BASELINES, simulated, tell, telling_how_to_resume
+from ..terminal.streams import answer
 from ..terminal.study_output import carry_on, tell_study, telling_how_to_go_on
 
 
@@ -61,7 +62,7 @@ def _resume_study(folder: Path, options: argparse.Namespace) -> int:
             return tell_study(study, ledger, folder, options.json)
         with recording(folder):
             comparison = compared(study, ledger, jobs_here(options.jobs, len(runs)), folder)
-    print(comparison.to_json() if options.json else comparison.table())
+    answer(comparison.to_json() if options.json else comparison.table())
     return DONE
 
 

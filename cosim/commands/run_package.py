@@ -11,6 +11,7 @@ from ..ssp.settings import overridden
 from ..terminal.exit_codes import DONE, UNFINISHED
 from ..terminal.folders import new_folder
 from ..terminal.next_step import tell_next
+from ..terminal.streams import answer
 
 
 def run_package(options: argparse.Namespace) -> int:
@@ -22,7 +23,7 @@ def run_package(options: argparse.Namespace) -> int:
     )
     with new_folder(settings.name, options.out) as folder:
         result = simulate(system, settings, folder)
-    print(to_json(result.summary()) if options.json else report(result))
+    answer(to_json(result.summary()) if options.json else report(result))
     if not options.json and not result.error:
         tell_next("run", options.scenario, "--scenario", "FILE.toml")
     if result.error:

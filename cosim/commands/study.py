@@ -20,6 +20,7 @@ from ..terminal.consent import consented
 from ..terminal.exit_codes import DONE
 from ..terminal.folders import new_folder
 from ..terminal.next_step import line_of
+from ..terminal.streams import answer
 from ..terminal.study_output import carry_on, tell_study, telling_how_to_go_on
 from ..text_table import counted
 
@@ -111,7 +112,7 @@ def _status(folder: Path, is_json: bool) -> int:
         counts, why = ledger.counts(), ledger.reasons()
     is_running = is_locked(folder)
     if is_json:
-        print(to_json({"study": study.definition.study.name, "runs": counts, "is_running": is_running}))
+        answer(to_json({"study": study.definition.study.name, "runs": counts, "is_running": is_running}))
         return DONE
     n = sum(counts.values())
     ended = n - counts["queued"] - counts["leased"]

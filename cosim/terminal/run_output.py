@@ -17,6 +17,7 @@ from ..scenarios.scenario import Scenario
 from .exit_codes import DONE, UNFINISHED
 from .next_step import line_of, tell_next
 from .progress import progress_bar
+from .streams import answer
 
 BASELINES = ("none", "true")
 """Estimators that a run is compared with, each in a folder of its name inside the run's."""
@@ -30,7 +31,7 @@ def tell(folder: Path, runs: Mapping[Path, Run], is_json: bool, is_drawn: bool) 
 
         with recording(folder):
             draw_run(result, baselines)
-    print(to_json(result.summary()) if is_json else report(result, baselines))
+    answer(to_json(result.summary()) if is_json else report(result, baselines))
     if not is_json and (next_step := _next_step(folder, result)):
         tell_next(*next_step)
     if why := ending(result):

@@ -19,6 +19,7 @@ from ..studies.texts import to_markdown, to_terminal
 from .exit_codes import DONE, UNFINISHED
 from .next_step import line_of
 from .progress import bar_of_runs
+from .streams import answer
 
 
 def carry_on(
@@ -48,7 +49,7 @@ def tell_study(study: Study, ledger: Ledger, folder: Path, is_json: bool) -> int
         summary = summarised(read_results(folder), study.definition.factor_names)
         write_text(folder / "summary.md", to_markdown(study, summary))  # whatever becomes of the pictures
     counts = ledger.counts()
-    print(to_json(_figures(study, summary, folder) | {"runs": counts}) if is_json else to_terminal(study, summary))
+    answer(to_json(_figures(study, summary, folder) | {"runs": counts}) if is_json else to_terminal(study, summary))
     with recording(folder):
         from ..plots.study import draw_study  # after the runs: what draws takes half a second to load
 

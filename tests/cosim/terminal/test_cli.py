@@ -87,6 +87,27 @@ def test_json_is_one_object_with_the_documented_keys_and_nothing_else_is_printed
     assert json.loads((workplace / result["run"] / "result.json").read_text()) == result
 
 
+@pytest.mark.parametrize("is_captured", [False, True], ids=["in a process of its own", "with a stream in its place"])
+def test_what_a_model_prints_is_no_part_of_the_json(called, workplace, is_captured):
+    """Python's print, and what a library writes to the file descriptor, go to standard error."""
+    raw = "" if is_captured else 'os.write(1, b"at the descriptor\\n"), '
+    (workplace / "printing_model.py").write_text(
+        "import os\nfrom fmu_models.pendulum import derivative as quiet\n\n\n"
+        f"def derivative(x, u, m, l):\n    {raw}print('by print')\n    return quiet(x, u, m, l)\n"
+    )
+    text = PENDULUM.replace('model = "fmu_models.pendulum:derivative"', 'model = "printing_model:derivative"')
+    (workplace / "printing.toml").write_text(text)
+    command = ["run", "printing.toml", "--only", "--json", "--set", "scenario.stop_time=0.1"]
+    if is_captured:
+        code, out, err = called(*command)
+    else:
+        done = retune(*command)
+        code, out, err = done.returncode, done.stdout, done.stderr
+    assert (code, json.loads(out)["status"]) == (0, "done")
+    assert "by print" in err
+    assert ("at the descriptor" in err) != is_captured
+
+
 def test_json_has_null_where_there_is_no_figure(called):
     code, out, err = called(*SHORT, "--json", "--estimator", "none")
     result = json.loads(out)

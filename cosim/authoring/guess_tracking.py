@@ -1,6 +1,6 @@
 """Outputs of the plant that those of the reference are for, guessed as connections are: see `guess`."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from difflib import SequenceMatcher
 
 from ..fmi.component import Component, ModelVariable
@@ -25,24 +25,29 @@ from .guess import (
 def guess_tracking(components: Mapping[str, Component]) -> list[Guess]:
     """Return the plant's output that each output of the reference is for, by name and unit; none without a reference.
 
-    Derivatives and echoes of inputs are left out; where no name fits, the only output in the unit is taken.
+    Derivatives and echoes of inputs are left out, and what the plant itself takes of the reference, as the weather, but
+    for set points; where no name fits, the only output in the unit is taken.
     """
     plant, found = components[PLANT], []
     others = {*plant.derivatives.values(), *named_rates(plant).values(), *echoes(plant)}
     outputs = [v for v in plant.having("output") if v.name not in others]
-    compared = _compared(components)
+    connections = guess_connections(components)
+    compared = _compared(components, connections)
+    weather = {g.source for g in connections if VariableName(g.target).component == PLANT}
     for r in components[REFERENCE].having("output") if REFERENCE in components else ():
+        if f"{REFERENCE}.{r.name}" in weather and not is_desired(r.name):
+            continue
         guess = compared.get(r.name) or _tracked(components[REFERENCE], r, plant, outputs)
         found += [] if guess is None or guess.target in {g.target for g in found} else [guess]
     return found
 
 
-def _compared(components: Mapping[str, Component]) -> dict[str, Guess]:
+def _compared(components: Mapping[str, Component], connections: Iterable[Guess]) -> dict[str, Guess]:
     """Return the plant's outputs that the controller takes as an output of the reference, T_meas as T_set, by that one.
 
     Outputs in two units are left out.
     """
-    sources = {g.target: VariableName(g.source).parts for g in guess_connections(components) if g.source}
+    sources = {g.target: VariableName(g.source).parts for g in connections if g.source}
     own = [v.name for v in components[CONTROLLER].having("input")] if CONTROLLER in components else []
     found: dict[str, Guess] = {}
     for desired in filter(is_desired, own):

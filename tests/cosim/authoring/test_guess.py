@@ -3,6 +3,7 @@
 import pytest
 
 from cosim.authoring.guess import LAST_WORDS, LIKE, SAME, SAME_WORDS, alike, guess_connections, is_desired
+from cosim.authoring.guess_tracking import guess_tracking
 from cosim.fmi.component import read_component
 
 
@@ -95,6 +96,23 @@ def test_a_plant_takes_what_the_reference_has_by_its_exact_name_to_be_looked_at(
     assert found["plant.To"] == ("reference.To", False)
     assert found["controller.To"] == ("reference.To", True)
     assert found["plant.vh"] == (None, False)  # the same words are not enough: it would be a set point
+
+
+def test_what_the_plant_takes_of_the_reference_is_no_set_point(described):
+    """A heat exchanger's temperature at the inlet is not what its outlet shall have."""
+    components = {
+        "plant": read_component(
+            described(
+                variables(T_in=("input", "K"), steam=("input", ""), T_out=("output", "K"), T_meas=("output", "K")),
+                name="P",
+            )
+        ),
+        "controller": read_component(
+            described(variables(T_set=("input", "K"), T_meas=("input", "K"), steam=("output", "")), name="C")
+        ),
+        "reference": read_component(described(variables(T_set=("output", "K"), T_in=("output", "K")), name="R")),
+    }
+    assert [(g.target, g.source) for g in guess_tracking(components)] == [("plant.T_meas", "reference.T_set")]
 
 
 def test_a_plant_takes_the_controllers_output_of_the_same_words_before_the_references_of_its_name(joined):

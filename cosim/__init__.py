@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from .offline.from_python import estimate as estimate
     from .offline.online import Online as Online
     from .offline.online_from_python import estimate_online as estimate_online
+    from .offline.request import EstimateError as EstimateError
     from .plots.beliefs import plot_belief as plot_belief
     from .plots.beliefs import plot_surrogate as plot_surrogate
     from .runs.result import Run as Run
@@ -35,6 +36,7 @@ __version__ = "0.1.0"
 _MODULES = {
     "Comparison": "campaigns.comparison",
     "CosimError": "errors",
+    "EstimateError": "offline.request",
     "Estimation": "offline.estimate",
     "FolderError": "errors",
     "ModelDescriptionError": "errors",

@@ -43,7 +43,8 @@ def compare(
     ended, and the tables are written at the end; with `keep` each run has its folder there, too. Diverged and faulted
     runs count. A run whose process has died is made again. on: engine instead of processes here, as of `retune study
     --on`; is_plain: a Dask scheduler elsewhere may be talked to without TLS.
-    Raises ValueError for seeds or jobs that make no sense; CosimError for what `run` refuses.
+    Raises ValueError for seeds or jobs that make no sense, TypeError for a text in place of a list of estimators;
+    CosimError for what `run` refuses.
     """
     out = None if out is None else Path(out)
     study = comparison_study(scenario, estimators, seeds, keep)
@@ -71,7 +72,9 @@ def compare(
 def comparison_study(
     scenario: Scenario | Path | str, estimators: Sequence[str] | None, seeds: int | Sequence[int], keep: bool
 ) -> Study:
-    """Return the study that a comparison is. Raises ValueError, CosimError."""
+    """Return the study that a comparison is. Raises ValueError, TypeError, CosimError."""
+    if isinstance(estimators, str):
+        raise TypeError(f"estimators must be a list of names, got {estimators!r}.")
     scenario = with_own(scenario if isinstance(scenario, Scenario) else Scenario.load(scenario), *(estimators or ()))
     check_trust(scenario)
     names = tuple(dict.fromkeys(("none", "true", *(usable(scenario) if estimators is None else estimators))))

@@ -2,6 +2,7 @@
 
 from collections.abc import Generator, Mapping
 from contextlib import ExitStack, contextmanager
+from numbers import Integral
 from pathlib import Path
 from time import perf_counter
 
@@ -43,9 +44,12 @@ def run(
     scenario: a Scenario, the name of one, or a TOML file. The same seed gives the same run, bit for bit, on one
     machine. With `out`, an absent or empty folder, everything is recorded there. A fault of an FMU ends the run with
     status `faulted`: the rows so far are kept.
-    Raises ScenarioError, ModelDescriptionError, WiringError or FolderError before any step; KeyboardInterrupt when
-    interrupted and UnfinishedError when the disk is full, the rows so far recorded: `resume` continues from them.
+    Raises ScenarioError, ModelDescriptionError, WiringError or FolderError before any step, ValueError for a seed that
+    is no whole number from 0 on; KeyboardInterrupt when interrupted and UnfinishedError when the disk is full, the rows
+    so far recorded: `resume` continues from them.
     """
+    if not isinstance(seed, Integral) or seed < 0:
+        raise ValueError(f"seed must be a whole number from 0 on, got {seed!r}.")
     scenario = with_own(scenario if isinstance(scenario, Scenario) else Scenario.load(scenario), estimator)
     return _simulated(scenario, estimator, seed, None if out is None else Path(out), progress)
 

@@ -14,10 +14,10 @@ import cosim
 from cosim.system.fmu_cache import find_fmu
 
 PUBLIC = [
-    "Comparison", "CosimError", "Estimation", "FolderError", "ModelDescriptionError", "Online", "Run", "Scenario",
-    "ScenarioError", "Slave", "SlaveError", "SspError", "System", "UnfinishedError", "WiringError", "compare",
-    "estimate", "estimate_online", "load_scenario", "open_slave", "plot_belief", "plot_surrogate", "read_run", "resume",
-    "run",
+    "Comparison", "CosimError", "EstimateError", "Estimation", "FolderError", "ModelDescriptionError", "Online",
+    "Run", "Scenario", "ScenarioError", "Slave", "SlaveError", "SspError", "System", "UnfinishedError",
+    "WiringError", "compare", "estimate", "estimate_online", "load_scenario", "open_slave", "plot_belief",
+    "plot_surrogate", "read_run", "resume", "run",
 ]  # fmt: skip
 WORKSHOP = {"cosim", "estimator", "fmu_models"}
 

@@ -355,6 +355,11 @@ def test_an_unknown_estimator_is_refused_before_a_folder_is_made(pendulum, tmp_p
     assert not (tmp_path / "out").exists()
 
 
+def test_a_text_in_place_of_a_list_of_estimators_is_refused():
+    with pytest.raises(TypeError, match=r"^estimators must be a list of names, got 'none'\.$"):
+        compare("pendulum", "none", seeds=1)
+
+
 @pytest.mark.parametrize(
     ("settings", "rule"),
     [

@@ -486,6 +486,12 @@ def test_run_takes_a_name_makes_its_folder_and_shows_itself_in_one_line(tmp_path
     assert repr(read_run(str(out))) == repr(done)
 
 
+@pytest.mark.parametrize("seed", [-1, 0.5, "a", None])
+def test_a_seed_that_is_no_whole_number_is_refused(pendulum, seed):
+    with pytest.raises(ValueError, match=r"^seed must be a whole number from 0 on, got "):
+        run(pendulum({}, stop_time=0.1), "none", seed)
+
+
 def test_a_folder_with_anything_in_it_is_refused_and_left(pendulum, tmp_path):
     (tmp_path / "mine").write_text("precious")
     with pytest.raises(FolderError, match="is not empty"):

@@ -118,6 +118,7 @@ def test_noise_of_a_straight_lines_slope_is_that_of_linear_regression(points):
     assert kernel.noise_gain == pytest.approx(1.0 / (H * np.sqrt(spread)), rel=1e-12)
 
 
+@pytest.mark.full
 @each
 def test_white_noise_comes_out_as_strong_as_predicted_and_independent(settings):
     sigma, n = 1e-3, 120_000

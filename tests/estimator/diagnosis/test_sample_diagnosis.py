@@ -34,6 +34,7 @@ TRUE, CHANGED = np.array([2.0, -1.0]), np.array([3.2, -1.8])
 SIGMA = 0.01
 FILTERS = {"ukf": UnscentedKalman, "mhe": MovingHorizon, "enkf": EnsembleKalman}
 STARTS = {"target": TargetVector, "least-squares": LeastSquares} | FILTERS
+FEW_SEEDS = pytest.mark.parametrize("seed", [0, *(pytest.param(n, marks=pytest.mark.full) for n in (1, 2, 3))])
 ESTIMATORS = pytest.mark.parametrize("estimator", ["target", "least-squares", "ukf"])
 
 
@@ -809,7 +810,7 @@ def test_parameters_in_force_are_neither_written_nor_undone_for_a_rounding_error
     assert run.retuner.suspend(5.2, np.nextafter(TRUE, np.inf), 20).undo is None
 
 
-@pytest.mark.parametrize("seed", range(4))
+@FEW_SEEDS
 @SEARCHES
 def test_parameters_that_change_from_search_to_search_rest_and_return(estimator, seed):
     """On one channel two parameters explain some samples of a sine, and other ones the next."""
@@ -2120,7 +2121,7 @@ class SlowRun(Run):
         return 1.0 + 0.1 * np.sin(0.2 * t), 0.3 + 0.05 * np.sin(0.3 * t + 1.0)
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.full), pytest.param(2, marks=pytest.mark.full)])
+@FEW_SEEDS
 @pytest.mark.parametrize("n_channels", [2, 3])
 @ESTIMATORS
 def test_a_drift_that_speeds_up_is_followed_though_older_samples_contradict_it(estimator, n_channels, seed):
@@ -2143,7 +2144,7 @@ def shaking(i):
 
 
 @SEARCHES
-@pytest.mark.parametrize("seed", range(4))
+@FEW_SEEDS
 def test_a_rest_ends_when_the_parameters_in_force_have_explained_the_samples_for_as_long_as_not(estimator, seed):
     run = Run(estimator, seed=seed).go(100).go(160, added=shaking)
     assert len(run.of("rest")) == 1

@@ -49,7 +49,7 @@ def answers_alone() -> Generator[None]:
     """Keep standard output for `answer`: what else is printed, as by a user's model, goes to standard error."""
     stdout = sys.stdout
     stdout.flush()
-    kept = os.dup(1) if _are_descriptors(stdout) else None
+    kept = os.dup(1) if _is_standard_output(stdout) else None
     try:
         if kept is None:
             sys.stdout = _Aside(stdout)  # another program's stream in place of a file
@@ -71,7 +71,7 @@ def answer(text: str) -> None:
     print(text, file=getattr(sys.stdout, "answers", sys.stdout))
 
 
-def _are_descriptors(stdout: TextIO) -> bool:
+def _is_standard_output(stdout: TextIO) -> bool:
     """Return whether a stream is the process' standard output, and there is a standard error beside it."""
     try:
         os.fstat(2)

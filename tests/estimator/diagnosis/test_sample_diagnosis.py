@@ -76,7 +76,7 @@ class Run:
         self.rng = np.random.default_rng(self.seed)
         self.plant = PLANTS[self.n_channels]
         channels = tuple(range(self.n_channels))
-        whitened = DerivativeResidual(self.model or self.plant, SPACE, channels, (SIGMA,) * self.n_channels)
+        whitened = DerivativeResidual(self.model or self.plant, SPACE, channels, (SIGMA,) * self.n_channels, is_vectorised=True)
         self.names = tuple(f"der{i}" for i in channels)
         self.diagnosis = Diagnosis(whitened, self.names, self.settings, None)
         begins, self.held, self.k = InnovationSettings(), TRUE, 0

@@ -2,10 +2,12 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import isfinite
 from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .samples import Sample
 from .significance import chi2_limit, is_explained
@@ -31,6 +33,12 @@ class SampleSequence:
         """Number n of steps."""
         return len(self.samples) - 1
 
+    @cached_property
+    def is_measured(self) -> NDArray[np.bool_]:
+        """True for each output that was measured after a step (n, c)."""
+        y = np.array([s.y for s in self.samples[1:]], dtype=float)
+        return ~np.isnan(y.reshape(self.n_steps, len(self.samples[0].y)))
+
 
 class Evaluation(NamedTuple):
     """Result of evaluating a candidate."""
@@ -43,8 +51,22 @@ class Evaluation(NamedTuple):
     """Sum of squared residuals of each step (n,), where residuals belong to steps."""
 
 
+class Tracked(NamedTuple):
+    """Residual of the parameters in force on the newest samples, in standard deviations; empty where unknown."""
+
+    values: Vector
+    """All, output by output; 0 where one was not measured."""
+    measured: Vector
+    """Those that were measured (D,)."""
+
+
 class SequenceObjective(Protocol):
     """Objective that compares candidates with a sequence of samples, by simulations."""
+
+    @property
+    def is_of_outputs(self) -> bool:
+        """True where residuals are of the outputs, output by output and step by step: 0 where one was not measured."""
+        ...
 
     @property
     def is_ready(self) -> bool:
@@ -86,7 +108,7 @@ class EpisodeWindow:
     At a trigger some of the samples may be from before the parameters jumped. Those since an anchor, set every
     max_length samples, are taken where the parameters in force explain them (a chi-square test). Otherwise the window
     begins where these stopped explaining them (Page's cumulative sum) or, where that is not known, at the trigger,
-    and the candidates wait until it is full.
+    and the candidates wait until it is full. It is no sooner than twice as many values as parameters are measured.
     """
 
     is_rescoring_cheap = False
@@ -105,6 +127,7 @@ class EpisodeWindow:
         self._stretch: SampleSequence | None = None
         self._is_filling = False
         self._extended = 0  # number of steps to wait for after an episode that could not tell; 0 for a usual window
+        self._n_needed = 0  # number of measured values
         self._judged: dict[bytes, Evaluation] = {}
         self.n_model_calls = 0
         """Number of samples at which parameters were evaluated."""
@@ -145,6 +168,7 @@ class EpisodeWindow:
     def begin(self, theta: Vector) -> str:
         """Begin an episode with theta (d,) in force; return on which samples, in words."""
         self._judged.clear()
+        self._n_needed = 2 * len(theta)
         if self._extended and self._stretch is not None:
             self._extended = 0
             return f"the last {self._stretch.n_steps}, on fewer of which the episode before could not tell"
@@ -154,15 +178,15 @@ class EpisodeWindow:
             (found,) = self._objective.evaluate([theta], past)
             self.n_model_calls += past.n_steps
             weighted = self._weighted(found.residual)
-            is_long = found.reason is None and past.n_steps >= self._max_length
-            if is_long and is_explained(weighted):
+            is_long = found.reason is None and self._is_long(past, self._max_length)
+            if is_long and is_explained(self._measured(weighted, past)):
                 self._judged[theta.tobytes()] = found
                 self._stretch, self._is_filling = past, False
                 return f"the last {past.n_steps}, which the parameters in force explain"
             squares = found.squares
             if squares is not None and self.weights is not None:
                 squares = np.sum(weighted.reshape(len(self.weights), -1) ** 2, axis=0)
-            change = None if squares is None else _last_explained(squares, len(found.residual))
+            change = None if squares is None else _last_explained(squares, self._n_values(len(weighted), past))
             if change is not None and self._origins[change] is not None:
                 first = change
         first = self._beginning(first)
@@ -235,7 +259,7 @@ class EpisodeWindow:
         self.n_model_calls += len(new) * self._stretch.n_steps
         for theta, judged in zip(new, self._objective.evaluate(new, self._stretch) if new else [], strict=True):
             self._judged[theta.tobytes()] = judged
-        return [self._scaled(self._judged[theta.tobytes()].residual) for theta in thetas]
+        return [self._measured(self._scaled(self._judged[t.tobytes()].residual), self._stretch) for t in thetas]
 
     @property
     def sequence(self) -> SampleSequence | None:
@@ -245,7 +269,17 @@ class EpisodeWindow:
     def whitened(self, theta: Vector) -> Vector:
         """Return the residual (D,) of one candidate in standard deviations, whatever the estimator gets."""
         self.residuals([theta])
-        return self._weighted(self._judged[theta.tobytes()].residual)
+        assert self._stretch is not None
+        return self._measured(self._weighted(self._judged[theta.tobytes()].residual), self._stretch)
+
+    def rows(self, theta: Vector, n_channels: int) -> Vector:
+        """Return the residuals (n, c) of one candidate in standard deviations; NaN where an output was not measured."""
+        self.residuals([theta])
+        assert self._stretch is not None
+        rows = self._weighted(self._judged[theta.tobytes()].residual).reshape(n_channels, -1).T
+        is_measured = self._stretch.is_measured
+        is_known = not self._objective.is_of_outputs or rows.shape != is_measured.shape
+        return rows if is_known else np.where(is_measured, rows, np.nan)
 
     def with_inputs(self, theta: Vector, moved: Vector) -> Vector:
         """Return the residual (D,) of theta (d,) with moved (p,) added to every input, in standard deviations."""
@@ -254,7 +288,7 @@ class EpisodeWindow:
         aside = [_with_inputs(sample, moved) for sample in others]
         (found,) = self._objective.evaluate([theta], replace(self._stretch, samples=(first, *aside)))
         self.n_model_calls += self._stretch.n_steps
-        return self._weighted(found.residual)
+        return self._measured(self._weighted(found.residual), self._stretch)
 
     def largest_inputs(self) -> Vector:
         """Return the largest absolute value of each input (p,) in the present episode."""
@@ -266,16 +300,17 @@ class EpisodeWindow:
         found = self._judged.get(theta.tobytes())
         return found.reason if found else None
 
-    def track(self, theta: Vector) -> Vector:
-        """Return the residual (D,) of the parameters in force on the samples since the anchor before, or empty.
+    def track(self, theta: Vector) -> "Tracked":
+        """Return the residual of the parameters in force on the samples since the anchor before, or empty.
 
         It costs one simulated step a sample: see SequenceObjective.track.
         """
         stretch = self._stretch_from(self._tracked_from)
         if not stretch.n_steps:
-            return np.empty(0)
+            return Tracked(np.empty(0), np.empty(0))
         self.n_model_calls += 1
-        return self._weighted(self._objective.track(theta, stretch))
+        values = self._weighted(self._objective.track(theta, stretch))
+        return Tracked(values, self._measured(values, stretch))
 
     @property
     def n_tracked(self) -> int:
@@ -290,7 +325,7 @@ class EpisodeWindow:
 
     def innovation(self, theta: Vector, sample: Sample) -> Vector:
         """Return the residual (D,) for a trigger, on the samples that `track` is about, this one the newest."""
-        return self.track(theta)
+        return self.track(theta).measured
 
     def explain(self, theta: Vector, patient: bool = True) -> None:
         """Do nothing: the window does not change in an episode."""
@@ -299,9 +334,29 @@ class EpisodeWindow:
         """Do nothing: no residual outlives an episode."""
 
     def _freeze(self) -> None:
-        n_wanted = self._extended or self._max_length
-        if self._is_filling and len(self._recent) > n_wanted and self._objective.is_ready:
-            self._is_filling, self._stretch = False, self._stretch_from(0)
+        if not self._is_filling or not self._objective.is_ready:
+            return
+        stretch = self._stretch_from(0)
+        if self._is_long(stretch, self._extended or self._max_length):
+            self._is_filling, self._stretch = False, stretch
+
+    def _is_long(self, stretch: SampleSequence, n_steps: int) -> bool:
+        """Return whether a stretch has n_steps, and has measured twice as many values as there are parameters."""
+        if stretch.n_steps < n_steps:
+            return False
+        return not self._objective.is_of_outputs or bool(np.count_nonzero(stretch.is_measured) >= self._n_needed)
+
+    def _measured(self, residual: Vector, stretch: SampleSequence) -> Vector:
+        """Return the values of a residual (D,) that were measured; all where it has failed."""
+        if not self._objective.is_of_outputs or stretch.is_measured.all() or len(residual) != stretch.is_measured.size:
+            return residual
+        return residual[stretch.is_measured.T.reshape(-1)]
+
+    def _n_values(self, n_residuals: int, stretch: SampleSequence) -> Vector:
+        """Return the number of values of each step (n,)."""
+        if self._objective.is_of_outputs:
+            return np.count_nonzero(stretch.is_measured, axis=1)
+        return np.full(stretch.n_steps, n_residuals // stretch.n_steps)
 
     def _beginning(self, first: int) -> int:
         """Return the place nearest to one, if possible after it, of a sample that a simulation can begin at."""
@@ -340,15 +395,14 @@ def _with_inputs(sample: Sample, moved: Vector) -> Sample:
     return replace(sample, u=tuple((np.array(sample.u) + moved).tolist()))
 
 
-def _last_explained(squares: Vector, n_values: int) -> int | None:
-    """Return the number of steps before those not explained, from each step's sum of squared residuals (n,).
+def _last_explained(squares: Vector, n_values: Vector) -> int | None:
+    """Return the number of steps before those not explained, from each step's sum of n_values squared residuals (n,).
 
     The last step at which the cumulative sum of excesses over an allowance was zero: Page (1954). None where that is
     before the first step, or where no step comes after it.
     """
-    allowance = chi2_limit(_ALLOWANCE, n_values // len(squares))
     excess, last = 0.0, 0
-    for k, square in enumerate(squares.tolist(), 1):
-        excess = max(0.0, excess + square - allowance)
+    for k, (square, n) in enumerate(zip(squares.tolist(), n_values.tolist(), strict=True), 1):
+        excess = max(0.0, excess + square - (chi2_limit(_ALLOWANCE, n) if n else 0.0))
         last = k if excess == 0.0 else last
     return last if 0 < last < len(squares) else None

@@ -115,7 +115,7 @@ class DescribedObjective(SequenceObjective, Protocol):
 class FunctionObjective:
     """A function of the user's: residuals (D,) = f(theta by name, samples), in standard deviations of the noise."""
 
-    is_ready = True
+    is_ready, is_of_outputs = True, False
 
     def __init__(self, function: Callable[..., Any], name: str, space: ParameterSpace) -> None:
         self._function, self._name, self._space = function, name, space

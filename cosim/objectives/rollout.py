@@ -49,6 +49,7 @@ class RolloutObjective:
     How roll-outs begin is decided once, by the first samples. Leaving the context ends the processes.
     """
 
+    is_of_outputs = True
     made_anew: ClassVar = ("_pool", "_follower", "_followed", "_window_start")
     """Attributes that are in no checkpoint: processes, and the roll-out that one of them is at, which begins again."""
 

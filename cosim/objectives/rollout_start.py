@@ -22,6 +22,8 @@ class NoisyStartObjective:
     deviation aside. Where roll-outs begin otherwise it changes nothing. Leaving the context ends the processes.
     """
 
+    is_of_outputs = True
+
     def __init__(self, opened: Callable[[], RolloutObjective], noise: Sequence[float]) -> None:
         """opened: makes an objective; noise (n,): standard deviation of each state, in its unit, 0 for an exact one."""
         self._noise, self._stack = np.array(noise), ExitStack()

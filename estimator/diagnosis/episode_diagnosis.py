@@ -107,12 +107,13 @@ class EpisodeDiagnosis:
         """Return the trigger's reason to begin an episode; None where the samples do not contradict theta (d,)."""
         state = self._state
         state.n_samples += 1
-        residual = self._newest = self._window.track(theta)
-        newest = self._of_newest(residual, sample)
+        tracked = self._window.track(theta)
+        residual = self._newest = tracked.measured
+        newest = self._of_newest(tracked.values, sample)
         if self._rest.is_on:
             self._rest.take(newest)
             return None
-        if not len(residual):
+        if not len(tracked.values):
             state.n_calm = 0
             return trigger(sample, tracking_error, theta) if self._window.n_tracked else None
         if self._window.is_extended:
@@ -120,7 +121,8 @@ class EpisodeDiagnosis:
         if self._settings.is_usual(residual, len(residual)):
             self._quiet(newest)
             return None
-        if self._is_only_newest(residual):  # it may be an isolated value, which the next one tells
+        n_before = len(residual) - int(np.count_nonzero(np.isfinite(newest)))
+        if self._is_only_newest(tracked.values, n_before):  # it may be an isolated value, which the next one tells
             return None
         if state.lasting is None or state.n_samples >= state.suspected_at + FORGOTTEN:
             state.lasting, state.rival = theta, None
@@ -132,10 +134,10 @@ class EpisodeDiagnosis:
             self._window.forget()
         return reason
 
-    def _is_only_newest(self, residual: Vector) -> bool:
-        """Return whether a residual (D,) is unusual for its newest sample only."""
+    def _is_only_newest(self, residual: Vector, n_before: int) -> bool:
+        """Return whether a residual (D,) is unusual for its newest sample only, with n_before values before it."""
         others = residual.reshape(len(self._outputs), -1)[:, :-1]
-        return self._settings.is_usual(others.ravel(), others.size)
+        return self._settings.is_usual(others.ravel(), n_before)
 
     def _of_newest(self, residual: Vector, sample: Sample) -> Vector:
         """Return the newest sample's residual (c,) in standard deviations of the declared noise.
@@ -224,7 +226,7 @@ class EpisodeDiagnosis:
         return NEVER
 
     def _compare(self, parameters: Fit, nothing: Fit, held: Vector) -> None:
-        noise = larger_noise(self._rows(held)) if nothing is not NEVER else NEVER
+        noise = larger_noise(np.nan_to_num(self._rows(held))) if nothing is not NEVER else NEVER
         state, disturbed = self._state, self._disturbed(held)
         weighing = Weighing(parameters, disturbed.fit, nothing, noise=noise)
         self._note(**weighing.fits)
@@ -235,8 +237,8 @@ class EpisodeDiagnosis:
             self._is_certain = weighing.are_parameters_certain
 
     def _rows(self, theta: Vector) -> Vector:
-        """Return the residuals (n, c) of theta (d,) at the sequence's samples, in standard deviations."""
-        return self._window.whitened(theta).reshape(len(self._outputs), -1).T
+        """Return the residuals (n, c) of theta (d,) at the sequence's samples, in standard deviations; NaN: missing."""
+        return self._window.rows(theta, len(self._outputs))
 
     def _note(self, **fits: Fit) -> None:
         if self._window.sequence is not None:
@@ -337,7 +339,7 @@ class EpisodeDiagnosis:
         state.unexplained = None
         if np.any(state.inputs) or not self.space.are_same(found.held, held):
             return ()
-        is_small = np.all(np.sqrt(np.mean(found.rows**2, axis=0)) < TOO_SMALL)
+        is_small = np.all(_mean_squares(found.rows) < TOO_SMALL**2)
         if state.n_failures >= _AGAIN and is_small and state.scale.admit(found.rows):
             self._window.weights = 1.0 / state.scale.effective
             return ()
@@ -359,11 +361,11 @@ class EpisodeDiagnosis:
         Noise is what differs from sample to sample by as much as in the whole: what a model lacks is smooth.
         """
         for candidate, least in ((held, MUCH_LARGER), (theta, LARGER)):
-            residual = np.empty(0) if candidate is None else self._window.whitened(candidate)
-            if len(residual) % len(self._outputs) or len(residual) < NOISY * len(self._outputs):
+            if candidate is None or not np.all(np.isfinite(self._window.whitened(candidate))):
                 continue
-            rows = residual.reshape(len(self._outputs), -1).T
-            if not np.all(np.isfinite(rows)) or not is_rough(rows):
+            rows = self._rows(candidate)
+            rows = rows[np.isfinite(rows).all(axis=1)]
+            if len(rows) < NOISY or not is_rough(rows):
                 continue
             larger = np.maximum(spread_of(rows), 1.0)
             if least <= larger.max() < LARGEST and plain_fit(rows / larger, 0).is_explained:
@@ -381,11 +383,11 @@ class EpisodeDiagnosis:
         if not np.all(np.isfinite(self._window.whitened(theta))):  # its simulation has failed
             return False
         rows = self._rows(theta)
-        squares = np.mean(rows**2, axis=0)
+        squares = _mean_squares(rows)
         largest = _LITTLE * min(
             _LITTLE * _fit(self._window.whitened(held), 0).squares, self._disturbed(held).fit.squares
         )
-        if np.sum(rows**2) >= largest or squares.max() >= TOO_SMALL**2:
+        if np.nansum(rows**2) >= largest or squares.max() >= TOO_SMALL**2:
             return False
         self._state.is_provisional = True
         self._known = None  # what is left beside a disturbance is smaller, too
@@ -415,6 +417,11 @@ class EpisodeDiagnosis:
         if self._known is None or self._known[0] is not key[0] or self._known[1] != key[1]:
             self._known = (*key, disturbed_inputs(self._window, held, self._driven, len(self._inputs)))
         return self._known[2]
+
+
+def _mean_squares(rows: Vector) -> Vector:
+    """Return the mean square (c,) of each channel of rows (n, c); NaN: missing."""
+    return np.nansum(rows**2, axis=0) / np.maximum(np.count_nonzero(np.isfinite(rows), axis=0), 1)
 
 
 def _fit(residual: Vector, n_free: int) -> Fit:

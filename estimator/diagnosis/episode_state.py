@@ -58,4 +58,4 @@ class Unexplained:
     held: Vector
     """Parameters (d,) that were returned to."""
     rows: Vector
-    """Their residuals (n, c), in standard deviations of the declared noise; 0 where an output was not measured."""
+    """Their residuals (n, c), in standard deviations of the declared noise; NaN where an output was not measured."""

@@ -197,7 +197,7 @@ def test_following_gives_what_a_whole_roll_out_gives_a_step_at_a_time(live_objec
     monkeypatch.setattr(objective, "track", lambda theta, s: stretches.append(s) or track(theta, s))
     for _ in range(28):
         window.append(*step(1, is_heard=False))
-        followed = window.track(TRUTH)
+        followed = window.track(TRUTH).measured
         if stretches and objective.is_ready:
             (whole,) = objective.evaluate([TRUTH], stretches[-1])
             np.testing.assert_allclose(followed, whole.residual if len(followed) else [], rtol=1e-9, atol=1e-9)
@@ -574,6 +574,7 @@ REFUSED = {
 }  # fmt: skip
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(("settings", "declared", "told"), REFUSED.values(), ids=REFUSED)
 def test_what_cannot_be_rolled_out_is_refused_in_one_line_by_run_and_check(tmp_path, capfd, settings, declared, told):
     path = toml(tmp_path, spoilt(tmp_path, declared=declared))
@@ -683,7 +684,7 @@ def bare(axis, bare_axis):
     return write
 
 
-@pytest.mark.full_but("auto")
+@pytest.mark.full
 @pytest.mark.parametrize("start", ["measured", "auto"])
 def test_roll_outs_begin_in_states_that_the_scenario_names_for_an_fmu_that_declares_none(bare, leaves_nothing, start):
     path = bare(start=start)

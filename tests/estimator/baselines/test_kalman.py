@@ -48,7 +48,7 @@ def rows_of_many(thetas, samples):
 class RollOuts:
     """Residuals of whole episodes, a function of theta; counts how often candidates are evaluated together."""
 
-    is_ready = True
+    is_ready, is_of_outputs = True, False
 
     def __init__(self, function):
         self._function, self.batches = function, []

@@ -10,6 +10,7 @@ from estimator import EpisodeWindow, Evaluation, Parameter, ParameterSpace, Samp
 from estimator.baselines.solvers import LeastSquares
 from estimator.diagnosis.episode_diagnosis import EpisodeDiagnosis
 from estimator.diagnosis.settings import PASSED, DiagnosisSettings
+from estimator.episode_window import Tracked
 from estimator.retuning.factory import make_episodes
 from estimator.retuning.search import Budget
 from estimator.triggers import InnovationSettings
@@ -21,6 +22,7 @@ STARTS = {"target": TargetVector, "least-squares": LeastSquares}
 SEARCHES = pytest.mark.parametrize("estimator", STARTS)
 PUSH = 0.3
 LENGTH = 20
+UNKNOWN = Tracked(np.empty(0), np.empty(0))  # as where a simulation begins, or has failed
 
 
 def after(x, u, theta, moment=0.0):
@@ -31,7 +33,7 @@ def after(x, u, theta, moment=0.0):
 class Simulated:
     """Objective that simulates a sequence from its first, known state; the outputs are both states."""
 
-    is_ready = True
+    is_ready = is_of_outputs = True
 
     def add_sample(self, sample):
         self.newest = sample
@@ -72,6 +74,7 @@ class Run:
     noise: float = 1.0  # in declared standard deviations
     correlation: float = 0.0  # of the noise, from sample to sample
     missing: float = 0.0  # share of the measurements
+    every: int = 0  # samples from one measurement to the next of a slow sensor of y1 alone; none: both at each
     seed: int = 0
     settings: DiagnosisSettings = field(default_factory=DiagnosisSettings)
     inputs: tuple[str, ...] = ("u",)
@@ -107,6 +110,8 @@ class Run:
             y = self.x + self.last
             if self.missing:
                 y[self.rng.random(2) < self.missing] = np.nan
+            if self.every:
+                y = np.array([np.nan, np.nan if self.k % self.every else y[1]])
             inputs = (u, 0.0)[: len(self.inputs)] or (u,)
             self.take(Sample(0.1 * self.k, tuple(self.x.tolist()), inputs, (), tuple(y.tolist())))
         return self
@@ -554,13 +559,31 @@ def test_samples_without_a_value_stop_nothing(estimator):
     assert near(run.held, CHANGED)
 
 
+@SEARCHES
+def test_a_change_of_a_hundredth_is_found_though_most_measurements_are_missing(estimator):
+    """As a residual of zero each of these would make the others look smaller: none was found then."""
+    runs = [Run(estimator, seed=seed, missing=0.8).go(400).go(600, np.array([0.9, 0.505])) for seed in range(3)]
+    assert all(len(run.writes) >= 1 for run in runs)
+    assert all(abs(run.held[1] - 0.505) < 0.0035 for run in runs)
+
+
+@pytest.mark.parametrize("every", [5, 10])
+@SEARCHES
+def test_a_slow_sensor_alone_does_not_take_what_the_model_lacks_for_parameters(estimator, every):
+    run = Run(estimator, every=every).go(400).go(500, TRUE, sine)
+    assert near(run.held, TRUE)
+    assert len(run.writes) <= 1
+    change = Run(estimator, every=every).go(400).go(400, CHANGED)
+    assert near(change.held, CHANGED)
+
+
 def test_the_size_of_the_residuals_in_a_rest_is_known_after_it_whatever_its_last_sample_had():
     """That a simulation has none, as where it begins or has failed, is no reason to forget the others."""
     settings = DiagnosisSettings(rest=100, longest_rest=100)
     run = Run("least-squares", settings=settings).go(100).go(80, TRUE, sine)
     state, track = run.diagnosis._state, run.window.track
     run.go(state.rests_until - state.n_samples - 2, TRUE, sine)
-    run.window.track = lambda theta: np.empty(0)
+    run.window.track = lambda theta: UNKNOWN
     run.go(1, TRUE, sine)
     run.window.track = track
     assert state.n_samples == state.rests_until - 1
@@ -627,6 +650,6 @@ def test_candidates_beside_ones_that_fail_end_no_run(estimator, seed):
 def test_nothing_begins_in_a_rest_though_no_simulation_succeeds():
     run = Run().go(30)
     state, sample = run.diagnosis._state, Sample(3.0, (0.0, 0.0), (0.0,), (), (0.0, 0.0))
-    state.rests_until, run.window.track = state.n_samples + 50, lambda theta: np.empty(0)
+    state.rests_until, run.window.track = state.n_samples + 50, lambda theta: UNKNOWN
     reasons = [run.diagnosis.reason(lambda *a: "tracking", sample, 1.0, TRUE) for _ in range(60)]
     assert reasons == [None] * 49 + ["tracking"] * 11

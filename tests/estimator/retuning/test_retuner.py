@@ -386,7 +386,7 @@ def test_the_latencies_of_a_step_add_up_to_all_of_it(monkeypatch):
 class SequenceObjective:
     """Residual 10 - theta at every sample; fails above 100. The log is what it was asked, a list a call."""
 
-    is_ready = True
+    is_ready, is_of_outputs = True, False
 
     def __init__(self):
         self.log = []

@@ -4,6 +4,7 @@ import hashlib
 import os
 import shutil
 import signal
+from collections import Counter
 from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from pathlib import Path
@@ -21,10 +22,16 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Marks the cases of a test as `full`, but for those that its mark `full_but` names."""
+    """Marks as `full` the cases of a test with other seeds than its first, and what `full_but` and `sampled` say."""
+    first_seeds, n_cases = dict[object, int](), Counter[object]()
     for item in items:
-        mark = item.get_closest_marker("full_but")
-        if mark and item.callspec.id not in mark.args:
+        params = item.callspec.params if hasattr(item, "callspec") else {}
+        mark, seed = item.get_closest_marker("full_but"), params.get("seed")
+        is_later = isinstance(seed, int) and seed != first_seeds.setdefault(item.function, seed)
+        if (sampled := item.get_closest_marker("sampled")) is not None:
+            is_later = n_cases[item.function] % sampled.args[0] > 0
+            n_cases[item.function] += 1
+        if is_later or (mark and item.callspec.id not in mark.args):
             item.add_marker("full")
 
 

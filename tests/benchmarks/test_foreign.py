@@ -64,7 +64,7 @@ def test_coloured_noise_is_of_the_sensors_that_are_compared_with(objective):
 
 
 @pytest.mark.fmu
-@pytest.mark.full_but("derivatives")
+@pytest.mark.full
 @pytest.mark.parametrize("objective", OBJECTIVES)
 def test_runs_are_compared_with_the_nominal_controller_and_the_true_parameters(
     tmp_path, monkeypatch, capsys, objective

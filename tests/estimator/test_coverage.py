@@ -58,7 +58,7 @@ def n_covered(name, change):
     return covered
 
 
-@pytest.mark.full_but("3.0")
+@pytest.mark.full
 @pytest.mark.parametrize("change", [2.0, 2.5, 3.0, 4.0, 12.0])
 def test_intervals_of_target_cover_although_it_holds_small_changes(change):
     """Changes below three standard deviations are held at the old value: a bias that the interval has to have."""
@@ -71,6 +71,7 @@ def test_intervals_of_least_squares_cover():
     assert binom.ppf(1e-4, N_SEEDS, 0.95) <= covered <= binom.ppf(1.0 - 1e-4, N_SEEDS, 0.97)
 
 
+@pytest.mark.full
 def test_intervals_of_target_cover_where_what_the_model_lacks_is_correlated():
     """Twenty standard deviations of the noise, smooth over ten of forty rows: least squares errs by far more than white
     noise of that size would make it err."""

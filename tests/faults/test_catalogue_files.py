@@ -202,6 +202,7 @@ def is_told(unsound, tmp_path, command):
 LONG = {"too many": pytest.mark.full}
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     "row", [pytest.param(r, id=repr(r["inject"]), marks=LONG.get(r["inject"], ())) for r in CATALOGUE["archive"]]
 )
@@ -220,6 +221,7 @@ def test_archive(unsound, is_told, row):
     is_told(row)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("row", CATALOGUE["description"], ids=lambda row: row["fault"])
 def test_description(unsound, is_told, row):
     files = files_of(unsound)

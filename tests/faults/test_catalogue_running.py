@@ -30,11 +30,13 @@ def rows(kind):
         seen.add(outcome)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("row", list(rows("native")))
 def test_native(native, row, caplog, capfd):
     check(native, "native", row, caplog, capfd)
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("row", list(rows("python")))
 def test_python(faulty, row, caplog, capfd):
     check(faulty, "python", row, caplog, capfd)

@@ -127,7 +127,7 @@ OUTPUT_ROWS = {
 }  # fmt: skip
 
 
-@pytest.mark.full_but("NaN for 0.2 s")
+@pytest.mark.full
 @pytest.mark.parametrize("name", OUTPUT_ROWS)
 def test_a_bad_output_is_left_out_of_roll_outs_which_find_the_parameters_all_the_same(name, tmp_path):
     faults, found, kept_out, failed = OUTPUT_ROWS[name]
@@ -155,6 +155,7 @@ def test_an_undisturbed_run_loses_no_sample(more, tmp_path):
     assert not [e for e in events if e["kind"] in ("observation", "sensor")]
 
 
+@pytest.mark.full
 def test_ten_times_the_noise_is_no_fault(tmp_path):
     result, _ = ran(tmp_path / "run", fault("noise", RATE, size=1e-2))
     assert result.observations["kept_out"] <= 2

@@ -334,6 +334,7 @@ def contents(folder: Path) -> dict[Path, bytes | None]:
     return {path: path.read_bytes() if path.is_file() else None for path in folder.rglob("*")}
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(("inject", "how", "outcome"), [d[1:] for d in DAMAGED], ids=[d[0] for d in DAMAGED])
 def test_a_damaged_folder_is_told_in_one_line_and_left_as_it_is(copied, capfd, inject, how, outcome):
     folder = copied(how)
@@ -359,7 +360,7 @@ def places_in(values, path=()):
     return [path]
 
 
-@pytest.mark.parametrize("seed", [pytest.param(i, marks=[pytest.mark.full] if i > 4 else []) for i in range(100)])
+@pytest.mark.parametrize("seed", range(40))
 def test_whatever_a_checkpoint_holds_the_end_is_one_line(copied, capfd, seed):
     """A value or two of it are others, and its hash is right: it may fit, and lead to a run of other numbers."""
     folder, rng = copied("resume"), random.Random(seed)
@@ -410,6 +411,7 @@ HARMLESS = [
 ]
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(("inject", "how"), [h[1:] for h in HARMLESS], ids=[h[0] for h in HARMLESS])
 def test_what_does_no_harm_is_passed_over(runs, copied, capfd, inject, how):
     folder = copied(how)

@@ -212,6 +212,7 @@ def observed_feedthrough(model):
     return observed(model, outputs_after_a_step, set(inputs.values()))
 
 
+@pytest.mark.sampled(3)
 @each_model
 def test_initial_dependencies_are_exactly_what_a_perturbation_shows(name):
     model = MODELS[name]
@@ -221,6 +222,7 @@ def test_initial_dependencies_are_exactly_what_a_perturbation_shows(name):
     assert set(unknowns) == {v.name for v in model.variables if v.initial == "calculated"}
 
 
+@pytest.mark.sampled(3)
 @each_model
 def test_dependencies_at_communication_points_are_exactly_what_a_perturbation_shows(name):
     """On inputs after a step, which a plant holds; on states and time at the start, where any may be set."""
@@ -326,6 +328,7 @@ def test_the_controller_hovers_where_it_is_asked_to(fmus, host):
 # -- state, faults, isolation -------------------------------------------------------------------------------------
 
 
+@pytest.mark.sampled(3)
 @fmu
 @each_fmu
 def test_a_rollback_repeats_every_bit_here_and_in_another_instance(built, host, fmi, name):
@@ -434,6 +437,7 @@ print([len(fmpy.simulate_fmu(path, stop_time=0.1)) > 1 for path in sys.argv[1:]]
     assert (done.returncode, done.stdout) == (0, "[True, True]\n"), done.stderr
 
 
+@pytest.mark.sampled(3)
 @fmu
 @each_fmu
 def test_an_fmu_brings_all_it_needs(built, host, fmi, name):

@@ -95,6 +95,7 @@ def test_with_true_parameters_the_error_is_that_of_the_held_input():
     assert 1e-5 < np.abs(loop("true")).max() < 3e-5
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("begin", [0.5, 1.5], ids=["before", "after"])
 @pytest.mark.parametrize("duration", [0.05, 0.1])
 @pytest.mark.parametrize("push", [-0.5, -0.3, 0.3, 0.5])

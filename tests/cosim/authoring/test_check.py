@@ -140,6 +140,7 @@ CASES = {
 }  # fmt: skip
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(("replacement", "where", "what"), CASES.values(), ids=CASES)
 def test_what_is_wrong_or_risky_is_found_where_it_is(axis, replacement, where, what):
     found = [str(f) for f in check(axis(replacement))]

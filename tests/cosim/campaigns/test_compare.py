@@ -333,6 +333,7 @@ def test_a_run_whose_process_was_killed_is_made_again(pendulum, children):
     assert [r["status"] for r in comparison.runs] == ["done", "done"]
 
 
+@pytest.mark.full
 @real
 def test_a_comparison_of_which_a_run_was_lost_is_resumed_to_its_end(pendulum, tmp_path, capsys):
     out = tmp_path / "out"

@@ -126,7 +126,7 @@ def versions(*components):
     return {f"components.{component}.fmi": "3" for component in components}
 
 
-@pytest.mark.full_but("plant")
+@pytest.mark.full
 @pytest.mark.parametrize("three", [("plant",), ("controller", "reference"), ALL], ids="-".join)
 def test_a_re_tuned_pendulum_is_the_same_bit_for_bit(pendulum, three):
     at_once = {"estimation.trigger": '{ kind = "always" }'}

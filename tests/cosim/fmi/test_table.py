@@ -117,6 +117,7 @@ def with_table(tmp_path, pendulum):
     return scenario.model_copy(update={"folder": tmp_path})
 
 
+@pytest.mark.full
 @pytest.mark.fmu
 def test_a_run_on_a_table_is_that_on_the_fmu_which_says_the_same(with_table, pendulum, tmp_path):
     out = tmp_path / "run"

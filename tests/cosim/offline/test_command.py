@@ -301,6 +301,7 @@ def test_a_log_in_place_of_the_fmu_is_told(plant, oracles, tmp_path, monkeypatch
     assert capsys.readouterr().err == "retune: log.csv is a table, not an FMU: the FMU comes first, then its logs.\n"
 
 
+@pytest.mark.full
 def test_a_step_that_passes_over_inputs_is_warned_of(command, capsys):
     for step, told in (("0.02", True), ("0.01", False)):
         assert command(*SOUGHT, *ROLES, "--step", step, "--evaluations", "1") == 0

@@ -152,7 +152,7 @@ def test_intervals_cover_the_truth_where_the_start_is_noisy(from_noisy_rows, ora
     assert 0.6 < np.sqrt(np.mean(np.square(z))) < 1.6
 
 
-@pytest.mark.full_but("least-squares")
+@pytest.mark.full
 @pytest.mark.parametrize("method", ["least-squares", "multi-start"])
 def test_other_methods_end_at_the_same_place(ask, oracles, method):
     columns = oracles.measure(1)
@@ -182,6 +182,7 @@ def test_an_fmu_that_fails_in_held_out_rows_is_told_with_the_reason(ask, oracles
     assert "the spring is broken" in warning
 
 
+@pytest.mark.full
 def test_held_out_rows_are_predicted_and_not_fitted_to(ask, oracles):
     columns = oracles.measure(2)
     found = estimate(ask(columns))
@@ -342,6 +343,7 @@ def test_a_start_value_can_be_estimated_too(ask, oracles):
     assert found.fit.misfit == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.full
 def test_what_only_ratios_are_seen_of_is_said_to_trade_off(ask, oracles):
     """Swinging freely, the plant shows k/m and c/m only."""
     columns = oracles.measure(0, force=lambda t: 0.0 * t)
@@ -389,6 +391,7 @@ def test_a_value_before_out_of_the_bounds_is_told(ask, oracles, start, what):
     assert found.nominal[1] == 21.0
 
 
+@pytest.mark.full
 def test_roll_outs_that_fail_are_bad_candidates_with_a_reason(ask, oracles):
     found = estimate(ask(oracles.measure(0), start={"c_limit": 1.0}))
     assert np.abs(errors(found, oracles)).max() < 4.0
@@ -403,6 +406,7 @@ def test_where_all_roll_outs_fail_the_first_reason_is_told(ask, oracles):
         estimate(ask(oracles.measure(0), start={"c_limit": 0.01}))
 
 
+@pytest.mark.full
 def test_a_wrong_start_value_shows_in_the_words(ask, oracles):
     found = estimate(ask(oracles.measure(0), start={"x": 0.3}))
     told = " ".join(words(found))

@@ -192,6 +192,7 @@ def test_a_slow_state_that_is_hidden_is_found_from_the_beginning(ask, heated):
     assert watched.events == ()
 
 
+@pytest.mark.full
 def test_a_variable_that_no_output_depends_on_is_not_missed(ask, heated):
     (watched,) = ask(heating(), fmu=heated, start={"T": "T", "Tm": "Tm"}, **BARREL).watched
     assert "from measured states" in watched.how
@@ -301,6 +302,7 @@ def test_a_jump_is_found_though_states_are_missing_in_some_rows(ask, oracles, se
     assert np.abs(z).max() < 4.0
 
 
+@pytest.mark.full
 def test_after_a_gap_the_parameters_in_force_are_kept_and_what_is_too_short_is_passed_over(ask, oracles):
     columns = oracles.jump(0, end=7.0)
     columns["force [N]"][[*range(600, 620), 625]] = np.nan  # gaps after the jump, five rows apart

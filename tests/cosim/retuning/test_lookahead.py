@@ -120,6 +120,7 @@ def test_in_a_process_of_its_own_it_is_the_same_bits(loop):
     assert isolated.predicted_peak(*places[1]) == expected[1]
 
 
+@pytest.mark.full
 def test_a_prediction_whose_process_was_killed_from_outside_is_the_same(loop, children):
     """Killed while it loads, before a course and again: an infinite peak would be a veto that no FMU has caused."""
     made, others = loop(**{"scenario.isolation": '"process"'}), children()

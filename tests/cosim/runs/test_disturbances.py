@@ -172,7 +172,7 @@ def test_a_model_that_has_more_inputs_than_are_sampled_ends_no_run(name, force):
     assert run(scenario, "target").status == "done"
 
 
-@pytest.mark.full_but("4")
+@pytest.mark.full
 @pytest.mark.parametrize("seed", [4, 12])
 def test_the_onset_of_a_gust_is_not_taken_for_a_limit_of_the_input_that_acts_against_it(seed):
     gust = '[[0.0, 0.0], [0.5, "0.15*(1 - cos(2*pi*(t - 0.5)/0.05))"], [0.55, 0.0]]'

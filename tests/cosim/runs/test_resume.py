@@ -103,7 +103,7 @@ def test_every_estimator_goes_on_to_the_same_bits(tmp_path, estimator):
     assert (whole.n_evaluations > 0) == (estimator not in ("none", "true"))
 
 
-@pytest.mark.full_but("dropouts")
+@pytest.mark.full
 @pytest.mark.parametrize(
     "fault", ["", 'kind = "dropout"', 'kind = "spikes", size = 20.0'], ids=["sound", "dropouts", "spikes"]
 )
@@ -120,6 +120,7 @@ def test_what_is_known_of_late_inputs_comes_back_to_the_bit(tmp_path, fault):
     assert any(line.startswith("the plant's inputs arrive late") for line in diagnosed(whole.diagnosis))
 
 
+@pytest.mark.full
 def test_what_is_known_of_friction_comes_back_to_the_bit(tmp_path):
     changes = {"changes": '{ "plant.m" = 1.75, "plant.l" = 0.75, "plant.b" = 2.0 }'}
     slow = {"scenario.stop_time": "1.8", "scenario.checkpoint": "15", "components.reference.start.phi_final": "0.7"}
@@ -196,8 +197,10 @@ def test_roll_outs_filters_and_sensors_go_on_to_the_same_bits(tmp_path, settings
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("estimator", ["ukf", "enkf", "mhe"])
-@pytest.mark.parametrize("start", ["from the saved state", "from noisy states", "again from the start"])
+@pytest.mark.parametrize(
+    ("start", "estimator"),
+    [("from the saved state", "ukf"), ("from noisy states", "enkf"), ("again from the start", "mhe")],
+)
 def test_filters_on_roll_outs_go_on_to_the_same_bits(tmp_path, start, estimator):
     whole = check_resume(Scenario.load("pendulum", OTHERWISE[start]), estimator, tmp_path, 0.15, 0.33)
     assert whole.n_episodes

@@ -401,6 +401,7 @@ REFUSED = [
 ]
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     ("estimator", "overrides", "kind", "rule"), [r[1:] for r in REFUSED], ids=[r[0] for r in REFUSED]
 )

@@ -252,6 +252,7 @@ def test_newest_state_and_input_beside_a_filtered_derivative_would_be_far_off(wi
     assert np.std(wrong) > 100 * np.std(right)
 
 
+@pytest.mark.full_but("cubic", "low-passes")
 @each
 def test_at_the_true_parameters_residuals_have_unit_variance(settings, calm):
     """In standard deviations of `derivative_noise`, on twenty recordings with noise of their own."""

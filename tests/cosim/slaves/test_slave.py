@@ -303,6 +303,7 @@ def test_start_values_are_checked_before_the_fmu_sees_them(mixer, start, error, 
         slave.initialize({}, start_time=2.0)  # the slave is as it was
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(
     ("inputs", "tunables", "message"),
     [

@@ -41,7 +41,7 @@ def test_an_export_runs_as_the_scenario_does(called, workplace):
 ROLLOUT = ["estimation.objective=rollout", 'sampling.outputs."plant.phi".noise=1e-4', "estimation.rollout.fmu=own.fmu"]
 
 
-@pytest.mark.full_but("rollout-of-the-plant")
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("kind", "settings"),
     [

@@ -150,6 +150,7 @@ def test_the_undamaged_files_are_well(files, called):
         assert code == 0, out + err
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(("file", "damage", "command", "code", "told"), ROWS.values(), ids=ROWS)
 def test_it_is_told_in_one_line(files, called, file, damage, command, code, told):
     if file:

@@ -296,6 +296,7 @@ def test_a_command_that_a_program_calls_leaves_the_garbage_collector_as_it_was(c
     assert gc.get_threshold() == before
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(("arguments", "subject"), [r[1:] for r in REFUSED], ids=[r[0] for r in REFUSED])
 def test_bad_input_is_refused_in_one_line_with_exit_code_2_and_nothing_left_behind(
     called, workplace, tmp_path, arguments, subject

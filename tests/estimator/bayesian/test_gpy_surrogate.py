@@ -167,6 +167,7 @@ KERNELS = [
 ]
 
 
+@pytest.mark.full_but(KERNELS[0], KERNELS[-1])
 @pytest.mark.parametrize("kernel", KERNELS)
 def test_target_finds_the_minimum_with_any_smooth_kernel(kernel):
     """Poly has no slopes in GPy: they are taken by differences."""

@@ -85,6 +85,7 @@ def test_series_of_a_few_rows_are_taken_too(n):
     assert autocovariances(np.zeros(n)).tolist() == [0.0] * n
 
 
+@pytest.mark.full
 def test_the_deviations_of_a_fit_cover_the_truth_under_correlated_noise():
     space = ParameterSpace((Parameter("a", 0.1, 10.0, "m", "log"), Parameter("b", 0.0, 3.0, "1/s")))
 

@@ -1,7 +1,7 @@
 """Retuner on sequences of samples whose proposals are passed on only where a diagnosis warrants them."""
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from ..triggers import Trigger
 from .counts import RetunerCounts
 from .proposal import DOUBTFUL, Proposal, going_back, without_rounding
 from .retuner import Retuner
+
+_KEPT: Final = 255
+"""Number of earlier changes of the parameters in force that are known."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +39,8 @@ class DiagnosingEpisodes(RetunerCounts[Retuner]):
         self._retuner, self._diagnosis, self._jumps = retuner, diagnosis, jumps
         self._before: Vector | None = None  # in force at the beginning of the episode
         self._ended: tuple[Vector, Judgement] | None = None  # what the last episode proposed in the end
+        self._in_force: list[tuple[int, Vector]] = []  # parameters, from which step on they were; the newest is last
+        self._n_steps = 0
 
     def diagnosis_summary(self) -> dict[str, Any]:
         """Return what the diagnosis has found as JSON values."""
@@ -54,12 +59,20 @@ class DiagnosingEpisodes(RetunerCounts[Retuner]):
         self._retuner.reverted(theta)
 
     def suspend(self, t: float, held: Vector, n: int) -> Proposal | None:
-        """End the search on samples that turn out to be doubtful, and undo what it wrote; None where there is none."""
-        if self._before is None or not self._retuner.is_searching:
+        """Go back to the parameters in force before the newest n samples, which turn out to be doubtful; end a search.
+
+        None where there is no search, and no others were in force then.
+        """
+        if not self._in_force:
             return None
-        self._retuner.abandon(self._before)
-        self._retuner.close(self._before)
-        return going_back(t, Proposal(), self._before, held, (), self._diagnosis.space, DOUBTFUL)
+        earlier = (theta for k, theta in reversed(self._in_force) if k <= self._n_steps - n)
+        before = next(earlier, self._in_force[0][1])
+        is_searching = self._before is not None and self._retuner.is_searching
+        if not is_searching and self._diagnosis.space.are_same(before, held):
+            return None
+        self._retuner.abandon(before)
+        self._retuner.close(before)
+        return going_back(t, Proposal(), before, held, (), self._diagnosis.space, DOUBTFUL)
 
     def correct(self, newest: Sample) -> None:
         """Replace the newest sample, one of whose values has turned out to be wrong."""
@@ -74,6 +87,7 @@ class DiagnosingEpisodes(RetunerCounts[Retuner]):
 
     def step(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:
         """Take one communication point's sample, where there is one; return what to write, and why."""
+        self._note_in_force(held)
         proposal = self._proposal(t, sample, tracking_error, held)
         return replace(proposal, events=(*proposal.events, *self._diagnosis.evidence.events(t)))
 
@@ -113,6 +127,12 @@ class DiagnosingEpisodes(RetunerCounts[Retuner]):
         before = diagnosis.in_rest(before)
         self._retuner.close(before)
         return going_back(t, proposal, before, held, events, diagnosis.space)
+
+    def _note_in_force(self, held: Vector) -> None:
+        """Take the parameters (d,) in force in the step that begins."""
+        self._n_steps += 1
+        if not self._in_force or not np.array_equal(held, self._in_force[-1][1]):
+            self._in_force = [*self._in_force[-_KEPT:], (self._n_steps, held)]
 
     def _verdict(self, proposal: Proposal, before: Vector) -> Judgement:
         """Return whether a proposal, or else its estimate, is warranted in place of the parameters before (d,)."""

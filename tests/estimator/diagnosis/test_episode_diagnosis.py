@@ -280,6 +280,17 @@ def test_a_search_on_samples_that_turn_out_to_be_doubtful_ends_and_is_undone():
     assert near(run.held, CHANGED)
 
 
+def test_what_was_written_on_samples_that_turn_out_to_be_doubtful_is_undone_though_its_search_has_ended():
+    """While the sensor has failed nothing would show that it was wrong; what more samples speak for stays."""
+    run = Run("target").go(100).go(LENGTH + 5, CHANGED)
+    wrong = run.held
+    assert near(wrong, CHANGED)
+    assert len(run.of("trigger")) == len(run.of("end"))
+    assert run.retuner.suspend(12.5, wrong, 3) is None
+    assert_array_equal(run.retuner.suspend(12.5, wrong, 100).undo, TRUE)
+    assert run.retuner.suspend(12.5, TRUE, 100) is None
+
+
 @SEARCHES
 def test_a_disturbance_of_the_input_is_named_with_its_size_and_its_end(estimator):
     run = Run(estimator).go(100).go(100, TRUE, PUSH)

@@ -3,7 +3,7 @@
     python -m benchmarks.foreign [--plants ball ...] [--cases gust ...] [--seeds N] [--first-seed K] [--jobs J]
                                  [--estimator target] [--objective filtered] [--out FILE.json] [--keep DIR] [--quick]
 
-Eighteen plants (foreign_plants) in twenty-four cases (foreign_cases), as `retune run` runs a scenario file.
+Twenty-two plants (foreign_plants) in twenty-four cases (foreign_cases), as `retune run` runs a scenario file.
 A run is compared with the nominal controller's in the same case and, where parameters change, with that of a controller
 which is told the true ones at once: the floor. These two do not depend on the seed, for the controller has the exact
 states, and are run once. A run is lost when it is not done. A parameter's error is relative, the largest at the end

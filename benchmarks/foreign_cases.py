@@ -229,7 +229,7 @@ def tables(plant: ForeignPlant, case: str, seed: int, objective: str = OBJECTIVE
             "checkpoint": 0,
         },
         "components": {
-            "plant": {"fmu": plant_fmu(plant), "start": {"max_step": plant.step}},
+            "plant": {"fmu": plant_fmu(plant), "start": {"max_step": min(plant.step, 1.0)}},
             "controller": {"fmu": controller_fmu(plant)},
             "reference": {"table": f"{plant.name}.csv"},
         },

@@ -11,6 +11,7 @@ from fmu_models.build import assemble, sources
 PLANTS: Final = (
     "ball", "servo", "boost", "bio", "ship", "generator", "heater", "arm", "cartpole", "crane",
     "maglev", "motor", "glucose", "cstr", "cylinder", "segway", "drone", "vehicle",
+    "tanks", "pmsm", "suspension", "spacecraft",
 )  # fmt: skip
 _ENTRY: Final = '''"""Entry script of {name}.fmu."""
 

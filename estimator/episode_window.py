@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from math import isfinite
 from typing import Any, Final, NamedTuple, Protocol
 
@@ -27,17 +26,13 @@ class SampleSequence:
     """From old to new (n + 1,)."""
     origin: Any
     """Snapshot of the objective at the first sample."""
+    is_measured: NDArray[np.bool_] | None = None
+    """Which values that candidates are compared with were measured (n, c), those of the others being 0; None: all."""
 
     @property
     def n_steps(self) -> int:
         """Number n of steps."""
         return len(self.samples) - 1
-
-    @cached_property
-    def is_measured(self) -> NDArray[np.bool_]:
-        """True for each output that was measured after a step (n, c)."""
-        y = np.array([s.y for s in self.samples[1:]], dtype=float)
-        return ~np.isnan(y.reshape(self.n_steps, len(self.samples[0].y)))
 
 
 class Evaluation(NamedTuple):
@@ -128,6 +123,7 @@ class EpisodeWindow:
         self._is_filling = False
         self._extended = 0  # number of steps to wait for after an episode that could not tell; 0 for a usual window
         self._n_needed = 0  # number of measured values
+        self._n_measured = 0  # since the first of the recent samples
         self._judged: dict[bytes, Evaluation] = {}
         self.n_model_calls = 0
         """Number of samples at which parameters were evaluated."""
@@ -152,6 +148,7 @@ class EpisodeWindow:
         if is_anchor:
             self._anchors.append(len(self._recent))
         self._recent.append(sample)
+        self._n_measured += _n_measured(sample) if len(self._recent) > 1 else 0
         self._origins.append(self._objective.snapshot(is_anchor))
         is_in_episode = self._is_filling or self._stretch is not None
         while len(self._anchors) > 2 and not is_in_episode:
@@ -159,10 +156,15 @@ class EpisodeWindow:
         self._freeze()
 
     def correct(self, newest: Sample) -> None:
-        """Replace the newest sample, one of whose values has turned out to be wrong."""
+        """Replace the newest sample, one of whose values has turned out to be wrong.
+
+        Where candidates have been compared with it already, it is a residual of 0 for the others: all have as many.
+        """
+        if len(self._recent) > 1:
+            self._n_measured += _n_measured(newest) - _n_measured(self._recent[-1])
         self._recent[-1] = newest
         if self._stretch is not None and self._stretch.n_steps + 1 == len(self._recent):
-            self._stretch = self._stretch_from(0)
+            self._stretch = replace(self._stretch, samples=tuple(self._recent))
             self._judged.clear()
 
     def begin(self, theta: Vector) -> str:
@@ -178,15 +180,15 @@ class EpisodeWindow:
             (found,) = self._objective.evaluate([theta], past)
             self.n_model_calls += past.n_steps
             weighted = self._weighted(found.residual)
-            is_long = found.reason is None and self._is_long(past, self._max_length)
-            if is_long and is_explained(self._measured(weighted, past)):
+            is_long = found.reason is None and self._is_long(self._max_length)
+            if is_long and is_explained(_measured(weighted, past)):
                 self._judged[theta.tobytes()] = found
                 self._stretch, self._is_filling = past, False
                 return f"the last {past.n_steps}, which the parameters in force explain"
             squares = found.squares
             if squares is not None and self.weights is not None:
                 squares = np.sum(weighted.reshape(len(self.weights), -1) ** 2, axis=0)
-            change = None if squares is None else _last_explained(squares, self._n_values(len(weighted), past))
+            change = None if squares is None else _last_explained(squares, _n_values(len(weighted), past))
             if change is not None and self._origins[change] is not None:
                 first = change
         first = self._beginning(first)
@@ -195,7 +197,8 @@ class EpisodeWindow:
         self._drop(first)
         self._freeze()
         n_past = len(self._recent) - 1
-        text = f"the next {max(self._max_length - n_past, 0)}"
+        more = "" if past.is_measured is None else " or more, as some values are missing"
+        text = f"the next {max(self._max_length - n_past, 0)}{more}"
         return f"the last {n_past}, which they do not explain, and {text}" if n_past else text
 
     def end(self, theta: Vector) -> None:
@@ -259,7 +262,7 @@ class EpisodeWindow:
         self.n_model_calls += len(new) * self._stretch.n_steps
         for theta, judged in zip(new, self._objective.evaluate(new, self._stretch) if new else [], strict=True):
             self._judged[theta.tobytes()] = judged
-        return [self._measured(self._scaled(self._judged[t.tobytes()].residual), self._stretch) for t in thetas]
+        return [_measured(self._scaled(self._judged[t.tobytes()].residual), self._stretch) for t in thetas]
 
     @property
     def sequence(self) -> SampleSequence | None:
@@ -270,7 +273,7 @@ class EpisodeWindow:
         """Return the residual (D,) of one candidate in standard deviations, whatever the estimator gets."""
         self.residuals([theta])
         assert self._stretch is not None
-        return self._measured(self._weighted(self._judged[theta.tobytes()].residual), self._stretch)
+        return _measured(self._weighted(self._judged[theta.tobytes()].residual), self._stretch)
 
     def rows(self, theta: Vector, n_channels: int) -> Vector:
         """Return the residuals (n, c) of one candidate in standard deviations; NaN where an output was not measured."""
@@ -278,8 +281,7 @@ class EpisodeWindow:
         assert self._stretch is not None
         rows = self._weighted(self._judged[theta.tobytes()].residual).reshape(n_channels, -1).T
         is_measured = self._stretch.is_measured
-        is_known = not self._objective.is_of_outputs or rows.shape != is_measured.shape
-        return rows if is_known else np.where(is_measured, rows, np.nan)
+        return rows if is_measured is None else np.where(is_measured, rows, np.nan)
 
     def with_inputs(self, theta: Vector, moved: Vector) -> Vector:
         """Return the residual (D,) of theta (d,) with moved (p,) added to every input, in standard deviations."""
@@ -288,7 +290,7 @@ class EpisodeWindow:
         aside = [_with_inputs(sample, moved) for sample in others]
         (found,) = self._objective.evaluate([theta], replace(self._stretch, samples=(first, *aside)))
         self.n_model_calls += self._stretch.n_steps
-        return self._measured(self._weighted(found.residual), self._stretch)
+        return _measured(self._weighted(found.residual), self._stretch)
 
     def largest_inputs(self) -> Vector:
         """Return the largest absolute value of each input (p,) in the present episode."""
@@ -310,7 +312,7 @@ class EpisodeWindow:
             return Tracked(np.empty(0), np.empty(0))
         self.n_model_calls += 1
         values = self._weighted(self._objective.track(theta, stretch))
-        return Tracked(values, self._measured(values, stretch))
+        return Tracked(values, _measured(values, stretch))
 
     @property
     def n_tracked(self) -> int:
@@ -334,29 +336,14 @@ class EpisodeWindow:
         """Do nothing: no residual outlives an episode."""
 
     def _freeze(self) -> None:
-        if not self._is_filling or not self._objective.is_ready:
-            return
-        stretch = self._stretch_from(0)
-        if self._is_long(stretch, self._extended or self._max_length):
-            self._is_filling, self._stretch = False, stretch
+        is_long = self._is_filling and self._is_long(self._extended or self._max_length)
+        if is_long and self._objective.is_ready:
+            self._is_filling, self._stretch = False, self._stretch_from(0)
 
-    def _is_long(self, stretch: SampleSequence, n_steps: int) -> bool:
-        """Return whether a stretch has n_steps, and has measured twice as many values as there are parameters."""
-        if stretch.n_steps < n_steps:
-            return False
-        return not self._objective.is_of_outputs or bool(np.count_nonzero(stretch.is_measured) >= self._n_needed)
-
-    def _measured(self, residual: Vector, stretch: SampleSequence) -> Vector:
-        """Return the values of a residual (D,) that were measured; all where it has failed."""
-        if not self._objective.is_of_outputs or stretch.is_measured.all() or len(residual) != stretch.is_measured.size:
-            return residual
-        return residual[stretch.is_measured.T.reshape(-1)]
-
-    def _n_values(self, n_residuals: int, stretch: SampleSequence) -> Vector:
-        """Return the number of values of each step (n,)."""
-        if self._objective.is_of_outputs:
-            return np.count_nonzero(stretch.is_measured, axis=1)
-        return np.full(stretch.n_steps, n_residuals // stretch.n_steps)
+    def _is_long(self, n_steps: int) -> bool:
+        """Return whether there are n_steps, and of the outputs twice as many values as there are parameters."""
+        is_known = not self._objective.is_of_outputs or self._n_measured >= self._n_needed
+        return is_known and len(self._recent) > n_steps
 
     def _beginning(self, first: int) -> int:
         """Return the place nearest to one, if possible after it, of a sample that a simulation can begin at."""
@@ -366,11 +353,16 @@ class EpisodeWindow:
         return next((k for k in can_begin if _is_whole(self._recent[k])), first)
 
     def _stretch_from(self, first: int) -> SampleSequence:
-        return SampleSequence(tuple(self._recent[first:]), self._origins[first])
+        samples, is_measured = tuple(self._recent[first:]), None
+        if self._objective.is_of_outputs and len(samples) > 1:
+            is_measured = ~np.isnan(np.array([s.y for s in samples[1:]], dtype=float))
+        is_whole = is_measured is None or is_measured.all()
+        return SampleSequence(samples, self._origins[first], None if is_whole else is_measured)
 
     def _drop(self, first: int) -> None:
         """Forget the samples before that place, which becomes an anchor."""
         del self._recent[:first], self._origins[:first]
+        self._n_measured = sum(map(_n_measured, self._recent[1:]))
         self._anchors = [0, *(k - first for k in self._anchors if k > first)]
 
     def _scaled(self, residual: Vector) -> Vector:
@@ -389,6 +381,25 @@ class EpisodeWindow:
 def _is_whole(sample: Sample) -> bool:
     """Return whether no state is missing, so that a simulation can begin there."""
     return all(map(isfinite, sample.x))
+
+
+def _n_measured(sample: Sample) -> int:
+    """Return the number of outputs that were measured."""
+    return sum(y == y for y in sample.y)  # a NaN differs from itself
+
+
+def _measured(residual: Vector, stretch: SampleSequence) -> Vector:
+    """Return the values of a residual (D,) that were measured; all where it has failed."""
+    if stretch.is_measured is None or len(residual) != stretch.is_measured.size:
+        return residual
+    return residual[stretch.is_measured.T.reshape(-1)]
+
+
+def _n_values(n_residuals: int, stretch: SampleSequence) -> Vector:
+    """Return the number of values of each step (n,)."""
+    if stretch.is_measured is None:
+        return np.full(stretch.n_steps, n_residuals // stretch.n_steps)
+    return np.count_nonzero(stretch.is_measured, axis=1)
 
 
 def _with_inputs(sample: Sample, moved: Vector) -> Sample:

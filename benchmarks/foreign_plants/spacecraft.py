@@ -1,6 +1,6 @@
-"""Rates of a spacecraft that three wheels turn.
+"""Rates of a spacecraft that thrusters turn.
 
-Wie (2008), "Space Vehicle Dynamics and Control", section 6.1: Euler's equations about the principal axes. State
+Wie (2008), "Space Vehicle Dynamics and Control", chapter 6: Euler's equations about the principal axes. State
 x = (w1, w2, w3 [rad/s]). The load is a torque about the first axis [N m].
 """
 
@@ -44,7 +44,7 @@ def reference(t: float) -> Values:
 _BEGIN = reference(0.0)
 PLANT = ForeignPlant(
     name="spacecraft",
-    title="Spacecraft that wheels turn",
+    title="Spacecraft that thrusters turn",
     parameters=(
         Estimated("J1", "kg.m2", 20.0, 27.0, "Moment of inertia about the first axis"),
         Estimated("J2", "kg.m2", 17.0, 19.0, "Moment of inertia about the second axis"),

@@ -1,7 +1,7 @@
 """Two tanks in a row, the first of which a pump fills, and whose second level is controlled.
 
-Astrom and Wittenmark (1997), "Computer-Controlled Systems", problem 4.6. State x = (h1 [m], h2 [m]): levels. The load
-is a flow into the second tank [m^3/s], which no input reaches at once.
+Slotine and Li (1991), "Applied Nonlinear Control", example 6.1, with a second tank. State x = (h1 [m], h2 [m]): levels.
+The load is a flow into the second tank [m^3/s], which no input reaches at once.
 """
 
 from math import sqrt

@@ -29,7 +29,7 @@ class NoisyStartObjective:
         self._noise, self._stack = np.array(noise), ExitStack()
         n_noisy = np.count_nonzero(self._noise)
         self._objective, *self._aside = (self._stack.enter_context(opened()) for _ in range(n_noisy + 1))
-        self._factor: tuple[Sample, int, Vector] | None = None  # of which first sample and how many steps
+        self._factor: tuple[Sample, int, Any, Vector] | None = None  # of which first sample, how many steps, newest y
 
     def __enter__(self) -> "NoisyStartObjective":
         return self
@@ -87,15 +87,16 @@ class NoisyStartObjective:
                 return found
             moved = [self._objective.evaluate([thetas[known]], aside)[0].residual for aside in self._moved(stretch)]
             factor = _factor(found[known].residual, moved, stretch.n_steps)
-            self._factor = stretch.samples[0], stretch.n_steps, factor
+            self._factor = stretch.samples[0], stretch.n_steps, stretch.samples[-1].y, factor
         return [j if j.reason else _whitened(factor, j.residual, stretch.n_steps) for j in found]
 
     def _factor_of(self, stretch: SampleSequence) -> Vector | None:
         """Return the factor found before for a stretch of the same start and length, whatever its inputs; or None."""
         if self._factor is None:
             return None
-        first, n_steps, factor = self._factor
-        return factor if first is stretch.samples[0] and n_steps == stretch.n_steps else None
+        first, n_steps, newest, factor = self._factor
+        is_same = first is stretch.samples[0] and n_steps == stretch.n_steps and newest is stretch.samples[-1].y
+        return factor if is_same else None
 
     def track(self, theta: Vector, stretch: SampleSequence) -> Vector:
         """Return the residual of theta over a stretch that grows; each state's roll-out steps on too."""

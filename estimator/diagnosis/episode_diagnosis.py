@@ -364,11 +364,11 @@ class EpisodeDiagnosis:
             if candidate is None or not np.all(np.isfinite(self._window.whitened(candidate))):
                 continue
             rows = self._rows(candidate)
-            rows = rows[np.isfinite(rows).all(axis=1)]
-            if len(rows) < NOISY or not is_rough(rows):
+            channels = [column[np.isfinite(column)] for column in rows.T]  # they may be measured at different rates
+            if max(map(len, channels)) < NOISY or not is_rough(channels):
                 continue
-            larger = np.maximum(spread_of(rows), 1.0)
-            if least <= larger.max() < LARGEST and plain_fit(rows / larger, 0).is_explained:
+            larger = np.array([max(spread_of(c), 1.0) if len(c) >= NOISY else 1.0 for c in channels])
+            if least <= larger.max() < LARGEST and plain_fit(np.nan_to_num(rows / larger), 0).is_explained:
                 self._state.scale.enlarge(larger)
                 self._window.weights = 1.0 / self._state.scale.effective
                 return True
@@ -404,11 +404,13 @@ class EpisodeDiagnosis:
         self._state.n_failures = max(self._state.n_failures - 1, 0)
 
     def _quiet(self, newest: Vector) -> None:
+        if not np.any(np.isfinite(newest)):  # nothing was measured
+            return
         state = self._state
         state.n_quiet, state.n_calm = state.n_quiet + 1, state.n_calm + 1
         if state.n_quiet >= FORGOTTEN:
             state.n_quiet, state.n_failures = 0, max(state.n_failures - 1, 0)
-        if np.any(np.isfinite(newest)) and state.scale.learn(newest):
+        if state.scale.learn(newest):
             self._window.weights = 1.0 / state.scale.effective
 
     def _disturbed(self, held: Vector) -> DisturbedInputs:

@@ -34,7 +34,7 @@ class LastingParameters:
             return False
         n = min(len(of_held) + self._state.n_calm, len(self._state.samples))
         of_held, of_lasting = (self._residuals.of_newest(theta, n) for theta in (held, lasting))
-        if is_rough(of_lasting):  # the noise is larger
+        if is_rough(of_lasting.T):  # the noise is larger
             return False
         return all(
             not plain_fit(of_held[-m:], 0).is_explained

@@ -50,7 +50,7 @@ class NoiseComparison:
             return False
         rows = self._residuals.of_newest(reference, n)
         size = np.maximum(np.sqrt(np.mean(rows**2, axis=0)), 1.0)
-        if size.max() >= LARGEST or not is_rough(rows) or is_smooth(rows):
+        if size.max() >= LARGEST or not is_rough(rows.T) or is_smooth(rows):
             return False
         others = disturbance_of(rows).fit, self._best(held, n, may_drift=True).fit
         if larger_noise(rows).score + MARGIN > min(fit.score for fit in others):

@@ -1,6 +1,7 @@
 """Residual scale: the size of what the model leaves unexplained, learnt while nothing happens."""
 
 from collections import deque
+from collections.abc import Iterable
 from math import isfinite
 from typing import Final
 
@@ -136,10 +137,10 @@ class ResidualScale:
         self.effective = self.values * np.sqrt((1.0 + self.correlations) / (1.0 - self.correlations))
 
 
-def is_rough(rows: Vector) -> bool:
-    """Return whether rows (n, c) change from one to the next by as much as noise does: of white noise the squares of
-    the differences are twice its own, von Neumann (1941), of what changes smoothly they are less than once."""
-    return bool(np.sum((rows[1:] - rows[:-1]) ** 2) >= np.sum(rows**2))
+def is_rough(channels: Iterable[Vector]) -> bool:
+    """Return whether channels, each (n,), change from sample to sample by as much as noise does: of white noise the
+    squares of the differences are twice its own, von Neumann (1941), of what changes smoothly less than once."""
+    return sum(float(np.sum(np.diff(c) ** 2) - np.sum(c**2)) for c in channels) >= 0.0
 
 
 def is_smooth(rows: Vector) -> bool:

@@ -54,7 +54,7 @@ class DiagnosingEpisodes(RetunerCounts[Retuner]):
 
     def reverted(self, theta: Vector) -> None:
         """Take a revert of the guard's to theta (d,): no search that fails returns to what was reverted."""
-        self._before = theta
+        self._before, self._in_force = theta, [(0, theta)]
         self._diagnosis.reverted(theta)
         self._retuner.reverted(theta)
 
@@ -65,13 +65,15 @@ class DiagnosingEpisodes(RetunerCounts[Retuner]):
         """
         if not self._in_force:
             return None
-        earlier = (theta for k, theta in reversed(self._in_force) if k <= self._n_steps - n)
+        earlier = (theta for k, theta in reversed(self._in_force) if k <= self._n_steps - n + 1)
         before = next(earlier, self._in_force[0][1])
         is_searching = self._before is not None and self._retuner.is_searching
         if not is_searching and self._diagnosis.space.are_same(before, held):
             return None
         self._retuner.abandon(before)
         self._retuner.close(before)
+        self._retuner.reverted(before)
+        self._in_force = [(0, before)]
         return going_back(t, Proposal(), before, held, (), self._diagnosis.space, DOUBTFUL)
 
     def correct(self, newest: Sample) -> None:
@@ -89,6 +91,8 @@ class DiagnosingEpisodes(RetunerCounts[Retuner]):
         """Take one communication point's sample, where there is one; return what to write, and why."""
         self._note_in_force(held)
         proposal = self._proposal(t, sample, tracking_error, held)
+        if proposal.undo is not None:
+            self._in_force = [(0, proposal.undo)]  # nothing returns to what was taken back
         return replace(proposal, events=(*proposal.events, *self._diagnosis.evidence.events(t)))
 
     def _proposal(self, t: float, sample: Sample | None, tracking_error: float, held: Vector) -> Proposal:

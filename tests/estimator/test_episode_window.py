@@ -131,7 +131,8 @@ def test_the_newest_sample_can_be_corrected_before_an_episode_and_when_it_comple
         window.append(replace(sample, y=(9.0,)) if sample is samples[40] else sample)
     assert np.flatnonzero(np.abs(window.residual(CHANGED)) > 6.0).tolist() == [8]
     window.correct(replace(samples[40], y=(np.nan,)))
-    assert len(window.residual(CHANGED)) == 8
+    assert len(window.residual(CHANGED)) == 9
+    assert window.residual(CHANGED)[-1] == 0.0  # beside candidates that were compared with all nine
     assert np.abs(window.residual(CHANGED)).max() < 6.0
 
 

@@ -82,7 +82,7 @@ def test_elements_keep_their_order_and_none_is_lost(name):
 # -- descriptions ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.full_but("me")
+@pytest.mark.full_but("Pendulum", "QuadrotorController")
 @fmu
 @each_model
 def test_every_variable_is_described(built, name):

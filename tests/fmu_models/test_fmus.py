@@ -450,7 +450,7 @@ def test_an_fmu_brings_all_it_needs(built, host, fmi, name):
     assert "numpy" not in modules
 
 
-@pytest.mark.full_but("Pendulum")
+@pytest.mark.full_but("Pendulum-2")
 @fmu
 @each_fmu
 def test_the_script_s_namespace_outlives_many_instances(built, host, fmi, name):

@@ -50,7 +50,7 @@ class LinearRollOuts:
             z, rows = np.array([*stretch.samples[0].x, *theta]), []
             for sample in stretch.samples[1:]:
                 z = F @ z
-                rows.append((C @ z - sample.y) / NOISE)
+                rows.append(np.nan_to_num((C @ z - sample.y) / NOISE))
             found.append(Evaluation(np.array(rows).T.reshape(-1)))
         return found
 
@@ -130,3 +130,18 @@ def test_candidates_are_whitened_alike_whatever_inputs_are_tried_in_between():
     with NoisyStartObjective(ScaledStart, START_NOISE) as objective:
         (own,) = objective.evaluate([TRUTH], stretch)
     assert np.abs(own.residual - found[0]).max() > 0.1  # its own factor is another
+
+
+def test_a_value_that_turns_out_to_be_wrong_has_no_part_in_the_whitening_of_others():
+    stretch = SampleSequence(tuple(measured(0)), None)
+    newest = stretch.samples[-1]
+    known = replace(newest, y=(np.nan, *newest.y[1:]))
+    corrected = replace(stretch, samples=(*stretch.samples[:-1], known))
+    found = []
+    for before in ([stretch], []):  # candidates have been compared with the wrong value, or not
+        with NoisyStartObjective(LinearRollOuts, START_NOISE) as objective:
+            for seen in before:
+                objective.evaluate([HELD], seen)
+            (evaluation,) = objective.evaluate([HELD], corrected)
+            found.append(evaluation.residual)
+    assert_allclose(*found, rtol=1e-12)

@@ -1,6 +1,6 @@
 """Diagnosis of sequences in the loop, on a linear system that is simulated exactly: the test is the controller."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -75,6 +75,8 @@ class Run:
     correlation: float = 0.0  # of the noise, from sample to sample
     missing: float = 0.0  # share of the measurements
     every: int = 0  # samples from one measurement to the next of a slow sensor of y1 alone; none: both at each
+    slow: int = 1  # samples from one measurement of y1 to the next, beside y0
+    factor: float = 1.0  # of the noise of y0
     seed: int = 0
     settings: DiagnosisSettings = field(default_factory=DiagnosisSettings)
     inputs: tuple[str, ...] = ("u",)
@@ -105,13 +107,15 @@ class Run:
             u = float(np.sin(0.35 * self.k) + 0.6 * np.sign(np.sin(0.11 * self.k))) if drive is None else drive
             if self.k:
                 self.x = after(self.x, u + (push(i) if callable(push) else push), truth, moment)
-            rho, new = self.correlation, self.noise * SIGMA * self.rng.standard_normal(2)
+            rho, new = self.correlation, self.noise * SIGMA * self.rng.standard_normal(2) * [self.factor, 1.0]
             self.last = rho * self.last + np.sqrt(1.0 - rho**2) * new
             y = self.x + self.last
             if self.missing:
                 y[self.rng.random(2) < self.missing] = np.nan
             if self.every:
                 y = np.array([np.nan, np.nan if self.k % self.every else y[1]])
+            if self.k % self.slow:
+                y[1] = np.nan
             inputs = (u, 0.0)[: len(self.inputs)] or (u,)
             self.take(Sample(0.1 * self.k, tuple(self.x.tolist()), inputs, (), tuple(y.tolist())))
         return self
@@ -289,6 +293,58 @@ def test_what_was_written_on_samples_that_turn_out_to_be_doubtful_is_undone_thou
     assert run.retuner.suspend(12.5, wrong, 3) is None
     assert_array_equal(run.retuner.suspend(12.5, wrong, 100).undo, TRUE)
     assert run.retuner.suspend(12.5, TRUE, 100) is None
+
+
+def test_what_is_undone_for_doubtful_samples_is_undone_in_histories_too():
+    """A roll-out from the start would have the plant's parameters wrong for a while."""
+    run = Run("target").go(100).go(LENGTH + 5, CHANGED)
+    reverted = []
+    run.objective.revert = lambda theta: reverted.append(theta.tolist())
+    run.retuner.suspend(12.5, run.held, 100)
+    assert reverted == [TRUE.tolist()]
+
+
+def test_doubtful_samples_bring_nothing_back_that_the_guard_has_reverted():
+    run = Run("target").go(100)
+    run.held = CHANGED
+    run.go(2)
+    run.held = TRUE
+    run.retuner.reverted(TRUE)
+    run.go(2)
+    found = run.retuner.suspend(10.4, TRUE, 3)  # CHANGED was in force before these
+    assert found is None or found.undo is None
+
+
+@pytest.mark.parametrize("estimator", ["target", "least-squares"])
+def test_a_value_that_turns_out_to_be_wrong_as_the_window_fills_ends_no_search(estimator):
+    """As many values are compared with as before: a surrogate has those of the candidates so far."""
+    run = Run(estimator, jumps=False).go(100)
+    while run.window.sequence is None:
+        run.go(1, CHANGED)
+    newest = run.window.newest
+    run.retuner.correct(replace(newest, y=(np.nan, newest.y[1])))
+    run.go(60, CHANGED)
+    assert near(run.held, CHANGED)
+
+
+@pytest.mark.parametrize("slow", [1, 3, 10])
+def test_a_larger_noise_is_known_beside_a_slow_sensor(slow):
+    run = Run(slow=slow).go(60)
+    run.factor = 5.0
+    run.go(140)
+    assert run.diagnosis.summary()["channels"]["y0"]["scale"] == pytest.approx(5.0, rel=0.35)
+    assert run.of("rest") == []
+
+
+def test_samples_of_which_nothing_was_measured_do_not_show_that_something_has_passed():
+    run = Run().go(60).go(30, push=lambda i: 0.4 * np.sin(0.8 * i)).go(10)
+    assert run.of("unexplained")
+    run.every = 10**6
+    run.go(60)
+    assert run.of("disturbance") == []
+    run.every = 0
+    run.go(60)
+    assert len(run.of("disturbance")) == 1
 
 
 @SEARCHES

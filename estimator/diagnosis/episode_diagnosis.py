@@ -86,6 +86,7 @@ class EpisodeDiagnosis:
         self._of_rivals: tuple[object, Fit] = (None, NEVER)  # the fit of the rival on a sequence
         self._is_undoing = False  # the last failed search goes back for the rival
         self._judged: object = None  # the sequence that the verdict is about
+        self._n_judged = 0  # number of its values
         self._searched: object = None  # the sequence on which other parameters than the estimator's were tried
         self._found: Estimate | None = None  # those, where they explain it and are warranted
 
@@ -96,6 +97,16 @@ class EpisodeDiagnosis:
         inputs = dict(zip(self._inputs, state.inputs.tolist(), strict=True))
         counts = {kind: state.counts[kind] for kind in KINDS}
         return {"channels": channels, "inputs": inputs, "disturbances": state.named} | counts
+
+    @property
+    def n_calm(self) -> int:
+        """Number of newest samples that the parameters in force explain."""
+        return self._state.n_calm
+
+    @property
+    def n_values(self) -> int:
+        """Number of values that parameters were judged by last."""
+        return self._n_judged
 
     def corrected(self, sample: Sample) -> Sample:
         """Return the sample with the known disturbance added to its inputs."""
@@ -160,6 +171,7 @@ class EpisodeDiagnosis:
             self._judged, self._verdict, self._is_certain = window.sequence, "refuted", False
             self._found = None
         residual = window.whitened(theta)
+        self._n_judged = len(residual)
         of_held, of_theta = _fit(window.whitened(held), 0), _fit(residual, len(space))
         self._note(nothing=of_held, parameters=of_theta)
         others = of_held, self._of_lasting(held), self._of_rival(held)

@@ -16,6 +16,8 @@ from .retuner import Retuner
 
 _KEPT: Final = 255
 """Number of earlier changes of the parameters in force that are known."""
+_SURE: Final = 10
+"""Values a parameter that, explained, leave no doubt."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,7 @@ class DiagnosingEpisodes(RetunerCounts[Retuner]):
         self._ended: tuple[Vector, Judgement] | None = None  # what the last episode proposed in the end
         self._in_force: list[tuple[int, Vector]] = []  # parameters, from which step on they were; the newest is last
         self._n_steps = 0
+        self._n_values = 0  # that the parameters proposed last explain
 
     def diagnosis_summary(self) -> dict[str, Any]:
         """Return what the diagnosis has found as JSON values."""
@@ -61,14 +64,15 @@ class DiagnosingEpisodes(RetunerCounts[Retuner]):
     def suspend(self, t: float, held: Vector, n: int) -> Proposal | None:
         """Go back to the parameters in force before the newest n samples, which turn out to be doubtful; end a search.
 
-        None where there is no search, and no others were in force then.
+        None where there is no search, and those in force now were then, or explain many values measured since.
         """
         if not self._in_force:
             return None
         earlier = (theta for k, theta in reversed(self._in_force) if k <= self._n_steps - n + 1)
         before = next(earlier, self._in_force[0][1])
         is_searching = self._before is not None and self._retuner.is_searching
-        if not is_searching and self._diagnosis.space.are_same(before, held):
+        is_sure = self._n_values + self._diagnosis.n_calm >= _SURE * len(held)
+        if not is_searching and (is_sure or self._diagnosis.space.are_same(before, held)):
             return None
         self._retuner.abandon(before)
         self._retuner.close(before)
@@ -122,6 +126,7 @@ class DiagnosingEpisodes(RetunerCounts[Retuner]):
             rival = diagnosis.disturbance(before) if verdict == "possible" and theta is not None else None
             if "end" in kinds:
                 self._ended = (held if theta is None else theta, verdict)
+            self._n_values = self._n_values if theta is None else diagnosis.n_values
             if_noise = None if theta is None else diagnosis.if_noise(before)
             return replace(proposal, if_noise=if_noise, possible_disturbance=rival, is_warranted=rival is None)
         if "end" not in kinds:

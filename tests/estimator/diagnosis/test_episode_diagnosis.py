@@ -286,18 +286,20 @@ def test_a_search_on_samples_that_turn_out_to_be_doubtful_ends_and_is_undone():
 
 def test_what_was_written_on_samples_that_turn_out_to_be_doubtful_is_undone_though_its_search_has_ended():
     """While the sensor has failed nothing would show that it was wrong; what more samples speak for stays."""
-    run = Run("target").go(100).go(LENGTH + 5, CHANGED)
+    run = Run("target", every=5).go(100).go(45, CHANGED)
     wrong = run.held
     assert near(wrong, CHANGED)
     assert len(run.of("trigger")) == len(run.of("end"))
     assert run.retuner.suspend(12.5, wrong, 3) is None
     assert_array_equal(run.retuner.suspend(12.5, wrong, 100).undo, TRUE)
     assert run.retuner.suspend(12.5, TRUE, 100) is None
+    right = Run("target").go(100).go(LENGTH + 5, CHANGED)
+    assert right.retuner.suspend(12.5, right.held, 200) is None  # forty values speak for it
 
 
 def test_what_is_undone_for_doubtful_samples_is_undone_in_histories_too():
     """A roll-out from the start would have the plant's parameters wrong for a while."""
-    run = Run("target").go(100).go(LENGTH + 5, CHANGED)
+    run = Run("target", every=5).go(100).go(45, CHANGED)
     reverted = []
     run.objective.revert = lambda theta: reverted.append(theta.tolist())
     run.retuner.suspend(12.5, run.held, 100)

@@ -103,7 +103,7 @@ class EpisodeWindow:
     At a trigger some of the samples may be from before the parameters jumped. Those since an anchor, set every
     max_length samples, are taken where the parameters in force explain them (a chi-square test). Otherwise the window
     begins where these stopped explaining them (Page's cumulative sum) or, where that is not known, at the trigger,
-    and the candidates wait until it is full. It is no sooner than twice as many values as parameters are measured.
+    and the candidates wait until it is full. Where outputs are missing, that takes twice as many values as parameters.
     """
 
     is_rescoring_cheap = False
@@ -341,9 +341,9 @@ class EpisodeWindow:
             self._is_filling, self._stretch = False, self._stretch_from(0)
 
     def _is_long(self, n_steps: int) -> bool:
-        """Return whether there are n_steps, and of the outputs twice as many values as there are parameters."""
-        is_known = not self._objective.is_of_outputs or self._n_measured >= self._n_needed
-        return is_known and len(self._recent) > n_steps
+        """Return whether there are n_steps and, where outputs are missing, twice as many values as parameters."""
+        n_needed = min(self._n_needed, n_steps * len(self._recent[-1].y)) if self._objective.is_of_outputs else 0
+        return len(self._recent) > n_steps and self._n_measured >= n_needed
 
     def _beginning(self, first: int) -> int:
         """Return the place nearest to one, if possible after it, of a sample that a simulation can begin at."""

@@ -4,7 +4,7 @@ Krishnan (2001), "Electric Motor Drives", section 2.2. State x = (omega [rad/s],
 a torque on the shaft [N m].
 """
 
-from .plant import Estimated, ForeignPlant, Signal, Values, total, wave
+from .plant import SPEED, Estimated, ForeignPlant, Signal, Values, total, wave
 
 INDUCTANCE = 1e-3
 """Inductance of the winding [H]."""
@@ -48,11 +48,7 @@ PLANT = ForeignPlant(
         Signal("i", "A", "Current", 1e-4 * _ALPHA / 0.05),
     ),
     controls=(Signal("u", "V", "Voltage"),),
-    references=(
-        Signal("omega_ref", "rad/s", "Desired speed"),
-        Signal("alpha_ref", "rad/s2", "Desired acceleration"),
-        Signal("jerk_ref", "rad/s3", "Desired derivative of the acceleration"),
-    ),
+    references=SPEED,
     derivative=derivative,
     control=control,
     reference=reference,

@@ -49,6 +49,12 @@ PLACE = (
     Signal("snap_ref", "m/s4", "Desired second derivative of the acceleration"),
 )
 """References of a body that moves along a line."""
+SPEED = (
+    Signal("omega_ref", "rad/s", "Desired speed"),
+    Signal("alpha_ref", "rad/s2", "Desired acceleration"),
+    Signal("jerk_ref", "rad/s3", "Desired derivative of the acceleration"),
+)
+"""References of a shaft that turns."""
 
 
 @dataclass(frozen=True, kw_only=True)

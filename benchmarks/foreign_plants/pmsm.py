@@ -5,7 +5,7 @@ x = (omega [rad/s], i_q [A], i_d [A]): speed, and the currents along and across 
 shaft [N m].
 """
 
-from .plant import Estimated, ForeignPlant, Signal, Values, total, wave
+from .plant import SPEED, Estimated, ForeignPlant, Signal, Values, total, wave
 
 INDUCTANCE = 4e-4
 """Inductance along either axis [H]."""
@@ -63,11 +63,7 @@ PLANT = ForeignPlant(
         Signal("i_d", "A", "Current across the torque"),
     ),
     controls=(Signal("u_q", "V", "Voltage along the torque"), Signal("u_d", "V", "Voltage across it")),
-    references=(
-        Signal("omega_ref", "rad/s", "Desired speed"),
-        Signal("alpha_ref", "rad/s2", "Desired acceleration"),
-        Signal("jerk_ref", "rad/s3", "Desired derivative of the acceleration"),
-    ),
+    references=SPEED,
     derivative=derivative,
     control=control,
     reference=reference,

@@ -213,6 +213,14 @@ def test_a_sensor_that_is_slower_than_the_steps_counts_for_what_it_has_measured(
     assert np.abs(window.residual(CHANGED)).max() < 6.0
 
 
+def test_a_window_of_one_sample_is_full_with_it_however_many_parameters_there_are():
+    window = fed(Ramp(), 5, length=1)
+    window.begin(np.array([2.0, 1.0, 1.0]))
+    for sample in ramp(7)[5:]:
+        window.append(sample)
+    assert window.sequence.n_steps == 1
+
+
 def test_a_window_of_one_sample_is_followed_too():
     """The default of `sqp` and others; each sample is an anchor there, and none would ever begin an episode."""
     window, lengths = EpisodeWindow(Ramp(), 1), []
